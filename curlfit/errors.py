@@ -1,0 +1,41 @@
+"""The errors a user can meet. Each message says what, where, and what was expected."""
+
+from __future__ import annotations
+
+from os import PathLike
+
+
+class CurlfitError(Exception):
+    """Base of every error that curlfit raises on purpose; `exit_status` is the command's."""
+
+    exit_status = 1
+
+
+class InputError(CurlfitError, ValueError):
+    """The data, an option or a name is wrong (exit status 2)."""
+
+    exit_status = 2
+
+
+class DataError(InputError):
+    """A data file cannot be used; the message begins with the file, line and column."""
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        file: str | PathLike[str] | None = None,
+        line: int | None = None,
+        column: str | None = None,
+    ) -> None:
+        self.file, self.line, self.column = file, line, column
+        place = [] if file is None else [str(file)]
+        if line is not None:
+            place.append(f"line {line}")
+        if column is not None:
+            place.append(f"column {column}")
+        super().__init__(f"{', '.join(place)}: {message}" if place else message)
+
+
+class UnusableFitError(CurlfitError):
+    """The data were read, but no usable fit came of them (exit status 1)."""

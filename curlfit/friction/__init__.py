@@ -1,0 +1,31 @@
+"""Friction laws. A module in this folder is found and its laws registered by being here."""
+
+from importlib import import_module
+from pkgutil import iter_modules
+
+from curlfit.friction.base import (
+    LAWS,
+    Coefficient,
+    Law,
+    LocalLaw,
+    Motion,
+    NetLaw,
+    RingPoint,
+    coefficient,
+    find_law,
+)
+
+for _module in iter_modules(__path__):
+    import_module(f"{__name__}.{_module.name}")
+
+__all__ = [
+    "LAWS",
+    "Coefficient",
+    "Law",
+    "LocalLaw",
+    "Motion",
+    "NetLaw",
+    "RingPoint",
+    "coefficient",
+    "find_law",
+]

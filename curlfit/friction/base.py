@@ -1,0 +1,177 @@
+"""What a friction law is, and how one declares its coefficients.
+
+This room needs no array library: a law is arithmetic on whatever numbers or arrays it is given,
+so the same class serves the compiled model, numpy and a table of names and units.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple, Self, dataclass_transform
+
+from curlfit.errors import InputError
+
+
+@dataclasses.dataclass(frozen=True)
+class Coefficient:
+    """One coefficient of a law: its name, and what a reader and a fit need to know of it."""
+
+    name: str
+    default: float
+    unit: str
+    lower: float
+    upper: float
+    typical: float
+    symbol: str
+    meaning: str
+
+
+def coefficient(
+    default: float,
+    meaning: str,
+    *,
+    unit: str = "1",
+    lower: float = 0.0,
+    upper: float = 1.0,
+    typical: float = 0.01,
+    symbol: str = "",
+) -> Any:
+    """Declare a coefficient as a field of a law.
+
+    Parameters
+    ----------
+    default : value used where none is given.
+    meaning : a few words for tables.
+    unit : unit, "1" for a number.
+    lower, upper : physical bounds, the default bounds of a fit and its flat prior.
+    typical : its usual size, the scale on which "well known" and "unknown" are told apart.
+    symbol : LaTeX without dollar signs; the name if empty.
+    """
+    about = {
+        "unit": unit,
+        "lower": lower,
+        "upper": upper,
+        "typical": typical,
+        "symbol": symbol,
+        "meaning": meaning,
+    }
+    return dataclasses.field(default=default, metadata={"coefficient": about})
+
+
+class RingPoint(NamedTuple):
+    """What a local law may depend on, at one or many points of the contact ring.
+
+    Lengths are in units of the ring radius, directions in the moving frame: `eta` along the
+    velocity of the centre, `xi` to its right (eq. 21).
+    """
+
+    xi: Any
+    """cos(alpha), the place of the point to the right of the centre"""
+    eta: Any
+    """sin(alpha), its place ahead of the centre"""
+    front: Any
+    """1.0 on the front half (eta > 0), 0.0 on the back half"""
+    slide_xi: Any
+    """sliding velocity to the right, m/s (eq. 16)"""
+    slide_eta: Any
+    """sliding velocity forward, m/s (eq. 16)"""
+    speed: Any
+    """magnitude of the sliding velocity, m/s"""
+    e_xi: Any
+    """unit vector of sliding, to the right (eq. 4)"""
+    e_eta: Any
+    """unit vector of sliding, forward (eq. 4)"""
+    load: Any
+    """normal load over the uniform load, n/n0"""
+    turned: Any
+    """angle turned since release, rad, counter-clockwise positive"""
+
+
+class Motion(NamedTuple):
+    """What a net law may depend on: the motion of the stone as a whole."""
+
+    speed: Any
+    """speed of the centre, m/s"""
+    omega: Any
+    """spin, rad/s, counter-clockwise positive"""
+    turned: Any
+    """angle turned since release, rad"""
+
+
+LAWS: dict[str, type[Law]] = {}
+"""Every law by its name; a class enters it by being defined."""
+
+on_new_law: list[Callable[[type[Law]], None]] = []
+"""Called with each law class as it is defined."""
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(coefficient,))
+class Law:
+    """A friction law: a frozen record whose fields are its coefficients.
+
+    Derive from `LocalLaw` or `NetLaw`, not from this. Class attributes: `name` (how the command
+    line calls it), `formula`, `source`, `predicts` (which way a counter-clockwise stone curls).
+    """
+
+    name: ClassVar[str] = ""
+    formula: ClassVar[str] = ""
+    source: ClassVar[str] = ""
+    predicts: ClassVar[str] = ""
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        dataclasses.dataclass(frozen=True)(cls)
+        if not cls.name:
+            return
+        LAWS[cls.name] = cls
+        for callback in on_new_law:
+            callback(cls)
+
+    @classmethod
+    def coefficients(cls) -> tuple[Coefficient, ...]:
+        """The coefficients in the order of the class's fields."""
+        found = []
+        for field in dataclasses.fields(cls):  # type: ignore[arg-type]
+            about = dict(field.metadata["coefficient"])
+            about["symbol"] = about["symbol"] or rf"\mathrm{{{field.name}}}"
+            found.append(Coefficient(name=field.name, default=field.default, **about))
+        return tuple(found)
+
+    @classmethod
+    def from_vector(cls, values: Any) -> Self:
+        """The law with its coefficients taken in order from a sequence or array."""
+        names = (item.name for item in cls.coefficients())
+        return cls(**{name: values[place] for place, name in enumerate(names)})
+
+
+class LocalLaw(Law):
+    """A law of friction at a point of the contact ring (eq. 3-5).
+
+    A subclass defines `traction`. Summing over the ring is not its concern.
+    """
+
+    load_matters: ClassVar[bool] = False
+    """True where the traction per unit load depends on `point.load` itself."""
+
+    def traction(self, point: RingPoint) -> tuple[Any, Any]:
+        """Friction force per unit normal load at a ring point, as (to the right, forward)."""
+        raise NotImplementedError(f"{type(self).__name__} defines no traction(point)")
+
+
+class NetLaw(Law):
+    """A law that gives the acceleration of the whole stone, with no ring behind it."""
+
+    def accelerations(self, motion: Motion, stone: Any) -> tuple[Any, Any, Any]:
+        """(to the right, forward, angular) in m/s^2, m/s^2, rad/s^2, in the moving frame."""
+        raise NotImplementedError(f"{type(self).__name__} defines no accelerations(motion, stone)")
+
+
+def find_law(name: str) -> type[Law]:
+    """The law called `name`. Raises `InputError` that lists the laws there are."""
+    try:
+        return LAWS[name]
+    except KeyError:
+        raise InputError(
+            f"unknown law {name!r}; the laws are {', '.join(sorted(LAWS))} (`curlfit laws` tells more)"
+        ) from None

@@ -1,0 +1,60 @@
+"""The stone: what the equations of motion need to know of it, and nothing else."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+from curlfit.errors import InputError
+
+GRAVITY = 9.81  # m/s^2
+
+
+@dataclass(frozen=True)
+class Stone:
+    """A curling stone on its thin contact ring.
+
+    Attributes
+    ----------
+    m : mass in kg. It cancels from the motion and scales forces only.
+    R : radius of the contact ring in m. Ivanov and Shuvalov (2012) use 0.0625, 0.065 and
+        0.054 m in one paper, so it is an input, never a constant.
+    rho : radius of gyration about the vertical axis in m (0.1 m in the paper; 0.1025 m for a
+        solid cylinder of 29 cm diameter).
+    h : height of the centre of mass above the ice in m, used by the consistent load (eq. 8-9).
+
+    Raises
+    ------
+    InputError : a value is not a positive finite number.
+    """
+
+    m: float = 20.0
+    R: float = 0.065
+    rho: float = 0.1
+    h: float = 0.057
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, (int, float)) and not (math.isfinite(value) and value > 0):
+                raise InputError(
+                    f"stone.{field.name} = {value} {UNITS[field.name]}: expected a positive, "
+                    "finite number"
+                )
+
+    def with_values(self, values: dict[str, float]) -> Stone:
+        """A copy with some values replaced. Raises `InputError` for an unknown name."""
+        unknown = set(values) - {field.name for field in fields(self)}
+        if unknown:
+            raise InputError(
+                f"the stone has no property {sorted(unknown)[0]!r}; it has "
+                + ", ".join(f"{name} ({unit})" for name, unit in UNITS.items())
+            )
+        return replace(self, **values)
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+UNITS = {"m": "kg", "R": "m", "rho": "m", "h": "m"}
