@@ -1,0 +1,571 @@
+"""Least squares: optimistix finds the optimum within bounds, and the answer is weighed.
+
+The step is Levenberg and Marquardt's in variables scaled by their typical sizes and damped in
+proportion to the columns of the Jacobian, which makes it independent of units. optimistix has no
+bounds; `BoxDescent` adds them by projection (Kanzow, Yamashita and Fukushima 2004).
+
+Where no sigma is given, a first fit weights the channels evenly, 1 m like 1 rad. The scatter of
+its residuals, corrected for the parameters spent, is the sigma of the second and last fit (two-step
+generalised least squares). It is not repeated until both agree: where a law is not exact, that
+ends with one channel fitted perfectly at the expense of the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+from curlfit.contact import Load, check_load
+
+# isort: split
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+from curlfit.errors import DataError, InputError, UnusableFitError
+from curlfit.friction import Law, find_law
+from curlfit.identifiability import Identifiability, analyse
+from curlfit.likelihood import (
+    SIGMA_FLOOR,
+    Frame,
+    Problem,
+    frame_of,
+    problem_of,
+    trace,
+    weighted_residuals,
+)
+from curlfit.parameters import ParameterSet
+from curlfit.results import Estimate, FitResult
+from curlfit.starting import Smooth, moved, smooth, start_values
+from curlfit.stone import Stone
+from curlfit.throw import CHANNELS, Throw
+
+Floats = NDArray[np.float64]
+
+_TOLERANCE = 1e-10
+_MOST_STEPS = 200
+_FIRST_DAMPING = 1e-4  # of Marquardt's damping, relative to the squared columns
+_POOR = (3.0, 0.02)  # rms over a polynomial's, and over the range: both, and more starts are tried
+_SMOOTH = 0.5  # lag-1 correlation of residuals from which they are called smooth
+
+
+class _BoxState(eqx.Module):
+    y: Array
+    f_info: Any
+
+
+class BoxDescent(optx.AbstractDescent):
+    """Damped Newton step within bounds, for use in an optimistix Gauss-Newton solver.
+
+    A variable that sits at a bound and is pushed against it takes no part in the step; the others
+    take the damped step, cut off at their bounds.
+    """
+
+    lower: Array
+    upper: Array
+
+    def init(self, y: Array, f_info_struct: Any) -> _BoxState:
+        """Required by optimistix."""
+        blank = jax.tree.map(
+            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype)
+            if isinstance(leaf, jax.ShapeDtypeStruct)
+            else leaf,
+            f_info_struct,
+        )
+        return _BoxState(y, blank)
+
+    def query(self, y: Array, f_info: Any, state: _BoxState) -> _BoxState:
+        """Required by optimistix."""
+        return _BoxState(y, f_info)
+
+    def step(self, step_size: Array, state: _BoxState) -> tuple[Array, optx.RESULTS]:
+        """The step at damping `_FIRST_DAMPING / step_size`."""
+        jacobian = state.f_info.jac.as_matrix()
+        residual = state.f_info.residual.reshape(-1)
+        gradient = residual @ jacobian
+        held = (state.y <= self.lower) & (gradient >= 0) | (state.y >= self.upper) & (gradient <= 0)
+        held |= self.lower >= self.upper
+        jacobian = jnp.where(held, 0.0, jacobian)
+        size = jnp.sqrt((jacobian**2).sum(0))
+        size = jnp.maximum(size, 1e-12 * size.max() + 1e-300)
+        damping = jnp.sqrt(_FIRST_DAMPING / step_size)
+        stacked = jnp.concatenate([jacobian / size, damping * jnp.eye(len(size))])
+        right = jnp.concatenate([residual, jnp.zeros_like(size)])
+        solution = lx.linear_solve(
+            lx.MatrixLinearOperator(stacked), right, lx.QR(), throw=False
+        ).value
+        move = jnp.where(held, 0.0, -solution / size)
+        return jnp.clip(state.y + move, self.lower, self.upper) - state.y, optx.RESULTS.successful
+
+
+class BoxLevenbergMarquardt(optx.AbstractGaussNewton):
+    """Levenberg and Marquardt's method within bounds."""
+
+    rtol: float
+    atol: float
+    norm: Callable[..., Any]
+    descent: BoxDescent
+    search: optx.ClassicalTrustRegion
+    verbose: Callable[..., None]
+
+    def __init__(self, lower: Array, upper: Array, rtol: float, atol: float) -> None:
+        self.rtol, self.atol = rtol, atol
+        self.norm = optx.max_norm
+        self.descent = BoxDescent(lower, upper)
+        self.search = optx.ClassicalTrustRegion()
+        self.verbose = _silent
+
+
+def _silent(**_: Any) -> None:
+    return None
+
+
+class _Solution(NamedTuple):
+    values: Any
+    residual: Any
+    """weighted, shape (3, n)"""
+    jacobian: Any
+    """of the weighted residual by parameter, shape (3, n, parameters)"""
+    steps: Any
+    finished: Any
+
+
+@partial(jax.jit, static_argnames=("law", "load"))
+def _solve(
+    law: type[Law], load: Load, start: Array, lower: Array, upper: Array, scale: Array,
+    problem: Problem,
+) -> _Solution:  # fmt: skip
+    def residual(z: Array, problem: Problem) -> Array:
+        return weighted_residuals(law, load, z * scale, problem)
+
+    solver = BoxLevenbergMarquardt(lower / scale, upper / scale, _TOLERANCE, _TOLERANCE)
+    found = optx.least_squares(
+        residual,
+        solver,
+        start / scale,
+        args=problem,
+        options={"jac": "fwd"},
+        max_steps=_MOST_STEPS,
+        throw=False,
+    )
+    f_info = found.state.f_info
+    return _Solution(
+        values=found.value * scale,
+        residual=f_info.residual,
+        jacobian=f_info.jac.as_matrix().reshape(*f_info.residual.shape, -1) / scale,
+        steps=found.stats["num_steps"],
+        finished=found.result == optx.RESULTS.successful,
+    )
+
+
+def _chi_squared(solution: _Solution) -> float:
+    return float((solution.residual**2).sum())
+
+
+def _starts(
+    law: type[Law], load: Load, problem: Problem, path: Smooth, parameters: ParameterSet
+) -> list[Floats]:
+    """Start values in the order in which to try them."""
+    spins = (1.0,) if path.curves[2] is not None else (1.0, -1.0)
+    first = [start_values(law, load, problem, path, parameters, spin) for spin in spins]
+    others = []
+    k = len(law.coefficients())
+    defaults = np.array([item.default for item in law.coefficients()])
+    for factor in (1.0, 0.3, 3.0):
+        values = first[0].copy()
+        values[:k] = defaults * factor
+        others.append(np.clip(values, parameters.lower, parameters.upper))
+    return [*first, *others]
+
+
+def fit(
+    throw: Throw,
+    law: str | type[Law] = "front-back",
+    *,
+    load: str | None = None,
+    stone: Stone | None = None,
+    until: float | None = None,
+    fix: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    unbounded: bool = False,
+    start: Mapping[str, float] | None = None,
+) -> FitResult:
+    """Fit a friction law and the start of the throw to a measured path by least squares.
+
+    Parameters
+    ----------
+    throw : the data. Its own defaults (`until`, `stone`, `load`) hold where nothing else is said.
+    law : name or class of the friction law.
+    load : "uniform" or "consistent" (eq. 8-9).
+    stone : the stone; by default the data file's, and `Stone()` where that says nothing.
+    until : use rows with t <= `until` (s).
+    fix, bounds : parameters held at a value, and (lower, upper) in place of the law's own.
+    unbounded : let coefficients be negative.
+    start : start values of some parameters; the rest is found from the data. Not needed.
+
+    Returns
+    -------
+    FitResult, whose `status` says in words whether the fit converged and what to mind.
+
+    Raises
+    ------
+    InputError : an unknown law, load or parameter name; too few rows; a stone that never moves.
+    UnusableFitError : no start led to a finite fit.
+    """
+    law = find_law(law) if isinstance(law, str) else law
+    load = check_load(load or throw.defaults.get("load", "uniform"))
+    if stone is None:
+        stone = Stone().with_values(throw.defaults.get("stone", {}))
+    until = throw.defaults.get("until") if until is None else until
+    if not throw.sigma and throw.defaults.get("sigma"):
+        throw = throw.with_sigma(throw.defaults["sigma"])
+    throw = throw.until(until)
+    parameters = _parameters(throw, law, fix, bounds, unbounded)
+    frame = frame_of(throw)
+    local = _shifted(parameters, -frame.offset(len(parameters)))
+    sigma = _first_sigma(throw)
+    problem = problem_of(throw, stone, frame, sigma)
+    if not moved(problem):
+        raise DataError(
+            "the stone never moves by more than the scatter of the data; nothing can be fitted",
+            file=throw.name,
+        )
+    path = smooth(problem)
+    starts = _starts(law, load, problem, path, local)
+    if start:
+        starts.insert(0, _user_start(starts[0], start, parameters, frame))
+    solution, tried = _best(law, load, starts, local, problem, path)
+    if solution is None:
+        raise UnusableFitError(
+            f"{throw.name}: law {law.name} with {load} load gives no finite path from any start"
+        )
+    if sigma:
+        sigma = _estimated_sigma(throw, solution, problem, local, list(sigma))
+        problem = problem_of(throw, stone, frame, sigma)
+        solution = _descend(law, load, solution.values, local, problem) or solution
+    return _result(
+        throw, law, load, stone, until, parameters, frame, problem, sigma, solution, tried
+    )
+
+
+def _first_sigma(throw: Throw) -> dict[str, float]:
+    """Sigma of the first fit for the channels whose own is unknown: even weights."""
+    given = [float(np.nanmedian(series)) for series in throw.sigma.values()]
+    even = float(np.exp(np.mean(np.log(given)))) if given else 1.0
+    seen = np.isfinite(throw.observed).any(1)
+    return {
+        name: even
+        for name, any_seen in zip(CHANNELS, seen, strict=True)
+        if any_seen and name not in throw.sigma
+    }
+
+
+def _estimated_sigma(
+    throw: Throw,
+    solution: _Solution,
+    problem: Problem,
+    parameters: ParameterSet,
+    names: list[str],
+) -> dict[str, float]:
+    """sqrt(sum of squares/(n - p)) by channel, p the parameters that the channel itself pays for."""
+    n = len(throw)
+    jacobian = solution.jacobian[:, :n, parameters.free]
+    left, singular, _ = np.linalg.svd(jacobian.reshape(-1, jacobian.shape[-1]), full_matrices=False)
+    left = left[:, singular > 1e-9 * singular[0]].reshape(len(CHANNELS), n, -1)
+    found = {}
+    for row, name in enumerate(CHANNELS):
+        if name in names:
+            weight = problem.weight[row, :n]
+            room = max((weight > 0).sum() - (left[row] ** 2).sum(), 1.0)
+            scaled = (solution.residual[row] ** 2).sum() / room
+            found[name] = float(np.sqrt(scaled) / weight.max()) + SIGMA_FLOOR
+    return found
+
+
+def _descend(
+    law: type[Law], load: Load, start: Floats, parameters: ParameterSet, problem: Problem
+) -> _Solution | None:
+    """The optimum reached from one start; None where that start leads nowhere."""
+    solution = jax.tree.map(
+        np.asarray,
+        _solve(law, load, start, parameters.lower, parameters.upper, parameters.typical, problem),
+    )
+    return solution if np.isfinite(_chi_squared(solution)) else None
+
+
+def _parameters(
+    throw: Throw,
+    law: type[Law],
+    fix: Mapping[str, float] | None,
+    bounds: Mapping[str, tuple[float, float]] | None,
+    unbounded: bool,
+) -> ParameterSet:
+    parameters = ParameterSet.build(law, fix=fix, bounds=bounds, unbounded=unbounded)
+    if not np.isfinite(throw.phi).any() and "phi0" not in parameters.fixed:
+        parameters = parameters.with_fixed("phi0", 0.0)
+    free = int(parameters.free.sum())
+    rows = int(np.isfinite(throw.observed).any(0).sum())
+    if rows < max(free, 3) or throw.n_observations < free:
+        raise DataError(
+            f"{rows} rows for {free} parameters; give more rows, or fix parameters",
+            file=throw.name,
+        )
+    return parameters
+
+
+def _shifted(parameters: ParameterSet, by: Floats) -> ParameterSet:
+    """The set with values and bounds moved, from the data's coordinates to the problem's."""
+    moved_parameters = tuple(
+        replace(item, lower=item.lower + shift, upper=item.upper + shift)
+        for item, shift in zip(parameters.parameters, by, strict=True)
+    )
+    fixed = {
+        name: value + by[parameters.index(name)] for name, value in parameters.fixed.items()
+    }
+    return ParameterSet(moved_parameters, fixed)
+
+
+def _user_start(
+    values: Floats, start: Mapping[str, float], parameters: ParameterSet, frame: Frame
+) -> Floats:
+    offset = frame.offset(len(parameters))
+    absolute = values + offset
+    for name, value in start.items():
+        if name not in parameters.names:
+            raise InputError(
+                f"start: no parameter {name!r}; there are {', '.join(parameters.names)}"
+            )
+        absolute[parameters.index(name)] = value
+    return np.clip(absolute, parameters.lower, parameters.upper) - offset
+
+
+def _best(
+    law: type[Law],
+    load: Load,
+    starts: list[Floats],
+    parameters: ParameterSet,
+    problem: Problem,
+    path: Smooth,
+) -> tuple[_Solution | None, int]:
+    """The best optimum, and how many starts it took."""
+    best: _Solution | None = None
+    tried = 0
+    for values in starts:
+        if best is not None and not _poor(best, path, problem):
+            break
+        tried += 1
+        found = _descend(law, load, values, parameters, problem)
+        if found is not None and (
+            best is None or _chi_squared(found) < (1 - 1e-9) * _chi_squared(best)
+        ):
+            best = found
+    return best, tried
+
+
+def _poor(solution: _Solution, path: Smooth, problem: Problem) -> bool:
+    if not solution.finished:
+        return True
+    over_polynomial, over_range = _POOR
+    for row in range(len(CHANNELS)):
+        use = problem.weight[row] > 0
+        if use.sum() < 3:
+            continue
+        residual = solution.residual[row][use] / problem.weight[row][use]
+        rms = float(np.sqrt(np.mean(residual**2)))
+        extent = float(np.ptp(problem.observed[row][use]))
+        if rms > over_polynomial * path.rms[row] and rms > over_range * extent:
+            return True
+    return False
+
+
+def _result(
+    throw: Throw,
+    law: type[Law],
+    load: Load,
+    stone: Stone,
+    until: float | None,
+    parameters: ParameterSet,
+    frame: Frame,
+    problem: Problem,
+    sigma: dict[str, float],
+    solution: _Solution,
+    tried: int,
+) -> FitResult:
+    n = len(throw)
+    offset = frame.offset(len(parameters))
+    values = solution.values + offset
+    seen = np.isfinite(throw.observed)
+    curves = np.array(
+        trace(law, load, solution.values, problem.times, problem.stone)
+    )[:, :n]
+    curves[:3] += frame.place[:, None]
+    residual = throw.observed - curves[:3]
+    squares = np.where(seen, residual**2, 0.0).sum(1)
+    count = seen.sum(1)
+    rms = np.sqrt(squares / np.maximum(count, 1))
+
+    free = parameters.free
+    at_bound = _at_bound(solution, parameters, offset)
+    open_ = free & ~at_bound
+    known = analyse(
+        solution.jacobian[:, :n, open_].reshape(-1, int(open_.sum())),
+        [name for name, take in zip(parameters.names, open_, strict=True) if take],
+        values[open_],
+        parameters.typical[open_],
+    )
+    rms_by = {name: float(rms[row]) for row, name in enumerate(CHANNELS) if count[row]}
+    lag1 = {name: _lag1(residual[row][seen[row]]) for row, name in enumerate(CHANNELS) if count[row] > 3}
+    converged, status, warnings = _judge(
+        solution, parameters, at_bound, tried, dict(zip(CHANNELS, count, strict=True)), rms_by, lag1
+    )
+    observed = {name: getattr(throw, name) for name in ("t", *CHANNELS)}
+    observed |= {f"sigma_{name}": series for name, series in throw.sigma.items()}
+    fitted = dict(zip((*CHANNELS, "speed", "omega"), curves, strict=True))
+    return FitResult(
+        law=law.name,
+        load=load,
+        stone=stone,
+        data={
+            "file": throw.name,
+            "rows": n,
+            "from": float(throw.t[0]),
+            "to": float(throw.t[-1]),
+            "until": until,
+            "sigma": {
+                name: ("estimated" if name in sigma else "given")
+                for row, name in enumerate(CHANNELS)
+                if count[row]
+            },
+            "notes": list(throw.notes),
+        },
+        converged=converged,
+        status=status,
+        warnings=tuple(warnings),
+        n_observations=throw.n_observations,
+        rms=rms_by,
+        sigma=sigma,
+        lag1=lag1,
+        parameters=_estimates(parameters, values, known, open_, at_bound),
+        combinations=known.combinations,
+        rank=known.rank,
+        singular_values=tuple(map(float, known.singular_values)),
+        null_directions=known.null_directions,
+        covariance={
+            "names": list(known.names),
+            "matrix": known.covariance.tolist(),
+        },
+        reference=throw.reference if throw.reference and throw.reference.law == law.name else None,
+        observed=observed,
+        fitted=fitted,
+    )
+
+
+def _at_bound(solution: _Solution, parameters: ParameterSet, offset: Floats) -> NDArray[np.bool_]:
+    """Free parameters at a bound that the data push against it."""
+    jacobian = solution.jacobian.reshape(-1, len(parameters))
+    push = solution.residual.reshape(-1) @ jacobian * parameters.typical
+    values = solution.values + offset
+    near = 1e-9 * parameters.typical
+    at_lower = (values <= parameters.lower + near) & (push > 1e-3)
+    at_upper = (values >= parameters.upper - near) & (push < -1e-3)
+    return parameters.free & (at_lower | at_upper)
+
+
+def _estimates(
+    parameters: ParameterSet,
+    values: Floats,
+    known: Identifiability,
+    open_: NDArray[np.bool_],
+    at_bound: NDArray[np.bool_],
+) -> dict[str, Estimate]:
+    found = {}
+    place = np.cumsum(open_) - 1
+    for row, item in enumerate(parameters.parameters):
+        stderr = None
+        if item.name in parameters.fixed:
+            verdict = "fixed"
+        elif at_bound[row]:
+            verdict = "at bound"
+        elif known.unseen[place[row]]:
+            verdict = "not identifiable"
+        else:
+            stderr = float(np.sqrt(known.covariance[place[row], place[row]]))
+            verdict = "determined" if stderr < item.typical else "weak"
+        found[item.name] = Estimate(
+            value=float(values[row]),
+            stderr=stderr,
+            verdict=verdict,
+            unit=item.unit,
+            symbol=item.symbol,
+            meaning=item.meaning,
+            lower=item.lower,
+            upper=item.upper,
+            typical=item.typical,
+        )
+    return found
+
+
+def _lag1(residual: Floats) -> float:
+    """Correlation of neighbouring residuals; 0 for independent noise."""
+    centred = residual - residual.mean()
+    total = float((centred**2).sum())
+    return float((centred[1:] * centred[:-1]).sum() / total) if total > 0 else 0.0
+
+
+def _judge(
+    solution: _Solution,
+    parameters: ParameterSet,
+    at_bound: NDArray[np.bool_],
+    tried: int,
+    count: dict[str, int],
+    rms: dict[str, float],
+    correlation: dict[str, float],
+) -> tuple[bool, str, list[str]]:
+    """Converged or not, the same in words, and what the reader has to mind."""
+    left = _distance_to_optimum(solution, parameters.free & ~at_bound)
+    converged = bool(left < 0.01)
+    steps = f"{int(solution.steps)} steps" + (f", best of {tried} starts" if tried > 1 else "")
+    if converged:
+        status = f"converged ({steps})"
+    else:
+        status = (
+            f"not converged: the next step would still gain {left:.2g} standard errors ({steps})"
+        )
+    warnings = []
+    for name, stuck in zip(parameters.names, at_bound, strict=True):
+        if stuck:
+            item = parameters.parameters[parameters.index(name)]
+            warnings.append(
+                f"{name} sits at its bound; the data would rather have it outside "
+                f"{item.lower:g}..{item.upper:g}"
+            )
+    smooth_in = {
+        name: lag1
+        for name, lag1 in correlation.items()
+        if lag1 > _SMOOTH and count[name] > 20 and rms[name] > 10 * SIGMA_FLOOR
+    }
+    if smooth_in:
+        listed = ", ".join(f"{r:.2f} in {name}" for name, r in smooth_in.items())
+        warnings.append(
+            f"the residuals are smooth (lag-1 correlation {listed}): they show what the law "
+            "misses, not noise, and standard errors, which assume independent noise, are too small"
+        )
+    return converged, status, warnings
+
+
+def _distance_to_optimum(solution: _Solution, free: NDArray[np.bool_]) -> float:
+    """Length of the Gauss-Newton step that is left, in standard errors along seen directions."""
+    jacobian = solution.jacobian.reshape(-1, len(free))[:, free]
+    residual = solution.residual.reshape(-1)
+    size = np.linalg.norm(jacobian, axis=0)
+    left, singular, _ = np.linalg.svd(jacobian / np.where(size > 0, size, 1), full_matrices=False)
+    seen = singular > 1e-7 * singular[0]
+    scale = max(float(np.sqrt(residual @ residual / max(len(residual), 1))), 1e-300)
+    return float(np.linalg.norm(left[:, seen].T @ residual)) / max(1.0, scale)

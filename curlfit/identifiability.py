@@ -1,0 +1,150 @@
+"""What the data determine: singular values of the scaled Jacobian, and their directions in words.
+
+Columns of the Jacobian of the residuals (in units of their sigma) are scaled by the typical size
+of each parameter. A singular value s then means that the data know its direction to 1/s typical
+sizes: below 1 the direction is weak, below `_UNSEEN` or beneath the rounding of the largest it is
+not seen at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_UNSEEN = 1e-3  # known to no better than a thousand typical sizes
+_ROUNDING = 1e-9  # of the largest singular value
+_NO_PART = 1e-3  # share of a direction below which a parameter takes no part in it
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A weighted sum of parameters that the data determine where they do not one by one."""
+
+    expression: str
+    weights: dict[str, float]
+    value: float
+    stderr: float | None
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """Directions in parameter space, by how well the data see them.
+
+    Attributes
+    ----------
+    names : the free parameters, in the order of what follows.
+    rank : number of directions that the data see.
+    singular_values : of the scaled Jacobian, largest first.
+    null_directions : directions that change nothing, as weights by name, the largest being 1.
+    covariance : over the free parameters, along the seen directions only.
+    unseen : for each free parameter, whether it takes part in a null direction.
+    combinations : what is determined instead of the unseen parameters.
+    """
+
+    names: tuple[str, ...]
+    rank: int
+    singular_values: Floats
+    null_directions: tuple[dict[str, float], ...]
+    covariance: Floats
+    unseen: NDArray[np.bool_]
+    combinations: tuple[Combination, ...]
+
+
+def analyse(
+    jacobian: Floats, names: Sequence[str], values: Floats, typical: Floats
+) -> Identifiability:
+    """Split the space of the free parameters into what the data see and what they do not.
+
+    Parameters
+    ----------
+    jacobian : of the residuals over their sigma, shape (residuals, parameters).
+    names, values, typical : of the parameters; values at which the Jacobian was taken.
+    """
+    p = len(names)
+    _, singular, right = np.linalg.svd(jacobian * typical, full_matrices=False)
+    singular = np.concatenate([singular, np.zeros(p - len(singular))])
+    if len(right) < p:  # fewer residuals than parameters
+        right = np.linalg.svd(jacobian * typical)[2]
+    seen = singular > max(_UNSEEN, _ROUNDING * singular[0])
+    inverse = right[seen].T / singular[seen]
+    covariance = typical[:, None] * (inverse @ inverse.T) * typical
+
+    null = right[~seen]
+    part = np.sqrt((null**2).sum(0)) if len(null) else np.zeros(p)
+    unseen = part > _NO_PART
+    directions, combinations = [], []
+    if unseen.any():
+        own_null = (null * typical)[:, unseen]
+        for row in _tidy_basis(own_null):
+            directions.append(_named(row, names, unseen))
+        left = np.linalg.svd(own_null / typical[unseen].max())[2][np.linalg.matrix_rank(own_null) :]
+        for row in _tidy_basis(left):
+            weights = _named(row, names, unseen)
+            vector = np.array([weights.get(name, 0.0) for name in names])
+            variance = float(vector @ covariance @ vector)
+            combinations.append(
+                Combination(
+                    expression(weights), weights, float(vector @ values), float(np.sqrt(variance))
+                )
+            )
+    return Identifiability(
+        names=tuple(names),
+        rank=int(seen.sum()),
+        singular_values=singular,
+        null_directions=tuple(directions),
+        covariance=covariance,
+        unseen=unseen,
+        combinations=tuple(combinations),
+    )
+
+
+def expression(weights: dict[str, float]) -> str:
+    """A combination in words: {"a": 1, "b": 1} is "a + b", {"a": 1, "b": -2} is "a - 2 b"."""
+    text = ""
+    for name, weight in weights.items():
+        size = abs(weight)
+        factor = "" if size == 1 else f"{Fraction(size).limit_denominator(12)} "
+        if factor and abs(Fraction(size).limit_denominator(12) - size) > 1e-9:
+            factor = f"{size:.4g} "
+        sign = ("- " if weight < 0 else "") if not text else (" - " if weight < 0 else " + ")
+        text += f"{sign}{factor}{name}"
+    return text
+
+
+def _tidy_basis(rows: Floats) -> Floats:
+    """A basis of the same space in reduced echelon form, with small whole numbers where close."""
+    rows = np.array(rows, float)
+    place = 0
+    for row in range(len(rows)):
+        while place < rows.shape[1]:
+            pivot = row + int(np.argmax(np.abs(rows[row:, place])))
+            if abs(rows[pivot, place]) > 1e-6 * np.abs(rows[row:]).max():
+                break
+            place += 1
+        if place == rows.shape[1]:
+            return rows[:row]
+        rows[[row, pivot]] = rows[[pivot, row]]
+        rows[row] /= rows[row, place]
+        for other in range(len(rows)):
+            if other != row:
+                rows[other] -= rows[other, place] * rows[row]
+        place += 1
+    for row in rows:
+        row /= row[np.argmax(np.abs(row) > 0.999 * np.abs(row).max())]
+        for j, weight in enumerate(row):
+            near = float(Fraction(weight).limit_denominator(6))
+            row[j] = near if abs(near - weight) < _NO_PART else weight
+    return rows
+
+
+def _named(row: Floats, names: Sequence[str], where: NDArray[np.bool_]) -> dict[str, float]:
+    chosen = [name for name, take in zip(names, where, strict=True) if take]
+    return {
+        name: float(weight) for name, weight in zip(chosen, row, strict=True) if abs(weight) > 0
+    }

@@ -1,0 +1,135 @@
+"""What a path says of the parameters: residuals and the log-posterior, written once.
+
+A parameter vector holds the law's coefficients and then `x0 y0 heading v0 phi0 omega0`. Inside a
+`Problem` the first time is 0 and place and angle count from a reference near the first row, so
+that neither a clock nor a map grid with large numbers costs precision.
+
+Noise is independent and Gaussian, of a sigma by channel that is given or estimated beforehand (see
+`curlfit.fitting`). An unknown sigma is not varied along with the rest: where a law is not exact,
+that likelihood has its maximum in a corner where one channel is fitted perfectly and the others
+pay for it.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+from curlfit.motion import Load, Start, simulate
+
+# isort: split
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+from curlfit.friction import Law
+from curlfit.parameters import START
+from curlfit.stone import Stone
+from curlfit.throw import CHANNELS, Throw
+
+Floats = NDArray[np.float64]
+
+SIGMA_FLOOR = 1e-7
+"""Least noise (m and rad) that is believed: the precision of the computed path."""
+
+_SHORTEST = 256  # data are padded to a power of two from here up, so that few shapes are compiled
+
+
+class Problem(NamedTuple):
+    """A throw as arrays for the compiled model; n is the padded number of rows."""
+
+    times: Any
+    """s since the first row, shape (n,)"""
+    observed: Any
+    """x, y, phi relative to the reference, zero where not seen, shape (3, n)"""
+    weight: Any
+    """1/sigma, 0 where not seen, shape (3, n)"""
+    stone: Stone
+
+
+class Frame(NamedTuple):
+    """Where a problem's zero lies in the coordinates of the data."""
+
+    t: float
+    place: Floats
+    """x, y, phi, shape (3,)"""
+
+    def offset(self, size: int) -> Floats:
+        """What to add to a parameter vector of a problem to have it in the data's coordinates."""
+        offset = np.zeros(size)
+        names = [item.name for item in START]
+        for name, value in zip(("x0", "y0", "phi0"), self.place, strict=True):
+            offset[size - len(START) + names.index(name)] = value
+        return offset
+
+
+def frame_of(throw: Throw) -> Frame:
+    """The frame of a throw: its first time, and the first finite value of each channel."""
+    place = []
+    for values in throw.observed:
+        seen = np.isfinite(values)
+        place.append(float(values[np.argmax(seen)]) if seen.any() else 0.0)
+    return Frame(float(throw.t[0]), np.array(place))
+
+
+def problem_of(throw: Throw, stone: Stone, frame: Frame, sigma: dict[str, float]) -> Problem:
+    """The throw in a frame, padded. `sigma` serves the channels of which the throw gives none."""
+    n = len(throw)
+    size = max(_SHORTEST, 1 << (n - 1).bit_length())
+    seen = np.isfinite(throw.observed)
+    observed = np.where(seen, throw.observed - frame.place[:, None], 0.0)
+    noise = np.stack(
+        [throw.sigma.get(name, np.full(n, sigma.get(name, 1.0))) for name in CHANNELS]
+    )
+    weight = np.where(seen, 1 / np.where(seen, noise, 1.0), 0.0)
+    pad = ((0, 0), (0, size - n))
+    return Problem(
+        times=np.pad(throw.t - frame.t, (0, size - n), mode="edge"),
+        observed=np.pad(observed, pad),
+        weight=np.pad(weight, pad),
+        stone=Stone(**{name: np.asarray(float(value)) for name, value in vars(stone).items()}),
+    )
+
+
+def split(law: type[Law], values: Any) -> tuple[Law, Start]:
+    """A parameter vector as law and start."""
+    k = len(law.coefficients())
+    x0, y0, heading, v0, phi0, omega0 = (values[k + place] for place in range(len(START)))
+    start = Start(x=x0, y=y0, heading=heading, v=v0, phi=phi0, omega=omega0)
+    return law.from_vector(values), start
+
+
+def weighted_residuals(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
+    """(model - data) times weight, shape (3, n)."""
+    friction, start = split(law, values)
+    path = simulate(friction, problem.stone, start, problem.times, load=load, t0=0.0)
+    model = jnp.stack([path.x, path.y, path.phi])
+    return jnp.where(problem.weight > 0, (model - problem.observed) * problem.weight, 0.0)
+
+
+def log_likelihood(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
+    """Log-likelihood up to a constant; -inf where the law admits no motion."""
+    value = -0.5 * (weighted_residuals(law, load, values, problem) ** 2).sum()
+    return jnp.where(jnp.isfinite(value), value, -jnp.inf)
+
+
+@partial(jax.jit, static_argnames=("law", "load"))
+def log_posterior(
+    law: type[Law], load: Load, values: Array, lower: Array, upper: Array, problem: Problem
+) -> Array:
+    """Log-posterior of many parameter vectors, shape (walkers, parameters), under a flat prior."""
+    inside = ((values >= lower) & (values <= upper)).all(-1)
+    # A vector outside the bounds is never followed: it could hold up all the others.
+    safe = jnp.clip(values, lower, upper)
+    value = jax.vmap(lambda one: log_likelihood(law, load, one, problem))(safe)
+    return jnp.where(inside, value, -jnp.inf)
+
+
+@partial(jax.jit, static_argnames=("law", "load"))
+def trace(law: type[Law], load: Load, values: Array, times: Array, stone: Stone) -> Array:
+    """x, y, phi, speed and spin at the times of a problem, shape (5, n)."""
+    friction, start = split(law, values)
+    path = simulate(friction, stone, start, times, load=load, t0=0.0)
+    return jnp.stack([path.x, path.y, path.phi, jnp.hypot(path.vx, path.vy), path.omega])

@@ -1,0 +1,119 @@
+"""The paper of Ivanov and Shuvalov (2012): its trajectory, its result, its first-order model.
+
+A. P. Ivanov, N. D. Shuvalov, "Friction in curling game"; equation numbers are theirs.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path as FilePath
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from curlfit.friction.front_back import FrontBackFirstOrder
+from curlfit.stone import GRAVITY, Stone
+
+Floats = NDArray[np.float64]
+
+EQ_28 = {"mu1_xi": 0.0018, "mu2_xi": 0.058, "mu1_eta + mu2_eta": 0.018}
+"""Coefficients of the front-back law as printed in eq. 28."""
+
+EQ_28_STONE = Stone(R=0.054, rho=0.1)
+"""The ring radius the paper gives for eq. 28 and its radius of gyration."""
+
+EQ_28_UNTIL = 20.0
+"""End of the time window, s, on which the paper uses eq. 12."""
+
+
+class Trajectory(NamedTuple):
+    """Place and angle over time: x, y in m, phi in rad."""
+
+    x: Floats
+    y: Floats
+    phi: Floats
+
+
+def jensen_shegelski(t: ArrayLike) -> Trajectory:
+    """The fitted trajectory of Jensen and Shegelski (2004), eq. 12, for t in s on [0, 23]."""
+    t = np.asarray(t, float)
+    rest = 1 - t / 23
+    return Trajectory(
+        x=-(0.004 * t**2 - 0.185 * t + 2.98 * (1 - rest**1.43)),
+        y=25 * (1 - rest**1.897),
+        phi=16.58 * (1 - (1 - t / 24) ** 1.455),
+    )
+
+
+def write_jensen_shegelski(file: str | FilePath) -> None:
+    """Write eq. 12, each 0.1 s on 0..22.9 s, as the data file that ships with curlfit."""
+    t = np.arange(230) / 10
+    lines = [
+        "# Eq. 12 of Ivanov and Shuvalov (2012): a formula fitted by Jensen and Shegelski (2004)",
+        "# to measured throws. See README.md beside this file.",
+        f"# until = {EQ_28_UNTIL:g}",
+        f"# stone.R = {EQ_28_STONE.R:g}",
+        f"# stone.rho = {EQ_28_STONE.rho:g}",
+        '# reference.source = "eq. 28"',
+        '# reference.law = "front-back"',
+        *(f"# reference.values.{_toml_key(name)} = {value:g}" for name, value in EQ_28.items()),
+        "t,x,y,phi",
+        *(
+            f"{a:.1f},{b:.9f},{c:.9f},{d:.9f}"
+            for a, b, c, d in zip(t, *jensen_shegelski(t), strict=True)
+        ),
+    ]
+    FilePath(file).write_text("\n".join(lines).replace("-0.000000000", "0.000000000") + "\n")
+
+
+def _toml_key(name: str) -> str:
+    return name if name.isidentifier() else f'"{name}"'
+
+
+class FirstOrderMotion(NamedTuple):
+    """Motion under eq. 27: x, y in m, phi and heading in rad, v in m/s, omega in rad/s."""
+
+    x: Floats
+    y: Floats
+    phi: Floats
+    heading: Floats
+    v: Floats
+    omega: Floats
+
+
+def first_order_motion(
+    law: FrontBackFirstOrder, stone: Stone, v0: float, omega0: float, t: ArrayLike
+) -> FirstOrderMotion:
+    """Eq. 27 in closed form, from the origin along +y, for times before the stone stops.
+
+    With `a = g (mu1_eta + mu2_eta)/2` and `k = g R^2 (mu1_xi + mu2_xi)/(4 rho^2)`:
+    `v = v0 - a t`, `omega = omega0 (v/v0)^(k/a)`; the angle turned and the heading are powers of
+    `v` as well. x and y are integrals of these closed forms, by 64 Gauss points.
+
+    Raises
+    ------
+    ValueError : a time lies after the stop at `v0/a`, where the first-order law has no meaning.
+    """
+    t = np.asarray(t, float)
+    a = GRAVITY * (law.mu1_eta + law.mu2_eta) / 2
+    p = GRAVITY * stone.R**2 * (law.mu1_xi + law.mu2_xi) / (4 * stone.rho**2) / a
+    turning = GRAVITY * stone.R * (law.mu1_xi - law.mu2_xi) / np.pi  # d(heading)/dt v^2/omega
+    if np.any(a * t >= v0):
+        raise ValueError(f"the stone stops at {v0 / a:.6g} s; give earlier times")
+
+    def heading(s: Floats) -> Floats:  # s = v/v0
+        power = -np.log(s) if abs(p - 1) < 1e-12 else (1 - s ** (p - 1)) / (p - 1)
+        return turning * omega0 / (a * v0) * power
+
+    s = 1 - a * t / v0
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    within = 1 - a * (t[..., None] * (nodes + 1) / 2) / v0
+    beta, dt = heading(within), t[..., None] * weights / 2
+    return FirstOrderMotion(
+        x=np.sum(dt * v0 * within * np.sin(beta), -1),
+        y=np.sum(dt * v0 * within * np.cos(beta), -1),
+        phi=omega0 * v0 / (a * (1 + p)) * (1 - s ** (1 + p)),
+        heading=heading(s),
+        v=v0 * s,
+        omega=omega0 * s**p,
+    )

@@ -1,0 +1,159 @@
+"""The parameters of a fit: the law's coefficients and the start, with bounds and what is fixed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.errors import InputError
+from curlfit.friction import Law
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that a fit may determine.
+
+    `typical` is its usual size: the scale of the fit's variables, and the precision beyond which
+    it counts as unknown. `lower` and `upper` bound the fit and its flat prior.
+    """
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    typical: float
+    symbol: str
+    meaning: str
+
+
+START = (
+    Parameter("x0", "m", -math.inf, math.inf, 1.0, "x_0", "place at the first time, to the right"),
+    Parameter("y0", "m", -math.inf, math.inf, 1.0, "y_0", "place at the first time, along"),
+    Parameter(
+        "heading", "rad", -math.inf, math.inf, 1.0, r"\beta_0", "first direction, from +y toward +x"
+    ),
+    Parameter("v0", "m/s", 0.0, 10.0, 1.0, "v_0", "first speed"),
+    Parameter("phi0", "rad", -math.inf, math.inf, 1.0, r"\varphi_0", "angle at the first time"),
+    Parameter("omega0", "rad/s", -100.0, 100.0, 1.0, r"\omega_0", "first spin, counter-clockwise"),
+)
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """All parameters of a fit in their order, coefficients first, and the values of fixed ones."""
+
+    parameters: tuple[Parameter, ...]
+    fixed: dict[str, float]
+
+    @classmethod
+    def build(
+        cls,
+        law: type[Law],
+        *,
+        fix: Mapping[str, float] | None = None,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        unbounded: bool = False,
+    ) -> ParameterSet:
+        """Parameters of a fit of `law`.
+
+        Parameters
+        ----------
+        fix : parameters held at a value.
+        bounds : (lower, upper) by name, in place of the law's own.
+        unbounded : let coefficients take either sign, within [-upper, upper].
+
+        Raises
+        ------
+        InputError : an unknown name, an empty interval, a fixed value outside its bounds, or
+            nothing left to fit.
+        """
+        fix, bounds = dict(fix or {}), dict(bounds or {})
+        coefficients = tuple(
+            Parameter(
+                name=item.name,
+                unit=item.unit,
+                lower=-item.upper if unbounded else item.lower,
+                upper=item.upper,
+                typical=item.typical,
+                symbol=item.symbol,
+                meaning=item.meaning,
+            )
+            for item in law.coefficients()
+        )
+        parameters = []
+        known = {item.name for item in (*coefficients, *START)}
+        for name in (*fix, *bounds):
+            if name not in known:
+                raise InputError(
+                    f"law {law.name} has no parameter {name!r}; it has "
+                    + ", ".join(item.name for item in (*coefficients, *START))
+                )
+        for item in (*coefficients, *START):
+            lower, upper = bounds.get(item.name, (item.lower, item.upper))
+            if not lower < upper:
+                raise InputError(
+                    f"bound of {item.name}: {lower:g}:{upper:g} is empty; expected LOW:HIGH"
+                )
+            if item.name in fix:
+                value = fix[item.name]
+                if not math.isfinite(value):
+                    raise InputError(f"{item.name} cannot be fixed at {value}")
+                if item.name in bounds and not lower <= value <= upper:
+                    raise InputError(
+                        f"{item.name} is fixed at {value:g}, outside its bounds {lower:g}:{upper:g}"
+                    )
+                lower = upper = value
+            parameters.append(Parameter(**{**vars(item), "lower": lower, "upper": upper}))
+        if len(fix) == len(parameters):
+            raise InputError("every parameter is fixed; nothing is left to fit")
+        return cls(tuple(parameters), fix)
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(item.name for item in self.parameters)
+
+    def _array(self, attribute: str) -> Floats:
+        return np.array([getattr(item, attribute) for item in self.parameters])
+
+    @property
+    def lower(self) -> Floats:
+        return self._array("lower")
+
+    @property
+    def upper(self) -> Floats:
+        return self._array("upper")
+
+    @property
+    def typical(self) -> Floats:
+        return self._array("typical")
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """True for the parameters to be determined."""
+        return np.array([name not in self.fixed for name in self.names])
+
+    def index(self, name: str) -> int:
+        return self.names.index(name)
+
+    def values_of(self, values: Floats) -> dict[str, float]:
+        """A vector in the order of the parameters as a dictionary by name."""
+        return dict(zip(self.names, map(float, values), strict=True))
+
+    def with_fixed(self, name: str, value: float) -> ParameterSet:
+        """The same with one more parameter fixed."""
+        parameters = tuple(
+            Parameter(**{**vars(item), "lower": value, "upper": value})
+            if item.name == name
+            else item
+            for item in self.parameters
+        )
+        return ParameterSet(parameters, {**self.fixed, name: value})

@@ -1,0 +1,297 @@
+"""Results as frozen records, and their one versioned form in JSON.
+
+Whatever is drawn or printed is made from these alone, so a saved `fit.json` can be printed,
+drawn and sampled again without the data file and without fitting.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import asdict, dataclass, field, fields, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.errors import DataError
+from curlfit.files import replaced
+from curlfit.friction import Law, find_law
+from curlfit.identifiability import Combination
+from curlfit.parameters import START, Parameter, ParameterSet
+from curlfit.stone import Stone
+from curlfit.throw import CHANNELS, Reference, Throw
+
+Floats = NDArray[np.float64]
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter as fitted.
+
+    `stderr` is None where the data do not determine the parameter, where it sits at a bound, or
+    where it was fixed. `verdict` is one of "determined", "weak" (known to no better than its
+    typical size), "not identifiable", "at bound", "fixed".
+    """
+
+    value: float
+    stderr: float | None
+    verdict: str
+    unit: str
+    symbol: str
+    meaning: str
+    lower: float
+    upper: float
+    typical: float
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Summary of a posterior sample; the sample itself is in `chain.h5`.
+
+    Attributes
+    ----------
+    samples : number kept, over all walkers, after the first `discarded` steps.
+    steps, walkers, ensembles : of the run; the walkers are divided among the ensembles.
+    ess : effective sample size by parameter. r_hat : across the ensembles, by parameter.
+    autocorrelation_time : in steps, by parameter. acceptance : of proposals.
+    quantiles : by parameter and by determined combination, keys "2.5", "16", "50", "84", "97.5".
+    mean, sd : the same.
+    correlation : between parameters.
+    converged, status : whether the targets were met, and in words.
+    """
+
+    samples: int
+    steps: int
+    discarded: int
+    walkers: int
+    ensembles: int
+    seed: int
+    acceptance: float
+    ess: dict[str, float]
+    r_hat: dict[str, float]
+    autocorrelation_time: dict[str, float]
+    quantiles: dict[str, dict[str, float]]
+    mean: dict[str, float]
+    sd: dict[str, float]
+    correlation: dict[str, dict[str, float]]
+    converged: bool
+    status: str
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A fitted throw. `save` writes it, `load_fit` reads it.
+
+    Attributes
+    ----------
+    law, load, stone : what was fitted.
+    data : where the data came from and how many there are.
+    converged, status, warnings : whether the fit may be used, and what to mind.
+    n_observations : finite values of x, y, phi. rms : of the residuals by channel (m, m, rad).
+    sigma : noise by channel as estimated; empty for channels whose sigma was given.
+    lag1 : correlation of neighbouring residuals by channel.
+    parameters : by name, coefficients first, then x0 y0 heading v0 phi0 omega0.
+    combinations : what is determined where single parameters are not.
+    rank, singular_values, null_directions : see `curlfit.identifiability`.
+    covariance : {"names": [...], "matrix": [[...]]} of the free parameters, along the directions
+        that the data see.
+    reference : published or true values of the same law, if the data file has them.
+    observed : t, x, y, phi as measured, and given sigmas.
+    fitted : x, y, phi, speed, omega of the fit at the same times.
+    posterior : None until sampled.
+    """
+
+    law: str
+    load: str
+    stone: Stone
+    data: dict[str, Any]
+    converged: bool
+    status: str
+    warnings: tuple[str, ...]
+    n_observations: int
+    rms: dict[str, float]
+    sigma: dict[str, float]
+    lag1: dict[str, float]
+    parameters: dict[str, Estimate]
+    combinations: tuple[Combination, ...]
+    rank: int
+    singular_values: tuple[float, ...]
+    null_directions: tuple[dict[str, float], ...]
+    covariance: dict[str, Any]
+    reference: Reference | None
+    observed: dict[str, Floats] = field(repr=False)
+    fitted: dict[str, Floats] = field(repr=False)
+    posterior: Posterior | None = None
+
+    @property
+    def law_class(self) -> type[Law]:
+        return find_law(self.law)
+
+    @property
+    def values(self) -> Floats:
+        """The fitted parameter vector."""
+        return np.array([item.value for item in self.parameters.values()])
+
+    @property
+    def coefficients(self) -> dict[str, Estimate]:
+        """The law's own parameters."""
+        start = {item.name for item in START}
+        return {name: item for name, item in self.parameters.items() if name not in start}
+
+    @property
+    def parameter_set(self) -> ParameterSet:
+        """Names, bounds and fixed values of the fit."""
+        own = {item.name for item in fields(Parameter)} - {"name"}
+        return ParameterSet(
+            tuple(
+                Parameter(name=name, **{key: getattr(item, key) for key in own})
+                for name, item in self.parameters.items()
+            ),
+            {name: item.value for name, item in self.parameters.items() if item.verdict == "fixed"},
+        )
+
+    @property
+    def throw(self) -> Throw:
+        """The data that were fitted."""
+        return Throw(
+            **{name: self.observed[name] for name in ("t", *CHANNELS)},
+            sigma={
+                name: self.observed[f"sigma_{name}"]
+                for name in CHANNELS
+                if f"sigma_{name}" in self.observed
+            },
+            name=self.data["file"],
+            reference=self.reference,
+        )
+
+    def with_posterior(self, posterior: Posterior) -> FitResult:
+        return replace(self, posterior=posterior)
+
+    def to_json(self) -> dict[str, Any]:
+        """The record as written to `fit.json`; see the README for its fields."""
+        return {
+            "schema": SCHEMA,
+            "law": self.law,
+            "load": self.load,
+            "stone": self.stone.as_dict(),
+            "data": self.data,
+            "converged": self.converged,
+            "status": self.status,
+            "warnings": list(self.warnings),
+            "n_observations": self.n_observations,
+            "rms": self.rms,
+            "sigma": self.sigma,
+            "lag1": self.lag1,
+            "parameters": {name: asdict(item) for name, item in self.parameters.items()},
+            "combinations": [asdict(item) for item in self.combinations],
+            "identifiability": {
+                "rank": self.rank,
+                "singular_values": list(self.singular_values),
+                "null_directions": list(self.null_directions),
+            },
+            "covariance": self.covariance,
+            "reference": None if self.reference is None else asdict(self.reference),
+            "posterior": None if self.posterior is None else asdict(self.posterior),
+            "observed": {name: series.tolist() for name, series in self.observed.items()},
+            "fitted": {name: series.tolist() for name, series in self.fitted.items()},
+        }
+
+    @classmethod
+    def from_json(cls, found: dict[str, Any]) -> FitResult:
+        """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
+        known = found["identifiability"]
+        reference = found["reference"]
+        posterior = found["posterior"]
+        same = ("law", "load", "data", "converged", "status", "n_observations", "rms", "sigma")
+        return cls(
+            **{name: found[name] for name in (*same, "lag1", "covariance")},
+            stone=Stone(**found["stone"]),
+            warnings=tuple(found["warnings"]),
+            parameters={
+                name: Estimate(**_floats(item, ("lower", "upper")))
+                for name, item in found["parameters"].items()
+            },
+            combinations=tuple(Combination(**item) for item in found["combinations"]),
+            rank=known["rank"],
+            singular_values=tuple(known["singular_values"]),
+            null_directions=tuple(known["null_directions"]),
+            reference=None if reference is None else Reference(**reference),
+            observed=_series(found["observed"]),
+            fitted=_series(found["fitted"]),
+            posterior=None if posterior is None else Posterior(**posterior),
+        )
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write the record as JSON, whole or not at all."""
+        text = json.dumps(_strict(self.to_json()), indent=1, allow_nan=False)
+        with replaced(Path(file)) as temporary:
+            temporary.write_text(_compact_series(text) + "\n")
+
+
+def load_fit(file: str | PathLike[str]) -> FitResult:
+    """Read a saved `fit.json`, or the one in a folder.
+
+    Raises
+    ------
+    DataError : it is not there, is not a curlfit result, or has a schema this version cannot read.
+    """
+    path = Path(file)
+    if path.is_dir():
+        path = path / "fit.json"
+    try:
+        found = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise DataError("no such file", file=path) from None
+    except OSError as error:
+        raise DataError(f"cannot be read ({error.strerror})", file=path) from None
+    except ValueError:
+        raise DataError("this is not JSON; expected a fit.json of curlfit", file=path) from None
+    schema = found.get("schema") if isinstance(found, dict) else None
+    if schema != SCHEMA:
+        raise DataError(
+            f"schema {schema!r} found, this version of curlfit reads schema {SCHEMA}", file=path
+        )
+    try:
+        return FitResult.from_json(found)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise DataError(
+            f"not a complete fit.json of curlfit ({type(error).__name__}: {error})", file=path
+        ) from None
+
+
+def _strict(value: Any) -> Any:
+    """The same with NaN as null and infinities as text, which JSON has no numbers for."""
+    if isinstance(value, dict):
+        return {key: _strict(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else str(value)
+    return value
+
+
+def _floats(item: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    return {key: float(value) if key in names else value for key, value in item.items()}
+
+
+def _series(found: dict[str, list[float | None]]) -> dict[str, Floats]:
+    return {
+        name: np.array([math.nan if value is None else value for value in values], float)
+        for name, values in found.items()
+    }
+
+
+def _compact_series(text: str) -> str:
+    """Lists of numbers on one line each, so that a person can read the rest."""
+    number = r"(?:-?\d[-+.eE\d]*|null)"
+    return re.sub(
+        rf"\[\s+({number}(?:,\s+{number})*)\s+\]",
+        lambda found: "[" + re.sub(r",\s+", ", ", found[1]) + "]",
+        text,
+    )

@@ -1,0 +1,204 @@
+"""Start values from the data, so that nobody has to guess.
+
+A polynomial through each channel gives speed, direction and spin well enough to evaluate the
+law's forces along the path. In these the law's coefficients are linear, or are made so; their
+forces are integrated twice over time and fitted to the measured places and angles themselves by
+linear least squares. Nothing is differentiated but the polynomial, and that only once.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+from curlfit.contact import Load, accelerations
+
+# isort: split
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from numpy.polynomial import Chebyshev
+from numpy.typing import NDArray
+
+from curlfit.friction import Law
+from curlfit.likelihood import Problem
+from curlfit.parameters import ParameterSet
+from curlfit.stone import Stone
+
+Floats = NDArray[np.float64]
+
+_GRID = 128
+_DEGREE = 5
+
+
+class Smooth(NamedTuple):
+    """Polynomials through the moving part of a path."""
+
+    span: float
+    """s from the first row to the last in which the stone moved"""
+    curves: tuple[Chebyshev | None, ...]
+    """x, y, phi; None for a channel that was not seen"""
+    rms: Floats
+    """of the data about the polynomials, by channel, floored; shape (3,)"""
+
+
+def moved(problem: Problem) -> bool:
+    """Whether the stone's place changes by more than the scatter between neighbouring rows."""
+    for row in (0, 1):
+        values = problem.observed[row][problem.weight[row] > 0]
+        if np.ptp(values) > 5 * _scatter(values) and np.ptp(values) > 1e-6:
+            return True
+    return False
+
+
+def _scatter(values: Floats) -> float:
+    """Noise of a smooth series, from its second differences."""
+    if len(values) < 4:
+        return 0.0
+    return float(np.median(np.abs(np.diff(values, 2)))) / (0.6745 * np.sqrt(6))
+
+
+def smooth(problem: Problem) -> Smooth:
+    """Polynomials of degree 5 or less through each channel, up to where the stone came to rest."""
+    t = problem.times
+    span = t[-1]
+    x, y = (problem.observed[row] for row in (0, 1))
+    both = (problem.weight[0] > 0) & (problem.weight[1] > 0)
+    if both.sum() > 8:
+        tail = slice(-max(3, int(both.sum()) // 50), None)
+        left = np.hypot(x[both] - np.median(x[both][tail]), y[both] - np.median(y[both][tail]))
+        near = 5 * np.hypot(_scatter(x[both]), _scatter(y[both])) + 1e-3 * left.max()
+        last_moving = t[both][np.flatnonzero(left > near)[-1]] if (left > near).any() else span
+        if last_moving < 0.9 * span:
+            span = last_moving
+    curves: list[Chebyshev | None] = []
+    rms = np.full(3, np.inf)
+    for row in range(3):
+        use = (problem.weight[row] > 0) & (t <= span)
+        n = int(use.sum())
+        if n < 3:
+            curves.append(None)
+            continue
+        degree = min(_DEGREE, max(1, (n - 1) // 3))
+        curve = Chebyshev.fit(t[use], problem.observed[row][use], degree, domain=[0, span])
+        residual = problem.observed[row][use] - curve(t[use])
+        curves.append(curve)
+        rms[row] = max(float(np.sqrt(np.mean(residual**2))), 1e-6)
+    return Smooth(span, tuple(curves), rms)
+
+
+@partial(jax.jit, static_argnames=("law", "load"))
+def _forces(
+    law: type[Law],
+    load: Load,
+    coefficients: Array,
+    stone: Stone,
+    v: Array,
+    omega: Array,
+    turned: Array,
+) -> tuple[Array, Array]:
+    """Accelerations (xi, eta, angular) along the path and their derivatives by coefficient."""
+
+    def along(coefficients: Array) -> Array:
+        friction = law.from_vector(coefficients)
+        one = partial(accelerations, friction, stone, load)
+        return jnp.stack(jax.vmap(one)(v, omega, turned))
+
+    return along(coefficients), jax.jacfwd(along)(coefficients)
+
+
+def start_values(
+    law: type[Law],
+    load: Load,
+    problem: Problem,
+    path: Smooth,
+    parameters: ParameterSet,
+    spin: float = 1.0,
+) -> Floats:
+    """A parameter vector near the optimum, inside the bounds.
+
+    `spin` (rad/s) is used where the angle was never seen.
+    """
+    grid = np.linspace(0, path.span, _GRID)
+    x, y, phi = path.curves
+    vx = x.deriv()(grid) if x is not None else np.zeros(_GRID)
+    vy = y.deriv()(grid) if y is not None else np.zeros(_GRID)
+    v, heading = np.hypot(vx, vy), np.arctan2(vx, vy)
+    omega = phi.deriv()(grid) if phi is not None else np.full(_GRID, spin)
+    turned = phi(grid) - phi(0.0) if phi is not None else spin * grid
+    s, c = np.sin(heading), np.cos(heading)
+
+    k = len(law.coefficients())
+    lower, upper = parameters.lower, parameters.upper
+    nominal = np.clip([item.default for item in law.coefficients()], lower[:k], upper[:k])
+    use = (problem.weight > 0) & (problem.times <= path.span)
+    values = np.zeros(len(parameters))
+    for _ in range(3):
+        a, by_coefficient = (
+            np.asarray(item)
+            for item in _forces(law, load, nominal, problem.stone, v, omega, turned)
+        )
+        slopes = np.concatenate([by_coefficient, a[..., None]], -1)
+        slopes[..., -1] -= by_coefficient @ nominal
+        slopes = np.nan_to_num(slopes)
+        in_ice = np.stack(  # from the moving frame to x, y, phi
+            [
+                slopes[0] * c[:, None] + slopes[1] * s[:, None],
+                -slopes[0] * s[:, None] + slopes[1] * c[:, None],
+                slopes[2],
+            ]
+        )
+        step = grid[1] - grid[0]
+        twice = _cumulative(_cumulative(in_ice, step), step)
+
+        rows, right = [], []
+        for row in range(3):
+            t = problem.times[use[row]]
+            design = np.zeros((len(t), k + 6))
+            for j in range(k):
+                design[:, j] = np.interp(t, grid, twice[row, :, j])
+            design[:, k + 2 * row] = 1.0
+            design[:, k + 2 * row + 1] = t
+            offset = np.interp(t, grid, twice[row, :, k])
+            rows.append(design / path.rms[row])
+            right.append((problem.observed[row][use[row]] - offset) / path.rms[row])
+        low = np.concatenate([lower[:k], np.full(6, -np.inf)])
+        high = np.concatenate([upper[:k], np.full(6, np.inf)])
+        solution = _bounded_least_squares(np.concatenate(rows), np.concatenate(right), low, high)
+        nominal = solution[:k]
+
+    x0, vx0, y0, vy0, phi0, omega0 = solution[k:]
+    if phi is None:
+        phi0, omega0 = 0.0, spin
+    if v[0] > 0.02 and np.hypot(vx0, vy0) < 0.2 * v[0]:
+        vx0, vy0 = vx[0], vy[0]
+    values[:k] = nominal
+    values[k:] = x0, y0, np.arctan2(vx0, vy0), np.hypot(vx0, vy0), phi0, omega0
+    return np.clip(values, lower, upper)
+
+
+def _cumulative(values: Floats, step: float) -> Floats:
+    """Running integral over the second axis, by the trapezoidal rule."""
+    middle = (values[:, 1:] + values[:, :-1]) / 2 * step
+    return np.concatenate([np.zeros_like(values[:, :1]), np.cumsum(middle, 1)], 1)
+
+
+def _bounded_least_squares(matrix: Floats, right: Floats, low: Floats, high: Floats) -> Floats:
+    """Linear least squares, the smallest solution where several fit, held within bounds."""
+    size = np.linalg.norm(matrix, axis=0)
+    size[size == 0] = 1.0
+    held = np.full(matrix.shape[1], np.nan)
+    solution = np.zeros(matrix.shape[1])
+    for _ in range(matrix.shape[1]):
+        free = np.isnan(held)
+        known = matrix[:, ~free] @ held[~free]
+        solution[~free] = held[~free]
+        solution[free] = (
+            np.linalg.lstsq(matrix[:, free] / size[free], right - known, rcond=1e-9)[0] / size[free]
+        )
+        outside = free & ((solution < low) | (solution > high))
+        if not outside.any():
+            break
+        held[outside] = np.clip(solution, low, high)[outside]
+    return np.clip(solution, low, high)

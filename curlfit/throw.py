@@ -1,0 +1,164 @@
+"""A throw: what was measured of one stone, in SI units and radians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from curlfit.errors import DataError, InputError
+
+Floats = NDArray[np.float64]
+
+CHANNELS = ("x", "y", "phi")
+UNITS = {"t": "s", "x": "m", "y": "m", "phi": "rad"}
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Published or true values to show beside a fit, for one law."""
+
+    source: str
+    law: str
+    values: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Throw:
+    """Measured path of one stone.
+
+    Axes and signs: y along the sheet, x to the right of it, phi counter-clockwise.
+
+    Attributes
+    ----------
+    t : times in s, shape (n,), strictly increasing; the origin does not matter.
+    x, y : place of the stone's centre in m, shape (n,); NaN where it was not seen.
+    phi : angle of the stone in rad, not wrapped, shape (n,); NaN where not seen, all NaN if never.
+    sigma : standard deviation of the noise by channel, each of shape (n,); a channel that is
+        missing here has an unknown one, which a fit estimates.
+    name : what to call the throw, a file name for instance.
+    reference : values to show beside a fit.
+    defaults : settings the data file carries (`until`, `stone`, `law`, `load`).
+    notes : what the reader has to say (ignored columns and the like).
+    lines : line of the file each row came from, for messages.
+
+    Raises
+    ------
+    DataError : shapes differ, a value is infinite, a time is missing, or times do not increase.
+    """
+
+    t: Floats
+    x: Floats
+    y: Floats
+    phi: Floats
+    sigma: dict[str, Floats] = field(default_factory=dict)
+    name: str = "throw"
+    reference: Reference | None = None
+    defaults: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    lines: NDArray[np.int64] | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.t)
+        for name in ("t", *CHANNELS):
+            values = np.asarray(getattr(self, name), float)
+            object.__setattr__(self, name, values)
+            if values.shape != (n,):
+                raise self._error(f"{name} has shape {values.shape}, t has {(n,)}")
+            bad = np.isinf(values) if name != "t" else ~np.isfinite(values)
+            if bad.any():
+                row = int(np.argmax(bad))
+                expected = "a finite number" if name == "t" else "a finite number or an empty cell"
+                raise self._error(f"{values[row]} found, expected {expected}", row, name)
+        for name, values in self.sigma.items():
+            bad = ~(np.isfinite(values) & (values > 0)) & np.isfinite(getattr(self, name))
+            if bad.any():
+                row = int(np.argmax(bad))
+                raise self._error(
+                    f"{values[row]} found, expected a positive standard deviation",
+                    row,
+                    f"sigma_{name}",
+                )
+        step = np.diff(self.t)
+        if (step <= 0).any():
+            row = int(np.argmax(step <= 0)) + 1
+            fault = "is repeated" if step[row - 1] == 0 else f"follows {self.t[row - 1]:g} s"
+            raise self._error(
+                f"time {self.t[row]:g} s {fault}; times must increase from row to row", row, "t"
+            )
+        for name in ("x", "y"):
+            if not np.isfinite(getattr(self, name)).any():
+                raise self._error(f"no value of {name} is given; positions are needed", None, name)
+
+    def _error(self, message: str, row: int | None = None, column: str | None = None) -> DataError:
+        line = None if row is None or self.lines is None else int(self.lines[row])
+        if row is not None and line is None:
+            message = f"row {row}: {message}"
+        return DataError(message, file=self.name, line=line, column=column)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        t: ArrayLike,
+        x: ArrayLike,
+        y: ArrayLike,
+        phi: ArrayLike | None = None,
+        *,
+        sigma: dict[str, ArrayLike] | None = None,
+        name: str = "throw",
+    ) -> Throw:
+        """A throw from arrays or lists; `sigma` values may be single numbers."""
+        t = np.asarray(t, float)
+        given = {
+            channel: np.broadcast_to(np.asarray(values, float), t.shape)
+            for channel, values in (sigma or {}).items()
+        }
+        return cls(
+            t=t,
+            x=np.asarray(x, float),
+            y=np.asarray(y, float),
+            phi=np.full_like(t, np.nan) if phi is None else np.asarray(phi, float),
+            sigma=given,
+            name=name,
+        )
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def observed(self) -> Floats:
+        """x, y and phi as one array of shape (3, n)."""
+        return np.stack([self.x, self.y, self.phi])
+
+    @property
+    def n_observations(self) -> int:
+        """Numbers measured: finite values of x, y and phi."""
+        return int(np.isfinite(self.observed).sum())
+
+    def until(self, time: float | None) -> Throw:
+        """The rows with t <= `time`. Raises `InputError` where none is left."""
+        if time is None:
+            return self
+        keep = self.t <= time + 1e-9
+        if not keep.any():
+            raise InputError(
+                f"until = {time:g} s lies before the first row of {self.name} ({self.t[0]:g} s)"
+            )
+        return replace(
+            self,
+            **{name: getattr(self, name)[keep] for name in ("t", *CHANNELS)},
+            sigma={name: values[keep] for name, values in self.sigma.items()},
+            lines=None if self.lines is None else self.lines[keep],
+        )
+
+    def with_sigma(self, sigma: dict[str, float]) -> Throw:
+        """The throw with one standard deviation for whole channels (SI units)."""
+        for name, value in sigma.items():
+            if name not in CHANNELS:
+                raise InputError(f"no channel {name!r}; the channels are {', '.join(CHANNELS)}")
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"sigma of {name} = {value:g}: expected a positive number")
+        filled = {name: np.full_like(self.t, value) for name, value in sigma.items()}
+        return replace(self, sigma={**self.sigma, **filled})
