@@ -13,7 +13,7 @@ back half falls on the ends of the rule, so laws that jump there are integrated 
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 from curlfit import backend  # noqa: F401  (configures JAX before its first use)
 
@@ -23,13 +23,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from curlfit.errors import InputError
-from curlfit.friction import LAWS, Law, LocalLaw, Motion, NetLaw, RingPoint
+from curlfit.friction import LAWS, Law, Load, LocalLaw, Motion, NetLaw, RingPoint
 from curlfit.friction.base import on_new_law
 from curlfit.stone import GRAVITY, Stone
-
-Load = Literal["uniform", "consistent"]
-LOADS: tuple[str, ...] = get_args(Load)
 
 NODES = 16  # on each half of the ring: 1e-9 of the force for |epsilon| off 1, 1e-6 at worst
 _NEWTON_STEPS = 6  # enough for 1e-12, load effects being a few percent
@@ -59,12 +55,6 @@ class Accelerations(NamedTuple):
     """along the motion, m/s^2"""
     angular: Array
     """counter-clockwise, rad/s^2"""
-
-
-def check_load(load: str) -> Load:
-    if load not in LOADS:
-        raise InputError(f"unknown load {load!r}; expected {' or '.join(LOADS)}")
-    return load  # type: ignore[return-value]
 
 
 def swing(v: Array, u: Array) -> Array:

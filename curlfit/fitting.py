@@ -17,7 +17,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
-from curlfit.contact import Load, check_load
+from curlfit import backend  # noqa: F401  (before equinox)
 
 # isort: split
 import equinox as eqx
@@ -29,8 +29,8 @@ import optimistix as optx
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from curlfit.errors import DataError, InputError, UnusableFitError
-from curlfit.friction import Law, find_law
+from curlfit.errors import InputError, UnusableFitError
+from curlfit.friction import Law, Load, check_load, find_law
 from curlfit.identifiability import Identifiability, analyse
 from curlfit.likelihood import (
     SIGMA_FLOOR,
@@ -43,7 +43,7 @@ from curlfit.likelihood import (
 )
 from curlfit.parameters import ParameterSet
 from curlfit.results import Estimate, FitResult
-from curlfit.starting import Smooth, moved, smooth, start_values
+from curlfit.starting import Smooth, smooth, start_values
 from curlfit.stone import Stone
 from curlfit.throw import CHANNELS, Throw
 
@@ -227,16 +227,12 @@ def fit(
     if not throw.sigma and throw.defaults.get("sigma"):
         throw = throw.with_sigma(throw.defaults["sigma"])
     throw = throw.until(until)
-    parameters = _parameters(throw, law, fix, bounds, unbounded)
+    throw.require_motion()
+    parameters = ParameterSet.for_throw(law, throw, fix=fix, bounds=bounds, unbounded=unbounded)
     frame = frame_of(throw)
     local = _shifted(parameters, -frame.offset(len(parameters)))
     sigma = _first_sigma(throw)
     problem = problem_of(throw, stone, frame, sigma)
-    if not moved(problem):
-        raise DataError(
-            "the stone never moves by more than the scatter of the data; nothing can be fitted",
-            file=throw.name,
-        )
     path = smooth(problem)
     starts = _starts(law, load, problem, path, local)
     if start:
@@ -298,26 +294,6 @@ def _descend(
         _solve(law, load, start, parameters.lower, parameters.upper, parameters.typical, problem),
     )
     return solution if np.isfinite(_chi_squared(solution)) else None
-
-
-def _parameters(
-    throw: Throw,
-    law: type[Law],
-    fix: Mapping[str, float] | None,
-    bounds: Mapping[str, tuple[float, float]] | None,
-    unbounded: bool,
-) -> ParameterSet:
-    parameters = ParameterSet.build(law, fix=fix, bounds=bounds, unbounded=unbounded)
-    if not np.isfinite(throw.phi).any() and "phi0" not in parameters.fixed:
-        parameters = parameters.with_fixed("phi0", 0.0)
-    free = int(parameters.free.sum())
-    rows = int(np.isfinite(throw.observed).any(0).sum())
-    if rows < max(free, 3) or throw.n_observations < free:
-        raise DataError(
-            f"{rows} rows for {free} parameters; give more rows, or fix parameters",
-            file=throw.name,
-        )
-    return parameters
 
 
 def _shifted(parameters: ParameterSet, by: Floats) -> ParameterSet:
@@ -457,9 +433,10 @@ def _result(
         rank=known.rank,
         singular_values=tuple(map(float, known.singular_values)),
         null_directions=known.null_directions,
-        covariance={
-            "names": list(known.names),
-            "matrix": known.covariance.tolist(),
+        covariance={"names": list(known.names), "matrix": known.covariance.tolist()},
+        information={
+            "names": [name for name, take in zip(parameters.names, free, strict=True) if take],
+            "matrix": np.einsum("cni,cnj->ij", *[solution.jacobian[:, :, free]] * 2).tolist(),
         },
         reference=throw.reference if throw.reference and throw.reference.law == law.name else None,
         observed=observed,

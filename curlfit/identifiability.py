@@ -56,6 +56,22 @@ class Identifiability:
     combinations: tuple[Combination, ...]
 
 
+def directions(information: Floats, typical: Floats) -> tuple[Floats, Floats, Floats]:
+    """Seen and unseen directions from the information matrix J^T J.
+
+    Returns
+    -------
+    seen, singular, null : rows of orthonormal directions in scaled parameters that the data see,
+        the singular value of each, and rows that span the rest.
+    """
+    squared, vectors = np.linalg.eigh(typical[:, None] * information * typical)
+    singular = np.sqrt(np.maximum(squared[::-1], 0.0))
+    rows = vectors.T[::-1]
+    # Squaring costs half the digits, hence the square root of what is left of them.
+    seen = singular > max(_UNSEEN, 1e-7 * singular[0])
+    return rows[seen], singular[seen], rows[~seen]
+
+
 def analyse(
     jacobian: Floats, names: Sequence[str], values: Floats, typical: Floats
 ) -> Identifiability:

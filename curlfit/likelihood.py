@@ -15,7 +15,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, NamedTuple
 
-from curlfit.motion import Load, Start, simulate
+from curlfit.motion import Start, simulate
 
 # isort: split
 import jax
@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from curlfit.friction import Law
+from curlfit.friction import Law, Load
 from curlfit.parameters import START
 from curlfit.stone import Stone
 from curlfit.throw import CHANNELS, Throw

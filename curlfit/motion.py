@@ -23,7 +23,7 @@ from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any, NamedTuple
 
-from curlfit.contact import Load, accelerations, check_load, swing
+from curlfit.contact import accelerations, swing
 
 # isort: split
 import jax
@@ -32,7 +32,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, ArrayLike
 
-from curlfit.friction import Law
+from curlfit.friction import Law, Load, check_load
 from curlfit.stone import Stone
 
 STEP = 0.25  # step over the shortest time scale, for a motion with 1 m or 1 rad to go

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from curlfit.friction.front_back import FrontBackFirstOrder
 from curlfit.stone import GRAVITY, Stone
+from curlfit.synthetic import write_table
+from curlfit.throw import Reference, Throw
 
 Floats = NDArray[np.float64]
 
@@ -45,29 +47,28 @@ def jensen_shegelski(t: ArrayLike) -> Trajectory:
     )
 
 
-def write_jensen_shegelski(file: str | FilePath) -> None:
-    """Write eq. 12, each 0.1 s on 0..22.9 s, as the data file that ships with curlfit."""
+def jensen_shegelski_throw() -> Throw:
+    """Eq. 12 each 0.1 s on 0..22.9 s, with the settings of sect. 4 and eq. 28 beside it."""
     t = np.arange(230) / 10
-    lines = [
-        "# Eq. 12 of Ivanov and Shuvalov (2012): a formula fitted by Jensen and Shegelski (2004)",
-        "# to measured throws. See README.md beside this file.",
-        f"# until = {EQ_28_UNTIL:g}",
-        f"# stone.R = {EQ_28_STONE.R:g}",
-        f"# stone.rho = {EQ_28_STONE.rho:g}",
-        '# reference.source = "eq. 28"',
-        '# reference.law = "front-back"',
-        *(f"# reference.values.{_toml_key(name)} = {value:g}" for name, value in EQ_28.items()),
-        "t,x,y,phi",
-        *(
-            f"{a:.1f},{b:.9f},{c:.9f},{d:.9f}"
-            for a, b, c, d in zip(t, *jensen_shegelski(t), strict=True)
-        ),
-    ]
-    FilePath(file).write_text("\n".join(lines).replace("-0.000000000", "0.000000000") + "\n")
+    return Throw.from_arrays(
+        t,
+        *jensen_shegelski(t),
+        name="eq. 12",
+        reference=Reference("eq. 28", "front-back", EQ_28),
+        defaults={
+            "until": EQ_28_UNTIL,
+            "stone": {"R": EQ_28_STONE.R, "rho": EQ_28_STONE.rho},
+        },
+    )
 
 
-def _toml_key(name: str) -> str:
-    return name if name.isidentifier() else f'"{name}"'
+def write_jensen_shegelski(file: str | FilePath) -> None:
+    """Write eq. 12 as the data file that ships with curlfit."""
+    head = (
+        "# Eq. 12 of Ivanov and Shuvalov (2012): a formula fitted by Jensen and Shegelski (2004)\n"
+        "# to measured throws. See README.md beside this file.\n"
+    )
+    FilePath(file).write_text(head + write_table(jensen_shegelski_throw()))
 
 
 class FirstOrderMotion(NamedTuple):

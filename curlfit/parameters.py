@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.errors import InputError
+from curlfit.errors import DataError, InputError
 from curlfit.friction import Law
+from curlfit.throw import Throw
 
 Floats = NDArray[np.float64]
 
@@ -113,6 +115,28 @@ class ParameterSet:
         if len(fix) == len(parameters):
             raise InputError("every parameter is fixed; nothing is left to fit")
         return cls(tuple(parameters), fix)
+
+    @classmethod
+    def for_throw(cls, law: type[Law], throw: Throw, **choices: Any) -> ParameterSet:
+        """Parameters of a fit of `law` to a throw; `choices` as in `build`.
+
+        The angle at the first time is fixed where the angle was never seen.
+
+        Raises
+        ------
+        InputError : as in `build`. DataError : fewer rows than parameters.
+        """
+        parameters = cls.build(law, **choices)
+        if not np.isfinite(throw.phi).any() and "phi0" not in parameters.fixed:
+            parameters = parameters.with_fixed("phi0", 0.0)
+        free = int(parameters.free.sum())
+        rows = int(np.isfinite(throw.observed).any(0).sum())
+        if rows < max(free, 3):
+            raise DataError(
+                f"{rows} rows for {free} parameters; give more rows, or fix parameters",
+                file=throw.name,
+            )
+        return parameters
 
     def __len__(self) -> int:
         return len(self.parameters)

@@ -99,8 +99,9 @@ class FitResult:
     parameters : by name, coefficients first, then x0 y0 heading v0 phi0 omega0.
     combinations : what is determined where single parameters are not.
     rank, singular_values, null_directions : see `curlfit.identifiability`.
-    covariance : {"names": [...], "matrix": [[...]]} of the free parameters, along the directions
-        that the data see.
+    covariance : {"names": [...], "matrix": [[...]]} of the free parameters away from their bounds,
+        along the directions that the data see.
+    information : the Gauss-Newton information matrix J^T J of all free parameters, the same form.
     reference : published or true values of the same law, if the data file has them.
     observed : t, x, y, phi as measured, and given sigmas.
     fitted : x, y, phi, speed, omega of the fit at the same times.
@@ -124,6 +125,7 @@ class FitResult:
     singular_values: tuple[float, ...]
     null_directions: tuple[dict[str, float], ...]
     covariance: dict[str, Any]
+    information: dict[str, Any]
     reference: Reference | None
     observed: dict[str, Floats] = field(repr=False)
     fitted: dict[str, Floats] = field(repr=False)
@@ -196,11 +198,17 @@ class FitResult:
                 "null_directions": list(self.null_directions),
             },
             "covariance": self.covariance,
+            "information": self.information,
             "reference": None if self.reference is None else asdict(self.reference),
             "posterior": None if self.posterior is None else asdict(self.posterior),
             "observed": {name: series.tolist() for name, series in self.observed.items()},
             "fitted": {name: series.tolist() for name, series in self.fitted.items()},
         }
+
+    def summary(self) -> dict[str, Any]:
+        """The JSON record without the series of data and fit."""
+        record = _strict(self.to_json())
+        return {key: value for key, value in record.items() if key not in ("observed", "fitted")}
 
     @classmethod
     def from_json(cls, found: dict[str, Any]) -> FitResult:
@@ -210,7 +218,7 @@ class FitResult:
         posterior = found["posterior"]
         same = ("law", "load", "data", "converged", "status", "n_observations", "rms", "sigma")
         return cls(
-            **{name: found[name] for name in (*same, "lag1", "covariance")},
+            **{name: found[name] for name in (*same, "lag1", "covariance", "information")},
             stone=Stone(**found["stone"]),
             warnings=tuple(found["warnings"]),
             parameters={

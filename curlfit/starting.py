@@ -11,7 +11,7 @@ from __future__ import annotations
 from functools import partial
 from typing import NamedTuple
 
-from curlfit.contact import Load, accelerations
+from curlfit.contact import accelerations
 
 # isort: split
 import jax
@@ -21,10 +21,11 @@ from jaxtyping import Array
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
-from curlfit.friction import Law
+from curlfit.friction import Law, Load
 from curlfit.likelihood import Problem
 from curlfit.parameters import ParameterSet
 from curlfit.stone import Stone
+from curlfit.throw import scatter
 
 Floats = NDArray[np.float64]
 
@@ -43,22 +44,6 @@ class Smooth(NamedTuple):
     """of the data about the polynomials, by channel, floored; shape (3,)"""
 
 
-def moved(problem: Problem) -> bool:
-    """Whether the stone's place changes by more than the scatter between neighbouring rows."""
-    for row in (0, 1):
-        values = problem.observed[row][problem.weight[row] > 0]
-        if np.ptp(values) > 5 * _scatter(values) and np.ptp(values) > 1e-6:
-            return True
-    return False
-
-
-def _scatter(values: Floats) -> float:
-    """Noise of a smooth series, from its second differences."""
-    if len(values) < 4:
-        return 0.0
-    return float(np.median(np.abs(np.diff(values, 2)))) / (0.6745 * np.sqrt(6))
-
-
 def smooth(problem: Problem) -> Smooth:
     """Polynomials of degree 5 or less through each channel, up to where the stone came to rest."""
     t = problem.times
@@ -68,7 +53,7 @@ def smooth(problem: Problem) -> Smooth:
     if both.sum() > 8:
         tail = slice(-max(3, int(both.sum()) // 50), None)
         left = np.hypot(x[both] - np.median(x[both][tail]), y[both] - np.median(y[both][tail]))
-        near = 5 * np.hypot(_scatter(x[both]), _scatter(y[both])) + 1e-3 * left.max()
+        near = 5 * np.hypot(scatter(x[both]), scatter(y[both])) + 1e-3 * left.max()
         last_moving = t[both][np.flatnonzero(left > near)[-1]] if (left > near).any() else span
         if last_moving < 0.9 * span:
             span = last_moving

@@ -107,9 +107,12 @@ class Throw:
         phi: ArrayLike | None = None,
         *,
         sigma: dict[str, ArrayLike] | None = None,
-        name: str = "throw",
+        **more: Any,
     ) -> Throw:
-        """A throw from arrays or lists; `sigma` values may be single numbers."""
+        """A throw from arrays or lists; `sigma` values may be single numbers.
+
+        `more` are other attributes, `name` for instance.
+        """
         t = np.asarray(t, float)
         given = {
             channel: np.broadcast_to(np.asarray(values, float), t.shape)
@@ -121,7 +124,7 @@ class Throw:
             y=np.asarray(y, float),
             phi=np.full_like(t, np.nan) if phi is None else np.asarray(phi, float),
             sigma=given,
-            name=name,
+            **more,
         )
 
     def __len__(self) -> int:
@@ -136,6 +139,17 @@ class Throw:
     def n_observations(self) -> int:
         """Numbers measured: finite values of x, y and phi."""
         return int(np.isfinite(self.observed).sum())
+
+    def require_motion(self) -> None:
+        """Raise `DataError` where the place never changes by more than the data's own scatter."""
+        for values in (self.x, self.y):
+            seen = values[np.isfinite(values)]
+            extent = float(np.ptp(seen))
+            if extent > 1e-6 and extent > 5 * scatter(seen):
+                return
+        raise self._error(
+            "the stone never moves by more than the scatter of the data; nothing can be fitted"
+        )
 
     def until(self, time: float | None) -> Throw:
         """The rows with t <= `time`. Raises `InputError` where none is left."""
@@ -162,3 +176,10 @@ class Throw:
                 raise InputError(f"sigma of {name} = {value:g}: expected a positive number")
         filled = {name: np.full_like(self.t, value) for name, value in sigma.items()}
         return replace(self, sigma={**self.sigma, **filled})
+
+
+def scatter(values: Floats) -> float:
+    """Standard deviation of the noise on a smooth series, from its second differences."""
+    if len(values) < 4:
+        return 0.0
+    return float(np.median(np.abs(np.diff(values, 2)))) / (0.6745 * np.sqrt(6))

@@ -5,12 +5,15 @@ from pkgutil import iter_modules
 
 from curlfit.friction.base import (
     LAWS,
+    LOADS,
     Coefficient,
     Law,
+    Load,
     LocalLaw,
     Motion,
     NetLaw,
     RingPoint,
+    check_load,
     coefficient,
     find_law,
 )
@@ -20,12 +23,15 @@ for _module in iter_modules(__path__):
 
 __all__ = [
     "LAWS",
+    "LOADS",
     "Coefficient",
     "Law",
+    "Load",
     "LocalLaw",
     "Motion",
     "NetLaw",
     "RingPoint",
+    "check_load",
     "coefficient",
     "find_law",
 ]

@@ -8,9 +8,21 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, Self, dataclass_transform
+from typing import Any, ClassVar, Literal, NamedTuple, Self, dataclass_transform, get_args
 
 from curlfit.errors import InputError
+
+Load = Literal["uniform", "consistent"]
+"""How the stone's weight is spread over the ring: evenly, or in balance with friction (eq. 8-9)."""
+
+LOADS: tuple[str, ...] = get_args(Load)
+
+
+def check_load(load: str) -> Load:
+    """The name of a load, if it is one. Raises `InputError`."""
+    if load not in LOADS:
+        raise InputError(f"unknown load {load!r}; expected {' or '.join(LOADS)}")
+    return load  # type: ignore[return-value]
 
 
 @dataclasses.dataclass(frozen=True)

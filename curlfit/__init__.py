@@ -1,0 +1,70 @@
+"""curlfit: friction coefficients from the trajectory of a curling stone.
+
+    import curlfit
+    throw = curlfit.load_throw("data/jensen_shegelski_2004.csv")
+    fit = curlfit.fit(throw)
+    fit, chain = curlfit.sample(fit)
+    curlfit.fit_figure(fit); curlfit.corner_figure(fit, chain)
+
+Axes: y along the sheet, x to the right of it, angle and spin counter-clockwise; SI units and
+radians. JAX runs in 64-bit once a name that needs it is used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from curlfit.version import __version__
+
+if TYPE_CHECKING:
+    from curlfit.errors import CurlfitError, DataError, InputError, UnusableFitError
+    from curlfit.figures import corner_figure, fit_figure
+    from curlfit.fitting import fit
+    from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, coefficient, find_law
+    from curlfit.motion import Path, Start, simulate
+    from curlfit.readers import load_throw
+    from curlfit.report import print_fit
+    from curlfit.results import FitResult, Posterior, load_fit
+    from curlfit.sampling import Chain, load_chain, sample
+    from curlfit.stone import Stone
+    from curlfit.synthetic import law_with, synthetic_throw
+    from curlfit.throw import Throw
+
+# Where each public name lives. They are imported on first use, so that `import curlfit` and the
+# command line's help need neither JAX nor matplotlib.
+_HOMES = {
+    "errors": ("CurlfitError", "DataError", "InputError", "UnusableFitError"),
+    "figures": ("corner_figure", "fit_figure"),
+    "fitting": ("fit",),
+    "friction": ("LAWS", "Law", "LocalLaw", "NetLaw", "coefficient", "find_law"),
+    "motion": ("Path", "Start", "simulate"),
+    "readers": ("load_throw",),
+    "report": ("print_fit",),
+    "results": ("FitResult", "Posterior", "load_fit"),
+    "sampling": ("Chain", "load_chain", "sample"),
+    "stone": ("Stone",),
+    "synthetic": ("law_with", "synthetic_throw"),
+    "throw": ("Throw",),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [  # noqa: RUF022  (in the order of use)
+    "load_throw", "Throw", "fit", "FitResult", "print_fit", "sample", "Chain", "Posterior",
+    "fit_figure", "corner_figure", "load_fit", "load_chain",
+    "Stone", "Start", "Path", "simulate", "synthetic_throw",
+    "LAWS", "law_with", "find_law", "Law", "LocalLaw", "NetLaw", "coefficient",
+    "CurlfitError", "InputError", "DataError", "UnusableFitError",
+    "__version__",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    home = _HOME_OF.get(name)
+    if home is None:
+        raise AttributeError(f"module 'curlfit' has no attribute {name!r}")
+    return getattr(import_module(f"curlfit.{home}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

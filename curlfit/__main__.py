@@ -1,0 +1,5 @@
+"""`python -m curlfit`."""
+
+from curlfit.cli import main
+
+main()

@@ -1,0 +1,64 @@
+"""The command line: one file a verb. Parse, call, print; no physics and no numerics."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from curlfit.cli.fit import fit
+from curlfit.cli.laws import laws
+from curlfit.cli.plot import plot
+from curlfit.cli.show import show
+from curlfit.cli.simulate import simulate
+from curlfit.errors import CurlfitError
+from curlfit.version import __version__
+
+app = typer.Typer(
+    name="curlfit",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"curlfit {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    """Friction coefficients from the trajectory of a curling stone, and what it cannot tell.
+
+    Begin with `curlfit fit DATA.csv`, where DATA.csv has columns t, x, y, phi (s, m, m, rad).
+    """
+
+
+for _verb in (fit, show, plot, simulate, laws):
+    app.command()(_verb)
+
+
+def main() -> None:
+    """Run the command; errors a user can cause become one sentence and an exit status."""
+    try:
+        app()
+    except CurlfitError as error:
+        print(f"curlfit: {error}", file=sys.stderr)
+        sys.exit(error.exit_status)
+    except KeyboardInterrupt:
+        print("curlfit: stopped", file=sys.stderr)
+        sys.exit(130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)

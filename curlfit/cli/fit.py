@@ -1,0 +1,237 @@
+"""`curlfit fit`: one throw, one law."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from curlfit.cli import settings as s
+from curlfit.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from curlfit.results import FitResult
+
+
+def fit(
+    data: Annotated[
+        Path,
+        typer.Argument(
+            help="Table with a header: t, x, y and if possible phi (s, m, m, rad; other units as "
+            "y_ft, angle_deg ...). Leading lines `# key = value` are its defaults.",
+            metavar="DATA",
+            show_default=False,
+        ),
+    ],
+    law: Annotated[
+        str | None,
+        typer.Option(help="Friction law; `curlfit laws` lists them. [default: front-back]"),
+    ] = None,
+    load: Annotated[
+        str | None,
+        typer.Option(
+            help="How the weight rests on the ring: `uniform`, or `consistent` with the friction "
+            "(eq. 8-9). [default: uniform]"
+        ),
+    ] = None,
+    until: Annotated[
+        float | None, typer.Option(help="Use the rows with t up to this, in s.", metavar="S")
+    ] = None,
+    fix: Annotated[
+        list[str] | None, typer.Option(help="Hold a parameter at a value.", metavar="NAME=V")
+    ] = None,
+    bound: Annotated[
+        list[str] | None,
+        typer.Option(help="Bounds of a parameter, in place of its own.", metavar="NAME=LO:HI"),
+    ] = None,
+    unbounded: Annotated[
+        bool, typer.Option("--unbounded", help="Let coefficients be negative.")
+    ] = False,
+    start: Annotated[
+        list[str] | None,
+        typer.Option(help="Start value; found from the data if not given.", metavar="NAME=V"),
+    ] = None,
+    sigma: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Noise of a channel: x=0.005,y=0.005,phi=0.01 (m, m, rad); estimated if not "
+            "given.",
+            metavar="NAME=V",
+        ),
+    ] = None,
+    stone: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="The stone: ring radius R, radius of gyration rho, height h of the centre of "
+            "mass (m), mass m (kg).",
+            metavar="R=V,rho=V",
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="TOML file with any of these settings; flags override it."),
+    ] = None,
+    no_sample: Annotated[
+        bool, typer.Option("--no-sample", help="Least squares only; no posterior.")
+    ] = False,
+    effective: Annotated[
+        int, typer.Option(help="Effective samples wanted of every parameter.", min=100)
+    ] = 4000,
+    max_steps: Annotated[
+        int, typer.Option(help="Where to stop sampling if that is not reached.", min=40)
+    ] = 20_000,
+    seed: Annotated[int, typer.Option(help="Of the posterior's random numbers.", min=0)] = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the results. [default: DATA's name with -fit]"),
+    ] = None,
+    no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Fit a friction law to one throw and say what the path determines.
+
+    Writes `fit.json`, `fit.png` and, unless `--no-sample`, `chain.h5` and `corner.png`.
+    Ctrl-C during sampling keeps what there is.
+
+    Example: `curlfit fit data/jensen_shegelski_2004.csv --stone rho=0.1025`
+    """
+    from curlfit.files import prepared_folder
+    from curlfit.friction import check_load, find_law
+    from curlfit.parameters import ParameterSet
+    from curlfit.readers import load_throw
+    from curlfit.stone import Stone
+
+    flags = {
+        "law": law,
+        "load": load,
+        "until": until,
+        "stone": s.pairs("--stone", stone or ()),
+        "sigma": s.pairs("--sigma", sigma or ()),
+        "fix": s.pairs("--fix", fix or ()),
+        "bound": s.intervals("--bound", bound or ()),
+        "start": s.pairs("--start", start or ()),
+        "unbounded": unbounded or None,
+    }
+    configured = s.checked(s.read_config(config), str(config))
+    throw = load_throw(data)
+    wanted = s.merged(s.checked(throw.defaults, str(data)), configured, flags)
+
+    # Everything that can be refused is looked at before anything slow is loaded.
+    law_class = find_law(wanted.get("law", "front-back"))
+    check_load(wanted.get("load", "uniform"))
+    the_stone = Stone().with_values(wanted.get("stone", {}))
+    throw = throw.with_sigma(wanted.get("sigma", {}))
+    choices = {
+        "fix": wanted.get("fix"),
+        "bounds": wanted.get("bound"),
+        "unbounded": bool(wanted.get("unbounded", False)),
+    }
+    cut = throw.until(wanted.get("until"))
+    cut.require_motion()
+    parameters = ParameterSet.for_throw(law_class, cut, **choices)
+    for name in wanted.get("start", {}):
+        if name not in parameters.names:
+            raise InputError(
+                f"--start: no parameter {name!r}; there are {', '.join(parameters.names)}"
+            )
+    folder = prepared_folder(out or Path(f"{data.stem}-fit"))
+
+    from rich.console import Console
+
+    console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
+    with _waiting(console, "Fitting (a first run on a machine compiles the model)"):
+        from curlfit.fitting import fit as least_squares
+
+        result = least_squares(
+            throw,
+            law_class,
+            load=wanted.get("load", "uniform"),
+            stone=the_stone,
+            until=wanted.get("until"),
+            start=wanted.get("start"),
+            **choices,
+        )
+    written = [folder / "fit.json"]
+    result.save(folder / "fit.json")
+    if not no_figures:
+        from curlfit.figures import fit_figure, save_figure
+
+        save_figure(fit_figure(result), folder / "fit.png")
+        written.append(folder / "fit.png")
+    if not no_sample:
+        result, chain = _sampled(console, result, seed, effective, max_steps)
+        chain.save(folder / "chain.h5")
+        result.save(folder / "fit.json")
+        written.append(folder / "chain.h5")
+        if not no_figures:
+            from curlfit.figures import corner_figure
+
+            save_figure(corner_figure(result, chain), folder / "corner.png")
+            written.append(folder / "corner.png")
+    _remove_stale(folder, written)
+
+    from curlfit.report import print_fit
+
+    print_fit(result, console)
+    console.print("Written: " + ", ".join(str(file) for file in written), soft_wrap=True)
+    _finish(result)
+
+
+def _finish(result: FitResult) -> None:
+    if not result.converged:
+        print(f"curlfit: the fit is not usable: {result.status}", file=sys.stderr)
+        raise typer.Exit(1)
+    if result.posterior is not None and not result.posterior.converged:
+        print(f"curlfit: warning: posterior {result.posterior.status}", file=sys.stderr)
+
+
+def _remove_stale(folder: Path, written: list[Path]) -> None:
+    """Take away what an earlier fit left in the folder and this one did not replace."""
+    for name in ("fit.png", "chain.h5", "corner.png"):
+        if folder / name not in written:
+            (folder / name).unlink(missing_ok=True)
+
+
+@contextmanager
+def _waiting(console: Console, text: str) -> Iterator[None]:
+    if console.is_terminal and not console.quiet:
+        with console.status(text):
+            yield
+    else:
+        yield
+
+
+def _sampled(
+    console: Console, result: FitResult, seed: int, effective: int, max_steps: int
+) -> tuple[FitResult, Any]:
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from curlfit.sampling import sample
+
+    with Progress(
+        TextColumn("Sampling the posterior"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f}/{task.total} effective samples"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[more]}"),
+        console=console,
+        disable=console.quiet or not console.is_terminal,
+        transient=True,
+    ) as progress:
+        task = progress.add_task("", total=effective, more="compiling")
+
+        def told(least: float, steps: int, r_hat: float) -> None:
+            progress.update(
+                task, completed=min(least, effective), more=f"{steps} steps, R-hat {r_hat:.3f}"
+            )
+
+        report: Callable[[float, int, float], None] = told
+        return sample(
+            result, seed=seed, effective=effective, most_steps=max_steps, progress=report
+        )

@@ -1,0 +1,37 @@
+"""`curlfit plot`: draw a saved fit again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def plot(
+    folder: Annotated[Path, typer.Argument(help="Folder of a fit.", metavar="DIR")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the figures. [default: DIR]")
+    ] = None,
+    format: Annotated[str, typer.Option(help="png, pdf or svg.")] = "png",
+) -> None:
+    """Draw the figures of a saved fit, without fitting again."""
+    from curlfit.errors import InputError
+    from curlfit.files import prepared_folder
+    from curlfit.results import load_fit
+
+    if format not in ("png", "pdf", "svg"):
+        raise InputError(f"--format {format}: expected png, pdf or svg")
+    result = load_fit(folder)
+    target = prepared_folder(out or folder)
+
+    from curlfit.figures import corner_figure, fit_figure, save_figure
+
+    written = [target / f"fit.{format}"]
+    save_figure(fit_figure(result), written[0])
+    if result.posterior is not None:
+        from curlfit.sampling import load_chain
+
+        written.append(target / f"corner.{format}")
+        save_figure(corner_figure(result, load_chain(folder / "chain.h5")), written[1])
+    typer.echo("Written: " + ", ".join(map(str, written)))

@@ -1,0 +1,114 @@
+"""What the user asked for: the data file's defaults, the configuration file, then the flags."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from curlfit.errors import DataError, InputError
+
+_KEYS = ("law", "load", "until", "stone", "sigma", "fix", "bound", "start", "unbounded", "seed")
+
+
+def pairs(option: str, items: Sequence[str]) -> dict[str, float]:
+    """`NAME=V[,NAME=V...]`, any number of times, as a dictionary."""
+    found: dict[str, float] = {}
+    for item in items:
+        for part in item.split(","):
+            name, equals, text = part.partition("=")
+            if not equals or not name.strip():
+                raise InputError(f"{option} {item}: expected NAME=VALUE")
+            if name.strip() in found:
+                raise InputError(f"{option}: {name.strip()} is given twice")
+            found[name.strip()] = number(option, name.strip(), text)
+    return found
+
+
+def intervals(option: str, items: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """`NAME=LO:HI`, any number of times; an empty end is infinite."""
+    found = {}
+    for item in items:
+        name, equals, text = item.partition("=")
+        low, colon, high = text.partition(":")
+        if not equals or not colon:
+            raise InputError(f"{option} {item}: expected NAME=LOW:HIGH")
+        found[name.strip()] = (
+            number(option, name, low) if low.strip() else -math.inf,
+            number(option, name, high) if high.strip() else math.inf,
+        )
+    return found
+
+
+def number(option: str, name: str, text: str) -> float:
+    """A finite number from an option's text."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{option} {name}={text.strip()}: expected a number after '='")
+    return value
+
+
+def read_config(file: Path | None) -> dict[str, Any]:
+    """Settings from a TOML file; none without a file."""
+    if file is None:
+        return {}
+    try:
+        found = tomllib.loads(file.read_text())
+    except FileNotFoundError:
+        raise DataError("no such file", file=file) from None
+    except OSError as error:
+        raise DataError(f"cannot be read ({error.strerror})", file=file) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DataError(f"not a TOML file: {error}", file=file) from None
+    for key in found:
+        if key not in _KEYS:
+            raise DataError(
+                f"unknown setting {key!r}; the settings are {', '.join(_KEYS)}", file=file
+            )
+    if "bound" in found:
+        found["bound"] = {
+            name: _interval(file, name, value) for name, value in found["bound"].items()
+        }
+    return found
+
+
+def _interval(file: Path, name: str, value: Any) -> tuple[float, float]:
+    if isinstance(value, list) and len(value) == 2:
+        return float(value[0]), float(value[1])
+    raise DataError(f"bound.{name} = {value!r}; expected [low, high]", file=file)
+
+
+def merged(*layers: Mapping[str, Any]) -> dict[str, Any]:
+    """Later layers override earlier ones, tables entry by entry; None and {} say nothing."""
+    result: dict[str, Any] = {}
+    for layer in layers:
+        for key, value in layer.items():
+            if value is None:
+                continue
+            if isinstance(value, Mapping):
+                result[key] = {**result.get(key, {}), **value}
+            else:
+                result[key] = value
+    return result
+
+
+def checked(settings: dict[str, Any], origin: str) -> dict[str, Any]:
+    """Settings with their types made sure of, in words a user can act on."""
+    for key in ("stone", "sigma", "fix", "start"):
+        for name, value in settings.get(key, {}).items():
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise InputError(f"{origin}: {key}.{name} = {value!r}; expected a number")
+    until = settings.get("until")
+    if until is not None and (
+        isinstance(until, bool) or not isinstance(until, int | float) or not math.isfinite(until)
+    ):
+        raise InputError(f"{origin}: until = {until!r}; expected a time in s")
+    for key in ("law", "load"):
+        if not isinstance(settings.get(key, ""), str):
+            raise InputError(f"{origin}: {key} = {settings[key]!r}; expected a name")
+    return settings

@@ -1,0 +1,185 @@
+"""Pictures of results. Made from results alone; nothing is fitted or simulated here."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from curlfit.results import FitResult
+    from curlfit.sampling import Chain
+
+_DATA = {"color": "0.45", "marker": "o", "markersize": 2.2, "linestyle": "none", "zorder": 1}
+_COLOR = {"x": "#1f77b4", "y": "#d1495b", "phi": "#2e8b57"}
+_FIT = "#1b2a49"
+_MARK = "#e07a1f"
+_LABEL = {"x": "x", "y": "y", "phi": r"\varphi"}
+_MOST_POINTS = 2000  # drawn of a long series
+
+
+def fit_figure(fit: FitResult) -> Figure:
+    """The path with its fit, the residuals of each channel, speed and spin."""
+    figure = Figure(figsize=(10, 7.2), layout="constrained")
+    rows = figure.add_gridspec(3, 1, height_ratios=(1.15, 1.0, 1.0))
+    right = rows[1].subgridspec(1, len(fit.rms))
+    bottom = rows[2].subgridspec(1, 2)
+    t = fit.observed["t"]
+    some = np.unique(np.linspace(0, len(t) - 1, min(len(t), _MOST_POINTS)).astype(int))
+
+    path = figure.add_subplot(rows[0])
+    path.plot(fit.observed["y"][some], fit.observed["x"][some], **_DATA, label="measured")
+    path.plot(fit.fitted["y"], fit.fitted["x"], color=_FIT, lw=1.3, label=f"{fit.law} law")
+    path.set(xlabel="along the sheet, y (m)", ylabel="to the right, x (m)")
+    path.set_title(f"{fit.data['file']}: {fit.law} law, {fit.load} load", fontsize=10, loc="left")
+    path.legend(frameon=False, fontsize=9)
+    path.margins(x=0.02, y=0.12)
+    _stretch_note(path)
+
+    for place, name in enumerate(fit.rms):
+        axes = figure.add_subplot(right[place])
+        factor, unit = (1000.0, "mrad") if name == "phi" else (1000.0, "mm")
+        residual = factor * (fit.observed[name] - fit.fitted[name])[some]
+        axes.axhline(0, color="0.7", lw=0.8)
+        axes.plot(t[some], residual, ".", color=_COLOR[name], markersize=3)
+        axes.set_title(
+            f"${_LABEL[name]}$ residual, rms {factor * fit.rms[name]:.3g} {unit}", fontsize=10
+        )
+        axes.set(xlabel="t (s)", ylabel=unit)
+
+    speed = figure.add_subplot(bottom[0])
+    speed.plot(t, fit.fitted["speed"], color=_FIT)
+    speed.set(xlabel="t (s)", ylabel="speed (m/s)")
+    speed.set_ylim(bottom=0)
+    spin = figure.add_subplot(bottom[1])
+    spin.plot(t, fit.fitted["omega"], color=_COLOR["phi"])
+    spin.set(xlabel="t (s)", ylabel="spin, counter-clockwise (rad/s)")
+    _include_zero(spin, fit.fitted["omega"])
+    return figure
+
+
+def _stretch_note(axes: Any) -> None:
+    """How many times the cross-sheet axis is drawn larger than the other."""
+    width, height = axes.get_figure().get_size_inches()
+    box = axes.get_position()
+    across = height * box.height / np.ptp(axes.get_ylim())
+    along = width * box.width / np.ptp(axes.get_xlim())
+    factor = across / along
+    if factor > 1.5:
+        axes.text(
+            0.01, 0.04, f"x drawn about {factor:.2g} times as large as y",
+            transform=axes.transAxes, fontsize=8, color="0.4",
+        )  # fmt: skip
+
+
+def _include_zero(axes: Any, values: Any) -> None:
+    low, high = float(np.min(values)), float(np.max(values))
+    if low >= 0:
+        axes.set_ylim(bottom=0)
+    elif high <= 0:
+        axes.set_ylim(top=0)
+
+
+def corner_figure(fit: FitResult, chain: Chain) -> Figure:
+    """Posterior of the law's coefficients, pair by pair, with reference values marked."""
+    import corner  # imports pyplot, which takes half a second
+
+    names = [name for name in fit.coefficients if fit.parameters[name].verdict != "fixed"]
+    if not names:
+        names = [name for name, item in fit.parameters.items() if item.verdict != "fixed"]
+    samples = np.stack([chain.of({name: 1.0}) for name in names], 1)
+    most = 40_000
+    if len(samples) > most:
+        samples = samples[np.linspace(0, len(samples) - 1, most).astype(int)]
+    known = {} if fit.reference is None else fit.reference.values
+    size = 2.3 * len(names) + 0.6
+    figure = Figure(figsize=(size, size))
+    corner.corner(
+        samples,
+        fig=figure,
+        labels=[f"${fit.parameters[name].symbol}$" for name in names],
+        truths=[known.get(name) for name in names],
+        truth_color=_MARK,
+        color=_FIT,
+        bins=30,
+        smooth=0.8,
+        max_n_ticks=4,
+        quantiles=(0.16, 0.5, 0.84),
+        levels=(0.393, 0.865),
+        range=[_extent(samples[:, place], known.get(name)) for place, name in enumerate(names)],
+        plot_datapoints=len(samples) < 5000,
+        label_kwargs={"fontsize": 14},
+        labelpad=0.06,
+    )
+    grid = np.array(figure.axes).reshape(len(names), len(names))
+    _mark_combinations(fit, names, known, grid)
+    _say_in_corner(fit, figure)
+    return figure
+
+
+def _extent(values: Any, mark: float | None) -> tuple[float, float]:
+    low, high = np.quantile(values, [0.001, 0.999])
+    if mark is not None:  # keep a mark in view if that does not squeeze the sample too much
+        reach = 6 * (high - low)
+        low = mark if low > mark > high - reach else low
+        high = mark if high < mark < low + reach else high
+    margin = 0.06 * (high - low) or 1e-9
+    return float(low - margin), float(high + margin)
+
+
+def _mark_combinations(
+    fit: FitResult, names: list[str], known: dict[str, float], grid: Any
+) -> None:
+    """Draw the reference value of a combination of two as a line in their panel."""
+    for item in fit.combinations:
+        value = known.get(item.expression)
+        pair = list(item.weights)
+        if value is None or len(pair) != 2 or not set(pair) <= set(names):
+            continue
+        first, second = sorted(pair, key=names.index)
+        axes = grid[names.index(second), names.index(first)]
+        horizontal = np.array(axes.get_xlim())
+        vertical = (value - item.weights[first] * horizontal) / item.weights[second]
+        limits = axes.get_xlim(), axes.get_ylim()
+        axes.plot(horizontal, vertical, color=_MARK, lw=1.4)
+        axes.set(xlim=limits[0], ylim=limits[1])
+
+
+def _say_in_corner(fit: FitResult, figure: Figure) -> None:
+    lines = [f"{fit.law} law, {fit.load} load", str(fit.data["file"])]
+    lines += [
+        f"${_as_math(fit, item.weights)} = {item.value:.4f}"
+        + ("$" if item.stderr is None else rf" \pm {item.stderr:.1g}$")
+        for item in fit.combinations
+    ]
+    for direction in fit.null_directions:
+        pair = ", ".join(f"${fit.parameters[name].symbol}$" for name in direction)
+        lines.append(f"{pair}: not identifiable one by one")
+    figure.text(0.97, 0.97, "\n".join(lines), ha="right", va="top", fontsize=12, linespacing=1.6)
+    if fit.reference is not None:
+        figure.text(
+            0.97, 0.97 - 0.032 * (len(lines) + 0.6), fit.reference.source,
+            ha="right", va="top", fontsize=12, color=_MARK,
+        )  # fmt: skip
+
+
+def _as_math(fit: FitResult, weights: dict[str, float]) -> str:
+    text = ""
+    for name, weight in weights.items():
+        sign = "-" if weight < 0 else "+" if text else ""
+        size = "" if abs(weight) == 1 else f"{abs(weight):.3g}\\,"
+        text += f"{sign}{size}{fit.parameters[name].symbol}"
+    return text
+
+
+def save_figure(figure: Figure, file: str | PathLike[str], dpi: int = 150) -> None:
+    """Write a figure, whole or not at all."""
+    from pathlib import Path
+
+    from curlfit.files import replaced
+
+    with replaced(Path(file)) as temporary:
+        figure.savefig(temporary, dpi=dpi)

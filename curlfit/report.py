@@ -1,0 +1,191 @@
+"""What a fit says, as text. Made from a `FitResult` alone; nothing is computed here."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from curlfit.results import Estimate, FitResult
+
+_STYLE = {
+    "determined": "green",
+    "weak": "yellow",
+    "not identifiable": "bold red",
+    "at bound": "yellow",
+    "fixed": "dim",
+}
+_UNITS = {"x": "m", "y": "m", "phi": "rad"}
+
+
+def print_fit(fit: FitResult, console: Console | None = None) -> None:
+    """Print the report of a fit."""
+    (console or Console()).print(report(fit))
+
+
+def report(fit: FitResult) -> RenderableType:
+    """The report of a fit, for a rich console."""
+    parts: list[RenderableType] = [_heading(fit), _coefficients(fit), _quality(fit)]
+    parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
+    if fit.posterior is not None:
+        parts.append(Padding(_posterior(fit), (0, 0, 1, 0)))
+    parts += [
+        Padding(Text(f"Mind: {warning}.", style="yellow"), (0, 0, 1, 0)) for warning in fit.warnings
+    ]
+    parts += [Text(f"Note: {note}.", style="dim") for note in fit.data["notes"]]
+    return Group(*parts)
+
+
+def _heading(fit: FitResult) -> RenderableType:
+    data, stone = fit.data, fit.stone
+    lines = Text()
+    lines.append(f"{fit.law} law", style="bold")
+    lines.append(f", {fit.load} load, fitted to {data['file']}\n")
+    lines.append(
+        f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s; "
+        f"stone R = {stone.R:g} m, rho = {stone.rho:g} m, h = {stone.h:g} m, m = {stone.m:g} kg\n"
+    )
+    lines.append(
+        fit.status[:1].upper() + fit.status[1:], style="green" if fit.converged else "bold red"
+    )
+    return lines
+
+
+def _coefficients(fit: FitResult) -> RenderableType:
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_edge=False)
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("estimate", justify="right", no_wrap=True)
+    table.add_column("std. error", justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    table.add_column("verdict", no_wrap=True)
+    posterior, reference = fit.posterior, fit.reference
+    if posterior is not None:
+        table.add_column("68 % of posterior", no_wrap=True)
+    if reference is not None:
+        table.add_column(reference.source, justify="right", no_wrap=True)
+
+    def row(
+        name: str, value: str, stderr: str, unit: str, verdict: str, bold: bool = False
+    ) -> None:
+        cells = [name, value, stderr, unit, Text(verdict, style=_STYLE[verdict])]
+        if posterior is not None:
+            found = posterior.quantiles.get(name)
+            digits = _digits(found["84"] - found["16"]) if found else 0
+            cells.append(
+                f"{found['16']:.{digits}f} .. {found['84']:.{digits}f}" if found else ""
+            )
+        if reference is not None:
+            known = reference.values.get(name)
+            cells.append("" if known is None else f"{known:g}")
+        table.add_row(*cells, style="bold" if bold else "")
+
+    names = list(fit.parameters)
+    first_start = names[len(fit.coefficients)]
+    for name, item in fit.parameters.items():
+        if name == first_start:
+            for one in fit.combinations:
+                value, stderr = number(one.value, one.stderr)
+                row(one.expression, value, stderr, "", "determined", bold=True)
+            table.add_section()
+        row(name, *_estimate(item), item.unit if item.unit != "1" else "", item.verdict)
+    return Padding(table, (1, 0))
+
+
+def _estimate(item: Estimate) -> tuple[str, str]:
+    if item.verdict == "not identifiable":
+        return "-", "-"
+    return number(item.value, item.stderr)
+
+
+def number(value: float, stderr: float | None) -> tuple[str, str]:
+    """A value and its error as text, to two digits of the error."""
+    if stderr is None:
+        return f"{value:.6g}", "-"
+    if not stderr > 0:
+        return f"{value:.10g}", "0"
+    digits = _digits(stderr)
+    return f"{value:.{digits}f}", f"{stderr:.{digits}f}"
+
+
+def _digits(size: float) -> int:
+    """Decimal places that show two digits of `size`."""
+    if not (size > 0 and math.isfinite(size)):
+        return 6
+    return min(max(1 - math.floor(math.log10(size)), 0), 12)
+
+
+def _quality(fit: FitResult) -> RenderableType:
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_edge=False)
+    for head in ("channel", "rms", "unit", "noise assumed", "", "lag-1 correlation"):
+        table.add_column(head, justify="right" if head == "rms" else "left", no_wrap=True)
+    for name, rms in fit.rms.items():
+        origin = fit.data["sigma"][name]
+        noise = f"{fit.sigma[name]:.3g} {_UNITS[name]}" if origin == "estimated" else "by row"
+        lag1 = fit.lag1.get(name)
+        table.add_row(
+            name, f"{rms:.3g}", _UNITS[name], noise, origin, "" if lag1 is None else f"{lag1:.2f}"
+        )
+    return Padding(table, (0, 0, 1, 0))
+
+
+def identifiability(fit: FitResult) -> str:
+    """What the path determines and what it does not, in sentences."""
+    free = [name for name, item in fit.parameters.items() if item.verdict != "fixed"]
+    at_bound = [name for name in free if fit.parameters[name].verdict == "at bound"]
+    counted = len(free) - len(at_bound)
+    text = f"The path determines {fit.rank} of {counted} parameters"
+    text += f" ({', '.join(at_bound)} at a bound not counted)." if at_bound else "."
+    unseen = [name for name in free if fit.parameters[name].verdict == "not identifiable"]
+    if unseen:
+        text += (
+            f" {_listed(unseen)} {'are' if len(unseen) > 1 else 'is'} not identifiable: "
+            "the path stays the same when "
+            + "; or when ".join(_change(item) for item in fit.null_directions)
+            + "."
+        )
+        if fit.combinations:
+            what = [item.expression for item in fit.combinations]
+            text += f" Only {_listed(what)} {'are' if len(what) > 1 else 'is'} determined."
+    weak = [name for name in free if fit.parameters[name].verdict == "weak"]
+    if weak:
+        text += f" {_listed(weak)}: only weakly determined."
+    return text
+
+
+def _change(direction: dict[str, float]) -> str:
+    """A null direction as a change that goes unnoticed."""
+    parts = []
+    for name, weight in direction.items():
+        verb = "grows" if weight > 0 else "falls"
+        size = abs(weight)
+        by = "" if size == max(map(abs, direction.values())) else f" {size:.3g} times as much"
+        parts.append(f"{name} {verb}{by}")
+    if len(parts) == 2 and " times " not in "".join(parts):
+        return f"{parts[0]} and {parts[1]} by the same amount"
+    return _listed(parts)
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def _posterior(fit: FitResult) -> Text:
+    found = fit.posterior
+    assert found is not None  # noqa: S101  (the caller has looked)
+    least = min(found.ess, key=found.ess.__getitem__)
+    worst = max(found.r_hat, key=found.r_hat.__getitem__)
+    slowest = max(found.autocorrelation_time.values())
+    text = Text("Posterior: ")
+    text.append(found.status, style="green" if found.converged else "bold yellow")
+    text.append(
+        f"; {found.samples} samples ({found.ensembles} ensembles, {found.walkers} walkers, "
+        f"{found.steps} steps), effective at least {found.ess[least]:.0f} ({least}), "
+        f"R-hat at most {found.r_hat[worst]:.4f} ({worst}), "
+        f"autocorrelation time {slowest:.1f} steps, acceptance {found.acceptance:.0%}."
+    )
+    return text

@@ -1,0 +1,510 @@
+"""The posterior by emcee: moves that know the ridge, four ensembles, and a verdict on the sample.
+
+Along a direction that the data do not see, the posterior is as wide as the prior, and a sampler
+that walks needs ages from one end to the other. `RidgeMove` proposes anew each time: from a
+Student distribution about the optimum along the directions that the data see, and evenly across
+the prior along those that they do not. It is mixed with ordinary moves, which take over where the
+posterior has another shape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any, cast
+
+import emcee
+import h5py
+import numpy as np
+from emcee.moves import Move
+from emcee.state import State
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from curlfit.errors import DataError, UnusableFitError
+from curlfit.files import replaced
+from curlfit.friction import check_load
+from curlfit.identifiability import directions
+from curlfit.likelihood import frame_of, log_posterior, problem_of
+from curlfit.results import FitResult, Posterior
+from curlfit.version import __version__
+
+Floats = NDArray[np.float64]
+
+ENSEMBLES = 4
+R_HAT = 1.01
+EFFECTIVE = 4000.0
+_DEGREES = 8.0  # of freedom of the Student proposal: tails heavier than any Gaussian posterior
+_MARGIN = 4.0  # standard errors by which the proposal reaches past the ridge's ends
+_BLOCK = 20  # steps between two looks at convergence
+_SHORTEST_IN_TIMES = 30.0  # steps over autocorrelation time, below which no estimate is trusted
+_QUANTILES = ("2.5", "16", "50", "84", "97.5")
+
+
+class RidgeMove(Move):
+    """Independent proposals: Student along seen directions, even along unseen ones.
+
+    Coordinates are `d = seen z`, `z = (values - centre)/typical`, and for each unseen direction
+    one of the parameters that take part in it (a pivot), drawn evenly from an interval.
+
+    Parameters
+    ----------
+    centre, typical : of the parameters, shape (p,).
+    seen : rows that span the seen directions, shape (r, p).
+    spread : standard deviations along them, shape (r,).
+    pivots : indices of the pivot parameters, length p - r.
+    low, high : their intervals, in units of `z`.
+    """
+
+    def __init__(
+        self,
+        centre: Floats,
+        typical: Floats,
+        seen: Floats,
+        spread: Floats,
+        pivots: NDArray[np.int64],
+        low: Floats,
+        high: Floats,
+    ) -> None:
+        self.centre, self.typical = centre, typical
+        self.seen, self.spread = seen, spread
+        self.pivots, self.low, self.high = pivots, low, high
+        unit = np.eye(len(centre))[pivots]
+        self._inverse = np.linalg.inv(np.concatenate([seen, unit]))
+
+    def draw(self, n: int, random: Any) -> Floats:
+        """n parameter vectors, shape (n, p)."""
+        normal = random.standard_normal((n, len(self.seen)))
+        scale = np.sqrt(_DEGREES / random.chisquare(_DEGREES, (n, 1)))
+        along = self.spread * normal * scale
+        across = self.low + (self.high - self.low) * random.uniform(size=(n, len(self.pivots)))
+        z = np.concatenate([along, across], 1) @ self._inverse.T
+        return cast(Floats, self.centre + self.typical * z)
+
+    def log_density(self, values: Floats) -> Floats:
+        """Log-density of the proposal up to a constant, shape (n,)."""
+        z = (values - self.centre) / self.typical
+        along = z @ self.seen.T / self.spread
+        rank = len(self.seen)
+        value = -(_DEGREES + rank) / 2 * np.log1p((along**2).sum(1) / _DEGREES)
+        across = z[:, self.pivots]
+        within = ((across >= self.low) & (across <= self.high)).all(1)
+        return np.where(within, value, -np.inf)
+
+    def propose(self, model: Any, state: State) -> tuple[State, NDArray[np.bool_]]:
+        """One Metropolis-Hastings step of every walker, on its own."""
+        old = state.coords
+        new = self.draw(len(old), model.random)
+        log_prob = model.compute_log_prob_fn(new)[0]
+        back = self.log_density(old)
+        # A walker outside the proposal's reach can only be moved by the other moves.
+        with np.errstate(invalid="ignore"):
+            factor = back - self.log_density(new)
+            accepted = np.log(model.random.uniform(size=len(old))) < (
+                factor + log_prob - state.log_prob
+            )
+        accepted &= np.isfinite(back)
+        return self.update(state, State(new, log_prob=log_prob), accepted), accepted
+
+
+class EnsembleMove(Move):
+    """Moves of affine-invariant ensembles, several ensembles side by side.
+
+    Each half of an ensemble moves along lines through members of its own other half: the stretch
+    move of Goodman and Weare (2010), and the differential evolution of ter Braak (2006). All
+    ensembles are evaluated in one call and never learn of each other.
+    """
+
+    def __init__(self, ensembles: int, *, evolution: bool) -> None:
+        self.ensembles, self.evolution = ensembles, evolution
+
+    def propose(self, model: Any, state: State) -> tuple[State, NDArray[np.bool_]]:
+        """One step of each half of every ensemble."""
+        walkers, dimension = state.coords.shape
+        size = walkers // self.ensembles
+        accepted = np.zeros(walkers, bool)
+        shuffled = np.argsort(model.random.uniform(size=(self.ensembles, size)), axis=1)
+        halves = np.array_split(shuffled + size * np.arange(self.ensembles)[:, None], 2, axis=1)
+        for moving, others in (halves, halves[::-1]):
+            n = moving.shape[1]
+            old = state.coords[moving]
+            if self.evolution:
+                new, factor = self._evolve(state.coords, old, others, n, dimension, model.random)
+            else:
+                picks = model.random.randint(others.shape[1], size=(self.ensembles, n))
+                other = state.coords[np.take_along_axis(others, picks, 1)]
+                stretch = (model.random.uniform(size=(self.ensembles, n)) + 1.0) ** 2 / 2.0
+                new = other + stretch[..., None] * (old - other)
+                factor = (dimension - 1) * np.log(stretch)
+            flat = moving.ravel()
+            coords = new.reshape(-1, dimension)
+            log_prob = model.compute_log_prob_fn(coords)[0]
+            gain = factor.ravel() + log_prob - state.log_prob[flat]
+            take = np.log(model.random.uniform(size=len(flat))) < gain
+            state.coords[flat[take]] = coords[take]
+            state.log_prob[flat[take]] = log_prob[take]
+            accepted[flat] = take
+        return state, accepted
+
+    def _evolve(
+        self, coords: Floats, old: Floats, others: Any, n: int, dimension: int, random: Any
+    ) -> tuple[Floats, Floats]:
+        first = random.randint(others.shape[1], size=(self.ensembles, n))
+        step = random.randint(1, others.shape[1], size=(self.ensembles, n))
+        second = (first + step) % others.shape[1]
+        gap = coords[np.take_along_axis(others, first, 1)]
+        gap = gap - coords[np.take_along_axis(others, second, 1)]
+        gamma = 2.38 / np.sqrt(2 * dimension) * np.exp(0.1 * random.standard_normal((self.ensembles, n)))
+        return old + gamma[..., None] * gap, np.zeros((self.ensembles, n))
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A posterior sample.
+
+    Attributes
+    ----------
+    names : of the parameters, fixed ones included.
+    values : shape (steps, walkers, parameters). log_posterior : shape (steps, walkers).
+    accepted : number of accepted proposals by walker. discarded : steps to leave out at first.
+    ensembles : the walkers are divided evenly among these. seed : of the run.
+    """
+
+    names: tuple[str, ...]
+    values: Floats
+    log_posterior: Floats
+    accepted: NDArray[np.int64]
+    discarded: int
+    ensembles: int
+    seed: int
+
+    @property
+    def flat(self) -> Floats:
+        """The kept samples, shape (samples, parameters)."""
+        return self.values[self.discarded :].reshape(-1, len(self.names))
+
+    def of(self, weights: dict[str, float]) -> Floats:
+        """Samples of a combination of parameters."""
+        return cast(
+            Floats,
+            sum(weight * self.flat[:, self.names.index(name)] for name, weight in weights.items()),
+        )
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write `chain.h5`, in the layout of emcee's HDF backend with curlfit's own attributes."""
+        with replaced(Path(file)) as temporary, h5py.File(temporary, "w") as out:
+            group = out.create_group("mcmc")
+            steps, walkers, dimension = self.values.shape
+            group.attrs.update(
+                version=emcee.__version__,
+                nwalkers=walkers,
+                ndim=dimension,
+                has_blobs=False,
+                iteration=steps,
+            )
+            group.create_dataset("chain", data=self.values, compression="gzip", shuffle=True)
+            group.create_dataset("log_prob", data=self.log_posterior)
+            group.create_dataset("accepted", data=self.accepted)
+            out.attrs.update(
+                curlfit=__version__,
+                names=list(self.names),
+                discarded=self.discarded,
+                ensembles=self.ensembles,
+                seed=self.seed,
+            )
+
+
+def load_chain(file: str | PathLike[str]) -> Chain:
+    """Read a `chain.h5`. Raises `DataError` where it is missing or is not one."""
+    path = Path(file)
+    if not path.is_file():
+        raise DataError("no such file", file=path)
+    try:
+        with h5py.File(path, "r") as stored:
+            return Chain(
+                names=tuple(str(name) for name in stored.attrs["names"]),
+                values=stored["mcmc/chain"][:],
+                log_posterior=stored["mcmc/log_prob"][:],
+                accepted=stored["mcmc/accepted"][:],
+                discarded=int(stored.attrs["discarded"]),
+                ensembles=int(stored.attrs["ensembles"]),
+                seed=int(stored.attrs["seed"]),
+            )
+    except (OSError, KeyError) as error:
+        raise DataError(f"not a chain.h5 of curlfit ({error})", file=path) from None
+
+
+def sample(
+    fit: FitResult,
+    *,
+    seed: int = 0,
+    effective: float = EFFECTIVE,
+    most_steps: int = 20_000,
+    progress: Callable[[float, int, float], None] | None = None,
+) -> tuple[FitResult, Chain]:
+    """Sample the posterior about a fit, until it is converged.
+
+    The prior is even within the bounds of the parameters. Noise is Gaussian and independent, of
+    the fit's sigmas. Ctrl-C ends the run and keeps what there is.
+
+    Parameters
+    ----------
+    fit : a fit, fresh or loaded.
+    seed : of the random numbers; the same seed gives the same chain.
+    effective : effective samples wanted of every parameter.
+    most_steps : where to stop if that is not reached.
+    progress : called now and then with the effective samples so far (smallest over parameters),
+        the steps so far, and R-hat.
+
+    Returns
+    -------
+    the fit with its `posterior` filled in, and the chain.
+
+    Raises
+    ------
+    UnusableFitError : no walker found a place of finite posterior.
+    """
+    law, load = fit.law_class, check_load(fit.load)
+    throw, parameters = fit.throw, fit.parameter_set
+    frame = frame_of(throw)
+    problem = problem_of(throw, fit.stone, frame, fit.sigma)
+    offset = frame.offset(len(parameters))
+    free = parameters.free
+    base = fit.values - offset
+    lower, upper = parameters.lower - offset, parameters.upper - offset
+
+    def whole(free_values: Floats) -> Floats:
+        values = np.tile(base, (len(free_values), 1))
+        values[:, free] = free_values
+        return values
+
+    def log_prob(free_values: Floats) -> Floats:
+        values = whole(free_values)
+        return np.asarray(log_posterior(law, load, values, lower, upper, problem))
+
+    move = _ridge_move(fit, offset)
+    dimension = int(free.sum())
+    per_ensemble = max(32, 4 * ((2 * dimension + 3) // 4))
+    walkers = ENSEMBLES * per_ensemble
+    random = np.random.RandomState(seed)  # noqa: NPY002  (emcee takes no other)
+    coords = _first_walkers(move, log_prob, walkers, lower[free], upper[free], random)
+    sampler = emcee.EnsembleSampler(
+        walkers,
+        dimension,
+        log_prob,
+        vectorize=True,
+        moves=[
+            (move, 0.8),
+            (EnsembleMove(ENSEMBLES, evolution=False), 0.1),
+            (EnsembleMove(ENSEMBLES, evolution=True), 0.1),
+        ],
+    )
+    sampler.random_state = random.get_state()
+
+    kept: list[Floats] = []
+    kept_log: list[Floats] = []
+    accepted = np.zeros(walkers, int)
+    ended = "stopped by the user"
+    try:
+        state: Any = State(coords, log_prob=log_prob(coords))
+        while True:
+            for state in sampler.sample(  # noqa: B020
+                state, iterations=_BLOCK, store=False, skip_initial_state_check=True
+            ):
+                kept.append(state.coords.copy())
+                kept_log.append(state.log_prob.copy())
+            values = np.stack(kept)
+            diagnosis = _diagnose(values, ENSEMBLES)
+            if progress is not None:
+                progress(diagnosis.least_effective, len(kept), diagnosis.worst_r_hat)
+            if diagnosis.good(effective):
+                ended = "converged"
+                break
+            if len(kept) >= most_steps:
+                ended = f"not converged after {len(kept)} steps"
+                break
+    except KeyboardInterrupt:
+        if len(kept) < 4:
+            raise
+    values = np.stack(kept)
+    moved = np.any(np.diff(values, axis=0) != 0, axis=2)
+    accepted = moved.sum(0)
+    full = whole(values.reshape(-1, dimension)).reshape(*values.shape[:2], -1) + offset
+    diagnosis = _diagnose(values, ENSEMBLES)
+    chain = Chain(
+        names=parameters.names,
+        values=full,
+        log_posterior=np.stack(kept_log),
+        accepted=accepted,
+        discarded=diagnosis.discarded,
+        ensembles=ENSEMBLES,
+        seed=seed,
+    )
+    names = [name for name, take in zip(parameters.names, free, strict=True) if take]
+    return fit.with_posterior(_summary(fit, chain, names, diagnosis, ended, effective)), chain
+
+
+def _ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
+    """The proposal from the fit's own seen and unseen directions."""
+    parameters = fit.parameter_set
+    free = parameters.free
+    typical = parameters.typical[free]
+    centre = (fit.values - offset)[free]
+    lower = ((parameters.lower - offset)[free] - centre) / typical
+    upper = ((parameters.upper - offset)[free] - centre) / typical
+    seen, singular, null = directions(np.array(fit.information["matrix"]), typical)
+    spread = 1 / singular
+
+    # Pivots: parameters bounded on both sides, as independent of each other as can be.
+    pivots: list[int] = []
+    rest = null.copy()
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    for _ in range(len(null)):
+        size = np.where(bounded, (rest**2).sum(0), 0.0)
+        if size.max() < 1e-12:
+            raise UnusableFitError(
+                "a direction that the data do not see has no bounds; give some with --bound"
+            )
+        pivot = int(np.argmax(size))
+        pivots.append(pivot)
+        column = rest[:, pivot] / np.linalg.norm(rest[:, pivot])
+        rest = rest - np.outer(column, column @ rest)
+    low, high = np.zeros(len(pivots)), np.zeros(len(pivots))
+    walls = np.concatenate([null.T, -null.T])
+    room = np.concatenate([upper, -lower])
+    reach = _MARGIN * np.sqrt(((seen.T * spread) ** 2).sum(1))
+    room += np.concatenate([reach, reach])
+    finite = np.isfinite(room)
+    for place, pivot in enumerate(pivots):
+        for ends, sign in ((low, 1.0), (high, -1.0)):
+            found = linprog(  # how far the ridge goes before it leaves the prior
+                sign * null[:, pivot],
+                A_ub=walls[finite],
+                b_ub=room[finite],
+                bounds=(None, None),
+            )
+            ends[place] = np.clip(sign * found.fun, lower[pivot], upper[pivot])
+    return RidgeMove(centre, typical, seen, spread, np.array(pivots, int), low, high)
+
+
+def _first_walkers(
+    move: RidgeMove,
+    log_prob: Callable[[Floats], Floats],
+    walkers: int,
+    lower: Floats,
+    upper: Floats,
+    random: Any,
+) -> Floats:
+    """Starting places drawn from the proposal, of finite posterior."""
+    found: list[Floats] = []
+    for _ in range(50):
+        coords = move.draw(walkers, random)
+        # Near a bound a proposal falls outside half the time; fold it back in.
+        folded = np.where(coords < lower, 2 * lower - coords, coords)
+        folded = np.where(folded > upper, 2 * upper - folded, folded)
+        found.extend(folded[np.isfinite(log_prob(folded))])
+        if len(found) >= walkers:
+            return np.array(found[:walkers])
+    raise UnusableFitError("no place of finite posterior was found near the fit")
+
+
+@dataclass(frozen=True)
+class _Diagnosis:
+    discarded: int
+    times: Floats
+    effective: Floats
+    r_hat: Floats
+    steps: int
+
+    @property
+    def least_effective(self) -> float:
+        return float(self.effective.min())
+
+    @property
+    def worst_r_hat(self) -> float:
+        return float(self.r_hat.max())
+
+    @property
+    def long_enough(self) -> bool:
+        return self.steps - self.discarded >= _SHORTEST_IN_TIMES * float(self.times.max())
+
+    def good(self, effective: float) -> bool:
+        return self.long_enough and self.least_effective >= effective and self.worst_r_hat < R_HAT
+
+
+def _diagnose(values: Floats, ensembles: int) -> _Diagnosis:
+    """Autocorrelation time, effective samples and R-hat of values (steps, walkers, parameters)."""
+    steps, walkers, dimension = values.shape
+    discarded = min(max(_BLOCK // 2, steps // 10), steps // 2)
+    kept = values[discarded:]
+    times = np.maximum(emcee.autocorr.integrated_time(kept, tol=0, has_walkers=True), 1.0)
+    times = np.nan_to_num(times, nan=float(len(kept)))
+    effective = kept.shape[0] * walkers / times
+    groups = kept.reshape(len(kept), ensembles, -1, dimension)
+    # Each ensemble is cut in two, so that a drift shows as well as a disagreement.
+    half = len(kept) // 2
+    parts = np.concatenate([groups[:half], groups[half : 2 * half]], 1)
+    return _Diagnosis(discarded, times, effective, r_hat(parts), steps)
+
+
+def r_hat(groups: Floats) -> Floats:
+    """Potential scale reduction of Gelman and Rubin (1992).
+
+    Parameters
+    ----------
+    groups : shape (steps, groups, walkers, parameters); the walkers of a group count as one chain.
+    """
+    n = groups.shape[0] * groups.shape[2]
+    means = groups.mean((0, 2))
+    within = groups.var((0, 2)).mean(0) * n / (n - 1)
+    between = means.var(0, ddof=1)
+    return cast(Floats, np.sqrt((n - 1) / n + between / np.where(within > 0, within, 1.0)))
+
+
+def _summary(
+    fit: FitResult,
+    chain: Chain,
+    names: list[str],
+    diagnosis: _Diagnosis,
+    ended: str,
+    effective: float,
+) -> Posterior:
+    quantities = {name: chain.of({name: 1.0}) for name in names}
+    single = dict(quantities)
+    quantities |= {item.expression: chain.of(item.weights) for item in fit.combinations}
+    levels = [float(level) / 100 for level in _QUANTILES]
+    correlation = np.corrcoef(np.stack(list(single.values())))
+    steps, walkers, _ = chain.values.shape
+    good = diagnosis.good(effective)
+    status = ended
+    if ended != "converged":
+        status += (
+            f": {diagnosis.least_effective:.0f} effective samples of {effective:.0f} wanted, "
+            f"R-hat {diagnosis.worst_r_hat:.3f}"
+        )
+    return Posterior(
+        samples=len(chain.flat),
+        steps=steps,
+        discarded=chain.discarded,
+        walkers=walkers,
+        ensembles=chain.ensembles,
+        seed=chain.seed,
+        acceptance=float(chain.accepted.mean() / max(steps - 1, 1)),
+        ess=dict(zip(names, map(float, diagnosis.effective), strict=True)),
+        r_hat=dict(zip(names, map(float, diagnosis.r_hat), strict=True)),
+        autocorrelation_time=dict(zip(names, map(float, diagnosis.times), strict=True)),
+        quantiles={
+            name: dict(zip(_QUANTILES, map(float, np.quantile(values, levels)), strict=True))
+            for name, values in quantities.items()
+        },
+        mean={name: float(values.mean()) for name, values in quantities.items()},
+        sd={name: float(values.std()) for name, values in quantities.items()},
+        correlation={
+            name: dict(zip(names, map(float, row), strict=True))
+            for name, row in zip(names, correlation, strict=True)
+        },
+        converged=good,
+        status=status,
+    )
