@@ -15,10 +15,10 @@ from pathlib import Path
 # check. The statuses of optimistix are read by curlfit itself.
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
-import jax  # noqa: E402
-import jaxlib  # noqa: E402
+import jax
+from jaxlib import version as jaxlib_version
 
-from curlfit.version import __version__  # noqa: E402
+from curlfit.version import __version__
 
 
 def cache_folder() -> Path | None:
@@ -34,12 +34,12 @@ def cache_folder() -> Path | None:
         base = Path.home() / "Library" / "Caches"
     else:
         base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "curlfit" / f"{__version__}-jax-{jax.__version__}-{jaxlib.__version__}"
+    return base / "curlfit" / f"{__version__}-jax-{jax.__version__}-{jaxlib_version.__version__}"
 
 
 def _configure() -> None:
     jax.config.update("jax_enable_x64", True)
-    if jax.config.jax_compilation_cache_dir is not None:
+    if jax.config.values["jax_compilation_cache_dir"] is not None:
         return  # the user's own choice stands
     folder = cache_folder()
     if folder is None:

@@ -186,6 +186,4 @@ def accelerations(
     ring = halves(v, stone.R * omega, turned)
     tilt = _consistent_tilt(law, ring, stone) if load == "consistent" else (0.0, 0.0)
     t_xi, t_eta, moment = _force(law, ring, (tilt[0], tilt[1]))
-    return Accelerations(
-        GRAVITY * t_xi, GRAVITY * t_eta, GRAVITY * stone.R * moment / stone.rho**2
-    )
+    return Accelerations(GRAVITY * t_xi, GRAVITY * t_eta, GRAVITY * stone.R * moment / stone.rho**2)

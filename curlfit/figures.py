@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
+
+from curlfit.report import number
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -13,7 +16,13 @@ if TYPE_CHECKING:
     from curlfit.results import FitResult
     from curlfit.sampling import Chain
 
-_DATA = {"color": "0.45", "marker": "o", "markersize": 2.2, "linestyle": "none", "zorder": 1}
+_DATA: dict[str, Any] = {
+    "color": "0.45",
+    "marker": "o",
+    "markersize": 2.2,
+    "linestyle": "none",
+    "zorder": 1,
+}
 _COLOR = {"x": "#1f77b4", "y": "#d1495b", "phi": "#2e8b57"}
 _FIT = "#1b2a49"
 _MARK = "#e07a1f"
@@ -34,7 +43,7 @@ def fit_figure(fit: FitResult) -> Figure:
     path.plot(fit.observed["y"][some], fit.observed["x"][some], **_DATA, label="measured")
     path.plot(fit.fitted["y"], fit.fitted["x"], color=_FIT, lw=1.3, label=f"{fit.law} law")
     path.set(xlabel="along the sheet, y (m)", ylabel="to the right, x (m)")
-    path.set_title(f"{fit.data['file']}: {fit.law} law, {fit.load} load", fontsize=10, loc="left")
+    path.set_title(f"{_name(fit)}: {fit.law} law, {fit.load} load", fontsize=10, loc="left")
     path.legend(frameon=False, fontsize=9)
     path.margins(x=0.02, y=0.12)
     _stretch_note(path)
@@ -46,7 +55,8 @@ def fit_figure(fit: FitResult) -> Figure:
         axes.axhline(0, color="0.7", lw=0.8)
         axes.plot(t[some], residual, ".", color=_COLOR[name], markersize=3)
         axes.set_title(
-            f"${_LABEL[name]}$ residual, rms {factor * fit.rms[name]:.3g} {unit}", fontsize=10
+            f"${_LABEL[name]}$ measured - fitted, rms {factor * fit.rms[name]:.3g} {unit}",
+            fontsize=10,
         )
         axes.set(xlabel="t (s)", ylabel=unit)
 
@@ -56,9 +66,13 @@ def fit_figure(fit: FitResult) -> Figure:
     speed.set_ylim(bottom=0)
     spin = figure.add_subplot(bottom[1])
     spin.plot(t, fit.fitted["omega"], color=_COLOR["phi"])
-    spin.set(xlabel="t (s)", ylabel="spin, counter-clockwise (rad/s)")
+    spin.set(xlabel="t (s)", ylabel=r"spin $\omega$ (rad/s)")
     _include_zero(spin, fit.fitted["omega"])
     return figure
+
+
+def _name(fit: FitResult) -> str:
+    return FilePath(fit.data["file"]).name
 
 
 def _stretch_note(axes: Any) -> None:
@@ -115,54 +129,86 @@ def corner_figure(fit: FitResult, chain: Chain) -> Figure:
         labelpad=0.06,
     )
     grid = np.array(figure.axes).reshape(len(names), len(names))
-    _mark_combinations(fit, names, known, grid)
+    _mark_ridges(fit, names, known, samples, grid)
+    _point_to_marks(names, known, grid)
     _say_in_corner(fit, figure)
     return figure
 
 
 def _extent(values: Any, mark: float | None) -> tuple[float, float]:
-    low, high = np.quantile(values, [0.001, 0.999])
-    if mark is not None:  # keep a mark in view if that does not squeeze the sample too much
-        reach = 6 * (high - low)
-        low = mark if low > mark > high - reach else low
+    """Limits that hold the sample, and a reference value near it."""
+    low, high = map(float, np.quantile(values, [0.001, 0.999]))
+    if mark is not None:
+        reach = 3 * (high - low)
+        low = mark if high - reach < mark < low else low
         high = mark if high < mark < low + reach else high
     margin = 0.06 * (high - low) or 1e-9
-    return float(low - margin), float(high + margin)
+    return low - margin, high + margin
 
 
-def _mark_combinations(
-    fit: FitResult, names: list[str], known: dict[str, float], grid: Any
+def _mark_ridges(
+    fit: FitResult, names: list[str], known: dict[str, float], samples: Any, grid: Any
 ) -> None:
-    """Draw the reference value of a combination of two as a line in their panel."""
+    """Show a pair of which only a combination is determined as it is: a line of points."""
     for item in fit.combinations:
-        value = known.get(item.expression)
         pair = list(item.weights)
-        if value is None or len(pair) != 2 or not set(pair) <= set(names):
+        if len(pair) != 2 or not set(pair) <= set(names):
             continue
         first, second = sorted(pair, key=names.index)
         axes = grid[names.index(second), names.index(first)]
-        horizontal = np.array(axes.get_xlim())
-        vertical = (value - item.weights[first] * horizontal) / item.weights[second]
         limits = axes.get_xlim(), axes.get_ylim()
-        axes.plot(horizontal, vertical, color=_MARK, lw=1.4)
+        for artist in [*axes.collections, *axes.images, *axes.patches, *axes.lines]:
+            artist.remove()
+        some = samples[:: max(1, len(samples) // 3000)]
+        axes.plot(
+            some[:, names.index(first)], some[:, names.index(second)],
+            ".", color=_FIT, markersize=2, alpha=0.5,
+        )  # fmt: skip
+        axes.text(
+            0.95, 0.95, f"only\n${_as_math(fit, item.weights)}$\nis determined",
+            transform=axes.transAxes, ha="right", va="top", fontsize=10,
+        )  # fmt: skip
+        value = known.get(item.expression)
+        if value is not None:
+            horizontal = np.array(limits[0])
+            vertical = (value - item.weights[first] * horizontal) / item.weights[second]
+            axes.plot(horizontal, vertical, color=_MARK, lw=1.2)
         axes.set(xlim=limits[0], ylim=limits[1])
 
 
+def _point_to_marks(names: list[str], known: dict[str, float], grid: Any) -> None:
+    """Where a reference value lies outside a histogram, say where it is."""
+    for place, name in enumerate(names):
+        axes, value = grid[place, place], known.get(name)
+        if value is None or axes.get_xlim()[0] <= value <= axes.get_xlim()[1]:
+            continue
+        right = value > axes.get_xlim()[1]
+        axes.annotate(
+            f"{value:g}", xy=(1.0 if right else 0.0, 0.9), xycoords="axes fraction",
+            xytext=(0.72 if right else 0.28, 0.9), textcoords="axes fraction",
+            ha="center", va="center", color=_MARK, fontsize=10,
+            arrowprops={"arrowstyle": "->", "color": _MARK},
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5},
+        )  # fmt: skip
+
+
 def _say_in_corner(fit: FitResult, figure: Figure) -> None:
-    lines = [f"{fit.law} law, {fit.load} load", str(fit.data["file"])]
-    lines += [
-        f"${_as_math(fit, item.weights)} = {item.value:.4f}"
-        + ("$" if item.stderr is None else rf" \pm {item.stderr:.1g}$")
-        for item in fit.combinations
-    ]
+    lines = [f"{fit.law} law, {fit.load} load", _name(fit)]
+    for item in fit.combinations:
+        value, stderr = number(item.value, item.stderr)
+        lines.append(rf"${_as_math(fit, item.weights)} = {value} \pm {stderr}$")
     for direction in fit.null_directions:
         pair = ", ".join(f"${fit.parameters[name].symbol}$" for name in direction)
         lines.append(f"{pair}: not identifiable one by one")
     figure.text(0.97, 0.97, "\n".join(lines), ha="right", va="top", fontsize=12, linespacing=1.6)
     if fit.reference is not None:
+        found = [f"{name} = {value:g}" for name, value in fit.reference.values.items()]
+        for name, parameter in fit.parameters.items():
+            found = [text.replace(name, f"${parameter.symbol}$") for text in found]
+        below = 0.97 - 0.032 * (len(lines) + 0.4) * 9.8 / figure.get_figheight()
         figure.text(
-            0.97, 0.97 - 0.032 * (len(lines) + 0.6), fit.reference.source,
-            ha="right", va="top", fontsize=12, color=_MARK,
+            0.97, below, "\n".join([fit.reference.source, *found]),
+            ha="right", va="top", fontsize=12, color=_MARK, linespacing=1.6,
         )  # fmt: skip
 
 
@@ -177,9 +223,7 @@ def _as_math(fit: FitResult, weights: dict[str, float]) -> str:
 
 def save_figure(figure: Figure, file: str | PathLike[str], dpi: int = 150) -> None:
     """Write a figure, whole or not at all."""
-    from pathlib import Path
-
     from curlfit.files import replaced
 
-    with replaced(Path(file)) as temporary:
+    with replaced(FilePath(file)) as temporary:
         figure.savefig(temporary, dpi=dpi)

@@ -21,7 +21,9 @@ def replaced(file: Path) -> Iterator[Path]:
     """
     temporary = None
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{file.name}.", suffix=file.suffix, dir=file.parent)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{file.name}.", suffix=file.suffix, dir=file.parent
+        )
         os.close(handle)
         temporary = Path(name)
         yield temporary

@@ -74,9 +74,11 @@ class BoxDescent(optx.AbstractDescent):
     def init(self, y: Array, f_info_struct: Any) -> _BoxState:
         """Required by optimistix."""
         blank = jax.tree.map(
-            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype)
-            if isinstance(leaf, jax.ShapeDtypeStruct)
-            else leaf,
+            lambda leaf: (
+                jnp.zeros(leaf.shape, leaf.dtype)
+                if isinstance(leaf, jax.ShapeDtypeStruct)
+                else leaf
+            ),
             f_info_struct,
         )
         return _BoxState(y, blank)
@@ -85,7 +87,7 @@ class BoxDescent(optx.AbstractDescent):
         """Required by optimistix."""
         return _BoxState(y, f_info)
 
-    def step(self, step_size: Array, state: _BoxState) -> tuple[Array, optx.RESULTS]:
+    def step(self, step_size: Array, state: _BoxState) -> tuple[Array, Any]:
         """The step at damping `_FIRST_DAMPING / step_size`."""
         jacobian = state.f_info.jac.as_matrix()
         residual = state.f_info.residual.reshape(-1)
@@ -146,7 +148,7 @@ def _solve(
         return weighted_residuals(law, load, z * scale, problem)
 
     solver = BoxLevenbergMarquardt(lower / scale, upper / scale, _TOLERANCE, _TOLERANCE)
-    found = optx.least_squares(
+    found: Any = optx.least_squares(
         residual,
         solver,
         start / scale,
@@ -255,7 +257,7 @@ def _first_sigma(throw: Throw) -> dict[str, float]:
     """Sigma of the first fit for the channels whose own is unknown: even weights."""
     given = [float(np.nanmedian(series)) for series in throw.sigma.values()]
     even = float(np.exp(np.mean(np.log(given)))) if given else 1.0
-    seen = np.isfinite(throw.observed).any(1)
+    seen = [bool(np.isfinite(channel).any()) for channel in throw.observed]
     return {
         name: even
         for name, any_seen in zip(CHANNELS, seen, strict=True)
@@ -270,7 +272,7 @@ def _estimated_sigma(
     parameters: ParameterSet,
     names: list[str],
 ) -> dict[str, float]:
-    """sqrt(sum of squares/(n - p)) by channel, p the parameters that the channel itself pays for."""
+    """sqrt(sum of squares/(n - p)) by channel, p the parameters it pays for itself."""
     n = len(throw)
     jacobian = solution.jacobian[:, :n, parameters.free]
     left, singular, _ = np.linalg.svd(jacobian.reshape(-1, jacobian.shape[-1]), full_matrices=False)
@@ -302,9 +304,7 @@ def _shifted(parameters: ParameterSet, by: Floats) -> ParameterSet:
         replace(item, lower=item.lower + shift, upper=item.upper + shift)
         for item, shift in zip(parameters.parameters, by, strict=True)
     )
-    fixed = {
-        name: value + by[parameters.index(name)] for name, value in parameters.fixed.items()
-    }
+    fixed = {name: value + by[parameters.index(name)] for name, value in parameters.fixed.items()}
     return ParameterSet(moved_parameters, fixed)
 
 
@@ -378,9 +378,7 @@ def _result(
     offset = frame.offset(len(parameters))
     values = solution.values + offset
     seen = np.isfinite(throw.observed)
-    curves = np.array(
-        trace(law, load, solution.values, problem.times, problem.stone)
-    )[:, :n]
+    curves = np.array(trace(law, load, solution.values, problem.times, problem.stone))[:, :n]
     curves[:3] += frame.place[:, None]
     residual = throw.observed - curves[:3]
     squares = np.where(seen, residual**2, 0.0).sum(1)
@@ -397,7 +395,9 @@ def _result(
         parameters.typical[open_],
     )
     rms_by = {name: float(rms[row]) for row, name in enumerate(CHANNELS) if count[row]}
-    lag1 = {name: _lag1(residual[row][seen[row]]) for row, name in enumerate(CHANNELS) if count[row] > 3}
+    lag1 = {
+        name: _lag1(residual[row][seen[row]]) for row, name in enumerate(CHANNELS) if count[row] > 3
+    }
     converged, status, warnings = _judge(
         solution, parameters, at_bound, tried, dict(zip(CHANNELS, count, strict=True)), rms_by, lag1
     )

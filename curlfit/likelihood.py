@@ -80,16 +80,14 @@ def problem_of(throw: Throw, stone: Stone, frame: Frame, sigma: dict[str, float]
     size = max(_SHORTEST, 1 << (n - 1).bit_length())
     seen = np.isfinite(throw.observed)
     observed = np.where(seen, throw.observed - frame.place[:, None], 0.0)
-    noise = np.stack(
-        [throw.sigma.get(name, np.full(n, sigma.get(name, 1.0))) for name in CHANNELS]
-    )
+    noise = np.stack([throw.sigma.get(name, np.full(n, sigma.get(name, 1.0))) for name in CHANNELS])
     weight = np.where(seen, 1 / np.where(seen, noise, 1.0), 0.0)
     pad = ((0, 0), (0, size - n))
     return Problem(
         times=np.pad(throw.t - frame.t, (0, size - n), mode="edge"),
         observed=np.pad(observed, pad),
         weight=np.pad(weight, pad),
-        stone=Stone(**{name: np.asarray(float(value)) for name, value in vars(stone).items()}),
+        stone=jax.tree.map(lambda value: np.asarray(float(value)), stone),
     )
 
 

@@ -109,11 +109,13 @@ class Path:
 
     @property
     def speed(self) -> Array:
+        """Speed of the centre in m/s."""
         return jnp.hypot(self.vx, self.vy)
 
     def to_numpy(self) -> Path:
         """The same path with numpy arrays."""
-        return Path(*(np.asarray(getattr(self, field.name)) for field in fields(self)))
+        arrays: Any = (np.asarray(getattr(self, field.name)) for field in fields(self))
+        return Path(*arrays)
 
 
 class _State(NamedTuple):
@@ -321,9 +323,7 @@ def _trajectory_jvp(
 
 
 @partial(jax.jit, static_argnames="load")
-def _simulate(
-    law: Law, stone: Stone, start: Start, times: Array, t0: Array, *, load: Load
-) -> Path:
+def _simulate(law: Law, stone: Stone, start: Start, times: Array, t0: Array, *, load: Load) -> Path:
     inputs, unravel = ravel_pytree((law, stone, start.v, start.omega))
     u, w, turned, du, dw, omega = _trajectory(unravel, load, inputs, times - t0).T
     # Ice is the same everywhere and in every direction: place, heading and angle only move and

@@ -143,6 +143,7 @@ class ParameterSet:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names in order."""
         return tuple(item.name for item in self.parameters)
 
     def _array(self, attribute: str) -> Floats:
@@ -150,14 +151,17 @@ class ParameterSet:
 
     @property
     def lower(self) -> Floats:
+        """Lower bounds; a fixed parameter's value."""
         return self._array("lower")
 
     @property
     def upper(self) -> Floats:
+        """Upper bounds; a fixed parameter's value."""
         return self._array("upper")
 
     @property
     def typical(self) -> Floats:
+        """Typical sizes."""
         return self._array("typical")
 
     @property
@@ -166,6 +170,7 @@ class ParameterSet:
         return np.array([name not in self.fixed for name in self.names])
 
     def index(self, name: str) -> int:
+        """Place of a parameter in a vector."""
         return self.names.index(name)
 
     def values_of(self, values: Floats) -> dict[str, float]:

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from curlfit.results import Estimate, FitResult
+    from curlfit.results import Estimate, FitResult, Posterior
 
 _STYLE = {
     "determined": "green",
@@ -33,7 +33,7 @@ def report(fit: FitResult) -> RenderableType:
     parts: list[RenderableType] = [_heading(fit), _coefficients(fit), _quality(fit)]
     parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
     if fit.posterior is not None:
-        parts.append(Padding(_posterior(fit), (0, 0, 1, 0)))
+        parts.append(Padding(_posterior(fit.posterior), (0, 0, 1, 0)))
     parts += [
         Padding(Text(f"Mind: {warning}.", style="yellow"), (0, 0, 1, 0)) for warning in fit.warnings
     ]
@@ -72,13 +72,11 @@ def _coefficients(fit: FitResult) -> RenderableType:
     def row(
         name: str, value: str, stderr: str, unit: str, verdict: str, bold: bool = False
     ) -> None:
-        cells = [name, value, stderr, unit, Text(verdict, style=_STYLE[verdict])]
+        cells: list[str | Text] = [name, value, stderr, unit, Text(verdict, style=_STYLE[verdict])]
         if posterior is not None:
             found = posterior.quantiles.get(name)
-            digits = _digits(found["84"] - found["16"]) if found else 0
-            cells.append(
-                f"{found['16']:.{digits}f} .. {found['84']:.{digits}f}" if found else ""
-            )
+            digits = _digits((found["84"] - found["16"]) / 3) if found else 0
+            cells.append(f"{found['16']:.{digits}f} .. {found['84']:.{digits}f}" if found else "")
         if reference is not None:
             known = reference.values.get(name)
             cells.append("" if known is None else f"{known:g}")
@@ -174,9 +172,7 @@ def _listed(words: list[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-def _posterior(fit: FitResult) -> Text:
-    found = fit.posterior
-    assert found is not None  # noqa: S101  (the caller has looked)
+def _posterior(found: Posterior) -> Text:
     least = min(found.ess, key=found.ess.__getitem__)
     worst = max(found.r_hat, key=found.r_hat.__getitem__)
     slowest = max(found.autocorrelation_time.values())

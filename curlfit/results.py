@@ -133,6 +133,7 @@ class FitResult:
 
     @property
     def law_class(self) -> type[Law]:
+        """The class of the law."""
         return find_law(self.law)
 
     @property
@@ -162,7 +163,10 @@ class FitResult:
     def throw(self) -> Throw:
         """The data that were fitted."""
         return Throw(
-            **{name: self.observed[name] for name in ("t", *CHANNELS)},
+            self.observed["t"],
+            self.observed["x"],
+            self.observed["y"],
+            self.observed["phi"],
             sigma={
                 name: self.observed[f"sigma_{name}"]
                 for name in CHANNELS
@@ -173,6 +177,7 @@ class FitResult:
         )
 
     def with_posterior(self, posterior: Posterior) -> FitResult:
+        """The same with a posterior."""
         return replace(self, posterior=posterior)
 
     def to_json(self) -> dict[str, Any]:

@@ -156,7 +156,8 @@ class EnsembleMove(Move):
         second = (first + step) % others.shape[1]
         gap = coords[np.take_along_axis(others, first, 1)]
         gap = gap - coords[np.take_along_axis(others, second, 1)]
-        gamma = 2.38 / np.sqrt(2 * dimension) * np.exp(0.1 * random.standard_normal((self.ensembles, n)))
+        jitter = np.exp(0.1 * random.standard_normal((self.ensembles, n)))
+        gamma = 2.38 / np.sqrt(2 * dimension) * jitter
         return old + gamma[..., None] * gap, np.zeros((self.ensembles, n))
 
 
@@ -288,7 +289,7 @@ def sample(
     dimension = int(free.sum())
     per_ensemble = max(32, 4 * ((2 * dimension + 3) // 4))
     walkers = ENSEMBLES * per_ensemble
-    random = np.random.RandomState(seed)  # noqa: NPY002  (emcee takes no other)
+    random = np.random.RandomState(seed)  # emcee takes no other
     coords = _first_walkers(move, log_prob, walkers, lower[free], upper[free], random)
     sampler = emcee.EnsembleSampler(
         walkers,
@@ -475,7 +476,7 @@ def _summary(
     single = dict(quantities)
     quantities |= {item.expression: chain.of(item.weights) for item in fit.combinations}
     levels = [float(level) / 100 for level in _QUANTILES]
-    correlation = np.corrcoef(np.stack(list(single.values())))
+    correlation = np.atleast_2d(np.corrcoef(np.stack(list(single.values()))))
     steps, walkers, _ = chain.values.shape
     good = diagnosis.good(effective)
     status = ended

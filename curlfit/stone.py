@@ -54,6 +54,7 @@ class Stone:
         return replace(self, **values)
 
     def as_dict(self) -> dict[str, Any]:
+        """Values by name."""
         return asdict(self)
 
 

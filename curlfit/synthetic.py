@@ -10,7 +10,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.friction import Law, check_load, find_law
 from curlfit.stone import Stone
-from curlfit.throw import Reference, Throw
+from curlfit.throw import Floats, Reference, Throw
 
 _MOST_ROWS = 2_000_000
 
@@ -75,7 +75,7 @@ def synthetic_throw(
 
     from curlfit.motion import Start, simulate
 
-    t = dt * np.arange(rows)
+    t: Floats = np.arange(rows, dtype=np.float64) * dt
     path = simulate(
         law, stone, Start(heading=heading, v=v0, omega=omega0), t, load=checked
     ).to_numpy()
@@ -85,9 +85,9 @@ def synthetic_throw(
     names = [item.name for item in law.coefficients()]
     return Throw(
         t=t,
-        x=path.x + noise_xy * random.standard_normal(rows),
-        y=path.y + noise_xy * random.standard_normal(rows),
-        phi=path.phi + noise_phi * random.standard_normal(rows),
+        x=np.asarray(path.x) + noise_xy * random.standard_normal(rows),
+        y=np.asarray(path.y) + noise_xy * random.standard_normal(rows),
+        phi=np.asarray(path.phi) + noise_phi * random.standard_normal(rows),
         name="synthetic throw",
         reference=Reference(
             "true value", law.name, {name: float(getattr(law, name)) for name in names}

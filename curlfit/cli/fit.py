@@ -127,7 +127,7 @@ def fit(
     check_load(wanted.get("load", "uniform"))
     the_stone = Stone().with_values(wanted.get("stone", {}))
     throw = throw.with_sigma(wanted.get("sigma", {}))
-    choices = {
+    choices: dict[str, Any] = {
         "fix": wanted.get("fix"),
         "bounds": wanted.get("bound"),
         "unbounded": bool(wanted.get("unbounded", False)),
@@ -232,6 +232,4 @@ def _sampled(
             )
 
         report: Callable[[float, int, float], None] = told
-        return sample(
-            result, seed=seed, effective=effective, most_steps=max_steps, progress=report
-        )
+        return sample(result, seed=seed, effective=effective, most_steps=max_steps, progress=report)

@@ -10,9 +10,7 @@ import typer
 
 def plot(
     folder: Annotated[Path, typer.Argument(help="Folder of a fit.", metavar="DIR")],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for the figures. [default: DIR]")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the figures. [default: DIR]")] = None,
     format: Annotated[str, typer.Option(help="png, pdf or svg.")] = "png",
 ) -> None:
     """Draw the figures of a saved fit, without fitting again."""

@@ -24,9 +24,7 @@ def simulate(
     ] = None,
     v0: Annotated[float, typer.Option(help="First speed, m/s.")] = 2.0,
     omega0: Annotated[float, typer.Option(help="First spin, rad/s, counter-clockwise.")] = 1.0,
-    heading: Annotated[
-        float, typer.Option(help="First direction, rad, from +y toward +x.")
-    ] = 0.0,
+    heading: Annotated[float, typer.Option(help="First direction, rad, from +y toward +x.")] = 0.0,
     until: Annotated[float, typer.Option(help="Last time, s.")] = 20.0,
     dt: Annotated[float, typer.Option(help="Time between rows, s.")] = 0.1,
     noise_xy: Annotated[float, typer.Option(help="Standard deviation on x and y, m.")] = 0.0,

@@ -61,6 +61,7 @@ def coefficient(
     symbol : LaTeX without dollar signs; the name if empty.
     """
     about = {
+        "default": default,
         "unit": unit,
         "lower": lower,
         "upper": upper,
@@ -134,6 +135,12 @@ class Law:
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
         dataclasses.dataclass(frozen=True)(cls)
+        for field in dataclasses.fields(cls):  # type: ignore[arg-type]
+            if "coefficient" not in field.metadata:
+                raise TypeError(
+                    f"{cls.__name__}.{field.name}: declare it as {field.name}: float = "
+                    "coefficient(default, meaning)"
+                )
         if not cls.name:
             return
         LAWS[cls.name] = cls
@@ -145,9 +152,9 @@ class Law:
         """The coefficients in the order of the class's fields."""
         found = []
         for field in dataclasses.fields(cls):  # type: ignore[arg-type]
-            about = dict(field.metadata["coefficient"])
+            about: dict[str, Any] = dict(field.metadata["coefficient"])
             about["symbol"] = about["symbol"] or rf"\mathrm{{{field.name}}}"
-            found.append(Coefficient(name=field.name, default=field.default, **about))
+            found.append(Coefficient(name=field.name, **about))
         return tuple(found)
 
     @classmethod
@@ -185,5 +192,6 @@ def find_law(name: str) -> type[Law]:
         return LAWS[name]
     except KeyError:
         raise InputError(
-            f"unknown law {name!r}; the laws are {', '.join(sorted(LAWS))} (`curlfit laws` tells more)"
+            f"unknown law {name!r}; the laws are {', '.join(sorted(LAWS))} "
+            "(`curlfit laws` tells more)"
         ) from None

@@ -6,6 +6,7 @@ from typing import Any
 from curlfit.friction.base import Law, LocalLaw, Motion, NetLaw, RingPoint, coefficient
 from curlfit.stone import GRAVITY
 
+
 class _FrontBackCoefficients(Law):
     mu1_xi: float = coefficient(0.005, "front half, across the motion", symbol=r"\mu_{1\xi}")
     mu2_xi: float = coefficient(0.05, "back half, across the motion", symbol=r"\mu_{2\xi}")

@@ -12,7 +12,7 @@ _NAMES = {
     "y": {"y", "ypos", "posy", "positiony", "yposition", "ycoord"},
     "phi": {"phi", "φ", "ϕ", "angle", "theta", "θ", "rotation", "rot", "orientation"},
 }
-_SIGMA = {"sigma", "sd", "std", "stdev", "err", "error", "unc", "uncertainty", "σ"}
+_SIGMA = {"sigma", "sd", "std", "stdev", "err", "error", "unc", "uncertainty"}
 
 _FOOT = 0.3048
 _UNITS = {

@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.errors import DataError
+from curlfit.errors import DataError, InputError
+from curlfit.friction import check_load, find_law
 from curlfit.readers.columns import Column, understand
+from curlfit.stone import Stone
 from curlfit.throw import CHANNELS, Floats, Reference, Throw
 
 _GAPS = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
@@ -102,7 +104,8 @@ def _text(path: Path) -> str:
 
 def _settings(path: Path, comments: list[tuple[int, str]]) -> tuple[dict[str, Any], list[str]]:
     """Settings from `# key = value` lines; other comments are comments."""
-    kept, notes = [], []
+    kept: list[str] = []
+    notes: list[str] = []
     for number, line in comments:
         body = line.lstrip().lstrip("#").strip()
         key = body.split("=", 1)[0].strip().split(".")[0]
@@ -122,7 +125,30 @@ def _settings(path: Path, comments: list[tuple[int, str]]) -> tuple[dict[str, An
                 line=number,
             ) from None
         kept.append(body)
+        found = tomllib.loads("\n".join(kept))
+        try:
+            _check(found)
+        except InputError as error:
+            raise DataError(str(error), file=path, line=number) from None
     return tomllib.loads("\n".join(kept)), notes
+
+
+def _check(settings: dict[str, Any]) -> None:
+    """Refuse settings that no fit could use, while the line is still known."""
+    for key, expected in (("stone", dict), ("sigma", dict), ("law", str), ("load", str)):
+        if not isinstance(settings.get(key, expected()), expected):
+            raise InputError(f"{key} = {settings[key]!r} cannot be used")
+    numbers = {f"stone.{name}": value for name, value in settings.get("stone", {}).items()}
+    numbers |= {f"sigma.{name}": value for name, value in settings.get("sigma", {}).items()}
+    numbers |= {"until": settings["until"]} if "until" in settings else {}
+    for key, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+            raise InputError(f"{key} = {value!r}: expected a number")
+    Stone().with_values(settings.get("stone", {}))
+    if "law" in settings:
+        find_law(settings["law"])
+    if "load" in settings:
+        check_load(settings["load"])
 
 
 def _reference(path: Path, found: Any) -> Reference:
@@ -157,9 +183,7 @@ def _number(cell: str, *, decimal_comma: bool) -> float | None:
         return None
 
 
-def _columns(
-    path: Path, line: int, names: list[str]
-) -> tuple[dict[int, Column], list[str]]:
+def _columns(path: Path, line: int, names: list[str]) -> tuple[dict[int, Column], list[str]]:
     """Columns to read by their place, and the names of the others."""
     columns: dict[int, Column] = {}
     ignored = []
@@ -206,7 +230,7 @@ def _rows(
         if len(cells) != len(names):
             hint = (
                 "; where numbers have decimal commas, separate the columns by semicolons"
-                if separator == "," and len(cells) == 2 * len(names)
+                if separator == "," and len(names) < len(cells) <= 2 * len(names)
                 else ""
             )
             raise DataError(
