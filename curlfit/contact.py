@@ -27,7 +27,10 @@ from curlfit.friction import LAWS, Law, Load, LocalLaw, Motion, NetLaw, RingPoin
 from curlfit.friction.base import on_new_law
 from curlfit.stone import GRAVITY, Stone
 
-NODES = 16  # on each half of the ring: 1e-9 of the force for |epsilon| off 1, 1e-6 at worst
+NODES = (
+    16  # on each half of the ring: 1e-12 of the force at |epsilon| 0.7, 1e-7 at 0.98, 5e-6 at worst
+)
+_NARROWEST = 2e-4  # `swing` below which the nodes crowd no further: smallest error at worst
 _NEWTON_STEPS = 6  # enough for 1e-12, load effects being a few percent
 
 _x, _w = np.polynomial.legendre.leggauss(NODES)
@@ -86,7 +89,7 @@ def halves(v: Array, u: Array, turned: Array) -> tuple[_Half, _Half]:
     side = jnp.where(u >= 0, 1.0, -1.0)
     au = side * u
     # t = tan(b/2) runs over (0, 1); t = width sinh(s arcsinh(1/width)) crowds nodes at t = 0.
-    width = jnp.maximum(swing(v, u), 1e-9) / 2
+    width = jnp.maximum(swing(v, u), _NARROWEST) / 2
     stretch = jnp.log((1 + jnp.sqrt(1 + width**2)) / width)
     grow = jnp.exp(_GAUSS_NODES * stretch)
     t = width * (grow - 1 / grow) / 2

@@ -19,6 +19,7 @@ event whose derivative is delicate. It serves the tests as an independent oracle
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any, NamedTuple
@@ -29,6 +30,7 @@ from curlfit.contact import accelerations, swing
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, ArrayLike
 
@@ -298,34 +300,58 @@ def _integrate(
 
 
 # Both directions of differentiation from forward mode alone: a throw has some ten inputs, so its
-# Jacobian costs ten tangents, and the loop need not be stored to be run backwards.
+# Jacobian costs ten tangents, and the loop need not be stored to be run backwards. The inputs are
+# law, stone and (v0, omega0) as vectors; those that nobody asks about cost nothing.
+Unravel = tuple[Callable[[Array], Any], ...]
+
+
+def _whole(unravel: Unravel, load: Load, inputs: tuple[Array, ...], times: Array) -> Array:
+    law, stone, start = (make(vector) for make, vector in zip(unravel, inputs, strict=True))
+    return _integrate(law, stone, *start, times=times, load=load)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _trajectory(unravel: Any, load: Load, inputs: Array, times: Array) -> Array:
-    return _integrate(*unravel(inputs), times=times, load=load)
+def _trajectory(unravel: Unravel, load: Load, inputs: tuple[Array, ...], times: Array) -> Array:
+    return _whole(unravel, load, inputs, times)
 
 
-@_trajectory.defjvp
 def _trajectory_jvp(
-    unravel: Any, load: Load, primals: tuple[Array, ...], tangents: tuple[Array, ...]
+    unravel: Unravel, load: Load, primals: tuple[Any, ...], tangents: tuple[Any, ...]
 ) -> tuple[Array, Array]:
     inputs, times = primals
     d_inputs, d_times = tangents
+    moving = [not isinstance(tangent, SymbolicZero) for tangent in d_inputs]
 
-    def run(inputs: Array) -> tuple[Array, Array]:
-        out = _integrate(*unravel(inputs), times=times, load=load)
+    def run(asked: list[Array]) -> tuple[Array, Array]:
+        given = iter(asked)
+        full = tuple(
+            next(given) if ask else vector for ask, vector in zip(moving, inputs, strict=True)
+        )
+        out = _whole(unravel, load, full, times)
         return out, out
 
-    jacobian, out = jax.jacfwd(run, has_aux=True)(inputs)
-    velocity = jnp.concatenate([out[:, 3:], jnp.zeros_like(out[:, 3:])], 1)
-    return out, jacobian @ d_inputs + velocity * d_times[:, None]
+    asked = [vector for ask, vector in zip(moving, inputs, strict=True) if ask]
+    jacobians, out = jax.jacfwd(run, has_aux=True)(asked) if asked else ([], run([])[1])
+    change = jnp.zeros_like(out)
+    for jacobian, tangent in zip(
+        jacobians, [t for ask, t in zip(moving, d_inputs, strict=True) if ask], strict=True
+    ):
+        change = change + jacobian @ tangent
+    if not isinstance(d_times, SymbolicZero):
+        velocity = jnp.concatenate([out[:, 3:], jnp.zeros_like(out[:, 3:])], 1)
+        change = change + velocity * d_times[:, None]
+    return out, change
+
+
+_trajectory.defjvp(_trajectory_jvp, symbolic_zeros=True)
 
 
 @partial(jax.jit, static_argnames="load")
 def _simulate(law: Law, stone: Stone, start: Start, times: Array, t0: Array, *, load: Load) -> Path:
-    inputs, unravel = ravel_pytree((law, stone, start.v, start.omega))
-    u, w, turned, du, dw, omega = _trajectory(unravel, load, inputs, times - t0).T
+    vectors, unravel = zip(
+        *(ravel_pytree(tree) for tree in (law, stone, (start.v, start.omega))), strict=True
+    )
+    u, w, turned, du, dw, omega = _trajectory(unravel, load, vectors, times - t0).T
     # Ice is the same everywhere and in every direction: place, heading and angle only move and
     # turn the path (u to the right of the first heading, w along it).
     s, c = jnp.sin(start.heading), jnp.cos(start.heading)

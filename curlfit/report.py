@@ -20,17 +20,23 @@ _STYLE = {
     "at bound": "yellow",
     "fixed": "dim",
 }
+_WIDE = 92  # columns from which the posterior fits beside the estimates
 _UNITS = {"x": "m", "y": "m", "phi": "rad"}
 
 
 def print_fit(fit: FitResult, console: Console | None = None) -> None:
     """Print the report of a fit."""
-    (console or Console()).print(report(fit))
+    console = console or Console()
+    console.print(report(fit, console.width))
 
 
-def report(fit: FitResult) -> RenderableType:
-    """The report of a fit, for a rich console."""
-    parts: list[RenderableType] = [_heading(fit), _coefficients(fit), _quality(fit)]
+def report(fit: FitResult, width: int = 110) -> RenderableType:
+    """The report of a fit, for a rich console of that width."""
+    wide = width >= _WIDE
+    parts: list[RenderableType] = [_heading(fit), _coefficients(fit, with_posterior=wide)]
+    if fit.posterior is not None and not wide:
+        parts.append(_quantiles(fit.posterior))
+    parts.append(_quality(fit))
     parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
     if fit.posterior is not None:
         parts.append(Padding(_posterior(fit.posterior), (0, 0, 1, 0)))
@@ -56,41 +62,57 @@ def _heading(fit: FitResult) -> RenderableType:
     return lines
 
 
-def _coefficients(fit: FitResult) -> RenderableType:
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_edge=False)
+def _table() -> Table:
+    return Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_edge=False)
+
+
+def _quantiles(posterior: Posterior) -> RenderableType:
+    table = _table()
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("68 % of posterior", no_wrap=True)
+    for name in posterior.quantiles:
+        table.add_row(name, _interval(posterior, name))
+    return Padding(table, (0, 0, 1, 0))
+
+
+def _interval(posterior: Posterior, name: str) -> str:
+    found = posterior.quantiles.get(name)
+    if found is None:
+        return ""
+    digits = _digits((found["84"] - found["16"]) / 3)
+    return f"{found['16']:.{digits}f} .. {found['84']:.{digits}f}"
+
+
+def _coefficients(fit: FitResult, *, with_posterior: bool) -> RenderableType:
+    table = _table()
     table.add_column("parameter", no_wrap=True)
     table.add_column("estimate", justify="right", no_wrap=True)
     table.add_column("std. error", justify="right", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
-    posterior, reference = fit.posterior, fit.reference
+    posterior, reference = fit.posterior if with_posterior else None, fit.reference
     if posterior is not None:
         table.add_column("68 % of posterior", no_wrap=True)
     if reference is not None:
         table.add_column(reference.source, justify="right", no_wrap=True)
 
-    def row(
-        name: str, value: str, stderr: str, unit: str, verdict: str, bold: bool = False
-    ) -> None:
-        cells: list[str | Text] = [name, value, stderr, unit, Text(verdict, style=_STYLE[verdict])]
+    def row(name: str, unit: str, value: str, stderr: str, verdict: str) -> None:
+        label = f"{name} ({unit})" if unit not in ("", "1") else name
+        cells: list[str | Text] = [label, value, stderr, Text(verdict, style=_STYLE[verdict])]
         if posterior is not None:
-            found = posterior.quantiles.get(name)
-            digits = _digits((found["84"] - found["16"]) / 3) if found else 0
-            cells.append(f"{found['16']:.{digits}f} .. {found['84']:.{digits}f}" if found else "")
+            cells.append(_interval(posterior, name))
         if reference is not None:
             known = reference.values.get(name)
             cells.append("" if known is None else f"{known:g}")
-        table.add_row(*cells, style="bold" if bold else "")
+        table.add_row(*cells)
 
     names = list(fit.parameters)
     first_start = names[len(fit.coefficients)]
     for name, item in fit.parameters.items():
         if name == first_start:
             for one in fit.combinations:
-                value, stderr = number(one.value, one.stderr)
-                row(one.expression, value, stderr, "", "determined", bold=True)
+                row(one.expression, "", *number(one.value, one.stderr), "determined")
             table.add_section()
-        row(name, *_estimate(item), item.unit if item.unit != "1" else "", item.verdict)
+        row(name, item.unit, *_estimate(item), item.verdict)
     return Padding(table, (1, 0))
 
 
@@ -118,7 +140,7 @@ def _digits(size: float) -> int:
 
 
 def _quality(fit: FitResult) -> RenderableType:
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_edge=False)
+    table = _table()
     for head in ("channel", "rms", "unit", "noise assumed", "", "lag-1 correlation"):
         table.add_column(head, justify="right" if head == "rms" else "left", no_wrap=True)
     for name, rms in fit.rms.items():

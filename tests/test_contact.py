@@ -1,0 +1,138 @@
+"""The ring: closed forms, a dense independent quadrature, the checked values of the paper."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+from conftest import G, Reference
+from scipy.special import ellipe, ellipk
+
+from curlfit import LAWS, LocalLaw, Stone, coefficient
+from curlfit.contact import accelerations
+
+STONE = Stone(R=0.065, rho=0.1, h=0.057)
+MU = (0.004, 0.05, 0.012, 0.006)
+FRONT_BACK = LAWS["front-back"](*MU)
+
+net = jax.jit(accelerations, static_argnames="load")
+
+
+def over_weight(law, load, v, omega, stone=STONE):
+    a = net(law, stone, load, v, omega)
+    return np.array([a.xi, a.eta, a.angular * stone.rho**2 / stone.R]) / G
+
+
+@pytest.mark.parametrize("epsilon", [0.0, 0.01, 0.3, 0.9, 0.999, 1.0, 1.001, 1.5, 30.0])
+def test_transverse_force_of_front_back_is_exact(epsilon):
+    # int_0^pi sin a / sqrt(1 + 2 eps cos a + eps^2) da = 2 min(1, 1/eps)
+    force = over_weight(FRONT_BACK, "uniform", 2.0, 2.0 * epsilon / STONE.R)
+    exact = min(epsilon, 1.0) * (MU[0] - MU[1]) / np.pi
+    assert force[0] == pytest.approx(
+        exact, abs=1e-15, rel=5e-6 if abs(epsilon - 1) < 0.01 else 1e-9
+    )
+
+
+@pytest.mark.parametrize("epsilon", [0.05, 0.5, 0.95, 1.2, 8.0])
+def test_coulomb_force_is_the_complete_elliptic_integral(epsilon):
+    # (1/2 pi) oint (1 + eps cos a)/|..| da by K and E of m = 4 eps/(1 + eps)^2
+    m = 4 * epsilon / (1 + epsilon) ** 2
+    exact = ((1 - epsilon) * ellipk(m) + (1 + epsilon) * ellipe(m)) / np.pi
+    force = over_weight(LAWS["coulomb"](0.01), "uniform", 1.0, epsilon / STONE.R)
+    assert -force[1] / 0.01 == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("load", ["uniform", "consistent"])
+@pytest.mark.parametrize(
+    ("omega", "tolerance"),
+    [(0.3, 1e-12), (-1.0, 1e-12), (7.0, 1e-12), (-29.0, 1e-8), (31.5, 1e-7), (200.0, 1e-12)],
+)
+def test_front_back_agrees_with_a_dense_ring(load, omega, tolerance):
+    h = STONE.h if load == "consistent" else None
+    dense = Reference(MU, R=STONE.R, h=h).force(2.0, STONE.R * omega)
+    np.testing.assert_allclose(
+        over_weight(FRONT_BACK, load, 2.0, omega), dense, rtol=tolerance, atol=1e-15
+    )
+
+
+def test_first_order_law_is_the_limit_of_the_ring():
+    first_order = LAWS["front-back-first-order"](*MU)
+    gaps = []
+    for epsilon in (0.1, 0.05, 0.025):
+        omega = 2.0 * epsilon / STONE.R
+        ring = over_weight(FRONT_BACK, "uniform", 2.0, omega)
+        gaps.append(np.abs(ring / over_weight(first_order, "uniform", 2.0, omega) - 1).max())
+    assert gaps[0] < 3e-3
+    assert gaps[0] / gaps[1] == pytest.approx(4, rel=0.05)  # second order in epsilon
+    assert gaps[1] / gaps[2] == pytest.approx(4, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("omega", "right", "forward"),
+    [(1, 2.9e-6, -1.0e-2), (10, 2.7e-5, -9.7e-3), (40, 3.4e-5, -4.2e-3), (200, 6.8e-6, -7.7e-4)],
+)
+def test_coulomb_with_consistent_load_as_checked(omega, right, forward):
+    force = over_weight(LAWS["coulomb"](0.01), "consistent", 2.0, omega)
+    assert force[0] == pytest.approx(right, rel=0.03)
+    assert force[1] == pytest.approx(forward, rel=0.03)
+
+
+class _Pressure(LocalLaw):
+    """mu falls with the load (Johnston 1981)."""
+
+    name = "test-pressure"
+    load_matters = True
+    mu0: float = coefficient(0.01, "at uniform load")
+    k: float = coefficient(0.5, "exponent", upper=3.0, typical=1.0)
+
+    def traction(self, point):
+        mu = self.mu0 * point.load**-self.k
+        return -mu * point.e_xi, -mu * point.e_eta
+
+
+@pytest.mark.parametrize(("k", "right"), [(0.5, 1.4e-6), (1.5, -1.4e-6)])
+def test_consistent_load_where_friction_depends_on_load(k, right):
+    force = over_weight(_Pressure(0.01, k), "consistent", 2.0, 1.0)
+    assert force[0] == pytest.approx(right, rel=0.05)
+
+
+def test_a_load_that_would_have_to_be_negative_is_refused():
+    force = over_weight(LAWS["coulomb"](0.9), "consistent", 2.0, 0.0)
+    assert np.isnan(force).all()
+
+
+def test_split_is_invisible_under_uniform_load_and_seen_under_consistent():
+    swapped = LAWS["front-back"](MU[0], MU[1], MU[3], MU[2])
+    for omega in (0.5, 20.0, -60.0):
+        a = over_weight(FRONT_BACK, "uniform", 2.0, omega)
+        b = over_weight(swapped, "uniform", 2.0, omega)
+        np.testing.assert_allclose(a, b, rtol=1e-14)
+    a = over_weight(FRONT_BACK, "consistent", 2.0, 1.0)
+    b = over_weight(swapped, "consistent", 2.0, 1.0)
+    assert abs(a[1] / b[1] - 1) == pytest.approx(0.007, abs=0.002)
+
+
+@pytest.mark.parametrize("load", ["uniform", "consistent"])
+@pytest.mark.parametrize("name", sorted(LAWS))
+def test_mirror(name, load):
+    law = LAWS[name]()
+    one, other = over_weight(law, load, 1.3, 4.0), over_weight(law, load, 1.3, -4.0)
+    np.testing.assert_allclose(one * [-1, 1, -1], other, rtol=1e-12, atol=1e-17)
+
+
+@pytest.mark.parametrize(("v", "omega"), [(0.0, 0.0), (0.0, 3.0), (1.0, 0.0)])
+@pytest.mark.parametrize("load", ["uniform", "consistent"])
+def test_rest_pure_spin_and_no_spin_are_finite_with_their_derivatives(v, omega, load):
+    def f(x):
+        return np.array(1.0) * 0 + sum(accelerations(FRONT_BACK, STONE, load, x[0], x[1]))
+
+    assert np.isfinite(f(np.array([v, omega])))
+    assert np.isfinite(jax.jacfwd(f)(np.array([v, omega]))).all()
+    assert np.isfinite(jax.grad(f)(np.array([v, omega]))).all()
+
+
+def test_a_law_must_declare_its_coefficients():
+    with pytest.raises(TypeError, match="declare it as mu: float = coefficient"):
+
+        class _Careless(LocalLaw):
+            mu: float = 0.01

@@ -1,0 +1,86 @@
+"""Directions that the data see, on matrices whose answer is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from curlfit.identifiability import analyse, expression
+
+
+def _analysed(jacobian, names, typical=None):
+    p = len(names)
+    typical = np.ones(p) if typical is None else np.asarray(typical)
+    return analyse(np.asarray(jacobian, float), names, np.arange(1.0, p + 1), typical)
+
+
+def test_full_rank_gives_the_usual_covariance():
+    random = np.random.default_rng(0)
+    jacobian = random.standard_normal((30, 3)) * [1, 10, 100]
+    found = _analysed(jacobian, ["a", "b", "c"])
+    assert found.rank == 3
+    assert not found.unseen.any()
+    assert not found.combinations
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(jacobian.T @ jacobian), rtol=1e-9)
+
+
+def test_a_sum_is_found_with_its_error():
+    random = np.random.default_rng(1)
+    column = random.standard_normal((40, 2)) * 30
+    jacobian = np.stack([column[:, 0], column[:, 1], column[:, 1]], 1)
+    found = _analysed(jacobian, ["a", "b", "c"], [1.0, 0.01, 0.01])
+    assert found.rank == 2
+    assert found.null_directions == ({"b": 1.0, "c": -1.0},)
+    (one,) = found.combinations
+    assert one.expression == "b + c"
+    assert one.value == 5.0
+    exact = np.linalg.inv(column.T @ column)
+    assert one.stderr == pytest.approx(np.sqrt(exact[1, 1]), rel=1e-9)
+    np.testing.assert_array_equal(found.unseen, [False, True, True])
+    assert found.covariance[0, 0] == pytest.approx(exact[0, 0], rel=1e-9)
+
+
+def test_weights_follow_the_parameters_not_their_scaling():
+    column = np.random.default_rng(2).standard_normal(20) * 1e4
+    jacobian = np.stack([column, 3 * column], 1)  # only a + 3 b is seen
+    for typical in ([1, 1], [1, 0.01], [0.003, 5]):
+        found = _analysed(jacobian, ["a", "b"], typical)
+        (one,) = found.combinations
+        assert one.weights["b"] / one.weights["a"] == pytest.approx(3, rel=1e-9)
+        (null,) = found.null_directions
+        assert null["a"] / null["b"] == pytest.approx(-3, rel=1e-9)
+
+
+def test_two_null_directions_leave_two_sums():
+    base = np.random.default_rng(3).standard_normal((50, 2)) * 100
+    jacobian = np.stack([base[:, 0], base[:, 1], base[:, 0], base[:, 1]], 1)
+    found = _analysed(jacobian, ["a", "b", "c", "d"])
+    assert found.rank == 2
+    assert {item.expression for item in found.combinations} == {"a + c", "b + d"}
+
+
+def test_a_parameter_that_does_nothing():
+    jacobian = np.stack([np.ones(10) * 50, np.zeros(10)], 1)
+    found = _analysed(jacobian, ["a", "idle"])
+    np.testing.assert_array_equal(found.unseen, [False, True])
+    assert found.null_directions == ({"idle": 1.0},)
+    assert not found.combinations
+
+
+def test_fewer_observations_than_parameters():
+    found = _analysed([[100.0, 100.0, 0.0]], ["a", "b", "c"])
+    assert found.rank == 1
+    assert {item.expression for item in found.combinations} == {"a + b"}
+
+
+@pytest.mark.parametrize(
+    ("weights", "text"),
+    [
+        ({"a": 1.0, "b": 1.0}, "a + b"),
+        ({"a": 1.0, "b": -2.0}, "a - 2 b"),
+        ({"a": -1.0, "b": 0.5}, "- a + 1/2 b"),
+        ({"a": 1.0, "b": 0.3217}, "a + 0.3217 b"),
+    ],
+)
+def test_expressions(weights, text):
+    assert expression(weights) == text

@@ -1,0 +1,240 @@
+"""The path: closed forms, scipy, diffrax, symmetry, order of convergence, derivatives."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import Reference
+
+import curlfit
+from curlfit import LAWS, Start, Stone, motion, simulate
+from curlfit.contact import accelerations
+from curlfit.paper import first_order_motion
+
+STONE = Stone(R=0.054, rho=0.1)
+PAPER = (0.0004, 0.0555, 0.009, 0.0083)
+FRONT_BACK = LAWS["front-back"](*PAPER)
+
+
+def places(path):
+    return np.stack([path.x, path.y, path.phi])
+
+
+@pytest.mark.parametrize(
+    ("mu", "h", "v", "omega", "heading", "until"),
+    [
+        (PAPER, None, 2.06, 1.005, 0.0, 20.0),  # eq. 12
+        (PAPER, None, 2.06, 1.005, 0.0, 30.0),  # on to rest, through |epsilon| = 1
+        (PAPER, None, 1.0, 60.0, 0.3, 70.0),  # epsilon = 3 from the start
+        ((0.004, 0.035, 0.009, 0.008), None, 2.2, -5.0, -0.2, 40.0),
+        ((0.01,) * 4, None, 2.0, -3.0, 0.0, 30.0),
+        ((0.01,) * 4, None, 0.05, 30.0, 0.0, 40.0),
+        (PAPER, 0.057, 2.06, -1.5, 0.1, 30.0),  # consistent load
+    ],
+)
+def test_path_agrees_with_order_8_integration_on_a_dense_ring(mu, h, v, omega, heading, until):
+    start = Start(x=1.0, y=-2.0, heading=heading, v=v, phi=0.5, omega=omega)
+    times = np.linspace(0, until, 101)
+    load = "uniform" if h is None else "consistent"
+    stone = Stone(R=0.054, rho=0.1, h=h or 0.057)
+    path = simulate(LAWS["front-back"](*mu), stone, start, times, load=load)
+    error = np.abs(places(path) - Reference(mu, h=h).path(start, times))
+    assert error.max() < 1e-7  # m, m, rad
+
+
+def test_error_falls_with_the_fifth_power_of_the_step(monkeypatch):
+    times = np.linspace(0, 20, 21)
+    start = Start(v=2.06, omega=1.005)
+    exact = Reference(PAPER).path(start, times)
+    errors = []
+    for step in (0.5, 0.25):
+        monkeypatch.setattr(motion, "STEP", step)
+        jax.clear_caches()
+        errors.append(np.abs(places(simulate(FRONT_BACK, STONE, start, times)) - exact).max())
+    monkeypatch.undo()
+    jax.clear_caches()
+    assert 4.0 < np.log2(errors[0] / errors[1]) < 7.0
+
+
+def test_coulomb_without_spin_stops_where_it_must():
+    mu, v = 0.012, 1.7
+    stop = v / (mu * 9.81)
+    path = simulate(
+        LAWS["coulomb"](mu), STONE, Start(v=v, omega=0.0), [0.0, stop / 2, stop, 3 * stop]
+    )
+    way = v**2 / (2 * mu * 9.81)
+    np.testing.assert_allclose(path.y, [0, 0.75 * way, way, way], atol=1e-9)
+    np.testing.assert_allclose(path.vy, [v, v / 2, 0, 0], atol=1e-7)
+    np.testing.assert_allclose(path.x, 0, atol=1e-15)
+
+
+def test_first_order_law_agrees_with_its_closed_form():
+    law = LAWS["front-back-first-order"](*PAPER)
+    times = np.linspace(0, 21, 43)
+    path = simulate(law, STONE, Start(v=2.06, omega=1.005), times)
+    exact = first_order_motion(law, STONE, 2.06, 1.005, times)
+    np.testing.assert_allclose(path.x, exact.x, atol=1e-7)
+    np.testing.assert_allclose(path.y, exact.y, atol=1e-7)
+    np.testing.assert_allclose(path.phi, exact.phi, atol=1e-7)
+    np.testing.assert_allclose(path.speed, exact.v, atol=1e-7)
+    np.testing.assert_allclose(path.omega, exact.omega, atol=1e-7)
+
+
+def test_closed_form_has_no_meaning_after_the_stop():
+    with pytest.raises(ValueError, match="the stone stops at"):
+        first_order_motion(LAWS["front-back-first-order"](*PAPER), STONE, 2.0, 1.0, [100.0])
+
+
+def test_path_agrees_with_diffrax():
+    def rates(t, state, _):
+        v, beta, phi, omega = state[2:]
+        a = accelerations(FRONT_BACK, STONE, "consistent", v, omega, phi)
+        return jnp.stack([v * jnp.sin(beta), v * jnp.cos(beta), a.eta, a.xi / v, omega, a.angular])
+
+    times = jnp.linspace(0.0, 20.0, 41)
+    found = diffrax.diffeqsolve(
+        diffrax.ODETerm(rates), diffrax.Dopri8(), 0.0, 20.0, 0.1,
+        jnp.array([0.0, 0.0, 2.2, 0.1, 0.0, -1.4]),
+        saveat=diffrax.SaveAt(ts=times),
+        stepsize_controller=diffrax.PIDController(rtol=1e-11, atol=1e-11),
+    )  # fmt: skip
+    path = simulate(
+        FRONT_BACK, STONE, Start(v=2.2, heading=0.1, omega=-1.4), times, load="consistent"
+    )
+    np.testing.assert_allclose(places(path), found.ys[:, jnp.array([0, 1, 4])].T, atol=1e-7)
+
+
+def test_mirror_turn_and_shift():
+    times = np.linspace(0, 30, 31)
+    one = simulate(FRONT_BACK, STONE, Start(v=2.0, heading=0.2, omega=2.0), times)
+    mirrored = simulate(FRONT_BACK, STONE, Start(v=2.0, heading=-0.2, omega=-2.0), times)
+    np.testing.assert_allclose(mirrored.x, -one.x, atol=1e-12)
+    np.testing.assert_allclose(mirrored.y, one.y, atol=1e-12)
+    np.testing.assert_allclose(mirrored.phi, -one.phi, atol=1e-12)
+    moved = simulate(
+        FRONT_BACK, STONE, Start(x=3, y=-7, heading=0.2 + 0.5, v=2.0, phi=40, omega=2.0),
+        times + 100,
+    )  # fmt: skip
+    s, c = np.sin(0.5), np.cos(0.5)  # heading turns from +y toward +x
+    np.testing.assert_allclose(moved.x, 3 + c * one.x + s * one.y, atol=1e-12)
+    np.testing.assert_allclose(moved.y, -7 - s * one.x + c * one.y, atol=1e-12)
+    np.testing.assert_allclose(moved.phi, 40 + one.phi, atol=1e-12)
+
+
+def test_rest_is_held_and_order_of_times_does_not_matter():
+    times = np.array([50.0, 0.0, 24.0, 26.0, 3.0, 100.0])
+    path = simulate(FRONT_BACK, STONE, Start(v=2.06, omega=1.0), times, t0=0.0)
+    assert path.x[0] == path.x[5] == path.x[3]
+    assert path.speed[0] == 0
+    assert path.omega[0] == 0
+    ordered = simulate(FRONT_BACK, STONE, Start(v=2.06, omega=1.0), np.sort(times))
+    np.testing.assert_array_equal(np.sort(path.y), ordered.y)
+
+
+def test_pure_spin_stays_in_place_and_stops():
+    path = simulate(FRONT_BACK, STONE, Start(v=0.0, omega=5.0), [0.0, 1.0, 60.0])
+    np.testing.assert_allclose([path.x, path.y], 0, atol=1e-15)
+    # M = -m g R mean(mu_xi sin^2 + mu_eta cos^2) on a ring that slides along itself
+    slowing = 9.81 * 0.054 / 0.1**2 * (sum(PAPER) / 4)
+    assert path.phi[1] == pytest.approx(5 - slowing / 2, abs=1e-9)
+    assert path.phi[2] == pytest.approx(25 / (2 * slowing), abs=1e-9)
+
+
+def test_a_stone_at_rest_stays():
+    path = simulate(FRONT_BACK, STONE, Start(v=0.0, omega=0.0, x=1.0), [0.0, 5.0])
+    np.testing.assert_array_equal(path.x, 1.0)
+
+
+def test_without_friction_motion_is_uniform():
+    path = simulate(LAWS["coulomb"](0.0), STONE, Start(v=2.0, omega=1.0), [0.0, 10.0])
+    assert path.y[1] == pytest.approx(20, abs=1e-12)
+    assert path.phi[1] == pytest.approx(10, abs=1e-12)
+
+
+@partial(jax.jit, static_argnames="load")
+def _places(p, times, load):
+    start = Start(*(p[4 + k] for k in range(6)))
+    stone = Stone(20.0, p[10], p[11], p[12])
+    path = simulate(LAWS["front-back"].from_vector(p), stone, start, times, load=load, t0=0.0)
+    return jnp.stack([path.x, path.y, path.phi])
+
+
+_forward = jax.jit(jax.jacfwd(_places), static_argnames="load")
+_reverse = jax.jit(
+    jax.jacrev(lambda p, t, load: _places(p, t, load)[:, -1]), static_argnames="load"
+)
+
+
+@pytest.mark.parametrize(
+    ("load", "v", "omega", "until"),
+    [
+        ("uniform", 2.06, 1.005, 20.0),
+        ("uniform", 2.06, 1.005, 40.0),  # to rest
+        ("consistent", 2.06, -1.5, 40.0),
+        ("uniform", 0.05, 30.0, 40.0),
+    ],
+)
+def test_derivatives_agree_with_finite_differences(load, v, omega, until):
+    times = jnp.linspace(0, until, 21)
+
+    def f(p):
+        return _places(p, times, load)
+
+    p = np.array([*PAPER, 0.1, 0.2, 0.1, v, 0.2, omega, 0.054, 0.1, 0.057])
+    forward = np.asarray(_forward(p, times, load))
+    reverse = np.asarray(_reverse(p, times, load))
+    np.testing.assert_allclose(reverse, forward[:, -1], rtol=1e-12, atol=1e-12)
+    step = 1e-4 * np.maximum(np.abs(p), 1e-2)
+    for k in range(len(p)):
+        e = np.zeros_like(p)
+        e[k] = step[k]
+        near, far = f(p + e) - f(p - e), f(p + 2 * e) - f(p - 2 * e)
+        difference = np.asarray(8 * near - far) / (12 * step[k])
+        size = np.abs(forward[..., k]).max()
+        np.testing.assert_allclose(
+            forward[..., k], difference, rtol=0, atol=1e-6 * size + 1e-10, err_msg=str(k)
+        )
+
+
+@pytest.mark.parametrize(("v", "omega"), [(2.0, 0.0), (0.0, 3.0), (0.0, 0.0)])
+def test_derivatives_stay_finite_at_the_edges(v, omega):
+    p = np.array([*PAPER, 0.1, 0.2, 0.1, v, 0.2, omega, 0.054, 0.1, 0.057])
+    assert np.isfinite(_forward(p, jnp.linspace(0, 40, 21), "uniform")).all()
+
+
+def test_second_derivatives_are_symmetric():
+    def last_x(mu):
+        path = simulate(LAWS["front-back"].from_vector(mu), STONE, Start(v=2.0), [0.0, 20.0])
+        return path.x[-1]
+
+    hessian = jax.jit(jax.jacfwd(jax.grad(last_x)))(np.array(PAPER))
+    np.testing.assert_allclose(hessian, hessian.T, rtol=1e-6, atol=1e-4 * np.abs(hessian).max())
+
+
+def test_derivative_with_respect_to_time_is_the_velocity():
+    def y(t):
+        return simulate(FRONT_BACK, STONE, Start(v=2.0), t, t0=0.0).y[0]
+
+    path = simulate(FRONT_BACK, STONE, Start(v=2.0), [5.0], t0=0.0)
+    assert jax.grad(y)(jnp.array([5.0]))[0] == pytest.approx(float(path.vy[0]), rel=1e-12)
+
+
+def test_many_stones_at_once_are_each_as_alone():
+    times = jnp.linspace(0, 30, 16)
+    speeds = jnp.array([0.0, 0.3, 1.0, 2.5])
+
+    def y(v):
+        return simulate(FRONT_BACK, STONE, Start(v=v, omega=1.0), times).y
+
+    together = jax.vmap(y)(speeds)
+    np.testing.assert_allclose(together, np.stack([y(v) for v in speeds]), atol=1e-12)
+
+
+def test_unknown_load_is_refused():
+    with pytest.raises(curlfit.InputError, match="expected uniform or consistent"):
+        simulate(FRONT_BACK, STONE, Start(), [0.0, 1.0], load="heavy")
