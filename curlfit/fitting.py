@@ -435,6 +435,9 @@ def _result(
         null_directions=known.null_directions,
         covariance={"names": list(known.names), "matrix": known.covariance.tolist()},
         information={
+            "gradient": (
+                -np.einsum("cn,cni->i", solution.residual, solution.jacobian)[free]
+            ).tolist(),
             "names": [name for name, take in zip(parameters.names, free, strict=True) if take],
             "matrix": np.einsum("cni,cnj->ij", *[solution.jacobian[:, :, free]] * 2).tolist(),
         },

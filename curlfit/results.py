@@ -101,7 +101,8 @@ class FitResult:
     rank, singular_values, null_directions : see `curlfit.identifiability`.
     covariance : {"names": [...], "matrix": [[...]]} of the free parameters away from their bounds,
         along the directions that the data see.
-    information : the Gauss-Newton information matrix J^T J of all free parameters, the same form.
+    information : the Gauss-Newton information matrix J^T J of all free parameters, the same form,
+        with the "gradient" of the log-likelihood, which vanishes but for parameters at a bound.
     reference : published or true values of the same law, if the data file has them.
     observed : t, x, y, phi as measured, and given sigmas.
     fitted : x, y, phi, speed, omega of the fit at the same times.

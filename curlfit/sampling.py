@@ -32,6 +32,7 @@ from curlfit.results import FitResult, Posterior
 from curlfit.version import __version__
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 ENSEMBLES = 4
 R_HAT = 1.01
@@ -44,18 +45,18 @@ _QUANTILES = ("2.5", "16", "50", "84", "97.5")
 
 
 class RidgeMove(Move):
-    """Independent proposals: Student along seen directions, even along unseen ones.
+    """Independent proposals: Student along seen directions, even along unseen ones, exponential
+    off the bounds that parameters are pushed against.
 
-    Coordinates are `d = seen z`, `z = (values - centre)/typical`, and for each unseen direction
-    one of the parameters that take part in it (a pivot), drawn evenly from an interval.
+    Coordinates are linear in `z = (values - centre)/typical`: seen combinations of it, for each
+    unseen direction one parameter that takes part in it (a pivot), and each pushed parameter.
 
     Parameters
     ----------
     centre, typical : of the parameters, shape (p,).
-    seen : rows that span the seen directions, shape (r, p).
-    spread : standard deviations along them, shape (r,).
-    pivots : indices of the pivot parameters, length p - r.
-    low, high : their intervals, in units of `z`.
+    seen : rows of seen combinations, shape (r, p). spread : their standard deviations.
+    pivots : indices of the pivots. low, high : their intervals, in `z`.
+    pushed : indices of the pushed parameters. scale : mean distance from the bound in `z`, signed.
     """
 
     def __init__(
@@ -64,23 +65,28 @@ class RidgeMove(Move):
         typical: Floats,
         seen: Floats,
         spread: Floats,
-        pivots: NDArray[np.int64],
+        pivots: Indices,
         low: Floats,
         high: Floats,
+        pushed: Indices | None = None,
+        scale: Floats | None = None,
     ) -> None:
         self.centre, self.typical = centre, typical
         self.seen, self.spread = seen, spread
         self.pivots, self.low, self.high = pivots, low, high
-        unit = np.eye(len(centre))[pivots]
-        self._inverse = np.linalg.inv(np.concatenate([seen, unit]))
+        self.pushed = np.array([], int) if pushed is None else pushed
+        self.scale = np.array([]) if scale is None else scale
+        unit = np.eye(len(centre))
+        self._inverse = np.linalg.inv(np.concatenate([seen, unit[self.pivots], unit[self.pushed]]))
 
     def draw(self, n: int, random: Any) -> Floats:
         """n parameter vectors, shape (n, p)."""
         normal = random.standard_normal((n, len(self.seen)))
-        scale = np.sqrt(_DEGREES / random.chisquare(_DEGREES, (n, 1)))
-        along = self.spread * normal * scale
+        stretch = np.sqrt(_DEGREES / random.chisquare(_DEGREES, (n, 1)))
+        along = self.spread * normal * stretch
         across = self.low + (self.high - self.low) * random.uniform(size=(n, len(self.pivots)))
-        z = np.concatenate([along, across], 1) @ self._inverse.T
+        off = self.scale * random.standard_exponential((n, len(self.pushed)))
+        z = np.concatenate([along, across, off], 1) @ self._inverse.T
         return cast(Floats, self.centre + self.typical * z)
 
     def log_density(self, values: Floats) -> Floats:
@@ -89,9 +95,9 @@ class RidgeMove(Move):
         along = z @ self.seen.T / self.spread
         rank = len(self.seen)
         value = -(_DEGREES + rank) / 2 * np.log1p((along**2).sum(1) / _DEGREES)
-        across = z[:, self.pivots]
-        within = ((across >= self.low) & (across <= self.high)).all(1)
-        return np.where(within, value, -np.inf)
+        across, off = z[:, self.pivots], z[:, self.pushed] / self.scale
+        within = ((across >= self.low) & (across <= self.high)).all(1) & (off >= 0).all(1)
+        return np.where(within, value - off.sum(1), -np.inf)
 
     def propose(self, model: Any, state: State) -> tuple[State, NDArray[np.bool_]]:
         """One Metropolis-Hastings step of every walker, on its own."""
@@ -348,17 +354,38 @@ def sample(
 
 
 def _ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
-    """The proposal from the fit's own seen and unseen directions."""
+    """The proposal from what the fit knows of its surroundings."""
     parameters = fit.parameter_set
     free = parameters.free
     typical = parameters.typical[free]
     centre = (fit.values - offset)[free]
     lower = ((parameters.lower - offset)[free] - centre) / typical
     upper = ((parameters.upper - offset)[free] - centre) / typical
-    seen, singular, null = directions(np.array(fit.information["matrix"]), typical)
-    spread = 1 / singular
+    information = typical[:, None] * np.array(fit.information["matrix"]) * typical
+    gradient = np.array(fit.information["gradient"]) * typical
+    verdicts = [fit.parameters[name].verdict for name in fit.information["names"]]
+    at_bound = np.array([verdict == "at bound" for verdict in verdicts])
+    pushed, open_ = np.flatnonzero(at_bound), np.flatnonzero(~at_bound)
 
-    # Pivots: parameters bounded on both sides, as independent of each other as can be.
+    block = information[np.ix_(open_, open_)]
+    seen, singular, null = directions(block, np.ones(len(open_)))
+    spread = 1 / singular
+    rows = np.zeros((len(seen), len(centre)))
+    rows[:, open_] = seen
+    # As a pushed parameter leaves its bound, the others follow along their regression on it.
+    rows[:, pushed] = (seen @ information[np.ix_(open_, pushed)]) / singular[:, None] ** 2
+    wide = np.zeros((len(null), len(centre)))
+    wide[:, open_] = null
+    reach = np.zeros(len(centre))
+    reach[open_] = _MARGIN * np.sqrt(((seen.T * spread) ** 2).sum(1))
+    pivots, low, high = _pivots(wide, lower, upper, reach)
+    return RidgeMove(centre, typical, rows, spread, pivots, low, high, pushed, 1 / gradient[pushed])
+
+
+def _pivots(
+    null: Floats, lower: Floats, upper: Floats, reach: Floats
+) -> tuple[Indices, Floats, Floats]:
+    """A bounded parameter for each unseen direction, and how far the ridge lets it go."""
     pivots: list[int] = []
     rest = null.copy()
     bounded = np.isfinite(lower) & np.isfinite(upper)
@@ -372,22 +399,17 @@ def _ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
         pivots.append(pivot)
         column = rest[:, pivot] / np.linalg.norm(rest[:, pivot])
         rest = rest - np.outer(column, column @ rest)
-    low, high = np.zeros(len(pivots)), np.zeros(len(pivots))
     walls = np.concatenate([null.T, -null.T])
-    room = np.concatenate([upper, -lower])
-    reach = _MARGIN * np.sqrt(((seen.T * spread) ** 2).sum(1))
-    room += np.concatenate([reach, reach])
+    room = np.concatenate([upper + reach, reach - lower])
     finite = np.isfinite(room)
+    low, high = np.zeros(len(pivots)), np.zeros(len(pivots))
     for place, pivot in enumerate(pivots):
         for ends, sign in ((low, 1.0), (high, -1.0)):
-            found = linprog(  # how far the ridge goes before it leaves the prior
-                sign * null[:, pivot],
-                A_ub=walls[finite],
-                b_ub=room[finite],
-                bounds=(None, None),
+            found = linprog(
+                sign * null[:, pivot], A_ub=walls[finite], b_ub=room[finite], bounds=(None, None)
             )
             ends[place] = np.clip(sign * found.fun, lower[pivot], upper[pivot])
-    return RidgeMove(centre, typical, seen, spread, np.array(pivots, int), low, high)
+    return np.array(pivots, int), low, high
 
 
 def _first_walkers(
@@ -440,8 +462,9 @@ def _diagnose(values: Floats, ensembles: int) -> _Diagnosis:
     steps, walkers, dimension = values.shape
     discarded = min(max(_BLOCK // 2, steps // 10), steps // 2)
     kept = values[discarded:]
-    times = np.maximum(emcee.autocorr.integrated_time(kept, tol=0, has_walkers=True), 1.0)
-    times = np.nan_to_num(times, nan=float(len(kept)))
+    with np.errstate(invalid="ignore"):  # a walker that never moved; counted as no information
+        times = emcee.autocorr.integrated_time(kept, tol=0, has_walkers=True)
+    times = np.maximum(np.nan_to_num(times, nan=float(len(kept))), 1.0)
     effective = kept.shape[0] * walkers / times
     groups = kept.reshape(len(kept), ensembles, -1, dimension)
     # Each ensemble is cut in two, so that a drift shows as well as a disagreement.

@@ -43,7 +43,7 @@ def test_a_sum_is_found_with_its_error():
 def test_weights_follow_the_parameters_not_their_scaling():
     column = np.random.default_rng(2).standard_normal(20) * 1e4
     jacobian = np.stack([column, 3 * column], 1)  # only a + 3 b is seen
-    for typical in ([1, 1], [1, 0.01], [0.003, 5]):
+    for typical in ([1, 1], [1, 0.01], [0.3, 5]):
         found = _analysed(jacobian, ["a", "b"], typical)
         (one,) = found.combinations
         assert one.weights["b"] / one.weights["a"] == pytest.approx(3, rel=1e-9)

@@ -1,0 +1,253 @@
+"""Least squares: the paper's numbers, invariance, bounds, gaps, recovery."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import pytest
+from scipy.optimize import least_squares
+
+import curlfit
+from curlfit import DataError, InputError, Stone, Throw, fit, law_with, synthetic_throw
+from curlfit.fitting import BoxLevenbergMarquardt
+from curlfit.results import load_fit
+
+NAMES = ("mu1_xi", "mu2_xi")
+
+
+def coefficients(result):
+    sums = {item.expression: item.value for item in result.combinations}
+    return np.array([*(result.parameters[n].value for n in NAMES), sums["mu1_eta + mu2_eta"]])
+
+
+def test_eq_28_as_checked(eq12_fit):
+    found = coefficients(eq12_fit)
+    np.testing.assert_array_less(np.abs(found - [0.0004, 0.0555, 0.0173]), [0.0002, 0.0006, 0.0004])
+    assert eq12_fit.converged
+    assert eq12_fit.rms["x"] < 0.0015
+    assert eq12_fit.rms["y"] < 0.025
+    assert eq12_fit.rms["phi"] < 0.005
+    assert any("residuals are smooth" in warning for warning in eq12_fit.warnings)
+
+
+def test_even_weights_and_a_start_at_the_origin_give_the_checked_digits(eq12):
+    even = eq12.with_sigma({"x": 0.01, "y": 0.01, "phi": 0.01})
+    found = coefficients(fit(even, fix={"x0": 0.0, "y0": 0.0, "phi0": 0.0}))
+    np.testing.assert_allclose(found, [0.000415, 0.055542, 0.017314], atol=6e-7)
+
+
+def test_radius_of_gyration_of_the_cylinder_gives_eq_28(eq12):
+    found = coefficients(fit(eq12, stone=Stone(R=0.054, rho=0.1025)))
+    np.testing.assert_array_less(np.abs(found[:2] - [0.0018, 0.0570]), [0.0003, 0.0006])
+
+
+def test_the_larger_ring_needs_a_negative_coefficient(eq12):
+    bounded = fit(eq12, stone=Stone(R=0.065, rho=0.1))
+    assert bounded.parameters["mu1_xi"].verdict == "at bound"
+    assert bounded.parameters["mu1_xi"].stderr is None
+    assert bounded.parameters["mu1_xi"].value == 0.0
+    assert any("mu1_xi sits at its bound" in warning for warning in bounded.warnings)
+    free = fit(eq12, stone=Stone(R=0.065, rho=0.1), unbounded=True)
+    assert free.parameters["mu1_xi"].value == pytest.approx(-0.0036, abs=4e-4)
+
+
+def test_the_split_is_not_identifiable(eq12_fit):
+    for name in ("mu1_eta", "mu2_eta"):
+        assert eq12_fit.parameters[name].verdict == "not identifiable"
+        assert eq12_fit.parameters[name].stderr is None
+    (direction,) = eq12_fit.null_directions
+    assert direction == pytest.approx({"mu1_eta": 1.0, "mu2_eta": -1.0})
+    (one,) = eq12_fit.combinations
+    assert one.expression == "mu1_eta + mu2_eta"
+    assert 0 < one.stderr < 1e-4
+    assert eq12_fit.rank == 9
+    assert eq12_fit.singular_values[-1] < 1e-9 * eq12_fit.singular_values[0]
+
+
+def test_a_start_ten_times_off_leads_to_the_same_place(eq12, eq12_fit):
+    for factor in (10.0, 0.1):
+        start = {name: factor * eq12_fit.parameters[name].value for name in eq12_fit.coefficients}
+        start["v0"] = factor * eq12_fit.parameters["v0"].value
+        again = fit(eq12, start=start)
+        np.testing.assert_allclose(coefficients(again), coefficients(eq12_fit), atol=1e-6)
+
+
+def test_mirrored_and_shifted_throws_give_the_same_coefficients(eq12, eq12_fit):
+    mirrored = fit(replace(eq12, x=-eq12.x, phi=-eq12.phi))
+    np.testing.assert_allclose(coefficients(mirrored), coefficients(eq12_fit), atol=1e-9)
+    assert mirrored.parameters["omega0"].value == -eq12_fit.parameters["omega0"].value
+    moved = replace(eq12, t=eq12.t + 100, x=eq12.x + 3, y=eq12.y - 7, phi=eq12.phi + 40)
+    shifted = fit(moved, until=120.0)
+    np.testing.assert_allclose(coefficients(shifted), coefficients(eq12_fit), atol=1e-6)
+    for name, by in (("x0", 3), ("y0", -7), ("phi0", 40)):
+        gap = shifted.parameters[name].value - eq12_fit.parameters[name].value
+        assert gap == pytest.approx(by, abs=1e-5)
+
+
+def test_a_turned_throw_gives_the_same_coefficients(eq12):
+    sigma = {"x": 0.02, "y": 0.02, "phi": 0.003}
+    s, c = np.sin(0.3), np.cos(0.3)
+    turned = replace(eq12, x=c * eq12.x + s * eq12.y, y=c * eq12.y - s * eq12.x)
+    one, other = fit(eq12.with_sigma(sigma)), fit(turned.with_sigma(sigma))
+    np.testing.assert_allclose(coefficients(one), coefficients(other), atol=1e-6)
+    gap = other.parameters["heading"].value - one.parameters["heading"].value
+    assert gap == pytest.approx(0.3, abs=1e-6)
+
+
+@pytest.mark.parametrize("omega", [1.2, -2.0])
+def test_synthetic_throws_are_recovered(omega):
+    stone = Stone(R=0.054, rho=0.1)
+    law = law_with("front-back", {"mu1_xi": 0.01, "mu2_xi": 0.05, "mu1_eta": 0.012})
+    throw = synthetic_throw(
+        law, stone, v0=2.1, omega0=omega, heading=0.02, until=30, noise_xy=0.005,
+        noise_phi=0.01, seed=4,
+    )  # fmt: skip
+    result = fit(throw)
+    assert result.converged
+    assert not result.warnings
+    for name in (*NAMES, "v0", "omega0", "heading"):
+        true = {"v0": 2.1, "omega0": omega, "heading": 0.02}.get(name)
+        true = getattr(law, name) if true is None else true
+        item = result.parameters[name]
+        assert abs(item.value - true) < 4 * item.stderr, name
+    (one,) = result.combinations
+    assert abs(one.value - 0.021) < 4 * one.stderr
+    assert result.sigma["x"] == pytest.approx(0.005, rel=0.2)
+    assert result.sigma["phi"] == pytest.approx(0.01, rel=0.2)
+
+
+def test_scatter_over_many_throws_is_what_the_errors_say():
+    # 24 throws, 9 parameters or combinations: sum of squared z is chi-squared
+    stone = Stone(R=0.054, rho=0.1)
+    law = law_with("front-back", {})
+    z = []
+    for seed in range(24):
+        result = fit(
+            synthetic_throw(
+                law, stone, v0=2.0, omega0=1.0, until=20, noise_xy=0.005, noise_phi=0.01,
+                seed=seed,
+            )
+        )  # fmt: skip
+        (one,) = result.combinations
+        z.append((one.value - 0.018) / one.stderr)
+        for name, true in (("mu1_xi", 0.005), ("mu2_xi", 0.05), ("v0", 2.0), ("omega0", 1.0)):
+            item = result.parameters[name]
+            z.append((item.value - true) / item.stderr)
+    spread = np.sqrt(np.mean(np.square(z)))
+    assert 0.8 < spread < 1.2  # 120 values, correlated within a throw
+
+
+def test_gaps_and_missing_angle():
+    stone = Stone(R=0.054, rho=0.1)
+    law = law_with("front-back", {})
+    throw = synthetic_throw(law, stone, noise_xy=0.003, noise_phi=0.01, seed=1)
+    x, phi = throw.x.copy(), throw.phi.copy()
+    x[40:90] = np.nan
+    phi[::3] = np.nan
+    gappy = fit(replace(throw, x=x, phi=phi))
+    assert gappy.converged
+    for name in NAMES:
+        item = gappy.parameters[name]
+        assert abs(item.value - getattr(law, name)) < 4 * item.stderr
+    blind = fit(replace(throw, phi=np.full_like(throw.t, np.nan)))
+    assert blind.parameters["phi0"].verdict == "fixed"
+    (one,) = [i for i in blind.combinations if i.expression == "mu1_eta + mu2_eta"]
+    assert abs(one.value - 0.018) < 4 * one.stderr
+    assert "phi" not in blind.rms
+
+
+def test_noise_free_throws_come_back_to_the_precision_of_the_path():
+    law = law_with("front-back", {"mu1_xi": 0.02})
+    throw = synthetic_throw(law, Stone(R=0.054, rho=0.1), until=30.0)
+    result = fit(throw)
+    np.testing.assert_allclose(coefficients(result), [0.02, 0.05, 0.018], atol=1e-8)
+
+
+def test_fixed_parameters_bounds_and_given_sigmas(eq12):
+    result = fit(
+        eq12.with_sigma({"x": 0.001, "y": 0.02, "phi": 0.002}),
+        fix={"mu1_eta": 0.008},
+        bounds={"mu2_xi": (0.0, 0.05)},
+    )
+    assert result.parameters["mu1_eta"].verdict == "fixed"
+    assert result.parameters["mu1_eta"].value == 0.008
+    assert result.parameters["mu2_eta"].verdict == "determined"
+    assert result.parameters["mu2_xi"].verdict == "at bound"
+    assert result.parameters["mu2_xi"].value == 0.05
+    assert not result.sigma
+    assert set(result.data["sigma"].values()) == {"given"}
+
+
+def test_consistent_load_confounds_the_split(eq12):
+    result = fit(eq12, load="consistent")
+    assert result.converged
+    assert result.load == "consistent"
+    assert result.singular_values[-1] > 1e-9 * result.singular_values[0]
+
+
+def test_what_cannot_be_fitted_is_refused(eq12):
+    with pytest.raises(DataError, match="4 rows for 10 parameters"):
+        fit(eq12.until(0.3))
+    still = Throw.from_arrays(np.arange(30.0), np.ones(30), np.ones(30))
+    with pytest.raises(DataError, match="never moves"):
+        fit(still)
+    random = np.random.default_rng(0)
+    shaky = Throw.from_arrays(np.arange(99.0), *random.normal(0, 0.01, (2, 99)))
+    with pytest.raises(DataError, match="never moves"):
+        fit(shaky)
+    with pytest.raises(InputError, match="no parameter 'mu'"):
+        fit(eq12, fix={"mu": 1})
+    with pytest.raises(InputError, match="unknown law"):
+        fit(eq12, "ice")
+    with pytest.raises(InputError, match="is empty"):
+        fit(eq12, bounds={"mu1_xi": (1, 0)})
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_bounded_solver_agrees_with_scipy(seed):
+    random = np.random.default_rng(seed)
+    matrix = random.standard_normal((30, 4)) * [1, 100, 1, 0.01]
+    right = matrix @ (random.standard_normal(4) * [1, 0.01, 1, 100])
+    lower, upper = np.array([0, -0.005, -0.3, 0]), np.array([np.inf, 0.005, 0.3, np.inf])
+
+    def residual(z, xp=np):
+        linear = matrix @ z - right
+        return xp.concatenate([linear, 0.1 * (z[:1] ** 3 - z[2:3])])
+
+    solver = BoxLevenbergMarquardt(jnp.array(lower), jnp.array(upper), 1e-10, 1e-10)
+    start = np.clip(np.zeros(4), lower, upper)
+    found = optx.least_squares(
+        lambda z, _: residual(z, jnp), solver, jnp.array(start), max_steps=500, throw=False
+    )
+    scipys = least_squares(
+        residual, np.clip(start, lower + 1e-6, upper - 1e-6), bounds=(lower, upper),
+        xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale=[1, 0.01, 1, 100], max_nfev=5000,
+    )  # fmt: skip
+    ours = float((residual(np.asarray(found.value)) ** 2).sum() / 2)
+    assert ours <= scipys.cost * (1 + 1e-8) + 1e-12
+    assert (found.value >= lower).all()
+    assert (found.value <= upper).all()
+
+
+def test_results_can_be_saved_and_read_again(eq12_fit, tmp_path):
+    eq12_fit.save(tmp_path / "fit.json")
+    again = load_fit(tmp_path)
+    assert again.to_json() == eq12_fit.to_json()
+    (tmp_path / "other.json").write_text('{"schema": 99}')
+    with pytest.raises(DataError, match="schema 99 found"):
+        load_fit(tmp_path / "other.json")
+    (tmp_path / "other.json").write_text("not json")
+    with pytest.raises(DataError, match="not JSON"):
+        load_fit(tmp_path / "other.json")
+    with pytest.raises(DataError, match="no such file"):
+        load_fit(tmp_path / "nothing.json")
+
+
+def test_public_names_are_there():
+    for name in curlfit.__all__:
+        assert getattr(curlfit, name) is not None
+    assert jax.config.jax_enable_x64

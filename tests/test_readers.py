@@ -1,0 +1,156 @@
+"""Tables as people write them, and the sentence for each that cannot be read."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from conftest import DATA
+
+from curlfit import DataError, Throw, load_throw
+from curlfit.readers.columns import understand
+
+PLAIN = "t,x,y,phi\n0,0.1,0,0\n1,0.2,2,1\n2,0.4,3,1.5\n"
+
+
+@pytest.fixture
+def write(tmp_path):
+    def to_file(content: str | bytes):
+        file = tmp_path / "throw.csv"
+        file.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return file
+
+    return to_file
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        PLAIN,
+        b"\xef\xbb\xbf" + PLAIN.encode(),
+        PLAIN.replace("\n", "\r\n"),
+        PLAIN.replace("\n", "\r"),
+        PLAIN.encode("utf-16"),
+        PLAIN.replace(",", ";"),
+        PLAIN.replace(",", "\t"),
+        PLAIN.replace(",", "  "),
+        PLAIN.replace(",", ";").replace(".", ","),
+        PLAIN.replace("\n", "\n\n").replace("0,0.1", "# a comment\n0,0.1"),
+        PLAIN.replace("\n", ",\n"),
+        'y,"phi",t,x,camera\n0,0,0,0.1,a\n2,1,1,0.2,b\n3,1.5,2,0.4,c\n',
+        "time_ms,x_cm,y [mm],angle (rad)\n0,10,0,0\n1000,20,2000,1\n2000,40,3000,1.5\n",
+    ],
+    ids=[
+        "plain", "byte-order mark", "windows", "old mac", "utf-16", "semicolons", "tabs", "spaces",
+        "decimal commas", "blank lines", "trailing comma", "other order", "units",
+    ],
+)  # fmt: skip
+def test_the_same_throw_in_many_forms(write, content):
+    throw = load_throw(write(content))
+    np.testing.assert_allclose(throw.t, [0, 1, 2])
+    np.testing.assert_allclose(throw.x, [0.1, 0.2, 0.4])
+    np.testing.assert_allclose(throw.y, [0, 2, 3])
+    np.testing.assert_allclose(throw.phi, [0, 1, 1.5])
+
+
+@pytest.mark.parametrize(
+    ("header", "quantity", "factor"),
+    [
+        ("t", "t", 1), ("time", "t", 1), ("t_s", "t", 1), ("Time [ms]", "t", 1e-3),
+        ("x_m", "x", 1), ("y_ft", "y", 0.3048), ("pos_x (in)", "x", 0.0254),
+        ("theta_rad", "phi", 1), ("angle_deg", "phi", math.pi / 180),
+        ("phi_rev", "phi", 2 * math.pi), ("sigma_x", "sigma_x", 1), ("sigma_phi_deg", "sigma_phi", math.pi / 180),
+        ("y_err_cm", "sigma_y", 0.01),
+    ],
+)  # fmt: skip
+def test_column_names(header, quantity, factor):
+    column = understand(header)
+    assert column.quantity == quantity
+    assert column.factor == pytest.approx(factor)
+
+
+@pytest.mark.parametrize("header", ["vx", "x_velocity", "frame", "x_deg", "phi_m", "sigma", ""])
+def test_columns_that_mean_nothing_here(header):
+    assert understand(header) is None
+
+
+def test_gaps_and_missing_angle(write):
+    throw = load_throw(write("t,x,y\n0,0.1,\n1,NaN,2\n2,0.4,3\n"))
+    assert np.isnan(throw.phi).all()
+    assert np.isnan(throw.x[1])
+    assert np.isnan(throw.y[0])
+    assert throw.n_observations == 4
+
+
+def test_settings_and_other_comments(write):
+    throw = load_throw(
+        write('# seen from the gallery\n# until = 1.5\n# stone.R = 0.06\n# ice = "new"\n' + PLAIN)
+    )
+    assert throw.defaults == {"until": 1.5, "stone": {"R": 0.06}}
+    assert any("'ice' is not known" in note for note in throw.notes)
+
+
+def test_ignored_columns_are_named(write):
+    throw = load_throw(write(PLAIN.replace("phi", "heat")))
+    assert any("heat" in note for note in throw.notes)
+
+
+@pytest.mark.parametrize(
+    ("content", "line", "column", "words"),
+    [
+        ("", None, None, "empty"),
+        ("# until = 3\n", None, None, "comments only"),
+        ("t,x,y,phi\n", 1, None, "no rows"),
+        ("0,0,0,0\n1,1,1,1\n", 1, None, "expected a header"),
+        (PLAIN.replace("x", "z"), 1, None, "no column for x among t, z, y, phi"),
+        (PLAIN.replace("phi", "x_cm"), 1, None, "both mean x"),
+        (PLAIN.replace("0.2", "hello"), 3, "x", "'hello' found, expected a finite number"),
+        (PLAIN.replace("0.2", "1_000"), 3, "x", "'1_000' found"),
+        (PLAIN.replace("0.2", "inf"), 3, "x", "'inf' found"),
+        (PLAIN.replace("0.2", "1e999"), 3, "x", "'1e999' found"),
+        (PLAIN.replace("\n1,", "\n,"), 3, "t", "the time is missing"),
+        (PLAIN.replace("\n2,", "\n0.5,"), 4, "t", "follows 1 s"),
+        (PLAIN.replace("\n2,", "\n1,"), 4, "t", "is repeated"),
+        ("t,x,y,phi\n0,nan,0,0\n1,nan,2,1\n", None, "x", "no value of x"),
+        (PLAIN.replace("0.2,2,1", "0.2,2"), 3, None, "3 cells where the header has 4"),
+        (PLAIN.replace(".", ","), 2, None, "separate the columns by semicolons"),
+        ("# stone.R = -1\n" + PLAIN, 1, None, "stone.R = -1"),
+        ("# stone.R = wide\n" + PLAIN, 1, None, "cannot read the setting"),
+        ("# stone.Q = 1\n" + PLAIN, 1, None, "no property 'Q'"),
+        ('# law = "ice"\n' + PLAIN, 1, None, "unknown law 'ice'"),
+        (b"\x00\x01\x02\x00", None, None, "not a text file"),
+        ("t,x,y,phi,sigma_x\n0,1,0,0,0.1\n1,2,2,1,0\n", 3, "sigma_x", "positive standard"),
+    ],
+)
+def test_each_fault_has_its_place_and_its_sentence(write, content, line, column, words):
+    file = write(content)
+    with pytest.raises(DataError) as caught:
+        load_throw(file)
+    error = caught.value
+    assert str(error).startswith(str(file))
+    assert words in str(error)
+    assert error.line == line
+    assert error.column == column
+    assert error.exit_status == 2
+
+
+def test_files_that_are_none(tmp_path):
+    with pytest.raises(DataError, match="no such file"):
+        load_throw(tmp_path / "nothing.csv")
+    with pytest.raises(DataError, match="this is a folder"):
+        load_throw(tmp_path)
+
+
+def test_arrays():
+    throw = Throw.from_arrays([0, 1, 2], [0, 0, 0], [0, 2, 3], sigma={"x": 0.01})
+    np.testing.assert_array_equal(throw.sigma["x"], 0.01)
+    with pytest.raises(DataError, match="row 2: time 1 s is repeated"):
+        Throw.from_arrays([0, 1, 1], [0, 0, 0], [0, 2, 3])
+
+
+def test_until_cuts_and_refuses():
+    throw = load_throw(DATA)
+    assert len(throw.until(20)) == 201
+    with pytest.raises(ValueError, match="before the first row"):
+        throw.until(-1)

@@ -1,0 +1,154 @@
+"""The posterior: the ridge of eq. 12, moves on targets whose law is known, the diagnostics."""
+
+from __future__ import annotations
+
+import emcee
+import numpy as np
+import pytest
+from scipy import stats
+
+import curlfit
+from curlfit import Stone, fit, law_with, load_chain, sample, synthetic_throw
+from curlfit.results import load_fit
+from curlfit.sampling import EnsembleMove, RidgeMove, r_hat
+
+
+def test_the_ridge_is_explored_to_its_ends_evenly(eq12_posterior):
+    result, chain = eq12_posterior
+    found = result.posterior
+    assert found.converged
+    assert found.correlation["mu1_eta"]["mu2_eta"] < -0.99
+    total = found.mean["mu1_eta + mu2_eta"]
+    for name in ("mu1_eta", "mu2_eta"):
+        assert found.sd[name] == pytest.approx(total / np.sqrt(12), rel=0.03)
+        values = chain.of({name: 1.0})
+        assert values.min() < 0.01 * total
+        assert values.max() > 0.99 * total
+        thin = values[:: max(1, len(values) // 1000)] / total
+        assert stats.kstest(thin, "uniform").pvalue > 1e-3
+    assert max(found.r_hat.values()) < 1.01
+    assert min(found.ess.values()) > 2000
+
+
+def test_determined_parameters_agree_with_least_squares(eq12_posterior):
+    result, _ = eq12_posterior
+    found = result.posterior
+    for name in ("mu1_xi", "mu2_xi", "v0", "omega0"):
+        item = result.parameters[name]
+        assert found.sd[name] == pytest.approx(item.stderr, rel=0.08)
+        assert abs(found.mean[name] - item.value) < 0.15 * item.stderr
+    (one,) = result.combinations
+    assert found.sd[one.expression] == pytest.approx(one.stderr, rel=0.08)
+
+
+def test_the_same_seed_gives_the_same_chain_also_from_a_saved_fit(eq12_posterior, tmp_path):
+    result, chain = eq12_posterior
+    result.save(tmp_path / "fit.json")
+    _, again = sample(load_fit(tmp_path), seed=1)
+    np.testing.assert_array_equal(again.values, chain.values)
+
+
+def test_chains_are_stored_for_curlfit_and_for_emcee(eq12_posterior, tmp_path):
+    _, chain = eq12_posterior
+    chain.save(tmp_path / "chain.h5")
+    again = load_chain(tmp_path / "chain.h5")
+    np.testing.assert_array_equal(again.values, chain.values)
+    assert again.names == chain.names
+    backend = emcee.backends.HDFBackend(str(tmp_path / "chain.h5"), read_only=True)
+    np.testing.assert_array_equal(backend.get_chain(), chain.values)
+    np.testing.assert_array_equal(backend.get_log_prob(), chain.log_posterior)
+    (tmp_path / "other.h5").write_text("no")
+    with pytest.raises(curlfit.DataError, match=r"not a chain\.h5"):
+        load_chain(tmp_path / "other.h5")
+
+
+def test_a_parameter_at_its_bound_has_half_a_posterior(eq12):
+    result = fit(eq12, stone=Stone(R=0.065, rho=0.1))
+    result, chain = sample(result, effective=2000)
+    values = chain.of({"mu1_xi": 1.0})
+    assert result.posterior.converged
+    assert values.min() >= 0
+    # A linear slope of the log-posterior at a bound makes an exponential.
+    assert values.std() == pytest.approx(values.mean(), rel=0.1)
+    assert np.quantile(values, 0.5) == pytest.approx(values.mean() * np.log(2), rel=0.1)
+    assert "68 % of posterior" in _report(result)
+
+
+def _report(result):
+    from rich.console import Console
+
+    console = Console(width=110, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    with console.file:
+        curlfit.print_fit(result, console)
+        return console.export_text()
+
+
+def test_a_run_that_is_too_short_says_so():
+    throw = synthetic_throw(
+        law_with("front-back", {}), Stone(R=0.054, rho=0.1), noise_xy=0.005, noise_phi=0.01
+    )
+    result, _ = sample(fit(throw), most_steps=20)
+    assert not result.posterior.converged
+    assert result.posterior.status.startswith("not converged after 20 steps")
+
+
+def _run(move, log_prob, coords, steps, seed=0):
+    sampler = emcee.EnsembleSampler(
+        len(coords), coords.shape[1], log_prob, moves=move, vectorize=True
+    )
+    sampler.random_state = np.random.RandomState(seed).get_state()
+    sampler.run_mcmc(coords, steps, skip_initial_state_check=True)
+    return sampler.get_chain()
+
+
+@pytest.mark.parametrize("evolution", [False, True])
+def test_ensemble_moves_leave_a_skew_target_as_it_is(evolution):
+    random = np.random.default_rng(3)
+    draws = random.standard_exponential((128, 2)) * [1, 3]
+
+    def log_prob(x):
+        inside = (x > 0).all(1)
+        return np.where(inside, -(x @ [1, 1 / 3]), -np.inf)
+
+    chain = _run(EnsembleMove(4, evolution=evolution), log_prob, draws, 4000)
+    mean, sd = chain[500:].mean((0, 1)), chain[500:].std((0, 1))
+    np.testing.assert_allclose(mean, [1, 3], rtol=0.05)
+    np.testing.assert_allclose(sd, [1, 3], rtol=0.06)
+
+
+def test_ensembles_do_not_mix():
+    coords = np.repeat(np.arange(4.0) * 100, 16)[:, None] + np.random.default_rng(0).normal(
+        size=(64, 1)
+    )
+    chain = _run(EnsembleMove(4, evolution=False), lambda x: np.zeros(len(x)), coords, 3)
+    # a stretch along a line through the own ensemble stays in its neighbourhood
+    np.testing.assert_array_equal(
+        np.round(np.median(chain[-1].reshape(4, 16), 1), -2), [0, 100, 200, 300]
+    )
+
+
+def test_ridge_move_leaves_its_target_as_it_is():
+    # d = (a + b)/sqrt 2 is Gaussian, a is even on (0, 2); the proposal is wider than both
+    seen = np.array([[1.0, 1.0]]) / np.sqrt(2)
+    move = RidgeMove(
+        np.array([1.0, 1.0]), np.ones(2), seen, np.array([0.3]), np.array([0]),
+        np.array([-1.4]), np.array([1.4]),
+    )  # fmt: skip
+
+    def log_prob(x):
+        z = (x.sum(1) - 2) / np.sqrt(2) / 0.25
+        return np.where((x[:, 0] > 0) & (x[:, 0] < 2), -(z**2) / 2, -np.inf)
+
+    first = np.column_stack([np.linspace(0.1, 1.9, 32), 2 - np.linspace(0.1, 1.9, 32)])
+    chain = _run(move, log_prob, first, 3000)[100:].reshape(-1, 2)
+    assert stats.kstest(chain[::40, 0] / 2, "uniform").pvalue > 1e-3
+    assert stats.kstest((chain[::40].sum(1) - 2) / np.sqrt(2) / 0.25, "norm").pvalue > 1e-3
+
+
+def test_r_hat_by_hand():
+    random = np.random.default_rng(0)
+    same = random.normal(size=(50, 4, 8, 1))
+    assert r_hat(same)[0] == pytest.approx(1, abs=0.01)
+    apart = same + np.array([0, 0, 0, 2.0])[None, :, None, None]
+    # between variance of means 0, 0, 0, 2 is 1; within is 1
+    assert r_hat(apart)[0] == pytest.approx(np.sqrt(2), abs=0.1)
