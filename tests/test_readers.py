@@ -60,8 +60,8 @@ def test_the_same_throw_in_many_forms(write, content):
         ("t", "t", 1), ("time", "t", 1), ("t_s", "t", 1), ("Time [ms]", "t", 1e-3),
         ("x_m", "x", 1), ("y_ft", "y", 0.3048), ("pos_x (in)", "x", 0.0254),
         ("theta_rad", "phi", 1), ("angle_deg", "phi", math.pi / 180),
-        ("phi_rev", "phi", 2 * math.pi), ("sigma_x", "sigma_x", 1), ("sigma_phi_deg", "sigma_phi", math.pi / 180),
-        ("y_err_cm", "sigma_y", 0.01),
+        ("phi_rev", "phi", 2 * math.pi), ("sigma_x", "sigma_x", 1),
+        ("sigma_phi_deg", "sigma_phi", math.pi / 180), ("y_err_cm", "sigma_y", 0.01),
     ],
 )  # fmt: skip
 def test_column_names(header, quantity, factor):
