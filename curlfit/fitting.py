@@ -1,9 +1,5 @@
 """Least squares: optimistix finds the optimum within bounds, and the answer is weighed.
 
-The step is Levenberg and Marquardt's in variables scaled by their typical sizes and damped in
-proportion to the columns of the Jacobian, which makes it independent of units. optimistix has no
-bounds; `BoxDescent` adds them by projection (Kanzow, Yamashita and Fukushima 2004).
-
 Where no sigma is given, a first fit weights the channels evenly, 1 m like 1 rad. The scatter of
 its residuals, corrected for the parameters spent, is the sigma of the second and last fit (two-step
 generalised least squares). It is not repeated until both agree: where a law is not exact, that
@@ -12,7 +8,7 @@ ends with one channel fitted perfectly at the expense of the others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -20,15 +16,13 @@ from typing import Any, NamedTuple
 from curlfit import backend  # noqa: F401  (before equinox)
 
 # isort: split
-import equinox as eqx
 import jax
-import jax.numpy as jnp
-import lineax as lx
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array
 from numpy.typing import NDArray
 
+from curlfit.box import BoxLevenbergMarquardt
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, Load, check_load, find_law
 from curlfit.identifiability import Identifiability, analyse
@@ -51,82 +45,8 @@ Floats = NDArray[np.float64]
 
 _TOLERANCE = 1e-10
 _MOST_STEPS = 200
-_FIRST_DAMPING = 1e-4  # of Marquardt's damping, relative to the squared columns
 _POOR = (3.0, 0.02)  # rms over a polynomial's, and over the range: both, and more starts are tried
 _SMOOTH = 0.5  # lag-1 correlation of residuals from which they are called smooth
-
-
-class _BoxState(eqx.Module):
-    y: Array
-    f_info: Any
-
-
-class BoxDescent(optx.AbstractDescent):
-    """Damped Newton step within bounds, for use in an optimistix Gauss-Newton solver.
-
-    A variable that sits at a bound and is pushed against it takes no part in the step; the others
-    take the damped step, cut off at their bounds.
-    """
-
-    lower: Array
-    upper: Array
-
-    def init(self, y: Array, f_info_struct: Any) -> _BoxState:
-        """Required by optimistix."""
-        blank = jax.tree.map(
-            lambda leaf: (
-                jnp.zeros(leaf.shape, leaf.dtype)
-                if isinstance(leaf, jax.ShapeDtypeStruct)
-                else leaf
-            ),
-            f_info_struct,
-        )
-        return _BoxState(y, blank)
-
-    def query(self, y: Array, f_info: Any, state: _BoxState) -> _BoxState:
-        """Required by optimistix."""
-        return _BoxState(y, f_info)
-
-    def step(self, step_size: Array, state: _BoxState) -> tuple[Array, Any]:
-        """The step at damping `_FIRST_DAMPING / step_size`."""
-        jacobian = state.f_info.jac.as_matrix()
-        residual = state.f_info.residual.reshape(-1)
-        gradient = residual @ jacobian
-        held = (state.y <= self.lower) & (gradient >= 0) | (state.y >= self.upper) & (gradient <= 0)
-        held |= self.lower >= self.upper
-        jacobian = jnp.where(held, 0.0, jacobian)
-        size = jnp.sqrt((jacobian**2).sum(0))
-        size = jnp.maximum(size, 1e-12 * size.max() + 1e-300)
-        damping = jnp.sqrt(_FIRST_DAMPING / step_size)
-        stacked = jnp.concatenate([jacobian / size, damping * jnp.eye(len(size))])
-        right = jnp.concatenate([residual, jnp.zeros_like(size)])
-        solution = lx.linear_solve(
-            lx.MatrixLinearOperator(stacked), right, lx.QR(), throw=False
-        ).value
-        move = jnp.where(held, 0.0, -solution / size)
-        return jnp.clip(state.y + move, self.lower, self.upper) - state.y, optx.RESULTS.successful
-
-
-class BoxLevenbergMarquardt(optx.AbstractGaussNewton):
-    """Levenberg and Marquardt's method within bounds."""
-
-    rtol: float
-    atol: float
-    norm: Callable[..., Any]
-    descent: BoxDescent
-    search: optx.ClassicalTrustRegion
-    verbose: Callable[..., None]
-
-    def __init__(self, lower: Array, upper: Array, rtol: float, atol: float) -> None:
-        self.rtol, self.atol = rtol, atol
-        self.norm = optx.max_norm
-        self.descent = BoxDescent(lower, upper)
-        self.search = optx.ClassicalTrustRegion()
-        self.verbose = _silent
-
-
-def _silent(**_: Any) -> None:
-    return None
 
 
 class _Solution(NamedTuple):

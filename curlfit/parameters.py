@@ -4,34 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.errors import DataError, InputError
-from curlfit.friction import Law
+from curlfit.friction import Law, Parameter
 from curlfit.throw import Throw
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number that a fit may determine.
-
-    `typical` is its usual size: the scale of the fit's variables, and the precision beyond which
-    it counts as unknown. `lower` and `upper` bound the fit and its flat prior.
-    """
-
-    name: str
-    unit: str
-    lower: float
-    upper: float
-    typical: float
-    symbol: str
-    meaning: str
 
 
 START = (
@@ -76,18 +59,9 @@ class ParameterSet:
             nothing left to fit.
         """
         fix, bounds = dict(fix or {}), dict(bounds or {})
-        coefficients = tuple(
-            Parameter(
-                name=item.name,
-                unit=item.unit,
-                lower=-item.upper if unbounded else item.lower,
-                upper=item.upper,
-                typical=item.typical,
-                symbol=item.symbol,
-                meaning=item.meaning,
-            )
-            for item in law.coefficients()
-        )
+        coefficients: tuple[Parameter, ...] = law.coefficients()
+        if unbounded:
+            coefficients = tuple(replace(item, lower=-item.upper) for item in coefficients)
         parameters = []
         known = {item.name for item in (*coefficients, *START)}
         for name in (*fix, *bounds):
@@ -111,7 +85,7 @@ class ParameterSet:
                         f"{item.name} is fixed at {value:g}, outside its bounds {lower:g}:{upper:g}"
                     )
                 lower = upper = value
-            parameters.append(Parameter(**{**vars(item), "lower": lower, "upper": upper}))
+            parameters.append(replace(item, lower=lower, upper=upper))
         if len(fix) == len(parameters):
             raise InputError("every parameter is fixed; nothing is left to fit")
         return cls(tuple(parameters), fix)
@@ -180,9 +154,7 @@ class ParameterSet:
     def with_fixed(self, name: str, value: float) -> ParameterSet:
         """The same with one more parameter fixed."""
         parameters = tuple(
-            Parameter(**{**vars(item), "lower": value, "upper": value})
-            if item.name == name
-            else item
+            replace(item, lower=value, upper=value) if item.name == name else item
             for item in self.parameters
         )
         return ParameterSet(parameters, {**self.fixed, name: value})

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from curlfit.errors import DataError
 from curlfit.files import replaced
-from curlfit.friction import Law, find_law
+from curlfit.friction import Law, Parameter, find_law
 from curlfit.identifiability import Combination
-from curlfit.parameters import START, Parameter, ParameterSet
+from curlfit.parameters import START, ParameterSet
 from curlfit.stone import Stone
 from curlfit.throw import CHANNELS, Reference, Throw
 

@@ -1,11 +1,4 @@
-"""The posterior by emcee: moves that know the ridge, four ensembles, and a verdict on the sample.
-
-Along a direction that the data do not see, the posterior is as wide as the prior, and a sampler
-that walks needs ages from one end to the other. `RidgeMove` proposes anew each time: from a
-Student distribution about the optimum along the directions that the data see, and evenly across
-the prior along those that they do not. It is mixed with ordinary moves, which take over where the
-posterior has another shape.
-"""
+"""The posterior by emcee: four ensembles, sampled until converged, and a verdict on the sample."""
 
 from __future__ import annotations
 
@@ -18,7 +11,6 @@ from typing import Any, cast
 import emcee
 import h5py
 import numpy as np
-from emcee.moves import Move
 from emcee.state import State
 from numpy.typing import NDArray
 from scipy.optimize import linprog
@@ -28,143 +20,17 @@ from curlfit.files import replaced
 from curlfit.friction import check_load
 from curlfit.identifiability import directions
 from curlfit.likelihood import frame_of, log_posterior, problem_of
+from curlfit.moves import EnsembleMove, Floats, Indices, RidgeMove
 from curlfit.results import FitResult, Posterior
 from curlfit.version import __version__
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 ENSEMBLES = 4
 R_HAT = 1.01
 EFFECTIVE = 4000.0
-_DEGREES = 8.0  # of freedom of the Student proposal: tails heavier than any Gaussian posterior
 _MARGIN = 4.0  # standard errors by which the proposal reaches past the ridge's ends
 _BLOCK = 20  # steps between the first looks at convergence; later a fifth of those done
 _SHORTEST_IN_TIMES = 30.0  # steps over autocorrelation time, below which no estimate is trusted
 _QUANTILES = ("2.5", "16", "50", "84", "97.5")
-
-
-class RidgeMove(Move):
-    """Independent proposals: Student along seen directions, even along unseen ones, exponential
-    off the bounds that parameters are pushed against.
-
-    Coordinates are linear in `z = (values - centre)/typical`: seen combinations of it, for each
-    unseen direction one parameter that takes part in it (a pivot), and each pushed parameter.
-
-    Parameters
-    ----------
-    centre, typical : of the parameters, shape (p,).
-    seen : rows of seen combinations, shape (r, p). spread : their standard deviations.
-    pivots : indices of the pivots. low, high : their intervals, in `z`.
-    pushed : indices of the pushed parameters. scale : mean distance from the bound in `z`, signed.
-    """
-
-    def __init__(
-        self,
-        centre: Floats,
-        typical: Floats,
-        seen: Floats,
-        spread: Floats,
-        pivots: Indices,
-        low: Floats,
-        high: Floats,
-        pushed: Indices | None = None,
-        scale: Floats | None = None,
-    ) -> None:
-        self.centre, self.typical = centre, typical
-        self.seen, self.spread = seen, spread
-        self.pivots, self.low, self.high = pivots, low, high
-        self.pushed = np.array([], int) if pushed is None else pushed
-        self.scale = np.array([]) if scale is None else scale
-        unit = np.eye(len(centre))
-        self._inverse = np.linalg.inv(np.concatenate([seen, unit[self.pivots], unit[self.pushed]]))
-
-    def draw(self, n: int, random: Any) -> Floats:
-        """n parameter vectors, shape (n, p)."""
-        normal = random.standard_normal((n, len(self.seen)))
-        stretch = np.sqrt(_DEGREES / random.chisquare(_DEGREES, (n, 1)))
-        along = self.spread * normal * stretch
-        across = self.low + (self.high - self.low) * random.uniform(size=(n, len(self.pivots)))
-        off = self.scale * random.standard_exponential((n, len(self.pushed)))
-        z = np.concatenate([along, across, off], 1) @ self._inverse.T
-        return cast(Floats, self.centre + self.typical * z)
-
-    def log_density(self, values: Floats) -> Floats:
-        """Log-density of the proposal up to a constant, shape (n,)."""
-        z = (values - self.centre) / self.typical
-        along = z @ self.seen.T / self.spread
-        rank = len(self.seen)
-        value = -(_DEGREES + rank) / 2 * np.log1p((along**2).sum(1) / _DEGREES)
-        across, off = z[:, self.pivots], z[:, self.pushed] / self.scale
-        within = ((across >= self.low) & (across <= self.high)).all(1) & (off >= 0).all(1)
-        return np.where(within, value - off.sum(1), -np.inf)
-
-    def propose(self, model: Any, state: State) -> tuple[State, NDArray[np.bool_]]:
-        """One Metropolis-Hastings step of every walker, on its own."""
-        old = state.coords
-        new = self.draw(len(old), model.random)
-        log_prob = model.compute_log_prob_fn(new)[0]
-        back = self.log_density(old)
-        # A walker outside the proposal's reach can only be moved by the other moves.
-        with np.errstate(invalid="ignore"):
-            factor = back - self.log_density(new)
-            accepted = np.log(model.random.uniform(size=len(old))) < (
-                factor + log_prob - state.log_prob
-            )
-        accepted &= np.isfinite(back)
-        return self.update(state, State(new, log_prob=log_prob), accepted), accepted
-
-
-class EnsembleMove(Move):
-    """Moves of affine-invariant ensembles, several ensembles side by side.
-
-    Each half of an ensemble moves along lines through members of its own other half: the stretch
-    move of Goodman and Weare (2010), and the differential evolution of ter Braak (2006). All
-    ensembles are evaluated in one call and never learn of each other.
-    """
-
-    def __init__(self, ensembles: int, *, evolution: bool) -> None:
-        self.ensembles, self.evolution = ensembles, evolution
-
-    def propose(self, model: Any, state: State) -> tuple[State, NDArray[np.bool_]]:
-        """One step of each half of every ensemble."""
-        walkers, dimension = state.coords.shape
-        size = walkers // self.ensembles
-        accepted = np.zeros(walkers, bool)
-        shuffled = np.argsort(model.random.uniform(size=(self.ensembles, size)), axis=1)
-        halves = np.array_split(shuffled + size * np.arange(self.ensembles)[:, None], 2, axis=1)
-        for moving, others in (halves, halves[::-1]):
-            n = moving.shape[1]
-            old = state.coords[moving]
-            if self.evolution:
-                new, factor = self._evolve(state.coords, old, others, n, dimension, model.random)
-            else:
-                picks = model.random.randint(others.shape[1], size=(self.ensembles, n))
-                other = state.coords[np.take_along_axis(others, picks, 1)]
-                stretch = (model.random.uniform(size=(self.ensembles, n)) + 1.0) ** 2 / 2.0
-                new = other + stretch[..., None] * (old - other)
-                factor = (dimension - 1) * np.log(stretch)
-            flat = moving.ravel()
-            coords = new.reshape(-1, dimension)
-            log_prob = model.compute_log_prob_fn(coords)[0]
-            gain = factor.ravel() + log_prob - state.log_prob[flat]
-            take = np.log(model.random.uniform(size=len(flat))) < gain
-            state.coords[flat[take]] = coords[take]
-            state.log_prob[flat[take]] = log_prob[take]
-            accepted[flat] = take
-        return state, accepted
-
-    def _evolve(
-        self, coords: Floats, old: Floats, others: Any, n: int, dimension: int, random: Any
-    ) -> tuple[Floats, Floats]:
-        first = random.randint(others.shape[1], size=(self.ensembles, n))
-        step = random.randint(1, others.shape[1], size=(self.ensembles, n))
-        second = (first + step) % others.shape[1]
-        gap = coords[np.take_along_axis(others, first, 1)]
-        gap = gap - coords[np.take_along_axis(others, second, 1)]
-        jitter = np.exp(0.1 * random.standard_normal((self.ensembles, n)))
-        gamma = 2.38 / np.sqrt(2 * dimension) * jitter
-        return old + gamma[..., None] * gap, np.zeros((self.ensembles, n))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 import curlfit
 from curlfit import DataError, InputError, Stone, Throw, fit, law_with, synthetic_throw
-from curlfit.fitting import BoxLevenbergMarquardt
+from curlfit.box import BoxLevenbergMarquardt
 from curlfit.results import load_fit
 
 NAMES = ("mu1_xi", "mu2_xi")

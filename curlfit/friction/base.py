@@ -26,17 +26,27 @@ def check_load(load: str) -> Load:
 
 
 @dataclasses.dataclass(frozen=True)
-class Coefficient:
-    """One coefficient of a law: its name, and what a reader and a fit need to know of it."""
+class Parameter:
+    """One number that a fit may determine.
+
+    `typical` is its usual size: the scale of the fit's variables, and the precision beyond which
+    it counts as unknown. `lower` and `upper` bound the fit and its flat prior.
+    """
 
     name: str
-    default: float
     unit: str
     lower: float
     upper: float
     typical: float
     symbol: str
     meaning: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Coefficient(Parameter):
+    """A parameter of a law, with the value it has where none is given."""
+
+    default: float
 
 
 def coefficient(
