@@ -153,9 +153,16 @@ def sample(
         values[:, free] = free_values
         return values
 
+    interrupted: list[bool] = []
+
     def log_prob(free_values: Floats) -> Floats:
         values = whole(free_values)
-        return np.asarray(log_posterior(law, load, values, lower, upper, problem))
+        try:
+            return np.asarray(log_posterior(law, load, values, lower, upper, problem))
+        except KeyboardInterrupt:
+            # emcee would print its own account of it; this step is refused and the loop ends.
+            interrupted.append(True)
+            return np.full(len(values), -np.inf)
 
     move = _ridge_move(fit, offset)
     dimension = int(free.sum())
@@ -191,6 +198,8 @@ def sample(
             ):
                 kept.append(state.coords.copy())
                 kept_log.append(state.log_prob.copy())
+                if interrupted:
+                    raise KeyboardInterrupt
             values = np.stack(kept)
             diagnosis = _diagnose(values, ENSEMBLES)
             if progress is not None:
