@@ -55,7 +55,13 @@ class RidgeMove(Move):
         self.pushed = np.array([], int) if pushed is None else pushed
         self.scale = np.array([]) if scale is None else scale
         unit = np.eye(len(centre))
+        self.tried = self.taken = 0
         self._inverse = np.linalg.inv(np.concatenate([seen, unit[self.pivots], unit[self.pushed]]))
+
+    @property
+    def acceptance(self) -> float:
+        """Share of its proposals that were accepted."""
+        return self.taken / max(self.tried, 1)
 
     def draw(self, n: int, random: Any) -> Floats:
         """n parameter vectors, shape (n, p)."""
@@ -90,6 +96,8 @@ class RidgeMove(Move):
                 factor + log_prob - state.log_prob
             )
         accepted &= np.isfinite(back)
+        self.tried += len(old)
+        self.taken += int(accepted.sum())
         return self.update(state, State(new, log_prob=log_prob), accepted), accepted
 
 

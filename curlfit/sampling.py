@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, cast
@@ -28,6 +28,9 @@ ENSEMBLES = 4
 R_HAT = 1.01
 EFFECTIVE = 4000.0
 _MARGIN = 4.0  # standard errors by which the proposal reaches past the ridge's ends
+_BOLD = (0.8, 0.1, 0.1)  # shares of the moves: ridge, stretch, differential evolution
+_WARY = (0.2, 0.4, 0.4)  # the same where ridge proposals are accepted less often than
+_TOO_FEW = 0.2
 _BLOCK = 20  # steps between the first looks at convergence; later a fifth of those done
 _SHORTEST_IN_TIMES = 30.0  # steps over autocorrelation time, below which no estimate is trusted
 _QUANTILES = ("2.5", "16", "50", "84", "97.5")
@@ -114,7 +117,7 @@ def sample(
     *,
     seed: int = 0,
     effective: float = EFFECTIVE,
-    most_steps: int = 5_000,
+    most_steps: int = 2_000,
     progress: Callable[[float, int, float], None] | None = None,
 ) -> tuple[FitResult, Chain]:
     """Sample the posterior about a fit, until it is converged.
@@ -170,22 +173,27 @@ def sample(
     walkers = ENSEMBLES * per_ensemble
     random = np.random.RandomState(seed)  # emcee takes no other
     coords = _first_walkers(move, log_prob, walkers, lower[free], upper[free], random)
-    sampler = emcee.EnsembleSampler(
-        walkers,
-        dimension,
-        log_prob,
-        vectorize=True,
-        moves=[
-            (move, 0.8),
-            (EnsembleMove(ENSEMBLES, evolution=False), 0.1),
-            (EnsembleMove(ENSEMBLES, evolution=True), 0.1),
-        ],
-    )
-    sampler.random_state = random.get_state()
 
+    def sampler_with(shares: tuple[float, float, float], random_state: Any) -> Any:
+        moves = (
+            move,
+            EnsembleMove(ENSEMBLES, evolution=False),
+            EnsembleMove(ENSEMBLES, evolution=True),
+        )
+        made = emcee.EnsembleSampler(
+            walkers,
+            dimension,
+            log_prob,
+            vectorize=True,
+            moves=list(zip(moves, shares, strict=True)),
+        )
+        made.random_state = random_state
+        return made
+
+    sampler = sampler_with(_BOLD, random.get_state())
+    bold = True
     kept: list[Floats] = []
     kept_log: list[Floats] = []
-    accepted = np.zeros(walkers, int)
     ended = "stopped by the user"
     try:
         state: Any = State(coords, log_prob=log_prob(coords))
@@ -200,6 +208,13 @@ def sample(
                 kept_log.append(state.log_prob.copy())
                 if interrupted:
                     raise KeyboardInterrupt
+            if bold and move.acceptance < _TOO_FEW:
+                # The posterior is not what the fit foresaw. What was sampled so far was on the way.
+                bold = False
+                sampler = sampler_with(_WARY, sampler.random_state)
+                kept.clear()
+                kept_log.clear()
+                continue
             values = np.stack(kept)
             diagnosis = _diagnose(values, ENSEMBLES)
             if progress is not None:
@@ -214,8 +229,7 @@ def sample(
         if len(kept) < 4:
             raise
     values = np.stack(kept)
-    moved = np.any(np.diff(values, axis=0) != 0, axis=2)
-    accepted = moved.sum(0)
+    accepted = np.any(np.diff(values, axis=0) != 0, axis=2).sum(0)
     full = whole(values.reshape(-1, dimension)).reshape(*values.shape[:2], -1) + offset
     diagnosis = _diagnose(values, ENSEMBLES)
     chain = Chain(
@@ -228,7 +242,13 @@ def sample(
         seed=seed,
     )
     names = [name for name, take in zip(parameters.names, free, strict=True) if take]
-    return fit.with_posterior(_summary(fit, chain, names, diagnosis, ended, effective)), chain
+    posterior = _summary(fit, chain, names, diagnosis, ended, effective)
+    if not bold:
+        wary = (
+            "; it is not of the shape that the fit foresaw, so ensemble moves did most of the work"
+        )
+        posterior = replace(posterior, status=posterior.status + wary)
+    return fit.with_posterior(posterior), chain
 
 
 def _ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
@@ -257,9 +277,11 @@ def _ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
     reach = np.zeros(len(centre))
     reach[open_] = _MARGIN * np.sqrt(((seen.T * spread) ** 2).sum(1))
     pivots, low, high = _pivots(wide, lower, upper, reach)
-    return RidgeMove(
-        centre, typical, rows, spread, pivots, low, high, pushed, -1 / gradient[pushed]
-    )
+    # Off its bound the log-posterior falls with slope and curvature; either sets the distance.
+    curvature = np.diag(information)[pushed] - ((rows[:, pushed] * singular[:, None]) ** 2).sum(0)
+    push = np.abs(gradient[pushed]) + np.sqrt(np.maximum(curvature, 0.0))
+    off = -np.sign(gradient[pushed]) / push
+    return RidgeMove(centre, typical, rows, spread, pivots, low, high, pushed, off)
 
 
 def _pivots(

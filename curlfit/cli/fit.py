@@ -85,7 +85,7 @@ def fit(
     ] = 4000,
     max_steps: Annotated[
         int, typer.Option(help="Where to stop sampling if that is not reached.", min=40)
-    ] = 5_000,
+    ] = 2_000,
     seed: Annotated[int, typer.Option(help="Of the posterior's random numbers.", min=0)] = 0,
     out: Annotated[
         Path | None,
