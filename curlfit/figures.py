@@ -40,13 +40,12 @@ def fit_figure(fit: FitResult) -> Figure:
     some = np.unique(np.linspace(0, len(t) - 1, min(len(t), _MOST_POINTS)).astype(int))
 
     path = figure.add_subplot(rows[0])
-    path.plot(fit.observed["y"][some], fit.observed["x"][some], **_DATA, label="measured")
+    path.plot(fit.observed["y"][some], fit.observed["x"][some], **_DATA, label="data")
     path.plot(fit.fitted["y"], fit.fitted["x"], color=_FIT, lw=1.3, label=f"{fit.law} law")
     path.set(xlabel="along the sheet, y (m)", ylabel="to the right, x (m)")
     path.set_title(f"{_name(fit)}: {fit.law} law, {fit.load} load", fontsize=10, loc="left")
     path.legend(frameon=False, fontsize=9)
     path.margins(x=0.02, y=0.12)
-    _stretch_note(path)
 
     for place, name in enumerate(fit.rms):
         axes = figure.add_subplot(right[place])
@@ -68,6 +67,8 @@ def fit_figure(fit: FitResult) -> Figure:
     spin.plot(t, fit.fitted["omega"], color=_COLOR["phi"])
     spin.set(xlabel="t (s)", ylabel=r"spin $\omega$ (rad/s)")
     _include_zero(spin, fit.fitted["omega"])
+    figure.draw_without_rendering()  # the layout, which the note's number depends on
+    _stretch_note(path)
     return figure
 
 
