@@ -23,7 +23,7 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from curlfit.box import BoxLevenbergMarquardt
-from curlfit.errors import InputError, UnusableFitError
+from curlfit.errors import UnusableFitError
 from curlfit.friction import Law, Load, check_load, find_law
 from curlfit.identifiability import Identifiability, analyse
 from curlfit.likelihood import (
@@ -233,11 +233,8 @@ def _user_start(
 ) -> Floats:
     offset = frame.offset(len(parameters))
     absolute = values + offset
+    parameters.require("start", start)
     for name, value in start.items():
-        if name not in parameters.names:
-            raise InputError(
-                f"start: no parameter {name!r}; there are {', '.join(parameters.names)}"
-            )
         absolute[parameters.index(name)] = value
     return np.clip(absolute, parameters.lower, parameters.upper) - offset
 
@@ -310,7 +307,7 @@ def _result(
     open_ = free & ~at_bound
     known = analyse(
         solution.jacobian[:, :n, open_].reshape(-1, int(open_.sum())),
-        [name for name, take in zip(parameters.names, open_, strict=True) if take],
+        parameters.names_where(open_),
         values[open_],
         parameters.typical[open_],
     )
@@ -334,11 +331,7 @@ def _result(
             "from": float(throw.t[0]),
             "to": float(throw.t[-1]),
             "until": until,
-            "sigma": {
-                name: ("estimated" if name in sigma else "given")
-                for row, name in enumerate(CHANNELS)
-                if count[row]
-            },
+            "sigma": {name: "estimated" if name in sigma else "given" for name in rms_by},
             "notes": list(throw.notes),
         },
         converged=converged,
@@ -358,7 +351,7 @@ def _result(
             "gradient": (
                 -np.einsum("cn,cni->i", solution.residual, solution.jacobian)[free]
             ).tolist(),
-            "names": [name for name, take in zip(parameters.names, free, strict=True) if take],
+            "names": parameters.names_where(free),
             "matrix": np.einsum("cni,cnj->ij", *[solution.jacobian[:, :, free]] * 2).tolist(),
         },
         reference=throw.reference if throw.reference and throw.reference.law == law.name else None,
@@ -439,11 +432,10 @@ def _judge(
             f"not converged: the next step would still gain {left:.2g} standard errors ({steps})"
         )
     warnings = []
-    for name, stuck in zip(parameters.names, at_bound, strict=True):
+    for item, stuck in zip(parameters.parameters, at_bound, strict=True):
         if stuck:
-            item = parameters.parameters[parameters.index(name)]
             warnings.append(
-                f"{name} sits at its bound; the data would rather have it outside "
+                f"{item.name} sits at its bound; the data would rather have it outside "
                 f"{item.lower:g}..{item.upper:g}"
             )
     smooth_in = {
@@ -467,5 +459,5 @@ def _distance_to_optimum(solution: _Solution, free: NDArray[np.bool_]) -> float:
     size = np.linalg.norm(jacobian, axis=0)
     left, singular, _ = np.linalg.svd(jacobian / np.where(size > 0, size, 1), full_matrices=False)
     seen = singular > 1e-7 * singular[0]
-    scale = max(float(np.sqrt(residual @ residual / max(len(residual), 1))), 1e-300)
+    scale = float(np.sqrt(np.mean(residual**2)))
     return float(np.linalg.norm(left[:, seen].T @ residual)) / max(1.0, scale)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -142,6 +142,18 @@ class ParameterSet:
     def free(self) -> NDArray[np.bool_]:
         """True for the parameters to be determined."""
         return np.array([name not in self.fixed for name in self.names])
+
+    def names_where(self, mask: NDArray[np.bool_]) -> list[str]:
+        """Names of the parameters that a mask picks out."""
+        return [name for name, take in zip(self.names, mask, strict=True) if take]
+
+    def require(self, option: str, names: Iterable[str]) -> None:
+        """Raise `InputError` where one of the names is no parameter's."""
+        for name in names:
+            if name not in self.names:
+                raise InputError(
+                    f"{option}: no parameter {name!r}; there are {', '.join(self.names)}"
+                )
 
     def index(self, name: str) -> int:
         """Place of a parameter in a vector."""

@@ -215,8 +215,7 @@ def sample(
                 kept.clear()
                 kept_log.clear()
                 continue
-            values = np.stack(kept)
-            diagnosis = _diagnose(values, ENSEMBLES)
+            diagnosis = _diagnose(np.stack(kept), ENSEMBLES)
             if progress is not None:
                 progress(diagnosis.least_effective, len(kept), diagnosis.worst_r_hat)
             if diagnosis.good(effective):
@@ -228,10 +227,10 @@ def sample(
     except KeyboardInterrupt:
         if len(kept) < 4:
             raise
+        diagnosis = _diagnose(np.stack(kept), ENSEMBLES)
     values = np.stack(kept)
     accepted = np.any(np.diff(values, axis=0) != 0, axis=2).sum(0)
     full = whole(values.reshape(-1, dimension)).reshape(*values.shape[:2], -1) + offset
-    diagnosis = _diagnose(values, ENSEMBLES)
     chain = Chain(
         names=parameters.names,
         values=full,
@@ -241,8 +240,7 @@ def sample(
         ensembles=ENSEMBLES,
         seed=seed,
     )
-    names = [name for name, take in zip(parameters.names, free, strict=True) if take]
-    posterior = _summary(fit, chain, names, diagnosis, ended, effective)
+    posterior = _summary(fit, chain, parameters.names_where(free), diagnosis, ended, effective)
     if not bold:
         wary = (
             "; it is not of the shape that the fit foresaw, so ensemble moves did most of the work"
@@ -398,10 +396,9 @@ def _summary(
     effective: float,
 ) -> Posterior:
     quantities = {name: chain.of({name: 1.0}) for name in names}
-    single = dict(quantities)
+    correlation = np.atleast_2d(np.corrcoef(np.stack(list(quantities.values()))))
     quantities |= {item.expression: chain.of(item.weights) for item in fit.combinations}
     levels = [float(level) / 100 for level in _QUANTILES]
-    correlation = np.atleast_2d(np.corrcoef(np.stack(list(single.values()))))
     steps, walkers, _ = chain.values.shape
     good = diagnosis.good(effective)
     status = ended

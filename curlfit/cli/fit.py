@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from curlfit.cli import settings as s
-from curlfit.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -135,11 +134,7 @@ def fit(
     cut = throw.until(wanted.get("until"))
     cut.require_motion()
     parameters = ParameterSet.for_throw(law_class, cut, **choices)
-    for name in wanted.get("start", {}):
-        if name not in parameters.names:
-            raise InputError(
-                f"--start: no parameter {name!r}; there are {', '.join(parameters.names)}"
-            )
+    parameters.require("--start", wanted.get("start", {}))
     folder = prepared_folder(out or Path(f"{data.stem}-fit"))
 
     from rich.console import Console

@@ -7,6 +7,7 @@ so the same class serves the compiled model, numpy and a table of names and unit
 from __future__ import annotations
 
 import dataclasses
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Literal, NamedTuple, Self, dataclass_transform, get_args
 
@@ -174,7 +175,7 @@ class Law:
         return cls(**{name: values[place] for place, name in enumerate(names)})
 
 
-class LocalLaw(Law):
+class LocalLaw(Law, ABC):
     """A law of friction at a point of the contact ring (eq. 3-5).
 
     A subclass defines `traction`. Summing over the ring is not its concern.
@@ -183,17 +184,17 @@ class LocalLaw(Law):
     load_matters: ClassVar[bool] = False
     """True where the traction per unit load depends on `point.load` itself."""
 
+    @abstractmethod
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
         """Friction force per unit normal load at a ring point, as (to the right, forward)."""
-        raise NotImplementedError(f"{type(self).__name__} defines no traction(point)")
 
 
-class NetLaw(Law):
+class NetLaw(Law, ABC):
     """A law that gives the acceleration of the whole stone, with no ring behind it."""
 
+    @abstractmethod
     def accelerations(self, motion: Motion, stone: Any) -> tuple[Any, Any, Any]:
         """(to the right, forward, angular) in m/s^2, m/s^2, rad/s^2, in the moving frame."""
-        raise NotImplementedError(f"{type(self).__name__} defines no accelerations(motion, stone)")
 
 
 def find_law(name: str) -> type[Law]:
