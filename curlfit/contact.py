@@ -8,11 +8,14 @@ point and the slowest point of the ring. Near `|epsilon| = 1` the slowest point 
 the direction of friction swings round within an angle of `d = |v - |u||/(v + |u|)`; Gauss nodes
 are placed by the sinh transform of near-singular integrals (Johnston and Elliott 2005), which
 resolves that swing at any `d` with the same few nodes. The split between the front and the
-back half falls on the ends of the rule, so laws that jump there are integrated exactly.
+back half falls on the ends of the rule, so laws that jump there are integrated exactly; a law with
+further edges has the halves cut there, in the same variable, and the moving ends carry the
+derivatives with respect to the edge.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 from curlfit import backend  # noqa: F401  (configures JAX before its first use)
@@ -21,7 +24,7 @@ from curlfit import backend  # noqa: F401  (configures JAX before its first use)
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from curlfit.friction import LAWS, Law, Load, LocalLaw, Motion, NetLaw, RingPoint
 from curlfit.friction.base import on_new_law
@@ -31,7 +34,10 @@ NODES = (
     16  # on each half of the ring: 1e-12 of the force at |epsilon| 0.7, 1e-7 at 0.98, 5e-6 at worst
 )
 _NARROWEST = 2e-4  # `swing` below which the nodes crowd no further: smallest error at worst
-_NEWTON_STEPS = 6  # enough for 1e-12, load effects being a few percent
+_BALANCED = 1e-9  # imbalance, relative to the weight, at which one more Newton step is exact
+_MOST_NEWTON_STEPS = 30
+_LEAST_LOAD = 1e-6  # over the uniform load, as shown to a law
+_EVEN = (0.0, 0.0)  # tilt of the uniform load
 
 _x, _w = np.polynomial.legendre.leggauss(NODES)
 _GAUSS_NODES, _GAUSS_WEIGHTS = (_x + 1) / 2, _w / 2
@@ -67,75 +73,115 @@ def swing(v: Array, u: Array) -> Array:
     return jnp.where(moving, jnp.abs(v - au) / jnp.where(moving, v + au, 1.0), 0.0)
 
 
-class _Half(NamedTuple):
-    """One half of the ring: its points and their weights, a share of 1/2 of the whole ring."""
+class _Panel(NamedTuple):
+    """A stretch of the ring between two places where friction may jump."""
 
     points: RingPoint
     weight: Array
+    """share of the ring of each point, before the weights of the Gauss rule"""
 
 
-def halves(v: Array, u: Array, turned: Array) -> tuple[_Half, _Half]:
-    """Gauss points of the front and the back half of the ring, under uniform load.
+class _Stretch(NamedTuple):
+    """Points of one half of the ring, the same in front and behind."""
+
+    xi: Array
+    eta: Array
+    half_angle: Array
+    slide_eta: Array
+    speed: Array
+    inverse: Array
+    weight: Array
+
+
+def panels(law: LocalLaw, v: Array, u: Array, turned: Array, time: Array) -> list[_Panel]:
+    """Gauss points of the ring under uniform load, in panels within which friction is smooth.
 
     Parameters
     ----------
     v, u : speed of the centre (>= 0) and `R omega`, in m/s, scalars.
-    turned : angle turned since release, rad.
+    turned, time : angle turned (rad) and time (s) since release.
 
     Returns
     -------
-    front, back : each with arrays of shape `(NODES,)`.
+    The front and the back half, or the parts into which the law's edges cut them; each with
+    arrays of shape `(NODES,)`.
     """
     side = jnp.where(u >= 0, 1.0, -1.0)
     au = side * u
     # t = tan(b/2) runs over (0, 1); t = width sinh(s arcsinh(1/width)) crowds nodes at t = 0.
     width = jnp.maximum(swing(v, u), _NARROWEST) / 2
-    stretch = jnp.log((1 + jnp.sqrt(1 + width**2)) / width)
-    grow = jnp.exp(_GAUSS_NODES * stretch)
-    t = width * (grow - 1 / grow) / 2
-    dt = stretch * width * (grow + 1 / grow) / 2
-    q = 1 / (1 + t**2)
-    sin_b, cos_b = 2 * t * q, (1 - t**2) * q
-    weight = 2 / jnp.pi * dt * q  # d(alpha)/(2 pi), d(alpha) = 2 db, db = 2 q dt
+    reach = jnp.log((1 + jnp.sqrt(1 + width**2)) / width)
 
-    # The slowest point is on the left (alpha = pi) for counter-clockwise spin.
-    square_sin, square_cos = sin_b**2, cos_b**2
-    xi = side * (square_sin - square_cos)
-    eta = 2 * sin_b * cos_b
-    # v + omega xi (eq. 16) and the square of the sliding speed, without cancellation
-    slide_eta = (v - au) * square_cos + (v + au) * square_sin
-    square = (v - au) ** 2 * square_cos + (v + au) ** 2 * square_sin
-    sliding = square > 0
-    inverse = jnp.where(sliding, jax.lax.rsqrt(jnp.where(sliding, square, 1.0)), 0.0)
-    speed = square * inverse
+    def stretch(low: Array, high: Array) -> _Stretch:
+        """Points with s between two limits."""
+        grow = jnp.exp((low + (high - low) * _GAUSS_NODES) * reach)
+        t = width * (grow - 1 / grow) / 2
+        dt = (high - low) * reach * width * (grow + 1 / grow) / 2
+        q = 1 / (1 + t**2)
+        sin_b, cos_b = 2 * t * q, (1 - t**2) * q
+        square_sin, square_cos = sin_b**2, cos_b**2
+        # v + omega xi (eq. 16) and the square of the sliding speed, without cancellation
+        square = (v - au) ** 2 * square_cos + (v + au) ** 2 * square_sin
+        sliding = square > 0
+        inverse = jnp.where(sliding, jax.lax.rsqrt(jnp.where(sliding, square, 1.0)), 0.0)
+        return _Stretch(
+            # The slowest point is on the left (alpha = pi) for counter-clockwise spin.
+            xi=side * (square_sin - square_cos),
+            eta=2 * sin_b * cos_b,
+            half_angle=2 * jnp.arctan(t),
+            slide_eta=(v - au) * square_cos + (v + au) * square_sin,
+            speed=square * inverse,
+            inverse=inverse,
+            weight=2 / jnp.pi * dt * q,  # d(alpha)/(2 pi), d(alpha) = 2 db, db = 2 q dt
+        )
 
-    def half(front: float) -> _Half:
+    def panel(part: _Stretch, front: float) -> _Panel:
         ahead = 2 * front - 1
-        slide_xi = -u * eta * ahead  # eq. 16
+        slide_xi = -u * part.eta * ahead  # eq. 16
         points = RingPoint(
-            xi=xi,
-            eta=eta * ahead,
+            xi=part.xi,
+            eta=part.eta * ahead,
+            angle=ahead * (jnp.pi / 2 + side * (jnp.pi / 2 - 2 * part.half_angle)),
             front=front,
             slide_xi=slide_xi,
-            slide_eta=slide_eta,
-            speed=speed,
-            e_xi=slide_xi * inverse,
-            e_eta=slide_eta * inverse,
+            slide_eta=part.slide_eta,
+            speed=part.speed,
+            e_xi=slide_xi * part.inverse,
+            e_eta=part.slide_eta * part.inverse,
             load=jnp.ones(NODES),
             turned=turned,
+            time=time,
         )
-        return _Half(points, weight)
+        return _Panel(points, part.weight)
 
-    return half(1.0), half(0.0)
+    def place(edge: Any) -> Array:
+        """s of a polar angle."""
+        from_right = jnp.clip(jnp.abs(edge), 0.0, jnp.pi)
+        b = jnp.where(side > 0, jnp.pi - from_right, from_right) / 2
+        return jnp.clip(jnp.arcsinh(jnp.tan(b / 2) / width) / reach, 0.0, 1.0)
+
+    start, end = jnp.zeros(()), jnp.ones(())
+    whole = stretch(start, end)
+    found = []
+    edges = law.edges(turned)
+    for front, cuts in ((1.0, edges.front), (0.0, edges.back)):
+        if not cuts:
+            found.append(panel(whole, front))
+            continue
+        ends = [start, *jnp.sort(jnp.stack([place(edge) for edge in cuts])), end]
+        found += [panel(stretch(low, high), front) for low, high in pairwise(ends)]
+    return found
 
 
-def _force(law: LocalLaw, ring: tuple[_Half, _Half], tilt: tuple[Any, Any]) -> tuple[Any, ...]:
+def _force(law: LocalLaw, ring: list[_Panel], tilt: tuple[Any, Any]) -> tuple[Any, ...]:
     """Net force over m g (right, forward) and moment over m g R, under load 1 + p xi + q eta."""
     p, q = tilt
     t_xi = t_eta = moment = 0.0
     for points, weight in ring:
         load = 1 + p * points.xi + q * points.eta
-        along_xi, along_eta = law.traction(points._replace(load=load))
+        # A trial load may be negative; a law need not know what to do with that.
+        seen = load if tilt is _EVEN else jnp.maximum(load, _LEAST_LOAD)
+        along_xi, along_eta = law.traction(points._replace(load=seen))
         n_xi, n_eta = weight * load * along_xi, weight * load * along_eta  # eq. 2
         t_xi += n_xi
         t_eta += n_eta
@@ -143,32 +189,63 @@ def _force(law: LocalLaw, ring: tuple[_Half, _Half], tilt: tuple[Any, Any]) -> t
     return tuple(jnp.dot(density, _GAUSS_WEIGHTS) for density in (t_xi, t_eta, moment))
 
 
-def _consistent_tilt(law: LocalLaw, ring: tuple[_Half, _Half], stone: Stone) -> Array:
+def _sees_load(law: LocalLaw, points: RingPoint) -> bool:
+    """Whether the traction per unit load depends on the load."""
+    closed = jax.make_jaxpr(lambda load: law.traction(points._replace(load=load)))(points.load)
+    (load,) = closed.jaxpr.invars
+    used = [*closed.jaxpr.outvars, *(v for eqn in closed.jaxpr.eqns for v in eqn.invars)]
+    return any(variable is load for variable in used)
+
+
+def _consistent_tilt(law: LocalLaw, ring: list[_Panel], stone: Stone) -> Array:
     """The linear load `n/n0 = 1 + p xi + q eta` that balances the friction (eq. 8-9), as (p, q).
 
-    On a thin ring eq. 8 reads `(p, q) = -2 (h/R) T/(m g)`. NaN where the balance needs a
-    negative load somewhere.
+    On a thin ring eq. 8 reads `(p, q) = -2 (h/R) T/(m g)`. NaN where no load that is nowhere
+    negative balances it.
     """
 
-    def imbalance(tilt: Array) -> Array:
-        force = _force(law, ring, (tilt[0], tilt[1]))
-        return tilt + 2 * stone.h / stone.R * jnp.stack(force[:2])
+    def newton(tilt: Array, given: tuple[LocalLaw, list[_Panel], Stone]) -> tuple[Array, Array]:
+        """The next tilt, and how far this one was from balance."""
+        law, ring, stone = given
 
-    def newton(tilt: Array) -> Array:
-        (a, b), (c, d) = jax.jacfwd(imbalance)(tilt)
-        f, g = imbalance(tilt)
-        return tilt - jnp.stack([d * f - b * g, a * g - c * f]) / (a * d - b * c)
+        def imbalance(tilt: Array) -> tuple[Array, Array]:
+            force = _force(law, ring, (tilt[0], tilt[1]))
+            value = tilt + 2 * stone.h / stone.R * jnp.stack(force[:2])
+            return value, value
 
+        ((a, b), (c, d)), (f, g) = jax.jacfwd(imbalance, has_aux=True)(tilt)
+        step = jnp.stack([d * f - b * g, a * g - c * f]) / (a * d - b * c)
+        return tilt - step, jnp.maximum(jnp.abs(f), jnp.abs(g))
+
+    given = (law, ring, stone)
     tilt = jnp.zeros(2)
-    if law.load_matters:  # otherwise the balance is linear, and one step solves it
-        tilt = jax.lax.fori_loop(0, _NEWTON_STEPS, lambda _, value: newton(value), tilt)
-        tilt = jax.lax.stop_gradient(tilt)  # the last step alone carries the exact derivative
-    tilt = newton(tilt)
+    if _sees_load(law, ring[0].points):  # otherwise the balance is linear: one step solves it
+        still = jax.lax.stop_gradient(given)  # the last step alone carries the exact derivative
+
+        def again(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            tilt, _, count = carry
+            return *newton(tilt, still), count + 1
+
+        def going(carry: tuple[Array, Array, Array]) -> Array:
+            _, left, count = carry
+            return (left > _BALANCED) & (count < _MOST_NEWTON_STEPS)
+
+        tilt, left, _ = jax.lax.while_loop(
+            going, again, (tilt, jnp.asarray(jnp.inf), jnp.zeros((), int))
+        )
+        tilt = jnp.where(left <= _BALANCED, tilt, jnp.nan)
+    tilt, _ = newton(tilt, given)
     return jnp.where(tilt @ tilt <= 1, tilt, jnp.nan)
 
 
 def accelerations(
-    law: Law, stone: Stone, load: Load, v: Array, omega: Array, turned: Array | float = 0.0
+    law: Law,
+    stone: Stone,
+    load: Load,
+    v: Array,
+    omega: Array,
+    turned: ArrayLike = 0.0,
+    time: ArrayLike = 0.0,
 ) -> Accelerations:
     """Acceleration of a stone that moves at speed `v` and spins at `omega`.
 
@@ -178,15 +255,34 @@ def accelerations(
     load : "uniform", or "consistent" (eq. 8-9). A net law has no ring and ignores it.
     v : speed of the centre in m/s, >= 0, scalar. `v = omega = 0` is allowed and gives zero.
     omega : spin in rad/s, either sign, scalar.
-    turned : angle turned since release in rad.
+    turned, time : angle turned in rad and time in s since release.
+
+    Returns
+    -------
+    Accelerations; NaN where no consistent load with n >= 0 everywhere exists.
     """
-    v, omega, turned = jnp.asarray(v, float), jnp.asarray(omega, float), jnp.asarray(turned, float)
+    v, omega, turned, time = (jnp.asarray(value, float) for value in (v, omega, turned, time))
     if isinstance(law, NetLaw):
-        net = law.accelerations(Motion(jnp.where(v > 0, v, 1.0), omega, turned), stone)
+        net = law.accelerations(Motion(jnp.where(v > 0, v, 1.0), omega, turned, time), stone)
         return Accelerations(*(jnp.where(v > 0, value, 0.0) for value in net))
     if not isinstance(law, LocalLaw):
         raise TypeError(f"{law!r} is neither a LocalLaw nor a NetLaw")
-    ring = halves(v, stone.R * omega, turned)
-    tilt = _consistent_tilt(law, ring, stone) if load == "consistent" else (0.0, 0.0)
-    t_xi, t_eta, moment = _force(law, ring, (tilt[0], tilt[1]))
+    ring = panels(law, v, stone.R * omega, turned, time)
+    if load == "consistent":
+        p, q = _consistent_tilt(law, ring, stone)
+        t_xi, t_eta, moment = _force(law, ring, (p, q))
+    else:
+        t_xi, t_eta, moment = _force(law, ring, _EVEN)
     return Accelerations(GRAVITY * t_xi, GRAVITY * t_eta, GRAVITY * stone.R * moment / stone.rho**2)
+
+
+def consistent_load(
+    law: LocalLaw, stone: Stone, v: ArrayLike, omega: ArrayLike, turned: ArrayLike = 0.0
+) -> Array:
+    """(n1, n2) of eq. 9 times R over n0: the consistent load is `n0 (1 + n1 xi/R + n2 eta/R)`.
+
+    Shape (2,); NaN where no such load with n >= 0 exists. Arguments as in `accelerations`.
+    """
+    v, omega, turned = (jnp.asarray(value, float) for value in (v, omega, turned))
+    ring = panels(law, v, stone.R * omega, turned, jnp.zeros(()))
+    return _consistent_tilt(law, ring, stone)

@@ -37,7 +37,7 @@ from curlfit.likelihood import (
 )
 from curlfit.parameters import ParameterSet
 from curlfit.results import Estimate, FitResult
-from curlfit.starting import Smooth, smooth, start_values
+from curlfit.starting import Smooth, smooth, start_values, usual
 from curlfit.stone import Stone
 from curlfit.throw import CHANNELS, Throw
 
@@ -99,7 +99,7 @@ def _starts(
     first = [start_values(law, load, problem, path, parameters, spin) for spin in spins]
     others = []
     k = len(law.coefficients())
-    defaults = np.array([item.default for item in law.coefficients()])
+    defaults = np.array([usual(item) for item in law.coefficients()])
     for factor in (1.0, 0.3, 3.0):
         values = first[0].copy()
         values[:k] = defaults * factor

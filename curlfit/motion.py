@@ -7,9 +7,10 @@ Method. In the moving frame the state is speed `v`, heading `b` (eq. 24's beta),
 The motion names its own time scales: the time to rest, the turning of the velocity, and the
 passage of |epsilon| = 1, where one point of the ring stops sliding and friction has a logarithmic
 kink. Each step is a fixed fraction of the shortest of these, so it shrinks geometrically toward
-rest and toward the kink; within a step the fifth-order formula of Dormand and Prince (1980) is
-used, and between steps the quintic polynomial through position, velocity and acceleration at
-both ends. Nothing is rejected and repeated, so stones run in lockstep under `vmap`, and
+rest and toward the kink. A law may name angles turned at which its friction has a corner, and how
+fast it changes by itself; steps end at the one and follow the other. Within a step the fifth-order
+formula of Dormand and Prince (1980) is used, and between steps the quintic polynomial through
+position, velocity and acceleration at both ends. Nothing is rejected and repeated, so stones run in lockstep under `vmap`, and
 derivatives are those of a fixed smooth map.
 
 Why not a general solver: diffrax with adaptive steps takes several times as long for the same
@@ -34,7 +35,7 @@ from jax.custom_derivatives import SymbolicZero
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, ArrayLike
 
-from curlfit.friction import Law, Load, check_load
+from curlfit.friction import Law, Load, NetLaw, check_load
 from curlfit.stone import Stone
 
 STEP = 0.25  # step over the shortest time scale, for a motion with 1 m or 1 rad to go
@@ -42,6 +43,8 @@ _LARGEST_STEP = 0.6
 _REST = 1e-10  # a stone with less than this to go (m and rad together) is at rest
 _KINK = 3e-3  # width in `swing` below which the kink at |epsilon| = 1 is not resolved further
 _MOST_TURNING = 5000.0  # rad of turning of the velocity in one time scale of the motion
+_CORNER = 1e-9  # rad before a corner of the law at which it counts as reached
+_LEAST_SPIN = 1e-6  # rad/s below which the end of the spin is not resolved further
 _CHUNK = 8  # steps between two looks at the clock
 _MOST_CHUNKS = 4096
 
@@ -129,16 +132,18 @@ class _State(NamedTuple):
     omega: Array
 
 
-def _slowing(stone: Stone, state: _State, rate: _State) -> Array:
+def _slowing(law: Law, stone: Stone, state: _State, rate: _State) -> Array:
     """One over the time to rest, from the loss of kinetic energy, 1/s; 0 for a stone at rest."""
-    square = state.v**2 + (stone.rho * state.omega) ** 2
-    power = -(state.v * rate.v + stone.rho**2 * state.omega * rate.omega)
+    # A net law knows no spin without sliding: all is over when the stone stops.
+    inertia = 0.0 if isinstance(law, NetLaw) else stone.rho**2
+    square = state.v**2 + inertia * state.omega**2
+    power = -(state.v * rate.v + inertia * state.omega * rate.omega)
     return jnp.maximum(power, 0.0) / jnp.where(square > 0, square, 1.0)
 
 
-def _rates(law: Law, stone: Stone, load: Load, span: Array, state: _State) -> _State:
+def _rates(law: Law, stone: Stone, load: Load, span: Array, state: _State, time: Array) -> _State:
     """Time derivative of the state."""
-    a = accelerations(law, stone, load, state.v, state.omega, state.phi)
+    a = accelerations(law, stone, load, state.v, state.omega, state.phi, time)
     moving = state.v > 0
     rate = _State(
         x=state.v * jnp.sin(state.heading),
@@ -151,29 +156,48 @@ def _rates(law: Law, stone: Stone, load: Load, span: Array, state: _State) -> _S
     # A stone that all but spins in place, under a force across its motion, runs round circles of
     # radius v^2/a_xi. Once it does so thousands of times before anything else changes, those are
     # below 1e-7 m, and it is pinned to their centre.
-    rounds = _MOST_TURNING * (1 / span + _slowing(stone, state, rate))
+    rounds = _MOST_TURNING * (1 / span + _slowing(law, stone, state, rate))
     pinned = jnp.abs(rate.heading) > rounds
     return rate._replace(
         **{name: jnp.where(pinned, 0.0, getattr(rate, name)) for name in ("x", "y", "heading")}
     )
 
 
-def _step_size(stone: Stone, state: _State, rate: _State, span: Array) -> tuple[Array, Array]:
+def _step_size(
+    law: Law, stone: Stone, state: _State, rate: _State, time: Array, span: Array
+) -> tuple[Array, Array]:
     """Next step in s, and whether the stone is at rest."""
     v, u = state.v, stone.R * state.omega
-    slowing = _slowing(stone, state, rate)
-    moving = (v > 0) | (u != 0)
+    slowing = _slowing(law, stone, state, rate)
+    spin_counts = not isinstance(law, NetLaw)
+    moving = (v > 0) | (u != 0) if spin_counts else v > 0
     # How far the stone has still to go, with 1 rad counted as 1 m.
-    to_go = jnp.sqrt(jnp.where(moving, v**2 + state.omega**2, 1.0)) / jnp.maximum(slowing, 1e-9)
+    square = v**2 + state.omega**2 if spin_counts else v**2
+    to_go = jnp.sqrt(jnp.where(moving, square, 1.0)) / jnp.maximum(slowing, 1e-9)
     at_rest = ~moving | (to_go < _REST)
 
     au, du = jnp.abs(u), stone.R * jnp.sign(u) * rate.omega
     total = jnp.where(v + au > 0, v + au, 1.0)
     swing_rate = 2 * jnp.abs(au * rate.v - v * du) / total**2 / (swing(v, u) + _KINK)
-    frequency = 1 / span + slowing + jnp.abs(rate.heading) + swing_rate
+    frequency = 1 / span + slowing + jnp.abs(rate.heading) + swing_rate + law.quickness(time)
+    if not spin_counts:
+        frequency += jnp.abs(rate.omega) / (jnp.abs(state.omega) + _LEAST_SPIN)
     # The error of a step goes as its fraction to the sixth power, times what is left to go.
     fraction = jnp.minimum(STEP * to_go ** (-1 / 6), _LARGEST_STEP)
-    return fraction / frequency, at_rest
+    dt = fraction / frequency
+    for corner in law.corners:
+        dt = jnp.minimum(dt, _time_to_turn(corner - jnp.abs(state.phi), state, rate))
+    return dt, at_rest
+
+
+def _time_to_turn(angle: Array, state: _State, rate: _State) -> Array:
+    """Time in which the stone turns on by an angle, from its spin and the loss of it; or inf."""
+    spin = jnp.abs(state.omega)
+    gain = rate.omega * jnp.sign(state.omega)
+    square = spin**2 + 2 * gain * angle
+    ahead = (angle > _CORNER) & (square > 0)
+    root = jnp.sqrt(jnp.where(ahead, square, 1.0))
+    return jnp.where(ahead, 2 * angle / (spin + root), jnp.inf)
 
 
 class _Moving(NamedTuple):
@@ -234,17 +258,21 @@ def _integrate(
     span = jnp.maximum(last, 1e-9)
     f = partial(_rates, law, stone, load, span)
 
-    tableau = jnp.asarray(_TABLEAU)
+    tableau, moments = jnp.asarray(_TABLEAU), jnp.asarray(_TABLEAU.sum(1))
 
     def moved(moving: _Moving, weights: Array, slopes: Array) -> Array:
         state = _State(*(moving.state + moving.dt * weights @ slopes[:-1]))
-        return jnp.stack(state._replace(v=jnp.where(state.v > 0, state.v, 0.0)))
+        state = state._replace(v=jnp.where(state.v > 0, state.v, 0.0))
+        if isinstance(law, NetLaw):  # spin that has come to its end does not turn round
+            state = state._replace(omega=jnp.where(state.omega * omega0 > 0, state.omega, 0.0))
+        return jnp.stack(state)
 
     def step(moving: _Moving, _: None) -> tuple[_Moving, _Knots]:
         # A loop over the stages, not six copies of them, keeps the compiled program small.
         def stage(place: Array, slopes: Array) -> Array:
             state = moved(moving, tableau[place], slopes)
-            return slopes.at[place + 1].set(jnp.stack(f(_State(*state))))
+            time = moving.t + moving.dt * moments[place]
+            return slopes.at[place + 1].set(jnp.stack(f(_State(*state), time)))
 
         slopes = jnp.zeros((_STAGES + 1, len(moving.state))).at[0].set(moving.rate)
         slopes = jax.lax.fori_loop(0, _STAGES, stage, slopes)
@@ -260,7 +288,9 @@ def _integrate(
 
     def planned(moving: _Moving) -> _Moving:
         """The same with the length of the next step."""
-        dt, at_rest = _step_size(stone, _State(*moving.state), _State(*moving.rate), span)
+        dt, at_rest = _step_size(
+            law, stone, _State(*moving.state), _State(*moving.rate), moving.t, span
+        )
         idle = at_rest | (moving.t >= last)
         return moving._replace(dt=jnp.where(idle, 0.0, dt), idle=idle)
 
@@ -288,7 +318,7 @@ def _integrate(
             t=zero,
             dt=zero,
             state=jnp.stack(state),
-            rate=jnp.stack(f(state)),
+            rate=jnp.stack(f(state, zero)),
             idle=jnp.asarray(False),
         )
     )

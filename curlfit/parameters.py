@@ -49,7 +49,8 @@ class ParameterSet:
 
         Parameters
         ----------
-        fix : parameters held at a value.
+        fix : parameters held at a value. Optional coefficients are held at their default unless
+            named here or in `bounds`.
         bounds : (lower, upper) by name, in place of the law's own.
         unbounded : let coefficients take either sign, within [-upper, upper].
 
@@ -62,6 +63,9 @@ class ParameterSet:
         coefficients: tuple[Parameter, ...] = law.coefficients()
         if unbounded:
             coefficients = tuple(replace(item, lower=-item.upper) for item in coefficients)
+        for one in law.coefficients():
+            if one.optional and one.name not in bounds:
+                fix.setdefault(one.name, one.default)
         parameters = []
         known = {item.name for item in (*coefficients, *START)}
         for name in (*fix, *bounds):

@@ -21,7 +21,7 @@ from jaxtyping import Array
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
-from curlfit.friction import Law, Load
+from curlfit.friction import Coefficient, Law, Load
 from curlfit.likelihood import Problem
 from curlfit.parameters import ParameterSet
 from curlfit.stone import Stone
@@ -31,6 +31,11 @@ Floats = NDArray[np.float64]
 
 _GRID = 128
 _DEGREE = 5
+
+
+def usual(item: Coefficient) -> float:
+    """A value to start from: an optional coefficient that is asked for is not at its default."""
+    return item.typical if item.optional else item.default
 
 
 class Smooth(NamedTuple):
@@ -82,13 +87,14 @@ def _forces(
     v: Array,
     omega: Array,
     turned: Array,
+    time: Array,
 ) -> tuple[Array, Array]:
     """Accelerations (xi, eta, angular) along the path and their derivatives by coefficient."""
 
     def along(coefficients: Array) -> Array:
         friction = law.from_vector(coefficients)
         one = partial(accelerations, friction, stone, load)
-        return jnp.stack(jax.vmap(one)(v, omega, turned))
+        return jnp.stack(jax.vmap(one)(v, omega, turned, time))
 
     return along(coefficients), jax.jacfwd(along)(coefficients)
 
@@ -116,13 +122,13 @@ def start_values(
 
     k = len(law.coefficients())
     lower, upper = parameters.lower, parameters.upper
-    nominal = np.clip([item.default for item in law.coefficients()], lower[:k], upper[:k])
+    nominal = np.clip([usual(item) for item in law.coefficients()], lower[:k], upper[:k])
     use = (problem.weight > 0) & (problem.times <= path.span)
     values = np.zeros(len(parameters))
     for _ in range(3):
         a, by_coefficient = (
             np.asarray(item)
-            for item in _forces(law, load, nominal, problem.stone, v, omega, turned)
+            for item in _forces(law, load, nominal, problem.stone, v, omega, turned, grid)
         )
         slopes = np.concatenate([by_coefficient, a[..., None]], -1)
         slopes[..., -1] -= by_coefficient @ nominal

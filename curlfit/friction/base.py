@@ -45,9 +45,13 @@ class Parameter:
 
 @dataclasses.dataclass(frozen=True)
 class Coefficient(Parameter):
-    """A parameter of a law, with the value it has where none is given."""
+    """A parameter of a law, with the value it has where none is given.
+
+    An `optional` one keeps that value in a fit unless bounds are given for it.
+    """
 
     default: float
+    optional: bool = False
 
 
 def coefficient(
@@ -59,6 +63,7 @@ def coefficient(
     upper: float = 1.0,
     typical: float = 0.01,
     symbol: str = "",
+    optional: bool = False,
 ) -> Any:
     """Declare a coefficient as a field of a law.
 
@@ -70,6 +75,7 @@ def coefficient(
     lower, upper : physical bounds, the default bounds of a fit and its flat prior.
     typical : its usual size, the scale on which "well known" and "unknown" are told apart.
     symbol : LaTeX without dollar signs; the name if empty.
+    optional : held at `default` in a fit unless bounds are given for it.
     """
     about = {
         "default": default,
@@ -79,6 +85,7 @@ def coefficient(
         "typical": typical,
         "symbol": symbol,
         "meaning": meaning,
+        "optional": optional,
     }
     return dataclasses.field(default=default, metadata={"coefficient": about})
 
@@ -94,6 +101,8 @@ class RingPoint(NamedTuple):
     """cos(alpha), the place of the point to the right of the centre"""
     eta: Any
     """sin(alpha), its place ahead of the centre"""
+    angle: Any
+    """alpha in rad, in (-pi, pi), counter-clockwise from `xi`"""
     front: Any
     """1.0 on the front half (eta > 0), 0.0 on the back half"""
     slide_xi: Any
@@ -109,7 +118,16 @@ class RingPoint(NamedTuple):
     load: Any
     """normal load over the uniform load, n/n0"""
     turned: Any
-    """angle turned since release, rad, counter-clockwise positive"""
+    """angle turned since release (the first row of a throw), rad, counter-clockwise positive"""
+    time: Any
+    """time since release, s"""
+
+
+class Edges(NamedTuple):
+    """Polar angles at which friction jumps, on the front half (0, pi) and the back (-pi, 0)."""
+
+    front: tuple[Any, ...] = ()
+    back: tuple[Any, ...] = ()
 
 
 class Motion(NamedTuple):
@@ -121,6 +139,8 @@ class Motion(NamedTuple):
     """spin, rad/s, counter-clockwise positive"""
     turned: Any
     """angle turned since release, rad"""
+    time: Any
+    """time since release, s"""
 
 
 LAWS: dict[str, type[Law]] = {}
@@ -142,6 +162,16 @@ class Law:
     formula: ClassVar[str] = ""
     source: ClassVar[str] = ""
     predicts: ClassVar[str] = ""
+    corners: ClassVar[tuple[float, ...]] = ()
+    """Angles turned (rad, of either sense) at which friction changes its course abruptly."""
+
+    def quickness(self, time: Any) -> Any:
+        """How fast friction changes by itself at a time since release, in 1/s."""
+        return 0.0 * time
+
+    def fault(self) -> str | None:
+        """Why these coefficients make no law of friction, where bounds cannot say it."""
+        return None
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
@@ -178,11 +208,13 @@ class Law:
 class LocalLaw(Law, ABC):
     """A law of friction at a point of the contact ring (eq. 3-5).
 
-    A subclass defines `traction`. Summing over the ring is not its concern.
+    A subclass defines `traction`. Summing over the ring is not its concern. Between the front
+    and the back half the traction may jump; other places where it does are named by `edges`.
     """
 
-    load_matters: ClassVar[bool] = False
-    """True where the traction per unit load depends on `point.load` itself."""
+    def edges(self, turned: Any) -> Edges:
+        """Where friction jumps, besides between the halves, after an angle turned."""
+        return Edges()
 
     @abstractmethod
     def traction(self, point: RingPoint) -> tuple[Any, Any]:

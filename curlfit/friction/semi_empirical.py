@@ -1,0 +1,36 @@
+"""Forces on the whole stone, read off measured throws."""
+
+from typing import Any
+
+from curlfit.friction.base import Motion, NetLaw, coefficient
+
+
+class SemiEmpirical(NetLaw):
+    """Constant force across the motion; powers of the speed slow the stone and its spin.
+
+    It describes the motion and says nothing of the ring. The force across ends with the spin.
+    """
+
+    name = "semi-empirical"
+    formula = "a_xi = -a sign(omega), a_eta = -c v^p, domega/dt = -q v^r sign(omega)"
+    source = "Jensen and Shegelski (2004), as told by Ivanov and Shuvalov (2012), sect. 1"
+    predicts = "left"
+
+    a: float = coefficient(0.005, "transverse acceleration", unit="m/s^2", typical=0.005,
+                           symbol="a")  # fmt: skip
+    c: float = coefficient(0.085, "deceleration at 1 m/s", unit="m/s^2", upper=10.0, typical=0.1,
+                           symbol="c")  # fmt: skip
+    p: float = coefficient(0.0, "exponent of the deceleration", lower=-0.9, upper=2.0, typical=0.5,
+                           symbol="p")  # fmt: skip
+    q: float = coefficient(0.025, "loss of spin at 1 m/s", unit="rad/s^2", upper=10.0, typical=0.02,
+                           symbol="q")  # fmt: skip
+    r: float = coefficient(-0.3, "exponent of the loss of spin", lower=-0.9, upper=2.0, typical=0.5,
+                           symbol="r")  # fmt: skip
+
+    def accelerations(self, motion: Motion, stone: Any) -> tuple[Any, Any, Any]:
+        sense = 1.0 * (motion.omega > 0) - 1.0 * (motion.omega < 0)
+        return (
+            -self.a * sense,
+            -self.c * motion.speed**self.p,
+            -self.q * motion.speed**self.r * sense,
+        )
