@@ -10,8 +10,8 @@ kink. Each step is a fixed fraction of the shortest of these, so it shrinks geom
 rest and toward the kink. A law may name angles turned at which its friction has a corner, and how
 fast it changes by itself; steps end at the one and follow the other. Within a step the fifth-order
 formula of Dormand and Prince (1980) is used, and between steps the quintic polynomial through
-position, velocity and acceleration at both ends. Nothing is rejected and repeated, so stones run in lockstep under `vmap`, and
-derivatives are those of a fixed smooth map.
+position, velocity and acceleration at both ends. Nothing is rejected and repeated, so stones run in
+lockstep under `vmap`, and derivatives are those of a fixed smooth map.
 
 Why not a general solver: diffrax with adaptive steps takes several times as long for the same
 accuracy, its run-time checks keep compiled programs out of the cache, and coming to rest needs an
