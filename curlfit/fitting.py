@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from curlfit.box import BoxLevenbergMarquardt
 from curlfit.errors import UnusableFitError
-from curlfit.friction import Law, Load, check_load, find_law
+from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
 from curlfit.identifiability import Identifiability, analyse
 from curlfit.likelihood import (
     SIGMA_FLOOR,
@@ -163,6 +163,7 @@ def fit(
     if solution is None:
         raise UnusableFitError(
             f"{throw.name}: law {law.name} with {load} load gives no finite path from any start"
+            + no_motion_because(load)
         )
     if sigma:
         sigma = _estimated_sigma(throw, solution, problem, local, list(sigma))
@@ -316,8 +317,9 @@ def _result(
         name: _lag1(residual[row][seen[row]]) for row, name in enumerate(CHANNELS) if count[row] > 3
     }
     converged, status, warnings = _judge(
-        solution, parameters, at_bound, tried, dict(zip(CHANNELS, count, strict=True)), rms_by, lag1
-    )
+        law, solution, parameters, at_bound, tried, dict(zip(CHANNELS, count, strict=True)),
+        rms_by, lag1,
+    )  # fmt: skip
     observed = {name: getattr(throw, name) for name in ("t", *CHANNELS)}
     observed |= {f"sigma_{name}": series for name, series in throw.sigma.items()}
     fitted = dict(zip((*CHANNELS, "speed", "omega"), curves, strict=True))
@@ -327,6 +329,7 @@ def _result(
         stone=stone,
         data={
             "file": throw.name,
+            "law_file": law.origin or None,
             "rows": n,
             "from": float(throw.t[0]),
             "to": float(throw.t[-1]),
@@ -413,6 +416,7 @@ def _lag1(residual: Floats) -> float:
 
 
 def _judge(
+    law: type[Law],
     solution: _Solution,
     parameters: ParameterSet,
     at_bound: NDArray[np.bool_],
@@ -432,6 +436,9 @@ def _judge(
             f"not converged: the next step would still gain {left:.2g} standard errors ({steps})"
         )
     warnings = []
+    fault = law.from_vector(solution.values).fault()
+    if fault is not None:
+        warnings.append(f"{fault}; the fitted coefficients make no law of friction")
     for item, stuck in zip(parameters.parameters, at_bound, strict=True):
         if stuck:
             warnings.append(

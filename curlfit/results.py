@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from curlfit.errors import DataError
 from curlfit.files import replaced
-from curlfit.friction import Law, Parameter, find_law
+from curlfit.friction import LAWS, Law, Parameter, find_law
 from curlfit.identifiability import Combination
 from curlfit.parameters import START, ParameterSet
 from curlfit.stone import Stone
@@ -134,8 +134,8 @@ class FitResult:
 
     @property
     def law_class(self) -> type[Law]:
-        """The class of the law."""
-        return find_law(self.law)
+        """The class of the law; a user's own is read again from its file."""
+        return find_law(self.law if self.law in LAWS else self.data.get("law_file") or self.law)
 
     @property
     def values(self) -> Floats:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.friction import Law, check_load, find_law
+from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.stone import Stone
 from curlfit.throw import Floats, Reference, Throw
 
@@ -20,9 +20,10 @@ def law_with(law: str | type[Law], coefficients: Mapping[str, float]) -> Law:
 
     Raises
     ------
-    InputError : an unknown law or coefficient, or a value that is not finite.
+    InputError : an unknown law or coefficient, a value that is not finite, or values that make no
+        law of friction.
     """
-    kind = find_law(law) if isinstance(law, str) else law
+    kind: type[Law] = find_law(law) if isinstance(law, str) else law
     known = [item.name for item in kind.coefficients()]
     for name, value in coefficients.items():
         if name not in known:
@@ -31,7 +32,11 @@ def law_with(law: str | type[Law], coefficients: Mapping[str, float]) -> Law:
             )
         if not math.isfinite(value):
             raise InputError(f"{name} = {value}: expected a finite number")
-    return kind(**coefficients)
+    made = kind(**coefficients)
+    fault = made.fault()
+    if fault is not None:
+        raise InputError(f"law {kind.name}: {fault}")
+    return made
 
 
 def synthetic_throw(
@@ -80,7 +85,10 @@ def synthetic_throw(
         law, stone, Start(heading=heading, v=v0, omega=omega0), t, load=checked
     ).to_numpy()
     if not np.isfinite(path.x).all():
-        raise InputError(f"law {law.name} with {load} load admits no motion from this start")
+        raise InputError(
+            f"law {law.name} with {load} load admits no motion from this start"
+            + no_motion_because(load)
+        )
     random = np.random.default_rng(seed)
     names = [item.name for item in law.coefficients()]
     return Throw(
@@ -92,7 +100,8 @@ def synthetic_throw(
         reference=Reference(
             "true value", law.name, {name: float(getattr(law, name)) for name in names}
         ),
-        defaults={"stone": stone.as_dict(), "load": checked, "law": law.name},
+        defaults={"stone": stone.as_dict(), "load": checked}
+        | ({} if law.origin else {"law": law.name}),
     )
 
 

@@ -18,6 +18,7 @@ from curlfit.friction.base import (
     check_load,
     coefficient,
     find_law,
+    no_motion_because,
 )
 
 for _module in iter_modules(__path__):
@@ -38,4 +39,5 @@ __all__ = [
     "check_load",
     "coefficient",
     "find_law",
+    "no_motion_because",
 ]

@@ -26,6 +26,13 @@ def check_load(load: str) -> Load:
     return load  # type: ignore[return-value]
 
 
+def no_motion_because(load: str) -> str:
+    """The likely reason, in words, where a law gives no finite path."""
+    if load != "consistent":
+        return ""
+    return "; the consistent load (eq. 8-9) would have to be negative somewhere"
+
+
 @dataclasses.dataclass(frozen=True)
 class Parameter:
     """One number that a fit may determine.
@@ -162,6 +169,8 @@ class Law:
     formula: ClassVar[str] = ""
     source: ClassVar[str] = ""
     predicts: ClassVar[str] = ""
+    origin: ClassVar[str] = ""
+    """For a law of the user's: FILE.py:CLASS."""
     corners: ClassVar[tuple[float, ...]] = ()
     """Angles turned (rad, of either sense) at which friction changes its course abruptly."""
 
@@ -182,9 +191,17 @@ class Law:
                     f"{cls.__name__}.{field.name}: declare it as {field.name}: float = "
                     "coefficient(default, meaning)"
                 )
-        if not cls.name:
-            return
-        LAWS[cls.name] = cls
+        if cls.name:
+            cls.enter(cls.name)
+
+    @classmethod
+    def enter(cls, name: str) -> None:
+        """Enter the class among the laws. Raises TypeError where curlfit itself has the name."""
+        own = f"{__name__.rpartition('.')[0]}."
+        if name in LAWS and LAWS[name].__module__.startswith(own) > cls.__module__.startswith(own):
+            raise TypeError(f"{cls.__name__}: curlfit has a law {name!r} already; rename yours")
+        cls.name = name
+        LAWS[name] = cls
         for callback in on_new_law:
             callback(cls)
 
@@ -229,12 +246,24 @@ class NetLaw(Law, ABC):
         """(to the right, forward, angular) in m/s^2, m/s^2, rad/s^2, in the moving frame."""
 
 
-def find_law(name: str) -> type[Law]:
-    """The law called `name`. Raises `InputError` that lists the laws there are."""
-    try:
+def find_law(name: str, *, from_files: bool = True) -> type[Law]:
+    """The law called `name`, or the user's own law in a file, as "FILE.py:CLASS".
+
+    `from_files` is False where the name comes with data: reading data must not run a program.
+
+    Raises
+    ------
+    InputError : there is none; the message lists the laws there are. DataError : the file holds no
+        usable law.
+    """
+    if name in LAWS:
         return LAWS[name]
-    except KeyError:
-        raise InputError(
-            f"unknown law {name!r}; the laws are {', '.join(sorted(LAWS))} "
-            "(`curlfit laws` tells more)"
-        ) from None
+    file, colon, kind = name.rpartition(":")
+    if from_files and (file.endswith(".py") or name.endswith(".py")):
+        from curlfit.friction.from_file import law_from_file
+
+        return law_from_file(*((file, kind) if colon and not kind.endswith(".py") else (name, "")))
+    raise InputError(
+        f"unknown law {name!r}; the laws are {', '.join(sorted(LAWS))} (`curlfit laws` tells more)"
+        + ("; your own is given as FILE.py:CLASS" if from_files else "")
+    )

@@ -146,7 +146,7 @@ def _check(settings: dict[str, Any]) -> None:
             raise InputError(f"{key} = {value!r}: expected a number")
     Stone().with_values(settings.get("stone", {}))
     if "law" in settings:
-        find_law(settings["law"])
+        find_law(settings["law"], from_files=False)
     if "load" in settings:
         check_load(settings["load"])
 
