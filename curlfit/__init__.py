@@ -18,13 +18,15 @@ from typing import TYPE_CHECKING, Any
 from curlfit.version import __version__
 
 if TYPE_CHECKING:
+    from curlfit.comparison import Comparison, compare, load_comparison
     from curlfit.errors import CurlfitError, DataError, InputError, UnusableFitError
-    from curlfit.figures import corner_figure, fit_figure
+    from curlfit.figures import comparison_figure, corner_figure, fit_figure
     from curlfit.fitting import fit
     from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, coefficient, find_law
     from curlfit.motion import Path, Start, simulate
     from curlfit.readers import load_throw
     from curlfit.report import print_fit
+    from curlfit.report_comparison import print_comparison
     from curlfit.results import FitResult, Posterior, load_fit
     from curlfit.sampling import Chain, load_chain, sample
     from curlfit.stone import Stone
@@ -34,13 +36,15 @@ if TYPE_CHECKING:
 # Where each public name lives. They are imported on first use, so that `import curlfit` and the
 # command line's help need neither JAX nor matplotlib.
 _HOMES = {
+    "comparison": ("Comparison", "compare", "load_comparison"),
     "errors": ("CurlfitError", "DataError", "InputError", "UnusableFitError"),
-    "figures": ("corner_figure", "fit_figure"),
+    "figures": ("comparison_figure", "corner_figure", "fit_figure"),
     "fitting": ("fit",),
     "friction": ("LAWS", "Law", "LocalLaw", "NetLaw", "coefficient", "find_law"),
     "motion": ("Path", "Start", "simulate"),
     "readers": ("load_throw",),
     "report": ("print_fit",),
+    "report_comparison": ("print_comparison",),
     "results": ("FitResult", "Posterior", "load_fit"),
     "sampling": ("Chain", "load_chain", "sample"),
     "stone": ("Stone",),
@@ -52,6 +56,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [  # noqa: RUF022  (in the order of use)
     "load_throw", "Throw", "fit", "FitResult", "print_fit", "sample", "Chain", "Posterior",
     "fit_figure", "corner_figure", "load_fit", "load_chain",
+    "compare", "Comparison", "print_comparison", "comparison_figure", "load_comparison",
     "Stone", "Start", "Path", "simulate", "synthetic_throw",
     "LAWS", "law_with", "find_law", "Law", "LocalLaw", "NetLaw", "coefficient",
     "CurlfitError", "InputError", "DataError", "UnusableFitError",

@@ -13,6 +13,7 @@ from curlfit.report import number
 if TYPE_CHECKING:
     from os import PathLike
 
+    from curlfit.comparison import Comparison
     from curlfit.results import FitResult
     from curlfit.sampling import Chain
 
@@ -211,6 +212,70 @@ def _say_in_corner(fit: FitResult, figure: Figure) -> None:
             0.97, below, "\n".join([fit.reference.source, *found]),
             ha="right", va="top", fontsize=12, color=_MARK, linespacing=1.6,
         )  # fmt: skip
+
+
+def comparison_figure(comparison: Comparison) -> Figure:
+    """All fitted paths over the data, what each misses sideways, and the residuals by channel."""
+    shown = [item for item in comparison.candidates if item.fitted is not None]
+    t, x, y = (np.array(comparison.observed[name], float) for name in ("t", "x", "y"))
+    some = np.unique(np.linspace(0, len(t) - 1, min(len(t), _MOST_POINTS)).astype(int))
+    figure = Figure(figsize=(11, 6.4 + 0.24 * len(shown)), layout="constrained")
+    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 0.45 + 0.065 * len(shown)))
+    path = figure.add_subplot(rows[0])
+    lower = rows[1].subgridspec(1, 2, width_ratios=(1.0, 1.25))
+    missed, dots = figure.add_subplot(lower[0]), figure.add_subplot(lower[1])
+
+    path.plot(y[some], x[some], **_DATA, label="data")
+    laws = list(dict.fromkeys(item.law for item in shown))
+    colors = dict(zip(laws, _distinct(len(laws)), strict=True))
+    for place, item in enumerate(shown):
+        fitted = {name: np.array(values) for name, values in (item.fitted or {}).items()}
+        style: dict[str, Any] = {
+            "color": colors[item.law],
+            "lw": 1.8 if item.follows else 1.1,
+            "ls": ":" if item.signs_free else "--" if item.load == "consistent" else "-",
+            "zorder": 3 + len(shown) - place,
+        }
+        rank = "" if item.rank is None else f"{item.rank}. "
+        path.plot(fitted["y"], fitted["x"], **style, label=f"{rank}{item.label}")
+        missed.plot(t, 1000 * (x - fitted["x"]), **style)
+    path.set(xlabel="along the sheet, y (m)", ylabel="to the right, x (m)")
+    path.set_title(
+        f"{FilePath(comparison.data['file']).name}: {len(shown)} fits", fontsize=10, loc="left"
+    )
+    path.margins(x=0.02, y=0.1)
+    figure.legend(
+        *path.get_legend_handles_labels(), loc="outside right upper", frameon=False, fontsize=8
+    )
+    missed.axhline(0, color="0.7", lw=0.8)
+    missed.set(xlabel="t (s)", ylabel="x measured - fitted (mm)")
+
+    for name in ("x", "y", "phi"):
+        values = [1000 * (item.rms or {}).get(name, np.nan) for item in shown]
+        unit = "mrad" if name == "phi" else "mm"
+        dots.plot(
+            values, range(len(shown)), "o", color=_COLOR[name], label=f"${_LABEL[name]}$ ({unit})"
+        )
+    dots.grid(axis="y", color="0.9", lw=0.7)
+    dots.set_yticks(range(len(shown)), [item.label for item in shown], fontsize=8)
+    for tick, item in zip(dots.get_yticklabels(), shown, strict=True):
+        tick.set_fontweight("bold" if item.follows else "normal")
+    dots.invert_yaxis()
+    dots.set_xscale("log")
+    dots.set_axisbelow(True)
+    dots.set_xlabel("rms of the residuals; bold: follows the path")
+    dots.legend(frameon=False, fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    figure.draw_without_rendering()
+    _stretch_note(path)
+    return figure
+
+
+def _distinct(number: int) -> list[Any]:
+    from matplotlib import colormaps
+
+    names = ("tab10", "Dark2", "tab20b")
+    palette = [colormaps[name](j) for name in names for j in range(colormaps[name].N)]
+    return [palette[place % len(palette)] for place in range(number)]
 
 
 def _as_math(fit: FitResult, weights: dict[str, float]) -> str:

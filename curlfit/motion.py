@@ -291,7 +291,8 @@ def _integrate(
         dt, at_rest = _step_size(
             law, stone, _State(*moving.state), _State(*moving.rate), moving.t, span
         )
-        idle = at_rest | (moving.t >= last)
+        # A path that has become NaN is not followed further: it could hold up all the others.
+        idle = at_rest | (moving.t >= last) | ~jnp.isfinite(dt + moving.state.sum())
         return moving._replace(dt=jnp.where(idle, 0.0, dt), idle=idle)
 
     def chunk(carry: tuple[Any, ...]) -> tuple[Any, ...]:

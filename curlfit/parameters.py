@@ -52,7 +52,8 @@ class ParameterSet:
         fix : parameters held at a value. Optional coefficients are held at their default unless
             named here or in `bounds`.
         bounds : (lower, upper) by name, in place of the law's own.
-        unbounded : let coefficients take either sign, within [-upper, upper].
+        unbounded : let coefficients be negative, within [-upper, upper]; exponents and the like
+            keep their bounds.
 
         Raises
         ------
@@ -62,7 +63,10 @@ class ParameterSet:
         fix, bounds = dict(fix or {}), dict(bounds or {})
         coefficients: tuple[Parameter, ...] = law.coefficients()
         if unbounded:
-            coefficients = tuple(replace(item, lower=-item.upper) for item in coefficients)
+            coefficients = tuple(
+                item if item.signed or item.optional else replace(item, lower=-item.upper)
+                for item in law.coefficients()
+            )
         for one in law.coefficients():
             if one.optional and one.name not in bounds:
                 fix.setdefault(one.name, one.default)

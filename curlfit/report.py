@@ -13,7 +13,7 @@ from rich.text import Text
 if TYPE_CHECKING:
     from curlfit.results import Estimate, FitResult, Posterior
 
-_STYLE = {
+STYLE = {
     "determined": "green",
     "weak": "yellow",
     "not identifiable": "bold red",
@@ -62,12 +62,13 @@ def _heading(fit: FitResult) -> RenderableType:
     return lines
 
 
-def _table() -> Table:
+def plain_table() -> Table:
+    """A table without lines."""
     return Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_edge=False)
 
 
 def _quantiles(posterior: Posterior) -> RenderableType:
-    table = _table()
+    table = plain_table()
     table.add_column("parameter", no_wrap=True)
     table.add_column("68 % of posterior", no_wrap=True)
     for name in posterior.quantiles:
@@ -84,7 +85,7 @@ def _interval(posterior: Posterior, name: str) -> str:
 
 
 def _coefficients(fit: FitResult, *, with_posterior: bool) -> RenderableType:
-    table = _table()
+    table = plain_table()
     table.add_column("parameter", no_wrap=True)
     table.add_column("estimate", justify="right", no_wrap=True)
     table.add_column("std. error", justify="right", no_wrap=True)
@@ -97,7 +98,7 @@ def _coefficients(fit: FitResult, *, with_posterior: bool) -> RenderableType:
 
     def row(name: str, unit: str, value: str, stderr: str, verdict: str) -> None:
         label = f"{name} ({unit})" if unit not in ("", "1") else name
-        cells: list[str | Text] = [label, value, stderr, Text(verdict, style=_STYLE[verdict])]
+        cells: list[str | Text] = [label, value, stderr, Text(verdict, style=STYLE[verdict])]
         if posterior is not None:
             cells.append(_interval(posterior, name))
         if reference is not None:
@@ -140,7 +141,7 @@ def _digits(size: float) -> int:
 
 
 def _quality(fit: FitResult) -> RenderableType:
-    table = _table()
+    table = plain_table()
     for head in ("channel", "rms", "unit", "noise assumed", "", "lag-1 correlation"):
         table.add_column(head, justify="right" if head == "rms" else "left", no_wrap=True)
     for name, rms in fit.rms.items():
@@ -163,17 +164,17 @@ def identifiability(fit: FitResult) -> str:
     unseen = [name for name in free if fit.parameters[name].verdict == "not identifiable"]
     if unseen:
         text += (
-            f" {_listed(unseen)} {'are' if len(unseen) > 1 else 'is'} not identifiable: "
+            f" {listed(unseen)} {'are' if len(unseen) > 1 else 'is'} not identifiable: "
             "the path stays the same when "
             + "; or when ".join(_change(item) for item in fit.null_directions)
             + "."
         )
         if fit.combinations:
             what = [item.expression for item in fit.combinations]
-            text += f" Only {_listed(what)} {'are' if len(what) > 1 else 'is'} determined."
+            text += f" Only {listed(what)} {'are' if len(what) > 1 else 'is'} determined."
     weak = [name for name in free if fit.parameters[name].verdict == "weak"]
     if weak:
-        text += f" {_listed(weak)}: only weakly determined."
+        text += f" {listed(weak)}: only weakly determined."
     return text
 
 
@@ -187,10 +188,11 @@ def _change(direction: dict[str, float]) -> str:
         parts.append(f"{name} {verb}{by}")
     if len(parts) == 2 and " times " not in "".join(parts):
         return f"{parts[0]} and {parts[1]} by the same amount"
-    return _listed(parts)
+    return listed(parts)
 
 
-def _listed(words: list[str]) -> str:
+def listed(words: list[str]) -> str:
+    """Words as in "a, b and c"."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 

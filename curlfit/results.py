@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from dataclasses import asdict, dataclass, field, fields, replace
 from os import PathLike
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.errors import DataError
-from curlfit.files import replaced
+from curlfit.files import strict, write_json
 from curlfit.friction import LAWS, Law, Parameter, find_law
 from curlfit.identifiability import Combination
 from curlfit.parameters import START, ParameterSet
@@ -213,7 +212,7 @@ class FitResult:
 
     def summary(self) -> dict[str, Any]:
         """The JSON record without the series of data and fit."""
-        record = _strict(self.to_json())
+        record = strict(self.to_json())
         return {key: value for key, value in record.items() if key not in ("observed", "fitted")}
 
     @classmethod
@@ -243,9 +242,7 @@ class FitResult:
 
     def save(self, file: str | PathLike[str]) -> None:
         """Write the record as JSON, whole or not at all."""
-        text = json.dumps(_strict(self.to_json()), indent=1, allow_nan=False)
-        with replaced(Path(file)) as temporary:
-            temporary.write_text(_compact_series(text) + "\n")
+        write_json(self.to_json(), Path(file))
 
 
 def load_fit(file: str | PathLike[str]) -> FitResult:
@@ -279,17 +276,6 @@ def load_fit(file: str | PathLike[str]) -> FitResult:
         ) from None
 
 
-def _strict(value: Any) -> Any:
-    """The same with NaN as null and infinities as text, which JSON has no numbers for."""
-    if isinstance(value, dict):
-        return {key: _strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_strict(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else str(value)
-    return value
-
-
 def _floats(item: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
     return {key: float(value) if key in names else value for key, value in item.items()}
 
@@ -299,13 +285,3 @@ def _series(found: dict[str, list[float | None]]) -> dict[str, Floats]:
         name: np.array([math.nan if value is None else value for value in values], float)
         for name, values in found.items()
     }
-
-
-def _compact_series(text: str) -> str:
-    """Lists of numbers on one line each, so that a person can read the rest."""
-    number = r"(?:-?\d[-+.eE\d]*|null)"
-    return re.sub(
-        rf"\[\s+({number}(?:,\s+{number})*)\s+\]",
-        lambda found: "[" + re.sub(r",\s+", ", ", found[1]) + "]",
-        text,
-    )

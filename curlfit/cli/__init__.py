@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from curlfit.cli.compare import compare
 from curlfit.cli.fit import fit
 from curlfit.cli.laws import laws
 from curlfit.cli.plot import plot
@@ -45,7 +46,7 @@ def _root(
     """
 
 
-for _verb in (fit, show, plot, simulate, laws):
+for _verb in (fit, compare, show, plot, simulate, laws):
     app.command()(_verb)
 
 

@@ -103,8 +103,6 @@ def fit(
     from curlfit.files import prepared_folder
     from curlfit.friction import check_load, find_law
     from curlfit.parameters import ParameterSet
-    from curlfit.readers import load_throw
-    from curlfit.stone import Stone
 
     flags = {
         "law": law,
@@ -117,15 +115,11 @@ def fit(
         "start": s.pairs("--start", start or ()),
         "unbounded": unbounded or None,
     }
-    configured = s.checked(s.read_config(config), str(config))
-    throw = load_throw(data)
-    wanted = s.merged(s.checked(throw.defaults, str(data)), configured, flags)
+    throw, wanted, the_stone = s.prepared(data, config, flags)
 
     # Everything that can be refused is looked at before anything slow is loaded.
     law_class = find_law(wanted.get("law", "front-back"))
     check_load(wanted.get("load", "uniform"))
-    the_stone = Stone().with_values(wanted.get("stone", {}))
-    throw = throw.with_sigma(wanted.get("sigma", {}))
     choices: dict[str, Any] = {
         "fix": wanted.get("fix"),
         "bounds": wanted.get("bound"),
@@ -140,7 +134,7 @@ def fit(
     from rich.console import Console
 
     console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
-    with _waiting(console, "Fitting (a first run on a machine compiles the model)"):
+    with waiting(console, "Fitting (a first run on a machine compiles the model)"):
         from curlfit.fitting import fit as least_squares
 
         result = least_squares(
@@ -194,7 +188,8 @@ def _remove_stale(folder: Path, written: list[Path]) -> None:
 
 
 @contextmanager
-def _waiting(console: Console, text: str) -> Iterator[None]:
+def waiting(console: Console, text: str) -> Iterator[None]:
+    """A line that says what is being done, on a terminal."""
     if console.is_terminal and not console.quiet:
         with console.status(text):
             yield

@@ -7,19 +7,32 @@ from typing import Annotated
 
 import typer
 
+from curlfit.cli.settings import is_comparison
+
 
 def plot(
-    folder: Annotated[Path, typer.Argument(help="Folder of a fit.", metavar="DIR")],
+    folder: Annotated[Path, typer.Argument(help="Folder of a fit or a comparison.", metavar="DIR")],
     out: Annotated[Path | None, typer.Option(help="Folder for the figures. [default: DIR]")] = None,
     format: Annotated[str, typer.Option(help="png, pdf or svg.")] = "png",
 ) -> None:
-    """Draw the figures of a saved fit, without fitting again."""
+    """Draw the figures of a saved fit or comparison, without fitting again."""
     from curlfit.errors import InputError
     from curlfit.files import prepared_folder
     from curlfit.results import load_fit
 
     if format not in ("png", "pdf", "svg"):
         raise InputError(f"--format {format}: expected png, pdf or svg")
+    if is_comparison(folder):
+        from curlfit.comparison import load_comparison
+
+        comparison = load_comparison(folder)
+        file = prepared_folder(out or folder) / f"compare.{format}"
+
+        from curlfit.figures import comparison_figure, save_figure
+
+        save_figure(comparison_figure(comparison), file)
+        typer.echo(f"Written: {file}")
+        return
     result = load_fit(folder)
     target = prepared_folder(out or folder)
 

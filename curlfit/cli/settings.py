@@ -6,9 +6,12 @@ import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from curlfit.errors import DataError, InputError
+from curlfit.readers import load_throw
+from curlfit.stone import Stone
+from curlfit.throw import Throw
 
 _KEYS = ("law", "load", "until", "stone", "sigma", "fix", "bound", "start", "unbounded", "seed")
 
@@ -112,3 +115,32 @@ def checked(settings: dict[str, Any], origin: str) -> dict[str, Any]:
         if not isinstance(settings.get(key, ""), str):
             raise InputError(f"{origin}: {key} = {settings[key]!r}; expected a name")
     return settings
+
+
+class Prepared(NamedTuple):
+    """A data file and what to do with it."""
+
+    throw: Throw
+    wanted: dict[str, Any]
+    stone: Stone
+
+
+def prepared(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Prepared:
+    """The throw and its settings: its own, then those of the configuration, then the flags.
+
+    Raises
+    ------
+    InputError : the data, a setting or a value cannot be used.
+    """
+    configured = checked(read_config(config), str(config))
+    throw = load_throw(data)
+    wanted = merged(checked(throw.defaults, str(data)), configured, flags)
+    stone = Stone().with_values(wanted.get("stone", {}))
+    return Prepared(throw.with_sigma(wanted.get("sigma", {})), wanted, stone)
+
+
+def is_comparison(folder: Path) -> bool:
+    """Whether a folder, or a file, holds a comparison and not a fit."""
+    if folder.is_dir():
+        return (folder / "compare.json").exists() and not (folder / "fit.json").exists()
+    return folder.name == "compare.json"

@@ -9,16 +9,31 @@ from typing import Annotated
 
 import typer
 
+from curlfit.cli.settings import is_comparison
+from curlfit.files import strict
+
 
 def show(
     folder: Annotated[
-        Path, typer.Argument(help="Folder of a fit, or its fit.json.", metavar="DIR")
+        Path,
+        typer.Argument(help="Folder of a fit or a comparison, or its JSON file.", metavar="DIR"),
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print the JSON record.")] = False,
 ) -> None:
-    """Print the report of a saved fit, without fitting again."""
+    """Print the report of a saved fit or comparison, without fitting again."""
     from rich.console import Console
 
+    console = Console(width=None if sys.stdout.isatty() else 110)
+    if is_comparison(folder):
+        from curlfit.comparison import load_comparison
+        from curlfit.report_comparison import print_comparison
+
+        comparison = load_comparison(folder)
+        if as_json:
+            print(json.dumps(strict(comparison.to_json()), indent=1))
+        else:
+            print_comparison(comparison, console)
+        return
     from curlfit.report import print_fit
     from curlfit.results import load_fit
 
@@ -26,4 +41,4 @@ def show(
     if as_json:
         print(json.dumps(result.summary(), indent=1))
     else:
-        print_fit(result, Console(width=None if sys.stdout.isatty() else 110))
+        print_fit(result, console)

@@ -46,7 +46,7 @@ class Tensor(LocalLaw):
 
     b11: float = coefficient(0.02, "across the motion", symbol="b_{11}")
     b22: float = coefficient(0.009, "along the motion", symbol="b_{22}")
-    b12: float = coefficient(0.0005, "between the two", lower=-1.0, symbol="b_{12}")
+    b12: float = coefficient(0.0005, "between the two", lower=-1.0, symbol="b_{12}", signed=True)
 
     def fault(self) -> str | None:
         if self.b11 > 0 and self.b22 > 0 and self.b12**2 < self.b11 * self.b22:

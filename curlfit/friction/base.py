@@ -54,11 +54,13 @@ class Parameter:
 class Coefficient(Parameter):
     """A parameter of a law, with the value it has where none is given.
 
-    An `optional` one keeps that value in a fit unless bounds are given for it.
+    An `optional` one keeps that value in a fit unless bounds are given for it. Of a `signed` one
+    (an exponent, say) a negative value is as ordinary as a positive one.
     """
 
     default: float
     optional: bool = False
+    signed: bool = False
 
 
 def coefficient(
@@ -71,6 +73,7 @@ def coefficient(
     typical: float = 0.01,
     symbol: str = "",
     optional: bool = False,
+    signed: bool = False,
 ) -> Any:
     """Declare a coefficient as a field of a law.
 
@@ -83,6 +86,7 @@ def coefficient(
     typical : its usual size, the scale on which "well known" and "unknown" are told apart.
     symbol : LaTeX without dollar signs; the name if empty.
     optional : held at `default` in a fit unless bounds are given for it.
+    signed : a negative value is as ordinary as a positive one, as of an exponent.
     """
     about = {
         "default": default,
@@ -93,6 +97,7 @@ def coefficient(
         "symbol": symbol,
         "meaning": meaning,
         "optional": optional,
+        "signed": signed,
     }
     return dataclasses.field(default=default, metadata={"coefficient": about})
 
@@ -169,6 +174,8 @@ class Law:
     formula: ClassVar[str] = ""
     source: ClassVar[str] = ""
     predicts: ClassVar[str] = ""
+    approximates: ClassVar[str] = ""
+    """Name of the law of which this one is an approximation."""
     origin: ClassVar[str] = ""
     """For a law of the user's: FILE.py:CLASS."""
     corners: ClassVar[tuple[float, ...]] = ()

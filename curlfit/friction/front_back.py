@@ -40,6 +40,7 @@ class FrontBackFirstOrder(_FrontBackCoefficients, NetLaw):
     """
 
     name = "front-back-first-order"
+    approximates = "front-back"
     formula = (
         "a_xi = eps g (mu1_xi - mu2_xi)/pi, a_eta = -g (mu1_eta + mu2_eta)/2, "
         "rho^2 domega/dt = -eps g R (mu1_xi + mu2_xi)/4"

@@ -36,7 +36,7 @@ class Power(LocalLaw):
 
     c: float = coefficient(0.008, "coefficient of friction at 1 m/s", symbol="c")
     k: float = coefficient(-0.5, "exponent of the sliding speed", lower=-0.95, upper=2.0,
-                           typical=0.5, symbol="k")  # fmt: skip
+                           typical=0.5, symbol="k", signed=True)  # fmt: skip
 
     SLOWEST = 1e-3  # m/s
 
@@ -53,7 +53,8 @@ class Pressure(LocalLaw):
     predicts = "right where k < 1, left where k > 1, with consistent load; else not at all"
 
     mu0: float = coefficient(0.01, "coefficient of friction at the mean load", symbol=r"\mu_0")
-    k: float = coefficient(0.5, "exponent of the load", upper=3.0, typical=0.5, symbol="k")
+    k: float = coefficient(0.5, "exponent of the load", upper=3.0, typical=0.5, symbol="k",
+                           signed=True)  # fmt: skip
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
         return _opposing(self.mu0 * point.load**-self.k, point)
@@ -69,7 +70,7 @@ class Angular(LocalLaw):
 
     mu0: float = coefficient(0.009, "coefficient of friction at the sides", symbol=r"\mu_0")
     f0: float = coefficient(
-        0.3, "relative drop at the front", lower=-1.0, typical=0.5, symbol="f_0"
+        0.3, "relative drop at the front", lower=-1.0, typical=0.5, symbol="f_0", signed=True
     )
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:

@@ -21,11 +21,11 @@ class SemiEmpirical(NetLaw):
     c: float = coefficient(0.085, "deceleration at 1 m/s", unit="m/s^2", upper=10.0, typical=0.1,
                            symbol="c")  # fmt: skip
     p: float = coefficient(0.0, "exponent of the deceleration", lower=-0.9, upper=2.0, typical=0.5,
-                           symbol="p")  # fmt: skip
+                           symbol="p", signed=True)  # fmt: skip
     q: float = coefficient(0.025, "loss of spin at 1 m/s", unit="rad/s^2", upper=10.0, typical=0.02,
                            symbol="q")  # fmt: skip
     r: float = coefficient(-0.3, "exponent of the loss of spin", lower=-0.9, upper=2.0, typical=0.5,
-                           symbol="r")  # fmt: skip
+                           symbol="r", signed=True)  # fmt: skip
 
     def accelerations(self, motion: Motion, stone: Any) -> tuple[Any, Any, Any]:
         sense = 1.0 * (motion.omega > 0) - 1.0 * (motion.omega < 0)

@@ -1,0 +1,474 @@
+"""Many laws on one throw: each is fitted, weighed and ranked.
+
+Every law is fitted with its own bounds. Where a coefficient then sits at zero and the law does not
+follow the path, it is fitted once more with either sign allowed, to show what it would need; such
+a fit is listed and not ranked.
+
+Information criteria count what the path determines, not what the law has: the rank of the
+Jacobian, and one for each noise that was estimated.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from curlfit.contact import accelerations, panels
+
+# isort: split
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.errors import DataError, UnusableFitError
+from curlfit.files import write_json
+from curlfit.fitting import fit
+from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, find_law
+from curlfit.results import FitResult
+from curlfit.stone import Stone
+from curlfit.throw import CHANNELS, Throw, scatter
+
+Floats = NDArray[np.float64]
+
+SCHEMA = 1
+
+_FOLLOWS = 0.1  # rms of a residual over what there is to explain, up to which a law follows a path
+_NOISE = 1.5  # rms of a residual over the scatter of the data, up to which it does in any case
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One law under one load, as fitted.
+
+    Attributes
+    ----------
+    law, load : the law's name, and how the weight rests on the ring ("-" for a law without ring).
+    isotropic : whether friction opposes sliding at every point of the ring (eq. 3-4).
+    signs_free : fitted with coefficients of either sign, against the law's own bounds.
+    status, converged : of the fit; all that follows is None or empty where there is none.
+    coefficients : by name, {"value", "stderr", "verdict", "unit"}; see `FitResult`.
+    combinations : expression and value, where single coefficients are not identifiable.
+    n_parameters : effective number: rank of the Jacobian plus noises estimated.
+    rms : by channel, m, m, rad.
+    curl_explained : share of the path's curl that the law gives, 1 at best; None where the path
+        has no curl beyond its scatter.
+    follows : whether each channel's residual is within a tenth of its departure from straight and
+        even motion, or within its scatter.
+    log_likelihood, aicc, bic : Gaussian noise, independent from row to row.
+    delta_aicc, delta_bic : above the best of the ranked candidates.
+    rank : place by BIC among the candidates within their laws' bounds, from 1; None if not ranked.
+    sides : to which sides the law can curl a slowing counter-clockwise stone on this path, within
+        its bounds: a part of ("left", "right").
+    negative : coefficients fitted below zero, except exponents and the like.
+    at_bound, not_identifiable : names.
+    warnings : of the fit.
+    """
+
+    law: str
+    load: str
+    isotropic: bool
+    signs_free: bool
+    status: str
+    converged: bool = False
+    coefficients: dict[str, dict[str, Any]] | None = None
+    combinations: tuple[dict[str, Any], ...] = ()
+    n_parameters: int | None = None
+    rms: dict[str, float] | None = None
+    curl_explained: float | None = None
+    follows: bool = False
+    log_likelihood: float | None = None
+    aicc: float | None = None
+    bic: float | None = None
+    delta_aicc: float | None = None
+    delta_bic: float | None = None
+    rank: int | None = None
+    sides: tuple[str, ...] = ()
+    negative: tuple[str, ...] = ()
+    at_bound: tuple[str, ...] = ()
+    not_identifiable: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    fitted: dict[str, list[float]] | None = None
+
+    @property
+    def label(self) -> str:
+        """Law and load in a few words."""
+        load = "" if self.load == "-" else f", {self.load} load"
+        return f"{self.law}{load}{', any sign' if self.signs_free else ''}"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Candidates, best first: those ranked, then those beyond their bounds, then failures.
+
+    `data` says what was fitted; `curl` is the path's sideways departure from a straight line in m
+    (rms), with the `side` to which it bends seen along the motion. `observed` holds t, x, y, phi.
+    `fits` are the full results in the order of the candidates, and empty when read from a file.
+    """
+
+    data: dict[str, Any]
+    stone: Stone
+    curl: float
+    side: str | None
+    candidates: tuple[Candidate, ...]
+    observed: dict[str, list[float]]
+    fits: tuple[FitResult | None, ...] = ()
+
+    @property
+    def best(self) -> Candidate:
+        """The first in rank."""
+        return self.candidates[0]
+
+    def of(self, law: str, load: str = "uniform", *, signs_free: bool = False) -> Candidate:
+        """The candidate of a law. Raises KeyError if there is none."""
+        for item in self.candidates:
+            if (item.law, item.signs_free) == (law, signs_free) and item.load in (load, "-"):
+                return item
+        raise KeyError(f"{law}, {load}")
+
+    def to_json(self) -> dict[str, Any]:
+        """The record as written to `compare.json`."""
+        return {
+            "schema": SCHEMA,
+            "data": self.data,
+            "stone": self.stone.as_dict(),
+            "curl": self.curl,
+            "side": self.side,
+            "candidates": [asdict(item) for item in self.candidates],
+            "observed": self.observed,
+        }
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write the record as JSON, whole or not at all."""
+        write_json(self.to_json(), Path(file))
+
+
+def load_comparison(file: str | PathLike[str]) -> Comparison:
+    """Read a saved `compare.json`, or the one in a folder.
+
+    Raises
+    ------
+    DataError : it is not there, or is not a record that this version can read.
+    """
+    path = Path(file)
+    if path.is_dir():
+        path = path / "compare.json"
+    try:
+        found = json.loads(path.read_text())
+        if found["schema"] != SCHEMA:
+            raise DataError(f"schema {found['schema']!r}; expected {SCHEMA}", file=path)
+        tuples = ("combinations", "sides", "negative", "at_bound", "not_identifiable", "warnings")
+        return Comparison(
+            data=found["data"],
+            stone=Stone(**found["stone"]),
+            curl=found["curl"],
+            side=found["side"],
+            candidates=tuple(
+                Candidate(**(item | {name: tuple(item[name]) for name in tuples}))
+                for item in found["candidates"]
+            ),
+            observed=found["observed"],
+        )
+    except OSError as error:
+        raise DataError(f"cannot be read ({error.strerror})", file=path) from None
+    except (ValueError, KeyError, TypeError) as error:
+        if isinstance(error, DataError):
+            raise
+        raise DataError("this is not a compare.json of curlfit", file=path) from None
+
+
+def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[Law], str]]:
+    """Laws and loads to be fitted; `load` may be "both".
+
+    Where no law is named, all but those that approximate another. A law without a ring has no
+    load and comes once. Raises `InputError` for an unknown name.
+    """
+    wanted = laws or [law for law in LAWS.values() if not law.approximates]
+    chosen = [find_law(law) if isinstance(law, str) else law for law in wanted]
+    loads = ("uniform", "consistent") if load == "both" else (load,)
+    return [
+        (law, one)
+        for law in dict.fromkeys(chosen)
+        for one in (loads[:1] if issubclass(law, NetLaw) else loads)
+    ]
+
+
+def compare(
+    throw: Throw,
+    laws: Sequence[str | type[Law]] | None = None,
+    *,
+    load: str = "uniform",
+    stone: Stone | None = None,
+    until: float | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Comparison:
+    """Fit each law to a throw and rank them by BIC.
+
+    Parameters
+    ----------
+    throw, stone, until : as in `fit`.
+    laws : names or classes; where not given, all laws but those that approximate another.
+    load : "uniform", "consistent" or "both".
+    bounds : (lower, upper) of start parameters, by name.
+    progress : called with what is being fitted, how many are done, and of how many.
+
+    Raises
+    ------
+    InputError : an unknown law or load, or a throw that cannot be fitted by any.
+    """
+    todo = plan(laws, load)
+    found: list[tuple[Candidate, FitResult | None]] = []
+    for done, (law, one_load) in enumerate(todo):
+        if progress is not None:
+            progress(law.name, done, len(todo))
+        choices: dict[str, Any] = {
+            "load": one_load, "stone": stone, "until": until, "bounds": bounds,
+        }  # fmt: skip
+        candidate, result = _candidate(throw, law, choices, signs_free=False)
+        found.append((candidate, result))
+        at_zero = result is not None and any(
+            item.verdict == "at bound" and item.lower == 0 and item.value < 1e-6 * item.typical
+            for item in result.coefficients.values()
+        )
+        if at_zero and not candidate.follows:
+            again = _candidate(throw, law, choices, signs_free=True)
+            if again[0].negative:
+                found.append(again)
+    if progress is not None:
+        progress("", len(todo), len(todo))
+    return _ranked(found)
+
+
+def _candidate(
+    throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free: bool
+) -> tuple[Candidate, FitResult | None]:
+    load = "-" if issubclass(law, NetLaw) else choices["load"]
+    blank = Candidate(
+        law=law.name, load=load, isotropic=_opposes_sliding(law), signs_free=signs_free, status=""
+    )
+    try:
+        result = fit(throw, law, unbounded=signs_free, **choices)
+    except UnusableFitError as error:
+        return replace(blank, status=str(error)), None
+    n = result.n_observations
+    k = result.rank + len(result.sigma)
+    log_likelihood = _log_likelihood(result)
+    coefficients = result.coefficients
+    signed = {item.name for item in law.coefficients() if item.signed}
+    explained, follows = _followed(result)
+    return (
+        replace(
+            blank,
+            status=result.status,
+            converged=result.converged,
+            coefficients={
+                name: {
+                    "value": item.value,
+                    "stderr": item.stderr,
+                    "verdict": item.verdict,
+                    "unit": item.unit,
+                }
+                for name, item in coefficients.items()
+            },
+            combinations=tuple(
+                {"expression": item.expression, "value": item.value, "stderr": item.stderr}
+                for item in result.combinations
+            ),
+            n_parameters=k,
+            rms=result.rms,
+            curl_explained=explained,
+            follows=follows,
+            log_likelihood=log_likelihood,
+            # Hurvich and Tsai (1989), Schwarz (1978)
+            aicc=2 * k - 2 * log_likelihood + 2 * k * (k + 1) / max(n - k - 1, 1),
+            bic=k * float(np.log(n)) - 2 * log_likelihood,
+            sides=_sides(law, choices["load"], result),
+            negative=_needed_negative(result, signed),
+            at_bound=_with_verdict(result, "at bound"),
+            not_identifiable=_with_verdict(result, "not identifiable"),
+            warnings=result.warnings,
+            fitted={name: result.fitted[name].tolist() for name in CHANNELS},
+        ),
+        result,
+    )
+
+
+def _needed_negative(result: FitResult, signed: set[str]) -> tuple[str, ...]:
+    """Coefficients below zero at that point of the optimum, which may be a ridge, which has least
+    of them below."""
+    from scipy.optimize import linprog
+
+    names = [name for name in result.coefficients if name not in signed]
+    value = np.array([result.parameters[name].value for name in names])
+    typical = np.array([result.parameters[name].typical for name in names])
+    ridge = np.array([[row.get(name, 0.0) for row in result.null_directions] for name in names])
+    if ridge.size:
+        # least sum of s >= 0 with s >= -(value + ridge step)/typical
+        p, d = ridge.shape
+        found = linprog(
+            np.concatenate([np.zeros(d), np.ones(p)]),
+            A_ub=np.hstack([-ridge / typical[:, None], -np.eye(p)]),
+            b_ub=value / typical,
+            bounds=[(None, None)] * d + [(0, None)] * p,
+        )
+        value = value + ridge @ found.x[:d]
+    return tuple(name for name, low in zip(names, value < -1e-6 * typical, strict=True) if low)
+
+
+def _with_verdict(result: FitResult, verdict: str) -> tuple[str, ...]:
+    return tuple(name for name, item in result.coefficients.items() if item.verdict == verdict)
+
+
+def _opposes_sliding(law: type[Law]) -> bool:
+    """Whether friction is opposite to sliding round the ring, whatever the coefficients."""
+    if not issubclass(law, LocalLaw):
+        return False
+    # coefficients that are all different, lest a general law show a special face
+    general = law.from_vector(
+        [item.default + 0.1 * (j + 1) * item.typical for j, item in enumerate(law.coefficients())]
+    )
+    zero, one = jnp.zeros(()), jnp.ones(())
+    for points, _ in panels(general, one, 0.1 * one, one, zero):
+        xi, eta = general.traction(points)
+        if not np.allclose(xi * points.e_eta, eta * points.e_xi, rtol=0, atol=1e-9):
+            return False
+    return True
+
+
+def _log_likelihood(result: FitResult) -> float:
+    """Gaussian, at the fit; an estimated noise is at its most likely value, the rms itself."""
+    total = 0.0
+    for name in result.rms:
+        residual = result.observed[name] - result.fitted[name]
+        seen = np.isfinite(residual)
+        sigma = result.observed.get(f"sigma_{name}")
+        if sigma is None:
+            sigma = np.full(len(residual), max(result.rms[name], 1e-12))
+        scaled = residual[seen] / sigma[seen]
+        total -= float((0.5 * scaled**2 + np.log(sigma[seen]) + 0.5 * np.log(2 * np.pi)).sum())
+    return total
+
+
+def _followed(result: FitResult) -> tuple[float | None, bool]:
+    """Share of the curl explained, and whether the law follows the path."""
+    t = result.observed["t"]
+    x, y, phi = (result.observed[name] for name in CHANNELS)
+    along, across, curl = _bend(x, y)
+    place = np.isfinite(x) & np.isfinite(y)
+    off = np.stack([(x - result.fitted["x"])[place], (y - result.fitted["y"])[place]], 1)
+    residuals = {"across": off @ across, "along": off @ along}
+    given = np.stack([x[place], y[place]], 1)
+    noise = {name: scatter(given @ axis) for name, axis in (("across", across), ("along", along))}
+    wanted = {"across": curl, "along": _uneven(t[place], given @ along)}
+    turned = np.isfinite(phi)
+    if turned.sum() > 3:
+        residuals["phi"] = (phi - result.fitted["phi"])[turned]
+        noise["phi"] = scatter(phi[turned])
+        wanted["phi"] = _uneven(t[turned], phi[turned])
+    rms = {name: float(np.sqrt(np.mean(values**2))) for name, values in residuals.items()}
+    follows = all(
+        rms[name] <= max(_FOLLOWS * wanted[name], _NOISE * noise[name]) for name in residuals
+    )
+    if curl <= 3 * noise["across"]:
+        return None, follows
+    missed = max(rms["across"] ** 2 - noise["across"] ** 2, 0.0)
+    return float(1 - missed / (curl**2 - noise["across"] ** 2)), follows
+
+
+def _bend(x: Floats, y: Floats) -> tuple[Floats, Floats, float]:
+    """Unit vectors along and across (to the right of) the path, and its rms departure sideways."""
+    place = np.isfinite(x) & np.isfinite(y)
+    points = np.stack([x[place], y[place]], 1)
+    along = np.linalg.svd(points - points.mean(0), full_matrices=False)[2][0]
+    along = along if along @ (points[-1] - points[0]) > 0 else -along
+    across = np.array([along[1], -along[0]])
+    return along, across, float((points @ across).std())
+
+
+def _uneven(t: Floats, values: Floats) -> float:
+    """rms departure from even motion."""
+    return float(np.std(values - np.polyval(np.polyfit(t, values, 1), t)))
+
+
+def _sides(law: type[Law], load: str, result: FitResult) -> tuple[str, ...]:
+    """Sides to which the law can curl a counter-clockwise stone that it slows, within bounds."""
+    items = result.coefficients.values()
+    steps = np.array([-3, -1, -0.3, 0, 0.3, 1, 3])
+    ranges = [
+        np.unique(np.clip(steps * item.typical, item.lower, item.upper))
+        if item.verdict != "fixed"
+        else np.array([item.value])
+        for item in items
+    ]
+    grid = np.array(list(product(*ranges)))
+    if len(grid) > 500:
+        grid = grid[np.random.default_rng(0).choice(len(grid), 500, replace=False)]
+    v = float(np.median(result.fitted["speed"]))
+    omega = float(np.median(np.abs(result.fitted["omega"])))
+    xi, eta, _ = _over_coefficients(law, load, grid, result.stone, v, omega)
+    sideways = np.where(eta < 0, xi / np.where(eta < 0, -eta, 1.0), 0.0)
+    found = [("left", (sideways < -1e-9).any()), ("right", (sideways > 1e-9).any())]
+    return tuple(side for side, possible in found if possible)
+
+
+def _over_coefficients(
+    law: type[Law], load: str, grid: Floats, stone: Stone, v: float, omega: float
+) -> tuple[Floats, ...]:
+    def one(coefficients: Any) -> Any:
+        # half a radian after release, where a law that depends on the angle still does
+        return accelerations(law.from_vector(coefficients), stone, load, v, omega, 0.5)  # type: ignore[arg-type]
+
+    return tuple(np.asarray(item) for item in jax.jit(jax.vmap(one))(grid))
+
+
+def _ranked(found: list[tuple[Candidate, FitResult | None]]) -> Comparison:
+    fits = [result for _, result in found if result is not None]
+    if not fits:
+        raise UnusableFitError("; ".join(item.status for item, _ in found))
+
+    def order(pair: tuple[Candidate, FitResult | None]) -> tuple[bool, bool, bool, float]:
+        item = pair[0]
+        return item.bic is None, item.signs_free, not item.converged, item.bic or 0.0
+
+    found = sorted(found, key=order)
+    ranked = [item for item, _ in found if _counts(item)] or [found[0][0]]
+    least = {name: min(getattr(item, name) for item in ranked) for name in ("aicc", "bic")}
+    candidates, rank = [], 0
+    for item, _ in found:
+        if item.bic is not None and item.aicc is not None:
+            item = replace(
+                item,
+                delta_aicc=item.aicc - least["aicc"],
+                delta_bic=item.bic - least["bic"],
+            )
+        if _counts(item):
+            rank += 1
+            item = replace(item, rank=rank)
+        candidates.append(item)
+    first = fits[0]
+    x, y = first.observed["x"], first.observed["y"]
+    along, across, curl = _bend(x, y)
+    place = np.isfinite(x) & np.isfinite(y)
+    points = np.stack([x[place], y[place]], 1)
+    bend = np.polyfit(points @ along, points @ across, 2)[0]
+    noise = scatter(points @ across)
+    return Comparison(
+        data=first.data,
+        stone=first.stone,
+        curl=curl,
+        side=None if curl <= 3 * noise else ("right" if bend > 0 else "left"),
+        candidates=tuple(candidates),
+        observed={name: first.observed[name].tolist() for name in ("t", *CHANNELS)},
+        fits=tuple(result for _, result in found),
+    )
+
+
+def _counts(item: Candidate) -> bool:
+    """Whether a candidate is ranked."""
+    return item.bic is not None and item.converged and not item.signs_free
