@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from curlfit.box import BoxLevenbergMarquardt
 from curlfit.errors import UnusableFitError
 from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
-from curlfit.identifiability import Identifiability, analyse
+from curlfit.identifiability import Identifiability, analyse, slack
 from curlfit.likelihood import (
     SIGMA_FLOOR,
     Frame,
@@ -46,6 +46,7 @@ Floats = NDArray[np.float64]
 _TOLERANCE = 1e-10
 _MOST_STEPS = 200
 _POOR = (3.0, 0.02)  # rms over a polynomial's, and over the range: both, and more starts are tried
+_LOOSE = 0.1  # typical sizes a parameter may be inside its bound before it counts as held by it
 _SMOOTH = 0.5  # lag-1 correlation of residuals from which they are called smooth
 
 
@@ -305,20 +306,21 @@ def _result(
 
     free = parameters.free
     at_bound = _at_bound(solution, parameters, offset)
-    open_ = free & ~at_bound
+    open_, slack_columns = _open(solution, parameters, at_bound)
     known = analyse(
         solution.jacobian[:, :n, open_].reshape(-1, int(open_.sum())),
         parameters.names_where(open_),
         values[open_],
         parameters.typical[open_],
+        slack_columns,
     )
     rms_by = {name: float(rms[row]) for row, name in enumerate(CHANNELS) if count[row]}
     lag1 = {
         name: _lag1(residual[row][seen[row]]) for row, name in enumerate(CHANNELS) if count[row] > 3
     }
     converged, status, warnings = _judge(
-        law, solution, parameters, at_bound, tried, dict(zip(CHANNELS, count, strict=True)),
-        rms_by, lag1,
+        law, solution, parameters, at_bound, known.names, tried,
+        dict(zip(CHANNELS, count, strict=True)), rms_by, lag1,
     )  # fmt: skip
     observed = {name: getattr(throw, name) for name in ("t", *CHANNELS)}
     observed |= {f"sigma_{name}": series for name, series in throw.sigma.items()}
@@ -361,6 +363,30 @@ def _result(
         observed=observed,
         fitted=fitted,
     )
+
+
+def _open(
+    solution: _Solution, parameters: ParameterSet, at_bound: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], Floats]:
+    """The parameters that can move, and what those held at a bound add to their spread.
+
+    A parameter that the data hardly push against its bound is not held by it: it is at the end of
+    a ridge, and counts as open.
+    """
+    jacobian = solution.jacobian.reshape(-1, len(parameters))
+    push = np.abs(solution.residual.reshape(-1) @ jacobian)
+    room = parameters.upper - parameters.lower
+    held = at_bound.copy()
+    for _ in range(2):
+        open_ = parameters.free & ~held
+        found = slack(
+            jacobian[:, open_], jacobian[:, held], push[held], parameters.typical[held], room[held]
+        )
+        loose = found.distance > _LOOSE * parameters.typical[held]
+        if not loose.any():
+            break
+        held[held] = ~loose
+    return open_, found.columns
 
 
 def _at_bound(solution: _Solution, parameters: ParameterSet, offset: Floats) -> NDArray[np.bool_]:
@@ -420,6 +446,7 @@ def _judge(
     solution: _Solution,
     parameters: ParameterSet,
     at_bound: NDArray[np.bool_],
+    open_names: tuple[str, ...],
     tried: int,
     count: dict[str, int],
     rms: dict[str, float],
@@ -441,9 +468,14 @@ def _judge(
         warnings.append(f"{fault}; the fitted coefficients make no law of friction")
     for item, stuck in zip(parameters.parameters, at_bound, strict=True):
         if stuck:
+            within = f"{item.lower:g}..{item.upper:g}"
             warnings.append(
-                f"{item.name} sits at its bound; the data would rather have it outside "
-                f"{item.lower:g}..{item.upper:g}"
+                f"{item.name} sits at its bound; "
+                + (
+                    f"the data hardly tell this from other values within {within}"
+                    if item.name in open_names
+                    else f"the data would rather have it outside {within}"
+                )
             )
     smooth_in = {
         name: lag1

@@ -11,15 +11,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 Floats = NDArray[np.float64]
 
 _UNSEEN = 1e-3  # known to no better than a thousand typical sizes
 _ROUNDING = 1e-9  # of the largest singular value
 _NO_PART = 1e-3  # share of a direction below which a parameter takes no part in it
+_LITTLE_PART = 0.05  # the same for a direction that is seen, though weakly
+_WEAK = 1.0  # singular value below which a direction is known to no better than typical sizes
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Identifiability:
     null_directions : directions that change nothing, as weights by name, the largest being 1.
     covariance : over the free parameters, along the seen directions only.
     unseen : for each free parameter, whether it takes part in a null direction.
-    combinations : what is determined instead of the unseen parameters.
+    combinations : what is determined instead of the unseen and the weakly seen parameters.
     """
 
     names: tuple[str, ...]
@@ -73,7 +77,11 @@ def directions(information: Floats, typical: Floats) -> tuple[Floats, Floats, Fl
 
 
 def analyse(
-    jacobian: Floats, names: Sequence[str], values: Floats, typical: Floats
+    jacobian: Floats,
+    names: Sequence[str],
+    values: Floats,
+    typical: Floats,
+    slack: Floats | None = None,
 ) -> Identifiability:
     """Split the space of the free parameters into what the data see and what they do not.
 
@@ -81,6 +89,8 @@ def analyse(
     ----------
     jacobian : of the residuals over their sigma, shape (residuals, parameters).
     names, values, typical : of the parameters; values at which the Jacobian was taken.
+    slack : what other parameters, at their bounds, add to the spread of these: columns whose outer
+        products add to the covariance, shape (parameters, others).
     """
     p = len(names)
     _, singular, right = np.linalg.svd(jacobian * typical, full_matrices=False)
@@ -90,34 +100,74 @@ def analyse(
     seen = singular > max(_UNSEEN, _ROUNDING * singular[0])
     inverse = right[seen].T / singular[seen]
     covariance = typical[:, None] * (inverse @ inverse.T) * typical
+    if slack is not None:
+        covariance = covariance + slack @ slack.T
 
-    null = right[~seen]
-    part = np.sqrt((null**2).sum(0)) if len(null) else np.zeros(p)
-    unseen = part > _NO_PART
-    directions, combinations = [], []
-    if unseen.any():
-        own_null = (null * typical)[:, unseen]
-        for row in _tidy_basis(own_null):
-            directions.append(_named(row, names, unseen))
-        left = np.linalg.svd(own_null / typical[unseen].max())[2][np.linalg.matrix_rank(own_null) :]
+    unseen = _part(right[~seen]) > _NO_PART
+    null = [_named(row, names, unseen) for row in _tidy_basis((right[~seen] * typical)[:, unseen])]
+    weak = unseen | (_part(right[seen & (singular < _WEAK)]) > _LITTLE_PART)
+    combinations = []
+    if weak.any():
+        own = (right[singular < _WEAK] * typical)[:, weak]
+        left = np.linalg.svd(own / typical[weak].max())[2][np.linalg.matrix_rank(own) :]
         for row in _tidy_basis(left):
-            weights = _named(row, names, unseen)
+            weights = _named(row, names, weak)
             vector = np.array([weights.get(name, 0.0) for name in names])
-            variance = float(vector @ covariance @ vector)
-            combinations.append(
-                Combination(
-                    expression(weights), weights, float(vector @ values), float(np.sqrt(variance))
+            stderr = float(np.sqrt(vector @ covariance @ vector))
+            if len(weights) > 1 and stderr < typical[weak].max():
+                combinations.append(
+                    Combination(expression(weights), weights, float(vector @ values), stderr)
                 )
-            )
     return Identifiability(
         names=tuple(names),
         rank=int(seen.sum()),
         singular_values=singular,
-        null_directions=tuple(directions),
+        null_directions=tuple(null),
         covariance=covariance,
         unseen=unseen,
         combinations=tuple(combinations),
     )
+
+
+def _part(directions: Floats) -> Floats:
+    """How far each parameter takes part in some directions, 0 to 1."""
+    return np.sqrt((directions**2).sum(0))
+
+
+class Slack(NamedTuple):
+    """How far parameters at a bound may still be inside, and what that does to the others."""
+
+    distance: Floats
+    """rms distance from the bound, shape (bounded,)"""
+    columns: Floats
+    """the move of the open parameters that goes with it, shape (open, bounded)"""
+
+
+def slack(jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room: Floats) -> Slack:
+    """Spread of parameters at a bound, each a normal cut off there, the open ones following.
+
+    An optimum at a bound leaves the parameter a one-sided spread: wide where the data hardly push
+    against the bound, as at the end of a ridge, and of scale 1/push where they do. Holding it at
+    the bound would make the others look sharper than they are.
+
+    Parameters
+    ----------
+    jacobian, bounded : of the residuals over their sigma, by the open parameters and by those at a
+        bound.
+    push : slope of half of chi squared into the bound, >= 0, for each at a bound.
+    typical, room : of those at a bound: typical size, and width of their interval.
+    """
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0] = 1.0
+    follow = -np.linalg.lstsq(jacobian / size, bounded, rcond=_ROUNDING)[0] / size[:, None]
+    stiff = np.linalg.norm(bounded + jacobian @ follow, axis=0)
+    sigma = 1 / np.maximum(stiff, _UNSEEN / typical)
+    alpha = push * sigma
+    # mean square of a normal cut off alpha sigma above its mean, counted from the cut
+    hazard = np.exp(norm.logpdf(np.minimum(alpha, 30)) - norm.logsf(np.minimum(alpha, 30)))
+    square = np.where(alpha < 30, 1 + alpha**2 - alpha * hazard, 2 / np.maximum(alpha, 1) ** 2)
+    distance = np.minimum(sigma * np.sqrt(square), room)
+    return Slack(distance, follow * distance)
 
 
 def expression(weights: dict[str, float]) -> str:

@@ -96,13 +96,15 @@ def _coefficients(fit: FitResult, *, with_posterior: bool) -> RenderableType:
     if reference is not None:
         table.add_column(reference.source, justify="right", no_wrap=True)
 
-    def row(name: str, unit: str, value: str, stderr: str, verdict: str) -> None:
+    def row(
+        name: str, unit: str, value: str, stderr: str, verdict: str, weights: dict[str, float]
+    ) -> None:
         label = f"{name} ({unit})" if unit not in ("", "1") else name
         cells: list[str | Text] = [label, value, stderr, Text(verdict, style=STYLE[verdict])]
         if posterior is not None:
             cells.append(_interval(posterior, name))
         if reference is not None:
-            known = reference.values.get(name)
+            known = reference.of(name, weights)
             cells.append("" if known is None else f"{known:g}")
         table.add_row(*cells)
 
@@ -111,9 +113,9 @@ def _coefficients(fit: FitResult, *, with_posterior: bool) -> RenderableType:
     for name, item in fit.parameters.items():
         if name == first_start:
             for one in fit.combinations:
-                row(one.expression, "", *number(one.value, one.stderr), "determined")
+                row(one.expression, "", *number(one.value, one.stderr), "determined", one.weights)
             table.add_section()
-        row(name, item.unit, *_estimate(item), item.verdict)
+        row(name, item.unit, *_estimate(item), item.verdict, {name: 1.0})
     return Padding(table, (1, 0))
 
 
@@ -157,10 +159,9 @@ def _quality(fit: FitResult) -> RenderableType:
 def identifiability(fit: FitResult) -> str:
     """What the path determines and what it does not, in sentences."""
     free = [name for name, item in fit.parameters.items() if item.verdict != "fixed"]
-    at_bound = [name for name in free if fit.parameters[name].verdict == "at bound"]
-    counted = len(free) - len(at_bound)
-    text = f"The path determines {fit.rank} of {counted} parameters"
-    text += f" ({', '.join(at_bound)} at a bound not counted)." if at_bound else "."
+    held = [name for name in free if name not in fit.covariance["names"]]
+    text = f"The path determines {fit.rank} of {len(free) - len(held)} parameters"
+    text += f" ({', '.join(held)} at a bound not counted)." if held else "."
     unseen = [name for name in free if fit.parameters[name].verdict == "not identifiable"]
     if unseen:
         text += (
@@ -169,13 +170,18 @@ def identifiability(fit: FitResult) -> str:
             + "; or when ".join(_change(item) for item in fit.null_directions)
             + "."
         )
-        if fit.combinations:
-            what = [item.expression for item in fit.combinations]
-            text += f" Only {listed(what)} {'are' if len(what) > 1 else 'is'} determined."
+        text += _instead(fit, unseen)
     weak = [name for name in free if fit.parameters[name].verdict == "weak"]
     if weak:
         text += f" {listed(weak)}: only weakly determined."
+        text += "" if unseen else _instead(fit, weak)
     return text
+
+
+def _instead(fit: FitResult, names: list[str]) -> str:
+    """The combinations of some parameters that are determined, as a sentence."""
+    what = [item.expression for item in fit.combinations if set(item.weights) & set(names)]
+    return f" Only {listed(what)} {'are' if len(what) > 1 else 'is'} determined." if what else ""
 
 
 def _change(direction: dict[str, float]) -> str:

@@ -24,6 +24,14 @@ class Reference:
     law: str
     values: dict[str, float]
 
+    def of(self, expression: str, weights: dict[str, float]) -> float | None:
+        """The value of a weighted sum, as given or from its parts; None where unknown."""
+        if expression in self.values:
+            return self.values[expression]
+        if not weights.keys() <= self.values.keys():
+            return None
+        return sum(weight * self.values[name] for name, weight in weights.items())
+
 
 @dataclass(frozen=True)
 class Throw:

@@ -17,9 +17,9 @@ class Radial(LocalLaw):
     predicts = "left where mu1 + 2 mu3 < mu2 + 2 mu4"
 
     mu1: float = coefficient(0.006, "outward, along the radius", symbol=r"\mu_1")
-    mu2: float = coefficient(0.012, "inward, along the radius", symbol=r"\mu_2")
-    mu3: float = coefficient(0.006, "outward, along the tangent", symbol=r"\mu_3")
-    mu4: float = coefficient(0.012, "inward, along the tangent", symbol=r"\mu_4")
+    mu2: float = coefficient(0.008, "inward, along the radius", symbol=r"\mu_2")
+    mu3: float = coefficient(0.008, "outward, along the tangent", symbol=r"\mu_3")
+    mu4: float = coefficient(0.018, "inward, along the tangent", symbol=r"\mu_4")
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
         outward = point.e_xi * point.xi + point.e_eta * point.eta  # a/|v| of eq. 19

@@ -1,0 +1,158 @@
+"""Many laws on one throw: the paper's outcome on eq. 12, and the true law on synthetic throws."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import curlfit
+from curlfit import LAWS, comparison
+from curlfit.comparison import compare, load_comparison, plan
+from curlfit.errors import DataError
+from curlfit.report_comparison import conclusions
+
+COMPARED = [name for name, law in LAWS.items() if not law.approximates and not law.origin]
+ISOTROPIC = {"coulomb", "power", "pressure", "angular", "stribeck", "debris"}
+
+
+@pytest.fixture(scope="module")
+def of_eq12(eq12):
+    return compare(eq12)
+
+
+def test_on_eq_12_the_outcome_is_the_paper_s(of_eq12):
+    front_back = of_eq12.of("front-back")
+    assert front_back.follows
+    assert not front_back.negative
+    assert of_eq12.side == "left"
+    for name in sorted(ISOTROPIC):
+        item = of_eq12.of(name)
+        assert item.isotropic
+        assert not item.follows
+        assert item.curl_explained < 0.5
+        assert item.delta_bic > front_back.delta_bic + 1000
+    assert not of_eq12.of("radial").follows
+    negative = of_eq12.of("radial", signs_free=True)
+    assert negative.follows
+    assert negative.negative
+    assert negative.rank is None
+    text = " ".join(conclusions(of_eq12))
+    assert "No isotropic law" in text
+    assert "radial, uniform load, any sign: follows the path only with negative" in text
+
+
+def test_laws_that_do_not_oppose_sliding_are_not_called_isotropic(of_eq12):
+    assert {item.law for item in of_eq12.candidates if item.isotropic} == ISOTROPIC
+
+
+def test_sides_a_law_can_curl_to(of_eq12):
+    assert of_eq12.of("coulomb").sides == ()
+    assert of_eq12.of("semi-empirical").sides == ("left",)
+    assert of_eq12.of("front-back").sides == ("left", "right")
+    result = of_eq12.fits[0]
+    assert comparison._sides(LAWS["coulomb"], "consistent", _as(result, "coulomb")) == ("right",)
+    assert comparison._sides(LAWS["power"], "consistent", _as(result, "power")) == ("right",)
+    assert comparison._sides(LAWS["pressure"], "consistent", _as(result, "pressure")) == (
+        "left",
+        "right",
+    )
+
+
+def _as(result, law):
+    """A result with the coefficients of another law, for their bounds alone."""
+    one = next(iter(result.parameters.values()))
+    own = {
+        item.name: replace(one, lower=item.lower, upper=item.upper, typical=item.typical,
+                           verdict="determined")
+        for item in LAWS[law].coefficients()
+    }  # fmt: skip
+    start = {
+        name: item for name, item in result.parameters.items() if name not in result.coefficients
+    }
+    return replace(result, law=law, parameters=own | start)
+
+
+def test_pressure_without_a_varying_load_is_coulomb(of_eq12):
+    pressure, coulomb = of_eq12.of("pressure"), of_eq12.of("coulomb")
+    assert pressure.not_identifiable == ("k",)
+    assert pressure.n_parameters == coulomb.n_parameters
+    assert pressure.bic == pytest.approx(coulomb.bic, abs=1e-6)
+
+
+def test_criteria_are_those_of_a_gaussian(of_eq12):
+    item = of_eq12.of("front-back")
+    result = of_eq12.fits[of_eq12.candidates.index(item)]
+    n, k = result.n_observations, item.n_parameters
+    assert k == result.rank + 3
+    # at the most likely sigma, -2 log L = n_c (log(2 pi rms^2) + 1) in each channel
+    minus_two = sum(201 * (np.log(2 * np.pi * rms**2) + 1) for rms in result.rms.values())
+    assert -2 * item.log_likelihood == pytest.approx(minus_two, rel=1e-12)
+    assert item.bic == pytest.approx(minus_two + k * np.log(n), rel=1e-12)
+    assert item.aicc == pytest.approx(minus_two + 2 * k * n / (n - k - 1), rel=1e-12)
+
+
+def test_given_noise_is_not_counted_and_not_estimated(eq12):
+    given = eq12.with_sigma({"x": 0.01, "y": 0.02, "phi": 0.01})
+    found = compare(given, ["front-back"])
+    item, result = found.best, found.fits[0]
+    assert item.n_parameters == 9
+    expected = 0.0
+    for name, sigma in (("x", 0.01), ("y", 0.02), ("phi", 0.01)):
+        r = (result.observed[name] - result.fitted[name]) / sigma
+        expected += -0.5 * (r**2).sum() - len(r) * np.log(sigma * np.sqrt(2 * np.pi))
+    assert item.log_likelihood == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("law", COMPARED)
+def test_true_law_is_found_among_all(law):
+    place = COMPARED.index(law)
+    throw = curlfit.synthetic_throw(
+        LAWS[law](), curlfit.Stone(), v0=2.1, omega0=1.5 * (-1) ** place, heading=0.02,
+        noise_xy=0.005, noise_phi=0.01, seed=place,
+    )  # fmt: skip
+    found = compare(throw)
+    item = found.of(law)
+    assert item.follows
+    assert item.delta_bic < 2
+    result = found.fits[found.candidates.index(item)]
+    truth = throw.reference.values
+    checked = 0
+    for name, one in result.coefficients.items():
+        if one.stderr is not None:
+            assert abs(one.value - truth[name]) < 4 * one.stderr, name
+            checked += 1
+    for one in result.combinations:
+        true = sum(weight * truth[name] for name, weight in one.weights.items())
+        assert abs(one.value - true) < 4 * one.stderr, one.expression
+        checked += 1
+    assert checked >= 1
+
+
+def test_saved_comparison_reads_back_the_same(of_eq12, tmp_path):
+    of_eq12.save(tmp_path / "compare.json")
+    again = load_comparison(tmp_path)
+    assert again.to_json() == of_eq12.to_json()
+    record = json.loads((tmp_path / "compare.json").read_text())
+    assert [item["rank"] for item in record["candidates"]][:3] == [1, 2, 3]
+    assert curlfit.comparison_figure(again).axes
+
+
+def test_what_is_not_a_comparison_is_refused(tmp_path):
+    with pytest.raises(DataError, match="cannot be read"):
+        load_comparison(tmp_path)
+    (tmp_path / "compare.json").write_text("{}")
+    with pytest.raises(DataError, match=r"not a compare\.json"):
+        load_comparison(tmp_path)
+
+
+def test_plan_takes_a_law_without_ring_once():
+    names = [(law.name, load) for law, load in plan(["semi-empirical", "coulomb"], "both")]
+    assert names == [
+        ("semi-empirical", "uniform"),
+        ("coulomb", "uniform"),
+        ("coulomb", "consistent"),
+    ]
+    assert "front-back-first-order" not in [law.name for law, _ in plan(None, "uniform")]
