@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
@@ -31,9 +32,18 @@ _LABEL = {"x": "x", "y": "y", "phi": r"\varphi"}
 _MOST_POINTS = 2000  # drawn of a long series
 
 
+class Picture(Figure):
+    """A matplotlib figure that a notebook shows without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        file = BytesIO()
+        self.savefig(file, format="png", dpi=80)
+        return file.getvalue()
+
+
 def fit_figure(fit: FitResult) -> Figure:
     """The path with its fit, the residuals of each channel, speed and spin."""
-    figure = Figure(figsize=(10, 7.2), layout="constrained")
+    figure = Picture(figsize=(10, 7.2), layout="constrained")
     rows = figure.add_gridspec(3, 1, height_ratios=(1.15, 1.0, 1.0))
     right = rows[1].subgridspec(1, len(fit.rms))
     bottom = rows[2].subgridspec(1, 2)
@@ -112,7 +122,7 @@ def corner_figure(fit: FitResult, chain: Chain) -> Figure:
         samples = samples[np.linspace(0, len(samples) - 1, most).astype(int)]
     known = {} if fit.reference is None else fit.reference.values
     size = 2.3 * len(names) + 0.6
-    figure = Figure(figsize=(size, size))
+    figure = Picture(figsize=(size, size))
     corner.corner(
         samples,
         fig=figure,
@@ -219,7 +229,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
     shown = [item for item in comparison.candidates if item.fitted is not None]
     t, x, y = (np.array(comparison.observed[name], float) for name in ("t", "x", "y"))
     some = np.unique(np.linspace(0, len(t) - 1, min(len(t), _MOST_POINTS)).astype(int))
-    figure = Figure(figsize=(11, 6.4 + 0.24 * len(shown)), layout="constrained")
+    figure = Picture(figsize=(11, 6.4 + 0.24 * len(shown)), layout="constrained")
     rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 0.45 + 0.065 * len(shown)))
     path = figure.add_subplot(rows[0])
     lower = rows[1].subgridspec(1, 2, width_ratios=(1.0, 1.25))

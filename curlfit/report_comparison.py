@@ -29,16 +29,16 @@ def report(comparison: Comparison) -> RenderableType:
 
 def _heading(comparison: Comparison) -> RenderableType:
     data, stone = comparison.data, comparison.stone
-    text = Text(f"{len(comparison.candidates)} fits to {data['file']}\n", style="bold")
+    text = Text()
+    text.append(f"{len(comparison.candidates)} fits to {data['file']}\n", style="bold")
     text.append(
         f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s; stone R = {stone.R:g} m, "
-        f"rho = {stone.rho:g} m, h = {stone.h:g} m\n",
-        style="none",
+        f"rho = {stone.rho:g} m, h = {stone.h:g} m\n"
     )
     bend = (
         f"bends to the {comparison.side}" if comparison.side else "bends no more than its scatter"
     )
-    text.append(f"The path {bend}: {comparison.curl:.3g} m (rms) off a straight line", style="none")
+    text.append(f"The path {bend}: {comparison.curl:.3g} m (rms) off a straight line")
     return text
 
 
@@ -51,7 +51,7 @@ def _ranks(comparison: Comparison) -> RenderableType:
     for head in right:
         table.add_column(head, justify="right", no_wrap=True)
     table.add_column("follows", no_wrap=True)
-    table.add_column("can curl", no_wrap=True)
+    table.add_column("ccw curls", no_wrap=True)
     for item in comparison.candidates:
         rank = "-" if item.rank is None else str(item.rank)
         name = Text(item.law)
@@ -74,8 +74,9 @@ def _ranks(comparison: Comparison) -> RenderableType:
         )
     note = Text(
         "k: what is determined, noises included; x, y, phi: rms of the residuals; curl: share of "
-        "the bend explained.\nA law follows the path where no residual is above a tenth of the "
-        "departure from straight, even motion, or above the scatter.",
+        "the bend explained;\nccw curls: ways the law can bend a counter-clockwise throw. A law "
+        "follows the path where no residual is above\na tenth of the departure from straight, "
+        "even motion, or above the scatter.",
         style="dim",
     )
     return Padding(Group(table, note), (1, 0))
