@@ -29,11 +29,11 @@ def law_from_file(file: str, kind: str = "") -> type[Law]:
         raise DataError("no such file", file=file)
     law = _chosen(file, _module(path, path.stat().st_mtime_ns, file), kind)
     if not law.origin:
+        _try_out(file, path, law)
         try:
             law.enter(law.name or law.__name__)
         except TypeError as error:
             raise DataError(str(error), file=file) from None
-        _try_out(file, path, law)
         law.origin = f"{path}:{law.__name__}"
     return law
 

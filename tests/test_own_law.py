@@ -1,0 +1,118 @@
+"""A law of the user's own, from a file, in every verb; and what is wrong with a file, in words."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from curlfit import LAWS, find_law, load_fit, sample
+from curlfit.errors import DataError, InputError
+
+README = (Path(__file__).parent.parent / "README.md").read_text()
+LAW = re.search(r"<!-- law -->\n```python\n(.*?)```", README, re.S)[1]
+
+
+def curlfit(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "curlfit", *map(str, words)],
+        cwd=cwd, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "my_law.py").write_text(LAW)
+    run = curlfit(
+        "simulate", "--law", "my_law.py:WetSide", "--set", "lean=0.4", "--noise-xy", "0.003",
+        "--noise-phi", "0.01", "--out", "throw.csv", cwd=folder,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    return folder
+
+
+def test_the_readme_s_law_is_under_fifteen_lines():
+    assert len(LAW.strip().splitlines()) < 15
+
+
+def test_it_is_listed_fitted_shown_drawn_and_compared(folder):
+    listed = curlfit("laws", "my_law.py:WetSide", cwd=folder)
+    assert "excess on the right; within -1 .. 1, default 0.2" in listed.stdout
+    fitted = curlfit(
+        "fit", "throw.csv", "--law", "my_law.py:WetSide", "--no-sample", "--out", "fit", cwd=folder
+    )
+    assert fitted.returncode == 0, fitted.stderr
+    record = json.loads((folder / "fit" / "fit.json").read_text())
+    lean = record["parameters"]["lean"]
+    assert abs(lean["value"] - 0.4) < 4 * lean["stderr"]
+    assert "WetSide law" in curlfit("show", "fit", cwd=folder).stdout
+    assert curlfit("plot", "fit", cwd=folder).returncode == 0
+    compared = curlfit(
+        "compare", "throw.csv", "--laws", "coulomb,my_law.py:WetSide", "--out", "all", cwd=folder
+    )
+    assert compared.returncode == 0, compared.stderr
+    best = json.loads((folder / "all" / "compare.json").read_text())["candidates"][0]
+    assert (best["law"], best["isotropic"], best["follows"]) == ("WetSide", True, True)
+    assert (folder / "all" / "compare.png").stat().st_size > 10_000
+
+
+def test_a_saved_fit_finds_its_law_again(folder):
+    # in a process that has not read the law's file before
+    code = "import curlfit; print(curlfit.load_fit('fit').law_class.__name__)"
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert run.stdout.strip() == "WetSide", run.stderr
+    _, chain = sample(load_fit(folder / "fit"), effective=100, most_steps=100)
+    assert chain.flat.shape[1] == 8
+
+
+def test_reading_data_runs_no_program(folder):
+    (folder / "sly.csv").write_text('# law = "my_law.py:WetSide"\nt,x,y\n0,0,0\n1,0,1\n')
+    run = curlfit("fit", "sly.csv", cwd=folder)
+    assert run.returncode == 2
+    assert "sly.csv, line 1: unknown law" in run.stderr
+
+
+HEAD = "from curlfit import LocalLaw, coefficient\nclass A(LocalLaw):\n"
+MU = '    mu: float = coefficient(0.01, "mu")\n    def traction(self, point):\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("class A(:\n", "line 1: invalid syntax; expected Python"),
+        ("import nothing_of_the_kind\n", "line 1: ModuleNotFoundError"),
+        ("x = 1\n", "expected one law class, or FILE.py:CLASS; derive one from curlfit.LocalLaw"),
+        (HEAD + "    mu: float = 3\n    def traction(self, point): ...\n", "A.mu: declare it as"),
+        (HEAD + '    name = "coulomb"\n' + MU + "        return 1, 2\n", "already; rename yours"),
+        (HEAD + MU + "        return point.nothing, 2\n", "line 5: AttributeError"),
+        (HEAD + MU + "        if point.xi > 0: return 1, 2\n", "line 5: ValueError"),
+        (HEAD + MU + "        return -self.mu * point.e_xi\n", "expected (to the right, forward)"),
+        (HEAD + MU + "        return float('nan'), 0.0\n", "with its defaults gives"),
+        (HEAD + '    mu: float = coefficient(0.01, "mu")\n', "TypeError"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said_with_its_place(text, message, tmp_path):
+    file = tmp_path / "bad.py"
+    file.write_text(text)
+    before = dict(LAWS)
+    with pytest.raises(DataError, match=re.escape(message)) as caught:
+        find_law(str(file))
+    assert str(file) in str(caught.value)
+    assert before == LAWS
+
+
+def test_a_class_that_is_not_there_is_named_beside_those_that_are(tmp_path):
+    (tmp_path / "two.py").write_text(LAW)
+    with pytest.raises(DataError, match="no law class 'B' in it; it has WetSide"):
+        find_law(f"{tmp_path}/two.py:B")
+    with pytest.raises(DataError, match="no such file"):
+        find_law(f"{tmp_path}/none.py:B")
+    with pytest.raises(InputError, match="unknown law 'nothing'"):
+        find_law("nothing")
