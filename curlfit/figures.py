@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from io import BytesIO
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
@@ -114,8 +115,9 @@ def corner_figure(fit: FitResult, chain: Chain) -> Figure:
     import corner  # imports pyplot, which takes half a second
 
     names = [name for name in fit.coefficients if fit.parameters[name].verdict != "fixed"]
-    if not names:
-        names = [name for name, item in fit.parameters.items() if item.verdict != "fixed"]
+    if len(names) < 2:  # one alone has no corner
+        start = ("v0", "omega0", "heading")
+        names += [name for name in start if fit.parameters[name].verdict != "fixed"]
     samples = np.stack([chain.of({name: 1.0}) for name in names], 1)
     most = 40_000
     if len(samples) > most:
@@ -176,9 +178,11 @@ def _mark_ridges(
             some[:, names.index(first)], some[:, names.index(second)],
             ".", color=_FIT, markersize=2, alpha=0.5,
         )  # fmt: skip
+        falling = item.weights[first] * item.weights[second] > 0
         axes.text(
-            0.95, 0.95, f"only\n${_as_math(fit, item.weights)}$\nis determined",
-            transform=axes.transAxes, ha="right", va="top", fontsize=10,
+            0.95 if falling else 0.05, 0.95,
+            f"only\n${_as_math(fit, item.weights)}$\nis determined",
+            transform=axes.transAxes, ha="right" if falling else "left", va="top", fontsize=10,
         )  # fmt: skip
         value = known.get(item.expression)
         if value is not None:
@@ -216,7 +220,9 @@ def _say_in_corner(fit: FitResult, figure: Figure) -> None:
     if fit.reference is not None:
         found = [f"{name} = {value:g}" for name, value in fit.reference.values.items()]
         for name, parameter in fit.parameters.items():
-            found = [text.replace(name, f"${parameter.symbol}$") for text in found]
+            whole = re.compile(rf"(?<![\w\\{{]){name}\b(?!\$)")
+            symbol = f"${parameter.symbol}$".replace("\\", r"\\")
+            found = [whole.sub(symbol, text) for text in found]
         below = 0.97 - 0.032 * (len(lines) + 0.4) * 9.8 / figure.get_figheight()
         figure.text(
             0.97, below, "\n".join([fit.reference.source, *found]),
