@@ -32,11 +32,12 @@ from curlfit.fitting import fit
 from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, find_law
 from curlfit.results import FitResult
 from curlfit.stone import Stone
-from curlfit.throw import CHANNELS, Throw, scatter
+from curlfit.throw import Throw, scatter
 
 Floats = NDArray[np.float64]
 
 SCHEMA = 1
+PLACE = ("x", "y", "phi")
 
 _FOLLOWS = 0.1  # rms of a residual over what there is to explain, up to which a law follows a path
 _NOISE = 1.5  # rms of a residual over the scatter of the data, up to which it does in any case
@@ -293,7 +294,7 @@ def _candidate(
             at_bound=_with_verdict(result, "at bound"),
             not_identifiable=_with_verdict(result, "not identifiable"),
             warnings=result.warnings,
-            fitted={name: result.fitted[name].tolist() for name in CHANNELS},
+            fitted={name: result.fitted[name].tolist() for name in PLACE},
         ),
         result,
     )
@@ -358,7 +359,7 @@ def _log_likelihood(result: FitResult) -> float:
 def _followed(result: FitResult) -> tuple[float | None, bool]:
     """Share of the curl explained, and whether the law follows the path."""
     t = result.observed["t"]
-    x, y, phi = (result.observed[name] for name in CHANNELS)
+    x, y, phi = (result.observed[name] for name in PLACE)
     along, across, curl = _bend(x, y)
     place = np.isfinite(x) & np.isfinite(y)
     off = np.stack([(x - result.fitted["x"])[place], (y - result.fitted["y"])[place]], 1)
@@ -464,7 +465,7 @@ def _ranked(found: list[tuple[Candidate, FitResult | None]]) -> Comparison:
         curl=curl,
         side=None if curl <= 3 * noise else ("right" if bend > 0 else "left"),
         candidates=tuple(candidates),
-        observed={name: first.observed[name].tolist() for name in ("t", *CHANNELS)},
+        observed={name: first.observed[name].tolist() for name in ("t", *PLACE)},
         fits=tuple(result for _, result in found),
     )
 

@@ -26,10 +26,13 @@ _DATA: dict[str, Any] = {
     "linestyle": "none",
     "zorder": 1,
 }
-_COLOR = {"x": "#1f77b4", "y": "#d1495b", "phi": "#2e8b57"}
+_COLOR = {
+    "x": "#1f77b4", "y": "#d1495b", "phi": "#2e8b57", "speed": "#7b5ea7", "omega": "#b8860b",
+}  # fmt: skip
 _FIT = "#1b2a49"
 _MARK = "#e07a1f"
-_LABEL = {"x": "x", "y": "y", "phi": r"\varphi"}
+_LABEL = {"x": "x", "y": "y", "phi": r"\varphi", "speed": "v", "omega": r"\omega"}
+_SMALL = {"x": "mm", "y": "mm", "phi": "mrad", "speed": "mm/s", "omega": "mrad/s"}
 _MOST_POINTS = 2000  # drawn of a long series
 
 
@@ -61,21 +64,22 @@ def fit_figure(fit: FitResult) -> Figure:
 
     for place, name in enumerate(fit.rms):
         axes = figure.add_subplot(right[place])
-        factor, unit = (1000.0, "mrad") if name == "phi" else (1000.0, "mm")
-        residual = factor * (fit.observed[name] - fit.fitted[name])[some]
+        residual = 1000 * (fit.observed[name] - fit.fitted[name])[some]
         axes.axhline(0, color="0.7", lw=0.8)
         axes.plot(t[some], residual, ".", color=_COLOR[name], markersize=3)
         axes.set_title(
-            f"${_LABEL[name]}$ measured - fitted, rms {factor * fit.rms[name]:.3g} {unit}",
+            f"${_LABEL[name]}$ measured - fitted, rms {1000 * fit.rms[name]:.3g} {_SMALL[name]}",
             fontsize=10,
         )
-        axes.set(xlabel="t (s)", ylabel=unit)
+        axes.set(xlabel="t (s)", ylabel=_SMALL[name])
 
-    speed = figure.add_subplot(bottom[0])
+    speed, spin = (figure.add_subplot(bottom[place]) for place in range(2))
+    for axes, name in ((speed, "speed"), (spin, "omega")):
+        if name in fit.observed:
+            axes.plot(t[some], fit.observed[name][some], **_DATA)
     speed.plot(t, fit.fitted["speed"], color=_FIT)
     speed.set(xlabel="t (s)", ylabel="speed (m/s)")
     speed.set_ylim(bottom=0)
-    spin = figure.add_subplot(bottom[1])
     spin.plot(t, fit.fitted["omega"], color=_COLOR["phi"])
     spin.set(xlabel="t (s)", ylabel=r"spin $\omega$ (rad/s)")
     _include_zero(spin, fit.fitted["omega"])

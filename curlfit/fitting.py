@@ -53,9 +53,9 @@ _SMOOTH = 0.5  # lag-1 correlation of residuals from which they are called smoot
 class _Solution(NamedTuple):
     values: Any
     residual: Any
-    """weighted, shape (3, n)"""
+    """weighted, shape (channels, n)"""
     jacobian: Any
-    """of the weighted residual by parameter, shape (3, n, parameters)"""
+    """of the weighted residual by parameter, shape (channels, n, parameters)"""
     steps: Any
     finished: Any
 
@@ -179,12 +179,7 @@ def _first_sigma(throw: Throw) -> dict[str, float]:
     """Sigma of the first fit for the channels whose own is unknown: even weights."""
     given = [float(np.nanmedian(series)) for series in throw.sigma.values()]
     even = float(np.exp(np.mean(np.log(given)))) if given else 1.0
-    seen = [bool(np.isfinite(channel).any()) for channel in throw.observed]
-    return {
-        name: even
-        for name, any_seen in zip(CHANNELS, seen, strict=True)
-        if any_seen and name not in throw.sigma
-    }
+    return {name: even for name in throw.seen if name not in throw.sigma}
 
 
 def _estimated_sigma(
@@ -198,7 +193,7 @@ def _estimated_sigma(
     n = len(throw)
     jacobian = solution.jacobian[:, :n, parameters.free]
     left, singular, _ = np.linalg.svd(jacobian.reshape(-1, jacobian.shape[-1]), full_matrices=False)
-    left = left[:, singular > 1e-9 * singular[0]].reshape(len(CHANNELS), n, -1)
+    left = left[:, singular > 1e-9 * singular[0]].reshape(len(solution.residual), n, -1)
     found = {}
     for row, name in enumerate(CHANNELS):
         if name in names:
@@ -268,7 +263,7 @@ def _poor(solution: _Solution, path: Smooth, problem: Problem) -> bool:
     if not solution.finished:
         return True
     over_polynomial, over_range = _POOR
-    for row in range(len(CHANNELS)):
+    for row in range(3):
         use = problem.weight[row] > 0
         if use.sum() < 3:
             continue
@@ -298,8 +293,8 @@ def _result(
     values = solution.values + offset
     seen = np.isfinite(throw.observed)
     curves = np.array(trace(law, load, solution.values, problem.times, problem.stone))[:, :n]
-    curves[:3] += frame.place[:, None]
-    residual = throw.observed - curves[:3]
+    curves += frame.place[:, None]
+    residual = throw.observed - curves
     squares = np.where(seen, residual**2, 0.0).sum(1)
     count = seen.sum(1)
     rms = np.sqrt(squares / np.maximum(count, 1))
@@ -322,9 +317,10 @@ def _result(
         law, solution, parameters, at_bound, known.names, tried,
         dict(zip(CHANNELS, count, strict=True)), rms_by, lag1,
     )  # fmt: skip
-    observed = {name: getattr(throw, name) for name in ("t", *CHANNELS)}
+    kept = [name for name in CHANNELS if name in throw.seen or name in ("x", "y", "phi")]
+    observed = {name: getattr(throw, name) for name in ("t", *kept)}
     observed |= {f"sigma_{name}": series for name, series in throw.sigma.items()}
-    fitted = dict(zip((*CHANNELS, "speed", "omega"), curves, strict=True))
+    fitted = dict(zip(CHANNELS, curves, strict=True))
     return FitResult(
         law=law.name,
         load=load,

@@ -43,9 +43,10 @@ class Problem(NamedTuple):
     times: Any
     """s since the first row, shape (n,)"""
     observed: Any
-    """x, y, phi relative to the reference, zero where not seen, shape (3, n)"""
+    """x, y, phi relative to the reference, zero where not seen, shape (3, n); with speed and
+    omega, where these were measured, (5, n)"""
     weight: Any
-    """1/sigma, 0 where not seen, shape (3, n)"""
+    """1/sigma, 0 where not seen, of the same shape"""
     stone: Stone
 
 
@@ -54,29 +55,30 @@ class Frame(NamedTuple):
 
     t: float
     place: Floats
-    """x, y, phi, shape (3,)"""
+    """x, y, phi and two zeros for speed and omega, shape (5,)"""
 
     def offset(self, size: int) -> Floats:
         """What to add to a parameter vector of a problem to have it in the data's coordinates."""
         offset = np.zeros(size)
         names = [item.name for item in START]
-        for name, value in zip(("x0", "y0", "phi0"), self.place, strict=True):
+        for name, value in zip(("x0", "y0", "phi0"), self.place[:3], strict=True):
             offset[size - len(START) + names.index(name)] = value
         return offset
 
 
 def frame_of(throw: Throw) -> Frame:
     """The frame of a throw: its first time, and the first finite value of each channel."""
-    place = []
-    for values in throw.observed:
+    place = np.zeros(len(CHANNELS))
+    for row, values in enumerate(throw.observed[:3]):
         seen = np.isfinite(values)
-        place.append(float(values[np.argmax(seen)]) if seen.any() else 0.0)
-    return Frame(float(throw.t[0]), np.array(place))
+        place[row] = values[np.argmax(seen)] if seen.any() else 0.0
+    return Frame(float(throw.t[0]), place)
 
 
 def problem_of(throw: Throw, stone: Stone, frame: Frame, sigma: dict[str, float]) -> Problem:
     """The throw in a frame, padded. `sigma` serves the channels of which the throw gives none."""
     n = len(throw)
+    rows = 5 if {"speed", "omega"} & set(throw.seen) else 3
     size = max(_SHORTEST, 1 << (n - 1).bit_length())
     seen = np.isfinite(throw.observed)
     observed = np.where(seen, throw.observed - frame.place[:, None], 0.0)
@@ -85,8 +87,8 @@ def problem_of(throw: Throw, stone: Stone, frame: Frame, sigma: dict[str, float]
     pad = ((0, 0), (0, size - n))
     return Problem(
         times=np.pad(throw.t - frame.t, (0, size - n), mode="edge"),
-        observed=np.pad(observed, pad),
-        weight=np.pad(weight, pad),
+        observed=np.pad(observed[:rows], pad),
+        weight=np.pad(weight[:rows], pad),
         stone=jax.tree.map(lambda value: np.asarray(float(value)), stone),
     )
 
@@ -100,10 +102,13 @@ def split(law: type[Law], values: Any) -> tuple[Law, Start]:
 
 
 def weighted_residuals(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
-    """(model - data) times weight, shape (3, n)."""
+    """(model - data) times weight, of the shape of the data."""
     friction, start = split(law, values)
     path = simulate(friction, problem.stone, start, problem.times, load=load, t0=0.0)
-    model = jnp.stack([path.x, path.y, path.phi])
+    channels = [path.x, path.y, path.phi]
+    if len(problem.observed) > 3:
+        channels += [path.speed, path.omega]
+    model = jnp.stack(channels)
     return jnp.where(problem.weight > 0, (model - problem.observed) * problem.weight, 0.0)
 
 
@@ -130,4 +135,4 @@ def trace(law: type[Law], load: Load, values: Array, times: Array, stone: Stone)
     """x, y, phi, speed and spin at the times of a problem, shape (5, n)."""
     friction, start = split(law, values)
     path = simulate(friction, stone, start, times, load=load, t0=0.0)
-    return jnp.stack([path.x, path.y, path.phi, jnp.hypot(path.vx, path.vy), path.omega])
+    return jnp.stack([path.x, path.y, path.phi, path.speed, path.omega])

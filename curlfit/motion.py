@@ -114,8 +114,10 @@ class Path:
 
     @property
     def speed(self) -> Array:
-        """Speed of the centre in m/s."""
-        return jnp.hypot(self.vx, self.vy)
+        """Speed of the centre in m/s; its derivative at rest is zero."""
+        square = self.vx**2 + self.vy**2
+        moving = square > 0
+        return jnp.where(moving, jnp.sqrt(jnp.where(moving, square, 1.0)), 0.0)
 
     def to_numpy(self) -> Path:
         """The same path with numpy arrays."""

@@ -102,20 +102,25 @@ class ParameterSet:
     def for_throw(cls, law: type[Law], throw: Throw, **choices: Any) -> ParameterSet:
         """Parameters of a fit of `law` to a throw; `choices` as in `build`.
 
-        The angle at the first time is fixed where the angle was never seen.
+        Of the start, that is fixed at zero for which no channel could tell: the place and the first
+        direction where no position was seen, the angle where no angle was.
 
         Raises
         ------
         InputError : as in `build`. DataError : fewer rows than parameters.
         """
         parameters = cls.build(law, **choices)
-        if not np.isfinite(throw.phi).any() and "phi0" not in parameters.fixed:
-            parameters = parameters.with_fixed("phi0", 0.0)
+        unseen = [f"{name}0" for name in ("x", "y", "phi") if name not in throw.seen]
+        if "x" not in throw.seen or "y" not in throw.seen:
+            unseen.append("heading")
+        for name in unseen:
+            if name not in parameters.fixed:
+                parameters = parameters.with_fixed(name, 0.0)
         free = int(parameters.free.sum())
         rows = int(np.isfinite(throw.observed).any(0).sum())
-        if rows < max(free, 3):
+        if rows < max(free, 3) and not set(throw.seen) <= throw.sigma.keys():
             raise DataError(
-                f"{rows} rows for {free} parameters; give more rows, or fix parameters",
+                f"{rows} rows for {free} parameters; give more rows, or sigmas, or fix parameters",
                 file=throw.name,
             )
         return parameters

@@ -10,6 +10,8 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from curlfit.throw import UNITS
+
 if TYPE_CHECKING:
     from curlfit.results import Estimate, FitResult, Posterior
 
@@ -21,7 +23,6 @@ STYLE = {
     "fixed": "dim",
 }
 _WIDE = 92  # columns from which the posterior fits beside the estimates
-_UNITS = {"x": "m", "y": "m", "phi": "rad"}
 
 
 def print_fit(fit: FitResult, console: Console | None = None) -> None:
@@ -148,10 +149,10 @@ def _quality(fit: FitResult) -> RenderableType:
         table.add_column(head, justify="right" if head == "rms" else "left", no_wrap=True)
     for name, rms in fit.rms.items():
         origin = fit.data["sigma"][name]
-        noise = f"{fit.sigma[name]:.3g} {_UNITS[name]}" if origin == "estimated" else "by row"
+        noise = f"{fit.sigma[name]:.3g} {UNITS[name]}" if origin == "estimated" else "by row"
         lag1 = fit.lag1.get(name)
         table.add_row(
-            name, f"{rms:.3g}", _UNITS[name], noise, origin, "" if lag1 is None else f"{lag1:.2f}"
+            name, f"{rms:.3g}", UNITS[name], noise, origin, "" if lag1 is None else f"{lag1:.2f}"
         )
     return Padding(table, (0, 0, 1, 0))
 

@@ -92,7 +92,7 @@ class FitResult:
     law, load, stone : what was fitted.
     data : where the data came from and how many there are.
     converged, status, warnings : whether the fit may be used, and what to mind.
-    n_observations : finite values of x, y, phi. rms : of the residuals by channel (m, m, rad).
+    n_observations : finite values of all channels. rms : of the residuals by channel (SI, rad).
     sigma : noise by channel as estimated; empty for channels whose sigma was given.
     lag1 : correlation of neighbouring residuals by channel.
     parameters : by name, coefficients first, then x0 y0 heading v0 phi0 omega0.
@@ -103,7 +103,7 @@ class FitResult:
     information : the Gauss-Newton information matrix J^T J of all free parameters, the same form,
         with the "gradient" of the log-likelihood, which vanishes but for parameters at a bound.
     reference : published or true values of the same law, if the data file has them.
-    observed : t, x, y, phi as measured, and given sigmas.
+    observed : t, x, y, phi as measured, speed and omega if they were, and given sigmas.
     fitted : x, y, phi, speed, omega of the fit at the same times.
     posterior : None until sampled.
     """
@@ -162,16 +162,11 @@ class FitResult:
     @property
     def throw(self) -> Throw:
         """The data that were fitted."""
-        return Throw(
-            self.observed["t"],
-            self.observed["x"],
-            self.observed["y"],
-            self.observed["phi"],
-            sigma={
-                name: self.observed[f"sigma_{name}"]
-                for name in CHANNELS
-                if f"sigma_{name}" in self.observed
-            },
+        series = self.observed
+        return Throw.from_arrays(
+            series["t"],
+            **{name: series.get(name) for name in CHANNELS},
+            sigma={name: series[f"sigma_{name}"] for name in CHANNELS if f"sigma_{name}" in series},
             name=self.data["file"],
             reference=self.reference,
         )

@@ -31,6 +31,7 @@ Floats = NDArray[np.float64]
 
 _GRID = 128
 _DEGREE = 5
+_USUAL_SPEED = 2.0  # m/s, where nothing tells it
 
 
 def usual(item: Coefficient) -> float:
@@ -44,9 +45,10 @@ class Smooth(NamedTuple):
     span: float
     """s from the first row to the last in which the stone moved"""
     curves: tuple[Chebyshev | None, ...]
-    """x, y, phi; None for a channel that was not seen"""
+    """x, y, phi; None for a channel of which nothing is known. Where only the speed or the spin
+    was measured, y or phi is its integral"""
     rms: Floats
-    """of the data about the polynomials, by channel, floored; shape (3,)"""
+    """of the data about the polynomials, floored, inf where not seen; shape (channels,)"""
 
 
 def smooth(problem: Problem) -> Smooth:
@@ -62,19 +64,26 @@ def smooth(problem: Problem) -> Smooth:
         last_moving = t[both][np.flatnonzero(left > near)[-1]] if (left > near).any() else span
         if last_moving < 0.9 * span:
             span = last_moving
-    curves: list[Chebyshev | None] = []
-    rms = np.full(3, np.inf)
-    for row in range(3):
+    rms = np.full(len(problem.observed), np.inf)
+
+    def through(row: int) -> Chebyshev | None:
         use = (problem.weight[row] > 0) & (t <= span)
         n = int(use.sum())
-        if n < 3:
-            curves.append(None)
-            continue
+        if n < 2:
+            return None
         degree = min(_DEGREE, max(1, (n - 1) // 3))
         curve = Chebyshev.fit(t[use], problem.observed[row][use], degree, domain=[0, span])
         residual = problem.observed[row][use] - curve(t[use])
-        curves.append(curve)
         rms[row] = max(float(np.sqrt(np.mean(residual**2))), 1e-6)
+        return curve
+
+    curves = [through(row) for row in range(3)]
+    if len(rms) > 3:
+        speed, omega = through(3), through(4)
+        if curves[0] is None and curves[1] is None and speed is not None:
+            curves[1] = speed.integ(lbnd=0)
+        if curves[2] is None and omega is not None:
+            curves[2] = omega.integ(lbnd=0)
     return Smooth(span, tuple(curves), rms)
 
 
@@ -115,6 +124,8 @@ def start_values(
     x, y, phi = path.curves
     vx = x.deriv()(grid) if x is not None else np.zeros(_GRID)
     vy = y.deriv()(grid) if y is not None else np.zeros(_GRID)
+    if x is None and y is None:
+        vy = _USUAL_SPEED * (1 - 0.9 * grid / path.span)
     v, heading = np.hypot(vx, vy), np.arctan2(vx, vy)
     omega = phi.deriv()(grid) if phi is not None else np.full(_GRID, spin)
     turned = phi(grid) - phi(0.0) if phi is not None else spin * grid
@@ -141,17 +152,23 @@ def start_values(
             ]
         )
         step = grid[1] - grid[0]
-        twice = _cumulative(_cumulative(in_ice, step), step)
+        once = _cumulative(in_ice, step)
+        twice = _cumulative(once, step)
 
+        # Place and angle are integrated twice, speed (along the first direction) and spin once.
         rows, right = [], []
-        for row in range(3):
+        for row in range(len(problem.observed)):
             t = problem.times[use[row]]
             design = np.zeros((len(t), k + 6))
+            series, axis = (twice[row], row) if row < 3 else (once[row - 2], row - 2)
+            if row == 3 and (use[0].any() or use[1].any()):
+                continue  # the places tell it already
             for j in range(k):
-                design[:, j] = np.interp(t, grid, twice[row, :, j])
-            design[:, k + 2 * row] = 1.0
-            design[:, k + 2 * row + 1] = t
-            offset = np.interp(t, grid, twice[row, :, k])
+                design[:, j] = np.interp(t, grid, series[:, j])
+            if row < 3:
+                design[:, k + 2 * axis] = 1.0
+            design[:, k + 2 * axis + 1] = t if row < 3 else 1.0
+            offset = np.interp(t, grid, series[:, k])
             rows.append(design / path.rms[row])
             right.append((problem.observed[row][use[row]] - offset) / path.rms[row])
         low = np.concatenate([lower[:k], np.full(6, -np.inf)])

@@ -12,8 +12,8 @@ from curlfit.errors import DataError, InputError
 
 Floats = NDArray[np.float64]
 
-CHANNELS = ("x", "y", "phi")
-UNITS = {"t": "s", "x": "m", "y": "m", "phi": "rad"}
+CHANNELS = ("x", "y", "phi", "speed", "omega")
+UNITS = {"t": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,9 @@ class Throw:
     ----------
     t : times in s, shape (n,), strictly increasing; the origin does not matter.
     x, y : place of the stone's centre in m, shape (n,); NaN where it was not seen.
-    phi : angle of the stone in rad, not wrapped, shape (n,); NaN where not seen, all NaN if never.
+    phi : angle of the stone in rad, not wrapped, shape (n,); NaN where not seen.
+    speed, omega : speed of the centre in m/s (>= 0) and spin in rad/s where they were measured
+        themselves (a radar, a gyroscope), shape (n,); NaN where not. All NaN where not given.
     sigma : standard deviation of the noise by channel, each of shape (n,); a channel that is
         missing here has an unknown one, which a fit estimates.
     name : what to call the throw, a file name for instance.
@@ -61,6 +63,8 @@ class Throw:
     x: Floats
     y: Floats
     phi: Floats
+    speed: Floats = field(default_factory=lambda: np.zeros(0))
+    omega: Floats = field(default_factory=lambda: np.zeros(0))
     sigma: dict[str, Floats] = field(default_factory=dict)
     name: str = "throw"
     reference: Reference | None = None
@@ -72,6 +76,8 @@ class Throw:
         n = len(self.t)
         for name in ("t", *CHANNELS):
             values = np.asarray(getattr(self, name), float)
+            if name in ("speed", "omega") and not len(values):
+                values = np.full(n, np.nan)
             object.__setattr__(self, name, values)
             if values.shape != (n,):
                 raise self._error(f"{name} has shape {values.shape}, t has {(n,)}")
@@ -96,9 +102,8 @@ class Throw:
             raise self._error(
                 f"time {self.t[row]:g} s {fault}; times must increase from row to row", row, "t"
             )
-        for name in ("x", "y"):
-            if not np.isfinite(getattr(self, name)).any():
-                raise self._error(f"no value of {name} is given; positions are needed", None, name)
+        if not np.isfinite(self.observed).any():
+            raise self._error(f"no value is given; expected some of {', '.join(CHANNELS)}")
 
     def _error(self, message: str, row: int | None = None, column: str | None = None) -> DataError:
         line = None if row is None or self.lines is None else int(self.lines[row])
@@ -110,48 +115,57 @@ class Throw:
     def from_arrays(
         cls,
         t: ArrayLike,
-        x: ArrayLike,
-        y: ArrayLike,
+        x: ArrayLike | None = None,
+        y: ArrayLike | None = None,
         phi: ArrayLike | None = None,
         *,
+        speed: ArrayLike | None = None,
+        omega: ArrayLike | None = None,
         sigma: dict[str, ArrayLike] | None = None,
         **more: Any,
     ) -> Throw:
-        """A throw from arrays or lists; `sigma` values may be single numbers.
+        """A throw from arrays or lists; what was not measured is left out.
 
-        `more` are other attributes, `name` for instance.
+        `sigma` values may be single numbers. `more` are other attributes, `name` for instance.
         """
         t = np.asarray(t, float)
         given = {
             channel: np.broadcast_to(np.asarray(values, float), t.shape)
             for channel, values in (sigma or {}).items()
         }
-        return cls(
-            t=t,
-            x=np.asarray(x, float),
-            y=np.asarray(y, float),
-            phi=np.full_like(t, np.nan) if phi is None else np.asarray(phi, float),
-            sigma=given,
-            **more,
-        )
+        channels = {"x": x, "y": y, "phi": phi, "speed": speed, "omega": omega}
+        arrays: dict[str, Any] = {
+            name: np.full_like(t, np.nan) if values is None else np.asarray(values, float)
+            for name, values in channels.items()
+        }
+        return cls(t=t, **arrays, sigma=given, **more)
 
     def __len__(self) -> int:
         return len(self.t)
 
     @property
     def observed(self) -> Floats:
-        """x, y and phi as one array of shape (3, n)."""
-        return np.stack([self.x, self.y, self.phi])
+        """All channels as one array of shape (5, n), in the order of `CHANNELS`."""
+        return np.stack([getattr(self, name) for name in CHANNELS])
+
+    @property
+    def seen(self) -> tuple[str, ...]:
+        """Channels of which there is a value."""
+        return tuple(name for name in CHANNELS if np.isfinite(getattr(self, name)).any())
 
     @property
     def n_observations(self) -> int:
-        """Numbers measured: finite values of x, y and phi."""
+        """Numbers measured: finite values of all channels."""
         return int(np.isfinite(self.observed).sum())
 
     def require_motion(self) -> None:
         """Raise `DataError` where the place never changes by more than the data's own scatter."""
+        if not {"x", "y"} & set(self.seen):
+            return
         for values in (self.x, self.y):
             seen = values[np.isfinite(values)]
+            if len(seen) < 2:
+                continue
             # Independent noise spreads as much over the whole throw as from row to row.
             if np.ptp(seen) > 1e-6 and seen.std() > 3 * scatter(seen):
                 return

@@ -11,7 +11,12 @@ _NAMES = {
     "x": {"x", "xpos", "posx", "positionx", "xposition", "xcoord"},
     "y": {"y", "ypos", "posy", "positiony", "yposition", "ycoord"},
     "phi": {"phi", "φ", "ϕ", "angle", "theta", "θ", "rotation", "rot", "orientation"},
-}
+    "speed": {"speed", "v", "velocity", "vel"},
+    "omega": {
+        "omega", "ω", "spin", "spinrate", "angularvelocity", "angularspeed", "gyro", "gyroz", "gz",
+        "wz", "rotationrate",
+    },
+}  # fmt: skip
 _SIGMA = {"sigma", "sd", "std", "stdev", "err", "error", "unc", "uncertainty"}
 
 _FOOT = 0.3048
@@ -31,6 +36,16 @@ _UNITS = {
         "rev": 2 * math.pi, "revs": 2 * math.pi, "revolutions": 2 * math.pi,
         "turn": 2 * math.pi, "turns": 2 * math.pi,
     },
+    # "m/s" and "m_s" arrive here as "ms"
+    "speed": {
+        "m/s": 1.0, "ms": 1.0, "mps": 1.0, "cms": 1e-2, "mms": 1e-3, "fts": _FOOT, "fps": _FOOT,
+        "kmh": 1 / 3.6, "kph": 1 / 3.6, "mph": 1609.344 / 3600,
+    },
+    "omega": {
+        "rad/s": 1.0, "rads": 1.0, "radps": 1.0, "degs": math.pi / 180, "dps": math.pi / 180,
+        "degps": math.pi / 180, "rpm": math.pi / 30, "revs": 2 * math.pi, "rps": 2 * math.pi,
+        "revmin": math.pi / 30,
+    },
 }  # fmt: skip
 
 
@@ -38,7 +53,7 @@ class Column(NamedTuple):
     """What a column header means."""
 
     quantity: str
-    """"t", "x", "y", "phi", or "sigma_x" and so on"""
+    """"t", "x", "y", "phi", "speed", "omega", or "sigma_x" and so on"""
     unit: str
     """as written, or the SI unit where none was"""
     factor: float
@@ -48,19 +63,19 @@ class Column(NamedTuple):
 def understand(header: str) -> Column | None:
     """Meaning of a column header such as `time`, `y_ft`, `x [cm]`, `phi_rev`; None if unknown."""
     words = [word for word in re.split(r"[\s_\-./()\[\]{},:]+", header.strip().lower()) if word]
-    for unit_words in (1, 0):
+    for unit_words in (2, 1, 0):
         if len(words) <= unit_words:
             continue
         name = words[: len(words) - unit_words]
         quantity = _quantity(name)
         if quantity is None:
             continue
-        units = _UNITS.get(quantity[-3:] if quantity.endswith("phi") else quantity[-1:])
-        units = _UNITS["length"] if units is None else units
+        units = _UNITS.get(quantity.removeprefix("sigma_"), _UNITS["length"])
+        unit = "".join(words[len(name) :])
         if not unit_words:
             return Column(quantity, next(iter(units)), 1.0)
-        if words[-1] in units:
-            return Column(quantity, words[-1], units[words[-1]])
+        if unit in units:
+            return Column(quantity, "/".join(words[len(name) :]), units[unit])
     return None
 
 

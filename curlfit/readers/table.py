@@ -65,11 +65,9 @@ def load_throw(file: str | PathLike[str]) -> Throw:
             notes.append(f"{column.quantity} converted from {column.unit}")
     t = found["t"]
     reference = settings.pop("reference", None)
-    throw = Throw(
-        t=t,
-        x=found["x"],
-        y=found["y"],
-        phi=found.get("phi", np.full_like(t, np.nan)),
+    throw = Throw.from_arrays(
+        t,
+        **{name: found.get(name) for name in CHANNELS},
         sigma={c: found[f"sigma_{c}"] for c in CHANNELS if f"sigma_{c}" in found},
         name=str(path),
         reference=None if reference is None else _reference(path, reference),
@@ -204,6 +202,8 @@ def _columns(path: Path, line: int, names: list[str]) -> tuple[dict[int, Column]
         taken[column.quantity] = name
         columns[place] = column
     missing = [name for name in ("t", "x", "y") if name not in taken]
+    if "t" in taken and taken.keys() & {"phi", "speed", "omega"}:
+        missing = []  # a gyroscope or a radar alone
     if missing:
         raise DataError(
             f"no column for {' and '.join(missing)} among {', '.join(names)}; {_EXPECTED}",
