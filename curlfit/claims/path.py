@@ -96,10 +96,15 @@ class Kinematics:
         return Kinematics(**{name: values[keep] for name, values in vars(self).items()})
 
 
-def kinematics(t: Floats, *, printed: bool = False) -> Kinematics:
-    """Motion by eq. 12 at times in s; `printed` takes x and y accelerations as eq. 14 prints."""
+def kinematics(t: Floats, *, printed: str = "") -> Kinematics:
+    """Motion by eq. 12 at times in s; the accelerations named in `printed` as eq. 14 prints them.
+
+    `printed` is "", "x" (the wrong sign alone) or "xy" (the wrong exponent, too).
+    """
     first, second = derivatives(t, 1), derivatives(t, 2)
-    ax, ay = as_printed(t) if printed else (second.x, second.y)
+    wrong = as_printed(t)
+    ax = wrong[0] if "x" in printed else second.x
+    ay = wrong[1] if "y" in printed else second.y
     beta = np.arctan2(first.x, first.y)
     return Kinematics(
         t=t,
@@ -118,7 +123,8 @@ class PathFindings:
 
     Attributes
     ----------
-    motion, printed : by eq. 12, and with eq. 14 as printed, each 0.1 s on 0..20 s.
+    motion : by eq. 12, each 0.1 s on 0..20 s. printed, wrong_sign : with eq. 14 as printed, and
+    with its sign alone.
     start : dx/dt, dy/dt (m/s) and omega (1/s) at t = 0. end : x, y (m) and turns at t = 23 s.
     x_form : c, k, p of `d2x/dt2 = -(c + k (1 - t/23)^p)`, in m/s^2, m/s^2, 1.
     y_form : k, p of `d2y/dt2 = -k (1 - t/23)^p`. by_hand : largest relative difference between
@@ -131,6 +137,7 @@ class PathFindings:
 
     motion: Kinematics
     printed: Kinematics
+    wrong_sign: Kinematics
     start: tuple[float, float, float]
     end: tuple[float, float, float]
     x_form: tuple[float, float, float]
@@ -176,7 +183,8 @@ def study_path() -> PathFindings:
     ax_printed, ay_printed = as_printed(t)
     return PathFindings(
         motion=motion,
-        printed=kinematics(t, printed=True),
+        printed=kinematics(t, printed="xy"),
+        wrong_sign=kinematics(t, printed="x"),
         start=(float(first.x[0]), float(first.y[0]), float(first.phi[0])),
         end=(float(end.x), float(end.y), float(end.phi / (2 * np.pi))),
         x_form=_x_form(),
