@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from curlfit.version import __version__
 
 if TYPE_CHECKING:
+    from curlfit.claims import Claim, Reproduction, reproduce
     from curlfit.errors import CurlfitError, DataError, InputError, UnusableFitError
     from curlfit.figures import corner_figure, fit_figure
     from curlfit.fitting import fit
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 # Where each public name lives. They are imported on first use, so that `import curlfit` and the
 # command line's help need neither JAX nor matplotlib.
 _HOMES = {
+    "claims": ("Claim", "Reproduction", "reproduce"),
     "errors": ("CurlfitError", "DataError", "InputError", "UnusableFitError"),
     "figures": ("corner_figure", "fit_figure"),
     "fitting": ("fit",),
@@ -53,6 +55,7 @@ __all__ = [  # noqa: RUF022  (in the order of use)
     "load_throw", "Throw", "fit", "FitResult", "print_fit", "sample", "Chain", "Posterior",
     "fit_figure", "corner_figure", "load_fit", "load_chain",
     "Stone", "Start", "Path", "simulate", "synthetic_throw",
+    "reproduce", "Reproduction", "Claim",
     "LAWS", "law_with", "find_law", "Law", "LocalLaw", "NetLaw", "coefficient",
     "CurlfitError", "InputError", "DataError", "UnusableFitError",
     "__version__",

@@ -55,9 +55,7 @@ def pointwise(motion: Kinematics, radius: float, rho: float) -> Floats:
     epsilon = motion.epsilon(radius)
     difference = np.pi * motion.xi / (epsilon * GRAVITY)
     total = -4 * rho**2 * motion.angular / (epsilon * GRAVITY * radius)
-    return np.stack(
-        [(total + difference) / 2, (total - difference) / 2, -2 * motion.eta / GRAVITY]
-    )
+    return np.stack([(total + difference) / 2, (total - difference) / 2, -2 * motion.eta / GRAVITY])
 
 
 def least_squares(motion: Kinematics, radius: float, rho: float) -> Floats:
@@ -176,14 +174,14 @@ def study_eq_28(path: PathFindings) -> Eq28Findings:
     by_fit(trajectory, throw, R_RANGE[0], SOLID, whole)
     for until in (10.0, 15.0, 18.0, 22.0):
         by_fit(trajectory, throw, radius, SOLID, until)
-    evenly = "trajectory fit, 1 m weighs as 1 rad"
+    evenly = "trajectory fit, even weights"  # 1 m like 1 rad
     by_fit(evenly, even, radius, rho, whole)
     from_origin = evenly + ", from the origin"
     for one in (rho, SOLID):
         by_fit(from_origin, even, radius, one, whole, fix=origin)
     by_fit(from_origin + " at 2 m/s", even, radius, rho, whole, fix=origin | {"v0": 2.0})
     exactly = origin | {"v0": 2.0, "heading": 0.0, "omega0": 1.0}
-    by_fit("trajectory fit, start fixed to eq. 13", even, radius, rho, whole, fix=exactly)
+    by_fit(evenly + ", start of eq. 13", even, radius, rho, whole, fix=exactly)
     for one in (rho, SOLID):
         by_fit(trajectory, throw, 0.065, one, whole)
     return Eq28Findings(tuple(rows), printed, solid, vary_stone(throw, printed))
@@ -270,18 +268,14 @@ def vary_stone(throw: Throw, central: FitResult, seed: int = 1) -> Uncertainty:
     here = np.array([[0.0, 0.0], [0.9, -0.9], [-1.0, 1.0]])
     noise = np.sqrt((_lower(at(0.0, 0.0))[0] ** 2).sum(-1))
     off = interpolated(here[:, 0], here[:, 1]) - np.stack([at(a, b) for a, b in here])
-    check = max(
-        float((np.abs(off[:, :3]) / noise).max()), float(np.abs(off[:, -2:]).max())
-    )
+    check = max(float((np.abs(off[:, :3]) / noise).max()), float(np.abs(off[:, -2:]).max()))
 
     random = np.random.default_rng(seed)
     a, b = random.uniform(-1, 1, (2, _DRAWS))
     found = interpolated(a, b)
     evidence = found[:, -1] - found[:, -2] / 2
     weight = np.exp(evidence - evidence.max())
-    mu = found[:, :3] + np.einsum(
-        "nij,nj->ni", _lower(found), random.standard_normal((_DRAWS, 3))
-    )
+    mu = found[:, :3] + np.einsum("nij,nj->ni", _lower(found), random.standard_normal((_DRAWS, 3)))
     free = random.choice(_DRAWS, _DRAWS, p=weight / weight.sum())
     positive = (mu > 0).all(1)
     kept = random.choice(_DRAWS, _DRAWS, p=weight * positive / (weight * positive).sum())

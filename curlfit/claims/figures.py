@@ -45,7 +45,13 @@ def eq_14_figure(found: Reproduction) -> Figure:
         textcoords="offset points", ha="right", fontsize=9,
     )  # fmt: skip
     across.set_title("across the sheet: a sign is wrong in print", fontsize=10, loc="left")
-    along.set_title("along the sheet: the exponent is -0.103", fontsize=10, loc="left")
+    along.set_title(
+        f"along the sheet: the exponent is {path.y_form[1]:.3f}, not -0.013".replace(
+            "-", "\N{MINUS SIGN}"
+        ),
+        fontsize=10,
+        loc="left",
+    )
     across.legend(frameon=False, fontsize=9, loc="lower left")
     return figure
 
@@ -84,7 +90,9 @@ def isotropic_figure(found: Reproduction) -> Figure:
         axes.axvline(2 / 0.065, color=_FAINT, lw=1, ls="--")
         axes.axhline(0, color="0.4", lw=0.8)
         _tidy(axes)
-    along.text(2 / 0.065 * 0.96, -0.0205, r"$\varepsilon = 1$", fontsize=10, color="0.35", ha="right")
+    along.text(
+        2 / 0.065 * 0.96, -0.0205, r"$\varepsilon = 1$", fontsize=10, color="0.35", ha="right"
+    )
     figure.legend(
         *across.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False,
         fontsize=9,
@@ -93,7 +101,10 @@ def isotropic_figure(found: Reproduction) -> Figure:
 
 
 def _math(label: str) -> str:
-    return label.replace("mu =", r"$\mu$ =").replace("n0/n", "$n_0/n$").replace("-", "\N{MINUS SIGN}")
+    case, _, formula = label.rpartition("mu = ")
+    formula, _, name = formula.partition(" (")
+    formula = formula.replace("n0/n", r"\,n_0/n").replace(" |v|", r"\,|v|")
+    return f"{case}$\\mu = {formula}$" + (f" ({name}" if name else "")
 
 
 def prop_5_figure(found: Reproduction) -> Figure:
@@ -123,7 +134,9 @@ def prop_5_figure(found: Reproduction) -> Figure:
         label="eq. 14 as printed",
     )  # fmt: skip
     ice.set(xlabel="t (s)", ylabel=r"$T_x/T_y$", xlim=(0, 20))
-    ice.set_title(r"ice frame: the proof's $T_x \geq 0.1\,T_y$ does not hold", fontsize=10, loc="left")
+    ice.set_title(
+        r"ice frame: the proof's $T_x \geq 0.1\,T_y$ does not hold", fontsize=10, loc="left"
+    )
     ice.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(0, 0.93))
     for axes in (moving, ice):
         _tidy(axes)
@@ -144,7 +157,7 @@ def eq_24_figure(found: Reproduction) -> Figure:
     ):  # fmt: skip
         axes.plot(ring.t, series, color=color, lw=1.9)
         axes.plot(20.6, fitted, "D", color=color, ms=5, clip_on=False)
-        axes.text(0.4, series[0] + 0.0022, name, color=color, fontsize=10)
+        axes.text(0.4, series[0] - 0.0018, name, color=color, fontsize=10, va="top")
     axes.text(20.6, 0.0475, "path\nfit", fontsize=8, ha="center", va="top", color="0.35")
     if ring.l1_zero is not None:
         axes.plot(ring.l1_zero, 0, "o", color=_COLORS[0], ms=5)
@@ -166,7 +179,7 @@ def eq_28_figure(found: Reproduction) -> Figure:
 
     rows = [row for row in found.eq28.rows if "eq. 14" not in row.how]
     vary = found.eq28.uncertainty
-    figure = _figure(12, 9)
+    figure = _figure(11.5, 8.6)
     panels = figure.subplots(2, 3, height_ratios=(3.2, 1.0), sharex="col")
     limits = ((-0.0042, 0.0042), (0.0405, 0.0605), (0.0148, 0.0186))
     symbols = (r"$\mu_{1\xi}$", r"$\mu_{2\xi}$", r"$\mu_{1\eta}+\mu_{2\eta}$")
@@ -186,28 +199,36 @@ def eq_28_figure(found: Reproduction) -> Figure:
         dots.set_title(f"{symbols[column]}, printed {PRINTED[column]:g}", fontsize=11)
         dots.set_ylim(-0.7, len(rows) - 0.3)
         dots.set_yticks([])
-        below.hist(vary.mu[:, column], bins=60, color="0.7", density=True)
+        below.hist(vary.mu[:, column], bins=40, color="0.7", density=True)
         for end in vary.interval[column]:
             below.axvline(end, color=_RIGHT, lw=1, ls=":")
         below.set_yticks([])
         below.set_xlim(*limits[column])
         below.locator_params(axis="x", nbins=5)
         below.set_xlabel(symbols[column], fontsize=11)
+    for marker, color, label in (
+        ("s", _COLORS[1], "eq. 27 solved at each t"), ("o", _RIGHT, "fit of the trajectory"),
+    ):  # fmt: skip
+        panels[0, 0].plot([], [], marker, color=color, ms=6, label=label)
+    panels[0, 0].fill_between([], [], color=_PRINT, alpha=0.35, label="eq. 28 within its rounding")
+    panels[0, 0].fill_between(
+        [], [], color="0.7",
+        label=r"posterior over R 0.0535..0.0545 m, $\rho$ 0.095..0.105 m (dotted: 95 %)",
+    )  # fmt: skip
+    handles = panels[0, 0].get_legend_handles_labels()
+    figure.legend(*handles, loc="outside upper center", ncols=4, frameon=False, fontsize=9.5)
     first = panels[0, 0]
     first.axvline(0, color="0.4", lw=0.8)
     panels[1, 0].axvline(0, color="0.4", lw=0.8)
     first.set_yticks(places, [_way(row) for row in rows], fontsize=8)
     panels[1, 0].set_yticks([])
-    panels[1, 0].set_ylabel(
-        "posterior,\nR 0.0535..0.0545 m,\n" r"$\rho$ 0.095..0.105 m" "\n(dotted: 95 %)",
-        rotation=0, ha="right", va="center", fontsize=9,
-    )  # fmt: skip
     return figure
 
 
 def _way(row: Any) -> str:
-    how = row.how.replace("eq. 27 at each t", "eq. 27").replace("trajectory fit", "fit")
-    return f"{how}; R {row.radius:g}, $\\rho$ {row.rho:g}, t \N{LESS-THAN OR EQUAL TO} {row.window:g} s"
+    how = row.how.replace("eq. 27 at each t, ", "").replace("trajectory fit", "")
+    how = how.removeprefix(", ")
+    return f"{how}{'; ' if how else ''}R {row.radius:g}, $\\rho$ {row.rho:g}, t \N{LESS-THAN OR EQUAL TO} {row.window:g} s"
 
 
 def split_figure(found: Reproduction) -> Figure:
@@ -217,7 +238,7 @@ def split_figure(found: Reproduction) -> Figure:
     ring = found.ring
     change.loglog(
         ring.split_epsilon, np.maximum(ring.split_uniform, 5e-17), "o-", color=_RIGHT,
-        label="uniform load: rounding",
+        label="uniform load: rounding or less",
     )  # fmt: skip
     change.loglog(
         ring.split_epsilon, np.abs(ring.split_consistent), "s-", color=_COLORS[2],

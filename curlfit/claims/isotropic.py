@@ -141,8 +141,7 @@ def over_grid(
 ) -> tuple[States, Floats]:
     """States for every set of coefficients, speed and spin; and the coefficients of each."""
     k, speeds, spins = (
-        axis.ravel()
-        for axis in np.meshgrid(np.arange(len(coefficients)), v, omega, indexing="ij")
+        axis.ravel() for axis in np.meshgrid(np.arange(len(coefficients)), v, omega, indexing="ij")
     )
     values = np.array(coefficients, float)[k]
     return ring_states(law, values, speeds, spins), values
@@ -206,7 +205,10 @@ class Example:
 
 @dataclass(frozen=True)
 class Curve:
-    """Force over weight against spin at 2 m/s: omega in 1/s, t_xi, t_eta, and least mu."""
+    """Force over weight against spin at 2 m/s: omega in 1/s, t_xi, t_eta, and least mu.
+
+    The label is LaTeX but for the word mu.
+    """
 
     label: str
     omega: Floats
@@ -354,14 +356,15 @@ def _leftmost(
 
 
 def _curves() -> tuple[Curve, ...]:
-    omega = np.union1d(np.geomspace(0.3, 200, 160), [1.0, 10.0, 40.0, 100.0, 200.0])
+    near = np.linspace(29, 50, 211)  # where signs change
+    omega = np.union1d(np.geomspace(0.3, 200, 120), [1.0, 10.0, *near, 100.0])
     wanted: list[tuple[str, type[LocalLaw], tuple[float, ...]]] = [
         ("mu = 0.01", Coulomb, (0.01,)),
-        ("mu = 0.008 |v|^-0.5 (Penner)", Power, (0.008, -0.5)),
-        ("mu = 0.008 |v|^-1.5", Power, (0.008, -1.5)),
-        ("eq. 11 (i): 0.01 + 0.002 |v| n0/n", Stribeck, (0.01, 0.002)),
-        ("eq. 11 (ii): 0.02 - 0.004 |v| n0/n", Stribeck, (0.02, -0.004)),
-        ("eq. 11 (iii): -0.01 + 0.01 |v| n0/n", Stribeck, (-0.01, 0.01)),
+        ("mu = 0.008 |v|^{-0.5} (Penner)", Power, (0.008, -0.5)),
+        ("mu = 0.008 |v|^{-1.5}", Power, (0.008, -1.5)),
+        ("(i) mu = 0.01 + 0.002 |v| n0/n", Stribeck, (0.01, 0.002)),
+        ("(ii) mu = 0.02 - 0.004 |v| n0/n", Stribeck, (0.02, -0.004)),
+        ("(iii) mu = -0.01 + 0.01 |v| n0/n", Stribeck, (-0.01, 0.01)),
     ]
     found = []
     for label, law, values in wanted:
@@ -400,8 +403,8 @@ def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
             f"{found.triple_states} states of {found.laws} laws; |M_N|/(h |T|) = 1 within "
             f"{found.arm:.0e}",
             "holds" if exact else "does not hold",
-            "The balance of moments (eq. 8) leaves the load no other choice, so it is exact to "
-            "rounding.",
+            "The balance of moments (eq. 8) leaves the load no other choice; what is left is the "
+            "precision of the solution.",
         ),
         Claim(
             "prop2",
@@ -431,13 +434,13 @@ def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
             "prop4",
             "mu = mu0 + mu1 v/n, eq. 11",
             "(i) right; (ii) right, or left with speeding up if fast; (iii) left, slowing down",
-            f"(i) right in {one.states - one.left} of {one.states}; (ii) right in {two.slow - two.slow_left} of "
-            f"{two.slow} with |eps| < 1, left in {two.left} faster ones, {two.speeds_up} speed "
+            f"(i) right in {one.states - one.left} of {one.states}; (ii) right in "
+            f"{two.slow - two.slow_left} of {two.slow} with |eps| < 1, left in {two.left} faster ones, {two.speeds_up} speed "
             f"up; (iii) left and slowing in {three.left} of {three.states}",
             "holds" if fine else "does not hold",
             "It needs mu > 0 on the whole ring, as in the states counted; where (iii) makes mu "
-            f"negative somewhere, {below.states - below.left} of {below.states} states deviate to the "
-            f"right. A case of (ii): mu0 = {other.coefficients['mu0']:g}, "
+            f"negative somewhere, {below.states - below.left} of {below.states} states deviate to "
+            f"the right. A case of (ii): mu0 = {other.coefficients['mu0']:g}, "
             f"mu1 = {other.coefficients['mu1']:g} s/m, v = {other.v:.2g} m/s, "
             f"omega = {other.omega:.0f} 1/s.",
         ),

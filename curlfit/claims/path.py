@@ -306,5 +306,3 @@ def path_claims(found: PathFindings) -> dict[str, Claim]:
         ),
     ]  # fmt: skip
     return {claim.id: claim for claim in claims}
-
-

@@ -215,7 +215,8 @@ def _paths() -> tuple[tuple[float, float], tuple[float, float]]:
     start = np.array([*mu, 0.0, 0.0, 0.0, SPEED, 0.0, 1.0])
     closed = first_order_motion(FrontBackFirstOrder(*mu), stone, SPEED, 1.0, t)
     stepped, ring = (
-        np.asarray(trace(law, "uniform", start, t, stone)) for law in (FrontBackFirstOrder, FrontBack)
+        np.asarray(trace(law, "uniform", start, t, stone))
+        for law in (FrontBackFirstOrder, FrontBack)
     )
 
     def gap(x: Any, y: Any, phi: Any, other: Floats) -> tuple[float, float]:

@@ -11,6 +11,7 @@ import typer
 from curlfit.cli.fit import fit
 from curlfit.cli.laws import laws
 from curlfit.cli.plot import plot
+from curlfit.cli.reproduce import reproduce
 from curlfit.cli.show import show
 from curlfit.cli.simulate import simulate
 from curlfit.errors import CurlfitError
@@ -45,7 +46,7 @@ def _root(
     """
 
 
-for _verb in (fit, show, plot, simulate, laws):
+for _verb in (fit, show, plot, simulate, laws, reproduce):
     app.command()(_verb)
 
 
