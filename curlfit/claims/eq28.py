@@ -114,7 +114,7 @@ class Uncertainty:
     def covered(self) -> NDArray[np.bool_]:
         """Whether the interval of each coefficient meets the printed value within its rounding."""
         low, high = self.interval.T
-        return (low <= PRINTED + HALF_DIGIT) & (PRINTED - HALF_DIGIT <= high)
+        return (low <= PRINTED + HALF_DIGIT) & (high >= PRINTED - HALF_DIGIT)
 
 
 @dataclass(frozen=True)
@@ -314,11 +314,23 @@ def _text(mu: Floats) -> str:
     return f"{mu[0]:.4f}, {mu[1]:.4f}, {mu[2]:.4f}"
 
 
+def _covered(vary: Uncertainty) -> str:
+    """Which printed values the intervals hold, in words."""
+    low, high = vary.interval.T
+    inside = (low <= PRINTED) & (high >= PRINTED)
+    words = [
+        f"{value:g}" + ("" if within else " as rounded")
+        for value, within, met in zip(PRINTED, inside, vary.covered, strict=True)
+        if met
+    ]
+    return ", ".join(words) or "none of the printed values"
+
+
 def _exactly(rows: tuple[Row, ...]) -> str:
     """The first way of computing eq. 28 that gives its printed digits, in words."""
     for row in rows:
         if rounds_to_print(row.mu):
-            return f"of {row.how}, with R = {row.radius:g} m, rho = {row.rho:g} m"
+            return f'of the way "{row.how}" with R = {row.radius:g} m, rho = {row.rho:g} m'
     return "of none of the ways tried"
 
 
@@ -328,7 +340,6 @@ def eq_28_claims(found: Eq28Findings, ring: RingFindings) -> dict[str, Claim]:
     low, high = vary.interval.T
     reached = bool(vary.covered.all()) and vary.share > 0
     at_once: Verdict = "holds" if rounds_to_print(mu) else "holds with a correction"
-    radius, rho = vary.nearest
     ratio, other = found.ratio
     null = found.fit.null_directions
     exchanged = len(null) == 1 and null[0] == {"mu1_eta": 1.0, "mu2_eta": -1.0}
@@ -342,11 +353,11 @@ def eq_28_claims(found: Eq28Findings, ring: RingFindings) -> dict[str, Claim]:
             f"{PRINTED[0]:g}, {PRINTED[1]:g}, {PRINTED[2]:g} (R = 0.054 m, rho = 0.1 m)",
             f"{_text(mu)}; with rho = {SOLID:.4f} m {_text(solid)}; 95 % over the rounding of R "
             f"and rho: {low[0]:.4f} .. {high[0]:.4f}, {low[1]:.4f} .. {high[1]:.4f}, "
-            f"{low[2]:.4f} .. {high[2]:.4f}",
+            f"{low[2]:.5f} .. {high[2]:.5f}",
             at_once if reached else "does not hold",
-            "Reproduced to the rounding of the printed stone, with which it moves far more than with "
-            f"noise ({vary.noise[0]:.0e} in mu1_xi): R = {radius:.4f} m, rho = {rho:.4f} m give "
-            f"{_text(vary.nearest_mu)}; all printed digits come out {_exactly(found.rows)}.",
+            f"The intervals cover {_covered(vary)}; their width comes from R and rho, not from "
+            f"noise ({vary.noise[0]:.0e} in mu1_xi). All printed digits come out "
+            f"{_exactly(found.rows)}.",
         ),
         Claim(
             "ratio",

@@ -165,8 +165,10 @@ def eq_24_figure(found: Reproduction) -> Figure:
             f"$l_1$ changes sign at {ring.l1_zero:.1f} s", (ring.l1_zero, 0), (-8, 9),
             textcoords="offset points", ha="right", fontsize=9,
         )  # fmt: skip
-    axes.text(10, -0.0465, "no friction: some coefficient is negative", fontsize=9, color=_COLORS[2],
-              ha="center")  # fmt: skip
+    axes.text(
+        10, -0.0465, "no friction: some coefficient is negative", fontsize=9,
+        color=_COLORS[2], ha="center",
+    )  # fmt: skip
     axes.set(xlabel="t (s)", ylabel="eq. 24, R = 0.065 m", xlim=(0, 21), ylim=(-0.05, 0.05))
     axes.set_xticks(range(0, 21, 5))
     _tidy(axes)
@@ -228,7 +230,8 @@ def eq_28_figure(found: Reproduction) -> Figure:
 def _way(row: Any) -> str:
     how = row.how.replace("eq. 27 at each t, ", "").replace("trajectory fit", "")
     how = how.removeprefix(", ")
-    return f"{how}{'; ' if how else ''}R {row.radius:g}, $\\rho$ {row.rho:g}, t \N{LESS-THAN OR EQUAL TO} {row.window:g} s"
+    stone = rf"R {row.radius:g}, $\rho$ {row.rho:g}, $t \leq$ {row.window:g} s"
+    return f"{how}; {stone}" if how else stone
 
 
 def split_figure(found: Reproduction) -> Figure:

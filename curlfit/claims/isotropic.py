@@ -7,6 +7,7 @@ no state of the model and is left out.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -137,13 +138,13 @@ def ring_states(law: type[LocalLaw], values: Floats, v: Floats, omega: Floats) -
 
 
 def over_grid(
-    law: type[LocalLaw], coefficients: list[tuple[float, ...]], v: Floats, omega: Floats
+    law: type[LocalLaw], coefficients: Sequence[Sequence[float]], v: Floats, omega: Floats
 ) -> tuple[States, Floats]:
     """States for every set of coefficients, speed and spin; and the coefficients of each."""
-    k, speeds, spins = (
-        axis.ravel() for axis in np.meshgrid(np.arange(len(coefficients)), v, omega, indexing="ij")
-    )
-    values = np.array(coefficients, float)[k]
+    rows = len(v) * len(omega)
+    speeds = np.tile(np.repeat(v, len(omega)), len(coefficients))
+    spins = np.tile(omega, len(v) * len(coefficients))
+    values = np.repeat(np.array(coefficients, float), rows, axis=0)
     return ring_states(law, values, speeds, spins), values
 
 
@@ -413,8 +414,8 @@ def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
             f"right in {c.states - c.left} of {c.states} states, T_xi = {c.range[0]:.1e} .. "
             f"{c.range[1]:.1e} of the weight",
             "holds" if c.left == 0 and c.range[0] > 0 else "does not hold",
-            "Friction loads the front more (n2 > 0), and there rotation slides the ring to the "
-            "left; mu from 0.002 to 0.2, spins to 200 1/s of both senses.",
+            "Friction loads the front more (n2 > 0), where a counter-clockwise ring slides to "
+            "the left and is pushed right; mu from 0.002 to 0.2, spins to 200 1/s of both senses.",
         ),
         Claim(
             "prop3",
@@ -427,7 +428,7 @@ def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
             "holds" if slow_left == 0 and 0 < left == remark else "does not hold",
             f"Among powers of v, exponents {_listed(lefts)} deviate to the left beyond |eps| = 1 "
             f"and {_listed(rights)} never do; so at v^{example.coefficients['k']:g}, "
-            f"v = {example.v:.2g} m/s, omega = {example.omega:.0f} 1/s: "
+            f"v = {example.v:.2g} m/s, omega = {example.omega:.2g} 1/s: "
             f"T_xi = {example.t_xi:.1e}, T_eta = {example.t_eta:+.1e} of the weight.",
         ),
         Claim(
@@ -435,8 +436,9 @@ def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
             "mu = mu0 + mu1 v/n, eq. 11",
             "(i) right; (ii) right, or left with speeding up if fast; (iii) left, slowing down",
             f"(i) right in {one.states - one.left} of {one.states}; (ii) right in "
-            f"{two.slow - two.slow_left} of {two.slow} with |eps| < 1, left in {two.left} faster ones, {two.speeds_up} speed "
-            f"up; (iii) left and slowing in {three.left} of {three.states}",
+            f"{two.slow - two.slow_left} of {two.slow} with |eps| < 1, left in {two.left} faster "
+            f"ones, {two.speeds_up} speed up; (iii) left and slowing in {three.left} of "
+            f"{three.states}",
             "holds" if fine else "does not hold",
             "It needs mu > 0 on the whole ring, as in the states counted; where (iii) makes mu "
             f"negative somewhere, {below.states - below.left} of {below.states} states deviate to "

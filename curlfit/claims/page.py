@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from curlfit.claims.eq28 import EQ_28_STONE, PRINTED, R_RANGE, RHO_RANGE, SOLID
+from curlfit.claims.eq28 import PRINTED, R_RANGE, RHO_RANGE, SOLID
 from curlfit.claims.isotropic import CASES, EXPONENTS, SPEEDS, SPINS
+from curlfit.paper import EQ_28_STONE
 
 if TYPE_CHECKING:
     from curlfit.claims.isotropic import Example
@@ -27,7 +29,7 @@ def claims_table(claims: tuple[Claim, ...]) -> Table:
     table.add_column("claim, and why", ratio=40)
     table.add_column("printed", ratio=23)
     table.add_column("computed", ratio=28)
-    table.add_column("verdict", width=10)
+    table.add_column("verdict", width=12)
     table.expand = True
     for one in claims:
         what = Text(one.claim + "\n", style="bold").append(one.why, style="not bold dim")
@@ -39,9 +41,10 @@ def claims_table(claims: tuple[Claim, ...]) -> Table:
 def verdicts(claims: tuple[Claim, ...]) -> str:
     """How many claims hold, in a sentence."""
     count = Counter(claim.verdict for claim in claims)
+    failed = count["does not hold"]
     return (
         f"Of {len(claims)} claims {count['holds']} hold, {count['holds with a correction']} hold "
-        f"with a correction, {count['does not hold']} do not hold."
+        f"with a correction, {failed} {'does' if failed == 1 else 'do'} not hold."
     )
 
 
@@ -67,7 +70,7 @@ def page(found: Reproduction) -> str:
     ) + "\n"  # fmt: skip
 
 
-def _table(rows: list[tuple[str, ...]]) -> str:
+def _table(rows: Sequence[Sequence[str]]) -> str:
     lines = ["| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in rows]
     return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
 
@@ -106,8 +109,16 @@ def _trajectory(found: Reproduction) -> list[str]:
 
 def _isotropic(found: Reproduction) -> list[str]:
     iso = found.isotropic
-    rows = [("law", "states", "of these |eps| < 1", "left", "left with |eps| < 1",
-             "left, n1 > 0, n2 < 0, speeding up, rotation slowing")]  # fmt: skip
+    rows: list[tuple[str, ...]] = [
+        (
+            "law",
+            "states",
+            "of these |eps| < 1",
+            "left",
+            "left with |eps| < 1",
+            "left, n1 > 0, n2 < 0, speeding up, rotation slowing",
+        )
+    ]
     named = [("mu constant (Prop. 2)", iso.coulomb)]
     named += [(f"mu = c v^{k:g} (Prop. 3)", tally) for k, tally in iso.power.items()]
     named += [("mu(v) rising and falling, at random (Prop. 3)", iso.mixture)]
@@ -119,6 +130,8 @@ def _isotropic(found: Reproduction) -> list[str]:
         numbers = (tally.states, tally.slow, tally.left, tally.slow_left, tally.remark)
         rows.append((label, *map(str, numbers)))
     below = iso.negative["iii"]
+    lefts = [k for k, tally in iso.power.items() if tally.left]
+    rights = [k for k, tally in iso.power.items() if not tally.left]
     return [
         "## Isotropic friction: Prop. 1-4",
         f"Grid: {len(SPEEDS)} speeds of {SPEEDS[0]:g} to {SPEEDS[-1]:g} m/s and {len(SPINS)} spins "
@@ -134,9 +147,10 @@ def _isotropic(found: Reproduction) -> list[str]:
         _picture("isotropic", "Force across and along the motion against spin"),
         f"Left deviations, pushed furthest: {_example(iso.power_example)}; "
         f"{_example(iso.mixture_example)}; {_example(iso.stribeck_example)}. Under the "
-        "consistent load the sideways force has the sign of n2, which is that of -T_eta: a stone with "
-        "isotropic mu(v) deviates to the left exactly when friction drives it forward. Powers of "
-        "the speed do so beyond |eps| = 1 for exponents below -1.",
+        "consistent load the sideways force has the sign of n2, which is that of -T_eta: a stone "
+        "with isotropic mu(v) deviates to the left exactly when friction drives it forward. Of the "
+        f"powers of the speed those with exponents up to {max(lefts):g} do so beyond |eps| = 1, "
+        f"those from {min(rights):g} on never.",
         "Case (iii) of Prop. 4 presumes mu > 0 where the ring slides. Where the line of eq. 11 is "
         f"followed below zero, {below.states - below.left} of {below.states} states deviate to the "
         f"right, and {below.speeds_up} speed up.",
@@ -153,11 +167,13 @@ def _example(one: Example) -> str:
 
 def _first_order(found: Reproduction) -> list[str]:
     ring = found.ring
-    rows = [("eps", "eq. 23: T_xi", "T_eta", "M", "eq. 27: T_xi", "T_eta", "M")]
+    rows: list[tuple[str, ...]] = [
+        ("eps", "eq. 23: T_xi", "T_eta", "M", "eq. 27: T_xi", "T_eta", "M")
+    ]
     for k, epsilon in enumerate(ring.radial.epsilon):
         gaps = (*ring.radial.gap[k], *ring.front_back.gap[k])
         rows.append((f"{epsilon:g}", *(f"{gap:.1e}" for gap in gaps)))
-    along = [("t (s)", "l1", "l2", "l3")]
+    along: list[tuple[str, ...]] = [("t (s)", "l1", "l2", "l3")]
     for k in range(0, 201, 50):
         along.append(
             (f"{ring.t[k]:g}", *(f"{line[k]:.4f}" for line in (ring.l1, ring.l2, ring.l3)))
@@ -178,7 +194,9 @@ def _first_order(found: Reproduction) -> list[str]:
 def _eq_28(found: Reproduction) -> list[str]:
     eq28 = found.eq28
     vary = eq28.uncertainty
-    rows = [("how", "R (m)", "rho (m)", "t <= (s)", "mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")]
+    rows: list[tuple[str, ...]] = [
+        ("how", "R (m)", "rho (m)", "t <= (s)", "mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")
+    ]
     printed = (f"{value:g}" for value in PRINTED)
     rows.append(
         ("**printed, eq. 28**", f"{EQ_28_STONE.R:g}", f"{EQ_28_STONE.rho:g}", "20", *printed)
@@ -186,7 +204,7 @@ def _eq_28(found: Reproduction) -> list[str]:
     for row in eq28.rows:
         numbers = (f"{row.radius:g}", f"{row.rho:g}", f"{row.window:g}")
         rows.append((row.how, *numbers, *(f"{value:.5f}" for value in row.mu)))
-    intervals = [("", "mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")]
+    intervals: list[tuple[str, ...]] = [("", "mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")]
     intervals.append(("printed", *(f"{value:g}" for value in PRINTED)))
     for label, ends in (
         ("95 %, coefficients >= 0", vary.interval), ("95 %, either sign", vary.free_interval),

@@ -223,7 +223,9 @@ def _paths() -> tuple[tuple[float, float], tuple[float, float]]:
         distance = np.hypot(x - other[0], y - other[1])
         return float(distance.max()), float(np.abs(phi - other[2]).max())
 
-    return gap(closed.x, closed.y, closed.phi, stepped), gap(*stepped[:3], ring)
+    return gap(closed.x, closed.y, closed.phi, stepped), gap(
+        stepped[0], stepped[1], stepped[2], ring
+    )
 
 
 def _split() -> tuple[Floats, Floats]:
