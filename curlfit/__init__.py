@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from curlfit.version import __version__
 
 if TYPE_CHECKING:
+    from curlfit.claims import Claim, Reproduction, reproduce
     from curlfit.comparison import Comparison, compare, load_comparison
     from curlfit.errors import CurlfitError, DataError, InputError, UnusableFitError
     from curlfit.figures import comparison_figure, corner_figure, fit_figure
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 # Where each public name lives. They are imported on first use, so that `import curlfit` and the
 # command line's help need neither JAX nor matplotlib.
 _HOMES = {
+    "claims": ("Claim", "Reproduction", "reproduce"),
     "comparison": ("Comparison", "compare", "load_comparison"),
     "errors": ("CurlfitError", "DataError", "InputError", "UnusableFitError"),
     "figures": ("comparison_figure", "corner_figure", "fit_figure"),
@@ -58,6 +60,7 @@ __all__ = [  # noqa: RUF022  (in the order of use)
     "fit_figure", "corner_figure", "load_fit", "load_chain",
     "compare", "Comparison", "print_comparison", "comparison_figure", "load_comparison",
     "Stone", "Start", "Path", "simulate", "synthetic_throw",
+    "reproduce", "Reproduction", "Claim",
     "LAWS", "law_with", "find_law", "Law", "LocalLaw", "NetLaw", "coefficient",
     "CurlfitError", "InputError", "DataError", "UnusableFitError",
     "__version__",

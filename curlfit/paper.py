@@ -6,7 +6,7 @@ A. P. Ivanov, N. D. Shuvalov, "Friction in curling game"; equation numbers are t
 from __future__ import annotations
 
 from pathlib import Path as FilePath
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,14 +31,18 @@ EQ_28_UNTIL = 20.0
 class Trajectory(NamedTuple):
     """Place and angle over time: x, y in m, phi in rad."""
 
-    x: Floats
-    y: Floats
-    phi: Floats
+    x: Any
+    y: Any
+    phi: Any
 
 
 def jensen_shegelski(t: ArrayLike) -> Trajectory:
     """The fitted trajectory of Jensen and Shegelski (2004), eq. 12, for t in s on [0, 23]."""
-    t = np.asarray(t, float)
+    return eq_12(np.asarray(t, float))
+
+
+def eq_12(t: Any) -> Trajectory:
+    """The formula of eq. 12 itself, for a number or array of any library; jax differentiates it."""
     rest = 1 - t / 23
     return Trajectory(
         x=-(0.004 * t**2 - 0.185 * t + 2.98 * (1 - rest**1.43)),

@@ -12,6 +12,7 @@ from curlfit.cli.compare import compare
 from curlfit.cli.fit import fit
 from curlfit.cli.laws import laws
 from curlfit.cli.plot import plot
+from curlfit.cli.reproduce import reproduce
 from curlfit.cli.show import show
 from curlfit.cli.simulate import simulate
 from curlfit.errors import CurlfitError
@@ -46,7 +47,7 @@ def _root(
     """
 
 
-for _verb in (fit, compare, show, plot, simulate, laws):
+for _verb in (fit, compare, show, plot, simulate, laws, reproduce):
     app.command()(_verb)
 
 

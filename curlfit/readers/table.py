@@ -202,7 +202,7 @@ def _columns(path: Path, line: int, names: list[str]) -> tuple[dict[int, Column]
         taken[column.quantity] = name
         columns[place] = column
     missing = [name for name in ("t", "x", "y") if name not in taken]
-    if "t" in taken and taken.keys() & {"phi", "speed", "omega"}:
+    if missing == ["x", "y"] and taken.keys() & {"phi", "speed", "omega"}:
         missing = []  # a gyroscope or a radar alone
     if missing:
         raise DataError(

@@ -1,0 +1,33 @@
+"""What a recomputed claim is."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+Verdict = Literal["holds", "holds with a correction", "does not hold"]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A numbered statement of the paper beside what the model gives.
+
+    Attributes
+    ----------
+    id : equation or proposition, "eq14x" or "prop2" for instance.
+    claim : what is claimed, in a few words.
+    printed, computed : the paper's result and the one computed, with units.
+    verdict : "holds", "holds with a correction" or "does not hold".
+    why : one sentence.
+    """
+
+    id: str
+    claim: str
+    printed: str
+    computed: str
+    verdict: Verdict
+    why: str
+
+    def as_dict(self) -> dict[str, str]:
+        """The fields by name."""
+        return asdict(self)
