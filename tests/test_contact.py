@@ -7,7 +7,7 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
-from conftest import G, Reference
+from conftest import G, Reference, front_back
 from scipy.special import ellipe, ellipk
 
 from curlfit import LAWS, LocalLaw, Stone
@@ -51,7 +51,7 @@ def test_coulomb_force_is_the_complete_elliptic_integral(epsilon):
 )
 def test_front_back_agrees_with_a_dense_ring(load, omega, tolerance):
     h = STONE.h if load == "consistent" else None
-    dense = Reference(MU, R=STONE.R, h=h).force(2.0, STONE.R * omega)
+    dense = Reference(front_back(*MU), R=STONE.R, h=h).force(2.0, STONE.R * omega)
     np.testing.assert_allclose(
         over_weight(FRONT_BACK, load, 2.0, omega), dense, rtol=tolerance, atol=1e-15
     )
