@@ -8,7 +8,8 @@ The motion names its own time scales: the time to rest, the turning of the veloc
 passage of |epsilon| = 1, where one point of the ring stops sliding and friction has a logarithmic
 kink. Each step is a fixed fraction of the shortest of these, so it shrinks geometrically toward
 rest and toward the kink. A law may name angles turned at which its friction has a corner, and how
-fast it changes by itself; steps end at the one and follow the other. Within a step the fifth-order
+fast it changes by itself; steps end at the one and follow the other, and up to the last corner
+they follow the turning too. Within a step the fifth-order
 formula of Dormand and Prince (1980) is used, and between steps the quintic polynomial through
 position, velocity and acceleration at both ends. Nothing is rejected and repeated, so stones run in
 lockstep under `vmap`, and derivatives are those of a fixed smooth map.
@@ -182,18 +183,23 @@ def _step_size(
     frequency = 1 / span + slowing + jnp.abs(rate.heading) + swing_rate + law.quickness(time)
     if not spin_counts:
         frequency += jnp.abs(rate.omega) / (jnp.abs(state.omega) + _LEAST_SPIN)
+    if law.corners:
+        frequency += jnp.abs(state.omega) * (jnp.abs(state.phi) < max(law.corners) - _CORNER)
     # The error of a step goes as its fraction to the sixth power, times what is left to go.
     fraction = jnp.minimum(STEP * to_go ** (-1 / 6), _LARGEST_STEP)
     dt = fraction / frequency
     for corner in law.corners:
-        dt = jnp.minimum(dt, _time_to_turn(corner - jnp.abs(state.phi), state, rate))
+        left = _time_to_turn(corner, state, rate)
+        # In two steps, for the time is foretold the better the shorter it is.
+        dt = jnp.where(left < dt / 8, left, jnp.minimum(dt, 7 / 8 * left))
     return dt, at_rest
 
 
-def _time_to_turn(angle: Array, state: _State, rate: _State) -> Array:
-    """Time in which the stone turns on by an angle, from its spin and the loss of it; or inf."""
-    spin = jnp.abs(state.omega)
-    gain = rate.omega * jnp.sign(state.omega)
+def _time_to_turn(corner: float, state: _State, rate: _State) -> Array:
+    """Time in which the stone turns to an angle, from its spin and the loss of it; or inf."""
+    sense = jnp.sign(state.omega)
+    spin, gain = sense * state.omega, sense * rate.omega
+    angle = sense * (corner - state.phi)
     square = spin**2 + 2 * gain * angle
     ahead = (angle > _CORNER) & (square > 0)
     root = jnp.sqrt(jnp.where(ahead, square, 1.0))

@@ -163,7 +163,7 @@ class Reference:
             return tilt
         for _ in range(100):
             before, tilt = tilt, -2 * self.h / self.R * self.net(ring, tilt)[:2]
-            if np.abs(tilt - before).max() < 1e-15:
+            if np.abs(tilt - before).max() < 1e-14:
                 return tilt
         raise AssertionError("the load does not settle")
 

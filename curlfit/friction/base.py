@@ -163,7 +163,8 @@ class Law:
     source: ClassVar[str] = ""
     predicts: ClassVar[str] = ""
     corners: ClassVar[tuple[float, ...]] = ()
-    """Angles turned (rad, of either sense) at which friction changes its course abruptly."""
+    """Angles turned (rad) at which friction, which follows the turning until the last of them,
+    changes its course abruptly."""
 
     def quickness(self, time: Any) -> Any:
         """How fast friction changes by itself at a time since release, in 1/s."""

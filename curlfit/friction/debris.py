@@ -18,7 +18,7 @@ class Debris(LocalLaw):
     formula = "t = -mu n v/|v|, mu_dirty where the ring was once in front, else mu_clean"
     source = "Denny (2002), as told by Ivanov and Shuvalov (2012), sect. 1"
     predicts = "left for half a turn where mu_dirty < mu_clean, then not at all"
-    corners = (pi,)
+    corners = (-pi, 0.0, pi)
 
     mu_clean: float = coefficient(0.013, "clean ring", symbol=r"\mu_\mathrm{clean}")
     mu_dirty: float = coefficient(0.008, "fouled ring", symbol=r"\mu_\mathrm{dirty}")
