@@ -30,10 +30,8 @@ from curlfit.friction import LAWS, Law, Load, LocalLaw, Motion, NetLaw, RingPoin
 from curlfit.friction.base import on_new_law
 from curlfit.stone import GRAVITY, Stone
 
-NODES = (
-    16  # on each half of the ring: 1e-12 of the force at |epsilon| 0.7, 1e-7 at 0.98, 5e-6 at worst
-)
-_NARROWEST = 2e-4  # `swing` below which the nodes crowd no further: smallest error at worst
+NODES = 20  # on each half of the ring: 1e-14 of the force at |epsilon| 0.7, 1e-9 at 0.98
+_NARROWEST = 5e-5  # `swing` below which the nodes crowd no further: least error at worst, 4e-7
 _BALANCED = 1e-9  # imbalance, relative to the weight, at which one more Newton step is exact
 _MOST_NEWTON_STEPS = 30
 _LEAST_LOAD = 1e-6  # over the uniform load, as shown to a law

@@ -180,11 +180,15 @@ def _step_size(
     au, du = jnp.abs(u), stone.R * jnp.sign(u) * rate.omega
     total = jnp.where(v + au > 0, v + au, 1.0)
     swing_rate = 2 * jnp.abs(au * rate.v - v * du) / total**2 / (swing(v, u) + _KINK)
-    frequency = 1 / span + slowing + jnp.abs(rate.heading) + swing_rate + law.quickness(time)
+    # Where dv/dt ~ v^-n, the time to rest is v/|dv/dt| over 1 + n; the kink is steeper, too.
+    steepness = law.steepness()
+    ending, passing = slowing * (1 + steepness), swing_rate * (1 + 2 * steepness)
+    frequency = 1 / span + ending + jnp.abs(rate.heading) + passing + law.quickness(time)
     if not spin_counts:
         frequency += jnp.abs(rate.omega) / (jnp.abs(state.omega) + _LEAST_SPIN)
     if law.corners:
-        frequency += jnp.abs(state.omega) * (jnp.abs(state.phi) < max(law.corners) - _CORNER)
+        turning = jnp.sqrt(1 / span**2 + state.omega**2 + jnp.abs(rate.omega))
+        frequency += turning * (jnp.abs(state.phi) < max(law.corners) - _CORNER)
     # The error of a step goes as its fraction to the sixth power, times what is left to go.
     fraction = jnp.minimum(STEP * to_go ** (-1 / 6), _LARGEST_STEP)
     dt = fraction / frequency

@@ -170,6 +170,10 @@ class Law:
         """How fast friction changes by itself at a time since release, in 1/s."""
         return 0.0 * time
 
+    def steepness(self) -> Any:
+        """How strongly friction depends on the speed: the exponent, either sign, of a power law."""
+        return 0.0
+
     def fault(self) -> str | None:
         """Why these coefficients make no law of friction, where bounds cannot say it."""
         return None
