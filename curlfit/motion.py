@@ -45,7 +45,7 @@ _REST = 1e-10  # a stone with less than this to go (m and rad together) is at re
 _KINK = 3e-3  # width in `swing` below which the kink at |epsilon| = 1 is not resolved further
 _MOST_TURNING = 5000.0  # rad of turning of the velocity in one time scale of the motion
 _CORNER = 1e-9  # rad before a corner of the law at which it counts as reached
-_LEAST_SPIN = 1e-6  # rad/s below which the end of the spin is not resolved further
+_LEAST_SPIN = 1e-8  # rad/s below which the end of the spin is not resolved further
 _CHUNK = 8  # steps between two looks at the clock
 _MOST_CHUNKS = 4096
 
@@ -173,7 +173,7 @@ def _step_size(
     spin_counts = not isinstance(law, NetLaw)
     moving = (v > 0) | (u != 0) if spin_counts else v > 0
     # How far the stone has still to go, with 1 rad counted as 1 m.
-    square = v**2 + state.omega**2 if spin_counts else v**2
+    square = v**2 + state.omega**2
     to_go = jnp.sqrt(jnp.where(moving, square, 1.0)) / jnp.maximum(slowing, 1e-9)
     at_rest = ~moving | (to_go < _REST)
 

@@ -68,12 +68,12 @@ def follow(
     start: curlfit.Start,
     times: np.ndarray,
     phases: Sequence[tuple[Rates, Callable[[float, float], float] | None]],
-    inertia: float,
+    inertia: float | None,
 ) -> np.ndarray:
     """x, y, phi at the times, shape (3, n); held after rest.
 
-    Each phase ends where its function of (spin, angle turned) passes zero. Spin counts as motion
-    by `inertia`, so a stone whose spin does not keep it going has none.
+    Each phase ends where its function of (spin, angle turned) passes zero. Without `inertia` the
+    stone rests when it stops sliding, though it may still spin.
     """
     state = np.array([start.x, start.y, start.v, start.heading, start.phi, start.omega])
     now, found = 0.0, np.empty((3, len(times)))
@@ -86,6 +86,8 @@ def follow(
             return [v * np.sin(beta), v * np.cos(beta), a_eta, a_xi / v, omega, angular]
 
         def rest(_: float, state: np.ndarray) -> float:
+            if inertia is None:
+                return float(state[2]) - 1e-9
             return float(np.hypot(state[2], inertia * state[5])) - 1e-7
 
         def over(

@@ -86,3 +86,17 @@ def reference(name, values, load, stone=STONE):
 
 def places(path):
     return np.stack([path.x, path.y, path.phi])
+
+
+def semi_empirical_path(values, start, times):
+    a, c, p, q, r = values
+    sense = np.sign(start.omega)
+
+    def spinning(v, *_):
+        v = abs(v)
+        return -a * sense, -c * v**p, -q * v**r * sense
+
+    def sliding(v, *_):
+        return 0.0, -c * abs(v) ** p, 0.0
+
+    return follow(start, times, [(spinning, lambda omega, _: omega * sense), (sliding, None)], None)
