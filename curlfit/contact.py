@@ -42,8 +42,13 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = (_x + 1) / 2, _w / 2
 
 
 def _register(law: type[Law]) -> None:
-    jax.tree_util.register_dataclass(
-        law, data_fields=[item.name for item in law.coefficients()], meta_fields=[]
+    names = [item.name for item in law.coefficients()]
+    # Not `register_dataclass`: to jaxlib 0.10 the structures of two dataclasses with as many
+    # fields are equal, and now and then `jit` runs the program of one law for another.
+    jax.tree_util.register_pytree_node(
+        law,
+        lambda value: ([getattr(value, name) for name in names], None),
+        lambda _, values: law(*values),
     )
 
 
@@ -152,11 +157,12 @@ def panels(law: LocalLaw, v: Array, u: Array, turned: Array, time: Array) -> lis
         )
         return _Panel(points, part.weight)
 
-    def place(edge: Any) -> Array:
-        """s of a polar angle."""
-        from_right = jnp.clip(jnp.abs(edge), 0.0, jnp.pi)
+    def place(from_right: Array) -> Array:
+        """s of the magnitude of a polar angle; its derivative holds up to the ends of the half."""
+        inside = (from_right >= 0) & (from_right <= jnp.pi)
+        from_right = jnp.where(inside, from_right, jnp.clip(from_right, 0.0, jnp.pi))
         b = jnp.where(side > 0, jnp.pi - from_right, from_right) / 2
-        return jnp.clip(jnp.arcsinh(jnp.tan(b / 2) / width) / reach, 0.0, 1.0)
+        return jnp.arcsinh(jnp.tan(b / 2) / width) / reach
 
     start, end = jnp.zeros(()), jnp.ones(())
     whole = stretch(start, end)
@@ -166,7 +172,7 @@ def panels(law: LocalLaw, v: Array, u: Array, turned: Array, time: Array) -> lis
         if not cuts:
             found.append(panel(whole, front))
             continue
-        ends = [start, *jnp.sort(jnp.stack([place(edge) for edge in cuts])), end]
+        ends = [start, *jnp.sort(jnp.stack([place((2 * front - 1) * edge) for edge in cuts])), end]
         found += [panel(stretch(low, high), front) for low, high in pairwise(ends)]
     return found
 

@@ -88,7 +88,9 @@ def follow(
         def rest(_: float, state: np.ndarray) -> float:
             if inertia is None:
                 return float(state[2]) - 1e-9
-            return float(np.hypot(state[2], inertia * state[5])) - 1e-7
+            v, u = state[2], inertia * abs(state[5])
+            # or all but at rest, on the spot, where a heading has no meaning
+            return float(min(np.hypot(v, u) - 1e-7, max(v - 1e-9, u - 2e-6)))
 
         def over(
             _: float, state: np.ndarray, end: Callable[[float, float], float] | None = end

@@ -37,7 +37,7 @@ class Debris(LocalLaw):
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
         # Polar angles 0 .. pi + turned are fouled (turned .. pi, clockwise).
-        behind = (point.angle < point.turned - pi) | (point.angle > point.turned)
+        behind = (point.angle <= point.turned - pi) | (point.angle >= point.turned)
         fouled = point.front + (1 - point.front) * behind
         gradual = self.tau > 0
         fouled *= 1 - gradual * e ** (-point.time / (self.tau + 1.0 * (self.tau <= 0)))
