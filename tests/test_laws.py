@@ -203,6 +203,7 @@ _value = jax.jit(_path, static_argnames=("name", "load"))
             for load in LOADS
             if name != "front-back"  # in test_motion.py
         ),
+        ("debris", (0.013, 0.008, 0.0), "uniform"),
         ("semi-empirical", (0.005, 0.085, 0.1, 0.1, -0.3), "uniform"),
     ],
 )
@@ -211,7 +212,7 @@ def test_derivatives_agree_with_finite_differences(name, values, load):
     times = np.array([0.0, 1.0, 2.0, 2.15, 2.2, 2.25, 2.4, 3.0, 6.0, 12.0, 20.0, 40.0])
     p = np.array([*values, 2.0, 1.5])
     forward = np.asarray(_forward(p, times, name=name, load=load))
-    for k in range(len(p)):
+    for k in np.flatnonzero(p):
         step = np.zeros_like(p)
         step[k] = 1e-4 * max(abs(p[k]), 1e-3)
         near, far = (
@@ -224,3 +225,215 @@ def test_derivatives_agree_with_finite_differences(name, values, load):
         np.testing.assert_allclose(
             forward[..., k], difference, rtol=0, atol=1e-6 * size + 1e-10, err_msg=str(k)
         )
+
+
+net = jax.jit(accelerations, static_argnames="load")
+
+
+def over_weight(name, values, load, v, omega, turned=0.0):
+    a = net(LAWS[name](*values), STONE, load, v, omega, turned)
+    return np.array([a.xi, a.eta, a.angular * STONE.rho**2 / STONE.R]) / G
+
+
+@both_loads
+@pytest.mark.parametrize(("v", "omega"), [(2.0, 1.5), (2.0, -1.0), (0.6, -25.0)])
+@pytest.mark.parametrize("turned", [1e-9, 0.5, 2.0, np.pi - 1e-9, np.pi + 1e-9])
+def test_edge_of_debris_moves_the_force_by_its_jump(turned, v, omega, load):
+    turned *= np.sign(omega)
+    law = LAWS["debris"](0.013, 0.008)
+
+    def force(turned):
+        a = accelerations(law, STONE, load, v, omega, turned)
+        return jnp.stack([a.xi, a.eta, a.angular * STONE.rho**2 / STONE.R]) / G
+
+    found = jax.jit(jax.jacfwd(force))(turned)
+    if abs(turned) < np.pi:
+        edge = turned - np.pi if turned > 0 else turned
+        c, s = np.cos(edge), np.sin(edge)
+        sliding = np.array([-STONE.R * omega * s, v + STONE.R * omega * c])
+        jump = np.sign(turned) * 0.005 / (2 * np.pi) * sliding / np.hypot(*sliding)
+        jump = np.array([*jump, c * jump[1] - s * jump[0]])
+    else:
+        jump = np.zeros(3)
+    if load == "uniform":
+        np.testing.assert_allclose(found, jump, rtol=1e-9, atol=1e-15)
+        return
+    # The load shifts with the force; a step within one side of the corners
+    step = 1e-5 if 1e-5 < abs(turned) < np.pi - 1e-5 else 2e-10
+    difference = (force(turned + step) - force(turned - step)) / (2 * step)
+    np.testing.assert_allclose(found, difference, rtol=0, atol=1e-9 if step == 1e-5 else 1e-6)
+
+
+@any_law
+@pytest.mark.parametrize(("v", "omega"), [(2.0, 1.0), (2.0, -9.0), (0.5, 25.0), (1.0, 0.0)])
+def test_consistent_load_balances_the_friction(name, values, v, omega):
+    dense = reference(name, values, "consistent")
+    tilt = np.asarray(consistent_load(LAWS[name](*values), STONE, v, omega))
+    force = dense.net(dense.ring(v, STONE.R * omega), tilt)
+    np.testing.assert_allclose(tilt, -2 * STONE.h / STONE.R * force[:2], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        over_weight(name, values, "consistent", v, omega), force, rtol=0, atol=1e-12
+    )
+
+
+@any_law
+def test_force_and_normal_moment_and_the_upward_make_a_right_triple(name, values):
+    # Prop. 1, with M_N = oint r x k n (eq. 2) in units of m g R
+    v, omega = 2.0, 5.0
+    p, q = consistent_load(LAWS[name](*values), STONE, v, omega)
+    alpha = 2 * np.pi * np.arange(64) / 64
+    xi, eta = np.cos(alpha), np.sin(alpha)
+    n = 1 + p * xi + q * eta
+    moment = np.array([np.mean(n * eta), -np.mean(n * xi)])
+    force = over_weight(name, values, "consistent", v, omega)[:2]
+    size = np.hypot(*force)
+    assert force @ moment == pytest.approx(0, abs=1e-12 * size)
+    assert force[0] * moment[1] - force[1] * moment[0] > 0
+    assert np.hypot(*moment) == pytest.approx(STONE.h / STONE.R * size, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("name", "within", "beyond"),
+    # without spin q = 2 (h/R) mu, and n >= 0 behind needs q <= 1
+    [
+        ("coulomb", (0.570,), (0.571,)),
+        ("tensor", (0.9, 0.570, 0.0), (0.9, 0.571, 0.0)),
+        ("pressure", (0.3, 0.5), (0.9, 0.5)),
+        ("stribeck", (0.370, 0.1), (0.371, 0.1)),
+    ],
+)
+def test_a_load_that_would_have_to_be_negative_is_refused(name, within, beyond):
+    assert np.isfinite(over_weight(name, within, "consistent", 2.0, 0.0)).all()
+    assert np.isnan(over_weight(name, beyond, "consistent", 2.0, 0.0)).all()
+    path = simulate(
+        LAWS[name](*beyond), STONE, Start(v=2.0, omega=0.0), [0.0, 1.0], load="consistent"
+    )
+    assert np.isnan(path.y[1])
+
+
+@pytest.mark.parametrize("name", sorted(dict(LAWS_OF_THE_RING)))
+def test_only_laws_that_see_the_load_repeat_its_solution(name):
+    program = str(jax.make_jaxpr(lambda law: consistent_load(law, STONE, 2.0, 1.0))(LAWS[name]()))
+    assert ("while" in program) == (name in {"pressure", "stribeck"})
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "load", "omega", "right", "forward"),
+    [
+        ("coulomb", (0.01,), "consistent", 1, 2.9e-6, -1.0e-2),
+        ("coulomb", (0.01,), "consistent", 10, 2.7e-5, -9.7e-3),
+        ("coulomb", (0.01,), "consistent", 40, 3.4e-5, -4.2e-3),
+        ("coulomb", (0.01,), "consistent", 200, 6.8e-6, -7.7e-4),
+        ("power", (0.008, -0.5), "consistent", 1, 9.1e-7, -5.7e-3),
+        ("power", (0.008, -0.5), "consistent", 10, 8.8e-6, -5.5e-3),
+        ("power", (0.008, -0.5), "consistent", 40, 4.9e-6, -1.2e-3),
+        ("stribeck", (0.01, 0.002), "consistent", 1, 4.0e-6, "negative"),
+        ("stribeck", (0.01, 0.002), "consistent", 40, 6.6e-5, "negative"),
+        ("stribeck", (0.01, 0.002), "consistent", 100, 4.8e-5, "negative"),
+        ("stribeck", (0.02, -0.004), "consistent", 1, 6.8e-6, "negative"),
+        ("stribeck", (0.02, -0.004), "consistent", 40, 7.3e-6, "negative"),
+        ("stribeck", (0.02, -0.004), "consistent", 100, -8.5e-5, 4.9e-3),
+        ("stribeck", (-0.01, 0.01), "consistent", 1, -2.9e-6, "negative"),
+        ("stribeck", (-0.01, 0.01), "consistent", 40, -1.3e-4, "negative"),
+        ("stribeck", (-0.01, 0.01), "consistent", 100, -1.6e-4, "negative"),
+        ("pressure", (0.01, 0.5), "uniform", 1, 0.0, -1.0e-2),
+        ("pressure", (0.01, 0.5), "consistent", 1, 1.4e-6, -1.0e-2),
+        ("pressure", (0.01, 1.5), "consistent", 1, -1.4e-6, -1.0e-2),
+        ("angular", (0.01, 0.5), "uniform", 1, -8.1e-5, -1.0e-2),
+    ],
+)
+def test_propositions_2_to_4_as_checked(name, values, load, omega, right, forward):
+    force = over_weight(name, values, load, 2.0, omega)
+    assert force[0] == pytest.approx(right, rel=0.03, abs=1e-15)
+    if forward == "negative":
+        assert force[1] < 0
+    else:
+        assert force[1] == pytest.approx(forward, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "load"),
+    [
+        ("pressure", (0.01, 0.7), "uniform"),
+        *(
+            (name, values, load)
+            for name, values in [
+                ("power", (0.01, 0.0)),
+                ("pressure", (0.01, 0.0)),
+                ("angular", (0.01, 0.0)),
+                ("stribeck", (0.01, 0.0)),
+                ("tensor", (0.01, 0.01, 0.0)),
+                ("radial", (0.01,) * 4),
+                ("front-back", (0.01,) * 4),
+                ("debris", (0.01, 0.01)),
+                ("debris", (0.3, 0.01)),  # half a turn done
+            ]
+            for load in LOADS
+        ),
+    ],
+)
+def test_where_it_is_coulombs_law(name, values, load):
+    for omega in (1.0, -20.0, 80.0):
+        np.testing.assert_allclose(
+            over_weight(name, values, load, 2.0, omega, turned=4.0 * np.sign(omega)),
+            over_weight("coulomb", (0.01,), load, 2.0, omega),
+            rtol=1e-12,
+            atol=1e-17,
+        )
+
+
+@both_loads
+def test_debris_at_release_is_an_isotropic_front_and_back(load):
+    np.testing.assert_allclose(
+        over_weight("debris", (0.013, 0.008), load, 2.0, 7.0),
+        over_weight("front-back", (0.008, 0.013, 0.008, 0.013), load, 2.0, 7.0),
+        rtol=1e-12,
+    )
+
+
+MU = (0.006, 0.012, 0.007, 0.013)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "first_order"),
+    [
+        # mu0 (1 - f0 sin) times (-eps sin, 1), summed over the ring
+        ("angular", (0.009, 0.3), lambda eps: (-eps * 0.009 * 0.3 / 2, -0.009, -eps * 0.009 / 2)),
+        (
+            "radial",
+            MU,
+            lambda eps: (  # eq. 23
+                eps * (MU[0] - MU[1] + 2 * MU[2] - 2 * MU[3]) / (3 * np.pi),
+                -sum(MU) / 4,
+                -eps * (MU[2] + MU[3]) / 4,
+            ),
+        ),
+    ],
+)
+def test_first_order_in_epsilon(name, values, first_order):
+    gaps = []
+    for eps in (0.1, 0.05, 0.025):
+        force = over_weight(name, values, "uniform", 2.0, 2.0 * eps / STONE.R)
+        gaps.append(np.abs(force / first_order(eps) - 1).max())
+    assert gaps[0] < 4e-3
+    assert gaps[0] / gaps[1] == pytest.approx(4, rel=0.05)
+    assert gaps[1] / gaps[2] == pytest.approx(4, rel=0.05)
+
+
+@both_loads
+@pytest.mark.parametrize("name", sorted(LAWS))
+def test_a_throw_in_the_mirror(name, load):
+    law = LAWS[name]()
+    mirrored = replace(law, b12=-law.b12) if name == "tensor" else law
+    times = np.linspace(0, 19, 61)
+    start = Start(heading=0.2, v=2.0, omega=2.0)
+    one = simulate(law, STONE, start, times, load=load)
+    other = simulate(mirrored, STONE, replace(start, heading=-0.2, omega=-2.0), times, load=load)
+    assert abs(one.x[-1] - one.y[-1] * np.tan(0.2)) > (1e-6 if load == "consistent" else -1.0)
+    np.testing.assert_allclose(places(other), places(one) * [[-1], [1], [-1]], atol=1e-11)
+
+
+@pytest.mark.parametrize("values", [(0.01, 0.01, 0.011), (0.01, 0.01, -0.011), (0.0, 0.01, 0.0)])
+def test_a_tensor_that_is_not_positive_definite_is_named(values):
+    assert "not positive definite" in LAWS["tensor"](*values).fault()
+    assert LAWS["tensor"](0.01, 0.01, -0.009).fault() is None
