@@ -11,7 +11,8 @@ class Debris(LocalLaw):
 
     At release the ring is clean. Its front half is fouled at once, or within the time constant
     `tau`; with the turning the fouled part grows round the ring, and after half a turn all of it
-    is fouled and the curl ends.
+    is fouled and the curl ends. A stone too slow in spin for that turns back: the law sees the
+    angle only, and takes what is turned back for clean again.
     """
 
     name = "debris"
