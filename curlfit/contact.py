@@ -30,10 +30,8 @@ from curlfit.friction import LAWS, Law, Load, LocalLaw, Motion, NetLaw, RingPoin
 from curlfit.friction.base import on_new_law
 from curlfit.stone import GRAVITY, Stone
 
-NODES = (
-    16  # on each half of the ring: 1e-12 of the force at |epsilon| 0.7, 1e-7 at 0.98, 5e-6 at worst
-)
-_NARROWEST = 2e-4  # `swing` below which the nodes crowd no further: smallest error at worst
+NODES = 20  # on each half of the ring: 1e-14 of the force at |epsilon| 0.7, 1e-9 at 0.98
+_NARROWEST = 5e-5  # `swing` below which the nodes crowd no further: least error at worst, 4e-7
 _BALANCED = 1e-9  # imbalance, relative to the weight, at which one more Newton step is exact
 _MOST_NEWTON_STEPS = 30
 _LEAST_LOAD = 1e-6  # over the uniform load, as shown to a law
@@ -44,8 +42,13 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = (_x + 1) / 2, _w / 2
 
 
 def _register(law: type[Law]) -> None:
-    jax.tree_util.register_dataclass(
-        law, data_fields=[item.name for item in law.coefficients()], meta_fields=[]
+    names = [item.name for item in law.coefficients()]
+    # Not `register_dataclass`: to jaxlib 0.10 the structures of two dataclasses with as many
+    # fields are equal, and now and then `jit` runs the program of one law for another.
+    jax.tree_util.register_pytree_node(
+        law,
+        lambda value: ([getattr(value, name) for name in names], None),
+        lambda _, values: law(*values),
     )
 
 
@@ -154,11 +157,12 @@ def panels(law: LocalLaw, v: Array, u: Array, turned: Array, time: Array) -> lis
         )
         return _Panel(points, part.weight)
 
-    def place(edge: Any) -> Array:
-        """s of a polar angle."""
-        from_right = jnp.clip(jnp.abs(edge), 0.0, jnp.pi)
+    def place(from_right: Array) -> Array:
+        """s of the magnitude of a polar angle; its derivative holds up to the ends of the half."""
+        inside = (from_right >= 0) & (from_right <= jnp.pi)
+        from_right = jnp.where(inside, from_right, jnp.clip(from_right, 0.0, jnp.pi))
         b = jnp.where(side > 0, jnp.pi - from_right, from_right) / 2
-        return jnp.clip(jnp.arcsinh(jnp.tan(b / 2) / width) / reach, 0.0, 1.0)
+        return jnp.arcsinh(jnp.tan(b / 2) / width) / reach
 
     start, end = jnp.zeros(()), jnp.ones(())
     whole = stretch(start, end)
@@ -168,7 +172,7 @@ def panels(law: LocalLaw, v: Array, u: Array, turned: Array, time: Array) -> lis
         if not cuts:
             found.append(panel(whole, front))
             continue
-        ends = [start, *jnp.sort(jnp.stack([place(edge) for edge in cuts])), end]
+        ends = [start, *jnp.sort(jnp.stack([place((2 * front - 1) * edge) for edge in cuts])), end]
         found += [panel(stretch(low, high), front) for low, high in pairwise(ends)]
     return found
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -30,71 +33,153 @@ def eq12_posterior(eq12_fit: curlfit.FitResult) -> tuple[curlfit.FitResult, curl
     return curlfit.sample(eq12_fit, seed=1)
 
 
+class Ring(NamedTuple):
+    """Points of the ring, lengths over R: what a law of the tests is given."""
+
+    alpha: np.ndarray
+    xi: np.ndarray
+    eta: np.ndarray
+    v_xi: np.ndarray
+    v_eta: np.ndarray
+    speed: np.ndarray
+    weight: np.ndarray
+    turned: float
+    time: float
+
+
+Traction = Callable[[Ring, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Force per unit normal load (right, forward), from the points and the load n/n0."""
+
+
+def front_back(mu1_xi: float, mu2_xi: float, mu1_eta: float, mu2_eta: float) -> Traction:
+    def traction(ring: Ring, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        front = ring.eta > 0
+        mu_xi, mu_eta = np.where(front, mu1_xi, mu2_xi), np.where(front, mu1_eta, mu2_eta)
+        return -mu_xi * ring.v_xi / ring.speed, -mu_eta * ring.v_eta / ring.speed
+
+    return traction
+
+
+Rates = Callable[[float, float, float, float], Sequence[float]]
+"""Accelerations (right, forward, angular) from speed, spin, angle turned and time."""
+
+
+def follow(
+    start: curlfit.Start,
+    times: np.ndarray,
+    phases: Sequence[tuple[Rates, Callable[[float, float], float] | None]],
+    inertia: float | None,
+) -> np.ndarray:
+    """x, y, phi at the times, shape (3, n); held after rest.
+
+    Each phase ends where its function of (spin, angle turned) passes zero. Without `inertia` the
+    stone rests when it stops sliding, though it may still spin.
+    """
+    state = np.array([start.x, start.y, start.v, start.heading, start.phi, start.omega])
+    now, found = 0.0, np.empty((3, len(times)))
+    found[:] = state[[0, 1, 4], None]
+    for accelerations, end in phases:
+
+        def rates(t: float, state: np.ndarray, accelerations: Rates = accelerations) -> list[float]:
+            _, _, v, beta, phi, omega = state
+            a_xi, a_eta, angular = accelerations(v, omega, phi - start.phi, t)
+            return [v * np.sin(beta), v * np.cos(beta), a_eta, a_xi / v, omega, angular]
+
+        def rest(_: float, state: np.ndarray) -> float:
+            if inertia is None:
+                return float(state[2]) - 1e-9
+            v, u = state[2], inertia * abs(state[5])
+            # or all but at rest, on the spot, where a heading has no meaning
+            return float(min(np.hypot(v, u) - 1e-7, max(v - 1e-9, u - 2e-6)))
+
+        def over(
+            _: float, state: np.ndarray, end: Callable[[float, float], float] | None = end
+        ) -> float:
+            return 1.0 if end is None else end(state[5], state[4] - start.phi)
+
+        rest.terminal = over.terminal = True  # type: ignore[attr-defined]
+        part = solve_ivp(
+            rates, (now, times[-1]), state, method="DOP853", rtol=1e-11, atol=1e-13,
+            events=(rest, over), dense_output=True,
+        )  # fmt: skip
+        assert part.success
+        later = times >= now
+        found[:, later] = part.sol(np.minimum(times[later], part.t[-1]))[[0, 1, 4]]
+        now, state = part.t[-1], part.y[:, -1]
+        if not len(part.t_events[1]):
+            break
+    return found
+
+
 @dataclass
 class Reference:
-    """Front-back law on a dense ring, in plain numpy, for scipy's order-8 integrator.
+    """A local law on a dense ring, in plain numpy, for scipy's order-8 integrator.
 
-    The ring is cut where the law jumps and where sliding stops, and each piece has `nodes` Gauss
-    points crowded toward that place by a cubic map.
+    The ring is cut where the law jumps: between the halves and at the polar angles in `edges`.
+    Each piece has `nodes` Gauss points crowded by a cubic map toward the place where sliding
+    stops. `corner` is the angle turned at which friction changes its course.
     """
 
-    mu: tuple[float, float, float, float]
+    traction: Traction
     R: float = 0.054
     rho: float = 0.1
     h: float | None = None
+    edges: Callable[[float], Sequence[float]] = lambda turned: ()
+    corner: float | None = None
     nodes: int = 200
 
     def __post_init__(self) -> None:
         s, w = np.polynomial.legendre.leggauss(self.nodes)
-        s, w = (s + 1) / 2, w / 2
-        # alpha = pi - pi s^3 on the front half: dense about alpha = pi, where sliding stops
-        front = np.pi * (1 - s**3)
-        self.alpha = np.concatenate([front, -front])
-        self.weight = np.tile(w * 3 * np.pi * s**2, 2) / (2 * np.pi)
+        self.s, self.w = (s + 1) / 2, w / 2
 
-    def force(self, v: float, u: float) -> np.ndarray:
+    def ring(self, v: float, u: float, turned: float = 0.0, time: float = 0.0) -> Ring:
+        slow = np.pi if u >= 0 else 0.0
+        alpha, weight = [], []
+        for half in (1, -1):
+            gaps = [abs(abs(edge) - slow) for edge in self.edges(turned) if edge * half > 0]
+            # |alpha| is pi s^3 away from the slow place
+            ends = [0.0, *sorted((gap / np.pi) ** (1 / 3) for gap in gaps), 1.0]
+            for low, high in pairwise(ends):
+                s = low + (high - low) * self.s
+                alpha.append(half * np.abs(slow - np.pi * s**3))
+                weight.append((high - low) * self.w * 3 * s**2 / 2)
+        a, w = np.concatenate(alpha), np.concatenate(weight)
+        xi, eta = np.cos(a), np.sin(a)
+        v_xi, v_eta = -u * eta, v + u * xi
+        return Ring(a, xi, eta, v_xi, v_eta, np.hypot(v_xi, v_eta), w, turned, time)
+
+    def force(self, v: float, u: float, turned: float = 0.0, time: float = 0.0) -> np.ndarray:
         """Force over m g (right, forward) and moment over m g R."""
-        alpha = self.alpha if u >= 0 else np.pi - self.alpha
-        c, s = np.cos(alpha), np.sin(alpha)
-        v_xi, v_eta = -u * s, v + u * c
-        speed = np.hypot(v_xi, v_eta)
-        front = s > 0
-        mu_xi = np.where(front, self.mu[0], self.mu[1])
-        mu_eta = np.where(front, self.mu[2], self.mu[3])
-        t_xi, t_eta = -mu_xi * v_xi / speed, -mu_eta * v_eta / speed
+        ring = self.ring(v, u, turned, time)
+        return self.net(ring, self.tilt(ring))
 
-        def net(load: np.ndarray) -> np.ndarray:
-            w = self.weight * load
-            return np.array([w @ t_xi, w @ t_eta, w @ (c * t_eta - s * t_xi)])
+    def net(self, ring: Ring, tilt: np.ndarray) -> np.ndarray:
+        """The same under the load 1 + p xi + q eta."""
+        load = 1 + tilt[0] * ring.xi + tilt[1] * ring.eta
+        t_xi, t_eta = self.traction(ring, load)
+        w = ring.weight * load
+        return np.array([w @ t_xi, w @ t_eta, w @ (ring.xi * t_eta - ring.eta * t_xi)])
 
+    def tilt(self, ring: Ring) -> np.ndarray:
+        """(p, q) = -2 (h/R) T of eq. 8-9, by repetition."""
+        tilt = np.zeros(2)
         if self.h is None:
-            return net(np.ones_like(c))
-        # eq. 8-9: load 1 + p c + q s with (p, q) = -2 (h/R) T, linear in (p, q)
-        even, by_p, by_q = net(np.ones_like(c)), net(c), net(s)
-        k = 2 * self.h / self.R
-        matrix = np.eye(2) + k * np.stack([by_p[:2], by_q[:2]], 1)
-        p, q = np.linalg.solve(matrix, -k * even[:2])
-        return even + p * by_p + q * by_q
+            return tilt
+        for _ in range(100):
+            before, tilt = tilt, -2 * self.h / self.R * self.net(ring, tilt)[:2]
+            if np.abs(tilt - before).max() < 1e-14:
+                return tilt
+        raise AssertionError("the load does not settle")
 
     def path(self, start: curlfit.Start, times: np.ndarray) -> np.ndarray:
         """x, y, phi at the times, shape (3, n); held after rest."""
 
-        def rates(_: float, state: np.ndarray) -> list[float]:
-            _, _, v, beta, _, omega = state
-            a_xi, a_eta, moment = G * self.force(v, self.R * omega)
-            return [
-                v * np.sin(beta), v * np.cos(beta), a_eta, a_xi / v, omega,
-                moment * self.R / self.rho**2,
-            ]  # fmt: skip
+        def accelerations(v: float, omega: float, turned: float, time: float) -> Sequence[float]:
+            a_xi, a_eta, moment = G * self.force(v, self.R * omega, turned, time)
+            return a_xi, a_eta, moment * self.R / self.rho**2
 
-        def rest(_: float, state: np.ndarray) -> float:
-            return float(np.hypot(state[2], self.rho * state[5])) - 1e-7
-
-        rest.terminal = True  # type: ignore[attr-defined]
-        first = [start.x, start.y, start.v, start.heading, start.phi, start.omega]
-        found = solve_ivp(
-            rates, (0, times[-1]), first, method="DOP853", rtol=1e-11, atol=1e-13,
-            events=rest, dense_output=True,
-        )  # fmt: skip
-        states = found.sol(np.minimum(times, found.t[-1]))
-        return states[[0, 1, 4]]
+        phases: list = [(accelerations, None)]
+        if self.corner is not None:
+            corner = self.corner
+            phases.insert(0, (accelerations, lambda _, turned: corner - abs(turned)))
+        return follow(start, times, phases, self.rho)

@@ -179,11 +179,16 @@ class Law:
     origin: ClassVar[str] = ""
     """For a law of the user's: FILE.py:CLASS."""
     corners: ClassVar[tuple[float, ...]] = ()
-    """Angles turned (rad, of either sense) at which friction changes its course abruptly."""
+    """Angles turned (rad) at which friction, which follows the turning until the last of them,
+    changes its course abruptly."""
 
     def quickness(self, time: Any) -> Any:
         """How fast friction changes by itself at a time since release, in 1/s."""
         return 0.0 * time
+
+    def steepness(self) -> Any:
+        """How strongly friction depends on the speed: the exponent, either sign, of a power law."""
+        return 0.0
 
     def fault(self) -> str | None:
         """Why these coefficients make no law of friction, where bounds cannot say it."""

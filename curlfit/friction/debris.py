@@ -11,14 +11,15 @@ class Debris(LocalLaw):
 
     At release the ring is clean. Its front half is fouled at once, or within the time constant
     `tau`; with the turning the fouled part grows round the ring, and after half a turn all of it
-    is fouled and the curl ends.
+    is fouled and the curl ends. A stone too slow in spin for that turns back: the law sees the
+    angle only, and takes what is turned back for clean again.
     """
 
     name = "debris"
     formula = "t = -mu n v/|v|, mu_dirty where the ring was once in front, else mu_clean"
     source = "Denny (2002), as told by Ivanov and Shuvalov (2012), sect. 1"
     predicts = "left for half a turn where mu_dirty < mu_clean, then not at all"
-    corners = (pi,)
+    corners = (-pi, 0.0, pi)
 
     mu_clean: float = coefficient(0.013, "clean ring", symbol=r"\mu_\mathrm{clean}")
     mu_dirty: float = coefficient(0.008, "fouled ring", symbol=r"\mu_\mathrm{dirty}")
@@ -37,7 +38,7 @@ class Debris(LocalLaw):
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
         # Polar angles 0 .. pi + turned are fouled (turned .. pi, clockwise).
-        behind = (point.angle < point.turned - pi) | (point.angle > point.turned)
+        behind = (point.angle <= point.turned - pi) | (point.angle >= point.turned)
         fouled = point.front + (1 - point.front) * behind
         gradual = self.tau > 0
         fouled *= 1 - gradual * e ** (-point.time / (self.tau + 1.0 * (self.tau <= 0)))

@@ -40,6 +40,9 @@ class Power(LocalLaw):
 
     SLOWEST = 1e-3  # m/s
 
+    def steepness(self) -> Any:
+        return abs(self.k)
+
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
         return _opposing(self.c * (point.speed**2 + self.SLOWEST**2) ** (self.k / 2), point)
 

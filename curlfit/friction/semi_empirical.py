@@ -27,6 +27,9 @@ class SemiEmpirical(NetLaw):
     r: float = coefficient(-0.3, "exponent of the loss of spin", lower=-0.9, upper=2.0, typical=0.5,
                            symbol="r", signed=True)  # fmt: skip
 
+    def steepness(self) -> Any:
+        return abs(self.p)
+
     def accelerations(self, motion: Motion, stone: Any) -> tuple[Any, Any, Any]:
         sense = 1.0 * (motion.omega > 0) - 1.0 * (motion.omega < 0)
         return (
