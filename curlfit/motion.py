@@ -322,7 +322,7 @@ def _integrate(
 
     def going(carry: tuple[Any, ...]) -> Array:
         count, moving, _ = carry
-        return (count < _MOST_CHUNKS) & ~moving.idle & ~jnp.isnan(moving.dt)
+        return (count < _MOST_CHUNKS) & ~moving.idle
 
     zero = jnp.zeros(())
     state = _State(x=zero, y=zero, heading=zero, v=v0, phi=zero, omega=omega0)
