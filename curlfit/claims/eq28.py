@@ -315,15 +315,15 @@ def _text(mu: Floats) -> str:
 
 
 def _covered(vary: Uncertainty) -> str:
-    """Which printed values the intervals hold, in words."""
+    """Which printed values the intervals reach, in words."""
     low, high = vary.interval.T
     inside = (low <= PRINTED) & (high >= PRINTED)
-    words = [
-        f"{value:g}" + ("" if within else " as rounded")
-        for value, within, met in zip(PRINTED, inside, vary.covered, strict=True)
-        if met
+    held = [f"{value:g}" for value, take in zip(PRINTED, inside, strict=True) if take]
+    near = [
+        f"{value:g}" for value, take in zip(PRINTED, vary.covered & ~inside, strict=True) if take
     ]
-    return ", ".join(words) or "none of the printed values"
+    words = f"The intervals hold {' and '.join(held) or 'none of the printed values'}"
+    return words + (f" and meet {' and '.join(near)} within its rounding" if near else "")
 
 
 def _exactly(rows: tuple[Row, ...]) -> str:
@@ -355,8 +355,8 @@ def eq_28_claims(found: Eq28Findings, ring: RingFindings) -> dict[str, Claim]:
             f"and rho: {low[0]:.4f} .. {high[0]:.4f}, {low[1]:.4f} .. {high[1]:.4f}, "
             f"{low[2]:.5f} .. {high[2]:.5f}",
             at_once if reached else "does not hold",
-            f"The intervals cover {_covered(vary)}; their width comes from R and rho, not from "
-            f"noise ({vary.noise[0]:.0e} in mu1_xi). All printed digits come out "
+            f"{_covered(vary)}; their width comes from R and rho, not from "
+            f"noise ({vary.noise[0]:.0e} in mu1_xi); all printed digits come out "
             f"{_exactly(found.rows)}.",
         ),
         Claim(

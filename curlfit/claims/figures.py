@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from curlfit.figures import Picture
+
 if TYPE_CHECKING:
     from curlfit.claims.reproduction import Reproduction
 
@@ -18,7 +20,7 @@ _FAINT = "0.6"
 
 
 def _figure(width: float, height: float) -> Figure:
-    return Figure(figsize=(width, height), layout="constrained")
+    return Picture(figsize=(width, height), layout="constrained")
 
 
 def _tidy(axes: Any) -> None:

@@ -442,7 +442,7 @@ def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
             "holds" if fine else "does not hold",
             "It needs mu > 0 on the whole ring, as in the states counted; where (iii) makes mu "
             f"negative somewhere, {below.states - below.left} of {below.states} states deviate to "
-            f"the right. A case of (ii): mu0 = {other.coefficients['mu0']:g}, "
+            f"the right; a case of (ii): mu0 = {other.coefficients['mu0']:g}, "
             f"mu1 = {other.coefficients['mu1']:g} s/m, v = {other.v:.2g} m/s, "
             f"omega = {other.omega:.0f} 1/s.",
         ),

@@ -277,8 +277,8 @@ def path_claims(found: PathFindings) -> dict[str, Claim]:
             f"-{ky:.4f} (1-t/23)^{py:.3f} m/s^2",
             "holds with a correction" if round(ky, 2) == 0.08 and round(py, 3) == -0.103
             else "does not hold",
-            f"The exponent is {py:.3f}; a digit is missing in print. At t = 20 s the two forms "
-            f"differ by {100 * abs(found.ay[-1] / found.ay_printed[-1] - 1):.0f} %.",
+            f"The exponent is {py:.3f}, two digits of it change places in print; at t = 20 s the "
+            f"two forms differ by {100 * abs(found.ay[-1] / found.ay_printed[-1] - 1):.0f} %.",
         ),
         Claim(
             "prop5",
