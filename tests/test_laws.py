@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import jax
@@ -228,6 +229,7 @@ def test_derivatives_agree_with_finite_differences(name, values, load):
 
 
 net = jax.jit(accelerations, static_argnames="load")
+tilt_of_load = jax.jit(consistent_load)
 
 
 def over_weight(name, values, load, v, omega, turned=0.0):
@@ -235,18 +237,21 @@ def over_weight(name, values, load, v, omega, turned=0.0):
     return np.array([a.xi, a.eta, a.angular * STONE.rho**2 / STONE.R]) / G
 
 
+def _debris_force(turned, v, omega, load):
+    a = net(LAWS["debris"](0.013, 0.008), STONE, load, v, omega, turned)
+    return jnp.stack([a.xi, a.eta, a.angular * STONE.rho**2 / STONE.R]) / G
+
+
+_by_turned = jax.jit(jax.jacfwd(_debris_force), static_argnames="load")
+
+
 @both_loads
 @pytest.mark.parametrize(("v", "omega"), [(2.0, 1.5), (2.0, -1.0), (0.6, -25.0)])
 @pytest.mark.parametrize("turned", [1e-9, 0.5, 2.0, np.pi - 1e-9, np.pi + 1e-9])
 def test_edge_of_debris_moves_the_force_by_its_jump(turned, v, omega, load):
     turned *= np.sign(omega)
-    law = LAWS["debris"](0.013, 0.008)
-
-    def force(turned):
-        a = accelerations(law, STONE, load, v, omega, turned)
-        return jnp.stack([a.xi, a.eta, a.angular * STONE.rho**2 / STONE.R]) / G
-
-    found = jax.jit(jax.jacfwd(force))(turned)
+    force = partial(_debris_force, v=v, omega=omega, load=load)
+    found = _by_turned(turned, v, omega, load=load)
     if abs(turned) < np.pi:
         edge = turned - np.pi if turned > 0 else turned
         c, s = np.cos(edge), np.sin(edge)
@@ -268,7 +273,7 @@ def test_edge_of_debris_moves_the_force_by_its_jump(turned, v, omega, load):
 @pytest.mark.parametrize(("v", "omega"), [(2.0, 1.0), (2.0, -9.0), (0.5, 25.0), (1.0, 0.0)])
 def test_consistent_load_balances_the_friction(name, values, v, omega):
     dense = reference(name, values, "consistent")
-    tilt = np.asarray(consistent_load(LAWS[name](*values), STONE, v, omega))
+    tilt = np.asarray(tilt_of_load(LAWS[name](*values), STONE, v, omega))
     force = dense.net(dense.ring(v, STONE.R * omega), tilt)
     np.testing.assert_allclose(tilt, -2 * STONE.h / STONE.R * force[:2], rtol=0, atol=1e-12)
     np.testing.assert_allclose(
@@ -280,7 +285,7 @@ def test_consistent_load_balances_the_friction(name, values, v, omega):
 def test_force_and_normal_moment_and_the_upward_make_a_right_triple(name, values):
     # Prop. 1, with M_N = oint r x k n (eq. 2) in units of m g R
     v, omega = 2.0, 5.0
-    p, q = consistent_load(LAWS[name](*values), STONE, v, omega)
+    p, q = tilt_of_load(LAWS[name](*values), STONE, v, omega)
     alpha = 2 * np.pi * np.arange(64) / 64
     xi, eta = np.cos(alpha), np.sin(alpha)
     n = 1 + p * xi + q * eta
