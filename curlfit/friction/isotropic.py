@@ -35,7 +35,7 @@ class Power(LocalLaw):
     predicts = "right with consistent load (Prop. 3), not at all with uniform load"
 
     c: float = coefficient(0.008, "coefficient of friction at 1 m/s", symbol="c")
-    k: float = coefficient(-0.5, "exponent of the sliding speed", lower=-0.95, upper=2.0,
+    k: float = coefficient(-0.5, "exponent of the sliding speed", lower=-0.7, upper=2.0,
                            typical=0.5, symbol="k", signed=True)  # fmt: skip
 
     SLOWEST = 1e-3  # m/s
