@@ -186,10 +186,10 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
 def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[Law], str]]:
     """Laws and loads to be fitted; `load` may be "both".
 
-    Where no law is named, all but those that approximate another. A law without a ring has no
-    load and comes once. Raises `InputError` for an unknown name.
+    Where no law is named, all of curlfit's own but those that approximate another. A law without
+    a ring has no load and comes once. Raises `InputError` for an unknown name.
     """
-    wanted = laws or [law for law in LAWS.values() if not law.approximates]
+    wanted = laws or [law for law in LAWS.values() if law.shipped() and not law.approximates]
     chosen = [find_law(law) if isinstance(law, str) else law for law in wanted]
     loads = ("uniform", "consistent") if load == "both" else (load,)
     return [
@@ -214,7 +214,7 @@ def compare(
     Parameters
     ----------
     throw, stone, until : as in `fit`.
-    laws : names or classes; where not given, all laws but those that approximate another.
+    laws : names or classes; where not given, curlfit's own but those that approximate another.
     load : "uniform", "consistent" or "both".
     bounds : (lower, upper) of start parameters, by name.
     progress : called with what is being fitted, how many are done, and of how many.

@@ -67,6 +67,7 @@ def fit_figure(fit: FitResult) -> Figure:
         residual = 1000 * (fit.observed[name] - fit.fitted[name])[some]
         axes.axhline(0, color="0.7", lw=0.8)
         axes.plot(t[some], residual, ".", color=_COLOR[name], markersize=3)
+        _ring_outliers(axes, fit, name)
         axes.set_title(
             f"${_LABEL[name]}$ measured - fitted, rms {1000 * fit.rms[name]:.3g} {_SMALL[name]}",
             fontsize=10,
@@ -86,6 +87,25 @@ def fit_figure(fit: FitResult) -> Figure:
     figure.draw_without_rendering()  # the layout, which the note's number depends on
     _stretch_note(path)
     return figure
+
+
+def _ring_outliers(axes: Any, fit: FitResult, name: str) -> None:
+    """Outliers in orange; those far outside are drawn at the edge, the rest stays readable."""
+    found = [item for item in fit.outliers if item["channel"] == name]
+    if not found:
+        return
+    residual = fit.observed[name] - fit.fitted[name]
+    inner = 1000 * float(np.nanquantile(np.abs(residual), 0.9)) * 2.5
+    off = np.array([1000 * item["off"] for item in found])
+    axes.set_ylim(-inner, inner)
+    axes.plot(
+        [item["t"] for item in found], np.clip(off, -0.97 * inner, 0.97 * inner),
+        "x", color=_MARK, markersize=5, clip_on=False,
+    )  # fmt: skip
+    axes.text(
+        0.02, 0.97, f"x: {len(found)} outliers", transform=axes.transAxes,
+        color=_MARK, fontsize=8, va="top",
+    )  # fmt: skip
 
 
 def _name(fit: FitResult) -> str:

@@ -25,7 +25,8 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
-from curlfit.parameters import START
+from curlfit.losses import signed_root
+from curlfit.parameters import LOSSES, START
 from curlfit.stone import Stone
 from curlfit.throw import CHANNELS, Throw
 
@@ -48,6 +49,8 @@ class Problem(NamedTuple):
     weight: Any
     """1/sigma, 0 where not seen, of the same shape"""
     stone: Stone
+    loss: Any = 0
+    """place of the loss in `LOSSES`"""
 
 
 class Frame(NamedTuple):
@@ -75,7 +78,9 @@ def frame_of(throw: Throw) -> Frame:
     return Frame(float(throw.t[0]), place)
 
 
-def problem_of(throw: Throw, stone: Stone, frame: Frame, sigma: dict[str, float]) -> Problem:
+def problem_of(
+    throw: Throw, stone: Stone, frame: Frame, sigma: dict[str, float], loss: str = "linear"
+) -> Problem:
     """The throw in a frame, padded. `sigma` serves the channels of which the throw gives none."""
     n = len(throw)
     rows = 5 if {"speed", "omega"} & set(throw.seen) else 3
@@ -90,6 +95,7 @@ def problem_of(throw: Throw, stone: Stone, frame: Frame, sigma: dict[str, float]
         observed=np.pad(observed[:rows], pad),
         weight=np.pad(weight[:rows], pad),
         stone=jax.tree.map(lambda value: np.asarray(float(value)), stone),
+        loss=np.asarray(LOSSES.index(loss)),
     )
 
 
@@ -102,14 +108,15 @@ def split(law: type[Law], values: Any) -> tuple[Law, Start]:
 
 
 def weighted_residuals(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
-    """(model - data) times weight, of the shape of the data."""
+    """(model - data) times weight, as the loss has it, of the shape of the data."""
     friction, start = split(law, values)
     path = simulate(friction, problem.stone, start, problem.times, load=load, t0=0.0)
     channels = [path.x, path.y, path.phi]
     if len(problem.observed) > 3:
         channels += [path.speed, path.omega]
     model = jnp.stack(channels)
-    return jnp.where(problem.weight > 0, (model - problem.observed) * problem.weight, 0.0)
+    residual = jnp.where(problem.weight > 0, (model - problem.observed) * problem.weight, 0.0)
+    return signed_root(residual, problem.loss)
 
 
 def log_likelihood(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
@@ -128,6 +135,12 @@ def log_posterior(
     safe = jnp.clip(values, lower, upper)
     value = jax.vmap(lambda one: log_likelihood(law, load, one, problem))(safe)
     return jnp.where(inside, value, -jnp.inf)
+
+
+def raw_residuals(law: type[Law], load: Load, values: Floats, problem: Problem) -> Floats:
+    """(model - data) times weight, without any loss, of the shape of the data."""
+    model = np.asarray(trace(law, load, values, problem.times, problem.stone))
+    return (model[: len(problem.observed)] - problem.observed) * problem.weight
 
 
 @partial(jax.jit, static_argnames=("law", "load"))

@@ -303,8 +303,7 @@ def _integrate(
         dt, at_rest = _step_size(
             law, stone, _State(*moving.state), _State(*moving.rate), moving.t, span
         )
-        # A path that has become NaN is not followed further: it could hold up all the others.
-        idle = at_rest | (moving.t >= last) | ~jnp.isfinite(dt + moving.state.sum())
+        idle = at_rest | (moving.t >= last)
         return moving._replace(dt=jnp.where(idle, 0.0, dt), idle=idle)
 
     def chunk(carry: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -322,7 +321,8 @@ def _integrate(
 
     def going(carry: tuple[Any, ...]) -> Array:
         count, moving, _ = carry
-        return (count < _MOST_CHUNKS) & ~moving.idle
+        # A path that has become NaN is not followed further: it could hold up all the others.
+        return (count < _MOST_CHUNKS) & ~moving.idle & ~jnp.isnan(moving.dt)
 
     zero = jnp.zeros(())
     state = _State(x=zero, y=zero, heading=zero, v=v0, phi=zero, omega=omega0)

@@ -17,6 +17,17 @@ from curlfit.throw import Throw
 Floats = NDArray[np.float64]
 
 
+LOSSES = ("linear", "huber", "soft-l1", "cauchy", "student")
+"""How large residuals may count; `curlfit.losses` has the formulas."""
+
+
+def check_loss(loss: str) -> str:
+    """The name of a loss, if it is one. Raises `InputError`."""
+    if loss not in LOSSES:
+        raise InputError(f"unknown loss {loss!r}; expected one of {', '.join(LOSSES)}")
+    return loss
+
+
 START = (
     Parameter("x0", "m", -math.inf, math.inf, 1.0, "x_0", "place at the first time, to the right"),
     Parameter("y0", "m", -math.inf, math.inf, 1.0, "y_0", "place at the first time, along"),

@@ -22,6 +22,7 @@ STYLE = {
     "at bound": "yellow",
     "fixed": "dim",
 }
+_MOST_NAMED = 6  # outliers that the report lists
 _WIDE = 92  # columns from which the posterior fits beside the estimates
 
 
@@ -41,6 +42,8 @@ def report(fit: FitResult, width: int = 110) -> RenderableType:
     parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
     if fit.posterior is not None:
         parts.append(Padding(_posterior(fit.posterior), (0, 0, 1, 0)))
+    if fit.outliers:
+        parts.append(Padding(Text(outliers(fit)), (0, 0, 1, 0)))
     parts += [
         Padding(Text(f"Mind: {warning}.", style="yellow"), (0, 0, 1, 0)) for warning in fit.warnings
     ]
@@ -52,7 +55,8 @@ def _heading(fit: FitResult) -> RenderableType:
     data, stone = fit.data, fit.stone
     lines = Text()
     lines.append(f"{fit.law} law", style="bold")
-    lines.append(f", {fit.load} load, fitted to {data['file']}\n")
+    loss = "" if fit.loss == "linear" else f", {fit.loss} loss"
+    lines.append(f", {fit.load} load{loss}, fitted to {data['file']}\n")
     lines.append(
         f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s; "
         f"stone R = {stone.R:g} m, rho = {stone.rho:g} m, h = {stone.h:g} m, m = {stone.m:g} kg\n"
@@ -183,6 +187,20 @@ def _instead(fit: FitResult, names: list[str]) -> str:
     """The combinations of some parameters that are determined, as a sentence."""
     what = [item.expression for item in fit.combinations if set(item.weights) & set(names)]
     return f" Only {listed(what)} {'are' if len(what) > 1 else 'is'} determined." if what else ""
+
+
+def outliers(fit: FitResult) -> str:
+    """The values far off the fit, by name, the farthest first."""
+    named = []
+    for item in fit.outliers[:_MOST_NAMED]:
+        line = "" if item["line"] is None else f" (line {item['line']})"
+        named.append(
+            f"{item['channel']} at {item['t']:g} s{line} by {item['off']:.3g} "
+            f"{UNITS[item['channel']]}"
+        )
+    more = len(fit.outliers) - len(named)
+    text = f"Outliers, more than 5 sigma off: {'; '.join(named)}"
+    return text + (f"; and {more} more (all in fit.json)." if more else ".")
 
 
 def _change(direction: dict[str, float]) -> str:

@@ -106,6 +106,9 @@ class FitResult:
     observed : t, x, y, phi as measured, speed and omega if they were, and given sigmas.
     fitted : x, y, phi, speed, omega of the fit at the same times.
     posterior : None until sampled.
+    loss : how large residuals count, see `curlfit.losses`.
+    outliers : values far off the fit: {"channel", "t", "line" (of the file, or None), "off" (SI),
+        "sigmas"}, the farthest first.
     """
 
     law: str
@@ -130,6 +133,8 @@ class FitResult:
     observed: dict[str, Floats] = field(repr=False)
     fitted: dict[str, Floats] = field(repr=False)
     posterior: Posterior | None = None
+    loss: str = "linear"
+    outliers: tuple[dict[str, Any], ...] = ()
 
     @property
     def law_class(self) -> type[Law]:
@@ -190,6 +195,8 @@ class FitResult:
             "rms": self.rms,
             "sigma": self.sigma,
             "lag1": self.lag1,
+            "loss": self.loss,
+            "outliers": list(self.outliers),
             "parameters": {name: asdict(item) for name, item in self.parameters.items()},
             "combinations": [asdict(item) for item in self.combinations],
             "identifiability": {
@@ -233,6 +240,8 @@ class FitResult:
             observed=_series(found["observed"]),
             fitted=_series(found["fitted"]),
             posterior=None if posterior is None else Posterior(**posterior),
+            loss=found.get("loss", "linear"),
+            outliers=tuple(found.get("outliers", ())),
         )
 
     def save(self, file: str | PathLike[str]) -> None:

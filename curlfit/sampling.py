@@ -122,8 +122,8 @@ def sample(
 ) -> tuple[FitResult, Chain]:
     """Sample the posterior about a fit, until it is converged.
 
-    The prior is even within the bounds of the parameters. Noise is Gaussian and independent, of
-    the fit's sigmas. Ctrl-C ends the run and keeps what there is.
+    The prior is even within the bounds of the parameters. Noise is independent, of the fit's
+    sigmas, Gaussian or as the fit's loss has it. Ctrl-C ends the run and keeps what there is.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def sample(
     law, load = fit.law_class, check_load(fit.load)
     throw, parameters = fit.throw, fit.parameter_set
     frame = frame_of(throw)
-    problem = problem_of(throw, fit.stone, frame, fit.sigma)
+    problem = problem_of(throw, fit.stone, frame, fit.sigma, fit.loss)
     offset = frame.offset(len(parameters))
     free = parameters.free
     base = fit.values - offset

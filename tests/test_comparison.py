@@ -14,7 +14,7 @@ from curlfit.comparison import compare, load_comparison, plan
 from curlfit.errors import DataError
 from curlfit.report_comparison import conclusions
 
-COMPARED = [name for name, law in LAWS.items() if not law.approximates and not law.origin]
+COMPARED = [name for name, law in LAWS.items() if law.shipped() and not law.approximates]
 ISOTROPIC = {"coulomb", "power", "pressure", "angular", "stribeck", "debris"}
 
 

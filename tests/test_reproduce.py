@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import DATA, Reference
+from conftest import DATA, Reference, front_back
 
 import curlfit
 from curlfit.claims import ORDER
@@ -177,7 +177,7 @@ def test_first_order_forms(found):
     for expansion in (found.ring.radial, found.ring.front_back):
         assert expansion.largest < 0.004
         np.testing.assert_allclose(expansion.order[1:], 2, atol=0.01)
-    ring = Reference((0.01, 0, 0, 0), R=0.065)
+    ring = Reference(front_back(0.01, 0, 0, 0), R=0.065)
     force = ring.force(2.0, 2.0 * EPSILONS[0])
     assert abs(force[0] / (EPSILONS[0] * 0.01 / np.pi) - 1) < 1e-6
     assert abs(force[2] / (-EPSILONS[0] * 0.01 / 4) - 1) < 1.01 * found.ring.front_back.gap[0, 2]

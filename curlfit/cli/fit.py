@@ -64,6 +64,13 @@ def fit(
             metavar="NAME=V",
         ),
     ] = None,
+    loss: Annotated[
+        str | None,
+        typer.Option(
+            help="`linear` is least squares; `huber`, `soft-l1`, `cauchy`, `student` keep outliers "
+            "from pulling. [default: linear]"
+        ),
+    ] = None,
     stone: Annotated[
         list[str] | None,
         typer.Option(
@@ -102,7 +109,7 @@ def fit(
     """
     from curlfit.files import prepared_folder
     from curlfit.friction import check_load, find_law
-    from curlfit.parameters import ParameterSet
+    from curlfit.parameters import ParameterSet, check_loss
 
     flags = {
         "law": law,
@@ -114,12 +121,14 @@ def fit(
         "bound": s.intervals("--bound", bound or ()),
         "start": s.pairs("--start", start or ()),
         "unbounded": unbounded or None,
+        "loss": loss,
     }
     throw, wanted, the_stone = s.prepared(data, config, flags)
 
     # Everything that can be refused is looked at before anything slow is loaded.
     law_class = find_law(wanted.get("law", "front-back"))
     check_load(wanted.get("load", "uniform"))
+    check_loss(wanted.get("loss", "linear"))
     choices: dict[str, Any] = {
         "fix": wanted.get("fix"),
         "bounds": wanted.get("bound"),
@@ -144,6 +153,7 @@ def fit(
             stone=the_stone,
             until=wanted.get("until"),
             start=wanted.get("start"),
+            loss=wanted.get("loss", "linear"),
             **choices,
         )
     written = [folder / "fit.json"]

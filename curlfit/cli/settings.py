@@ -13,7 +13,19 @@ from curlfit.readers import load_throw
 from curlfit.stone import Stone
 from curlfit.throw import Throw
 
-_KEYS = ("law", "load", "until", "stone", "sigma", "fix", "bound", "start", "unbounded", "seed")
+_KEYS = (
+    "law",
+    "load",
+    "until",
+    "stone",
+    "sigma",
+    "fix",
+    "bound",
+    "start",
+    "unbounded",
+    "loss",
+    "seed",
+)
 
 
 def pairs(option: str, items: Sequence[str]) -> dict[str, float]:
@@ -111,7 +123,7 @@ def checked(settings: dict[str, Any], origin: str) -> dict[str, Any]:
         isinstance(until, bool) or not isinstance(until, int | float) or not math.isfinite(until)
     ):
         raise InputError(f"{origin}: until = {until!r}; expected a time in s")
-    for key in ("law", "load"):
+    for key in ("law", "load", "loss"):
         if not isinstance(settings.get(key, ""), str):
             raise InputError(f"{origin}: {key} = {settings[key]!r}; expected a name")
     return settings

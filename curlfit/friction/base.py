@@ -207,10 +207,14 @@ class Law:
             cls.enter(cls.name)
 
     @classmethod
+    def shipped(cls) -> bool:
+        """Whether the law is curlfit's own."""
+        return cls.__module__.startswith(f"{__name__.rpartition('.')[0]}.")
+
+    @classmethod
     def enter(cls, name: str) -> None:
         """Enter the class among the laws. Raises TypeError where curlfit itself has the name."""
-        own = f"{__name__.rpartition('.')[0]}."
-        if name in LAWS and LAWS[name].__module__.startswith(own) > cls.__module__.startswith(own):
+        if name in LAWS and LAWS[name].shipped() and not cls.shipped():
             raise TypeError(f"{cls.__name__}: curlfit has a law {name!r} already; rename yours")
         cls.name = name
         LAWS[name] = cls

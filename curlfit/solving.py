@@ -1,0 +1,138 @@
+"""The optimum: start values tried in turn, optimistix within bounds."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+from curlfit import backend  # noqa: F401  (before equinox)
+
+# isort: split
+import jax
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+from curlfit.box import BoxLevenbergMarquardt
+from curlfit.friction import Law, Load
+from curlfit.likelihood import Problem, weighted_residuals
+from curlfit.parameters import ParameterSet
+from curlfit.starting import Smooth, start_values, usual
+
+Floats = NDArray[np.float64]
+
+_TOLERANCE = 1e-10
+_MOST_STEPS = 200
+_POOR = (3.0, 0.02)  # rms over a polynomial's, and over the range: both, and more starts are tried
+
+
+class Solution(NamedTuple):
+    """An optimum, in the coordinates of its problem."""
+
+    values: Any
+    residual: Any
+    """weighted, shape (channels, n)"""
+    jacobian: Any
+    """of the weighted residual by parameter, shape (channels, n, parameters)"""
+    steps: Any
+    finished: Any
+
+
+@partial(jax.jit, static_argnames=("law", "load"))
+def _solve(
+    law: type[Law], load: Load, start: Array, lower: Array, upper: Array, scale: Array,
+    problem: Problem,
+) -> Solution:  # fmt: skip
+    def residual(z: Array, problem: Problem) -> Array:
+        return weighted_residuals(law, load, z * scale, problem)
+
+    solver = BoxLevenbergMarquardt(lower / scale, upper / scale, _TOLERANCE, _TOLERANCE)
+    found: Any = optx.least_squares(
+        residual,
+        solver,
+        start / scale,
+        args=problem,
+        options={"jac": "fwd"},
+        max_steps=_MOST_STEPS,
+        throw=False,
+    )
+    f_info = found.state.f_info
+    return Solution(
+        values=found.value * scale,
+        residual=f_info.residual,
+        jacobian=f_info.jac.as_matrix().reshape(*f_info.residual.shape, -1) / scale,
+        steps=found.stats["num_steps"],
+        finished=found.result == optx.RESULTS.successful,
+    )
+
+
+def chi_squared(solution: Solution) -> float:
+    """Sum of the squared residuals."""
+    return float((solution.residual**2).sum())
+
+
+def starts(
+    law: type[Law], load: Load, problem: Problem, path: Smooth, parameters: ParameterSet
+) -> list[Floats]:
+    """Start values in the order in which to try them."""
+    spins = (1.0,) if path.curves[2] is not None else (1.0, -1.0)
+    first = [start_values(law, load, problem, path, parameters, spin) for spin in spins]
+    others = []
+    k = len(law.coefficients())
+    defaults = np.array([usual(item) for item in law.coefficients()])
+    for factor in (1.0, 0.3, 3.0):
+        values = first[0].copy()
+        values[:k] = defaults * factor
+        others.append(np.clip(values, parameters.lower, parameters.upper))
+    return [*first, *others]
+
+
+def descend(
+    law: type[Law], load: Load, start: Floats, parameters: ParameterSet, problem: Problem
+) -> Solution | None:
+    """The optimum reached from one start; None where that start leads nowhere."""
+    solution = jax.tree.map(
+        np.asarray,
+        _solve(law, load, start, parameters.lower, parameters.upper, parameters.typical, problem),
+    )
+    return solution if np.isfinite(chi_squared(solution)) else None
+
+
+def best_of(
+    law: type[Law],
+    load: Load,
+    tries: list[Floats],
+    parameters: ParameterSet,
+    problem: Problem,
+    path: Smooth,
+) -> tuple[Solution | None, int]:
+    """The best optimum, and how many starts it took."""
+    found: Solution | None = None
+    tried = 0
+    for values in tries:
+        if found is not None and not _poor(found, path, problem):
+            break
+        tried += 1
+        other = descend(law, load, values, parameters, problem)
+        if other is not None and (
+            found is None or chi_squared(other) < (1 - 1e-9) * chi_squared(found)
+        ):
+            found = other
+    return found, tried
+
+
+def _poor(solution: Solution, path: Smooth, problem: Problem) -> bool:
+    if not solution.finished:
+        return True
+    over_polynomial, over_range = _POOR
+    for row in range(3):
+        use = problem.weight[row] > 0
+        if use.sum() < 3:
+            continue
+        residual = solution.residual[row][use] / problem.weight[row][use]
+        rms = float(np.sqrt(np.mean(residual**2)))
+        extent = float(np.ptp(problem.observed[row][use]))
+        if rms > over_polynomial * path.rms[row] and rms > over_range * extent:
+            return True
+    return False

@@ -1,0 +1,307 @@
+"""The answer weighed: what an optimum determines, and what the reader has to mind."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.friction import Law, Load
+from curlfit.identifiability import Identifiability, analyse, slack
+from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, trace
+from curlfit.losses import precision, robust_sigma, steepness
+from curlfit.parameters import ParameterSet
+from curlfit.results import Estimate, FitResult
+from curlfit.solving import Solution
+from curlfit.stone import Stone
+from curlfit.throw import CHANNELS, Throw
+
+Floats = NDArray[np.float64]
+
+_LOOSE = 0.1  # typical sizes a parameter may be inside its bound before it counts as held by it
+_FAR = 5.0  # sigma from which a value is called an outlier
+_SMOOTH = 0.5  # lag-1 correlation of residuals from which they are called smooth
+
+
+def weighed(
+    throw: Throw,
+    law: type[Law],
+    load: Load,
+    stone: Stone,
+    until: float | None,
+    parameters: ParameterSet,
+    frame: Frame,
+    problem: Problem,
+    sigma: dict[str, float],
+    solution: Solution,
+    tried: int,
+    loss: str,
+) -> FitResult:
+    """The record of a fit from its optimum; `tried` starts led to it."""
+    n = len(throw)
+    offset = frame.offset(len(parameters))
+    values = solution.values + offset
+    seen = np.isfinite(throw.observed)
+    curves = np.array(trace(law, load, solution.values, problem.times, problem.stone))[:, :n]
+    curves += frame.place[:, None]
+    residual = throw.observed - curves
+    squares = np.where(seen, residual**2, 0.0).sum(1)
+    count = seen.sum(1)
+    rms = np.sqrt(squares / np.maximum(count, 1))
+
+    free = parameters.free
+    at_bound = _at_bound(solution, parameters, offset)
+    open_, slack_columns = _open(solution, parameters, at_bound)
+    jacobian = _effective_jacobian(solution, residual, problem, loss)
+    known = analyse(
+        jacobian[:, :n, open_].reshape(-1, int(open_.sum())),
+        parameters.names_where(open_),
+        values[open_],
+        parameters.typical[open_],
+        slack_columns,
+    )
+    rms_by = {name: float(rms[row]) for row, name in enumerate(CHANNELS) if count[row]}
+    lag1 = {
+        name: _lag1(residual[row][seen[row]]) for row, name in enumerate(CHANNELS) if count[row] > 3
+    }
+    converged, status, warnings = _judge(
+        law, solution, parameters, at_bound, known.names, tried,
+        dict(zip(CHANNELS, count, strict=True)), rms_by, lag1,
+    )  # fmt: skip
+    outliers = _outliers(throw, residual, lag1)
+    if outliers and loss == "linear":
+        warnings.append(_about_outliers(outliers))
+    kept = [name for name in CHANNELS if name in throw.seen or name in ("x", "y", "phi")]
+    observed = {name: getattr(throw, name) for name in ("t", *kept)}
+    observed |= {f"sigma_{name}": series for name, series in throw.sigma.items()}
+    fitted = dict(zip(CHANNELS, curves, strict=True))
+    return FitResult(
+        law=law.name,
+        load=load,
+        stone=stone,
+        data={
+            "file": throw.name,
+            "law_file": law.origin or None,
+            "rows": n,
+            "from": float(throw.t[0]),
+            "to": float(throw.t[-1]),
+            "until": until,
+            "sigma": {name: "estimated" if name in sigma else "given" for name in rms_by},
+            "notes": list(throw.notes),
+        },
+        converged=converged,
+        status=status,
+        warnings=tuple(warnings),
+        n_observations=throw.n_observations,
+        rms=rms_by,
+        sigma=sigma,
+        lag1=lag1,
+        parameters=_estimates(parameters, values, known, open_, at_bound),
+        combinations=known.combinations,
+        rank=known.rank,
+        singular_values=tuple(map(float, known.singular_values)),
+        null_directions=known.null_directions,
+        covariance={"names": list(known.names), "matrix": known.covariance.tolist()},
+        information={
+            "gradient": (
+                -np.einsum("cn,cni->i", solution.residual, solution.jacobian)[free]
+            ).tolist(),
+            "names": parameters.names_where(free),
+            "matrix": np.einsum("cni,cnj->ij", *[solution.jacobian[:, :, free]] * 2).tolist(),
+        },
+        reference=throw.reference if throw.reference and throw.reference.law == law.name else None,
+        observed=observed,
+        fitted=fitted,
+        loss=loss,
+        outliers=outliers,
+    )
+
+
+def _effective_jacobian(
+    solution: Solution, residual: Floats, problem: Problem, loss: str
+) -> Floats:
+    """Jacobian of the residuals over their sigma, each channel by what the loss makes of it.
+
+    The covariance of an M-estimator is that of least squares over `precision` (Huber 1981).
+    """
+    if loss == "linear":
+        return solution.jacobian
+    n = residual.shape[1]
+    jacobian = solution.jacobian.copy()
+    for row in range(len(jacobian)):
+        r = np.nan_to_num(-residual[row]) * problem.weight[row, :n]
+        jacobian[row, :n] /= steepness(r, loss)[:, None]
+        jacobian[row] *= np.sqrt(precision(r[problem.weight[row, :n] > 0], loss))
+    return jacobian
+
+
+def _outliers(throw: Throw, residual: Floats, lag1: dict[str, float]) -> tuple[dict[str, Any], ...]:
+    """Values farther off than noise goes, where what is left looks like noise."""
+    found = []
+    for row, name in enumerate(CHANNELS):
+        seen = np.flatnonzero(np.isfinite(residual[row]))
+        if len(seen) < 10 or lag1.get(name, 1.0) > _SMOOTH:
+            continue
+        series = throw.sigma.get(name)
+        bulk = max(robust_sigma(residual[row, seen]), SIGMA_FLOOR)
+        sigma = np.full(len(throw), bulk) if series is None else np.maximum(series, bulk)
+        far = np.abs(residual[row, seen]) > _FAR * sigma[seen]
+        for place in seen[far]:
+            found.append(
+                {
+                    "channel": name,
+                    "t": float(throw.t[place]),
+                    "line": None if throw.lines is None else int(throw.lines[place]),
+                    "off": float(residual[row, place]),
+                    "sigmas": float(abs(residual[row, place]) / sigma[place]),
+                }
+            )
+    return tuple(sorted(found, key=lambda item: -item["sigmas"]))
+
+
+def _about_outliers(outliers: tuple[dict[str, Any], ...]) -> str:
+    first = outliers[0]
+    place = f" (line {first['line']})" if first["line"] is not None else ""
+    many = "one value lies" if len(outliers) == 1 else f"{len(outliers)} values lie"
+    return (
+        f"{many} more than {_FAR:g} sigma off, the farthest {first['channel']} at "
+        f"t = {first['t']:g} s{place}; --loss student keeps such values from pulling"
+    )
+
+
+def _open(
+    solution: Solution, parameters: ParameterSet, at_bound: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], Floats]:
+    """The parameters that can move, and what those held at a bound add to their spread.
+
+    A parameter that the data hardly push against its bound is not held by it: it is at the end of
+    a ridge, and counts as open.
+    """
+    jacobian = solution.jacobian.reshape(-1, len(parameters))
+    push = np.abs(solution.residual.reshape(-1) @ jacobian)
+    room = parameters.upper - parameters.lower
+    held = at_bound.copy()
+    for _ in range(2):
+        open_ = parameters.free & ~held
+        found = slack(
+            jacobian[:, open_], jacobian[:, held], push[held], parameters.typical[held], room[held]
+        )
+        loose = found.distance > _LOOSE * parameters.typical[held]
+        if not loose.any():
+            break
+        held[held] = ~loose
+    return open_, found.columns
+
+
+def _at_bound(solution: Solution, parameters: ParameterSet, offset: Floats) -> NDArray[np.bool_]:
+    """Free parameters at a bound that the data push against it."""
+    jacobian = solution.jacobian.reshape(-1, len(parameters))
+    push = solution.residual.reshape(-1) @ jacobian * parameters.typical
+    values = solution.values + offset
+    near = 1e-9 * parameters.typical
+    at_lower = (values <= parameters.lower + near) & (push > 1e-3)
+    at_upper = (values >= parameters.upper - near) & (push < -1e-3)
+    return parameters.free & (at_lower | at_upper)
+
+
+def _estimates(
+    parameters: ParameterSet,
+    values: Floats,
+    known: Identifiability,
+    open_: NDArray[np.bool_],
+    at_bound: NDArray[np.bool_],
+) -> dict[str, Estimate]:
+    found = {}
+    place = np.cumsum(open_) - 1
+    for row, item in enumerate(parameters.parameters):
+        stderr = None
+        if item.name in parameters.fixed:
+            verdict = "fixed"
+        elif at_bound[row]:
+            verdict = "at bound"
+        elif known.unseen[place[row]]:
+            verdict = "not identifiable"
+        else:
+            stderr = float(np.sqrt(known.covariance[place[row], place[row]]))
+            verdict = "determined" if stderr < item.typical else "weak"
+        found[item.name] = Estimate(
+            value=float(values[row]),
+            stderr=stderr,
+            verdict=verdict,
+            unit=item.unit,
+            symbol=item.symbol,
+            meaning=item.meaning,
+            lower=item.lower,
+            upper=item.upper,
+            typical=item.typical,
+        )
+    return found
+
+
+def _lag1(residual: Floats) -> float:
+    """Correlation of neighbouring residuals; 0 for independent noise."""
+    centred = residual - residual.mean()
+    total = float((centred**2).sum())
+    return float((centred[1:] * centred[:-1]).sum() / total) if total > 0 else 0.0
+
+
+def _judge(
+    law: type[Law],
+    solution: Solution,
+    parameters: ParameterSet,
+    at_bound: NDArray[np.bool_],
+    open_names: tuple[str, ...],
+    tried: int,
+    count: dict[str, int],
+    rms: dict[str, float],
+    correlation: dict[str, float],
+) -> tuple[bool, str, list[str]]:
+    """Converged or not, the same in words, and what the reader has to mind."""
+    left = _distance_to_optimum(solution, parameters.free & ~at_bound)
+    converged = bool(left < 0.01)
+    steps = f"{int(solution.steps)} steps" + (f", best of {tried} starts" if tried > 1 else "")
+    if converged:
+        status = f"converged ({steps})"
+    else:
+        status = (
+            f"not converged: the next step would still gain {left:.2g} standard errors ({steps})"
+        )
+    warnings = []
+    fault = law.from_vector(solution.values).fault()
+    if fault is not None:
+        warnings.append(f"{fault}; the fitted coefficients make no law of friction")
+    for item, stuck in zip(parameters.parameters, at_bound, strict=True):
+        if stuck:
+            within = f"{item.lower:g}..{item.upper:g}"
+            warnings.append(
+                f"{item.name} sits at its bound; "
+                + (
+                    f"the data hardly tell this from other values within {within}"
+                    if item.name in open_names
+                    else f"the data would rather have it outside {within}"
+                )
+            )
+    smooth_in = {
+        name: lag1
+        for name, lag1 in correlation.items()
+        if lag1 > _SMOOTH and count[name] > 20 and rms[name] > 10 * SIGMA_FLOOR
+    }
+    if smooth_in:
+        listed = ", ".join(f"{r:.2f} in {name}" for name, r in smooth_in.items())
+        warnings.append(
+            f"the residuals are smooth (lag-1 correlation {listed}): they show what the law "
+            "misses, not noise, and standard errors, which assume independent noise, are too small"
+        )
+    return converged, status, warnings
+
+
+def _distance_to_optimum(solution: Solution, free: NDArray[np.bool_]) -> float:
+    """Length of the Gauss-Newton step that is left, in standard errors along seen directions."""
+    jacobian = solution.jacobian.reshape(-1, len(free))[:, free]
+    residual = solution.residual.reshape(-1)
+    size = np.linalg.norm(jacobian, axis=0)
+    left, singular, _ = np.linalg.svd(jacobian / np.where(size > 0, size, 1), full_matrices=False)
+    seen = singular > 1e-7 * singular[0]
+    scale = float(np.sqrt(np.mean(residual**2)))
+    return float(np.linalg.norm(left[:, seen].T @ residual)) / max(1.0, scale)

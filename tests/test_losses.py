@@ -1,0 +1,158 @@
+"""Robust losses: against scipy's, against the textbook's efficiency, and outliers held off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import least_squares
+from scipy.stats import norm, t
+
+import curlfit
+from curlfit.errors import InputError
+from curlfit.losses import influence, precision, robust_sigma, signed_root, steepness
+from curlfit.parameters import LOSSES
+from curlfit.report import outliers
+
+ROBUST = LOSSES[1:]
+R = np.concatenate([-np.logspace(3, -9, 60), [0.0], np.logspace(-9, 3, 60)])
+
+
+def rho(loss):
+    return np.asarray(signed_root(R, LOSSES.index(loss))) ** 2
+
+
+def test_losses_are_scipy_s():
+    # scipy.optimize.least_squares: rho(z) with z = (r/scale)^2, times scale^2
+    z = R**2
+    np.testing.assert_allclose(rho("soft-l1"), 2 * (np.sqrt(1 + z) - 1), rtol=1e-12, atol=1e-14)
+    k = 1.345
+    huber = np.where(z <= k**2, z, 2 * k * np.abs(R) - k**2)
+    np.testing.assert_allclose(rho("huber"), huber, rtol=1e-12)
+    c = 2.385
+    np.testing.assert_allclose(rho("cauchy"), c**2 * np.log1p(z / c**2), rtol=1e-12)
+    likelihood = -2 * (t.logpdf(R, 4) - t.logpdf(0, 4))
+    np.testing.assert_allclose(rho("student"), likelihood, rtol=1e-9, atol=1e-14)
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_derivatives(loss):
+    place = LOSSES.index(loss)
+    points = R[np.abs(R) > 1e-6]
+    slope = jax.vmap(jax.grad(lambda r: signed_root(r, place)))(points)
+    np.testing.assert_allclose(steepness(points, loss), slope, rtol=1e-6)
+    half = jax.vmap(jax.grad(lambda r: signed_root(r, place) ** 2 / 2))(points)
+    np.testing.assert_allclose(influence(points, loss).psi, half, rtol=1e-7)
+    smooth = points[np.abs(np.abs(points) - 1.345) > 1e-3]
+    bend = jax.vmap(jax.grad(jax.grad(lambda r: signed_root(r, place) ** 2 / 2)))(smooth)
+    np.testing.assert_allclose(influence(smooth, loss).slope, bend, rtol=1e-5, atol=1e-7)
+    assert np.isfinite(jax.grad(lambda r: signed_root(r, place))(0.0))
+
+
+@pytest.mark.parametrize(("loss", "efficiency"), [("huber", 0.95), ("cauchy", 0.95)])
+def test_constants_give_95_percent_of_the_information_of_gaussian_noise(loss, efficiency):
+    def mean(f):
+        return quad(lambda r: f(np.array([r]))[0] * norm.pdf(r), -8, 8, limit=400)[0]
+
+    slope = mean(lambda r: influence(r, loss).slope)
+    square = mean(lambda r: influence(r, loss).psi ** 2)
+    assert slope**2 / square == pytest.approx(efficiency, abs=2e-3)
+    sample = np.random.default_rng(0).standard_normal(200_000)
+    assert precision(sample, loss) == pytest.approx(efficiency, abs=0.01)
+
+
+def test_standard_error_of_a_mean_with_outliers_is_what_repetition_shows():
+    random = np.random.default_rng(1)
+    estimates, claimed = [], []
+    for _ in range(400):
+        values = random.standard_normal(200)
+        values[:10] += 30 * random.standard_normal(10)
+        place = LOSSES.index("huber")
+        found = least_squares(lambda m, v=values, p=place: np.asarray(signed_root(v - m, p)), [0.0])
+        estimates.append(found.x[0])
+        claimed.append(1 / np.sqrt(200 * precision(values - found.x, "huber")))
+    assert np.mean(claimed) == pytest.approx(np.std(estimates), rel=0.1)
+
+
+def test_sigma_of_the_bulk():
+    values = np.random.default_rng(2).standard_normal(100_000)
+    values[:5000] = 1e6
+    assert robust_sigma(values) == pytest.approx(1.0, abs=0.08)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return curlfit.synthetic_throw(
+        curlfit.LAWS["front-back"](), curlfit.Stone(), v0=2.1, omega0=-1.3,
+        noise_xy=0.005, noise_phi=0.01, seed=3,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def spoiled(clean):
+    random = np.random.default_rng(1)
+    channels, hit = {}, {}
+    for name, size in (("x", 0.3), ("y", 1.0), ("phi", 2.0)):
+        values = getattr(clean, name).copy()
+        rows = random.choice(len(values), len(values) // 20, replace=False)
+        values[rows] += size * np.sign(random.standard_normal(len(rows)))
+        channels[name], hit[name] = values, {float(clean.t[row]) for row in rows}
+    return replace(clean, **channels), hit
+
+
+@pytest.mark.parametrize("loss", ROBUST)
+def test_five_percent_outliers_move_nothing_by_a_standard_error(loss, clean, spoiled):
+    before = curlfit.fit(clean, loss=loss)
+    after = curlfit.fit(spoiled[0], loss=loss)
+    for name in ("mu1_xi", "mu2_xi", "v0", "omega0", "heading"):
+        one, other = before.parameters[name], after.parameters[name]
+        assert abs(one.value - other.value) < one.stderr, name
+        assert 0.95 < other.stderr / one.stderr < 1.4
+    (one,), (other,) = before.combinations, after.combinations
+    assert abs(one.value - other.value) < one.stderr
+
+
+def test_least_squares_is_pulled_and_says_so(clean, spoiled):
+    before, after = curlfit.fit(clean), curlfit.fit(spoiled[0])
+    one, other = before.parameters["mu1_xi"], after.parameters["mu1_xi"]
+    assert abs(one.value - other.value) > 3 * one.stderr
+    assert any("--loss student" in warning for warning in after.warnings)
+    assert not before.outliers
+
+
+def test_outliers_are_called_by_name(spoiled):
+    throw, hit = spoiled
+    fit = curlfit.fit(throw, loss="student")
+    for name, times in hit.items():
+        assert {item["t"] for item in fit.outliers if item["channel"] == name} == times
+    text = outliers(fit)
+    assert text.count(" by ") == 6
+    assert f"and {len(fit.outliers) - 6} more" in text
+    assert curlfit.fit_figure(fit).axes
+
+
+def test_clean_data_lose_next_to_nothing(clean):
+    plain = curlfit.fit(clean).parameters["mu2_xi"]
+    for loss in ROBUST:
+        robust = curlfit.fit(clean, loss=loss).parameters["mu2_xi"]
+        assert robust.stderr / plain.stderr < 1.1
+        assert abs(robust.value - plain.value) < plain.stderr
+
+
+def test_a_robust_fit_is_kept_and_sampled_as_such(spoiled, tmp_path):
+    fit = curlfit.fit(spoiled[0], loss="student")
+    fit.save(tmp_path / "fit.json")
+    again = curlfit.load_fit(tmp_path)
+    assert again.loss == "student"
+    assert again.outliers == fit.outliers
+    sampled, _ = curlfit.sample(again, effective=1000)
+    spread = sampled.posterior.sd["mu2_xi"] / fit.parameters["mu2_xi"].stderr
+    assert 0.9 < spread < 1.3
+
+
+def test_an_unknown_loss_is_refused(clean):
+    with pytest.raises(InputError, match="unknown loss 'l7'"):
+        curlfit.fit(clean, loss="l7")
