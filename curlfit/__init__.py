@@ -21,13 +21,15 @@ if TYPE_CHECKING:
     from curlfit.claims import Claim, Reproduction, reproduce
     from curlfit.comparison import Comparison, compare, load_comparison
     from curlfit.errors import CurlfitError, DataError, InputError, UnusableFitError
-    from curlfit.figures import comparison_figure, corner_figure, fit_figure
+    from curlfit.figures import comparison_figure, corner_figure, fit_figure, joint_figure
     from curlfit.fitting import fit
     from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, coefficient, find_law
+    from curlfit.joint import JointResult, fit_together
     from curlfit.motion import Path, Start, simulate
     from curlfit.readers import load_throw
     from curlfit.report import print_fit
     from curlfit.report_comparison import print_comparison
+    from curlfit.report_joint import print_joint
     from curlfit.results import FitResult, Posterior, load_fit
     from curlfit.sampling import Chain, load_chain, sample
     from curlfit.stone import Stone
@@ -40,13 +42,15 @@ _HOMES = {
     "claims": ("Claim", "Reproduction", "reproduce"),
     "comparison": ("Comparison", "compare", "load_comparison"),
     "errors": ("CurlfitError", "DataError", "InputError", "UnusableFitError"),
-    "figures": ("comparison_figure", "corner_figure", "fit_figure"),
+    "figures": ("comparison_figure", "corner_figure", "fit_figure", "joint_figure"),
     "fitting": ("fit",),
     "friction": ("LAWS", "Law", "LocalLaw", "NetLaw", "coefficient", "find_law"),
+    "joint": ("JointResult", "fit_together"),
     "motion": ("Path", "Start", "simulate"),
     "readers": ("load_throw",),
     "report": ("print_fit",),
     "report_comparison": ("print_comparison",),
+    "report_joint": ("print_joint",),
     "results": ("FitResult", "Posterior", "load_fit"),
     "sampling": ("Chain", "load_chain", "sample"),
     "stone": ("Stone",),
@@ -58,6 +62,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [  # noqa: RUF022  (in the order of use)
     "load_throw", "Throw", "fit", "FitResult", "print_fit", "sample", "Chain", "Posterior",
     "fit_figure", "corner_figure", "load_fit", "load_chain",
+    "fit_together", "JointResult", "print_joint", "joint_figure",
     "compare", "Comparison", "print_comparison", "comparison_figure", "load_comparison",
     "Stone", "Start", "Path", "simulate", "synthetic_throw",
     "reproduce", "Reproduction", "Claim",

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from curlfit.comparison import Comparison
+    from curlfit.joint import JointResult
     from curlfit.results import FitResult
     from curlfit.sampling import Chain
 
@@ -305,6 +306,47 @@ def comparison_figure(comparison: Comparison) -> Figure:
     dots.set_axisbelow(True)
     dots.set_xlabel("rms of the residuals; bold: follows the path")
     dots.legend(frameon=False, fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    figure.draw_without_rendering()
+    _stretch_note(path)
+    return figure
+
+
+def joint_figure(result: JointResult) -> Figure:
+    """All throws with their fits, and what each alone would say of the shared coefficients."""
+    count, shown = len(result.throws), result.differences
+    figure = Picture(figsize=(11, 5.2 + 0.26 * count), layout="constrained")
+    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 0.5 + 0.07 * count))
+    path = figure.add_subplot(rows[0])
+    for one, color in zip(result.throws, _distinct(count), strict=True):
+        some = np.unique(np.linspace(0, len(one.observed["t"]) - 1, 400).astype(int))
+        path.plot(one.observed["y"][some], one.observed["x"][some], ".", color=color, markersize=2)
+        path.plot(one.fitted["y"], one.fitted["x"], color=color, lw=1, label=_name(one))
+    path.set(xlabel="along the sheet, y (m)", ylabel="to the right, x (m)")
+    path.set_title(
+        f"{result.law} law, {result.load} load: {count} throws together", fontsize=10, loc="left"
+    )
+    figure.legend(
+        *path.get_legend_handles_labels(), loc="outside right upper", frameon=False, fontsize=8
+    )
+    if shown:
+        panels = rows[1].subgridspec(1, len(shown), wspace=0.05)
+        for place, item in enumerate(shown):
+            axes = figure.add_subplot(panels[place])
+            low, high = item.mean - item.stderr, item.mean + item.stderr
+            axes.axvspan(
+                low, high, color=_MARK if item.significant else "#2e8b57", alpha=0.25, lw=0
+            )
+            for row, alone in enumerate(item.each):
+                if alone is not None:
+                    axes.errorbar(alone[0], row, xerr=alone[1], fmt="o", color=_FIT, markersize=4)
+            axes.set_yticks(
+                range(count), [_name(one) for one in result.throws] if not place else [""] * count,
+                fontsize=8,
+            )  # fmt: skip
+            axes.set_ylim(count - 0.4, -0.6)
+            axes.locator_params(axis="x", nbins=4)
+            differs = "differs" if item.significant else "no difference seen"
+            axes.set_title(f"{item.expression}\n{differs}, p = {item.p_value:.2g}", fontsize=9)
     figure.draw_without_rendering()
     _stretch_note(path)
     return figure

@@ -118,7 +118,9 @@ class Job(NamedTuple):
 def prepared(
     throw: Throw, law: type[Law], stone: Stone | None, until: float | None, **choices: Any
 ) -> Job:
-    """The throw with its own defaults filled in; `choices` as in `ParameterSet.build`.
+    """The throw with its own defaults filled in, and condensed where it is very long.
+
+    `choices` are those of `ParameterSet.build`.
 
     Raises
     ------
@@ -131,6 +133,7 @@ def prepared(
         throw = throw.with_sigma(throw.defaults["sigma"])
     throw = throw.until(until)
     throw.require_motion()
+    throw = throw.condensed()
     return Job(throw, stone, until, ParameterSet.for_throw(law, throw, **choices), frame_of(throw))
 
 

@@ -140,6 +140,13 @@ def number(value: float, stderr: float | None) -> tuple[str, str]:
     return f"{value:.{digits}f}", f"{stderr:.{digits}f}"
 
 
+def compact(value: float, stderr: float | None) -> str:
+    """A value with its error in its last two digits, as 0.0556(12); the value alone without one."""
+    shown, error = number(value, stderr)
+    digits = error.replace(".", "").lstrip("0")
+    return shown if error == "-" or not digits else f"{shown}({digits})"
+
+
 def _digits(size: float) -> int:
     """Decimal places that show two digits of `size`."""
     if not (size > 0 and math.isfinite(size)):

@@ -8,7 +8,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from curlfit.report import STYLE, listed, number, plain_table
+from curlfit.report import STYLE, compact, listed, plain_table
 
 if TYPE_CHECKING:
     from curlfit.comparison import Candidate, Comparison
@@ -122,11 +122,8 @@ def _coefficients(comparison: Comparison) -> RenderableType:
 
 
 def _value(found: dict[str, Any]) -> str:
-    value, error = number(found["value"], found["stderr"])
     unit = found.get("unit", "1")
-    return (value if error in ("-", "0") else f"{value}({error.lstrip('0.') or '0'})") + (
-        "" if unit == "1" else f" {unit}"
-    )
+    return compact(found["value"], found["stderr"]) + ("" if unit == "1" else f" {unit}")
 
 
 def conclusions(comparison: Comparison) -> list[str]:

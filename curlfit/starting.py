@@ -25,7 +25,7 @@ from curlfit.friction import Coefficient, Law, Load
 from curlfit.likelihood import Problem
 from curlfit.parameters import ParameterSet
 from curlfit.stone import Stone
-from curlfit.throw import scatter
+from curlfit.throw import last_motion
 
 Floats = NDArray[np.float64]
 
@@ -55,15 +55,10 @@ def smooth(problem: Problem) -> Smooth:
     """Polynomials of degree 5 or less through each channel, up to where the stone came to rest."""
     t = problem.times
     span = t[-1]
-    x, y = (problem.observed[row] for row in (0, 1))
-    both = (problem.weight[0] > 0) & (problem.weight[1] > 0)
-    if both.sum() > 8:
-        tail = slice(-max(3, int(both.sum()) // 50), None)
-        left = np.hypot(x[both] - np.median(x[both][tail]), y[both] - np.median(y[both][tail]))
-        near = 5 * np.hypot(scatter(x[both]), scatter(y[both])) + 1e-3 * left.max()
-        last_moving = t[both][np.flatnonzero(left > near)[-1]] if (left > near).any() else span
-        if last_moving < 0.9 * span:
-            span = last_moving
+    shown = np.where(problem.weight > 0, problem.observed, np.nan)
+    last = last_motion(t, shown[0], shown[1])
+    if last < 0.9 * span:
+        span = last
     rms = np.full(len(problem.observed), np.inf)
 
     def through(row: int) -> Chebyshev | None:

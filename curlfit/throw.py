@@ -13,6 +13,9 @@ from curlfit.errors import DataError, InputError
 Floats = NDArray[np.float64]
 
 CHANNELS = ("x", "y", "phi", "speed", "omega")
+MOST_ROWS = 6000
+"""Rows from which a fit condenses its data."""
+_REST_ROWS = 200
 UNITS = {"t": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
 
 
@@ -173,6 +176,63 @@ class Throw:
             "the stone never moves by more than the scatter of the data; nothing can be fitted"
         )
 
+    def condensed(self, most: int = MOST_ROWS) -> Throw:
+        """At most about `most` rows: means over blocks of rows, with a note on what was done.
+
+        A block's mean time, place and angle lie on the path but for its bend within the block.
+        Noise falls as in any mean, and given sigmas with it. Rows after the stone came to rest,
+        which say the same over and over, make long blocks.
+        """
+        n = len(self)
+        if n <= most:
+            return self
+        rest = int(np.searchsorted(self.t, last_motion(self.t, self.x, self.y), side="right"))
+        block = max(1, -(-rest // (most - _REST_ROWS)))
+        still = max(1, -(-(n - rest) // _REST_ROWS))
+        pieces = [(0, rest, -(-rest // block)), (rest, n, -(-(n - rest) // still))]
+        starts = np.concatenate(
+            [
+                np.linspace(low, high, count, endpoint=False).astype(int)
+                for low, high, count in pieces
+            ]
+        )
+
+        def mean(values: Floats) -> Floats:
+            seen = np.isfinite(values)
+            count = np.add.reduceat(seen.astype(float), starts)
+            total = np.add.reduceat(np.where(seen, values, 0.0), starts)
+            return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+        sigma = {}
+        for name, values in self.sigma.items():
+            seen = np.add.reduceat(np.isfinite(getattr(self, name)).astype(float), starts)
+            sigma[name] = np.sqrt(mean(values**2) / np.maximum(seen, 1))
+        step = float(np.median(np.diff(self.t)))
+        note = (
+            f"{n} rows made into {len(starts)}: means over {block} rows "
+            f"({1000 * block * step:.3g} ms) up to t = {self.t[min(rest, n - 1)]:.6g} s"
+        )
+        if rest < n:
+            note += (
+                f", over {still} rows after that, when the stone was at rest and every row repeats "
+                f"one measurement, which counts as {pieces[1][2]}"
+            )
+        # A deceleration of 0.2 m/s^2, twice the usual, bends the path by a T^2/24 within a block.
+        bend = 0.2 * (block * step) ** 2 / 24
+        note += f"; within a moving block the path bends by some {bend:.1g} m, too little to matter"
+        return replace(
+            self,
+            t=mean(self.t),
+            x=mean(self.x),
+            y=mean(self.y),
+            phi=mean(self.phi),
+            speed=mean(self.speed),
+            omega=mean(self.omega),
+            sigma=sigma,
+            lines=None if self.lines is None else self.lines[starts],
+            notes=(*self.notes, note),
+        )
+
     def until(self, time: float | None) -> Throw:
         """The rows with t <= `time`. Raises `InputError` where none is left."""
         if time is None:
@@ -188,6 +248,10 @@ class Throw:
             sigma={name: values[keep] for name, values in self.sigma.items()},
             lines=None if self.lines is None else self.lines[keep],
         )
+
+    def with_defaults(self, **defaults: Any) -> Throw:
+        """The throw with other defaults in place of some of its own."""
+        return replace(self, defaults={**self.defaults, **defaults})
 
     def with_sigma(self, sigma: dict[str, float]) -> Throw:
         """The throw with one standard deviation for whole channels (SI units)."""
@@ -205,3 +269,16 @@ def scatter(values: Floats) -> float:
     if len(values) < 4:
         return 0.0
     return float(np.median(np.abs(np.diff(values, 2)))) / (0.6745 * np.sqrt(6))
+
+
+def last_motion(t: Floats, x: Floats, y: Floats) -> float:
+    """Time of the last row in which the place still changed; the last time if that is unknown."""
+    both = np.isfinite(x) & np.isfinite(y)
+    if both.sum() <= 8:
+        return float(t[-1])
+    x, y, t = x[both], y[both], t[both]
+    tail = slice(-max(3, len(x) // 50), None)
+    left = np.hypot(x - np.median(x[tail]), y - np.median(y[tail]))
+    near = 5 * np.hypot(scatter(x), scatter(y)) + 1e-3 * left.max()
+    moving = np.flatnonzero(left > near)
+    return float(t[moving[-1]]) if len(moving) else float(t[-1])

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from curlfit.cli import settings as s
+from curlfit.cli.together import fit_several
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,11 +21,12 @@ if TYPE_CHECKING:
 
 def fit(
     data: Annotated[
-        Path,
+        list[Path],
         typer.Argument(
             help="Table with a header: t, x, y and if possible phi (s, m, m, rad; other units as "
-            "y_ft, angle_deg ...). Leading lines `# key = value` are its defaults.",
-            metavar="DATA",
+            "y_ft, angle_deg ...). Leading lines `# key = value` are its defaults. Several files "
+            "are fitted together.",
+            metavar="DATA...",
             show_default=False,
         ),
     ],
@@ -71,6 +73,13 @@ def fit(
             "from pulling. [default: linear]"
         ),
     ] = None,
+    share: Annotated[
+        str | None,
+        typer.Option(
+            help="With several files: coefficients that the throws have in common. [default: all]",
+            metavar="all|NAME,...",
+        ),
+    ] = None,
     stone: Annotated[
         list[str] | None,
         typer.Option(
@@ -100,13 +109,15 @@ def fit(
     no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
-    """Fit a friction law to one throw and say what the path determines.
+    """Fit a friction law to a throw, or to several together, and say what the path determines.
 
-    Writes `fit.json`, `fit.png` and, unless `--no-sample`, `chain.h5` and `corner.png`.
+    Writes `fit.json`, `fit.png` and, unless `--no-sample`, `chain.h5` and `corner.png`; for
+    several throws `joint.json`, `joint.png` and a folder for each, without sampling.
     Ctrl-C during sampling keeps what there is.
 
     Example: `curlfit fit data/jensen_shegelski_2004.csv --stone rho=0.1025`
     """
+    from curlfit.errors import InputError
     from curlfit.files import prepared_folder
     from curlfit.friction import check_load, find_law
     from curlfit.parameters import ParameterSet, check_loss
@@ -123,7 +134,13 @@ def fit(
         "unbounded": unbounded or None,
         "loss": loss,
     }
-    throw, wanted, the_stone = s.prepared(data, config, flags)
+    if len(data) > 1:
+        fit_several(data, share, config, flags, out, no_figures=no_figures, quiet=quiet)
+        return
+    (file,) = data
+    if share is not None:
+        raise InputError("--share needs several files")
+    throw, wanted, the_stone = s.prepared(file, config, flags)
 
     # Everything that can be refused is looked at before anything slow is loaded.
     law_class = find_law(wanted.get("law", "front-back"))
@@ -138,7 +155,7 @@ def fit(
     cut.require_motion()
     parameters = ParameterSet.for_throw(law_class, cut, **choices)
     parameters.require("--start", wanted.get("start", {}))
-    folder = prepared_folder(out or Path(f"{data.stem}-fit"))
+    folder = prepared_folder(out or Path(f"{file.stem}-fit"))
 
     from rich.console import Console
 

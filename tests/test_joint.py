@@ -1,0 +1,197 @@
+"""Several throws together: against single fits, against scipy, coverage, and what differs."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+import curlfit
+from curlfit import LAWS, Start, Stone, fit_together, simulate
+from curlfit.errors import InputError
+
+LAW = LAWS["front-back"]
+STONE = Stone()
+
+
+def sheet(count, law=None, seed=0, spread=0.0):
+    """Throws of three spins and both senses on one sheet of ice."""
+    random = np.random.default_rng(1000 + seed)
+    law = law or LAW()
+    throws = []
+    for place in range(count):
+        own = replace(law, mu2_xi=law.mu2_xi + spread * random.standard_normal())
+        throws.append(
+            curlfit.synthetic_throw(
+                own,
+                STONE,
+                v0=2 + 0.02 * place,
+                omega0=(1.0, 1.5, 2.2)[place % 3] * (-1) ** place,
+                heading=0.01 * place,
+                noise_xy=0.005,
+                noise_phi=0.01,
+                seed=100 * seed + place,
+            )
+        )
+    return throws
+
+
+@pytest.fixture(scope="module")
+def three():
+    return sheet(3)
+
+
+def test_with_nothing_shared_each_throw_is_fitted_as_alone(three):
+    joint = fit_together(three, share=[])
+    assert joint.converged
+    for one, throw in zip(joint.throws, three, strict=True):
+        alone = curlfit.fit(throw, "front-back")
+        for name, item in alone.parameters.items():
+            if item.stderr is not None:
+                other = one.parameters[name]
+                assert abs(other.value - item.value) < 1e-4 * item.stderr
+                # the noise is estimated at almost the same place
+                assert other.stderr == pytest.approx(item.stderr, rel=1e-3)
+
+
+def test_the_optimum_and_its_errors_are_scipy_s(three):
+    sigma = {"x": 0.005, "y": 0.005, "phi": 0.01}
+    throws = [throw.with_sigma(sigma) for throw in three]
+    joint = fit_together(throws)
+
+    def residuals(values):
+        # mu1_xi, mu2_xi and the sum, then the start of each throw
+        law = LAW(values[0], values[1], values[2] / 2, values[2] / 2)
+        parts = []
+        for throw, (x, y, b, v, phi, w) in zip(throws, values[3:].reshape(-1, 6), strict=True):
+            path = simulate(law, STONE, Start(x, y, b, v, phi, w), throw.t)
+            for name, scale in sigma.items():
+                parts.append((np.asarray(getattr(path, name)) - getattr(throw, name)) / scale)
+        return np.concatenate(parts)
+
+    first = np.concatenate([[0.006, 0.045, 0.0175], *[
+        [one.parameters[n].value + 1e-3 for n in ("x0", "y0", "heading", "v0", "phi0", "omega0")]
+        for one in joint.throws
+    ]])  # fmt: skip
+    typical = np.concatenate([[0.01] * 3, [1.0] * 18])
+    found = least_squares(residuals, first, x_scale=typical, jac="3-point", xtol=1e-12, ftol=1e-12)
+    errors = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+    for place, name in enumerate(("mu1_xi", "mu2_xi")):
+        item = joint.coefficients[name]
+        assert abs(item.value - found.x[place]) < 1e-3 * errors[place]
+        assert item.stderr == pytest.approx(errors[place], rel=1e-3)
+    (total,) = joint.combinations
+    assert total.expression == "mu1_eta + mu2_eta"
+    assert abs(total.value - found.x[2]) < 1e-3 * errors[2]
+    assert total.stderr == pytest.approx(errors[2], rel=1e-3)
+    assert joint.rank == joint.parameters - 1
+
+
+@pytest.mark.parametrize("count", [3, 12])
+def test_shared_coefficients_are_covered(count):
+    # squared deviations in standard errors of three quantities: chi squared, 15 or 9 of it
+    squares, truth = [], LAW()
+    for seed in range(5 if count == 3 else 3):
+        joint = fit_together(sheet(count, seed=seed))
+        assert joint.converged
+        for name in ("mu1_xi", "mu2_xi"):
+            item = joint.coefficients[name]
+            squares.append(((item.value - getattr(truth, name)) / item.stderr) ** 2)
+        (total,) = joint.combinations
+        true = truth.mu1_eta + truth.mu2_eta
+        squares.append(((total.value - true) / total.stderr) ** 2)
+        assert not any(item.p_value < 1e-4 for item in joint.differences)
+    low, high = chi2.ppf([0.001, 0.999], len(squares))
+    assert low < sum(squares) < high
+
+
+def test_a_coefficient_that_varies_is_found_and_its_spread_measured():
+    spread = 0.002
+    joint = fit_together(sheet(12, spread=spread))
+    varying = {item.expression: item for item in joint.differences}
+    assert varying["mu2_xi"].significant
+    assert not varying["mu1_xi"].significant
+    assert not varying["mu1_eta + mu2_eta"].significant
+    assert varying["mu2_xi"].spread == pytest.approx(spread, rel=0.5)
+    assert abs(varying["mu2_xi"].mean - LAW().mu2_xi) < 3 * varying["mu2_xi"].stderr
+    assert any("mu2_xi differs from throw to throw" in warning for warning in joint.warnings)
+    # what each throw says alone is what its own fit says, to first order
+    alone = curlfit.fit(sheet(12, spread=spread)[0], "front-back").parameters["mu2_xi"]
+    estimate, error = varying["mu2_xi"].each[0]
+    assert abs(estimate - alone.value) < 0.5 * alone.stderr
+    assert error == pytest.approx(alone.stderr, rel=0.2)
+
+
+def test_a_coefficient_may_be_each_throw_s_own():
+    throws = sheet(3, spread=0.003, seed=4)
+    joint = fit_together(throws, share=["mu1_xi", "mu1_eta", "mu2_eta"])
+    assert set(joint.coefficients) == {"mu1_xi", "mu1_eta", "mu2_eta"}
+    for one, throw in zip(joint.throws, throws, strict=True):
+        item = one.parameters["mu2_xi"]
+        assert abs(item.value - throw.reference.values["mu2_xi"]) < 4 * item.stderr
+
+
+def test_throws_of_different_lengths_and_channels_go_together(three):
+    some = [three[0].until(9.0), replace(three[1], phi=np.full(201, np.nan)), three[2]]
+    joint = fit_together(some)
+    assert joint.converged
+    item = joint.coefficients["mu2_xi"]
+    assert abs(item.value - 0.05) < 4 * item.stderr
+
+
+def test_outliers_in_one_throw_do_not_pull_the_others(three):
+    x = three[0].x.copy()
+    x[::20] += 0.5
+    plain = fit_together(three).coefficients["mu2_xi"]
+    robust = fit_together([replace(three[0], x=x), *three[1:]], loss="student")
+    assert abs(robust.coefficients["mu2_xi"].value - plain.value) < plain.stderr
+
+
+def test_what_cannot_be_fitted_together_is_refused(three):
+    with pytest.raises(InputError, match="1 throw to fit together; expected two or more"):
+        fit_together(three[:1])
+    with pytest.raises(InputError, match="no coefficient 'mu'; it has mu1_xi"):
+        fit_together(three, share=["mu"])
+
+
+def test_on_the_command_line(three, tmp_path):
+    from curlfit.synthetic import write_table
+
+    for place, throw in enumerate(three):
+        (tmp_path / f"throw{place}.csv").write_text(write_table(throw))
+    names = [f"throw{place}.csv" for place in range(3)]
+
+    def run(*words):
+        return subprocess.run(
+            [sys.executable, "-m", "curlfit", "fit", *words],
+            cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+        )  # fmt: skip
+
+    done = run(*names)
+    assert done.returncode == 0, done.stderr
+    assert "3 throws together" in done.stdout
+    record = json.loads((tmp_path / "joint-fit" / "joint.json").read_text())
+    assert record["combinations"][0]["expression"] == "mu1_eta + mu2_eta"
+    assert len(record["throws"]) == 3
+    assert (tmp_path / "joint-fit" / "joint.png").stat().st_size > 20_000
+    shown = subprocess.run(
+        [sys.executable, "-m", "curlfit", "show", "joint-fit/throw1"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert "front-back law" in shown.stdout
+    for words, message in (
+        ((*names, "--share", "mu"), "law front-back has no such coefficient"),
+        (("throw0.csv", "--share", "all"), "--share needs several files"),
+        (("throw0.csv", "throw0.csv"), "two of the files have the same name"),
+        (("throw0.csv", "none.csv"), "no such file"),
+    ):
+        refused = run(*words)
+        assert refused.returncode == 2
+        assert message in refused.stderr
+        assert "Traceback" not in refused.stderr

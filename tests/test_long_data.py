@@ -1,0 +1,72 @@
+"""Very long files: condensed, with the same answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import curlfit
+import curlfit.throw
+from curlfit import LAWS, Stone
+
+
+@pytest.fixture(scope="module")
+def long():
+    return curlfit.synthetic_throw(
+        LAWS["front-back"](), Stone(), v0=2.1, omega0=1.3, until=60.0, dt=0.002,
+        noise_xy=0.005, noise_phi=0.01, seed=3,
+    )  # fmt: skip
+
+
+def test_short_throws_are_left_alone(eq12):
+    assert eq12.condensed() is eq12
+
+
+def test_means_over_blocks_keep_time_place_and_noise(long):
+    short = long.condensed(3000)
+    assert 2500 < len(short) <= 3000
+    assert (np.diff(short.t) > 0).all()
+    rest = curlfit.throw.last_motion(long.t, long.x, long.y)
+    assert 22 < rest < 24
+    moving = short.t < rest - 0.1
+    step = np.diff(short.t[moving])
+    assert step.max() < 0.01
+    # every row of the moving part is in one block: the means average to the mean
+    rows = long.t <= rest
+    assert short.x[short.t <= rest].mean() == pytest.approx(long.x[rows].mean(), abs=2e-3)
+    assert "was at rest" in short.notes[-1]
+    assert "30001 rows made into" in short.notes[-1]
+
+
+def test_the_fit_is_that_of_all_rows_while_the_stone_moves(long):
+    moving = long.until(22.0)
+    whole = curlfit.fit(replace(moving, notes=()), "front-back")
+    assert whole.data["rows"] < 6001
+    for name in ("mu1_xi", "mu2_xi", "v0", "omega0"):
+        item = whole.parameters[name]
+        true = {"v0": 2.1, "omega0": 1.3, **long.reference.values}[name]
+        assert abs(item.value - true) < 4 * item.stderr
+    thinned = curlfit.fit(replace(moving.condensed(1500), notes=()), "front-back")
+    for name in ("mu1_xi", "mu2_xi", "v0", "omega0"):
+        one, other = whole.parameters[name], thinned.parameters[name]
+        assert abs(one.value - other.value) < 0.1 * one.stderr
+        assert other.stderr == pytest.approx(one.stderr, rel=0.1)
+
+
+def test_given_sigmas_fall_as_in_a_mean(long):
+    given = long.with_sigma({"x": 0.005, "y": 0.005, "phi": 0.01})
+    short = given.condensed(3000)
+    moving = short.t < 20
+    block = np.diff(short.t[moving]).mean() / 0.002
+    assert np.median(short.sigma["x"][moving]) == pytest.approx(0.005 / np.sqrt(block), rel=0.05)
+
+
+def test_gaps_stay_gaps(long):
+    phi = long.phi.copy()
+    phi[2000:4000] = np.nan
+    short = replace(long, phi=phi).condensed(3000)
+    inside = (short.t > 4.1) & (short.t < 7.9)
+    assert np.isnan(short.phi[inside]).all()
+    assert np.isfinite(short.x[inside]).all()
