@@ -81,7 +81,7 @@ def _throws(result: JointResult) -> RenderableType:
         for name in result.throws[0].parameters
         if name not in result.share and result.throws[0].parameters[name].verdict != "fixed"
     ]
-    shown = [name for name in own if name not in ("x0", "y0", "phi0")]
+    shown = [name for name in own if name not in ("x0", "y0", "phi0", "heading")]
     expressions = [item.expression for item in result.differences]
     table = plain_table()
     table.add_column("throw", no_wrap=True)
@@ -90,7 +90,7 @@ def _throws(result: JointResult) -> RenderableType:
     channels = list(result.throws[0].rms)
     for name in channels:
         unit = "mrad" if name == "phi" else "mrad/s" if name == "omega" else "mm"
-        table.add_column(f"{name} ({unit})", justify="right")
+        table.add_column(f"{name}\n({unit})", justify="right", min_width=6)
     for place, one in enumerate(result.throws):
         row = [number(one.parameters[name].value, one.parameters[name].stderr)[0] for name in shown]
         for item in result.differences:

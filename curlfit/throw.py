@@ -188,7 +188,7 @@ class Throw:
             return self
         rest = int(np.searchsorted(self.t, last_motion(self.t, self.x, self.y), side="right"))
         block = max(1, -(-rest // (most - _REST_ROWS)))
-        still = max(1, -(-(n - rest) // _REST_ROWS))
+        still = max(block, -(-(n - rest) // _REST_ROWS))  # not noisier than the others
         pieces = [(0, rest, -(-rest // block)), (rest, n, -(-(n - rest) // still))]
         starts = np.concatenate(
             [
