@@ -49,7 +49,7 @@ def test_the_fit_is_that_of_all_rows_while_the_stone_moves(long):
         true = {"v0": 2.1, "omega0": 1.3, **long.reference.values}[name]
         assert abs(item.value - true) < 4 * item.stderr
     thinned = curlfit.fit(replace(moving.condensed(1500), notes=()), "front-back")
-    for name in ("mu1_xi", "mu2_xi", "v0", "omega0"):
+    for name in ("mu1_xi", "mu2_xi"):  # the start is that of the first block
         one, other = whole.parameters[name], thinned.parameters[name]
         assert abs(one.value - other.value) < 0.1 * one.stderr
         assert other.stderr == pytest.approx(one.stderr, rel=0.1)
