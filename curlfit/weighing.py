@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
 from curlfit.identifiability import Identifiability, analyse, slack
-from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, trace
-from curlfit.losses import precision, robust_sigma, steepness
-from curlfit.parameters import ParameterSet
+from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, raw_residuals, trace
+from curlfit.losses import precision, robust_sigma, signed_root, steepness
+from curlfit.parameters import LOSSES, ParameterSet
 from curlfit.results import Estimate, FitResult
 from curlfit.solving import Solution
 from curlfit.stone import Stone
@@ -20,6 +20,9 @@ from curlfit.throw import CHANNELS, Throw
 Floats = NDArray[np.float64]
 
 _LOOSE = 0.1  # typical sizes a parameter may be inside its bound before it counts as held by it
+_CURVED = 0.003  # typical sizes of a standard error, below which the misfit is a parabola
+_UNKNOWN = 3.0  # the same, above which nothing is known anyway
+_PARABOLA = 0.5  # how far chi squared may be from one higher at one standard error
 _FAR = 5.0  # sigma from which a value is called an outlier
 _SMOOTH = 0.5  # lag-1 correlation of residuals from which they are called smooth
 
@@ -69,6 +72,12 @@ def weighed(
         law, solution, parameters, at_bound, known.names, tried,
         dict(zip(CHANNELS, count, strict=True)), rms_by, lag1,
     )  # fmt: skip
+    bent = _bent(law, load, solution, parameters, offset, problem, known, open_, loss)
+    if bent:
+        warnings.append(
+            f"the misfit is no parabola within a standard error of {', '.join(bent)}; these errors "
+            "are rough, the posterior tells more"
+        )
     outliers = _outliers(throw, residual, lag1)
     if outliers and loss == "linear":
         warnings.append(_about_outliers(outliers))
@@ -134,6 +143,46 @@ def _effective_jacobian(
         jacobian[row, :n] /= steepness(r, loss)[:, None]
         jacobian[row] *= np.sqrt(precision(r[problem.weight[row, :n] > 0], loss))
     return jacobian
+
+
+def _bent(
+    law: type[Law],
+    load: Load,
+    solution: Solution,
+    parameters: ParameterSet,
+    offset: Floats,
+    problem: Problem,
+    known: Identifiability,
+    open_: NDArray[np.bool_],
+    loss: str,
+) -> list[str]:
+    """Parameters along which one standard error does not raise chi squared by about one."""
+    if not known.names:
+        return []
+    typical = parameters.typical[open_]
+    squares, axes = np.linalg.eigh(known.covariance / np.outer(typical, typical))
+    found: set[str] = set()
+    place = LOSSES.index(loss)
+
+    def chi_squared(values: Floats) -> float:
+        residual = raw_residuals(law, load, values, problem)
+        return float((np.asarray(signed_root(residual, place)) ** 2).sum())
+
+    least = chi_squared(solution.values)
+    for square, axis in zip(squares, axes.T, strict=True):
+        if not _CURVED**2 < square < _UNKNOWN**2:
+            continue
+        for sense in (1.0, -1.0):
+            values = solution.values.copy()
+            values[open_] += sense * np.sqrt(square) * axis * typical
+            inside = (values + offset >= parameters.lower) & (values + offset <= parameters.upper)
+            if not inside.all():
+                continue
+            rise = chi_squared(values) - least
+            if not abs(rise - 1) < _PARABOLA:
+                large = np.abs(axis) > 0.3 * np.abs(axis).max()
+                found |= {name for name, take in zip(known.names, large, strict=True) if take}
+    return [name for name in known.names if name in found]
 
 
 def _outliers(throw: Throw, residual: Floats, lag1: dict[str, float]) -> tuple[dict[str, Any], ...]:

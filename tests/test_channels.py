@@ -1,0 +1,120 @@
+"""Throws of which some channels were not measured: what they determine, and what they do not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import curlfit
+from curlfit import LAWS, Start, Stone, simulate
+from curlfit.errors import DataError
+
+STONE = Stone()
+LAW = LAWS["front-back"]()
+T = np.arange(0, 20, 0.1)
+
+
+@pytest.fixture(scope="module")
+def seen():
+    path = simulate(LAW, STONE, Start(v=2.1, omega=-1.3, heading=0.05), T).to_numpy()
+    random = np.random.default_rng(0)
+    noise = {"x": 0.005, "y": 0.005, "phi": 0.01, "speed": 0.01, "omega": 0.01}
+    return {
+        name: getattr(path, name) + sigma * random.standard_normal(len(T))
+        for name, sigma in noise.items()
+    }
+
+
+def fitted(seen, *names):
+    throw = curlfit.Throw.from_arrays(T, **{name: seen[name] for name in names})
+    return curlfit.fit(throw, "front-back", stone=STONE)
+
+
+def known(result):
+    return {item.expression: item for item in result.combinations}
+
+
+TRUE = {
+    "mu1_eta + mu2_eta": LAW.mu1_eta + LAW.mu2_eta,
+    "mu1_xi + mu2_xi": LAW.mu1_xi + LAW.mu2_xi,
+}
+
+
+def test_spin_in_place_of_angle_does_as_well(seen):
+    with_angle, with_spin = fitted(seen, "x", "y", "phi"), fitted(seen, "x", "y", "omega")
+    for result in (with_angle, with_spin):
+        for name in ("mu1_xi", "mu2_xi"):
+            item = result.parameters[name]
+            assert abs(item.value - getattr(LAW, name)) < 4 * item.stderr
+    assert with_spin.parameters["phi0"].verdict == "fixed"
+    assert with_spin.rms.keys() == {"x", "y", "omega"}
+
+
+def test_radar_and_gyroscope_know_the_sums_and_not_the_curl(seen):
+    result = fitted(seen, "speed", "omega")
+    for name in ("mu1_xi", "mu2_xi", "mu1_eta", "mu2_eta"):
+        assert result.parameters[name].verdict == "not identifiable"
+    for expression, true in TRUE.items():
+        item = known(result)[expression]
+        assert abs(item.value - true) < 4 * item.stderr
+    assert {name for name, item in result.parameters.items() if item.verdict == "fixed"} == {
+        "x0", "y0", "heading", "phi0",
+    }  # fmt: skip
+
+
+def test_a_gyroscope_alone_knows_no_speed_and_says_so(seen):
+    # v0 and all coefficients may grow together: a long, bent valley
+    result = fitted(seen, "omega")
+    assert not result.converged or any("no parabola" in text for text in result.warnings)
+    throw = curlfit.Throw.from_arrays(T, omega=seen["omega"])
+    held = curlfit.fit(throw, "front-back", stone=STONE, fix={"v0": 2.1})
+    assert held.converged
+    assert held.parameters["omega0"].value == pytest.approx(-1.3, abs=0.02)
+    for expression, true in TRUE.items():
+        item = known(held)[expression]
+        assert abs(item.value - true) < 4 * item.stderr
+
+
+def test_well_measured_throws_have_honest_parabolas(seen):
+    assert not any("no parabola" in text for text in fitted(seen, "x", "y", "phi").warnings)
+    angle = fitted(seen, "phi")
+    assert any("no parabola" in text and "v0" in text for text in angle.warnings)
+
+
+def test_places_along_the_sheet_alone(seen):
+    result = fitted(seen, "y")
+    assert result.parameters["v0"].value == pytest.approx(2.1, abs=0.02)
+    assert result.parameters["heading"].verdict == "fixed"
+    assert result.parameters["mu1_xi"].verdict != "determined"
+
+
+def test_all_channels_at_once_are_better_than_three(seen):
+    three, five = fitted(seen, "x", "y", "phi"), fitted(seen, *seen)
+    for name in ("mu1_xi", "mu2_xi", "v0", "omega0"):
+        assert five.parameters[name].stderr < three.parameters[name].stderr
+    assert five.n_observations == 5 * len(T)
+    assert curlfit.fit_figure(five).axes
+
+
+def test_a_fit_of_spin_is_saved_loaded_and_sampled(seen, tmp_path):
+    result = fitted(seen, "x", "y", "omega")
+    result.save(tmp_path / "fit.json")
+    again = curlfit.load_fit(tmp_path)
+    assert again.throw.seen == ("x", "y", "omega")
+    sampled, _ = curlfit.sample(again, effective=500)
+    assert sampled.posterior.sd["mu2_xi"] == pytest.approx(
+        result.parameters["mu2_xi"].stderr, rel=0.15
+    )
+
+
+def test_a_table_of_spin_is_read(tmp_path, seen):
+    rows = [f"{t:.3f},{57.29577951308232 * w:.9f}" for t, w in zip(T, seen["omega"], strict=True)]
+    (tmp_path / "gyro.csv").write_text("time_s,gyro_z_dps\n" + "\n".join(rows))
+    throw = curlfit.load_throw(tmp_path / "gyro.csv")
+    assert throw.seen == ("omega",)
+    np.testing.assert_allclose(throw.omega, seen["omega"], atol=1e-9)
+
+
+def test_nothing_measured_is_refused():
+    with pytest.raises(DataError, match="expected some of x, y, phi, speed, omega"):
+        curlfit.Throw.from_arrays([0.0, 1.0, 2.0])
