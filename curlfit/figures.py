@@ -15,9 +15,9 @@ from curlfit.report import number
 if TYPE_CHECKING:
     from os import PathLike
 
+    from curlfit.chain import Chain
     from curlfit.comparison import Comparison
     from curlfit.results import FitResult
-    from curlfit.sampling import Chain
 
 _DATA: dict[str, Any] = {
     "color": "0.45",

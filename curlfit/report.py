@@ -22,6 +22,9 @@ STYLE = {
     "at bound": "yellow",
     "fixed": "dim",
 }
+_UNFINISHED = (
+    "Sampling was not finished; the same `curlfit fit` command with --resume goes on with it."
+)
 _WIDE = 92  # columns from which the posterior fits beside the estimates
 
 
@@ -41,6 +44,8 @@ def report(fit: FitResult, width: int = 110) -> RenderableType:
     parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
     if fit.posterior is not None:
         parts.append(Padding(_posterior(fit.posterior), (0, 0, 1, 0)))
+    if fit.sampling == "unfinished":
+        parts.append(Padding(Text(_UNFINISHED, style="bold yellow"), (0, 0, 1, 0)))
     parts += [
         Padding(Text(f"Mind: {warning}.", style="yellow"), (0, 0, 1, 0)) for warning in fit.warnings
     ]
