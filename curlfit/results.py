@@ -26,6 +26,7 @@ from curlfit.throw import CHANNELS, Reference, Throw
 Floats = NDArray[np.float64]
 
 SCHEMA = 1
+_LATER = ("law_file",)  # entries of `data` that the first records of schema 1 lack
 MIGRATIONS: dict[int, Migration] = {}
 """By schema, what makes a record of it into one of the next. Entries that were added within a
 schema have defaults in `FitResult.from_json`."""
@@ -227,7 +228,7 @@ class FitResult:
         same = ("law", "load", "converged", "status", "n_observations", "rms", "sigma")
         return cls(
             **{name: found[name] for name in (*same, "covariance", "information")},
-            data={"law_file": None, "until": None, "notes": [], **found["data"]},
+            data=found["data"] | {key: None for key in _LATER if key not in found["data"]},
             lag1=found.get("lag1", {}),
             stone=Stone(**known(Stone, found["stone"])),
             warnings=tuple(found.get("warnings", ())),
