@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from curlfit.version import __version__
 
 if TYPE_CHECKING:
+    from curlfit.chain import Chain, load_chain
     from curlfit.claims import Claim, Reproduction, reproduce
     from curlfit.comparison import Comparison, compare, load_comparison
     from curlfit.errors import CurlfitError, DataError, InputError, UnusableFitError
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from curlfit.report_comparison import print_comparison
     from curlfit.report_joint import print_joint
     from curlfit.results import FitResult, Posterior, load_fit
-    from curlfit.sampling import Chain, load_chain, sample
+    from curlfit.sampling import sample
     from curlfit.stone import Stone
     from curlfit.synthetic import law_with, synthetic_throw
     from curlfit.throw import Throw
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 # Where each public name lives. They are imported on first use, so that `import curlfit` and the
 # command line's help need neither JAX nor matplotlib.
 _HOMES = {
+    "chain": ("Chain", "load_chain"),
     "claims": ("Claim", "Reproduction", "reproduce"),
     "comparison": ("Comparison", "compare", "load_comparison"),
     "errors": ("CurlfitError", "DataError", "InputError", "UnusableFitError"),
@@ -52,7 +54,7 @@ _HOMES = {
     "report_comparison": ("print_comparison",),
     "report_joint": ("print_joint",),
     "results": ("FitResult", "Posterior", "load_fit"),
-    "sampling": ("Chain", "load_chain", "sample"),
+    "sampling": ("sample",),
     "stone": ("Stone",),
     "synthetic": ("law_with", "synthetic_throw"),
     "throw": ("Throw",),

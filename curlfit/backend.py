@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 # A program with a host callback in it is never cached, and equinox puts one in for each run-time
 # check. The statuses of optimistix are read by curlfit itself.
@@ -18,6 +20,8 @@ os.environ.setdefault("EQX_ON_ERROR", "nan")
 import jax
 from jaxlib import version as jaxlib_version
 
+from curlfit.errors import InputError
+from curlfit.files import replaced
 from curlfit.version import __version__
 
 
@@ -53,6 +57,27 @@ def _configure() -> None:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    _keep_whole_entries()
+
+
+def _keep_whole_entries() -> None:
+    """Have entries of the cache moved into place. JAX itself leaves half of one behind on a full
+    disk or when killed, does not mend it, and warns of it ever after."""
+    try:
+        from jax._src.lru_cache import _CACHE_SUFFIX, LRUCache
+    except ImportError:  # another version of JAX, which may do better
+        return
+    put = LRUCache.put
+
+    def put_whole(self: Any, key: str, value: bytes) -> None:
+        file = Path(str(self.path)) / f"{key}{_CACHE_SUFFIX}"
+        if self.eviction_enabled or not file.parent.is_dir():
+            put(self, key, value)
+        elif not file.exists():
+            with suppress(InputError), replaced(file) as temporary:
+                temporary.write_bytes(value)
+
+    LRUCache.put = put_whole  # type: ignore[method-assign]
 
 
 _configure()

@@ -10,7 +10,6 @@ Jacobian, and one for each noise that was estimated.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
@@ -27,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.errors import DataError, UnusableFitError
-from curlfit.files import write_json
+from curlfit.files import Migration, known, read_json, write_json
 from curlfit.fitting import fit
 from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, find_law
 from curlfit.results import FitResult
@@ -37,6 +36,7 @@ from curlfit.throw import Throw, scatter
 Floats = NDArray[np.float64]
 
 SCHEMA = 1
+MIGRATIONS: dict[int, Migration] = {}  # see `curlfit.results`
 PLACE = ("x", "y", "phi")
 
 _FOLLOWS = 0.1  # rms of a residual over what there is to explain, up to which a law follows a path
@@ -159,28 +159,26 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
     path = Path(file)
     if path.is_dir():
         path = path / "compare.json"
+    found = read_json(path, SCHEMA, MIGRATIONS)
     try:
-        found = json.loads(path.read_text())
-        if found["schema"] != SCHEMA:
-            raise DataError(f"schema {found['schema']!r}; expected {SCHEMA}", file=path)
         tuples = ("combinations", "sides", "negative", "at_bound", "not_identifiable", "warnings")
         return Comparison(
             data=found["data"],
-            stone=Stone(**found["stone"]),
+            stone=Stone(**known(Stone, found["stone"])),
             curl=found["curl"],
             side=found["side"],
             candidates=tuple(
-                Candidate(**(item | {name: tuple(item[name]) for name in tuples}))
+                Candidate(
+                    **known(Candidate, item) | {name: tuple(item.get(name, ())) for name in tuples}
+                )
                 for item in found["candidates"]
             ),
             observed=found["observed"],
         )
-    except OSError as error:
-        raise DataError(f"cannot be read ({error.strerror})", file=path) from None
-    except (ValueError, KeyError, TypeError) as error:
-        if isinstance(error, DataError):
-            raise
-        raise DataError("this is not a compare.json of curlfit", file=path) from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DataError(
+            f"not a complete compare.json of curlfit ({type(error).__name__}: {error})", file=path
+        ) from None
 
 
 def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[Law], str]]:

@@ -15,10 +15,10 @@ from curlfit.report import number
 if TYPE_CHECKING:
     from os import PathLike
 
+    from curlfit.chain import Chain
     from curlfit.comparison import Comparison
     from curlfit.joint import JointResult
     from curlfit.results import FitResult
-    from curlfit.sampling import Chain
 
 _DATA: dict[str, Any] = {
     "color": "0.45",
@@ -373,5 +373,8 @@ def save_figure(figure: Figure, file: str | PathLike[str], dpi: int = 150) -> No
     """Write a figure, whole or not at all."""
     from curlfit.files import replaced
 
-    with replaced(FilePath(file)) as temporary:
-        figure.savefig(temporary, dpi=dpi)
+    # Drawn in memory: on a full disk matplotlib's writers fail in ways of their own.
+    path, image = FilePath(file), BytesIO()
+    figure.savefig(image, dpi=dpi, format=path.suffix[1:] or "png")
+    with replaced(path) as temporary:
+        temporary.write_bytes(image.getbuffer())

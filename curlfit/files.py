@@ -1,4 +1,4 @@
-"""Writing files so that a reader never meets half of one."""
+"""Writing files so that a reader never meets half of one, and reading records of any age."""
 
 from __future__ import annotations
 
@@ -7,12 +7,18 @@ import math
 import os
 import re
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from curlfit.errors import InputError
+from curlfit.errors import DataError, InputError
+
+Migration = Callable[[dict[str, Any]], dict[str, Any]]
+
+_PREFIX = ".curlfit-"  # of temporary names
 
 
 @contextmanager
@@ -25,9 +31,7 @@ def replaced(file: Path) -> Iterator[Path]:
     """
     temporary = None
     try:
-        handle, name = tempfile.mkstemp(
-            prefix=f".{file.name}.", suffix=file.suffix, dir=file.parent
-        )
+        handle, name = tempfile.mkstemp(prefix=_PREFIX, suffix=f"-{file.name}", dir=file.parent)
         os.close(handle)
         temporary = Path(name)
         yield temporary
@@ -50,8 +54,9 @@ def prepared_folder(folder: Path) -> Path:
     """Make the folder if need be and see that it can be written to. Raises `InputError`."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=folder, prefix=".curlfit-"):
+        with tempfile.NamedTemporaryFile(dir=folder, prefix=_PREFIX):
             pass
+        _clear(folder)
     except FileExistsError:
         raise InputError(f"{folder}: this is a file, expected a folder for the results") from None
     except OSError as error:
@@ -61,11 +66,61 @@ def prepared_folder(folder: Path) -> Path:
     return folder
 
 
+def _clear(folder: Path) -> None:
+    """Remove what a killed run left half-written; nothing is written for as long as a minute."""
+    for file in folder.glob(f"{_PREFIX}*"):
+        with suppress(FileNotFoundError):
+            if time.time() - file.stat().st_mtime > 60:
+                file.unlink()
+
+
+def read_json(file: Path, schema: int, migrations: Mapping[int, Migration]) -> dict[str, Any]:
+    """Read a record that `write_json` wrote, as one of the given schema.
+
+    Parameters
+    ----------
+    migrations : by schema, what makes a record of it into one of the next.
+
+    Raises
+    ------
+    DataError : the file is not there, is not such a record, or is of a schema that cannot be read.
+    """
+    kind = "compare.json" if "compare" in file.name else "fit.json"
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise DataError("no such file", file=file) from None
+    except OSError as error:
+        raise DataError(f"cannot be read ({error.strerror})", file=file) from None
+    except ValueError:
+        raise DataError(f"this is not JSON; expected a {kind} of curlfit", file=file) from None
+    has = found.get("schema") if isinstance(found, dict) else None
+    if not isinstance(has, int) or isinstance(has, bool):
+        raise DataError(f"this is not a {kind} of curlfit: it names no schema", file=file)
+    if has > schema:
+        raise DataError(
+            f"written by a newer curlfit: schema {has} found, this version reads up to {schema}",
+            file=file,
+        )
+    while has < schema:
+        if has not in migrations:
+            raise DataError(f"schema {has} found, which was never written", file=file)
+        found = migrations[has](found)
+        has += 1
+    return found | {"schema": schema}
+
+
+def known(record: type, found: Mapping[str, Any]) -> dict[str, Any]:
+    """Those entries that a dataclass has fields for; a later version may have written more."""
+    names = {item.name for item in fields(record)}
+    return {key: value for key, value in found.items() if key in names}
+
+
 def write_json(record: dict[str, Any], file: Path) -> None:
     """Write a record as JSON that any program can read, whole or not at all."""
     text = json.dumps(strict(record), indent=1, allow_nan=False)
     with replaced(file) as temporary:
-        temporary.write_text(_compact_series(text) + "\n")
+        temporary.write_text(_compact_series(text) + "\n", encoding="utf-8")
 
 
 def strict(value: Any) -> Any:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from curlfit.files import replaced
 from curlfit.friction.front_back import FrontBackFirstOrder
 from curlfit.stone import GRAVITY, Stone
 from curlfit.synthetic import write_table
@@ -72,7 +73,8 @@ def write_jensen_shegelski(file: str | FilePath) -> None:
         "# Eq. 12 of Ivanov and Shuvalov (2012): a formula fitted by Jensen and Shegelski (2004)\n"
         "# to measured throws. See README.md beside this file.\n"
     )
-    FilePath(file).write_text(head + write_table(jensen_shegelski_throw()))
+    with replaced(FilePath(file)) as temporary:
+        temporary.write_text(head + write_table(jensen_shegelski_throw()))
 
 
 class FirstOrderMotion(NamedTuple):

@@ -23,6 +23,9 @@ STYLE = {
     "fixed": "dim",
 }
 _MOST_NAMED = 6  # outliers that the report lists
+_UNFINISHED = (
+    "Sampling was not finished; the same `curlfit fit` command with --resume goes on with it."
+)
 _WIDE = 92  # columns from which the posterior fits beside the estimates
 
 
@@ -44,6 +47,8 @@ def report(fit: FitResult, width: int = 110) -> RenderableType:
         parts.append(Padding(_posterior(fit.posterior), (0, 0, 1, 0)))
     if fit.outliers:
         parts.append(Padding(Text(outliers(fit)), (0, 0, 1, 0)))
+    if fit.sampling == "unfinished":
+        parts.append(Padding(Text(_UNFINISHED, style="bold yellow"), (0, 0, 1, 0)))
     parts += [
         Padding(Text(f"Mind: {warning}.", style="yellow"), (0, 0, 1, 0)) for warning in fit.warnings
     ]

@@ -6,7 +6,6 @@ drawn and sampled again without the data file and without fitting.
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass, field, fields, replace
 from os import PathLike
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.errors import DataError
-from curlfit.files import strict, write_json
+from curlfit.files import Migration, known, read_json, strict, write_json
 from curlfit.friction import LAWS, Law, Parameter, find_law
 from curlfit.identifiability import Combination
 from curlfit.parameters import START, ParameterSet
@@ -27,6 +26,10 @@ from curlfit.throw import CHANNELS, Reference, Throw
 Floats = NDArray[np.float64]
 
 SCHEMA = 1
+_LATER = ("law_file",)  # entries of `data` that the first records of schema 1 lack
+MIGRATIONS: dict[int, Migration] = {}
+"""By schema, what makes a record of it into one of the next. Entries that were added within a
+schema have defaults in `FitResult.from_json`."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +112,7 @@ class FitResult:
     loss : how large residuals count, see `curlfit.losses`.
     outliers : values far off the fit: {"channel", "t", "line" (of the file, or None), "off" (SI),
         "sigmas"}, the farthest first.
+    sampling : "none", "unfinished" (begun, or to be begun) or "ended".
     """
 
     law: str
@@ -135,6 +139,7 @@ class FitResult:
     posterior: Posterior | None = None
     loss: str = "linear"
     outliers: tuple[dict[str, Any], ...] = ()
+    sampling: str = "none"
 
     @property
     def law_class(self) -> type[Law]:
@@ -178,7 +183,11 @@ class FitResult:
 
     def with_posterior(self, posterior: Posterior) -> FitResult:
         """The same with a posterior."""
-        return replace(self, posterior=posterior)
+        return replace(self, posterior=posterior, sampling="ended")
+
+    def before_sampling(self) -> FitResult:
+        """The same as it is kept on disk while the posterior is being sampled."""
+        return replace(self, posterior=None, sampling="unfinished")
 
     def to_json(self) -> dict[str, Any]:
         """The record as written to `fit.json`; see the README for its fields."""
@@ -207,6 +216,7 @@ class FitResult:
             "covariance": self.covariance,
             "information": self.information,
             "reference": None if self.reference is None else asdict(self.reference),
+            "sampling": self.sampling,
             "posterior": None if self.posterior is None else asdict(self.posterior),
             "observed": {name: series.tolist() for name, series in self.observed.items()},
             "fitted": {name: series.tolist() for name, series in self.fitted.items()},
@@ -220,26 +230,30 @@ class FitResult:
     @classmethod
     def from_json(cls, found: dict[str, Any]) -> FitResult:
         """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
-        known = found["identifiability"]
-        reference = found["reference"]
-        posterior = found["posterior"]
-        same = ("law", "load", "data", "converged", "status", "n_observations", "rms", "sigma")
+        seen = found["identifiability"]
+        reference, posterior = found.get("reference"), found.get("posterior")
+        same = ("law", "load", "converged", "status", "n_observations", "rms", "sigma")
         return cls(
-            **{name: found[name] for name in (*same, "lag1", "covariance", "information")},
-            stone=Stone(**found["stone"]),
-            warnings=tuple(found["warnings"]),
+            **{name: found[name] for name in (*same, "covariance", "information")},
+            data=found["data"] | {key: None for key in _LATER if key not in found["data"]},
+            lag1=found.get("lag1", {}),
+            stone=Stone(**known(Stone, found["stone"])),
+            warnings=tuple(found.get("warnings", ())),
             parameters={
-                name: Estimate(**_floats(item, ("lower", "upper")))
+                name: Estimate(**_floats(known(Estimate, item), ("lower", "upper")))
                 for name, item in found["parameters"].items()
             },
-            combinations=tuple(Combination(**item) for item in found["combinations"]),
-            rank=known["rank"],
-            singular_values=tuple(known["singular_values"]),
-            null_directions=tuple(known["null_directions"]),
-            reference=None if reference is None else Reference(**reference),
+            combinations=tuple(
+                Combination(**known(Combination, item)) for item in found["combinations"]
+            ),
+            rank=seen["rank"],
+            singular_values=tuple(seen["singular_values"]),
+            null_directions=tuple(seen["null_directions"]),
+            reference=None if reference is None else Reference(**known(Reference, reference)),
             observed=_series(found["observed"]),
             fitted=_series(found["fitted"]),
-            posterior=None if posterior is None else Posterior(**posterior),
+            posterior=None if posterior is None else Posterior(**known(Posterior, posterior)),
+            sampling=found.get("sampling", "none" if posterior is None else "ended"),
             loss=found.get("loss", "linear"),
             outliers=tuple(found.get("outliers", ())),
         )
@@ -259,22 +273,10 @@ def load_fit(file: str | PathLike[str]) -> FitResult:
     path = Path(file)
     if path.is_dir():
         path = path / "fit.json"
-    try:
-        found = json.loads(path.read_text())
-    except FileNotFoundError:
-        raise DataError("no such file", file=path) from None
-    except OSError as error:
-        raise DataError(f"cannot be read ({error.strerror})", file=path) from None
-    except ValueError:
-        raise DataError("this is not JSON; expected a fit.json of curlfit", file=path) from None
-    schema = found.get("schema") if isinstance(found, dict) else None
-    if schema != SCHEMA:
-        raise DataError(
-            f"schema {schema!r} found, this version of curlfit reads schema {SCHEMA}", file=path
-        )
+    found = read_json(path, SCHEMA, MIGRATIONS)
     try:
         return FitResult.from_json(found)
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(
             f"not a complete fit.json of curlfit ({type(error).__name__}: {error})", file=path
         ) from None

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, cast
+from time import monotonic
+from typing import Any, NamedTuple, cast
 
 import emcee
-import h5py
 import numpy as np
 from emcee.state import State
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from curlfit.errors import DataError, UnusableFitError
-from curlfit.files import replaced
+from curlfit.chain import Chain, SamplerState, load_chain, require_same, subject_of
+from curlfit.errors import DataError, InputError, UnusableFitError
 from curlfit.friction import check_load
 from curlfit.identifiability import directions
 from curlfit.likelihood import frame_of, log_posterior, problem_of
 from curlfit.moves import EnsembleMove, Floats, Indices, RidgeMove
 from curlfit.results import FitResult, Posterior
-from curlfit.version import __version__
 
 ENSEMBLES = 4
 R_HAT = 1.01
@@ -33,83 +31,8 @@ _WARY = (0.2, 0.4, 0.4)  # the same where ridge proposals are accepted less ofte
 _TOO_FEW = 0.2
 _BLOCK = 20  # steps between the first looks at convergence; later a fifth of those done
 _SHORTEST_IN_TIMES = 30.0  # steps over autocorrelation time, below which no estimate is trusted
+_EVERY = 2.0  # seconds between two checkpoints, at least
 _QUANTILES = ("2.5", "16", "50", "84", "97.5")
-
-
-@dataclass(frozen=True)
-class Chain:
-    """A posterior sample.
-
-    Attributes
-    ----------
-    names : of the parameters, fixed ones included.
-    values : shape (steps, walkers, parameters). log_posterior : shape (steps, walkers).
-    accepted : number of accepted proposals by walker. discarded : steps to leave out at first.
-    ensembles : the walkers are divided evenly among these. seed : of the run.
-    """
-
-    names: tuple[str, ...]
-    values: Floats
-    log_posterior: Floats
-    accepted: NDArray[np.int64]
-    discarded: int
-    ensembles: int
-    seed: int
-
-    @property
-    def flat(self) -> Floats:
-        """The kept samples, shape (samples, parameters)."""
-        return self.values[self.discarded :].reshape(-1, len(self.names))
-
-    def of(self, weights: dict[str, float]) -> Floats:
-        """Samples of a combination of parameters."""
-        return cast(
-            Floats,
-            sum(weight * self.flat[:, self.names.index(name)] for name, weight in weights.items()),
-        )
-
-    def save(self, file: str | PathLike[str]) -> None:
-        """Write `chain.h5`, in the layout of emcee's HDF backend with curlfit's own attributes."""
-        with replaced(Path(file)) as temporary, h5py.File(temporary, "w") as out:
-            group = out.create_group("mcmc")
-            steps, walkers, dimension = self.values.shape
-            group.attrs.update(
-                version=emcee.__version__,
-                nwalkers=walkers,
-                ndim=dimension,
-                has_blobs=False,
-                iteration=steps,
-            )
-            group.create_dataset("chain", data=self.values, compression="gzip", shuffle=True)
-            group.create_dataset("log_prob", data=self.log_posterior)
-            group.create_dataset("accepted", data=self.accepted)
-            out.attrs.update(
-                curlfit=__version__,
-                names=list(self.names),
-                discarded=self.discarded,
-                ensembles=self.ensembles,
-                seed=self.seed,
-            )
-
-
-def load_chain(file: str | PathLike[str]) -> Chain:
-    """Read a `chain.h5`. Raises `DataError` where it is missing or is not one."""
-    path = Path(file)
-    if not path.is_file():
-        raise DataError("no such file", file=path)
-    try:
-        with h5py.File(path, "r") as stored:
-            return Chain(
-                names=tuple(str(name) for name in stored.attrs["names"]),
-                values=stored["mcmc/chain"][:],
-                log_posterior=stored["mcmc/log_prob"][:],
-                accepted=stored["mcmc/accepted"][:],
-                discarded=int(stored.attrs["discarded"]),
-                ensembles=int(stored.attrs["ensembles"]),
-                seed=int(stored.attrs["seed"]),
-            )
-    except (OSError, KeyError) as error:
-        raise DataError(f"not a chain.h5 of curlfit ({error})", file=path) from None
 
 
 def sample(
@@ -119,6 +42,8 @@ def sample(
     effective: float = EFFECTIVE,
     most_steps: int = 2_000,
     progress: Callable[[float, int, float], None] | None = None,
+    checkpoint: str | PathLike[str] | None = None,
+    resume: bool = False,
 ) -> tuple[FitResult, Chain]:
     """Sample the posterior about a fit, until it is converged.
 
@@ -133,6 +58,10 @@ def sample(
     most_steps : where to stop if that is not reached.
     progress : called now and then with the effective samples so far (smallest over parameters),
         the steps so far, and R-hat.
+    checkpoint : a `chain.h5` where the chain so far is kept, whole at any moment: after the first
+        step, then every two seconds, and when the run ends.
+    resume : go on where the chain in `checkpoint` ended, if there is one. The chain is then the
+        one that a single run would have given, bit for bit on the same machine and packages.
 
     Returns
     -------
@@ -141,112 +70,234 @@ def sample(
     Raises
     ------
     UnusableFitError : no walker found a place of finite posterior.
+    InputError : the chain to be resumed is of other data, law, load, stone, bounds, seed or
+        version, or the checkpoint cannot be written.
     """
-    law, load = fit.law_class, check_load(fit.load)
-    throw, parameters = fit.throw, fit.parameter_set
-    frame = frame_of(throw)
-    problem = problem_of(throw, fit.stone, frame, fit.sigma, fit.loss)
-    offset = frame.offset(len(parameters))
-    free = parameters.free
-    base = fit.values - offset
-    lower, upper = parameters.lower - offset, parameters.upper - offset
+    run = _Run(fit, seed)
+    file = None if checkpoint is None else Path(checkpoint)
+    if resume:
+        if file is None:
+            raise InputError("resume: expected a checkpoint to resume from")
+        if file.exists():
+            run.take_up(load_chain(file), file)
+    keeper = _Keeper(file)
+    ended = "stopped by the user"
+    try:
+        run.begin()
+        while True:
+            if run.block_is_over:
+                if run.is_astray:
+                    run.start_over()
+                    continue
+                diagnosis = run.diagnosis()
+                if progress is not None:
+                    progress(diagnosis.least_effective, run.steps, diagnosis.worst_r_hat)
+                if diagnosis.good(effective):
+                    ended = "converged"
+                    break
+                if run.steps >= most_steps:
+                    ended = f"not converged after {run.steps} steps"
+                    break
+            for _ in run.block():
+                keeper.keep(run)
+    except KeyboardInterrupt:
+        if run.steps < 4:
+            raise
+    chain = run.chain()
+    if file is not None:
+        chain.save(file)
+    return _summarised(fit, chain, ended, effective), chain
 
-    def whole(free_values: Floats) -> Floats:
-        values = np.tile(base, (len(free_values), 1))
-        values[:, free] = free_values
-        return values
 
-    interrupted: list[bool] = []
+def so_far(fit: FitResult, file: str | PathLike[str]) -> tuple[FitResult, Chain] | None:
+    """An unfinished sample that was left on disk: the fit with a posterior that says so, and the
+    chain. None where `file` is missing, too short to be judged, or of another fit or version."""
+    if not Path(file).is_file():
+        return None
+    chain = load_chain(file)
+    try:
+        same = chain.subject == subject_of(fit, chain.seed)
+    except InputError:  # the file of a user's own law is gone
+        return None
+    if not same or len(chain.values) < 4:
+        return None
+    return replace(_summarised(fit, chain, "not finished"), sampling="unfinished"), chain
 
-    def log_prob(free_values: Floats) -> Floats:
-        values = whole(free_values)
-        try:
-            return np.asarray(log_posterior(law, load, values, lower, upper, problem))
-        except KeyboardInterrupt:
-            # emcee would print its own account of it; this step is refused and the loop ends.
-            interrupted.append(True)
-            return np.full(len(values), -np.inf)
 
-    move = _ridge_move(fit, offset)
-    dimension = int(free.sum())
-    per_ensemble = max(32, 4 * ((2 * dimension + 3) // 4))
-    walkers = ENSEMBLES * per_ensemble
-    random = np.random.RandomState(seed)  # emcee takes no other
-    coords = _first_walkers(move, log_prob, walkers, lower[free], upper[free], random)
+class _Keeper:
+    """Writes a chain in the making now and then, for no more than a fiftieth of the time."""
 
-    def sampler_with(shares: tuple[float, float, float], random_state: Any) -> Any:
+    def __init__(self, file: Path | None) -> None:
+        self.file = file
+        self._next = -np.inf
+
+    def keep(self, run: _Run) -> None:
+        """Write, if it is time."""
+        now = monotonic()
+        if self.file is None or now < self._next:
+            return
+        run.chain().save(self.file, compressed=False)
+        after = monotonic()
+        self._next = after + max(_EVERY, 50 * (after - now))
+
+
+class _Step(NamedTuple):
+    """One step of all walkers, and the sampler after it, which only the last step keeps."""
+
+    values: Floats
+    log_posterior: Floats
+    state: SamplerState | None
+
+
+class _Run:
+    """A chain in the making. It may be interrupted at any point: the steps that are done stand."""
+
+    def __init__(self, fit: FitResult, seed: int) -> None:
+        self.seed, self.subject = seed, subject_of(fit, seed)
+        self._law, self._load = fit.law_class, check_load(fit.load)
+        throw, parameters = fit.throw, fit.parameter_set
+        frame = frame_of(throw)
+        self._problem = problem_of(throw, fit.stone, frame, fit.sigma, fit.loss)
+        self._offset = frame.offset(len(parameters))
+        self._base = fit.values - self._offset
+        self._lower, self._upper = parameters.lower - self._offset, parameters.upper - self._offset
+        self.names, self.free = parameters.names, parameters.free
+        self._move = _ridge_move(fit, self._offset)
+        self._dimension = int(self.free.sum())
+        self._walkers = ENSEMBLES * max(32, 4 * ((2 * self._dimension + 3) // 4))
+        self._bold = True
+        self._interrupted = False
+        self._done: list[_Step] = []
+        self._state: Any = None
+        self._sampler: Any = None
+
+    @property
+    def steps(self) -> int:
+        """Number of steps done."""
+        return len(self._done)
+
+    @property
+    def block_is_over(self) -> bool:
+        """Whether it is time to judge."""
+        state = self._done[-1].state if self._done else None
+        return state is not None and state.left == 0
+
+    @property
+    def is_astray(self) -> bool:
+        """Whether the posterior is not what the fit foresaw."""
+        return self._bold and self._move.acceptance < _TOO_FEW
+
+    def take_up(self, chain: Chain, file: Path) -> None:
+        """Go on where a stored chain ended. Raises `DataError` where it is of something else."""
+        require_same(chain.subject, self.subject, file)
+        state = chain.state
+        if state is None or not len(chain.values):
+            raise DataError("cannot be resumed: the sampler's state is not in it", file=file)
+        self._bold = state.bold
+        self._move.tried, self._move.taken = state.tried, state.taken
+        self._state = State(state.coords, log_prob=chain.log_posterior[-1].copy())
+        self._sampler = self._sampler_with(state.random)
+        earlier = zip(chain.values[:-1], chain.log_posterior[:-1], strict=True)
+        self._done = [_Step(values, log, None) for values, log in earlier]
+        self._done.append(_Step(chain.values[-1], chain.log_posterior[-1], state))
+
+    def begin(self) -> None:
+        """Find first places for the walkers, unless a chain was taken up."""
+        if self._state is not None:
+            return
+        random = np.random.RandomState(self.seed)  # emcee takes no other
+        ends = self._lower[self.free], self._upper[self.free]
+        coords = _first_walkers(self._move, self._log_prob, self._walkers, *ends, random)
+        self._state = State(coords, log_prob=self._log_prob(coords))
+        self._sampler = self._sampler_with(random.get_state(legacy=True))
+        self._heed()
+
+    def start_over(self) -> None:
+        """Forget the steps so far, which were on the way, and rely on the ensemble moves."""
+        self._bold = False
+        self._done.clear()
+        self._sampler = self._sampler_with(self._sampler.random_state)
+
+    def block(self) -> Iterator[None]:
+        """Do the steps up to the next look at convergence."""
+        before = self._done[-1].state if self._done else None
+        todo = (before.left if before else 0) or max(_BLOCK, self.steps // 5)
+        for place, state in enumerate(
+            self._sampler.sample(
+                self._state, iterations=todo, store=False, skip_initial_state_check=True
+            ),
+            start=1,
+        ):
+            self._heed()
+            self._state = state
+            coords = state.coords.copy()
+            after = SamplerState(
+                coords, self._sampler.random_state, todo - place, self._bold,
+                self._move.tried, self._move.taken,
+            )  # fmt: skip
+            step = _Step(self._whole(coords) + self._offset, state.log_prob.copy(), after)
+            self._done.append(step)  # at one stroke
+            if self.steps > 1:
+                self._done[-2] = self._done[-2]._replace(state=None)
+            yield
+
+    def diagnosis(self) -> _Diagnosis:
+        """Convergence of the steps so far."""
+        return _diagnose(np.stack([step.values[:, self.free] for step in self._done]), ENSEMBLES)
+
+    def chain(self) -> Chain:
+        """The steps so far."""
+        values = np.stack([step.values for step in self._done])
+        return Chain(
+            names=self.names,
+            values=values,
+            log_posterior=np.stack([step.log_posterior for step in self._done]),
+            accepted=np.any(np.diff(values, axis=0) != 0, axis=2).sum(0),
+            discarded=_discarded(len(values)),
+            ensembles=ENSEMBLES,
+            seed=self.seed,
+            subject=self.subject,
+            state=self._done[-1].state,
+        )
+
+    def _sampler_with(self, random: Any) -> Any:
+        shares = _BOLD if self._bold else _WARY
         moves = (
-            move,
+            self._move,
             EnsembleMove(ENSEMBLES, evolution=False),
             EnsembleMove(ENSEMBLES, evolution=True),
         )
         made = emcee.EnsembleSampler(
-            walkers,
-            dimension,
-            log_prob,
+            self._walkers,
+            self._dimension,
+            self._log_prob,
             vectorize=True,
             moves=list(zip(moves, shares, strict=True)),
         )
-        made.random_state = random_state
+        made.random_state = random
         return made
 
-    sampler = sampler_with(_BOLD, random.get_state())
-    bold = True
-    kept: list[Floats] = []
-    kept_log: list[Floats] = []
-    ended = "stopped by the user"
-    try:
-        state: Any = State(coords, log_prob=log_prob(coords))
-        while True:
-            for state in sampler.sample(  # noqa: B020
-                state,
-                iterations=max(_BLOCK, len(kept) // 5),
-                store=False,
-                skip_initial_state_check=True,
-            ):
-                kept.append(state.coords.copy())
-                kept_log.append(state.log_prob.copy())
-                if interrupted:
-                    raise KeyboardInterrupt
-            if bold and move.acceptance < _TOO_FEW:
-                # The posterior is not what the fit foresaw. What was sampled so far was on the way.
-                bold = False
-                sampler = sampler_with(_WARY, sampler.random_state)
-                kept.clear()
-                kept_log.clear()
-                continue
-            diagnosis = _diagnose(np.stack(kept), ENSEMBLES)
-            if progress is not None:
-                progress(diagnosis.least_effective, len(kept), diagnosis.worst_r_hat)
-            if diagnosis.good(effective):
-                ended = "converged"
-                break
-            if len(kept) >= most_steps:
-                ended = f"not converged after {len(kept)} steps"
-                break
-    except KeyboardInterrupt:
-        if len(kept) < 4:
-            raise
-        diagnosis = _diagnose(np.stack(kept), ENSEMBLES)
-    values = np.stack(kept)
-    accepted = np.any(np.diff(values, axis=0) != 0, axis=2).sum(0)
-    full = whole(values.reshape(-1, dimension)).reshape(*values.shape[:2], -1) + offset
-    chain = Chain(
-        names=parameters.names,
-        values=full,
-        log_posterior=np.stack(kept_log),
-        accepted=accepted,
-        discarded=diagnosis.discarded,
-        ensembles=ENSEMBLES,
-        seed=seed,
-    )
-    posterior = _summary(fit, chain, parameters.names_where(free), diagnosis, ended, effective)
-    if not bold:
-        wary = (
-            "; it is not of the shape that the fit foresaw, so ensemble moves did most of the work"
-        )
-        posterior = replace(posterior, status=posterior.status + wary)
-    return fit.with_posterior(posterior), chain
+    def _whole(self, free_values: Floats) -> Floats:
+        values = np.tile(self._base, (len(free_values), 1))
+        values[:, self.free] = free_values
+        return values
+
+    def _log_prob(self, free_values: Floats) -> Floats:
+        values = self._whole(free_values)
+        try:
+            return np.asarray(
+                log_posterior(
+                    self._law, self._load, values, self._lower, self._upper, self._problem
+                )
+            )
+        except KeyboardInterrupt:
+            # emcee would print its own account of it; this step is thrown away.
+            self._interrupted = True
+            return np.full(len(values), -np.inf)
+
+    def _heed(self) -> None:
+        if self._interrupted:
+            raise KeyboardInterrupt
 
 
 def _ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
@@ -357,10 +408,15 @@ class _Diagnosis:
         return self.long_enough and self.least_effective >= effective and self.worst_r_hat < R_HAT
 
 
+def _discarded(steps: int) -> int:
+    """Steps to leave out at first."""
+    return min(max(_BLOCK // 2, steps // 10), steps // 2)
+
+
 def _diagnose(values: Floats, ensembles: int) -> _Diagnosis:
     """Autocorrelation time, effective samples and R-hat of values (steps, walkers, parameters)."""
     steps, walkers, dimension = values.shape
-    discarded = min(max(_BLOCK // 2, steps // 10), steps // 2)
+    discarded = _discarded(steps)
     kept = values[discarded:]
     with np.errstate(invalid="ignore"):  # a walker that never moved; counted as no information
         times = emcee.autocorr.integrated_time(kept, tol=0, has_walkers=True)
@@ -387,27 +443,31 @@ def r_hat(groups: Floats) -> Floats:
     return cast(Floats, np.sqrt((n - 1) / n + between / np.where(within > 0, within, 1.0)))
 
 
-def _summary(
-    fit: FitResult,
-    chain: Chain,
-    names: list[str],
-    diagnosis: _Diagnosis,
-    ended: str,
-    effective: float,
-) -> Posterior:
+def _summarised(
+    fit: FitResult, chain: Chain, ended: str, effective: float | None = None
+) -> FitResult:
+    """The fit with the summary of a chain, which ended as `ended` says, with so many effective
+    samples `effective` wanted; None where that is not known."""
+    free = fit.parameter_set.free
+    names = fit.parameter_set.names_where(free)
+    diagnosis = _diagnose(chain.values[:, :, free], chain.ensembles)
     quantities = {name: chain.of({name: 1.0}) for name in names}
     correlation = np.atleast_2d(np.corrcoef(np.stack(list(quantities.values()))))
     quantities |= {item.expression: chain.of(item.weights) for item in fit.combinations}
     levels = [float(level) / 100 for level in _QUANTILES]
     steps, walkers, _ = chain.values.shape
-    good = diagnosis.good(effective)
     status = ended
     if ended != "converged":
+        wanted = "" if effective is None else f" of {effective:.0f} wanted"
         status += (
-            f": {diagnosis.least_effective:.0f} effective samples of {effective:.0f} wanted, "
+            f": {diagnosis.least_effective:.0f} effective samples{wanted}, "
             f"R-hat {diagnosis.worst_r_hat:.3f}"
         )
-    return Posterior(
+    if chain.state is not None and not chain.state.bold:
+        status += (
+            "; it is not of the shape that the fit foresaw, so ensemble moves did most of the work"
+        )
+    posterior = Posterior(
         samples=len(chain.flat),
         steps=steps,
         discarded=chain.discarded,
@@ -428,6 +488,7 @@ def _summary(
             name: dict(zip(names, map(float, row), strict=True))
             for name, row in zip(names, correlation, strict=True)
         },
-        converged=good,
+        converged=effective is not None and diagnosis.good(effective),
         status=status,
     )
+    return fit.with_posterior(posterior)

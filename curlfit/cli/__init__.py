@@ -54,13 +54,20 @@ for _verb in (fit, compare, show, plot, simulate, laws, reproduce):
 def main() -> None:
     """Run the command; errors a user can cause become one sentence and an exit status."""
     try:
-        app()
+        try:
+            app()
+        finally:
+            sys.stdout.flush()
     except CurlfitError as error:
         print(f"curlfit: {error}", file=sys.stderr)
         sys.exit(error.exit_status)
     except KeyboardInterrupt:
         print("curlfit: stopped", file=sys.stderr)
         sys.exit(130)
-    except BrokenPipeError:
+    except OSError as error:
+        # What cannot be printed is dropped, so that Python does not try again as it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
+        if isinstance(error, BrokenPipeError):
+            sys.exit(1)
+        print(f"curlfit: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
+        sys.exit(2)

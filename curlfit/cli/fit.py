@@ -16,7 +16,12 @@ from curlfit.cli.together import fit_several
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from curlfit.chain import Chain
+    from curlfit.friction import Law
+    from curlfit.parameters import ParameterSet
     from curlfit.results import FitResult
+    from curlfit.stone import Stone
+    from curlfit.throw import Throw
 
 
 def fit(
@@ -106,6 +111,15 @@ def fit(
         Path | None,
         typer.Option(help="Folder for the results. [default: DATA's name with -fit]"),
     ] = None,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="Go on where an earlier run in that folder ended, was stopped or was killed: its "
+            "least-squares result is taken over (`--start` then does nothing) and its chain is "
+            "continued.",
+        ),
+    ] = False,
     no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
@@ -113,7 +127,7 @@ def fit(
 
     Writes `fit.json`, `fit.png` and, unless `--no-sample`, `chain.h5` and `corner.png`; for
     several throws `joint.json`, `joint.png` and a folder for each, without sampling.
-    Ctrl-C during sampling keeps what there is.
+    Ctrl-C during sampling keeps what there is; `--resume` goes on with it.
 
     Example: `curlfit fit data/jensen_shegelski_2004.csv --stone rho=0.1025`
     """
@@ -122,6 +136,8 @@ def fit(
     from curlfit.friction import check_load, find_law
     from curlfit.parameters import ParameterSet, check_loss
 
+    if resume and no_sample:
+        raise InputError("--resume goes on with sampling, and --no-sample does without it")
     flags = {
         "law": law,
         "load": load,
@@ -155,36 +171,60 @@ def fit(
     cut.require_motion()
     parameters = ParameterSet.for_throw(law_class, cut, **choices)
     parameters.require("--start", wanted.get("start", {}))
-    folder = prepared_folder(out or Path(f"{file.stem}-fit"))
+    load = wanted.get("load", "uniform")
+    folder = out or Path(f"{file.stem}-fit")
+    saved = None
+    if resume:
+        loss = wanted.get("loss", "linear")
+        saved = _saved(folder, seed, cut.condensed(), law_class, load, the_stone, parameters, loss)
+    folder = prepared_folder(folder)
 
     from rich.console import Console
 
     console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
-    with waiting(console, "Fitting (a first run on a machine compiles the model)"):
-        from curlfit.fitting import fit as least_squares
+    if resume and saved is None:
+        console.print(f"Nothing to resume in {folder}; this is a first run.", soft_wrap=True)
+    if saved is None:
+        with waiting(console, "Fitting (a first run on a machine compiles the model)"):
+            from curlfit.fitting import fit as least_squares
 
-        result = least_squares(
-            throw,
-            law_class,
-            load=wanted.get("load", "uniform"),
-            stone=the_stone,
-            until=wanted.get("until"),
-            start=wanted.get("start"),
-            loss=wanted.get("loss", "linear"),
-            **choices,
-        )
+            result = least_squares(
+                throw,
+                law_class,
+                load=load,
+                stone=the_stone,
+                until=wanted.get("until"),
+                start=wanted.get("start"),
+                loss=wanted.get("loss", "linear"),
+                **choices,
+            )
+    else:
+        result = saved
     written = [folder / "fit.json"]
+    if not no_sample:
+        result = result.before_sampling()
     result.save(folder / "fit.json")
+    if saved is None:
+        for name in ("corner.png", "chain.h5"):  # of another fit
+            (folder / name).unlink(missing_ok=True)
     if not no_figures:
         from curlfit.figures import fit_figure, save_figure
 
         save_figure(fit_figure(result), folder / "fit.png")
         written.append(folder / "fit.png")
     if not no_sample:
-        result, chain = _sampled(console, result, seed, effective, max_steps)
-        chain.save(folder / "chain.h5")
+        chain_file = folder / "chain.h5"
+        result, chain = _sampled(
+            console,
+            result,
+            seed=seed,
+            effective=effective,
+            most_steps=max_steps,
+            checkpoint=chain_file,
+            resume=saved is not None,
+        )
         result.save(folder / "fit.json")
-        written.append(folder / "chain.h5")
+        written.append(chain_file)
         if not no_figures:
             from curlfit.figures import corner_figure
 
@@ -197,6 +237,34 @@ def fit(
     print_fit(result, console)
     console.print("Written: " + ", ".join(str(file) for file in written), soft_wrap=True)
     _finish(result)
+
+
+def _saved(
+    folder: Path,
+    seed: int,
+    throw: Throw,
+    law: type[Law],
+    load: str,
+    stone: Stone,
+    parameters: ParameterSet,
+    loss: str,
+) -> FitResult | None:
+    """The fit that lies in the folder, if any; it and its chain must be of what is asked for."""
+    if not (folder / "fit.json").exists():
+        return None
+    from curlfit.chain import load_chain, require_same, subject_of, subject_of_fit
+    from curlfit.results import load_fit
+
+    found = load_fit(folder)
+    before = subject_of_fit(
+        found.throw, found.law_class, found.load, found.stone, found.parameter_set, found.loss
+    )
+    now = subject_of_fit(throw, law, load, stone, parameters, loss)
+    require_same(before, now, folder / "fit.json")
+    chain = folder / "chain.h5"
+    if chain.exists():
+        require_same(load_chain(chain).subject, subject_of(found, seed), chain)
+    return found
 
 
 def _finish(result: FitResult) -> None:
@@ -225,8 +293,8 @@ def waiting(console: Console, text: str) -> Iterator[None]:
 
 
 def _sampled(
-    console: Console, result: FitResult, seed: int, effective: int, max_steps: int
-) -> tuple[FitResult, Any]:
+    console: Console, result: FitResult, *, effective: int, **choices: Any
+) -> tuple[FitResult, Chain]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     from curlfit.sampling import sample
@@ -249,4 +317,4 @@ def _sampled(
             )
 
         report: Callable[[float, int, float], None] = told
-        return sample(result, seed=seed, effective=effective, most_steps=max_steps, progress=report)
+        return sample(result, effective=effective, progress=report, **choices)

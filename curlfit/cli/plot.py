@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from curlfit.cli.settings import is_comparison
+from curlfit.cli.settings import chain_beside, is_comparison
 
 
 def plot(
@@ -34,15 +34,22 @@ def plot(
         typer.echo(f"Written: {file}")
         return
     result = load_fit(folder)
-    target = prepared_folder(out or folder)
+    chain = None
+    if result.sampling == "unfinished":
+        from curlfit.sampling import so_far
+
+        result, chain = so_far(result, chain_beside(folder)) or (result, None)
+    elif result.posterior is not None:
+        from curlfit.chain import load_chain
+
+        chain = load_chain(chain_beside(folder))
+    target = prepared_folder(out or (folder if folder.is_dir() else folder.parent))
 
     from curlfit.figures import corner_figure, fit_figure, save_figure
 
     written = [target / f"fit.{format}"]
     save_figure(fit_figure(result), written[0])
-    if result.posterior is not None:
-        from curlfit.sampling import load_chain
-
+    if chain is not None:
         written.append(target / f"corner.{format}")
-        save_figure(corner_figure(result, load_chain(folder / "chain.h5")), written[1])
+        save_figure(corner_figure(result, chain), written[1])
     typer.echo("Written: " + ", ".join(map(str, written)))

@@ -156,3 +156,8 @@ def is_comparison(folder: Path) -> bool:
     if folder.is_dir():
         return (folder / "compare.json").exists() and not (folder / "fit.json").exists()
     return folder.name == "compare.json"
+
+
+def chain_beside(folder: Path) -> Path:
+    """The `chain.h5` in the folder of a fit, or beside its file."""
+    return (folder if folder.is_dir() else folder.parent) / "chain.h5"

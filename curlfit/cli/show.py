@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from curlfit.cli.settings import is_comparison
+from curlfit.cli.settings import chain_beside, is_comparison
 from curlfit.files import strict
 
 
@@ -38,6 +38,11 @@ def show(
     from curlfit.results import load_fit
 
     result = load_fit(folder)
+    if result.sampling == "unfinished":
+        from curlfit.sampling import so_far
+
+        found = so_far(result, chain_beside(folder))
+        result = result if found is None else found[0]
     if as_json:
         print(json.dumps(result.summary(), indent=1))
     else:

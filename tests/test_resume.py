@@ -1,0 +1,327 @@
+"""Sampling that is stopped, killed or out of room loses nothing and can be resumed, bit for bit."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from itertools import count
+
+import numpy as np
+import pytest
+from conftest import DATA
+
+from curlfit import DataError, InputError, chain, load_chain, load_fit, sample, sampling
+from curlfit.cli import app
+
+ENDLESS = ("--effective", "100000000", "--max-steps", "1000000")
+
+
+LAUNCH = """
+import resource, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which a background job ignores
+resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, ROOM))
+from curlfit.cli import main
+main()
+"""
+
+
+def command(*words, room=-1):
+    """The command as a process; with `room`, no file of it may have more bytes."""
+    code = LAUNCH.replace("ROOM", str(room))
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, words)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def finished(process):
+    out, err = process.communicate(timeout=200)
+    return process.returncode, out, err
+
+
+def assert_same(one, other):
+    for name in ("values", "log_posterior", "accepted"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert one.subject == other.subject
+    assert (one.discarded, one.state.left) == (other.discarded, other.state.left)
+    for mine, its in zip(one.state.random, other.state.random, strict=True):
+        np.testing.assert_array_equal(mine, its)
+    np.testing.assert_array_equal(one.state.coords, other.state.coords)
+
+
+def snapshot(folder):
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+@pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGINT])
+def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(tmp_path, blow):
+    struck, whole = tmp_path / "struck", tmp_path / "whole"
+    fit = ("fit", DATA, "--no-figures", "--seed", 5)
+    process = command(*fit, *ENDLESS, "--out", struck)
+    while process.poll() is None:
+        # Moved into place whole, so that it can be read at any moment.
+        if (struck / "chain.h5").exists() and len(load_chain(struck / "chain.h5").values) > 3:
+            break
+        time.sleep(0.05)
+    time.sleep(0.3)
+    process.send_signal(blow)
+    status, out, err = finished(process)
+    assert status in (0, -blow), err
+    left = load_chain(struck / "chain.h5")
+    record = load_fit(struck)
+    assert {file.name for file in struck.iterdir()} >= {"fit.json", "chain.h5"}
+    if blow == signal.SIGKILL:
+        assert (status, out, err) == (-signal.SIGKILL, "", "")
+        assert record.posterior is None
+        assert record.sampling == "unfinished"
+    else:
+        assert status == 0
+        assert "stopped by the user" in err
+        assert not record.posterior.converged
+        assert record.posterior.samples == len(left.flat)
+    status, out, err = finished(command("show", struck))
+    assert (status, err) == (0, "")
+    if blow == signal.SIGKILL:
+        shown = " ".join(out.split())
+        assert "Posterior: not finished: " in shown
+        assert f" {len(left.values)} steps)" in shown
+        assert "--resume goes on with it" in shown
+
+    more = ("--effective", "100000000", "--max-steps", len(left.values) + 1)
+    status, _, err = finished(command(*fit, *more, "--out", struck, "--resume"))
+    assert status == 0, err
+    status, _, err = finished(command(*fit, *more, "--out", whole))
+    assert status == 0, err
+    once = load_chain(whole / "chain.h5")
+    assert len(once.values) > len(left.values)
+    np.testing.assert_array_equal(once.values[: len(left.values)], left.values)
+    assert_same(load_chain(struck / "chain.h5"), once)
+    assert (struck / "fit.json").read_bytes() == (whole / "fit.json").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def short(eq12_fit):
+    """A run of a few blocks."""
+    return sample(eq12_fit, effective=1e9, most_steps=60, seed=2)
+
+
+def stopped_at_call(number, monkeypatch):
+    """Ctrl-C within the posterior's evaluation of that number."""
+    calls, real = [], sampling.log_posterior
+
+    def stopping(*arguments):
+        calls.append(1)
+        if len(calls) == number:
+            raise KeyboardInterrupt
+        return real(*arguments)
+
+    monkeypatch.setattr(sampling, "log_posterior", stopping)
+
+
+@pytest.mark.parametrize("call", [8, 23, 24, 25, 33, 50])
+def test_ctrl_c_at_any_point_loses_no_step_and_adds_none(
+    eq12_fit, short, tmp_path, monkeypatch, call
+):
+    file = tmp_path / "chain.h5"
+    with monkeypatch.context() as patch:
+        stopped_at_call(call, patch)
+        _, part = sample(eq12_fit, effective=1e9, most_steps=60, seed=2, checkpoint=file)
+    assert 4 <= len(part.values) < 60
+    np.testing.assert_array_equal(part.values, short[1].values[: len(part.values)])
+    assert np.isfinite(part.log_posterior).all()
+    result, again = sample(
+        load_and_save(eq12_fit, tmp_path), effective=1e9, most_steps=60, seed=2,
+        checkpoint=file, resume=True,
+    )  # fmt: skip
+    assert_same(again, short[1])
+    assert result.posterior == short[0].posterior
+
+
+def load_and_save(fit, folder):
+    fit.save(folder / "fit.json")
+    return load_fit(folder)
+
+
+@pytest.mark.parametrize("steps", [10, 30])
+def test_the_change_of_moves_is_resumed_too(eq12_fit, tmp_path, monkeypatch, steps):
+    # as though the ridge proposals failed: from the first block on, ensemble moves do the work
+    monkeypatch.setattr(sampling, "_TOO_FEW", 2.0)
+    choices = {"effective": 1e9, "most_steps": 60}
+    result, whole = sample(eq12_fit, **choices)
+    assert "ensemble moves did most of the work" in result.posterior.status
+    file = tmp_path / "chain.h5"
+    done = []
+    real = sampling._Keeper.keep
+
+    def crash(keeper, run):
+        keeper._next = 0
+        real(keeper, run)
+        done.append(run)
+        if len(done) == steps:
+            raise MemoryError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sampling._Keeper, "keep", crash)
+        with pytest.raises(MemoryError):
+            sample(eq12_fit, **choices, checkpoint=file)
+    assert load_chain(file).state.bold == (steps < 20)
+    again, resumed = sample(eq12_fit, **choices, checkpoint=file, resume=True)
+    assert_same(resumed, whole)
+    assert again.posterior == result.posterior
+
+
+def test_a_run_that_ended_goes_on_with_more(eq12_fit, short, tmp_path):
+    file = tmp_path / "chain.h5"
+    _, first = sample(eq12_fit, effective=1e9, most_steps=20, seed=2, checkpoint=file)
+    assert len(first.values) == 20
+    _, second = sample(
+        eq12_fit, effective=1e9, most_steps=60, seed=2, checkpoint=file, resume=True
+    )  # fmt: skip
+    assert_same(second, short[1])
+    before = file.read_bytes()
+    _, third = sample(eq12_fit, effective=100, most_steps=10, seed=2, checkpoint=file, resume=True)
+    assert_same(third, second)
+    assert file.read_bytes() == before
+
+
+def test_resuming_nothing_is_a_first_run(eq12_fit, short, tmp_path):
+    choices = {"effective": 1e9, "most_steps": 60, "seed": 2}
+    _, found = sample(eq12_fit, **choices, checkpoint=tmp_path / "chain.h5", resume=True)
+    assert_same(found, short[1])
+    with pytest.raises(InputError, match="expected a checkpoint"):
+        sample(eq12_fit, resume=True)
+
+
+def test_checkpoints_are_written_from_the_first_step_on(eq12_fit, tmp_path, monkeypatch):
+    monkeypatch.setattr(sampling, "_EVERY", 0.0)
+    clock = (0.001 * tick for tick in count())  # a write takes 1 ms; the steps are still quicker
+    monkeypatch.setattr(sampling, "monotonic", lambda: next(clock))
+    kept = []
+    real = chain.Chain.save
+
+    def counted(self, file, *, compressed=True):
+        kept.append((len(self.values), compressed))
+        real(self, file, compressed=compressed)
+
+    monkeypatch.setattr(chain.Chain, "save", counted)
+    sample(eq12_fit, effective=1e9, most_steps=60, seed=2, checkpoint=tmp_path / "chain.h5")
+    assert kept[0] == (1, False)
+    assert kept[-1] == (60, True)
+    gaps = np.diff([steps for steps, _ in kept[:-1]])
+    assert len(gaps) == 1
+    assert 48 <= gaps[0] <= 51
+    assert [file.name for file in tmp_path.iterdir()] == ["chain.h5"]
+
+
+@pytest.fixture
+def saved(eq12_fit, short, tmp_path):
+    """A folder with an unfinished run of seed 2."""
+    folder = tmp_path / "saved"
+    folder.mkdir()
+    eq12_fit.before_sampling().save(folder / "fit.json")
+    short[1].save(folder / "chain.h5")
+    return folder
+
+
+def refused(folder, *words):
+    from typer.testing import CliRunner
+
+    before = snapshot(folder)
+    words = ["fit", str(DATA), "--out", str(folder), "--resume", "--seed", "2", *words]
+    error = CliRunner().invoke(app, words).exception
+    assert isinstance(error, InputError)
+    assert error.exit_status == 2
+    assert snapshot(folder) == before
+    return str(error)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--seed", "3"], "chain.h5: cannot be resumed: seed was 2, now 3"),
+        (["--law", "coulomb"], "fit.json: cannot be resumed: law was front-back, now coulomb"),
+        (["--load", "consistent"], "load was uniform, now consistent"),
+        (["--until", "15"], "not the same data"),
+        (["--sigma", "x=0.01"], "not the same data"),
+        (["--stone", "rho=0.11"], "stone was m = 20.0, R = 0.054, rho = 0.1, h = 0.057, now"),
+        (["--bound", "mu2_xi=0:0.3"], "bounds was mu2_xi 0.0:1.0, now mu2_xi 0.0:0.3"),
+        (["--fix", "mu1_xi=0"], "bounds was mu1_xi 0.0:1.0, now mu1_xi 0.0:0.0"),
+        (["--no-sample"], "--resume goes on with sampling"),
+    ],
+)
+def test_a_chain_of_something_else_is_refused(saved, words, said):
+    assert said in refused(saved, *words)
+
+
+def test_a_chain_of_another_version_or_fit_is_refused(saved, monkeypatch):
+    stored = load_chain(saved / "chain.h5")
+    with monkeypatch.context() as patch:
+        patch.setattr(chain, "__version__", "9.9")
+        assert "version of curlfit was 0." in refused(saved)
+    fit = load_fit(saved)
+    moved = fit.parameters | {"v0": replace(fit.parameters["v0"], value=2.0)}
+    replace(fit, parameters=moved).save(saved / "fit.json")
+    assert "not the same least-squares result" in refused(saved)
+    fit.save(saved / "fit.json")
+    replace(stored, subject={}, state=None).save(saved / "chain.h5")
+    assert "not the same data" in refused(saved)
+    replace(stored, state=None).save(saved / "chain.h5")
+    with pytest.raises(DataError, match="the sampler's state is not in it"):
+        sample(fit, seed=2, checkpoint=saved / "chain.h5", resume=True)
+    (saved / "chain.h5").write_bytes(b"half a file")
+    assert "not a chain.h5 of curlfit" in refused(saved)
+
+
+def test_a_law_s_file_that_changed_makes_another_subject(eq12_fit, tmp_path, monkeypatch):
+    file = tmp_path / "law.py"
+    monkeypatch.setattr(eq12_fit.law_class, "origin", f"{file}:Mine")
+    file.write_text("mu = 1")
+    before = chain.subject_of(eq12_fit, 0)
+    chain.require_same(before, chain.subject_of(eq12_fit, 0), file)
+    file.write_text("mu = 2")
+    with pytest.raises(DataError, match="not the same law's file"):
+        chain.require_same(before, chain.subject_of(eq12_fit, 0), file)
+
+
+def test_an_unfinished_run_is_shown_and_drawn(saved, tmp_path):
+    (saved / "chain.h5").rename(tmp_path / "chain.h5")
+    status, out, err = finished(command("show", saved))
+    assert (status, err) == (0, "")
+    assert "Sampling was not finished" in out
+    assert "Posterior:" not in out
+    (tmp_path / "chain.h5").rename(saved / "chain.h5")
+    status, out, _ = finished(command("show", saved, "--json"))
+    record = json.loads(out)
+    assert record["sampling"] == "unfinished"
+    assert record["posterior"]["converged"] is False
+    assert record["posterior"]["status"].startswith("not finished: ")
+    status, out, err = finished(command("plot", saved, "--out", tmp_path / "p"))
+    assert (status, err) == (0, "")
+    assert (tmp_path / "p" / "corner.png").stat().st_size > 10_000
+
+
+def test_a_chain_of_another_fit_is_not_shown(saved):
+    replace(load_fit(saved), load="consistent").save(saved / "fit.json")
+    status, out, err = finished(command("show", saved))
+    assert (status, err) == (0, "")
+    assert "Posterior:" not in out
+
+
+def test_a_disk_that_fills_up_while_sampling(tmp_path):
+    fit = ("fit", DATA, "--no-figures", "--effective", 100_000_000, "--out", tmp_path)
+    status, out, err = finished(command(*fit, room=100_000))
+    assert (status, out) == (2, "")
+    assert err == f"curlfit: {tmp_path}/chain.h5: cannot be written (File too large)\n"
+    left = load_chain(tmp_path / "chain.h5")
+    assert load_fit(tmp_path).sampling == "unfinished"
+    assert sorted(os.listdir(tmp_path)) == ["chain.h5", "fit.json"]
+    status, _, err = finished(command(*fit, "--max-steps", 40, "--resume"))
+    assert status == 0, err
+    again = load_chain(tmp_path / "chain.h5")
+    assert len(again.values) == 40
+    np.testing.assert_array_equal(again.values[: len(left.values)], left.values)
