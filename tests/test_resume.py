@@ -92,7 +92,7 @@ def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(tmp_pat
         assert f" {len(left.values)} steps)" in shown
         assert "--resume goes on with it" in shown
 
-    more = ("--effective", "100000000", "--max-steps", len(left.values) + 1)
+    more = ("--effective", "100000000", "--max-steps", max(40, len(left.values) + 1))
     status, _, err = finished(command(*fit, *more, "--out", struck, "--resume"))
     assert status == 0, err
     status, _, err = finished(command(*fit, *more, "--out", whole))
