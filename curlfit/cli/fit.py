@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from curlfit.cli import reading as r
 from curlfit.cli import settings as s
 
 if TYPE_CHECKING:
@@ -72,6 +73,12 @@ def fit(
             metavar="R=V,rho=V",
         ),
     ] = None,
+    format: r.Format = None,
+    axes: r.Axes = None,
+    units: r.Units = None,
+    reference: r.Reference = None,
+    stone_index: r.StoneIndex = None,
+    shot: r.Shot = None,
     config: Annotated[
         Path | None,
         typer.Option(help="TOML file with any of these settings; flags override it."),
@@ -105,6 +112,7 @@ def fit(
     from curlfit.parameters import ParameterSet
 
     flags = {
+        **r.how(format, axes, units, reference, stone_index, shot),
         "law": law,
         "load": load,
         "until": until,
