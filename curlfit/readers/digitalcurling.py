@@ -7,8 +7,8 @@ src/trajectory_compressor.cpp, commit 02e51c3). A shot's file `shot_eEEEsSS.json
 {"position": {"x", "y"}, "angle"} or null), and `frames`, each a list of what changed:
 {"team", "index", "value"}. A client sees the same in `last_move.trajectory`. Places are in m from
 the hack that is thrown from, y along the throw and x to the right, angles in rad and
-counter-clockwise: curlfit's own axes (coordinate.hpp of digitalcurling/DigitalCurling). The log of a
-game, `game.dcl2`, holds no trajectories.
+counter-clockwise: curlfit's own axes (coordinate.hpp of digitalcurling/DigitalCurling). The log of
+a game, `game.dcl2`, holds no trajectories.
 """
 
 from __future__ import annotations
@@ -187,13 +187,13 @@ def _paths(path: Path, shot: _Shot) -> tuple[float, Floats, list[str]]:
         for change in changes:
             if not isinstance(change, dict):
                 raise refuse(f"frame {count}: a change needs team, index and value")
-            team: Any = change.get("team")
+            side: Any = change.get("team")
             place: Any = change.get("index")
-            if isinstance(team, int) and not isinstance(team, bool):
-                team = f"team{team}"
-            slot = (team, place) if isinstance(team, str) and isinstance(place, int) else None
+            if isinstance(side, int) and not isinstance(side, bool):
+                side = f"team{side}"
+            slot = (side, place) if isinstance(side, str) and isinstance(place, int) else None
             if slot not in index:
-                raise refuse(f"frame {count}: no stone {place!r:.20} of team {team!r:.20}")
+                raise refuse(f"frame {count}: no stone {place!r:.20} of team {side!r:.20}")
             now[index[slot]] = _stone(change.get("value"), refuse)
         places[:, count] = now
     return float(period), places, [f"{team} stone {k + 1}" for team, k in slots]

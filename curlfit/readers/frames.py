@@ -83,8 +83,9 @@ class Frame(NamedTuple):
 def parse_axes(text: str | None) -> Frame:
     """A frame from words with commas or spaces between them, such as `x-along,clockwise`.
 
-    One word about an axis is enough: the other one completes a right-handed frame (y to the left
-    of x, seen from above). With two, the frame may be mirrored. Angles turn from the file's +x to
+    What no word speaks of stays as it is here: `x-left` alone mirrors the frame. Where one axis is
+    turned by a quarter, the other one follows (y lies to the left of x, seen from above) unless a
+    word says otherwise. Angles turn from the file's +x to
     its +y the short way, so that in a mirrored frame they are clockwise, unless `clockwise` or
     `counter-clockwise` says what they are seen from above.
 
@@ -114,9 +115,9 @@ def parse_axes(text: str | None) -> Frame:
             turn = -1 if word == "clockwise" else 1
     x, y = axes.get("x"), axes.get("y")
     if x is None:
-        x = (1, 0) if y is None else (y[1], -y[0])
+        x = (1, 0) if y is None or y[0] == 0 else (y[1], -y[0])
     if y is None:
-        y = (-x[1], x[0])
+        y = (0, 1) if x[1] == 0 else (-x[1], x[0])
     frame = Frame(x, y, 1, zero or 0.0)
     if frame.handedness == 0:
         raise InputError(

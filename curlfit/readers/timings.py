@@ -138,7 +138,7 @@ def _entries(path: Path, lines: list[str]) -> tuple[dict[str, _Entry], list[str]
         if key in found:
             raise DataError(f"{key} is given twice", file=path, line=count)
         entry = _value(path, count, key, match["value"])
-        if entry.unit:
+        if entry.unit not in ("", "s", "m"):
             notes.append(f"{key} in {entry.unit}")
         found[key] = entry
     return found, notes

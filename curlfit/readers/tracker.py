@@ -8,6 +8,7 @@ the places it is left out, and otherwise it is taken for a measurement.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from curlfit.readers.table import first_lines
 from curlfit.readers.text import EXPECTED, cells, header_cells, is_number, read_rows, separator_of
 from curlfit.throw import Floats
 
-_POLAR = {"θ_{r}", "θ_r", "θr", "theta_r", "thetar"}
+_POLAR = re.compile(r"(θ|theta)_?\{?r\}?(?![a-z])", re.I)
 
 
 def looks_like_tracker(head: Sequence[str]) -> bool:
@@ -82,7 +83,7 @@ def read_tracker(
         if shared is not None:
             places, own = [shared, *places], [names[shared], *own]
     has_angle = "phi" in _quantities(own)
-    readable = ["θ" if name.strip().lower() in _POLAR and not has_angle else name for name in own]
+    readable = own if has_angle else [_POLAR.sub("θ", name) for name in own]
     columns, ignored = columns_of(path, readable, units, line=header + 1, pixels=pixels)
     numbers, values = read_rows(
         path, lines, header + 1, names, [places[k] for k in columns], separator
