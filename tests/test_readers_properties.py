@@ -78,7 +78,7 @@ _PIECES = [
     "", ",", ";", "\t", " ", "\n", "\r", '"', "'", "#", "=", "nan", "inf", "-inf", "1e999", "-",
     "--", "1e308", "-1e308", "1e-320", "999999999999999999999", "1_0", "0x1p3", "١٢", "NaN", "null",
     "true", "{", "}", "[", "]", "{}", "[]", ":", "[" * 3000, "0" * 5000, "9" * 5000, "\x00",
-    "\ufeff", "\u2028", "\x1c", "\x85", "é", "θ_{r}", "t", "x", "y", "u", "v", "phi", "t_phi", "x_px",
+    "\ufeff", "\u2028", "\x1c", "\x85", "é", "θ_{r}", "t", "x", "y", "u", "v", "phi", "t_phi",
     "# axes = 'x-along'\n", "# until = inf\n", "# stone = {R = 1}\n", "# sigma.x = 1\n",
     "# reference.law = 1\n", "# law = 'nothing'\n", "hog_to_hog = 1\n", "curl = 1e5 ft\n",
     '"trajectory": 1', '"team": 3', '"index": -1', '"index": true', "0.25", "-0.25", "1e9",
@@ -151,20 +151,22 @@ def run_mutated(folder, seed: int, count: int) -> tuple[int, int]:
         try:
             load_throw(file, **how)
         except InputError as error:
-            assert str(error)
-            assert "\n" not in str(error), (seed, k)
+            message = str(error)
             refused += 1
         except Exception as error:
             raise AssertionError(f"seed {seed}, file {k}, {how}: {raw[:2000]!r}") from error
         else:
+            message = "-"
             read += 1
+        assert message, (seed, k)
+        assert "\n" not in message, (seed, k)
     return read, refused
 
 
 def test_damaged_files_are_read_or_refused(tmp_path):
     read, refused = run_mutated(tmp_path, 1, 500)
-    assert read > 50
-    assert refused > 100
+    assert read > 20
+    assert refused > 200
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ import numpy as np
 from curlfit.errors import DataError
 from curlfit.readers.columns import Column
 from curlfit.readers.defaults import defaults_of
-from curlfit.readers.reading import Reading, Series, choice, converted
+from curlfit.readers.reading import Reading, choice, in_si
 from curlfit.throw import Floats
 
 _EXPECTED = (
@@ -106,9 +106,7 @@ def read_digitalcurling(
         ("position.y", Column("y", "m", 1.0), places[stone, :, 1]),
         ("angle", Column("phi", "rad", 1.0), places[stone, :, 2]),
     ):
-        reading.series.append(
-            Series(header, column, converted(reading, column, np.asarray(values[keep])))
-        )
+        reading.series.append(in_si(reading, header, column, np.asarray(values[keep])))
     return reading
 
 

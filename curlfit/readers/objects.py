@@ -12,7 +12,7 @@ import numpy as np
 from curlfit.errors import DataError, InputError
 from curlfit.readers.assemble import assemble
 from curlfit.readers.columns import Column, in_unit, parse_units, understand, with_units
-from curlfit.readers.reading import Reading, Series, columns_of, converted
+from curlfit.readers.reading import Reading, columns_of, in_si
 from curlfit.throw import Throw
 
 
@@ -56,7 +56,7 @@ def from_table(
         if header in stated and column.quantity.removeprefix("sigma_") not in wanted:
             column = _stated(name, header, column, stated[header])
         numbers = _numbers(values[header], column, name, header)
-        reading.series.append(Series(header, column, converted(reading, column, numbers)))
+        reading.series.append(in_si(reading, header, column, numbers))
     return assemble(reading, axes=axes, reference=None if reference is None else Path(reference))
 
 

@@ -135,8 +135,8 @@ def clock_of(quantity: str, quantities: Any) -> str:
     return "t_xy" if base in ("x", "y", "u", "v") and "t_xy" in quantities else "t"
 
 
-def converted(reading: Reading, column: Column, values: Floats) -> Floats:
-    """Values in SI; refuses what is out of all range."""
+def in_si(reading: Reading, header: str, column: Column, values: Floats) -> Series:
+    """A column with its values in SI; refuses what is out of all range."""
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = values * column.factor
         bad = np.abs(scaled) > 1e12
@@ -146,9 +146,9 @@ def converted(reading: Reading, column: Column, values: Floats) -> Floats:
             f"{values[row]:g} {column.unit} found, expected a number of the size of a throw",
             file=reading.source,
             line=None if reading.lines is None else int(reading.lines[row]),
-            column=column.quantity,
+            column=header,
         )
-    return scaled
+    return Series(header, column, scaled)
 
 
 def choice(what: str, flag: str, wanted: int | None, options: Sequence[str], default: int) -> int:

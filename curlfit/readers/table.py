@@ -7,7 +7,7 @@ from pathlib import Path
 
 from curlfit.errors import DataError
 from curlfit.readers.defaults import defaults_of
-from curlfit.readers.reading import Reading, Series, columns_of, converted
+from curlfit.readers.reading import Reading, columns_of, in_si
 from curlfit.readers.text import (
     EXPECTED,
     cells,
@@ -57,7 +57,7 @@ def read_table(
         raise DataError("a header but no rows of numbers", file=path, line=header + 1)
     reading = Reading(path, "table", [], ignored, settings, reference, notes=notes, lines=numbers)
     reading.series = [
-        Series(names[place], column, converted(reading, column, values[slot]))
+        in_si(reading, names[place], column, values[slot])
         for slot, (place, column) in enumerate(columns.items())
     ]
     return reading

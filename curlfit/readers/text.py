@@ -41,10 +41,11 @@ def text_of(path: Path) -> str:
     except ValueError:
         raise DataError("this is not a file name", file=repr(str(path))) from None
     encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    marked = encoding == "utf-16" or raw[:3] == b"\xef\xbb\xbf"
     try:
         text = raw.decode(encoding)
     except UnicodeDecodeError:
-        text = raw.decode("cp1252", errors="replace")
+        text = raw.decode(encoding if marked else "cp1252", errors="replace")
     if "\x00" in text:
         raise DataError(f"this is not a text file; {EXPECTED}", file=path)
     if "\r" in text:

@@ -17,7 +17,7 @@ import numpy as np
 from curlfit.errors import DataError
 from curlfit.readers.columns import understand
 from curlfit.readers.defaults import defaults_of
-from curlfit.readers.reading import Reading, Series, choice, columns_of, converted
+from curlfit.readers.reading import Reading, choice, columns_of, in_si
 from curlfit.readers.table import first_lines
 from curlfit.readers.text import EXPECTED, cells, header_cells, is_number, read_rows, separator_of
 from curlfit.throw import Floats
@@ -92,7 +92,7 @@ def read_tracker(
         raise DataError("a header but no rows of numbers", file=path, line=header + 1)
     reading = Reading(path, "tracker", [], ignored, settings, reference, notes, numbers)
     series = [
-        Series(own[k], column, converted(reading, column, values[slot]))
+        in_si(reading, own[k], column, values[slot])
         for slot, (k, column) in enumerate(columns.items())
     ]
     blank = ~np.any([np.isfinite(s.values) for s in series if s.column.quantity != "t"], axis=0)
