@@ -117,7 +117,7 @@ def _show(console: Console, reading: Reading, throw: Throw, wanted: dict[str, An
 def _facts(throw: Throw, wanted: dict[str, Any]) -> Iterator[str]:
     import numpy as np
 
-    from curlfit.throw import CHANNELS, UNITS, scatter
+    from curlfit.throw import CHANNELS, UNITS
 
     step = np.diff(throw.t)
     if len(step):
@@ -127,19 +127,23 @@ def _facts(throw: Throw, wanted: dict[str, Any]) -> Iterator[str]:
             + (f" ({step.min():.4g} .. {step.max():.4g} s)" if np.ptp(step) > 1e-6 * usual else "")
             + f", {1 / usual:.6g} rows a second"
         )
-        gaps = np.flatnonzero(step > 2.5 * usual)
+        gaps = np.flatnonzero(step > max(2.5 * usual, 1.5 * float(np.quantile(step, 0.9))))
         if len(gaps):
             k = int(gaps[np.argmax(step[gaps])])
             longest = f"the longest {step[k]:.4g} s after t = {throw.t[k]:.6g} s"
             yield f"pauses     {len(gaps)}, {longest}"
     for name, row in (("first row", 0), ("last row", -1)):
-        values = (f"{c} {getattr(throw, c)[row]:.6g} {UNITS[c]}" for c in throw.seen)
-        yield f"{name:<10} t {throw.t[row]:.6g} s, " + ", ".join(values)
+        values = (
+            f"{c} {getattr(throw, c)[row] + 0.0:.6g} {UNITS[c]}"
+            for c in throw.seen
+            if np.isfinite(getattr(throw, c)[row])
+        )
+        yield ", ".join([f"{name:<10} t {throw.t[row]:.6g} s", *values])
     parts = []
     for channel in throw.seen:
         values = getattr(throw, channel)
         values = values[np.isfinite(values)]
-        noise = scatter(values)
+        noise = _scatter(values)
         if noise > 1e-12:
             parts.append(f"{channel} {noise:.2g} {UNITS[channel]}")
         jumps = _jumps(values, noise)
@@ -153,6 +157,15 @@ def _facts(throw: Throw, wanted: dict[str, Any]) -> Iterator[str]:
     shown = {key: value for key, value in wanted.items() if key not in s.HOW}
     if shown:
         yield "settings   " + ", ".join(f"{key} = {value}" for key, value in shown.items() if value)
+
+
+def _scatter(values: Floats) -> float:
+    """Noise from row to row, by third differences; 0 where there are too few rows."""
+    import numpy as np
+
+    if len(values) < 10:
+        return 0.0
+    return float(np.median(np.abs(np.diff(values, 3)))) / (0.6745 * 20**0.5)
 
 
 def _jumps(values: Floats, noise: float) -> int:
@@ -200,6 +213,12 @@ def _braille(t: Floats, values: Floats, width: int = 60, height: int = 4) -> lis
 
     seen = np.isfinite(values)
     t, values = t[seen], values[seen]
+    if 8 <= len(t) < 8 * width:  # a line, broken where rows are missing
+        dense = np.linspace(t[0], t[-1], 8 * width)
+        pause = np.append(np.diff(t), 0.0)[np.searchsorted(t, dense, "right") - 1]
+        near = pause <= 2.5 * np.median(np.diff(t))
+        t, values = (np.append(old, new[near]) for old, new in
+                     ((t, dense), (values, np.interp(dense, t, values))))  # fmt: skip
     span, rise = max(float(np.ptp(t)), 1e-300), max(float(np.ptp(values)), 1e-300)
     columns = np.minimum(((t - t[0]) / span * (2 * width - 1)).round().astype(int), 2 * width - 1)
     rows = ((values.max() - values) / rise * (4 * height - 1)).round().astype(int)

@@ -8,7 +8,8 @@ src/trajectory_compressor.cpp, commit 02e51c3). A shot's file `shot_eEEEsSS.json
 {"team", "index", "value"}. A client sees the same in `last_move.trajectory`. Places are in m from
 the hack that is thrown from, y along the throw and x to the right, angles in rad and
 counter-clockwise: curlfit's own axes (coordinate.hpp of digitalcurling/DigitalCurling). The log of
-a game, `game.dcl2`, holds no trajectories.
+a game, `game.dcl2`, holds no trajectories. A last frame is added when every stone has stopped, so
+that its time is right to one frame only.
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ def read_digitalcurling(
     taken = shots[choice("shot", "--shot", shot, [item.name for item in shots], 0)]
     period, places, names = _paths(path, taken)
 
-    start = places[:, :1, :2]
-    far = np.nanmax(np.hypot(*np.moveaxis(places[:, :, :2] - start, 2, 0)), axis=1, initial=0.0)
+    xy = places[:, :, :2]
+    far = np.hypot(*(np.fmax.reduce(xy, axis=1) - np.fmin.reduce(xy, axis=1)).T)
     moved = np.flatnonzero(far > _MOVED)
     if not len(moved):
         raise DataError(f"no stone moves in {taken.name}", file=path, line=taken.line)

@@ -75,10 +75,12 @@ def columns_of(
     ignored: list[str] = []
     taken: dict[str, str] = {}
     bare = [str(name).strip().lower() for name in names]
-    pixels = pixels or ("u" in bare and "v" in bare)
+    meant = {column.quantity for name in names if (column := understand(name)) is not None}
+    velocities = not pixels and {"x", "y"} <= meant and "u" in bare
+    pixels = pixels or ("u" in bare and "v" in bare and not velocities)
     for place, name in enumerate(names):
         column = understand(name)
-        if column is None:
+        if column is None or (velocities and bare[place] in ("u", "v")):
             if name:
                 ignored.append(name)
             continue
