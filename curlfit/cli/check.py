@@ -177,7 +177,10 @@ def _jumps(values: Floats, noise: float) -> int:
         return 0
     around = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(step, 3, "edge"), 7), axis=1)
     off = np.abs(step - around)
-    return int((off > np.maximum(12 * noise, 3 * np.abs(around)) + 1e-9).sum()) if off.any() else 0
+    if not off.any():
+        return 0
+    usual = 6 * float(np.median(np.abs(step[step != 0])))  # numbers may be rounded coarsely
+    return int((off > np.maximum(max(12 * noise, usual), 3 * np.abs(around)) + 1e-9).sum())
 
 
 def _rest(throw: Throw) -> str:
