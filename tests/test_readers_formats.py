@@ -193,6 +193,9 @@ def test_a_data_frame():
     np.testing.assert_allclose(Throw.from_frame(frame).t, T, atol=1e-9)
     with pytest.raises(DataError, match="no column for t"):
         Throw.from_frame(frame.reset_index(drop=True))
+    frame["x"] = pd.array([None, *X[1:]], dtype="Float64")
+    frame["t"] = T
+    assert np.isnan(Throw.from_frame(frame).x).tolist() == [True, *[False] * (N - 1)]
     frame["x"] = "left"
     with pytest.raises(DataError, match="table, column x: expected numbers"):
         Throw.from_frame(frame)
@@ -215,6 +218,8 @@ def test_a_dataset():
 
 def test_a_mapping_and_what_is_no_table():
     np.testing.assert_allclose(Throw.from_frame({"t": T, "x": X, "y": Y}).y, Y)
+    masked = np.ma.masked_array(X, mask=T > 10)
+    assert np.isfinite(Throw.from_frame({"t": T, "x": masked, "y": Y}).x).sum() == (T <= 10).sum()
     with pytest.raises(InputError, match="expected a DataFrame"):
         Throw.from_frame(3)
     with pytest.raises(DataError, match="different lengths"):

@@ -101,7 +101,7 @@ def _variables(table: Any, name: str) -> tuple[dict[str, Any], dict[str, str], l
         values |= {str(key): np.asarray(table[key]) for key in keys}
         return values, stated, notes
     if isinstance(table, Mapping):
-        return {str(key): np.asarray(table[key]) for key in table}, stated, notes
+        return {str(key): _filled(table[key]) for key in table}, stated, notes
     raise InputError(
         f"{type(table).__name__}: expected a DataFrame, a Dataset or a mapping of names to arrays"
     )
@@ -129,11 +129,22 @@ def _numbers(values: Any, column: Column, name: str, header: str) -> np.ndarray:
         numbers = (values - origin) / np.timedelta64(1, "s") / column.factor
         return np.where(blank, np.nan, numbers)
     try:
-        numbers = np.array([np.nan if v is None else v for v in values.tolist()], dtype=float)
-    except (TypeError, ValueError):
+        numbers = np.array([np.nan if _blank(v) else v for v in values.tolist()], dtype=float)
+    except (TypeError, ValueError, OverflowError):
         raise DataError("expected numbers", file=name, column=header) from None
     if np.isinf(numbers).any():
         row = int(np.argmax(np.isinf(numbers)))
         raise DataError(f"row {row}: {numbers[row]} found, expected a finite number",
                         file=name, column=header)  # fmt: skip
     return numbers
+
+
+def _blank(value: Any) -> bool:
+    return value is None or type(value).__name__ == "NAType"  # of pandas
+
+
+def _filled(values: Any) -> np.ndarray:
+    """An array; masked entries are gaps."""
+    if isinstance(values, np.ma.MaskedArray):
+        return np.asarray(values.astype(float).filled(np.nan))
+    return np.asarray(values)
