@@ -146,5 +146,5 @@ def _blank(value: Any) -> bool:
 def _filled(values: Any) -> np.ndarray:
     """An array; masked entries are gaps."""
     if isinstance(values, np.ma.MaskedArray):
-        return np.asarray(values.astype(float).filled(np.nan))
+        return np.ma.filled(values.astype(float), np.nan)
     return np.asarray(values)
