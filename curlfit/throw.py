@@ -143,6 +143,18 @@ class Throw:
         }
         return cls(t=t, **arrays, sigma=given, **more)
 
+    @classmethod
+    def from_frame(cls, table: Any, **options: Any) -> Throw:
+        """A throw from a pandas or polars DataFrame, an xarray Dataset or a mapping of arrays.
+
+        Columns are named as in files (`t`, `y_ft`, `angle_deg` ...); an index named `time` serves
+        too. `options` are `axes`, `units`, `reference` and `name`, as for
+        `curlfit.readers.from_table`.
+        """
+        from curlfit.readers import from_table
+
+        return from_table(table, **options)
+
     def __len__(self) -> int:
         return len(self.t)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import DATA
+from sample_files import PIXELS, PLAIN, SAMPLES, known_points
 
 from curlfit import load_chain, load_fit, load_throw
 
@@ -135,6 +136,20 @@ def test_flags_override_the_configuration_and_that_the_file(tmp_path):
         (["fit", DATA, "--out", "/proc/nothing"], "output folder cannot be written"),
         (["fit", DATA, "--config", "no.toml"], "no.toml: no such file"),
         (["fit", DATA, "--nonsense"], "No such option"),
+        (["fit", DATA, "--format", "video"], "expected one of table, tracker, digitalcurling"),
+        (["fit", DATA, "--axes", "x-up"], "axes 'x-up': unknown word"),
+        (["fit", DATA, "--axes", "x-left,y-left"], "lie on one line"),
+        (["fit", DATA, "--units", "x=kg"], "x in 'kg': unknown unit"),
+        (["fit", DATA, "--units", "length"], "expected QUANTITY=UNIT"),
+        (["fit", DATA, "--reference", "no.csv"], "no.csv: no such file"),
+        (["fit", DATA, "--shot", "1"], "is a table file and holds no shots"),
+        (["compare", DATA, "--stone-index", "2"], "is a table file and holds one stone"),
+        (["fit", DATA, "--format", "timings"], "is not known; expected lines such as hog_to_hog"),
+        (["check", "nothing.csv"], "nothing.csv: no such file"),
+        (["check", DATA, "--axes", "q"], "unknown word"),
+        (["check", DATA, "--out", "check.txt"], "ends in .png, .pdf or .svg"),
+        (["check", DATA, "--out", "no/check.png"], "the folder no does not exist"),
+        (["check", DATA, "--shot", "one"], "'--shot'"),
         (["show", "nothing"], "no such file"),
         (["plot", "nothing"], "no such file"),
         (["simulate", "--set", "mu=1"], "no coefficient 'mu'"),
@@ -169,12 +184,84 @@ def test_help_and_refusals_load_no_jax(tmp_path):
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
         "assert 'jax' not in sys.modules and 'matplotlib' not in sys.modules\n"
     )
-    for words in (["--help"], ["fit", "--help"], ["fit", str(DATA), "--law", "ice"], ["laws"]):
+    for words in (
+        ["--help"],
+        ["fit", "--help"],
+        ["check", "--help"],
+        ["fit", str(DATA), "--law", "ice"],
+        ["laws"],
+        ["check", str(DATA)],
+        ["check", str(DATA), "--axes", "q"],
+    ):
         run = subprocess.run(
             [sys.executable, "-c", code.format(words=words)],
             cwd=tmp_path, capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert run.returncode == 0, run.stderr
+
+
+def test_check_shows_what_was_understood(tmp_path):
+    (tmp_path / "points.csv").write_text(known_points())
+    (tmp_path / "pixels.csv").write_text(PIXELS)
+    run = curlfit(
+        "check", "pixels.csv", "--reference", "points.csv", "--out", "c.png", cwd=tmp_path
+    )
+    assert (run.returncode, run.stderr) == (0, "")
+    for words in (
+        "pixels.csv: table, 60 rows, t = 0 .. 14.75 s", "px", "interval", "0.25 s", "first row",
+        "rest", "Notes", "pixels to metres by 6 points", "phi (rad): 0.2", "Written: c.png",
+    ):  # fmt: skip
+        assert words in run.stdout, words
+    assert any(0x2800 < ord(sign) < 0x2900 for sign in run.stdout)
+    assert (tmp_path / "c.png").read_bytes().startswith(PNG)
+    shown = curlfit("check", DATA, cwd=tmp_path)
+    assert "until = 20" in shown.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "flags", "words"),
+    [
+        ("semicolons", (), "phi: 2 jumps of 360 degrees undone"),
+        ("tracker", ("--axes", "x-left"), "not how the stone turns"),
+        ("two", ("--stone-index", 2), "taken: 2 mass B"),
+        ("shot", ("--format", "digitalcurling"), "team1 stone 1, the one thrown"),
+        ("log", ("--shot", 2), "end 0 shot 1"),
+        ("timings", (), "at the last row"),
+        ("clocks", (), "merged to 24 times"),
+    ],
+)
+def test_check_of_each_format(name, flags, words, tmp_path):
+    (tmp_path / "data").write_text(SAMPLES[name], encoding="utf-8")
+    run = curlfit("check", "data", *flags, cwd=tmp_path)
+    assert (run.returncode, run.stderr) == (0, "")
+    assert words in run.stdout
+
+
+def test_how_to_read_may_stand_in_the_configuration(tmp_path):
+    (tmp_path / "c.toml").write_text('units = "y=ft"\naxes = "clockwise"\n')
+    (tmp_path / "a.csv").write_text(PLAIN)
+    run = curlfit("check", "a.csv", "--config", "c.toml", cwd=tmp_path)
+    assert "y converted from ft" in run.stdout
+    assert "axes: clockwise" in run.stdout
+    (tmp_path / "c.toml").write_text("shot = 1.5\n")
+    run = curlfit("check", "a.csv", "--config", "c.toml", cwd=tmp_path)
+    assert run.returncode == 2
+    assert "expected a whole number from 1" in run.stderr
+
+
+def test_a_tracker_file_is_fitted(tmp_path):
+    made = curlfit("simulate", "--out", "a.csv", "--noise-xy", 0.002, cwd=tmp_path)
+    assert made.returncode == 0
+    throw = load_throw(tmp_path / "a.csv")
+    rows = zip(throw.t, 100 * throw.y, -100 * throw.x, strict=True)
+    text = "stone\t\t\nt (s)\tx (cm)\ty (cm)\n"
+    text += "".join("\t".join(f"{v:.6f}".replace(".", ",") for v in row) + "\n" for row in rows)
+    (tmp_path / "b.txt").write_text(text)
+    words = ("--no-sample", "--no-figures", "--until", 15)
+    run = curlfit("fit", "b.txt", "--axes", "x-along,y-left", *words, cwd=tmp_path)
+    assert run.returncode == 0, run.stderr
+    plain = load_fit(tmp_path / "b-fit")
+    assert abs(plain.parameters["v0"].value - 2.0) < 0.01
 
 
 def test_laws(tmp_path):

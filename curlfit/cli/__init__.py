@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from curlfit.cli.check import check
 from curlfit.cli.compare import compare
 from curlfit.cli.fit import fit
 from curlfit.cli.laws import laws
@@ -47,7 +48,7 @@ def _root(
     """
 
 
-for _verb in (fit, compare, show, plot, simulate, laws, reproduce):
+for _verb in (check, fit, compare, show, plot, simulate, laws, reproduce):
     app.command()(_verb)
 
 

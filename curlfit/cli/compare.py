@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from curlfit.cli import reading as r
 from curlfit.cli import settings as s
 
 
@@ -37,6 +38,12 @@ def compare(
     stone: Annotated[
         list[str] | None, typer.Option(help="The stone, as in `curlfit fit`.", metavar="R=V,rho=V")
     ] = None,
+    format: r.Format = None,
+    axes: r.Axes = None,
+    units: r.Units = None,
+    reference: r.Reference = None,
+    stone_index: r.StoneIndex = None,
+    shot: r.Shot = None,
     config: Annotated[
         Path | None,
         typer.Option(help="TOML file with settings of `curlfit fit`; flags override it."),
@@ -62,6 +69,7 @@ def compare(
     from curlfit.parameters import ParameterSet
 
     flags = {
+        **r.how(format, axes, units, reference, stone_index, shot),
         "load": None if load == "both" else load,
         "until": until,
         "stone": s.pairs("--stone", stone or ()),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from curlfit.cli import reading as r
 from curlfit.cli import settings as s
 from curlfit.cli.together import fit_several
 
@@ -93,6 +94,12 @@ def fit(
             metavar="R=V,rho=V",
         ),
     ] = None,
+    format: r.Format = None,
+    axes: r.Axes = None,
+    units: r.Units = None,
+    reference: r.Reference = None,
+    stone_index: r.StoneIndex = None,
+    shot: r.Shot = None,
     config: Annotated[
         Path | None,
         typer.Option(help="TOML file with any of these settings; flags override it."),
@@ -139,6 +146,7 @@ def fit(
     if resume and no_sample:
         raise InputError("--resume goes on with sampling, and --no-sample does without it")
     flags = {
+        **r.how(format, axes, units, reference, stone_index, shot),
         "law": law,
         "load": load,
         "until": until,

@@ -13,19 +13,12 @@ from curlfit.readers import load_throw
 from curlfit.stone import Stone
 from curlfit.throw import Throw
 
+HOW = ("format", "axes", "units", "reference", "stone_index", "shot")
+"""Settings that say how to read a file."""
 _KEYS = (
-    "law",
-    "load",
-    "until",
-    "stone",
-    "sigma",
-    "fix",
-    "bound",
-    "start",
-    "unbounded",
-    "loss",
-    "seed",
-)
+    "law", "load", "until", "stone", "sigma", "fix", "bound", "start", "unbounded", "loss", "seed",
+    *HOW,
+)  # fmt: skip
 
 
 def pairs(option: str, items: Sequence[str]) -> dict[str, float]:
@@ -123,9 +116,13 @@ def checked(settings: dict[str, Any], origin: str) -> dict[str, Any]:
         isinstance(until, bool) or not isinstance(until, int | float) or not math.isfinite(until)
     ):
         raise InputError(f"{origin}: until = {until!r}; expected a time in s")
-    for key in ("law", "load", "loss"):
+    for key in ("law", "load", "loss", "format", "axes", "units", "reference"):
         if not isinstance(settings.get(key, ""), str):
-            raise InputError(f"{origin}: {key} = {settings[key]!r}; expected a name")
+            raise InputError(f"{origin}: {key} = {settings[key]!r}; expected a text in quotes")
+    for key in ("stone_index", "shot"):
+        value = settings.get(key, 1)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise InputError(f"{origin}: {key} = {value!r}; expected a whole number from 1")
     return settings
 
 
@@ -137,6 +134,12 @@ class Prepared(NamedTuple):
     stone: Stone
 
 
+def how_to_read(configured: Mapping[str, Any], flags: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of `load_throw` from the configuration and the flags."""
+    wanted = merged(configured, flags)
+    return {key: wanted[key] for key in HOW if key in wanted}
+
+
 def prepared(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Prepared:
     """The throw and its settings: its own, then those of the configuration, then the flags.
 
@@ -145,8 +148,12 @@ def prepared(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Prepa
     InputError : the data, a setting or a value cannot be used.
     """
     configured = checked(read_config(config), str(config))
-    throw = load_throw(data)
-    wanted = merged(checked(throw.defaults, str(data)), configured, flags)
+    return settled(load_throw(data, **how_to_read(configured, flags)), configured, flags)
+
+
+def settled(throw: Throw, configured: Mapping[str, Any], flags: Mapping[str, Any]) -> Prepared:
+    """`prepared`, of a throw that was read."""
+    wanted = merged(checked(throw.defaults, throw.name), configured, flags)
     stone = Stone().with_values(wanted.get("stone", {}))
     return Prepared(throw.with_sigma(wanted.get("sigma", {})), wanted, stone)
 

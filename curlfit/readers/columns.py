@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from typing import NamedTuple
+
+from curlfit.errors import InputError
 
 _NAMES = {
     "t": {"t", "time", "timestamp", "seconds", "elapsed"},
@@ -16,14 +19,24 @@ _NAMES = {
         "omega", "ω", "spin", "spinrate", "angularvelocity", "angularspeed", "gyro", "gyroz", "gz",
         "wz", "rotationrate",
     },
+    "u": {"u", "pixelx", "xpixel", "imagex", "ximage"},
+    "v": {"pixely", "ypixel", "imagey", "yimage"},
 }  # fmt: skip
 _SIGMA = {"sigma", "sd", "std", "stdev", "err", "error", "unc", "uncertainty"}
+# What a clock of its own may be named after, besides a channel.
+_CLOCKS = {
+    "t_xy": {"xy", "pos", "position", "camera", "cam", "video", "tracker"},
+    "t_phi": {"compass", "handle"},
+    "t_speed": {"radar"},
+    "t_omega": {"imu"},
+}
 
 _FOOT = 0.3048
+_TURN = 2 * math.pi
 _UNITS = {
     "t": {
         "s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0,
-        "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "minutes": 60.0,
+        "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "min": 60.0, "minutes": 60.0,
     },
     "length": {
         "m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0, "cm": 1e-2,
@@ -33,36 +46,44 @@ _UNITS = {
     "phi": {
         "rad": 1.0, "radian": 1.0, "radians": 1.0, "mrad": 1e-3, "deg": math.pi / 180,
         "degree": math.pi / 180, "degrees": math.pi / 180, "°": math.pi / 180,
-        "rev": 2 * math.pi, "revs": 2 * math.pi, "revolutions": 2 * math.pi,
-        "turn": 2 * math.pi, "turns": 2 * math.pi,
+        "º": math.pi / 180, "rev": _TURN, "revs": _TURN, "revolutions": _TURN,
+        "turn": _TURN, "turns": _TURN,
     },
     # "m/s" and "m_s" arrive here as "ms"
     "speed": {
-        "m/s": 1.0, "ms": 1.0, "mps": 1.0, "cms": 1e-2, "mms": 1e-3, "fts": _FOOT, "fps": _FOOT,
-        "kmh": 1 / 3.6, "kph": 1 / 3.6, "mph": 1609.344 / 3600,
+        "m/s": 1.0, "ms": 1.0, "mps": 1.0, "ms^-1": 1.0, "ms⁻¹": 1.0, "cms": 1e-2, "mms": 1e-3,
+        "fts": _FOOT, "fps": _FOOT, "kmh": 1 / 3.6, "kph": 1 / 3.6, "mph": 1609.344 / 3600,
     },
     "omega": {
-        "rad/s": 1.0, "rads": 1.0, "radps": 1.0, "degs": math.pi / 180, "dps": math.pi / 180,
-        "degps": math.pi / 180, "rpm": math.pi / 30, "revs": 2 * math.pi, "rps": 2 * math.pi,
+        "rad/s": 1.0, "rads": 1.0, "radps": 1.0, "rads^-1": 1.0, "rads⁻¹": 1.0,
+        "degs": math.pi / 180, "°s": math.pi / 180, "ºs": math.pi / 180, "dps": math.pi / 180,
+        "degps": math.pi / 180, "rpm": math.pi / 30, "revs": _TURN, "rps": _TURN,
         "revmin": math.pi / 30,
     },
+    "pixel": {"px": 1.0, "pixel": 1.0, "pixels": 1.0, "pix": 1.0},
 }  # fmt: skip
+_SEPARATORS = re.compile(r"[\s_\-./()\[\]{},:·*]+")
 
 
 class Column(NamedTuple):
     """What a column header means."""
 
     quantity: str
-    """"t", "x", "y", "phi", "speed", "omega", or "sigma_x" and so on"""
+    """"t", "x", "y", "phi", "speed", "omega", pixels "u", "v"; "sigma_x" and so on; "t_phi" and so
+    on for a clock of one channel ("t_xy" for x and y)"""
     unit: str
     """as written, or the SI unit where none was"""
     factor: float
     """number in SI = number in the file times this"""
+    stated: bool = True
+    """whether the header names the unit"""
 
 
 def understand(header: str) -> Column | None:
     """Meaning of a column header such as `time`, `y_ft`, `x [cm]`, `phi_rev`; None if unknown."""
-    words = [word for word in re.split(r"[\s_\-./()\[\]{},:]+", header.strip().lower()) if word]
+    words = [word for word in _SEPARATORS.split(header.strip().lower()) if word]
+    if words and words[-1] == "1" and len(words) > 2 and "s^" in words[-2]:
+        words = [*words[:-2], words[-2] + "-1"]  # "s^-1" fell apart at its sign
     for unit_words in (2, 1, 0):
         if len(words) <= unit_words:
             continue
@@ -70,20 +91,96 @@ def understand(header: str) -> Column | None:
         quantity = _quantity(name)
         if quantity is None:
             continue
-        units = _UNITS.get(quantity.removeprefix("sigma_"), _UNITS["length"])
         unit = "".join(words[len(name) :])
+        units = units_of(quantity)
         if not unit_words:
-            return Column(quantity, next(iter(units)), 1.0)
+            return Column(quantity, next(iter(units)), 1.0, stated=False)
         if unit in units:
             return Column(quantity, "/".join(words[len(name) :]), units[unit])
+        if unit in _UNITS["pixel"] and quantity.removeprefix("sigma_") in ("x", "y"):
+            axis = "u" if quantity.endswith("x") else "v"
+            return Column(quantity[:-1] + axis, "px", 1.0)
     return None
+
+
+def units_of(quantity: str) -> dict[str, float]:
+    """Units that a quantity may have, with their factors to SI."""
+    base = quantity.removeprefix("sigma_")
+    if base in ("u", "v"):
+        return _UNITS["pixel"]
+    return _UNITS["t"] if base.startswith("t") else _UNITS.get(base, _UNITS["length"])
+
+
+def in_unit(quantity: str, unit: str) -> Column:
+    """A quantity in a unit given apart from its name. Raises `InputError` for an unknown unit."""
+    text = "".join(word for word in _SEPARATORS.split(unit.strip().lower()) if word)
+    units = units_of(quantity)
+    if text not in units and text in _UNITS["pixel"] and quantity in ("x", "y"):
+        return Column("u" if quantity == "x" else "v", "px", 1.0)
+    if text not in units:
+        known = [name for name in units if name.isascii()]
+        raise InputError(
+            f"{quantity} in {unit.strip()!r}: unknown unit; expected one of {', '.join(known)}"
+        )
+    return Column(quantity, unit.strip(), units[text])
+
+
+def parse_units(text: str | None) -> dict[str, str]:
+    """`t=ms,x=cm,angle=deg` as units by quantity; `length` stands for x and y.
+
+    Raises
+    ------
+    InputError : a part that is not QUANTITY=UNIT, an unknown quantity or unit.
+    """
+    found: dict[str, str] = {}
+    for part in (text or "").split(","):
+        if not part.strip():
+            continue
+        name, equals, unit = (piece.strip() for piece in part.partition("="))
+        quantity = _quantity([name.lower()]) if equals and unit else None
+        if equals and unit and name.lower() == "length":
+            quantities = ["x", "y"]
+        elif quantity in ("t", "x", "y", "phi", "speed", "omega"):
+            quantities = [str(quantity)]
+        else:
+            raise InputError(
+                f"units {part.strip()!r}: expected QUANTITY=UNIT such as t=ms,x=cm,angle=deg; the "
+                "quantities are t, x, y, length, angle, speed, spin"
+            )
+        for item in quantities:
+            in_unit(item, unit)
+            found[item] = unit
+    return found
+
+
+def with_units(column: Column, units: Mapping[str, str]) -> Column:
+    """A column in the unit the user gave, if any, in place of its header's."""
+    base = column.quantity.removeprefix("sigma_")
+    base = "t" if base.startswith("t_") else base
+    if base not in units:
+        return column
+    found = in_unit(base, units[base])
+    quantity = column.quantity[: len(column.quantity) - len(base)] + found.quantity
+    return found._replace(quantity=quantity if base != "t" else column.quantity)
 
 
 def _quantity(words: list[str]) -> str | None:
     rest = [word for word in words if word not in _SIGMA]
+    name = "".join(rest)
     for quantity, names in _NAMES.items():
-        if "".join(rest) in names:
+        if name in names:
             if len(rest) == len(words):
                 return quantity
             return f"sigma_{quantity}" if quantity != "t" else None
+    if len(rest) == len(words) > 1:
+        for clock, other in ((words[0], words[1:]), (words[-1], words[:-1])):
+            if clock in _NAMES["t"] - {"seconds"}:
+                return _clock("".join(other))
     return None
+
+
+def _clock(name: str) -> str | None:
+    for quantity, names in _NAMES.items():
+        if quantity not in ("t", "u", "v") and name in names:
+            return f"t_{quantity}"
+    return next((clock for clock, names in _CLOCKS.items() if name in names), None)

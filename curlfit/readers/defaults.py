@@ -1,0 +1,92 @@
+"""Defaults that a data file carries: leading lines `# key = value`."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from curlfit.errors import DataError, InputError
+from curlfit.friction import check_load, find_law
+from curlfit.readers.frames import parse_axes
+from curlfit.stone import Stone
+from curlfit.throw import Reference
+
+_SETTINGS = ("until", "law", "load", "stone", "sigma", "reference", "axes")
+
+
+def defaults_of(
+    path: Path, comments: Iterable[tuple[int, str]]
+) -> tuple[dict[str, Any], Reference | None, list[str]]:
+    """Settings, a reference and notes from comments with their line numbers.
+
+    Other comments are comments.
+
+    Raises
+    ------
+    DataError : a setting that cannot be read or used.
+    """
+    kept: list[str] = []
+    notes: list[str] = []
+    for number, line in comments:
+        body = line.lstrip().lstrip("#").strip()
+        key = body.split("=", 1)[0].strip().split(".")[0]
+        if "=" not in body or not key.isidentifier():
+            continue
+        if key not in _SETTINGS:
+            notes.append(f"line {number}: setting {key!r} is not known and was ignored")
+            continue
+        try:
+            tomllib.loads(body)
+            found = tomllib.loads("\n".join([*kept, body]))
+        except (ValueError, RecursionError):
+            raise DataError(
+                f"cannot read the setting {body!r}; expected key = value as in TOML, "
+                "text in quotes, each key once",
+                file=path,
+                line=number,
+            ) from None
+        kept.append(body)
+        try:
+            _check(found)
+        except InputError as error:
+            raise DataError(str(error), file=path, line=number) from None
+    settings = tomllib.loads("\n".join(kept))
+    reference = settings.pop("reference", None)
+    return settings, None if reference is None else _reference(path, reference), notes
+
+
+def _check(settings: dict[str, Any]) -> None:
+    """Refuse settings that no fit could use, while the line is still known."""
+    kinds = (("stone", dict), ("sigma", dict), ("law", str), ("load", str), ("axes", str))
+    for key, expected in kinds:
+        if not isinstance(settings.get(key, expected()), expected):
+            raise InputError(f"{key} = {settings[key]!r} cannot be used")
+    numbers = {f"stone.{name}": value for name, value in settings.get("stone", {}).items()}
+    numbers |= {f"sigma.{name}": value for name, value in settings.get("sigma", {}).items()}
+    numbers |= {"until": settings["until"]} if "until" in settings else {}
+    for key, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+            raise InputError(f"{key} = {value!r}: expected a number")
+    Stone().with_values(settings.get("stone", {}))
+    if "law" in settings:
+        find_law(settings["law"], from_files=False)
+    if "load" in settings:
+        check_load(settings["load"])
+    parse_axes(settings.get("axes"))
+
+
+def _reference(path: Path, found: Any) -> Reference:
+    try:
+        return Reference(
+            source=str(found.get("source", "reference")),
+            law=str(found["law"]),
+            values={str(name): float(value) for name, value in found["values"].items()},
+        )
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
+        raise DataError(
+            'a reference needs reference.law = "NAME" and reference.values.NAME = number',
+            file=path,
+        ) from None

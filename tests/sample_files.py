@@ -1,0 +1,139 @@
+"""Small files of every format, and one throw to hold them against."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+# A throw that slows down and curls: what every file below says in its own way.
+N = 60
+T = np.arange(N) * 0.25
+S = 1 - (1 - T / 15) ** 2
+Y = 25 * S
+X = -0.9 * S**2
+PHI = 14 * S + 0.2
+OMEGA = np.gradient(PHI, T)
+
+
+def table(
+    columns: dict[str, np.ndarray], separator: str = ",", digits: int = 17, comma: bool = False
+) -> str:
+    """A text table; NaN is an empty cell (a word where spaces separate)."""
+    rows = [separator.join(columns)]
+    for values in zip(*columns.values(), strict=True):
+        cells = [
+            ("nan" if separator == " " else "") if np.isnan(v) else f"{v:.{digits}g}"
+            for v in values
+        ]
+        rows.append(separator.join(c.replace(".", ",") if comma else c for c in cells))
+    return "\n".join(rows) + "\n"
+
+
+PLAIN = table({"t": T, "x": X, "y": Y, "phi": PHI})
+
+
+def tracker(separator: str = "\t", comma: bool = False, angle: str = "θ_{r} (°)") -> str:
+    """One object, with what Tracker computes from its places."""
+    along, across = Y + 1.0, X + 0.5
+    vx, vy = (np.full(N, np.nan) for _ in range(2))
+    vx[1:-1] = (across[2:] - across[:-2]) / (T[2:] - T[:-2])
+    vy[1:-1] = (along[2:] - along[:-2]) / (T[2:] - T[:-2])
+    direction = np.degrees(np.arctan2(along, across))
+    body = table(
+        {"t (s)": T, "x (m)": across, "y (m)": along, angle: direction,
+         "v (m/s)": np.hypot(vx, vy)},
+        separator, comma=comma,
+    )  # fmt: skip
+    return f"mass_A{separator * 4}\n{body}"
+
+
+def two_masses() -> str:
+    """A stone and the end of its handle, side by side, the second one marked later."""
+    other = np.where(T > 1, X + 0.1, np.nan)
+    head = "mass A\t\t\tmass B\t\nt\tx\ty\tx\ty\n"
+    rows = zip(T, X, Y, other, np.where(T > 1, Y + 0.1, np.nan), strict=True)
+    return head + "".join(
+        "\t".join("" if np.isnan(v) else f"{v:.9g}" for v in row) + "\n" for row in rows
+    )
+
+
+def shot(end: int = 0, number: int = 0, hit: int | None = None) -> dict:
+    """The entry of one shot in a server's log; stone 1 of team0 is hit in frame `hit`."""
+
+    def at(x: float, y: float, angle: float) -> dict:
+        return {"position": {"x": x, "y": y}, "angle": angle}
+
+    wrapped = np.remainder(PHI + np.pi, 2 * np.pi) - np.pi
+    empty: list = [None] * 8
+    lying = at(0.5, 38.0, 0.0)
+    start = {"team0": [lying, *empty[1:]], "team1": [at(X[0], Y[0], wrapped[0]), *empty[1:]]}
+    frames = []
+    for k in range(1, N):
+        changes = [{"team": "team1", "index": 0, "value": at(X[k], Y[k], wrapped[k])}]
+        if hit is not None and k >= hit:
+            moved = at(0.5 + 0.01 * (k - hit + 1), 38.2, 0.1)
+            changes.append({"team": "team0", "index": 0, "value": moved})
+        frames.append(changes)
+    return {
+        "tag": "sht", "id": number, "date_time": "2022-01-01T00:00:00", "thread": "1",
+        "log": {
+            "game_id": "g", "end": end, "shot": number,
+            "selected_move": {"type": "shot"}, "actual_move": {"type": "shot"},
+            "trajectory": {
+                "seconds_per_frame": 0.25, "start": start, "finish": start, "frames": frames,
+            },
+        },
+    }  # fmt: skip
+
+
+def log(count: int = 1) -> str:
+    """A server's log with some shots among other lines."""
+    other = {"tag": "inf", "id": 0, "log": "server started"}
+    entries = [other, *(shot(0, k) for k in range(count))]
+    return "".join(json.dumps(entry) + "\n" for entry in entries)
+
+
+TIMINGS = """# draw shot, sheet 3
+back_to_hog = 3.4
+hog_to_hog = 14.2 s
+hog_to_rest = 10.3
+curl = -4 ft
+rest = 0.6
+turns = 2.5
+sigma_t = 0.1
+"""
+
+CLOCKS = "t,x,y,t_phi,phi\n" + "".join(
+    f"{0.5 * k},{0.01 * k},{k - 0.02 * k * k},{0.5 * k + 0.1},{0.3 * k}\n" for k in range(12)
+)
+
+# A camera that looks along the sheet.
+CAMERA = np.array([[40.0, 3.0, 320.0], [1.0, -4.0, 460.0], [0.001, 0.03, 1.0]])
+KNOWN = np.array([[-2.1, 2.1, -2.0, 2.2, 0.0, 1.0], [0.0, 0.5, 27.0, 26.0, 12.0, 20.0]])
+
+
+def project(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Pixels u, v of places on the ice."""
+    u, v, w = CAMERA @ np.stack([x, y, np.ones_like(x)])
+    return np.stack([u / w, v / w])
+
+
+def known_points(count: int = 6, noise: float = 0.0) -> str:
+    """A table of known points for the camera."""
+    pixels = project(*KNOWN) + noise * np.random.default_rng(3).normal(size=KNOWN.shape)
+    return table(
+        {"u": pixels[0, :count], "v": pixels[1, :count], "x": KNOWN[0, :count],
+         "y": KNOWN[1, :count]}
+    )  # fmt: skip
+
+
+PIXELS = table(dict(zip("uv", project(X, Y), strict=True)) | {"t": T, "phi": PHI})
+
+SAMPLES = {
+    "table": PLAIN, "settings": '# until = 12\n# stone.R = 0.06\n# axes = "x-left"\n' + PLAIN,
+    "semicolons": table({"time_ms": 1000 * T, "y (ft)": Y / 0.3048, "x [cm]": 100 * X,
+                         "angle_deg": np.degrees(PHI) % 360}, ";", comma=True),
+    "tracker": tracker(), "two": two_masses(), "shot": json.dumps(shot(hit=40), indent=1),
+    "log": log(2), "timings": TIMINGS, "clocks": CLOCKS, "pixels": PIXELS,
+}  # fmt: skip

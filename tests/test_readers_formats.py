@@ -1,0 +1,560 @@
+"""Each format, convention and refusal, on small files written here."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import numpy as np
+import pytest
+from sample_files import (
+    CLOCKS,
+    KNOWN,
+    OMEGA,
+    PHI,
+    PIXELS,
+    PLAIN,
+    SAMPLES,
+    TIMINGS,
+    N,
+    T,
+    X,
+    Y,
+    known_points,
+    log,
+    project,
+    shot,
+    table,
+    tracker,
+    two_masses,
+)
+
+import curlfit
+from curlfit import DataError, InputError, Throw, load_throw
+from curlfit.readers.angles import AmbiguousTurnError, unwrap
+from curlfit.readers.columns import understand
+from curlfit.readers.frames import LINES, parse_axes
+from curlfit.readers.load import guessed
+from curlfit.readers.pixels import homography
+
+
+@pytest.fixture
+def write(tmp_path):
+    def to_file(content: str, name: str = "throw.txt"):
+        file = tmp_path / name
+        file.write_text(content, encoding="utf-8")
+        return file
+
+    return to_file
+
+
+def said(throw: Throw, words: str) -> bool:
+    return any(words in note for note in throw.notes)
+
+
+@pytest.mark.parametrize(
+    ("sample", "kind"),
+    [("table", "table"), ("settings", "table"), ("tracker", "tracker"), ("two", "tracker"),
+     ("shot", "digitalcurling"), ("log", "digitalcurling"), ("timings", "timings"),
+     ("clocks", "table"), ("pixels", "table")],
+)  # fmt: skip
+def test_the_format_is_seen(sample, kind):
+    assert guessed(SAMPLES[sample].split("\n")) == kind
+
+
+def test_a_wrong_format_is_refused(write):
+    for kind, words in (
+        ("tracker", "expected a header"), ("digitalcurling", "not a line of JSON"),
+        ("timings", "is not known"), ("video", "expected one of table, tracker"),
+    ):  # fmt: skip
+        text = "frame,1\n" + PLAIN if kind == "tracker" else PLAIN
+        text = text.replace("t,x,y", "t,q,r") if kind == "tracker" else text
+        with pytest.raises(InputError, match=words):
+            load_throw(write(text), format=kind)
+
+
+# Tracker
+
+
+@pytest.mark.parametrize("separator", ["\t", ",", ";", " "])
+@pytest.mark.parametrize("comma", [False, True])
+def test_tracker(write, separator, comma):
+    if comma and separator == ",":
+        pytest.skip("decimal commas need another separator")
+    text = tracker(separator, comma)
+    text = text.replace(" (", "(") if separator == " " else text
+    throw = load_throw(write(text))
+    np.testing.assert_allclose(throw.x, X + 0.5)
+    np.testing.assert_allclose(throw.y, Y + 1)
+    assert throw.seen == ("x", "y")
+    assert said(throw, "mass_A")
+    assert said(throw, "computed from the places")
+    assert said(throw, "not how the stone turns")
+
+
+def test_an_angle_that_is_not_the_direction_of_the_place_is_kept(write):
+    text = table({"t": T, "x": X, "y": Y + 1, "θ_{r}": np.degrees(PHI) % 360, "ω": OMEGA}, "\t")
+    throw = load_throw(write("stone\n" + text), units="angle=deg")
+    assert said(throw, "ω left out: computed from the angle")
+    np.testing.assert_allclose(throw.phi - throw.phi[0], PHI - PHI[0], atol=1e-9)
+    own = text.replace("θ_{r}", "heat")
+    np.testing.assert_allclose(load_throw(write("stone\n" + own)).omega, OMEGA)
+
+
+def test_two_objects_side_by_side(write):
+    file = write(two_masses())
+    throw = load_throw(file)
+    assert said(throw, "2 objects: 1 mass A, 2 mass B; taken: 1 mass A")
+    np.testing.assert_allclose(throw.x, X, atol=1e-8)
+    other = load_throw(file, stone_index=2)
+    np.testing.assert_allclose(other.x, X[T > 1] + 0.1, atol=1e-8)
+    assert said(other, "5 rows without mass B left out")
+    with pytest.raises(InputError, match="no such object; expected one of 1 mass A; 2 mass B"):
+        load_throw(file, stone_index=3)
+
+
+def test_two_objects_without_titles(write):
+    text = table({"t": T, "x": X, "y": Y}, "\t").split("\n")
+    doubled = "\n".join(f"{line}\t{line}" for line in text if line)
+    assert said(load_throw(write(doubled)), "1 object 1, 2 object 2")
+
+
+# DigitalCurling
+
+
+def test_a_shot(write):
+    throw = load_throw(write(json.dumps(shot(hit=40), indent=2), "shot_e000s00.json"))
+    np.testing.assert_allclose(throw.t, T)
+    np.testing.assert_allclose(throw.y, Y)
+    np.testing.assert_allclose(throw.phi - throw.phi[0], PHI - PHI[0], atol=1e-9)
+    assert throw.defaults["until"] == pytest.approx(39 * 0.25)
+    assert said(throw, "another stone moves after t = 9.75 s")
+    assert said(throw, "team1 stone 1, the one thrown")
+
+
+def test_the_stone_that_was_hit(write):
+    throw = load_throw(write(json.dumps(shot(hit=40))), stone_index=1)
+    assert len(throw) == N - 39
+    assert throw.y[-1] == 38.2
+
+
+def test_a_log_of_several_shots(write):
+    file = write(log(2), "server.log")
+    with pytest.raises(DataError, match="2 shots in it; choose one with --shot: 1 end 0 shot 0; 2"):
+        load_throw(file)
+    assert said(load_throw(file, shot=2), "end 0 shot 1")
+    with pytest.raises(InputError, match="--shot 3: there is no such shot"):
+        load_throw(file, shot=3)
+
+
+def test_a_client_sees_the_shot_in_its_last_move(write):
+    update = {"cmd": "update", "state": {"end": 0, "shot": 1},
+              "last_move": {"trajectory": shot()["log"]["trajectory"]}}  # fmt: skip
+    np.testing.assert_allclose(load_throw(write(json.dumps(update))).y, Y)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: t.update(seconds_per_frame=0), "seconds_per_frame = 0"),
+        (lambda t: t.update(frames=3), "needs a start and frames"),
+        (lambda t: t["frames"][3][0].update(team="team7"), "frame 4: no stone 0 of team 'team7'"),
+        (lambda t: t["frames"][3][0].update(value={"position": {"x": 1}}), "all finite numbers"),
+        (lambda t: t["frames"].clear(), "no stone moves"),
+    ],
+)
+def test_a_shot_that_cannot_be_read(write, change, words):
+    entry = shot()
+    change(entry["log"]["trajectory"])
+    with pytest.raises(DataError, match=words):
+        load_throw(write(json.dumps(entry)))
+
+
+def test_a_log_without_trajectories(write):
+    with pytest.raises(DataError, match="no trajectory in it"):
+        load_throw(write('{"tag": "gam", "log": {"cmd": "update"}}\n'))
+    with pytest.raises(DataError, match="line 2: not a line of JSON"):
+        load_throw(write('{"tag": "gam"}\n{"tag"\n'))
+
+
+# Tables in memory
+
+
+def test_a_data_frame():
+    pd = pytest.importorskip("pandas")
+    frame = pd.DataFrame({"y_ft": Y / 0.3048, "x": X, "angle_deg": np.degrees(PHI), "who": "a"})
+    frame.index = pd.Index(1000 * T, name="time_ms")
+    throw = Throw.from_frame(frame)
+    np.testing.assert_allclose(throw.observed[:3], [X, Y, PHI], atol=1e-12)
+    assert said(throw, "columns ignored: who")
+    frame.index = pd.to_timedelta(T, unit="s")
+    np.testing.assert_allclose(Throw.from_frame(frame).t, T)
+    frame.index = pd.Timestamp("2024-01-01") + pd.to_timedelta(T, unit="s")
+    np.testing.assert_allclose(Throw.from_frame(frame).t, T, atol=1e-9)
+    with pytest.raises(DataError, match="no column for t"):
+        Throw.from_frame(frame.reset_index(drop=True))
+    frame["x"] = pd.array([None, *X[1:]], dtype="Float64")
+    frame["t"] = T
+    assert np.isnan(Throw.from_frame(frame).x).tolist() == [True, *[False] * (N - 1)]
+    frame["x"] = "left"
+    with pytest.raises(DataError, match="table, column x: expected numbers"):
+        Throw.from_frame(frame)
+
+
+def test_a_dataset():
+    xr = pytest.importorskip("xarray")
+    data = xr.Dataset(
+        {"x": ("time", 100 * X, {"units": "cm"}), "y": ("time", Y, {"units": "m"}),
+         "theta": ("time", np.degrees(PHI), {"units": "degrees"}), "ice": ((), 1.0)},
+        coords={"time": T},
+    )  # fmt: skip
+    throw = Throw.from_frame(data, name="sheet 3")
+    np.testing.assert_allclose(throw.observed[:3], [X, Y, PHI], atol=1e-12)
+    assert throw.name == "sheet 3"
+    data["x"].attrs["units"] = "kg"
+    with pytest.raises(DataError, match="x in 'kg': unknown unit"):
+        Throw.from_frame(data)
+
+
+def test_a_mapping_and_what_is_no_table():
+    np.testing.assert_allclose(Throw.from_frame({"t": T, "x": X, "y": Y}).y, Y)
+    masked = np.ma.masked_array(X, mask=T > 10)
+    assert np.isfinite(Throw.from_frame({"t": T, "x": masked, "y": Y}).x).sum() == (T <= 10).sum()
+    with pytest.raises(InputError, match="expected a DataFrame"):
+        Throw.from_frame(3)
+    with pytest.raises(DataError, match="different lengths"):
+        Throw.from_frame({"t": T, "x": X[:-1], "y": Y})
+
+
+# Axes
+
+
+@pytest.mark.parametrize(
+    ("words", "columns"),
+    [
+        ("", (X, Y, PHI)),
+        ("x-left", (-X, Y, -PHI)),
+        ("x-left, counter-clockwise", (-X, Y, PHI)),
+        ("clockwise", (X, Y, -PHI)),
+        ("x-along", (Y, -X, PHI)),
+        ("x-along y-right", (Y, X, -PHI)),
+        ("x-back", (-Y, X, PHI)),
+        ("y-left", (Y, -X, PHI)),
+        ("y-back", (X, -Y, -PHI)),
+        ("x-left,y-back", (-X, -Y, PHI)),
+        ("from-hog", (X, Y - LINES["hog"], PHI)),
+        ("y-back,x-left,from-far-tee", (-X, LINES["far-tee"] - Y, PHI)),
+        ("x-along,from-center,cw", (Y - LINES["centre"], -X, -PHI)),
+    ],
+)
+def test_axes(write, words, columns):
+    x, y, phi = columns
+    omega = np.gradient(phi, T)
+    file = write(table({"t": T, "x": x, "y": y, "phi": phi, "omega": omega}))
+    throw = load_throw(file, axes=words)
+    np.testing.assert_allclose(throw.observed[:3], [X, Y, PHI], atol=1e-9)
+    np.testing.assert_allclose(throw.omega, OMEGA, atol=1e-9)
+    assert load_throw(write(f'# axes = "{words}"\n' + file.read_text())).y == pytest.approx(Y)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("x-up", "unknown word"), ("x-left,x-right", "cannot point two ways"),
+        ("x-left,y-right", "lie on one line"), ("cw,ccw", "cannot turn both ways"),
+        ("from-hog,from-tee", "zero cannot lie in two places"),
+    ],
+)  # fmt: skip
+def test_axes_that_cannot_be(write, words, told):
+    with pytest.raises(InputError, match=told):
+        parse_axes(words)
+    with pytest.raises(DataError, match=told) as caught:
+        load_throw(write(f'# axes = "{words}"\n' + PLAIN))
+    assert caught.value.line == 1
+
+
+def test_sigma_goes_with_its_axis(write):
+    columns = {"t": T, "x": Y, "y": -X, "sigma_x": np.full(N, 0.3), "sigma_y": np.full(N, 0.1)}
+    throw = load_throw(write(table(columns)), axes="x-along")
+    assert throw.sigma["y"][0] == 0.3
+    assert throw.sigma["x"][0] == 0.1
+
+
+def test_a_mirrored_file_gives_the_same_fit(write, eq12, eq12_fit):
+    cut = eq12.until(20)
+    columns = {"t": cut.t, "x": cut.y, "y": cut.x, "phi": -np.degrees(cut.phi)}
+    mirrored = load_throw(write(table(columns)), axes="x-along,y-right", units="angle=deg")
+    fit = curlfit.fit(mirrored, stone=eq12_fit.stone)
+    for name, item in eq12_fit.parameters.items():
+        if item.verdict == "determined":
+            assert fit.parameters[name].value == pytest.approx(item.value, rel=1e-5, abs=1e-8)
+
+
+def test_the_lines_of_the_sheet():
+    # 114 ft from tee to tee, 12 ft to the hack, 21 ft to the hog line, 6 ft to the back line
+    feet = {
+        "hack": 0,
+        "back": 6,
+        "tee": 12,
+        "hog": 33,
+        "centre": 69,
+        "far-hog": 105,
+        "far-tee": 126,
+    }
+    assert {k: v / 0.3048 for k, v in LINES.items()} == pytest.approx(feet, abs=0.003)
+
+
+# Units of the user
+
+
+def test_units_of_the_user(write):
+    file = write(table({"t": 1000 * T, "x": 100 * X, "y": Y / 0.3048, "phi": np.degrees(PHI)}))
+    throw = load_throw(file, units="t=ms, x=cm, y=ft, angle=deg")
+    np.testing.assert_allclose(throw.observed[:3], [X, Y, PHI], atol=1e-12)
+    with pytest.raises(InputError, match="expected QUANTITY=UNIT"):
+        load_throw(file, units="mass=kg")
+    with pytest.raises(InputError, match="x in 'kg': unknown unit"):
+        load_throw(file, units="x=kg")
+
+
+@pytest.mark.parametrize(
+    ("header", "quantity"),
+    [("t_phi", "t_phi"), ("time_gyro", "t_omega"), ("gyro time [ms]", "t_omega"),
+     ("t_xy", "t_xy"), ("x_px", "u"), ("v (m/s)", "speed"), ("v [m s^-1]", "speed"),
+     ("ω (°/s)", "omega")],
+)  # fmt: skip
+def test_more_column_names(header, quantity):
+    assert understand(header).quantity == quantity
+
+
+# Pixels
+
+
+def test_pixels(write):
+    points = write(known_points(), "points.csv")
+    throw = load_throw(write(PIXELS), reference=points)
+    np.testing.assert_allclose(throw.observed[:3], [X, Y, PHI], atol=1e-9)
+    assert said(throw, "pixels to metres by 6 points")
+    assert said(throw, "one pixel is")
+    renamed = PIXELS.replace("u,v,", "x,y,", 1)
+    np.testing.assert_allclose(load_throw(write(renamed), reference=points).y, Y, atol=1e-9)
+
+
+def test_the_noise_of_pixels_is_carried_over(write):
+    u, v = project(X, Y)
+    noise = np.full(N, 0.5)
+    text = table({"t": T, "u": u, "v": v, "sigma_u": noise, "sigma_v": noise})
+    throw = load_throw(write(text), reference=write(known_points(), "points.csv"))
+    chance = np.random.default_rng(5)
+    shifted = [
+        load_throw(
+            write(table({"t": T, "u": u + chance.normal(0, 0.5, N),
+                         "v": v + chance.normal(0, 0.5, N)})),
+            reference=write(known_points(), "points.csv"),
+        ).y
+        for _ in range(200)
+    ]  # fmt: skip
+    np.testing.assert_allclose(np.std(shifted, axis=0), throw.sigma["y"], rtol=0.3)
+    assert throw.sigma["y"][-1] > 1.5 * throw.sigma["y"][0]
+
+
+def test_the_residual_of_known_points(write):
+    noisy = load_throw(write(PIXELS), reference=write(known_points(noise=1.0), "points.csv"))
+    (note,) = [note for note in noisy.notes if "are met to" in note]
+    assert 0.1 < float(note.split("met to ")[1].split(" px")[0]) < 2
+    four = load_throw(write(PIXELS), reference=write(known_points(4), "points.csv"))
+    assert said(four, "four points are met exactly")
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        (known_points(3), "3 points; a picture of a plane needs four"),
+        ("u,v,x,y\n0,0,0,0\n1,1,1,1\n2,2,2,2\n3,3,3,3\n", "lie on one line in the picture"),
+        ("u,v,x,y\n0,0,0,0\n1,0,1,0\n2,0,2,0\n3,3,3,3\n", "three of the points lie on one line"),
+        ("u,v,x,y\n0,0,0,0\n9,0,1,0\n9,9,0,1\n0,9,1,1\n", "in this order"),
+        ("u,v,x\n0,0,0\n", "no column for y"),
+        ("u,v,x,y\n0,0,0,\n", "each point needs four finite numbers"),
+        ("1,2,3,4\n", "begins with numbers"), ("", "no points"),
+    ],
+)  # fmt: skip
+def test_known_points_that_will_not_do(write, points, words):
+    with pytest.raises(DataError, match=words):
+        load_throw(write(PIXELS), reference=write(points, "points.csv"))
+
+
+def test_pixels_and_metres_are_told_apart(write):
+    points = write(known_points(), "points.csv")
+    with pytest.raises(DataError, match="places are in pixels; give four or more known points"):
+        load_throw(write(PIXELS))
+    with pytest.raises(InputError, match="has no places in pixels"):
+        load_throw(write(PLAIN.replace("x,y", "x_m,y_m")), reference=points)
+    with pytest.raises(DataError, match="horizon"):
+        load_throw(write("t,u,v\n0,320,-140\n1,320,-150\n"), reference=points)
+
+
+def test_the_homography_is_exact_in_any_units():
+    plane = homography(1e4 * project(*KNOWN) + 1e6, 0.01 * KNOWN)
+    assert plane.rms_m < 1e-9
+
+
+# Angles
+
+
+@pytest.mark.parametrize("low", [0.0, -np.pi, -1.0])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_one_turn_is_undone(low, sign):
+    wrapped = np.remainder(sign * PHI - low, 2 * np.pi) + low
+    phi, jumps, _ = unwrap(T, wrapped)
+    assert jumps in (2, 3)
+    np.testing.assert_allclose(phi - phi[0], sign * (PHI - PHI[0]), atol=1e-12)
+
+
+def test_the_direction_of_a_line_is_undone():
+    phi, jumps, period = unwrap(T, np.remainder(PHI, np.pi))
+    assert (jumps, period) == (4, np.pi)
+    np.testing.assert_allclose(phi - phi[0], PHI - PHI[0], atol=1e-12)
+
+
+def test_gaps_are_bridged_at_the_pace():
+    t = np.concatenate([np.arange(0, 4, 0.2), np.arange(7.5, 14, 0.2)])
+    phi = 1.5 * t
+    got, _, _ = unwrap(t, np.remainder(phi, 2 * np.pi))
+    np.testing.assert_allclose(got, phi, atol=1e-12)
+
+
+def test_an_angle_that_counts_on_is_left_alone():
+    for phi in (PHI, -PHI, np.array([0.0, 4, 5, 9, 9.5, 20, 21]), np.zeros(5)):
+        got, jumps, _ = unwrap(np.arange(len(phi)) * 0.5, phi)
+        assert jumps == 0
+        np.testing.assert_array_equal(got, phi)
+
+
+def test_single_jumps_are_taken_out():
+    phi = PHI.copy()
+    phi[30:] -= 2 * np.pi
+    phi[45:] += 4 * np.pi
+    got, jumps, _ = unwrap(T, phi)
+    assert jumps == 2
+    np.testing.assert_allclose(got, PHI, atol=1e-12)
+
+
+def test_a_fast_spin_needs_the_spin(write):
+    t = np.arange(30) * 1.0
+    phi = 2.9 * t
+    columns = {"t": t, "x": 0 * t, "y": t, "phi": np.remainder(phi, 2 * np.pi)}
+    with pytest.raises(AmbiguousTurnError):
+        unwrap(t, columns["phi"])
+    with pytest.raises(DataError, match="which way cannot be told") as caught:
+        load_throw(write(table(columns)))
+    assert caught.value.line == 3
+    assert caught.value.column == "phi"
+    throw = load_throw(write(table(columns | {"omega": np.full(30, 2.9)})))
+    np.testing.assert_allclose(throw.phi, phi, atol=1e-12)
+    faster = np.remainder(5.5 * t, 2 * np.pi)
+    throw = load_throw(write(table(columns | {"phi": faster, "omega": np.full(30, 5.5)})))
+    np.testing.assert_allclose(throw.phi, 5.5 * t, atol=1e-9)
+    assert said(throw, "of 360 degrees undone")
+
+
+# Clocks
+
+
+def test_clocks_are_merged(write):
+    throw = load_throw(write(CLOCKS))
+    assert len(throw) == 24
+    assert np.isfinite(throw.x).sum() == np.isfinite(throw.phi).sum() == 12
+    assert said(throw, "clocks t (12 rows), t_phi (12 rows) merged to 24 times")
+    np.testing.assert_allclose(throw.phi[throw.t == 0.1], 0)
+
+
+def test_a_clock_that_runs_on_alone(write):
+    throw = load_throw(write("t,x,y,time_gyro,gyro_dps\n0,0,0,0,90\n1,0,2,0.5,90\n,,,1,90\n"))
+    np.testing.assert_allclose(throw.t, [0, 0.5, 1])
+    np.testing.assert_allclose(throw.omega, np.pi / 2)
+    assert np.isnan(throw.x[1])
+
+
+def test_faults_of_clocks(write):
+    with pytest.raises(DataError, match="line 3, column t_phi: time 0 s does not lie after"):
+        load_throw(write("t,x,y,t_phi,phi\n0,0,0,0,1\n1,0,2,0,2\n"))
+    with pytest.raises(DataError, match="line 3, column t_phi: the time is missing"):
+        load_throw(write("t,x,y,t_phi,phi\n0,0,0,0,1\n1,0,2,,2\n"))
+
+
+def test_empty_rows_are_left_out(write):
+    throw = load_throw(write(PLAIN + ",,,\n,,,\n"))
+    assert len(throw) == N
+    assert said(throw, "2 empty rows left out")
+
+
+# Timings
+
+
+def test_timings(write):
+    throw = load_throw(write(TIMINGS))
+    np.testing.assert_allclose(throw.t, [-3.4, 0, 14.2, 24.5])
+    np.testing.assert_allclose(throw.y, [1.829, 10.059, 32.004, 39.005], atol=1e-9)
+    np.testing.assert_allclose(throw.x, [0, 0, np.nan, -4 * 0.3048])
+    assert throw.phi[-1] == pytest.approx(5 * np.pi)
+    assert throw.speed[-1] == 0
+    # an even deceleration over both stretches: 21.945 m in 14.2 s, then to rest in 10.3 s
+    a = 21.945 / (14.2 * (10.3 + 7.1))
+    np.testing.assert_allclose(throw.sigma["y"][1:3], 0.1 * a * np.array([24.5, 10.3]), rtol=1e-12)
+    assert throw.sigma["speed"][-1] == pytest.approx(0.1 * a)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "hog_to_hog 14.2\nhog_to_rest 10.3\n", "hog_to_hog;14,2\nhog_to_rest;10,3\n",
+        'name,value\n"hog_to_hog","14.2 s"\nhog_to_rest,10.3\n',
+        "hog_to_rest = 0.1716667 min\nHOG_TO_HOG: 14200 ms\n",
+    ],
+)  # fmt: skip
+def test_timings_in_other_forms(write, text):
+    throw = load_throw(write(text))
+    np.testing.assert_allclose(throw.t, [0, 14.2, 24.5], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        ("hog_to_rest = 10\nback_to_hog = 3\n", None, "no hog_to_hog"),
+        ("hog_to_hog = 14\n", None, "no back_to_hog or hog_to_rest"),
+        ("hog_to_hog = 14\nback_to_hog = 3\ncurl = 1\n", 3, "hog_to_rest is missing"),
+        ("hog_to_hog = -14\nhog_to_rest = 3\n", 1, "expected a number above 0"),
+        ("hog_to_hog = fast\nhog_to_rest = 3\n", 1, "'fast' found, expected a number"),
+        ("hog_to_hog = 14 m\nhog_to_rest = 3\n", 1, "unknown unit"),
+        ("hog_to_hog = 14\nhog_to_hog = 14\n", 2, "given twice"),
+        ("hog_to_hog = 14\nhouse = 14\n", 2, "is not known"),
+        ("hog_to_hog = 14\nhog_to_rest = 10\nrest = 400\n", 3, "up to 40"),
+    ],
+)
+def test_timings_that_cannot_be(write, text, line, words):
+    with pytest.raises(DataError, match=words) as caught:
+        load_throw(write(text))
+    assert caught.value.line == line
+
+
+# Large files
+
+
+def test_a_million_rows_take_seconds(tmp_path):
+    n = 200_000
+    t = np.arange(n) * 1e-3
+    s = 1 - (1 - t / 201) ** 2
+    file = tmp_path / "long.csv"
+    np.savetxt(
+        file, np.c_[t, -s, 25 * s, np.remainder(40 * s, 2 * np.pi)],
+        fmt="%.6f", delimiter=",", header="t,x,y,phi", comments="",
+    )  # fmt: skip
+    before = time.process_time()
+    throw = load_throw(file)
+    assert time.process_time() - before < 3  # a fifth of a million
+    np.testing.assert_allclose(throw.phi, 40 * s, atol=1e-5)
+    text = file.read_text().split("\n")
+    text[150_000] = "149.999,0,hello,1"
+    file.write_text("\n".join(text))
+    with pytest.raises(DataError, match="line 150001, column y: 'hello' found"):
+        load_throw(file)
