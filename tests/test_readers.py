@@ -112,7 +112,7 @@ def test_ignored_columns_are_named(write):
         (PLAIN.replace("\n1,", "\n,"), 3, "t", "the time is missing"),
         (PLAIN.replace("\n2,", "\n0.5,"), 4, "t", "follows 1 s"),
         (PLAIN.replace("\n2,", "\n1,"), 4, "t", "is repeated"),
-        ("t,x,y,phi\n0,nan,0,0\n1,nan,2,1\n", None, "x", "every value is empty"),
+        ("t,x,y,phi\n0,nan,0,0\n1,nan,2,1\n", None, "x", "no value of x"),
         (PLAIN.replace("0.2,2,1", "0.2,2"), 3, None, "3 cells where the header has 4"),
         (PLAIN.replace(".", ","), 2, None, "separate the columns by semicolons"),
         ("# stone.R = -1\n" + PLAIN, 1, None, "stone.R = -1"),
