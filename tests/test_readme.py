@@ -1,0 +1,140 @@
+"""What the README tells to type is typed here, as it stands."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text()
+BASH = [
+    line
+    for block in re.findall(r"```bash\n(.*?)```", README, re.S)
+    for line in block.splitlines()
+    if line.strip()
+]
+# The first is done by .ci/run, in an environment that has nothing yet; the second is running.
+NOT_HERE = ('pip install ".[test]"', "python -m pytest")
+PYTHON = re.findall(r"```python\n(.*?)```", README, re.S)
+TABLE = re.search(r"A text table with a header:\n\n```text\n(.*?)```", README, re.S)[1]
+INLINE = re.findall(r"`(curlfit(?: [^`]+))`", README)
+
+
+@pytest.fixture(scope="module")
+def clone(tmp_path_factory):
+    """What a clone has beside the program."""
+    folder = tmp_path_factory.mktemp("clone")
+    shutil.copytree(ROOT / "data", folder / "data")
+    return folder
+
+
+def run(words, folder):
+    return subprocess.run(
+        [sys.executable, *words], cwd=folder, capture_output=True, text=True, check=False,
+        timeout=500, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+
+
+def typed(line, folder):
+    """A `curlfit` line as a user types it."""
+    program, *words = shlex.split(line)
+    assert program == "curlfit"
+    found = run(["-m", "curlfit", *words], folder)
+    assert (found.returncode, found.stderr) == (0, ""), line
+    return found.stdout
+
+
+def test_every_block_of_commands_is_known():
+    assert set(NOT_HERE) < set(BASH)
+    assert len(BASH) == len(set(BASH)) >= 6
+    assert all(line.startswith("curlfit ") for line in BASH if line not in NOT_HERE)
+
+
+@pytest.fixture(scope="module")
+def printed(clone):
+    """What each command of the blocks prints, in their order, in one folder."""
+    return {line: typed(line, clone) for line in BASH if line not in NOT_HERE}
+
+
+def shown(command, after):
+    """The lines of the README's text block after a command, without the gaps."""
+    rest = README[README.index(f"{command}\n```") :]
+    block = re.search(r"```text\n(.*?)```", rest[: rest.index(after)], re.S)[1]
+    return [line for line in block.splitlines() if line.strip() and line != "..."]
+
+
+@pytest.mark.parametrize(
+    ("command", "after"),
+    [
+        ("curlfit fit data/jensen_shegelski_2004.csv", "The first run on a machine"),
+        ("curlfit compare data/jensen_shegelski_2004.csv --load both", "That is the paper's"),
+    ],
+)
+def test_the_commands_print_what_the_readme_shows(printed, command, after):
+    def words(text):
+        # how many steps a fit takes may depend on the machine
+        return re.sub(r"\(\d+ steps\)", "(some steps)", " ".join(text.split()))
+
+    found = words(printed[command])
+    for line in shown(command, after):
+        assert words(line) in found, line
+
+
+def test_the_commands_write_what_the_readme_says(printed, clone):
+    assert {file.name for file in (clone / "jensen_shegelski_2004-fit").iterdir()} == {
+        "fit.json", "fit.png", "corner.png", "chain.h5",
+    }  # fmt: skip
+    assert {file.name for file in (clone / "jensen_shegelski_2004-compare").iterdir()} == {
+        "compare.json", "compare.png",
+    }  # fmt: skip
+    assert {"claims.json", "claims.md"} < {file.name for file in (clone / "reproduction").iterdir()}
+    assert "Posterior: converged" in " ".join(printed[RESUME].split())
+
+
+RESUME = next(line for line in BASH if line.endswith("--resume"))
+
+
+@pytest.mark.parametrize("line", sorted(set(INLINE)))
+def test_commands_within_sentences(printed, clone, line):
+    folders = ["jensen_shegelski_2004-fit", "jensen_shegelski_2004-compare"]
+    for folder in folders if "DIR" in line else [""]:
+        assert typed(re.sub(r"\bDIR\b", folder, line), clone) != ""
+
+
+def test_commands_within_sentences_are_found():
+    assert set(INLINE) >= {
+        "curlfit laws", "curlfit show DIR", "curlfit plot DIR --format pdf", "curlfit simulate",
+        "curlfit fit --help",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("block", PYTHON)
+def test_python(block, tmp_path):
+    shutil.copytree(ROOT / "data", tmp_path / "data")
+    if "curlfit.sample(" in block:
+        # in the next sentence, of what the block has defined
+        (line,) = re.findall(r"`(curlfit\.sample\([^`]*\))`", README)
+        block += f"again = {line}[1], {line}[1]\n"
+        block += "assert all((one.values == chain.values).all() for one in again)\n"
+        block += "assert open('chain.h5', 'rb').read(4) == b'\\x89HDF'\n"
+    (tmp_path / "block.py").write_text(block)
+    found = run(["-W", "error", "block.py"], tmp_path)
+    assert (found.returncode, found.stderr) == (0, "")
+
+
+def test_the_table_of_one_s_own_data_is_read(tmp_path):
+    from curlfit import load_throw
+
+    (tmp_path / "own.csv").write_text(TABLE)
+    throw = load_throw(tmp_path / "own.csv")
+    assert throw.defaults == {"until": 18, "stone": {"R": 0.0625}}
+    assert throw.x.tolist() == [0.001, 0.001]
+    assert throw.y[1] == pytest.approx(0.27 * 0.3048)
+    assert throw.phi[1] == pytest.approx(5.2 * 3.141592653589793 / 180)
