@@ -114,10 +114,10 @@ def analyse(
             weights = _named(row, names, weak)
             vector = np.array([weights.get(name, 0.0) for name in names])
             stderr = float(np.sqrt(vector @ covariance @ vector))
-            if len(weights) > 1 and stderr < typical[weak].max():
-                combinations.append(
-                    Combination(expression(weights), weights, float(vector @ values), stderr)
-                )
+            text = expression(weights)
+            new = text not in {item.expression for item in combinations}
+            if len(weights) > 1 and stderr < typical[weak].max() and new:
+                combinations.append(Combination(text, weights, float(vector @ values), stderr))
     return Identifiability(
         names=tuple(names),
         rank=int(seen.sum()),
