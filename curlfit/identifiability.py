@@ -106,7 +106,7 @@ def analyse(
     unseen = _part(right[~seen]) > _NO_PART
     null = [_named(row, names, unseen) for row in _tidy_basis((right[~seen] * typical)[:, unseen])]
     weak = unseen | (_part(right[seen & (singular < _WEAK)]) > _LITTLE_PART)
-    combinations = []
+    combinations: list[Combination] = []
     if weak.any():
         own = (right[singular < _WEAK] * typical)[:, weak]
         left = np.linalg.svd(own / typical[weak].max())[2][np.linalg.matrix_rank(own) :]
