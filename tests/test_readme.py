@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -59,8 +60,13 @@ def test_every_block_of_commands_is_known():
 
 @pytest.fixture(scope="module")
 def printed(clone):
-    """What each command of the blocks prints, in their order, in one folder."""
-    return {line: typed(line, clone) for line in BASH if line not in NOT_HERE}
+    """What each command of the blocks prints, in one folder."""
+    lines = [line for line in BASH if line not in NOT_HERE]
+    fits = [line for line in lines if line.startswith("curlfit fit ")]  # one resumes the other
+    jobs = [fits, *[[line] for line in lines if line not in fits]]
+    with ThreadPoolExecutor(2) as pool:
+        done = pool.map(lambda job: {line: typed(line, clone) for line in job}, jobs)
+        return {line: text for part in done for line, text in part.items()}
 
 
 def shown(command, after):
@@ -123,10 +129,10 @@ def test_python(block, tmp_path):
         (line,) = re.findall(r"`(curlfit\.sample\([^`]*\))`", README)
         block += f"again = {line}[1], {line}[1]\n"
         block += "assert all((one.values == chain.values).all() for one in again)\n"
-        block += "assert open('chain.h5', 'rb').read(4) == b'\\x89HDF'\n"
     (tmp_path / "block.py").write_text(block)
     found = run(["-W", "error", "block.py"], tmp_path)
     assert (found.returncode, found.stderr) == (0, "")
+    assert ("curlfit.sample(" in block) == (tmp_path / "chain.h5").exists()
 
 
 def test_the_table_of_one_s_own_data_is_read(tmp_path):
