@@ -62,8 +62,9 @@ def test_every_block_of_commands_is_known():
 def printed(clone):
     """What each command of the blocks prints, in one folder."""
     lines = [line for line in BASH if line not in NOT_HERE]
-    fits = [line for line in lines if line.startswith("curlfit fit ")]  # one resumes the other
-    jobs = [fits, *[[line] for line in lines if line not in fits]]
+    # a fit may resume another, or read what was simulated before
+    first = [line for line in lines if line.startswith(("curlfit fit ", "curlfit simulate "))]
+    jobs = [first, *[[line] for line in lines if line not in first]]
     with ThreadPoolExecutor(2) as pool:
         done = pool.map(lambda job: {line: typed(line, clone) for line in job}, jobs)
         return {line: text for part in done for line, text in part.items()}
