@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from curlfit.figures import comparison_figure, corner_figure, fit_figure, joint_figure
     from curlfit.fitting import fit
     from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, coefficient, find_law
-    from curlfit.joint import JointResult, fit_together
+    from curlfit.joint import JointResult, fit_together, load_joint
     from curlfit.motion import Path, Start, simulate
     from curlfit.readers import load_throw
     from curlfit.report import print_fit
@@ -47,7 +47,7 @@ _HOMES = {
     "figures": ("comparison_figure", "corner_figure", "fit_figure", "joint_figure"),
     "fitting": ("fit",),
     "friction": ("LAWS", "Law", "LocalLaw", "NetLaw", "coefficient", "find_law"),
-    "joint": ("JointResult", "fit_together"),
+    "joint": ("JointResult", "fit_together", "load_joint"),
     "motion": ("Path", "Start", "simulate"),
     "readers": ("load_throw",),
     "report": ("print_fit",),
@@ -64,7 +64,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [  # noqa: RUF022  (in the order of use)
     "load_throw", "Throw", "fit", "FitResult", "print_fit", "sample", "Chain", "Posterior",
     "fit_figure", "corner_figure", "load_fit", "load_chain",
-    "fit_together", "JointResult", "print_joint", "joint_figure",
+    "fit_together", "JointResult", "print_joint", "joint_figure", "load_joint",
     "compare", "Comparison", "print_comparison", "comparison_figure", "load_comparison",
     "Stone", "Start", "Path", "simulate", "synthetic_throw",
     "reproduce", "Reproduction", "Claim",

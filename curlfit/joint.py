@@ -29,14 +29,14 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.special import chdtrc
 
-from curlfit.errors import InputError, UnusableFitError
-from curlfit.files import write_json
+from curlfit.errors import DataError, InputError, UnusableFitError
+from curlfit.files import known, read_json, write_json
 from curlfit.fitting import bulk_sigma, estimated_sigma, first_sigma, prepared, shifted
 from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
 from curlfit.identifiability import Combination, analyse
 from curlfit.likelihood import Problem, problem_of, raw_residuals, weighted_residuals
 from curlfit.parameters import ParameterSet, check_loss
-from curlfit.results import Estimate, FitResult
+from curlfit.results import Estimate, FitResult, load_fit
 from curlfit.solving import Solution
 from curlfit.starting import smooth, start_values
 from curlfit.stone import Stone
@@ -141,6 +141,52 @@ class JointResult:
     def save(self, file: str | PathLike[str]) -> None:
         """Write the record as JSON, whole or not at all."""
         write_json(self.to_json(), Path(file))
+
+
+def load_joint(file: str | PathLike[str]) -> JointResult:
+    """Read a saved joint fit, by its folder or its `joint.json`, with the single throws beside it.
+
+    Raises
+    ------
+    DataError : a file is not there, or is not a record that this version can read.
+    """
+    path = Path(file)
+    if path.is_dir():
+        path = path / "joint.json"
+    found = read_json(path, SCHEMA, {})
+    try:
+        return JointResult(
+            law=found["law"],
+            load=found["load"],
+            share=tuple(found["share"]),
+            converged=found["converged"],
+            status=found["status"],
+            warnings=tuple(found["warnings"]),
+            coefficients={
+                name: Estimate.from_json(item) for name, item in found["coefficients"].items()
+            },
+            combinations=tuple(
+                Combination(**known(Combination, item)) for item in found["combinations"]
+            ),
+            rank=found["identifiability"]["rank"],
+            parameters=found["identifiability"]["parameters"],
+            differences=tuple(
+                Difference(
+                    **known(Difference, item)
+                    | {"each": tuple(None if one is None else tuple(one) for one in item["each"])}
+                )
+                for item in found["differences"]
+            ),
+            throws=tuple(
+                load_fit(path.parent / Path(item["file"]).stem) for item in found["throws"]
+            ),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, DataError):
+            raise
+        raise DataError(
+            f"not a complete joint.json of curlfit ({type(error).__name__}: {error})", file=path
+        ) from None
 
 
 class _Layout(NamedTuple):
@@ -435,7 +481,7 @@ def _result(
     open_ = free & ~at_bound
     names = np.array(layout.names)
     values = best.values + offset
-    known = analyse(matrix[:, open_], list(names[open_]), values[open_], search.typical[open_])
+    sees = analyse(matrix[:, open_], list(names[open_]), values[open_], search.typical[open_])
     single = [
         weighed(
             job.throw, law, load, job.stone, job.until, job.parameters, job.frame, problem, sigma,
@@ -443,7 +489,7 @@ def _result(
         )
         for place, (job, problem, sigma) in enumerate(zip(jobs, problems, sigmas, strict=True))
     ]  # fmt: skip
-    place_of = {name: place for place, name in enumerate(known.names)}
+    place_of = {name: place for place, name in enumerate(sees.names)}
 
     def estimate(item: Estimate, joint: int) -> Estimate:
         name = layout.names[joint]
@@ -452,9 +498,9 @@ def _result(
         if at_bound[joint]:
             return replace(item, value=float(values[joint]), stderr=None, verdict="at bound")
         place = place_of[name]
-        if known.unseen[place]:
+        if sees.unseen[place]:
             return replace(item, stderr=None, verdict="not identifiable")
-        stderr = float(np.sqrt(known.covariance[place, place]))
+        stderr = float(np.sqrt(sees.covariance[place, place]))
         verdict = "determined" if stderr < item.typical else "weak"
         return replace(item, value=float(values[joint]), stderr=stderr, verdict=verdict)
 
@@ -464,7 +510,7 @@ def _result(
             name: estimate(item, int(layout.places[throw, column]))
             for column, (name, item) in enumerate(result.parameters.items())
         }
-        throws.append(replace(result, parameters=estimates, combinations=known.combinations))
+        throws.append(replace(result, parameters=estimates, combinations=sees.combinations))
     coefficients = {name: throws[0].parameters[name] for name in shared}
     left = float(np.linalg.norm(_projected(matrix[:, open_], right)))
     converged = best.finished and left < 0.01 * max(1.0, np.sqrt(best.cost / max(len(right), 1)))
@@ -472,7 +518,7 @@ def _result(
         f"{item.data['file']}: {warning}" for item in single for warning in item.warnings
         if "bound" not in warning
     ]  # fmt: skip
-    differences = _differences(best, layout, search, coefficients, known.combinations, shared)
+    differences = _differences(best, layout, search, coefficients, sees.combinations, shared)
     for item in differences:
         if item.significant:
             warnings.insert(
@@ -489,8 +535,8 @@ def _result(
         status=f"{'converged' if converged else 'not converged'} ({best.steps} steps)",
         warnings=tuple(warnings),
         coefficients=coefficients,
-        combinations=tuple(item for item in known.combinations if set(item.weights) <= set(shared)),
-        rank=known.rank,
+        combinations=tuple(item for item in sees.combinations if set(item.weights) <= set(shared)),
+        rank=sees.rank,
         parameters=int(open_.sum()),
         differences=differences,
         throws=tuple(throws),

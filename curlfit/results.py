@@ -51,6 +51,12 @@ class Estimate:
     upper: float
     typical: float
 
+    @classmethod
+    def from_json(cls, found: dict[str, Any]) -> Estimate:
+        """The record from JSON, which has infinite bounds as text."""
+        bounds = {key: float(found[key]) for key in ("lower", "upper")}
+        return cls(**known(cls, found) | bounds)
+
 
 @dataclass(frozen=True)
 class Posterior:
@@ -240,8 +246,7 @@ class FitResult:
             stone=Stone(**known(Stone, found["stone"])),
             warnings=tuple(found.get("warnings", ())),
             parameters={
-                name: Estimate(**_floats(known(Estimate, item), ("lower", "upper")))
-                for name, item in found["parameters"].items()
+                name: Estimate.from_json(item) for name, item in found["parameters"].items()
             },
             combinations=tuple(
                 Combination(**known(Combination, item)) for item in found["combinations"]
@@ -280,10 +285,6 @@ def load_fit(file: str | PathLike[str]) -> FitResult:
         raise DataError(
             f"not a complete fit.json of curlfit ({type(error).__name__}: {error})", file=path
         ) from None
-
-
-def _floats(item: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
-    return {key: float(value) if key in names else value for key, value in item.items()}
 
 
 def _series(found: dict[str, list[float | None]]) -> dict[str, Floats]:

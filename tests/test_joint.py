@@ -180,11 +180,17 @@ def test_on_the_command_line(three, tmp_path):
     assert record["combinations"][0]["expression"] == "mu1_eta + mu2_eta"
     assert len(record["throws"]) == 3
     assert (tmp_path / "joint-fit" / "joint.png").stat().st_size > 20_000
-    shown = subprocess.run(
-        [sys.executable, "-m", "curlfit", "show", "joint-fit/throw1"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert "front-back law" in shown.stdout
+    for words, expected in (
+        (("show", "joint-fit/throw1"), "front-back law"),
+        (("show", "joint-fit"), done.stdout.partition("Written")[0]),
+        (("plot", "joint-fit", "--format", "svg"), "joint.svg"),
+    ):
+        again = subprocess.run(
+            [sys.executable, "-m", "curlfit", *words],
+            cwd=tmp_path, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert again.returncode == 0, again.stderr
+        assert expected in again.stdout
     for words, message in (
         ((*names, "--share", "mu"), "law front-back has no such coefficient"),
         (("throw0.csv", "--share", "all"), "--share needs several files"),

@@ -159,6 +159,8 @@ def fit(
         "loss": loss,
     }
     if len(data) > 1:
+        if resume:
+            raise InputError("--resume goes on with the sampling of one throw; give one file")
         fit_several(data, share, config, flags, out, no_figures=no_figures, quiet=quiet)
         return
     (file,) = data

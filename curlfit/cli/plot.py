@@ -7,30 +7,34 @@ from typing import Annotated
 
 import typer
 
-from curlfit.cli.settings import chain_beside, is_comparison
+from curlfit.cli.settings import chain_beside, kind_of
 
 
 def plot(
-    folder: Annotated[Path, typer.Argument(help="Folder of a fit or a comparison.", metavar="DIR")],
+    folder: Annotated[Path, typer.Argument(help="Folder of results.", metavar="DIR")],
     out: Annotated[Path | None, typer.Option(help="Folder for the figures. [default: DIR]")] = None,
     format: Annotated[str, typer.Option(help="png, pdf or svg.")] = "png",
 ) -> None:
-    """Draw the figures of a saved fit or comparison, without fitting again."""
+    """Draw the figures of a saved fit, joint fit or comparison, without fitting again."""
     from curlfit.errors import InputError
     from curlfit.files import prepared_folder
     from curlfit.results import load_fit
 
     if format not in ("png", "pdf", "svg"):
         raise InputError(f"--format {format}: expected png, pdf or svg")
-    if is_comparison(folder):
+    kind = kind_of(folder)
+    if kind != "fit":
         from curlfit.comparison import load_comparison
+        from curlfit.figures import comparison_figure, joint_figure, save_figure
+        from curlfit.joint import load_joint
 
-        comparison = load_comparison(folder)
-        file = prepared_folder(out or folder) / f"compare.{format}"
-
-        from curlfit.figures import comparison_figure, save_figure
-
-        save_figure(comparison_figure(comparison), file)
+        if kind == "compare":
+            figure = comparison_figure(load_comparison(folder))
+        else:
+            figure = joint_figure(load_joint(folder))
+        own = folder if folder.is_dir() else folder.parent
+        file = prepared_folder(out or own) / f"{kind}.{format}"
+        save_figure(figure, file)
         typer.echo(f"Written: {file}")
         return
     result = load_fit(folder)

@@ -158,11 +158,12 @@ def settled(throw: Throw, configured: Mapping[str, Any], flags: Mapping[str, Any
     return Prepared(throw.with_sigma(wanted.get("sigma", {})), wanted, stone)
 
 
-def is_comparison(folder: Path) -> bool:
-    """Whether a folder, or a file, holds a comparison and not a fit."""
-    if folder.is_dir():
-        return (folder / "compare.json").exists() and not (folder / "fit.json").exists()
-    return folder.name == "compare.json"
+def kind_of(folder: Path) -> str:
+    """What a folder of results, or a file of them, holds: "fit", "compare" or "joint"."""
+    for kind in ("fit", "compare", "joint"):
+        if folder.name == f"{kind}.json" or (folder / f"{kind}.json").is_file():
+            return kind
+    return "fit"
 
 
 def chain_beside(folder: Path) -> Path:

@@ -9,22 +9,33 @@ from typing import Annotated
 
 import typer
 
-from curlfit.cli.settings import chain_beside, is_comparison
+from curlfit.cli.settings import chain_beside, kind_of
 from curlfit.files import strict
 
 
 def show(
     folder: Annotated[
         Path,
-        typer.Argument(help="Folder of a fit or a comparison, or its JSON file.", metavar="DIR"),
+        typer.Argument(help="Folder of results, or the JSON file in it.", metavar="DIR"),
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print the JSON record.")] = False,
 ) -> None:
-    """Print the report of a saved fit or comparison, without fitting again."""
+    """Print the report of a saved fit, joint fit or comparison, without fitting again."""
     from rich.console import Console
 
     console = Console(width=None if sys.stdout.isatty() else 110)
-    if is_comparison(folder):
+    kind = kind_of(folder)
+    if kind == "joint":
+        from curlfit.joint import load_joint
+        from curlfit.report_joint import print_joint
+
+        joint = load_joint(folder)
+        if as_json:
+            print(json.dumps(strict(joint.to_json()), indent=1))
+        else:
+            print_joint(joint, console)
+        return
+    if kind == "compare":
         from curlfit.comparison import load_comparison
         from curlfit.report_comparison import print_comparison
 
