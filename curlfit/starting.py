@@ -66,7 +66,7 @@ def smooth(problem: Problem) -> Smooth:
         n = int(use.sum())
         if n < 2:
             return None
-        degree = min(_DEGREE, max(1, (n - 1) // 3))
+        degree = min(_DEGREE, max(min(2, n - 1), (n - 1) // 3))
         curve = Chebyshev.fit(t[use], problem.observed[row][use], degree, domain=[0, span])
         residual = problem.observed[row][use] - curve(t[use])
         rms[row] = max(float(np.sqrt(np.mean(residual**2))), 1e-6)
