@@ -41,7 +41,7 @@ from curlfit.solving import Solution
 from curlfit.starting import smooth, start_values
 from curlfit.stone import Stone
 from curlfit.throw import Throw
-from curlfit.weighing import weighed
+from curlfit.weighing import Slopes, judged, weighed
 
 Floats = NDArray[np.float64]
 
@@ -472,16 +472,14 @@ def _result(
     matrix, right = search.compressed(best)
     offsets = [job.frame.offset(len(job.parameters)) for job in jobs]
     offset = search.gather(np.stack(offsets))
-    push = right @ matrix * search.typical
-    near = 1e-9 * search.typical
-    at_bound = free & (
-        ((best.values <= search.lower + near) & (push > 1e-3))
-        | ((best.values >= search.upper - near) & (push < -1e-3))
-    )
-    open_ = free & ~at_bound
+    slopes = Slopes(right, matrix, best.values, search.lower, search.upper, search.typical, free)
+    at_bound = slopes.at_bound()
+    open_, slack_columns = slopes.open(at_bound)
     names = np.array(layout.names)
     values = best.values + offset
-    sees = analyse(matrix[:, open_], list(names[open_]), values[open_], search.typical[open_])
+    sees = analyse(
+        matrix[:, open_], list(names[open_]), values[open_], search.typical[open_], slack_columns
+    )
     single = [
         weighed(
             job.throw, law, load, job.stone, job.until, job.parameters, job.frame, problem, sigma,
@@ -492,16 +490,10 @@ def _result(
     place_of = {name: place for place, name in enumerate(sees.names)}
 
     def estimate(item: Estimate, joint: int) -> Estimate:
-        name = layout.names[joint]
         if item.verdict == "fixed":
             return item
-        if at_bound[joint]:
-            return replace(item, value=float(values[joint]), stderr=None, verdict="at bound")
-        place = place_of[name]
-        if sees.unseen[place]:
-            return replace(item, stderr=None, verdict="not identifiable")
-        stderr = float(np.sqrt(sees.covariance[place, place]))
-        verdict = "determined" if stderr < item.typical else "weak"
+        place = place_of.get(layout.names[joint], -1)
+        stderr, verdict = judged(item.typical, bool(at_bound[joint]), sees, place)
         return replace(item, value=float(values[joint]), stderr=stderr, verdict=verdict)
 
     throws = []
@@ -512,8 +504,8 @@ def _result(
         }
         throws.append(replace(result, parameters=estimates, combinations=sees.combinations))
     coefficients = {name: throws[0].parameters[name] for name in shared}
-    left = float(np.linalg.norm(_projected(matrix[:, open_], right)))
-    converged = best.finished and left < 0.01 * max(1.0, np.sqrt(best.cost / max(len(right), 1)))
+    left = slopes.distance(free & ~at_bound)
+    converged = best.finished and left < 0.01 * max(1.0, np.sqrt(best.cost / best.residual.size))
     warnings = [
         f"{item.data['file']}: {warning}" for item in single for warning in item.warnings
         if "bound" not in warning
@@ -541,13 +533,6 @@ def _result(
         differences=differences,
         throws=tuple(throws),
     )
-
-
-def _projected(matrix: Floats, right: Floats) -> Floats:
-    """The part of the residual that a further step could still remove."""
-    size = np.linalg.norm(matrix, axis=0)
-    left, singular, _ = np.linalg.svd(matrix / np.where(size > 0, size, 1), full_matrices=False)
-    return left[:, singular > 1e-7 * singular[0]].T @ right
 
 
 def _differences(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,8 +54,12 @@ def weighed(
     rms = np.sqrt(squares / np.maximum(count, 1))
 
     free = parameters.free
-    at_bound = _at_bound(solution, parameters, offset)
-    open_, slack_columns = _open(solution, parameters, at_bound)
+    slopes = Slopes(
+        solution.residual.reshape(-1), solution.jacobian.reshape(-1, len(parameters)), values,
+        parameters.lower, parameters.upper, parameters.typical, free,
+    )  # fmt: skip
+    at_bound = slopes.at_bound()
+    open_, slack_columns = slopes.open(at_bound)
     jacobian = _effective_jacobian(solution, residual, problem, loss)
     known = analyse(
         jacobian[:, :n, open_].reshape(-1, int(open_.sum())),
@@ -68,8 +72,9 @@ def weighed(
     lag1 = {
         name: _lag1(residual[row][seen[row]]) for row, name in enumerate(CHANNELS) if count[row] > 3
     }
+    left = slopes.distance(free & ~at_bound) / max(1.0, float(np.sqrt(np.mean(slopes.residual**2))))
     converged, status, warnings = _judge(
-        law, solution, parameters, at_bound, known.names, tried,
+        law, solution, left, parameters, at_bound, known.names, tried,
         dict(zip(CHANNELS, count, strict=True)), rms_by, lag1,
     )  # fmt: skip
     bent = _bent(law, load, solution, parameters, offset, problem, known, open_, loss)
@@ -168,7 +173,7 @@ def _bent(
         residual = raw_residuals(law, load, values, problem)
         return float((np.asarray(signed_root(residual, place)) ** 2).sum())
 
-    least = chi_squared(solution.values)
+    least = float((solution.residual**2).sum())
     for square, axis in zip(squares, axes.T, strict=True):
         if not _CURVED**2 < square < _UNKNOWN**2:
             continue
@@ -219,39 +224,69 @@ def _about_outliers(outliers: tuple[dict[str, Any], ...]) -> str:
     )
 
 
-def _open(
-    solution: Solution, parameters: ParameterSet, at_bound: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], Floats]:
-    """The parameters that can move, and what those held at a bound add to their spread.
+class Slopes(NamedTuple):
+    """An optimum of one throw or of several, as the linear problem it is close by."""
 
-    A parameter that the data hardly push against its bound is not held by it: it is at the end of
-    a ridge, and counts as open.
-    """
-    jacobian = solution.jacobian.reshape(-1, len(parameters))
-    push = np.abs(solution.residual.reshape(-1) @ jacobian)
-    room = parameters.upper - parameters.lower
-    held = at_bound.copy()
-    for _ in range(2):
-        open_ = parameters.free & ~held
-        found = slack(
-            jacobian[:, open_], jacobian[:, held], push[held], parameters.typical[held], room[held]
+    residual: Floats
+    """over its sigma, shape (rows,)"""
+    jacobian: Floats
+    """shape (rows, parameters)"""
+    values: Floats
+    lower: Floats
+    upper: Floats
+    typical: Floats
+    free: NDArray[np.bool_]
+
+    def at_bound(self) -> NDArray[np.bool_]:
+        """Free parameters at a bound that the data push against it."""
+        push = self.residual @ self.jacobian * self.typical
+        near = 1e-9 * self.typical
+        at_lower = (self.values <= self.lower + near) & (push > 1e-3)
+        at_upper = (self.values >= self.upper - near) & (push < -1e-3)
+        return self.free & (at_lower | at_upper)
+
+    def open(self, at_bound: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Floats]:
+        """The parameters that can move, and what those held at a bound add to their spread.
+
+        A parameter that the data hardly push against its bound is not held by it: it is at the
+        end of a ridge, and counts as open.
+        """
+        push = np.abs(self.residual @ self.jacobian)
+        room = self.upper - self.lower
+        held = at_bound.copy()
+        for _ in range(2):
+            open_ = self.free & ~held
+            found = slack(
+                self.jacobian[:, open_], self.jacobian[:, held], push[held], self.typical[held],
+                room[held],
+            )  # fmt: skip
+            loose = found.distance > _LOOSE * self.typical[held]
+            if not loose.any():
+                break
+            held[held] = ~loose
+        return open_, found.columns
+
+    def distance(self, where: NDArray[np.bool_]) -> float:
+        """Length of the Gauss-Newton step that is left, in sigmas, along what is seen."""
+        jacobian = self.jacobian[:, where]
+        size = np.linalg.norm(jacobian, axis=0)
+        left, singular, _ = np.linalg.svd(
+            jacobian / np.where(size > 0, size, 1), full_matrices=False
         )
-        loose = found.distance > _LOOSE * parameters.typical[held]
-        if not loose.any():
-            break
-        held[held] = ~loose
-    return open_, found.columns
+        seen = singular > 1e-7 * singular[0]
+        return float(np.linalg.norm(left[:, seen].T @ self.residual))
 
 
-def _at_bound(solution: Solution, parameters: ParameterSet, offset: Floats) -> NDArray[np.bool_]:
-    """Free parameters at a bound that the data push against it."""
-    jacobian = solution.jacobian.reshape(-1, len(parameters))
-    push = solution.residual.reshape(-1) @ jacobian * parameters.typical
-    values = solution.values + offset
-    near = 1e-9 * parameters.typical
-    at_lower = (values <= parameters.lower + near) & (push > 1e-3)
-    at_upper = (values >= parameters.upper - near) & (push < -1e-3)
-    return parameters.free & (at_lower | at_upper)
+def judged(
+    typical: float, at_bound: bool, known: Identifiability, place: int
+) -> tuple[float | None, str]:
+    """Standard error, where there is one, and verdict of a free parameter; its place in `known`."""
+    if at_bound:
+        return None, "at bound"
+    if known.unseen[place]:
+        return None, "not identifiable"
+    stderr = float(np.sqrt(known.covariance[place, place]))
+    return stderr, "determined" if stderr < typical else "weak"
 
 
 def _estimates(
@@ -264,16 +299,11 @@ def _estimates(
     found = {}
     place = np.cumsum(open_) - 1
     for row, item in enumerate(parameters.parameters):
-        stderr = None
-        if item.name in parameters.fixed:
-            verdict = "fixed"
-        elif at_bound[row]:
-            verdict = "at bound"
-        elif known.unseen[place[row]]:
-            verdict = "not identifiable"
-        else:
-            stderr = float(np.sqrt(known.covariance[place[row], place[row]]))
-            verdict = "determined" if stderr < item.typical else "weak"
+        stderr, verdict = (
+            (None, "fixed")
+            if item.name in parameters.fixed
+            else judged(item.typical, bool(at_bound[row]), known, int(place[row]))
+        )
         found[item.name] = Estimate(
             value=float(values[row]),
             stderr=stderr,
@@ -298,6 +328,7 @@ def _lag1(residual: Floats) -> float:
 def _judge(
     law: type[Law],
     solution: Solution,
+    left: float,
     parameters: ParameterSet,
     at_bound: NDArray[np.bool_],
     open_names: tuple[str, ...],
@@ -306,8 +337,7 @@ def _judge(
     rms: dict[str, float],
     correlation: dict[str, float],
 ) -> tuple[bool, str, list[str]]:
-    """Converged or not, the same in words, and what the reader has to mind."""
-    left = _distance_to_optimum(solution, parameters.free & ~at_bound)
+    """Converged or not (`left` standard errors from it), the same in words, and what to mind."""
     converged = bool(left < 0.01)
     steps = f"{int(solution.steps)} steps" + (f", best of {tried} starts" if tried > 1 else "")
     if converged:
@@ -343,14 +373,3 @@ def _judge(
             "misses, not noise, and standard errors, which assume independent noise, are too small"
         )
     return converged, status, warnings
-
-
-def _distance_to_optimum(solution: Solution, free: NDArray[np.bool_]) -> float:
-    """Length of the Gauss-Newton step that is left, in standard errors along seen directions."""
-    jacobian = solution.jacobian.reshape(-1, len(free))[:, free]
-    residual = solution.residual.reshape(-1)
-    size = np.linalg.norm(jacobian, axis=0)
-    left, singular, _ = np.linalg.svd(jacobian / np.where(size > 0, size, 1), full_matrices=False)
-    seen = singular > 1e-7 * singular[0]
-    scale = float(np.sqrt(np.mean(residual**2)))
-    return float(np.linalg.norm(left[:, seen].T @ residual)) / max(1.0, scale)
