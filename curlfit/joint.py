@@ -50,6 +50,7 @@ SCHEMA = 1
 _TOGETHER = 4  # throws are computed in multiples of this many, so that few shapes are compiled
 _MOST_STEPS = 60
 _FIRST_DAMPING = 1e-3
+_LEAST_DAMPING = 1e-12
 _TOLERANCE = 1e-9  # relative gain of a step, below which the search ends
 _ROUNDS = 4
 _SIGNIFICANT = 0.01
@@ -428,10 +429,14 @@ class _Search:
             if self.progress is not None:
                 self.progress(step, min(now.cost, trial.cost))
             gain = now.cost - trial.cost
-            if gain >= 0:
-                now, damping = trial, max(damping / 10, 1e-12)
-                if gain <= _TOLERANCE * max(now.cost, 1e-300):
-                    return now._replace(finished=True)
+            small = abs(gain) <= _TOLERANCE * now.cost
+            now = trial if gain >= 0 else now
+            if small and damping <= _LEAST_DAMPING:
+                return now._replace(finished=True)
+            if small:
+                damping = _LEAST_DAMPING  # damping may be what kept it from going on
+            elif gain > 0:
+                damping = max(damping / 10, _LEAST_DAMPING)
             else:
                 damping *= 10
                 if damping > 1e8:
