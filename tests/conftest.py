@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,6 +18,14 @@ import curlfit
 
 DATA = Path(__file__).parent.parent / "data" / "jensen_shegelski_2004.csv"
 G = 9.81
+
+
+def command(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """`curlfit` as a process, in a folder."""
+    return subprocess.run(
+        [sys.executable, "-m", "curlfit", *map(str, words)],
+        cwd=cwd, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="session")

@@ -5,23 +5,16 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import DATA
+from conftest import command as curlfit
 from sample_files import PIXELS, PLAIN, SAMPLES, known_points
 
 from curlfit import load_chain, load_fit, load_throw
 
 PNG = b"\x89PNG\r\n\x1a\n"
-
-
-def curlfit(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "curlfit", *map(str, words)],
-        cwd=cwd, capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -9,19 +9,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import command as curlfit
 
 from curlfit import LAWS, find_law, load_fit, sample
 from curlfit.errors import DataError, InputError
 
 README = (Path(__file__).parent.parent / "README.md").read_text()
 LAW = re.search(r"<!-- law -->\n```python\n(.*?)```", README, re.S)[1]
-
-
-def curlfit(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "curlfit", *map(str, words)],
-        cwd=cwd, capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")

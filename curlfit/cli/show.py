@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -25,36 +27,32 @@ def show(
 
     console = Console(width=None if sys.stdout.isatty() else 110)
     kind = kind_of(folder)
+    record: Callable[[], Any]
+    printed: Callable[[], None]
     if kind == "joint":
         from curlfit.joint import load_joint
         from curlfit.report_joint import print_joint
 
         joint = load_joint(folder)
-        if as_json:
-            print(json.dumps(strict(joint.to_json()), indent=1))
-        else:
-            print_joint(joint, console)
-        return
-    if kind == "compare":
+        record, printed = joint.to_json, partial(print_joint, joint, console)
+    elif kind == "compare":
         from curlfit.comparison import load_comparison
         from curlfit.report_comparison import print_comparison
 
         comparison = load_comparison(folder)
-        if as_json:
-            print(json.dumps(strict(comparison.to_json()), indent=1))
-        else:
-            print_comparison(comparison, console)
-        return
-    from curlfit.report import print_fit
-    from curlfit.results import load_fit
-
-    result = load_fit(folder)
-    if result.sampling == "unfinished":
-        from curlfit.sampling import so_far
-
-        found = so_far(result, chain_beside(folder))
-        result = result if found is None else found[0]
-    if as_json:
-        print(json.dumps(result.summary(), indent=1))
+        record, printed = comparison.to_json, partial(print_comparison, comparison, console)
     else:
-        print_fit(result, console)
+        from curlfit.report import print_fit
+        from curlfit.results import load_fit
+
+        result = load_fit(folder)
+        if result.sampling == "unfinished":
+            from curlfit.sampling import so_far
+
+            found = so_far(result, chain_beside(folder))
+            result = result if found is None else found[0]
+        record, printed = result.summary, partial(print_fit, result, console)
+    if as_json:
+        print(json.dumps(strict(record()), indent=1))
+    else:
+        printed()
