@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from curlfit.cli.batch import batch
 from curlfit.cli.check import check
 from curlfit.cli.compare import compare
 from curlfit.cli.fit import fit
@@ -48,7 +49,7 @@ def _root(
     """
 
 
-for _verb in (check, fit, compare, show, plot, simulate, laws, reproduce):
+for _verb in (check, fit, compare, batch, show, plot, simulate, laws, reproduce):
     app.command()(_verb)
 
 
