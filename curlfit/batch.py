@@ -7,18 +7,16 @@ it holds up none of its neighbours.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Sequence
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
-from curlfit.errors import CurlfitError, InputError
+from curlfit.errors import CurlfitError
 from curlfit.fitting import Job, estimated_sigma, first_sigma, fit, prepared, shifted
-from curlfit.friction import Law, check_load, find_law
+from curlfit.friction import Law, check_load
 from curlfit.likelihood import Problem, problem_of
 from curlfit.lockstep import Task, solve_many
-from curlfit.parameters import START, ParameterSet
+from curlfit.plan import Plan, columns
 from curlfit.readers import load_throw
 from curlfit.results import FitResult
 from curlfit.solving import Solution, poor
@@ -26,59 +24,6 @@ from curlfit.starting import Smooth, smooth, start_values
 from curlfit.stone import Stone
 from curlfit.throw import Throw
 from curlfit.weighing import weighed
-
-CHUNK = 128
-"""Throws that are read and fitted together."""
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What is done with each throw; `load` and the rest as in `fit`.
-
-    Attributes
-    ----------
-    stone : values (m, kg) over those of the throw's own file.
-    sigma : noise by channel, over that of the file.
-    how : how to read a file, as the arguments of `load_throw`.
-    posterior : sample the posterior of each throw as well; hundreds of times slower.
-    """
-
-    law: str = "front-back"
-    load: str = "uniform"
-    until: float | None = None
-    stone: Mapping[str, float] = field(default_factory=dict)
-    sigma: Mapping[str, float] = field(default_factory=dict)
-    fix: Mapping[str, float] = field(default_factory=dict)
-    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    unbounded: bool = False
-    how: Mapping[str, Any] = field(default_factory=dict)
-    posterior: bool = False
-    seed: int = 0
-
-    def checked(self) -> type[Law]:
-        """The law. Raises InputError where the plan cannot be carried out for any throw."""
-        law = find_law(self.law)
-        check_load(self.load)
-        Stone().with_values(dict(self.stone))
-        ParameterSet.build(
-            law, fix=dict(self.fix), bounds=dict(self.bounds), unbounded=self.unbounded
-        )
-        return law
-
-    def to_json(self) -> dict[str, Any]:
-        """The plan as plain values."""
-        return asdict(self)
-
-
-def columns(plan: Plan) -> list[str]:
-    """Columns of the table of results."""
-    names = [item.name for item in (*plan.checked().coefficients(), *START)]
-    found = ["file", "status", "reason", "n_observations", "rms_x", "rms_y", "rms_phi"]
-    for name in names:
-        found += [name, f"{name}_stderr", f"{name}_verdict"]
-        if plan.posterior:
-            found += [f"{name}_16", f"{name}_50", f"{name}_84"]
-    return [*found, "combinations", "warnings"]
 
 
 def fit_files(files: Sequence[str | PathLike[str]], plan: Plan) -> list[dict[str, Any]]:
@@ -215,29 +160,3 @@ def _row(result: FitResult, plan: Plan) -> dict[str, Any]:
         for name, quantiles in sampled.posterior.quantiles.items():
             row |= {f"{name}_{q}": quantiles[q] for q in ("16", "50", "84")}
     return row
-
-
-def found_files(wanted: Sequence[str]) -> list[Path]:
-    """Data files of folders, patterns and names, each once, sorted.
-
-    Raises
-    ------
-    InputError : a folder, pattern or name leads to no file.
-    """
-    from glob import glob
-
-    found: set[Path] = set()
-    for text in wanted:
-        place = Path(text)
-        if place.is_dir():
-            here = {file for file in place.iterdir() if file.suffix.lower() in _SUFFIXES}
-        else:
-            here = {Path(name) for name in glob(text, recursive=True) if Path(name).is_file()}
-        if not here:
-            what = f"no file that ends in {', '.join(_SUFFIXES)}" if place.is_dir() else "no file"
-            raise InputError(f"{text}: {what} found")
-        found |= here
-    return sorted(found)
-
-
-_SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")

@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from curlfit.batch import Plan, fit_files
+from curlfit.batch import fit_files
 from curlfit.errors import InputError
+from curlfit.plan import Plan
 
 Rows = list[dict[str, Any]]
 Fitted = Callable[[Iterable[Sequence[str]]], Iterator[Rows]]
@@ -23,6 +24,8 @@ _ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
 }
+CHUNK = 128
+"""Throws that are read and fitted together."""
 _AHEAD = 3  # chunks that wait for each worker
 
 

@@ -14,7 +14,8 @@ from conftest import command
 
 import curlfit
 from curlfit import Stone
-from curlfit.batch import Plan, fit_files
+from curlfit.batch import fit_files
+from curlfit.plan import Plan
 from curlfit.synthetic import law_with, synthetic_throw, write_table
 
 STONE = Stone(R=0.054)

@@ -86,15 +86,9 @@ def batch(
 
     Example: `curlfit batch season/ --stone R=0.054 --out season.csv`
     """
-    from curlfit.errors import InputError
-    from curlfit.friction import LAWS, check_load
+    from curlfit.plan import Plan, columns, found_files
     from curlfit.table import Table
 
-    # Refused before anything slow is loaded.
-    if law in LAWS:
-        check_load(load)
-    elif ".py" not in law:
-        raise InputError(f"unknown law {law!r}; the laws are {', '.join(sorted(LAWS))}")
     wanted: dict[str, Any] = {
         "law": law,
         "load": load,
@@ -112,9 +106,7 @@ def batch(
         "posterior": posterior,
         "seed": seed,
     }
-    from curlfit.batch import CHUNK, Plan, columns, found_files
-    from curlfit.crew import crew
-
+    # Refused before anything slow is loaded.
     plan = Plan(**wanted)
     names = columns(plan)
     files = [str(file) for file in found_files(data)]
@@ -125,6 +117,8 @@ def batch(
 
     console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
     with Table(out, names, plan.to_json(), again=again) as table:
+        from curlfit.crew import CHUNK, crew
+
         todo = [file for file in files if file not in table.done]
         if len(todo) < len(files):
             console.print(f"{len(files) - len(todo)} of {len(files)} throws are in {out} already.")

@@ -114,7 +114,8 @@ def batch() -> None:
     import peer_scipy
 
     from curlfit import Stone
-    from curlfit.batch import Plan, fit_throws
+    from curlfit.batch import fit_throws
+    from curlfit.plan import Plan
     from curlfit.synthetic import law_with, synthetic_throw, write_table
 
     random = np.random.default_rng(0)
