@@ -62,15 +62,21 @@ class _Kept:
         program = self.programs.get(key)
         if program is None:
             dynamic = jax.tree.unflatten(tree, leaves)
-            program = self.programs[key] = self._made(fixed, dynamic, repr(key[1:]))
+            program = self.programs[key] = self._ready(fixed, dynamic, repr(key[1:]))
         return program(*jax.tree.unflatten(tree, leaves))
 
-    def _made(self, fixed: tuple[Any, ...], dynamic: tuple[Any, ...], shapes: str) -> Any:
+    def _ready(self, fixed: tuple[Any, ...], dynamic: tuple[Any, ...], shapes: str) -> Any:
         file = self._file(fixed, shapes)
-        if file is not None:
-            # A damaged file, or one of another build, fails in as many ways as there are builds.
+        if file is not None and file.exists():
+            # A damaged file, or one of another build, fails in as many ways as there are builds,
+            # some of them not before it is run.
             with suppress(Exception):
-                return _read(file)
+                program = _read(file)
+                jax.block_until_ready(program(*dynamic))
+                return program
+        return self._made(fixed, dynamic, file)
+
+    def _made(self, fixed: tuple[Any, ...], dynamic: tuple[Any, ...], file: Path | None) -> Any:
         given, rest = iter(fixed), iter(dynamic)
         args = [next(given) if name in self.static else next(rest) for name in self.names]
         # A program out of JAX's own cache cannot be stored again.
@@ -99,12 +105,16 @@ class _Kept:
 
 @contextmanager
 def _without_cache() -> Iterator[None]:
+    from jax.experimental.compilation_cache.compilation_cache import reset_cache
+
     used = jax.config.values["jax_enable_compilation_cache"]
     jax.config.update("jax_enable_compilation_cache", False)
+    reset_cache()  # JAX asks but once whether there is a cache
     try:
         yield
     finally:
         jax.config.update("jax_enable_compilation_cache", used)
+        reset_cache()
 
 
 @functools.cache
