@@ -29,16 +29,12 @@ _LETTERS = {"x": "x", "y": "y", "phi": r"\varphi"}
 def prediction_figure(prediction: Prediction) -> Figure:
     """The path on the sheet, the place of rest in the house, the bands, and measured rows."""
     checked = prediction.check is not None
-    figure = Picture(figsize=(11, 9.6 if checked else 7.4), layout="constrained")
-    rows = figure.add_gridspec(3 if checked else 2, 1, height_ratios=(1, 2.3, 1.3)[: 2 + checked])
+    figure = Picture(figsize=(11, 8.8 if checked else 6.6), layout="constrained")
+    rows = figure.add_gridspec(3 if checked else 2, 1, height_ratios=(1, 2.7, 1.4)[: 2 + checked])
     top = figure.add_subplot(rows[0])
     lower = rows[1].subgridspec(1, 2, width_ratios=(1.0, 1.25))
-    on_sheet = prediction.line != "data"
-    if on_sheet:
-        _whole(prediction, top)
-    else:
-        _plain(prediction, top)
-    _resting(prediction, figure.add_subplot(lower[0]), on_sheet)
+    _whole(prediction, top)
+    _resting(prediction, figure.add_subplot(lower[0]))
     right = lower[1].subgridspec(2, 1)
     _across(prediction, figure.add_subplot(right[0]))
     _speed(prediction, figure.add_subplot(right[1]))
@@ -59,7 +55,9 @@ def _whole(prediction: Prediction, axes: Any) -> None:
     """The sheet from above, thrown to the right, so that right of the centre line is below."""
     length, half = sheet.TEE + sheet.LINES["tee"], sheet.WIDTH / 2
     axes.add_patch(
-        Rectangle((0, -half), length, 2 * half, facecolor="#f6fafc", edgecolor="0.55", lw=0.8)
+        Rectangle(
+            (0, -half), length, 2 * half, facecolor="#f6fafc", edgecolor="0.55", lw=0.8, zorder=0
+        )
     )
     for tee in (sheet.LINES["tee"], sheet.TEE):
         _house(axes, (tee, 0.0))
@@ -91,19 +89,6 @@ def _whole(prediction: Prediction, axes: Any) -> None:
         spine.set_visible(False)
 
 
-def _plain(prediction: Prediction, axes: Any) -> None:
-    """The path in the data's own coordinates."""
-    band, series = prediction.band, prediction.series
-    for low, high, alpha in (("x_2.5", "x_97.5", 0.25), ("x_16", "x_84", 0.45)):
-        axes.fill_between(band["y"], band[low], band[high], color=_BAND, alpha=alpha, lw=0)
-    axes.plot(series["y"], series["x"], color=_PATH, lw=1.2)
-    if prediction.check is not None:
-        seen = prediction.check.observed
-        axes.plot(seen["y"], seen["x"], ".", color=_AIM, markersize=2)
-    axes.invert_yaxis()
-    axes.set(xlabel="along the sheet, y (m)", ylabel="to the right, x (m)")
-
-
 def _house(axes: Any, centre: tuple[float, float]) -> None:
     for radius, color in zip(sheet.CIRCLES, _RINGS, strict=True):
         axes.add_patch(
@@ -120,50 +105,39 @@ def _stone(axes: Any, place: tuple[float, float], hollow: bool = False) -> None:
     )  # fmt: skip
 
 
-def _resting(prediction: Prediction, axes: Any, on_sheet: bool) -> None:
+def _resting(prediction: Prediction, axes: Any) -> None:
     """Where it comes to rest, seen along the throw, in m from the tee."""
-    zero = sheet.TEE if on_sheet else 0.0
-    x, y = prediction.series["x"][-1], prediction.series["y"][-1] - zero
-    mean = np.array(prediction.rest["mean"]) - (0.0, zero)
+    series, half = prediction.series, sheet.WIDTH / 2
+    x, y = series["x"][-1], series["y"][-1] - sheet.TEE
+    mean = np.array(prediction.rest["mean"]) - (0.0, sheet.TEE)
     parameter, model = (np.array(prediction.rest[name]) for name in ("parameter", "model"))
-    half = sheet.WIDTH / 2
-    reach = 2.6 * np.sqrt(np.diag(parameter + model))
-    if on_sheet:
-        _house(axes, (0.0, 0.0))
-        axes.plot([0, 0], [-40, 20], **_LINE)
-        for level in (0.0, -sheet.TEE_TO_HOG, sheet.TEE_TO_BACK):
-            axes.plot([-half, half], [level, level], **_LINE)
-        low = min(-sheet.HOUSE - 0.5, y - reach[1] - 0.5, mean[1] - reach[1] - 0.3)
-        high = max(sheet.TEE_TO_BACK + 0.5, y + reach[1] + 0.5)
-        sides = max(half, abs(x) + reach[0] + 0.3)
-        axes.set(xlim=(-sides, sides), ylim=(low, high))
-    series = prediction.series
-    axes.plot(series["x"], series["y"] - zero, color=_PATH, lw=1.2, zorder=4)
+    reach = 2.6 * np.sqrt(np.diag(parameter + model)) + 0.3
+    _house(axes, (0.0, 0.0))
+    axes.plot([0, 0], [-40, 20], **_LINE)
+    for level in (0.0, -sheet.TEE_TO_HOG, sheet.TEE_TO_BACK):
+        axes.plot([-half, half], [level, level], **_LINE)
+    axes.plot(series["x"], series["y"] - sheet.TEE, color=_PATH, lw=1.2, zorder=4)
     for chance, alpha in ((0.95, 0.3), (0.68, 0.5)):
-        _ellipse(
-            axes, mean, parameter + model, chance, facecolor=_BAND, alpha=alpha, lw=0, zorder=3
-        )
+        _ellipse(axes, mean, parameter + model, chance, color=_BAND, alpha=alpha, lw=0, zorder=3)
     _ellipse(axes, mean, parameter, 0.95, facecolor="none", edgecolor=_PATH, lw=1, zorder=5)
-    _stone(axes, (x, y))
-    goal = prediction.goal
-    if goal is not None and on_sheet:
-        axes.plot([goal["x"] or 0.0], [goal["y"]], "+", color=_AIM, markersize=13, mew=2, zorder=7)
+    _stone(axes, (x, y), hollow=True)
+    if prediction.goal is not None:
+        place = prediction.goal["x"] or 0.0, prediction.goal["y"]
+        axes.plot(*place, "+", color=_AIM, markersize=13, mew=2, zorder=7)
     if prediction.check is not None:
         seen = prediction.check.observed
-        axes.plot(seen["x"], seen["y"] - zero, ".", color=_AIM, markersize=3, zorder=7)
-    if not on_sheet:
-        margin = np.maximum(reach, 0.5)
-        axes.set(
-            xlim=(x - margin[0] - 1, x + margin[0] + 1),
-            ylim=(y - margin[1] - 1, y + margin[1] + 0.5),
-        )
+        axes.plot(seen["x"], seen["y"] - sheet.TEE, ".", color=_AIM, markersize=3, zorder=7)
+    sides = max(half, abs(x) + reach[0])
     axes.set_aspect("equal", adjustable="box")
     axes.set(
-        xlabel="right of the centre line (m)" if on_sheet else "x (m)",
-        ylabel="beyond the tee line (m)" if on_sheet else "y (m)",
+        xlim=(-sides, sides),
+        ylim=(min(-sheet.HOUSE - 0.5, y - reach[1]), max(sheet.TEE_TO_BACK + 0.5, y + reach[1])),
+        xlabel="right of the centre line (m)",
+        ylabel="beyond the tee line (m)",
     )
-    axes.set_title("at rest: 68 %, 95 % of both errors;\nline: 95 % of the parameters' error",
-                   fontsize=9)  # fmt: skip
+    axes.set_title(
+        "at rest: 68 %, 95 % of both errors;\nline: 95 % of the parameters' error", fontsize=9
+    )
 
 
 def _ellipse(axes: Any, centre: Any, covariance: Any, chance: float, **style: Any) -> None:
@@ -175,8 +149,8 @@ def _ellipse(axes: Any, centre: Any, covariance: Any, chance: float, **style: An
 
 
 def _across(prediction: Prediction, axes: Any) -> None:
-    band, far = prediction.band, prediction.line != "data"
-    y = band["y"] - (sheet.TEE if far else 0.0)
+    band = prediction.band
+    y = band["y"] - sheet.TEE
     for low, high, alpha, label in (
         ("x_2.5", "x_97.5", 0.25, "95 %"), ("x_16", "x_84", 0.45, "68 %"),
     ):  # fmt: skip
@@ -185,12 +159,12 @@ def _across(prediction: Prediction, axes: Any) -> None:
     if prediction.check is not None:
         seen = prediction.check.observed
         axes.plot(
-            seen["y"] - (sheet.TEE if far else 0.0), seen["x"], ".", color=_AIM, markersize=2,
+            seen["y"] - sheet.TEE, seen["x"], ".", color=_AIM, markersize=2,
             label="measured",
         )  # fmt: skip
     axes.invert_yaxis()
     axes.set(
-        xlabel="along the sheet, from the far tee (m)" if far else "along the sheet, y (m)",
+        xlabel="along the sheet, from the far tee (m)",
         ylabel="to the right, x (m)",
     )
     axes.legend(frameon=False, fontsize=8)

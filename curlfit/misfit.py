@@ -5,8 +5,9 @@ to the rest of a path, or to another throw, follows from the plainest picture th
 should: beside the law's, the stone has an acceleration that wanders (a random walk from zero at
 the first row), across, along and in its turning, each of one size. Integrated twice, it is a smooth
 deviation d(t) of the path, which stays as it is once the stone rests. What a law misses, it misses
-again at the same speed: another throw on the same ice meets the same accelerations (mirrored, if it
-spins the other way), at other times.
+again at the same speed: another throw on the same ice meets the same accelerations at other times,
+those across and turning in proportion to its spin (the mirror image of a throw is a throw, so that
+they are odd in the spin; to first order, as in eq. 27, they are proportional to it).
 
 Sizes. A fit hides what its parameters can imitate: to first order it leaves the residuals
 M (d + noise), M = 1 - J (J^T W J)^-1 J^T W, and has its estimates bent by (J^T W J)^-1 J^T W d. So

@@ -75,6 +75,7 @@ _FEW = 0.01  # share of paths that may take longer
 _MOST_CHECKED = 2000  # measured rows that a prediction is held against
 _MARGIN = 1.02  # of the fitted range of speed or spin, beyond which is extrapolation
 _MATTERS = 1e-3  # m of the resting place, below which an unknown parameter does not matter
+_LEAST_SPIN = 1e-3  # rad/s of the fitted throw, below which another's is not compared with it
 _ON_LINE = 1e-3  # m; a stone that rests on a line has not passed it
 _AT_START = 0.1  # m past a line within which a throw counts as beginning on it
 
@@ -134,7 +135,7 @@ class Prediction:
     start : by name (x0 y0 heading v0 phi0 omega0) "value", "unit" and "origin" ("given", "fitted",
         "default", "found").
     of : "fitted" for the fitted throw carried on, "new" for another one.
-    line : the line on which it starts, "data" for the data's own coordinates, "" for a place given.
+    line : the line on which it starts, "data" for where the data do, "" for a place given.
     goal : None, or "words", "x", "y" (m from the tee; x None where not aimed at), "speed".
     draws : "number", "used", "source" ("chain" or "covariance"), "seed".
     misfit : accelerations that the law misses.
@@ -145,7 +146,7 @@ class Prediction:
     quantities : by name, see `QUANTITIES`.
     chances : by name, shares of the draws.
     sensitivity : by name of the start, the change of the resting place (m right, m along) by "by".
-    notes : what the reader has to mind.
+    warnings : what the reader has to mind. notes : what else there is to say.
     check : None, or how measured rows compare.
     """
 
@@ -165,6 +166,7 @@ class Prediction:
     quantities: dict[str, Quantity]
     chances: dict[str, float]
     sensitivity: dict[str, dict[str, Any]]
+    warnings: tuple[str, ...]
     notes: tuple[str, ...]
     check: HeldOut | None = None
 
@@ -180,6 +182,7 @@ class Prediction:
             "stone": self.stone.as_dict(),
             "misfit": asdict(self.misfit),
             "quantities": {name: asdict(item) for name, item in self.quantities.items()},
+            "warnings": list(self.warnings),
             "notes": list(self.notes),
             "check": check,
             "series": listed,
@@ -208,6 +211,7 @@ class Prediction:
                     name: Quantity(**known(Quantity, item) | {"value": _number(item["value"])})
                     for name, item in found["quantities"].items()
                 },
+                "warnings": tuple(found["warnings"]),
                 "notes": tuple(found["notes"]),
                 "check": None
                 if check is None
@@ -226,11 +230,7 @@ class Prediction:
             f"# {self.law} law fitted to {self.fit['file']}, "
             + ("carried on" if self.of == "fitted" else "another throw"),
             "# t in s since the start, lengths in m, angles in rad; x to the right of the centre "
-            + (
-                "line, y of the data's own"
-                if self.line == "data"
-                else f"line, y from the hack thrown from (far tee at {TEE:.3f})"
-            ),
+            f"line, y from the hack thrown from (far tee at {TEE:.3f})",
             "# _parameter_sd, _model_sd: standard deviations; _2.5 .. _97.5: percentiles, both "
             "errors together",
             ",".join(names),
@@ -241,23 +241,24 @@ class Prediction:
 
 
 QUANTITIES = {
-    "rest_x": ("rests right of the centre line", "m"),
-    "rest_y": ("rests beyond the tee line", "m"),
+    "rest_x": ("rests right of centre line", "m"),
+    "rest_y": ("rests beyond tee line", "m"),
     "rest_to_tee": ("rests from the tee", "m"),
-    "curl": ("curl, to the right of the line of delivery", "m"),
-    "turns": ("turns, counter-clockwise", "turns"),
+    "curl": ("curls to the right", "m"),
+    "turns": ("turns counter-clockwise", ""),
     "time": ("time to rest", "s"),
     "hog_to_hog": ("hog line to hog line", "s"),
     "hog_to_tee": ("near hog line to tee line", "s"),
     "hog_to_rest": ("far hog line to rest", "s"),
-    "speed_at_hog": ("speed at the near hog line", "m/s"),
-    "speed_at_far_hog": ("speed at the far hog line", "m/s"),
-    "speed_at_tee": ("speed at the tee line", "m/s"),
+    "speed_at_hog": ("speed at near hog line", "m/s"),
+    "speed_at_far_hog": ("speed at far hog line", "m/s"),
+    "speed_at_tee": ("speed at tee line", "m/s"),
 }
-"""What is foretold besides the path: meaning and unit by name."""
+"""What is foretold besides the path: meaning and unit by name. Curl is the distance of the resting
+place from the line of delivery, the straight line along the first velocity."""
 CHANCES = {
-    "in the house": "touches the house at rest",
-    "short of the hog line": "rests short of the far hog line and is removed",
+    "in the house": "rests in the house or touches it",
+    "short of the hog line": "does not get over the far hog line and is removed",
     "through the house": "passes the back line and is out of play",
 }
 
@@ -286,7 +287,7 @@ def predict(
     chain: Chain | None = None,
     *,
     start: Mapping[str, float] | None = None,
-    line: str = "hog",
+    line: str | None = None,
     target: tuple[float, float] | None = None,
     weight: str | None = None,
     tee_speed: float | None = None,
@@ -305,8 +306,9 @@ def predict(
     fit, chain : a converged fit and, if there is one, its posterior sample.
     start : some of x0 y0 (m on the sheet), heading (rad), v0 (m/s), phi0 (rad), omega0 (rad/s);
         taken as exact.
-    line : where the throw starts: "hack", "back", "tee", "hog", "centre", "far-hog"; "data" keeps
-        the coordinates of the data.
+    line : where the throw starts: "hack", "back", "tee", "hog", "centre" or "far-hog"; "data"
+        where the data do, which must then count from the hack. By default "hog", and "data" for the
+        fitted throw where its file says that it counts from the hack.
     target : (x, y) in m from the tee (right, beyond); speed and heading that bring the stone to
         rest there are found.
     weight : "draw", "guard" or "takeout" (see `WEIGHTS`): speed, and if not given the heading, that
@@ -326,7 +328,9 @@ def predict(
         left.
     UnusableFitError : the fit did not converge, or its law brings no stone to rest.
     """
-    wanted = _Wanted(dict(start or {}), line, target, weight, tee_speed)
+    wanted = _Wanted(dict(start or {}), line or "hog", target, weight, tee_speed)
+    if line is None and not wanted.new and _on_the_sheet(fit):
+        wanted = wanted._replace(line="data")
     wanted.require(fit, check)
     if not fit.converged:
         raise UnusableFitError(f"nothing can be foretold from this fit: {fit.status}")
@@ -360,14 +364,18 @@ def predict(
         )
     plain, full = plain.of(use), full.of(use)
     quantities = _quantities(best, plain, full)
-    notes = [
+    matter, rest = _unknowns(fit, probed, best)
+    warnings = [
         *_extrapolation(fit, best, wanted.new),
-        *_unknowns(fit, probed, best),
+        *matter,
         *_of_the_law(misfit),
-        *_off_the_sheet(best, line),
+        *_off_the_sheet(best),
     ]
+    notes = [*rest]
+    if wanted.new:
+        notes.append("how much the ice differs from throw to throw, the fit of one cannot tell")
     if not use.all():
-        notes.append(f"{1 - use.mean():.1%} of the draws do not come to rest and are left out")
+        warnings.append(f"{1 - use.mean():.1%} of the draws do not come to rest and are left out")
     held = None
     if check is not None:
         held = _held_out(check, fit, begun, misfit, best, full, random)
@@ -388,6 +396,7 @@ def predict(
         quantities=quantities,
         chances=_chances(full),
         sensitivity=_sensitivity(probed, best),
+        warnings=tuple(warnings),
         notes=tuple(notes),
         check=held,
     )
@@ -415,9 +424,7 @@ def held_out(
     """
     from curlfit.fitting import fit
 
-    return predict(
-        fit(throw, law, until=until, **options), line="data", draws=draws, seed=seed, check=throw
-    )
+    return predict(fit(throw, law, until=until, **options), draws=draws, seed=seed, check=throw)
 
 
 class _Wanted(NamedTuple):
@@ -467,10 +474,6 @@ class _Wanted(NamedTuple):
         if check is not None and self.new:
             raise InputError(
                 "measured rows are compared with the fitted throw carried on; leave out its start"
-            )
-        if self.aimed and self.line == "data":
-            raise InputError(
-                "a target or weight lies on the sheet; expected a line to start on, or y0"
             )
         spin = fit.parameters["omega0"]
         if self.new and "omega0" not in self.start and spin.verdict == "not identifiable":
@@ -523,6 +526,14 @@ class _Begun(NamedTuple):
                 "value": float(self.values[item.name]), "unit": item.unit, "origin": origin,
             }  # fmt: skip
         return found
+
+
+def _on_the_sheet(fit: FitResult) -> bool:
+    """Whether the readers laid the data on the sheet, y counted from the hack."""
+    return any(
+        note.startswith("y from the hack") or (note.startswith("axes:") and "from-" in note)
+        for note in fit.data["notes"]
+    )
 
 
 def _begin(fit: FitResult, wanted: _Wanted) -> _Begun:
@@ -705,7 +716,9 @@ class _Family:
         self.fit, self.begun, self.new = fit, begun, new
         self._first = len(fit.parameters) - len(START)
         self._turned = begun.values["heading"] - fit.parameters["heading"].value if new else 0.0
-        self._mirrored = new and begun.values["omega0"] * fit.parameters["omega0"].value < 0
+        spin = fit.parameters["omega0"].value
+        known = new and abs(spin) > _LEAST_SPIN
+        self._spin = begun.values["omega0"] / spin if known else 1.0
         self._grid: Floats | None = None
         self._size = 0
 
@@ -779,7 +792,6 @@ class _Family:
         found = self.follow(self.begin(moved))
         deviation = missing.deviation(t, there)
         s, c = math.sin(self._turned), math.cos(self._turned)
-        mirrored = -1.0 if self._mirrored else 1.0
 
         def taken(series: Floats, clock: Floats) -> tuple[Floats, ...]:
             """To the right, along and turning on the clocks of the paths, as the sheet has them."""
@@ -787,7 +799,8 @@ class _Family:
             u, w, turned = (
                 np.array([np.interp(own, t, one) for own, one in pair]) for pair in pairs
             )
-            return mirrored * c * u + s * w, c * w - mirrored * s * u, mirrored * turned
+            u, turned = self._spin * u, self._spin * turned
+            return c * u + s * w, c * w - s * u, turned
 
         moving = found.t < found.rest[:, None]
         state = found.state.copy()
@@ -910,12 +923,8 @@ def _sensitivity(probed: dict[str, _Paths], best: _Paths) -> dict[str, dict[str,
         if probed[name].good[0]:
             right, along = probed[name].state[0, :2, -1] - end
             found[name] = {"by": by, "right": float(right), "along": float(along)}
-    dx, dy = end - best.state[0, :2, 0]
-    found["heading"] = {
-        "by": _MORE_HEADING,
-        "right": dy * _MORE_HEADING,
-        "along": -dx * _MORE_HEADING,
-    }
+    right, along = (float(way) * _MORE_HEADING for way in end - best.state[0, :2, 0])
+    found["heading"] = {"by": _MORE_HEADING, "right": along, "along": -right}
     return found
 
 
@@ -953,36 +962,37 @@ def _extrapolation(fit: FitResult, best: _Paths, new: bool) -> list[str]:
         found.append(
             "it turns the other way round than the fitted throw: the ice is taken to mirror it"
         )
-    if new:
-        found.append("how much the ice differs from throw to throw, the fit of one cannot tell")
     return found
 
 
-def _unknowns(fit: FitResult, probed: dict[str, _Paths], best: _Paths) -> list[str]:
-    """What the fit does not know, and whether it matters here."""
-    found = []
+def _unknowns(
+    fit: FitResult, probed: dict[str, _Paths], best: _Paths
+) -> tuple[list[str], list[str]]:
+    """What the fit does not know, where it matters here and where it does not."""
+    matter: list[str] = []
+    rest: list[str] = []
     for place, direction in enumerate(fit.null_directions):
         ends = probed[f"unseen {place}"]
         names = " and ".join(direction) if len(direction) < 3 else ", ".join(direction)
         what = f"{names} {'is' if len(direction) == 1 else 'are'} not known"
         what += " one by one" if len(direction) > 1 else ""
         if not ends.good.all():
-            found.append(f"{what}; at the ends of what is allowed the stone does not come to rest")
+            matter.append(f"{what}; at the ends of what is allowed the stone does not come to rest")
             continue
         moved = float(np.hypot(*(ends.state[:, :2, -1] - best.state[0, :2, -1]).T).max())
         turned = float(np.abs(ends.state[:, 2, -1] - best.state[0, 2, -1]).max())
         if max(moved, turned) < _MATTERS:
             size = "less than 0.01 mm" if moved < 1e-5 else f"{1000 * moved:.2g} mm"
-            found.append(
+            rest.append(
                 f"{what}, which does not matter here: from one end of what is allowed to the "
                 f"other, the resting place moves by {size}"
             )
         else:
-            found.append(
+            matter.append(
                 f"{what}, and it matters here: the stone may rest {moved:.2g} m off and be turned "
                 f"by {turned:.2g} rad more; the bands hold this, evenly over what is allowed"
             )
-    return found
+    return matter, rest
 
 
 def _of_the_law(misfit: Misfit) -> list[str]:
@@ -1006,9 +1016,7 @@ def _of_the_law(misfit: Misfit) -> list[str]:
     ]
 
 
-def _off_the_sheet(best: _Paths, line: str) -> list[str]:
-    if line == "data":
-        return ["places are in the data's own coordinates, taken as those of the sheet"]
+def _off_the_sheet(best: _Paths) -> list[str]:
     x, y = best.state[0, :2]
     outside = np.flatnonzero(np.abs(x) + STONE_RADIUS > WIDTH / 2)
     if len(outside):

@@ -10,7 +10,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from curlfit.report import number, plain_table
-from curlfit.sheet import FOOT
+from curlfit.sheet import FOOT, STONE_RADIUS, TEE_TO_BACK
 
 if TYPE_CHECKING:
     from curlfit.prediction import HeldOut, Prediction, Quantity
@@ -24,10 +24,7 @@ _START = {
     "v0": "speed", "omega0": "spin", "heading": "heading", "x0": "x", "y0": "y", "phi0": "angle",
 }  # fmt: skip
 _CHANGES = {"v0": "m/s more speed", "heading": "rad of heading", "omega0": "rad/s more spin"}
-_ON_SHEET = {
-    "rest_x", "rest_y", "rest_to_tee", "hog_to_hog", "hog_to_tee", "hog_to_rest", "speed_at_hog",
-    "speed_at_far_hog", "speed_at_tee",
-}  # fmt: skip
+_SIDES = ("right of", "left of")
 
 
 def print_prediction(prediction: Prediction, console: Console | None = None) -> None:
@@ -43,8 +40,10 @@ def report(prediction: Prediction) -> RenderableType:
     if prediction.check is not None:
         parts += [_check(prediction.check)]
     parts += [
-        Padding(Text(f"Mind: {note}.", style="yellow"), (0, 0, 1, 0)) for note in prediction.notes
+        Padding(Text(f"Mind: {warning}.", style="yellow"), (0, 0, 1, 0))
+        for warning in prediction.warnings
     ]
+    parts += [Text(f"Note: {note}.", style="dim") for note in prediction.notes]
     return Group(*parts)
 
 
@@ -52,23 +51,21 @@ def in_words(prediction: Prediction) -> str:
     """Where and when the stone comes to rest, as a sentence."""
     found = prediction.quantities
     curl, turns = found["curl"].value, found["turns"].value
-    text = f"It comes to rest after {found['time'].value:.1f} s and {abs(turns):.2f} turns"
-    text += "" if turns == 0 else " counter-clockwise" if turns > 0 else " clockwise"
-    if prediction.line != "data":
-        x, y = found["rest_x"].value, found["rest_y"].value
-        text += (
-            f", {_distance(y)} {'beyond' if y > 0 else 'before'} the tee line and "
-            f"{_distance(x)} {'right' if x > 0 else 'left'} of the centre line"
-        )
+    far = found["rest_y"].value > TEE_TO_BACK + STONE_RADIUS
+    text = "Were the ice long enough, it would come to rest" if far else "It comes to rest"
+    text += f" after {found['time'].value:.1f} s and {abs(turns):.2f} turns"
+    text += " counter-clockwise" if turns > 0 else " clockwise" if turns < 0 else ""
     text += (
-        f". It curls {abs(curl):.2f} m ({abs(curl) / FOOT:.2f} ft) to the "
-        f"{'right' if curl > 0 else 'left'}."
+        f", {_off(found['rest_y'].value, ('beyond', 'before'))} the tee line and "
+        f"{_off(found['rest_x'].value, _SIDES)} the centre line"
     )
-    return text
+    side = "right" if curl > 0 else "left"
+    return f"{text}. It curls {abs(curl):.2f} m ({abs(curl) / FOOT:.2f} ft) to the {side}."
 
 
-def _distance(value: float) -> str:
-    return f"{abs(value):.2f} m"
+def _off(value: float, sides: tuple[str, str]) -> str:
+    """A distance in words, as in "0.25 m left of", or "on"."""
+    return "on" if abs(value) < 0.005 else f"{abs(value):.2f} m {sides[value < 0]}"
 
 
 def _heading(prediction: Prediction) -> RenderableType:
@@ -112,68 +109,73 @@ def _aim(prediction: Prediction) -> str:
             f"a heading of {1000 * heading:.2f} mrad ({abs(math.degrees(heading)):.2f} degrees to "
             f"the {side})"
         )
-    where = "on the centre line" if goal["x"] in (0, 0.0) else f"at x = {goal['x']} m"
-    if goal["x"] is None:
-        where = "wherever that is across"
-    height = (
-        "on the tee line" if goal["y"] == 0
-        else f"{abs(goal['y']):.3f} m {'beyond' if goal['y'] > 0 else 'before'} the tee line"
-    )  # fmt: skip
-    what = "comes to rest" if goal["speed"] == 0 else f"passes with {goal['speed']:g} m/s"
-    return f"With {' and '.join(found)} it {what} {height}, {where}"
+    x, y = goal["x"], goal["y"]
+    where = f"{_off(y, ('beyond', 'before'))} the tee line"
+    if x is not None:
+        where = "on the tee" if x == y == 0 else f"{where} and {_off(x, _SIDES)} the centre line"
+    if goal["speed"] == 0:
+        return f"With {' and '.join(found)} it comes to rest {where}"
+    place = "the tee line" if x is None else "the tee"
+    return f"With {' and '.join(found)} it passes {place} at {goal['speed']:g} m/s"
 
 
 def _quantities(prediction: Prediction) -> RenderableType:
     from curlfit.prediction import QUANTITIES
 
+    shown = prediction.quantities
+    partly = any(item.share < 1 for item in shown.values())
     table = plain_table()
     table.add_column("", no_wrap=True)
     for head in ("best", "parameters", "law"):
         table.add_column(head, justify="right", no_wrap=True)
-    for head in ("68 %", "95 %"):
+    for head in ("68 %", "95 %", *(["of draws"] if partly else [])):
         table.add_column(head, no_wrap=True)
-    for name, item in prediction.quantities.items():
-        if prediction.line == "data" and name in _ON_SHEET:
-            continue
+    for name, item in shown.items():
         meaning, unit = QUANTITIES[name]
-        table.add_row(f"{meaning} ({unit})", *_row(item))
+        share = "" if item.share == 1 else f"{100 * item.share:.3g} %"
+        table.add_row(f"{meaning} ({unit})" if unit else meaning, *_row(item), share)
     return Padding(table, (1, 0, 1, 0))
 
 
 def _row(item: Quantity) -> list[str]:
-    sizes = [size for size in (item.parameter_sd, item.model_sd) if size > 0]
-    least = max(sizes, default=0.0) or None
-    digits = 3 if least is None else len(number(0.0, least)[1].partition(".")[2])
-    digits = min(max(digits, 1), 6)
+    """Best value, both errors, and the intervals, to two digits of the larger error."""
+    size = max(item.parameter_sd, item.model_sd)
+    digits = 4 if size < 1e-9 else min(len(number(0.0, size)[1].partition(".")[2]), 4)
     best = "-" if math.isnan(item.value) else f"{item.value:.{digits}f}"
+    own = [
+        f"{part:.{digits + 1}f}" if part > 1e-9 else "-"
+        for part in (item.parameter_sd, item.model_sd)
+    ]
     q = {level: f"{value:.{digits}f}" for level, value in item.quantiles.items()}
-    own = [f"{size:.{digits}f}" if size > 0 else "-" for size in (item.parameter_sd, item.model_sd)]
-    share = "" if item.share > 0.999 else f"  ({item.share:.0%} of the draws)"
-    return [best, *own, f"{q['16']} .. {q['84']}", f"{q['2.5']} .. {q['97.5']}{share}"]
+    if size < 1e-9:
+        return [best, *own, "", ""]
+    return [best, *own, f"{q['16']} .. {q['84']}", f"{q['2.5']} .. {q['97.5']}"]
 
 
 def _sentences(prediction: Prediction) -> list[str]:
     from curlfit.prediction import CHANCES
 
     found = [in_words(prediction)]
-    if prediction.line != "data":
-        likely = [
-            f"{chance:.1%} of the draws: {CHANCES[name]}"
-            for name, chance in prediction.chances.items()
-            if chance > 0
-        ]
-        if likely:
-            found.append("; ".join(likely) + ".")
+    likely = [
+        f"in {100 * chance:.3g} % of the draws it {CHANCES[name]}"
+        for name, chance in prediction.chances.items()
+        if chance > 0
+    ]
+    if likely:
+        text = "; ".join(likely)
+        found.append(f"{text[0].upper()}{text[1:]}.")
     changes = []
     for name, words in _CHANGES.items():
         item = prediction.sensitivity.get(name)
         if item is None:
             continue
         along, right = item["along"], item["right"]
-        changes.append(
-            f"{item['by']:g} {words}: {abs(along):.2f} m {'farther' if along > 0 else 'shorter'}, "
-            f"{abs(right):.3f} m {'right' if right > 0 else 'left'}"
-        )
+        moves = [
+            f"{abs(size):.2g} m {sides[size < 0]}"
+            for size, sides in ((along, ("farther", "shorter")), (right, ("right", "left")))
+            if abs(size) >= 0.001
+        ]
+        changes.append(f"{item['by']:g} {words}: {', '.join(moves) or 'nothing'}")
     if changes:
         found.append("What changes the place: " + "; ".join(changes) + ".")
     return found

@@ -59,15 +59,15 @@ def predict(
         typer.Option(help="Angle of the stone, rad. [default: 0]", rich_help_panel=_START),
     ] = None,
     line: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--from",
-            help="Where the throw starts: `hack`, `back`, `tee`, `hog`, `centre` or `far-hog`, "
-            "lines at the thrower's end but the last two. `data`: the data lie on the sheet as "
-            "they are (y from the hack), or are to be kept as they are.",
+            help="Line on which the throw starts: `hack`, `back`, `tee`, `hog` (the near ones), "
+            "`centre` or `far-hog`; or `data`: where the data do, which count from the hack. [default: hog; "
+            "data for the fitted throw where its file says from where it counts]",
             metavar="LINE",
         ),
-    ] = "hog",
+    ] = None,
     to_tee: Annotated[
         bool, typer.Option("--to-tee", help="To rest on the tee.", rich_help_panel=_GOAL)
     ] = False,
