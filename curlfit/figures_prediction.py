@@ -78,8 +78,8 @@ def _whole(prediction: Prediction, axes: Any) -> None:
         seen = prediction.check.observed
         axes.plot(seen["y"], seen["x"], ".", color=_AIM, markersize=2, zorder=5)
     axes.set_aspect("equal")
-    axes.set_xlim(-0.5, max(length, float(np.nanmax(series["y"]))) + 0.5)
-    beyond = max(half, float(np.abs(series["x"]).max()) + 0.3)
+    axes.set_xlim(min(float(series["y"][0]), 0.0) - 0.5, length + 0.5)
+    beyond = max(half, float(np.abs(series["x"][series["y"] < length]).max()) + 0.3)
     axes.set_ylim(beyond + 0.1, -beyond - 0.1)
     names = {"hog": "hog line", "far-hog": "hog line", "tee": "tee", "far-tee": "tee"}
     axes.set_xticks([sheet.LINES[name] for name in names], list(names.values()), fontsize=8)
@@ -117,6 +117,16 @@ def _resting(prediction: Prediction, axes: Any) -> None:
     for level in (0.0, -sheet.TEE_TO_HOG, sheet.TEE_TO_BACK):
         axes.plot([-half, half], [level, level], **_LINE)
     axes.plot(series["x"], series["y"] - sheet.TEE, color=_PATH, lw=1.2, zorder=4)
+    band = prediction.band
+    axes.fill_betweenx(
+        band["y"] - sheet.TEE,
+        band["x_2.5"],
+        band["x_97.5"],
+        color=_BAND,
+        alpha=0.15,
+        lw=0,
+        zorder=2,
+    )
     for chance, alpha in ((0.95, 0.3), (0.68, 0.5)):
         _ellipse(axes, mean, parameter + model, chance, color=_BAND, alpha=alpha, lw=0, zorder=3)
     _ellipse(axes, mean, parameter, 0.95, facecolor="none", edgecolor=_PATH, lw=1, zorder=5)
@@ -127,16 +137,22 @@ def _resting(prediction: Prediction, axes: Any) -> None:
     if prediction.check is not None:
         seen = prediction.check.observed
         axes.plot(seen["x"], seen["y"] - sheet.TEE, ".", color=_AIM, markersize=3, zorder=7)
-    sides = max(half, abs(x) + reach[0])
+    end = sheet.TEE_TO_HACK + 0.3
+    away = y - reach[1] > end
+    sides = half if away else max(half, abs(x) + reach[0])
+    low = -sheet.HOUSE - 0.5
     axes.set_aspect("equal", adjustable="box")
     axes.set(
         xlim=(-sides, sides),
-        ylim=(min(-sheet.HOUSE - 0.5, y - reach[1]), max(sheet.TEE_TO_BACK + 0.5, y + reach[1])),
+        ylim=(low if away else min(low, y - reach[1]), min(max(-low, y + reach[1]), end)),
         xlabel="right of the centre line (m)",
         ylabel="beyond the tee line (m)",
     )
     axes.set_title(
-        "at rest: 68 %, 95 % of both errors;\nline: 95 % of the parameters' error", fontsize=9
+        "it goes through; band: 95 % of both errors"
+        if away
+        else "at rest: 68 %, 95 % of both errors;\nline: 95 % of the parameters' error",
+        fontsize=9,
     )
 
 
@@ -189,8 +205,8 @@ def _checked(prediction: Prediction, axes: Any, name: str) -> None:
     assert prediction.check is not None
     factor, unit = _UNITS[name]
     series, seen = prediction.series, prediction.check.observed
-    last = seen["t"][-1]
-    shown = series["t"] <= last + (series["t"][1] - series["t"][0])
+    step = series["t"][1] - series["t"][0]
+    shown = (series["t"] >= seen["t"][0] - 1) & (series["t"] <= seen["t"][-1] + step)
     for low, high, alpha in (("2.5", "97.5", 0.25), ("16", "84", 0.45)):
         edges = [
             factor * (series[f"{name}_{level}"] - series[name])[shown] for level in (low, high)

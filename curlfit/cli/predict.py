@@ -63,8 +63,8 @@ def predict(
         typer.Option(
             "--from",
             help="Line on which the throw starts: `hack`, `back`, `tee`, `hog` (the near ones), "
-            "`centre` or `far-hog`; or `data`: where the data do, which count from the hack. [default: hog; "
-            "data for the fitted throw where its file says from where it counts]",
+            "`centre` or `far-hog`; or `data`: where the data do, which count from the hack. "
+            "[default: hog; data for the fitted throw where its file says what it counts from]",
             metavar="LINE",
         ),
     ] = None,
