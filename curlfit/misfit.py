@@ -2,8 +2,9 @@
 
 Residuals that go together from row to row are not noise: the law lacks something. What that does
 to the rest of a path, or to another throw, follows from the plainest picture that grows as it
-should: beside the law's, the stone has an acceleration that wanders (a random walk from zero at
-the first row), across, along and in its turning, each of one size. Integrated twice, it is a smooth
+should: beside the law's, the stone has an acceleration that drifts (from zero at the first row, at
+a rate that does a random walk), across, along and in its turning, each of one size. It is as smooth
+as what laws miss is found to be. Integrated twice, it is a
 deviation d(t) of the path, which stays as it is once the stone rests. What a law misses, it misses
 again at the same speed: another throw on the same ice meets the same accelerations at other times,
 those across and turning in proportion to its spin (the mirror image of a throw is a throw, so that
@@ -45,7 +46,7 @@ from curlfit.throw import CHANNELS
 Floats = NDArray[np.float64]
 
 WAYS = ("across", "along", "turning")
-"""The ways in which an acceleration wanders: x, y and phi."""
+"""The ways in which an acceleration drifts: x, y and phi."""
 _SHOWN_IN = ((("x", 2),), (("y", 2), ("speed", 1)), (("phi", 2), ("omega", 1)))
 _FEWEST = 20  # values of a channel from which its residuals are judged
 _MOST = 120  # values looked at; more are condensed to means
@@ -107,15 +108,8 @@ def misfit_of(fit: FitResult) -> Misfit:
     ends = np.cumsum([0, *(len(row.t) for row in rows)])
     places = {row.name: slice(a, b) for row, a, b in zip(rows, ends, ends[1:], strict=False)}
 
-    def spread(covariance: Floats) -> Floats:
-        """Covariance of what the fit leaves."""
-        return left @ covariance @ left
-
-    noises = []
-    for row in judged:
-        own = np.zeros_like(left)
-        own[places[row.name], places[row.name]] = np.eye(len(row.t))
-        noises.append(spread(own))
+    # Covariance of what the fit leaves of each channel's noise, and of each way's deviation.
+    noises = [left[:, places[row.name]] @ left[places[row.name]] for row in judged]
     forms, counts, excess = [], [], {}
     for row, noise in zip(judged, noises, strict=True):
         here = places[row.name]
@@ -133,7 +127,7 @@ def misfit_of(fit: FitResult) -> Misfit:
         way for way, channels in zip(WAYS, _SHOWN_IN, strict=True)
         if any(excess.get(name, 0.0) > _BELIEVED for name, _ in channels)
     ]  # fmt: skip
-    wanderings = [spread(_covariance(rows, way, span)) for way in ways]
+    wanderings = [_covariance(left @ _response(rows, way, span)) for way in ways]
     # Each moment in units of what is there, each unknown so that it makes at most about one.
     matrix = np.array(
         [[np.sum(form * part[here, here]) for part in (*noises, *wanderings)]
@@ -187,18 +181,19 @@ def drawn(
     """Draws of what the law misses, between two times of the fitted throw (first <= 0 < last)."""
     after = np.linspace(0.0, last, _GRID)
     before = np.linspace(first, 0.0, _GRID // 4)[:-1] if first < 0 else np.zeros(0)
-    sizes = np.array([misfit.sizes[way] for way in WAYS])[:, None] / np.sqrt(misfit.span)
+    sizes = np.array([misfit.sizes[way] for way in WAYS])[:, None]
+    sizes = sizes * np.sqrt(3 / misfit.span**3)  # an integrated walk has variance t^3/3
 
-    def walk(times: Floats) -> Floats:
-        """A random walk that begins at zero."""
-        steps = random.standard_normal((draws, len(WAYS), len(times) - 1))
-        steps *= np.sqrt(np.abs(np.diff(times)))
-        start = np.zeros((draws, len(WAYS), 1))
-        return np.concatenate([start, np.cumsum(steps, 2)], 2) * sizes
+    def drift(times: Floats) -> Floats:
+        """The integral of a random walk, both from zero at the first of the times."""
+        gaps = np.diff(times)
+        steps = random.standard_normal((draws, len(WAYS), len(gaps))) * np.sqrt(np.abs(gaps))
+        walk = np.concatenate([np.zeros((draws, len(WAYS), 1)), np.cumsum(steps, 2)], 2)
+        return _integral(walk.T, gaps[0]).T * sizes
 
-    there = walk(after)
+    there = drift(after)
     if len(before):
-        back = walk(np.append(before, 0.0)[::-1])[:, :, :0:-1]
+        back = drift(np.append(before, 0.0)[::-1])[:, :, :0:-1]
         there = np.concatenate([back, there], 2)
     return Missing(np.concatenate([before, after]), there)
 
@@ -328,10 +323,9 @@ def _left_over(jacobian: Floats) -> Floats:
     return cast(Floats, np.eye(len(jacobian)) - own @ own.T)
 
 
-def _covariance(rows: list[_Row], way: str, span: float) -> Floats:
-    """Covariance, over sigma, of the deviations that an acceleration of unit size makes."""
+def _response(rows: list[_Row], way: str, span: float) -> Floats:
+    """What an acceleration at each time of a grid does to the rows, over sigma."""
     grid = np.linspace(0.0, span, _GRID)
-    walk = np.minimum(grid[:, None], grid) / span
     once = _integral(np.eye(_GRID), grid[1])
     weights = {1: once, 2: _integral(once, grid[1])}
     orders = dict(_SHOWN_IN[WAYS.index(way)])
@@ -342,8 +336,15 @@ def _covariance(rows: list[_Row], way: str, span: float) -> Floats:
             columns = weights[orders[row.name]].T
             at = np.array([np.interp(row.t, grid, column) for column in columns]).T
         blocks.append(at * row.scale[:, None])
-    every = np.concatenate(blocks)
-    return every @ walk @ every.T
+    return np.concatenate(blocks)
+
+
+def _covariance(response: Floats) -> Floats:
+    """Covariance of the rows, for accelerations that drift to unit size within the span."""
+    grid = np.linspace(0.0, 1.0, _GRID)
+    sooner, later = np.minimum(grid[:, None], grid), np.maximum(grid[:, None], grid)
+    found: Floats = response @ (sooner**2 * (3 * later - sooner) / 2) @ response.T
+    return found
 
 
 def _way(channel: str) -> tuple[int, int]:

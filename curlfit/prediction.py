@@ -684,19 +684,27 @@ class _Paths:
 def _rest_times(t: Floats, state: Floats, speed: Floats) -> Floats:
     """When each path comes to rest.
 
-    Toward rest the speed goes as a power q of the time left, so that way left s and speed v tell
-    it: s = v tau/(1 + q), and two moments tell q: s goes as v to the power 1 + 1/q.
+    Toward rest a rate v goes as a power q of the time left, so that the way left, s, tells that
+    time: s = v tau/(1 + q); and two moments tell q, for s goes as v to the power 1 + 1/q. It is
+    taken from the turning, which has no loops, and from the place where the stone does not turn or
+    its turning does not die away with the sliding.
     """
     last = np.maximum((speed > 0).sum(1) - 1, 1)
-    rows = np.arange(len(state))
-    end = state[:, :2, -1]
-    left = [np.hypot(*(end - state[rows, :2, k]).T) for k in (last - 1, last)]
-    v = [speed[rows, k] for k in (last - 1, last)]
-    with np.errstate(all="ignore"):
-        power = np.log(left[0] / left[1]) / np.log(v[0] / v[1])
-        wait = left[1] / v[1] * np.where(power > 1.02, power / (power - 1), 2.0)
-    step = t[1] - t[0]
-    return cast(Floats, t[last] + np.clip(np.nan_to_num(wait), 0.0, step))
+    rows, step = np.arange(len(state)), t[1] - t[0]
+
+    def wait(way: list[Floats], rate: list[Floats]) -> Floats:
+        with np.errstate(all="ignore"):
+            power = np.log(way[0] / way[1]) / np.log(rate[0] / rate[1])
+            found = way[1] / rate[1] * power / (power - 1)
+        return np.where((found >= 0) & (found <= step) & (power > 1.1), found, np.nan)
+
+    moments = (last - 1, last)
+    place = [np.hypot(*(state[:, :2, -1] - state[rows, :2, k]).T) for k in moments]
+    angle = [np.abs(state[:, 2, -1] - state[rows, 2, k]) for k in moments]
+    sliding = wait(place, [speed[rows, k] for k in moments])
+    turning = wait(angle, [np.abs(state[rows, 5, k]) for k in moments])
+    left = np.where(np.isnan(turning), sliding, turning)
+    return cast(Floats, t[last] + np.where(np.isnan(left), step / 2, left))
 
 
 @partial(jax.jit, static_argnames=("law", "load"))
@@ -1010,7 +1018,7 @@ def _of_the_law(misfit: Misfit) -> list[str]:
         if size > 0
     )
     return [
-        f"the law misses something: its residuals are as of a missing acceleration that wanders "
+        f"the law misses something: its residuals are as of a missing acceleration that drifts "
         f"to {sizes} within {misfit.span:.3g} s. The bands hold this ({len(where)} of 3 ways), but "
         "beyond the speeds and spins that were fitted the law may fail worse"
     ]
