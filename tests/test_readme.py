@@ -63,7 +63,7 @@ def printed(clone):
     """What each command of the blocks prints, in one folder."""
     lines = [line for line in BASH if line not in NOT_HERE]
     # a fit may resume another, or read what was simulated before
-    first = [line for line in lines if line.startswith(("curlfit fit ", "curlfit simulate "))]
+    first = [line for line in lines if line.startswith(("curlfit fit ", "curlfit simulate ", "curlfit predict "))]
     jobs = [first, *[[line] for line in lines if line not in first]]
     with ThreadPoolExecutor(2) as pool:
         done = pool.map(lambda job: {line: typed(line, clone) for line in job}, jobs)
@@ -82,6 +82,8 @@ def shown(command, after):
     [
         ("curlfit fit data/jensen_shegelski_2004.csv", "The first run on a machine"),
         ("curlfit compare data/jensen_shegelski_2004.csv --load both", "That is the paper's"),
+        ("curlfit predict jensen_shegelski_2004-fit --to-tee", "![The path on the sheet"),
+        ("curlfit predict first-12-s --check data/jensen_shegelski_2004.csv", "The parameters'"),
     ],
 )
 def test_the_commands_print_what_the_readme_shows(printed, command, after):
@@ -101,6 +103,9 @@ def test_the_commands_write_what_the_readme_says(printed, clone):
     assert {file.name for file in (clone / "jensen_shegelski_2004-compare").iterdir()} == {
         "compare.json", "compare.png",
     }  # fmt: skip
+    assert {file.name for file in (clone / "jensen_shegelski_2004-predict").iterdir()} == {
+        "predict.json", "predict.csv", "predict.png",
+    }  # fmt: skip
     assert {"claims.json", "claims.md"} < {file.name for file in (clone / "reproduction").iterdir()}
     assert "Posterior: converged" in " ".join(printed[RESUME].split())
 
@@ -110,7 +115,7 @@ RESUME = next(line for line in BASH if line.endswith("--resume"))
 
 @pytest.mark.parametrize("line", sorted(set(INLINE)))
 def test_commands_within_sentences(printed, clone, line):
-    folders = ["jensen_shegelski_2004-fit", "jensen_shegelski_2004-compare"]
+    folders = [f"jensen_shegelski_2004-{kind}" for kind in ("fit", "compare", "predict")]
     for folder in folders if "DIR" in line else [""]:
         assert typed(re.sub(r"\bDIR\b", folder, line), clone) != ""
 
