@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, check_load
+from curlfit.programs import kept
 from curlfit.stone import Stone
 
 Floats = NDArray[np.float64]
@@ -184,12 +185,14 @@ def _reach(law: Law, stone: Stone, load: Load, omega: float, speed: float, v: fl
     return _Reach(place, slopes[:2, k] + path[3:, k] * later)
 
 
-@partial(jax.jit, static_argnames="load")
+@kept("law", "load")
 def _traced(
-    law: Law, stone: Stone, load: Load, v: Array, omega: Array, times: Array
-) -> tuple[Array, Array]:
+    law: type[Law], load: Load, coefficients: Array, stone: Stone, v: Array, omega: Array,
+    times: Array,
+) -> tuple[Array, Array]:  # fmt: skip
     def path(v: Array) -> Array:
-        found = simulate(law, stone, Start(v=v, omega=omega), times, load=load, t0=0.0)
+        start = Start(v=v, omega=omega)
+        found = simulate(law.from_vector(coefficients), stone, start, times, load=load, t0=0.0)
         return jnp.stack([found.x, found.y, found.speed, found.vx, found.vy])
 
     return jax.jvp(path, (v,), (jnp.ones(()),))
@@ -199,6 +202,6 @@ def _followed(
     law: Law, stone: Stone, load: Load, v: float, omega: float, times: Floats
 ) -> tuple[Floats, Floats]:
     """x, y, speed, vx, vy at times, shape (5, n), and their derivatives by the first speed."""
-    as_floats = jax.tree.map(lambda value: jnp.asarray(value, float), (law, stone))
-    path, slopes = _traced(*as_floats, load, jnp.asarray(v), jnp.asarray(omega), times)
+    coefficients = np.array([float(getattr(law, item.name)) for item in law.coefficients()])
+    path, slopes = _traced(type(law), load, coefficients, stone, float(v), float(omega), times)
     return np.asarray(path), np.asarray(slopes)

@@ -15,6 +15,8 @@ derivatives with respect to the edge.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -24,6 +26,7 @@ from curlfit import backend  # noqa: F401  (configures JAX before its first use)
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, ArrayLike
 
 from curlfit.friction import LAWS, Law, Load, LocalLaw, Motion, NetLaw, RingPoint
@@ -76,86 +79,118 @@ def swing(v: Array, u: Array) -> Array:
     return jnp.where(moving, jnp.abs(v - au) / jnp.where(moving, v + au, 1.0), 0.0)
 
 
+class Nodes(NamedTuple):
+    """Gauss points of one half of the ring, or of a part of it; the same in front and behind.
+
+    Arrays have the nodes along the first axis and the lanes, if any, along the others.
+    """
+
+    xi: Array
+    eta: Array
+    half_angle: Array
+    """b, half the angle from the slowest point of the ring"""
+    square_sin: Array
+    square_cos: Array
+    """of b"""
+    weight: Array
+    """share of the ring of each point, before the weights of the Gauss rule"""
+
+
+class Crowding(NamedTuple):
+    """How closely the nodes stand by the slowest point of the ring.
+
+    Where they stand hardly matters to a sum over them, so they may be placed once for many like
+    motions, and no derivative passes through their places.
+    """
+
+    side: Array
+    """1 where the slowest point is on the left, -1 where it is on the right"""
+    width: Array
+    reach: Array
+    whole: Nodes
+    """of an undivided half"""
+
+
 class _Panel(NamedTuple):
     """A stretch of the ring between two places where friction may jump."""
 
     points: RingPoint
     weight: Array
-    """share of the ring of each point, before the weights of the Gauss rule"""
 
 
-class _Stretch(NamedTuple):
-    """Points of one half of the ring, the same in front and behind."""
-
-    xi: Array
-    eta: Array
-    half_angle: Array
-    slide_eta: Array
-    speed: Array
-    inverse: Array
-    weight: Array
+def crowding(v: Array, u: Array) -> Crowding:
+    """Places of the nodes for a speed `v >= 0` and `u = R omega`, in m/s; any shape."""
+    v, u = jax.lax.stop_gradient((v, u))
+    side = jnp.where(u >= 0, 1.0, -1.0)
+    # t = tan(b/2) runs over (0, 1); t = width sinh(s arcsinh(1/width)) crowds nodes at t = 0.
+    width = jnp.maximum(swing(v, u), _NARROWEST) / 2
+    reach = jnp.log((1 + jnp.sqrt(1 + width**2)) / width)
+    return Crowding(side, width, reach, _nodes(side, width, reach, 0.0, 1.0))
 
 
-def panels(law: LocalLaw, v: Array, u: Array, turned: Array, time: Array) -> list[_Panel]:
+def _nodes(side: Array, width: Array, reach: Array, low: Any, high: Any) -> Nodes:
+    """Nodes with s between two limits."""
+    gauss = _GAUSS_NODES.reshape(-1, *(1 for _ in side.shape))
+    grow = jnp.exp((low + (high - low) * gauss) * reach)
+    t = width * (grow - 1 / grow) / 2
+    dt = (high - low) * reach * width * (grow + 1 / grow) / 2
+    q = 1 / (1 + t**2)
+    sin_b, cos_b = 2 * t * q, (1 - t**2) * q
+    square_sin, square_cos = sin_b**2, cos_b**2
+    return Nodes(
+        # The slowest point is on the left (alpha = pi) for counter-clockwise spin.
+        xi=side * (square_sin - square_cos),
+        eta=2 * sin_b * cos_b,
+        half_angle=2 * jnp.arctan(t),
+        square_sin=square_sin,
+        square_cos=square_cos,
+        weight=2 / jnp.pi * dt * q,  # d(alpha)/(2 pi), d(alpha) = 2 db, db = 2 q dt
+    )
+
+
+def panels(
+    law: LocalLaw, v: Array, u: Array, turned: Array, time: Array, crowd: Crowding | None = None
+) -> list[_Panel]:
     """Gauss points of the ring under uniform load, in panels within which friction is smooth.
 
     Parameters
     ----------
-    v, u : speed of the centre (>= 0) and `R omega`, in m/s, scalars.
+    v, u : speed of the centre (>= 0) and `R omega`, in m/s, of shape S.
     turned, time : angle turned (rad) and time (s) since release.
+    crowd : where the nodes stand, if that is known already.
 
     Returns
     -------
     The front and the back half, or the parts into which the law's edges cut them; each with
-    arrays of shape `(NODES,)`.
+    arrays of shape `(NODES, *S)`.
     """
-    side = jnp.where(u >= 0, 1.0, -1.0)
-    au = side * u
-    # t = tan(b/2) runs over (0, 1); t = width sinh(s arcsinh(1/width)) crowds nodes at t = 0.
-    width = jnp.maximum(swing(v, u), _NARROWEST) / 2
-    reach = jnp.log((1 + jnp.sqrt(1 + width**2)) / width)
+    crowd = crowding(v, u) if crowd is None else crowd
+    side, width, reach, whole = crowd
+    slow, fast = v - side * u, v + side * u
 
-    def stretch(low: Array, high: Array) -> _Stretch:
-        """Points with s between two limits."""
-        grow = jnp.exp((low + (high - low) * _GAUSS_NODES) * reach)
-        t = width * (grow - 1 / grow) / 2
-        dt = (high - low) * reach * width * (grow + 1 / grow) / 2
-        q = 1 / (1 + t**2)
-        sin_b, cos_b = 2 * t * q, (1 - t**2) * q
-        square_sin, square_cos = sin_b**2, cos_b**2
+    def panel(nodes: Nodes, front: float) -> _Panel:
         # v + omega xi (eq. 16) and the square of the sliding speed, without cancellation
-        square = (v - au) ** 2 * square_cos + (v + au) ** 2 * square_sin
+        slide_eta = slow * nodes.square_cos + fast * nodes.square_sin
+        square = slow**2 * nodes.square_cos + fast**2 * nodes.square_sin
         sliding = square > 0
-        inverse = jnp.where(sliding, jax.lax.rsqrt(jnp.where(sliding, square, 1.0)), 0.0)
-        return _Stretch(
-            # The slowest point is on the left (alpha = pi) for counter-clockwise spin.
-            xi=side * (square_sin - square_cos),
-            eta=2 * sin_b * cos_b,
-            half_angle=2 * jnp.arctan(t),
-            slide_eta=(v - au) * square_cos + (v + au) * square_sin,
-            speed=square * inverse,
-            inverse=inverse,
-            weight=2 / jnp.pi * dt * q,  # d(alpha)/(2 pi), d(alpha) = 2 db, db = 2 q dt
-        )
-
-    def panel(part: _Stretch, front: float) -> _Panel:
+        inverse = jnp.where(sliding, 1 / jnp.sqrt(jnp.where(sliding, square, 1.0)), 0.0)
         ahead = 2 * front - 1
-        slide_xi = -u * part.eta * ahead  # eq. 16
+        slide_xi = -u * nodes.eta * ahead  # eq. 16
         points = RingPoint(
-            xi=part.xi,
-            eta=part.eta * ahead,
-            angle=ahead * (jnp.pi / 2 + side * (jnp.pi / 2 - 2 * part.half_angle)),
+            xi=nodes.xi,
+            eta=nodes.eta * ahead,
+            angle=ahead * (jnp.pi / 2 + side * (jnp.pi / 2 - 2 * nodes.half_angle)),
             front=front,
             slide_xi=slide_xi,
-            slide_eta=part.slide_eta,
-            speed=part.speed,
-            e_xi=slide_xi * part.inverse,
-            e_eta=part.slide_eta * part.inverse,
-            load=jnp.ones(NODES),
+            slide_eta=slide_eta,
+            speed=square * inverse,
+            e_xi=slide_xi * inverse,
+            e_eta=slide_eta * inverse,
+            load=jnp.ones_like(nodes.xi),
             turned=turned,
             time=time,
         )
-        return _Panel(points, part.weight)
+        return _Panel(points, nodes.weight)
 
     def place(from_right: Array) -> Array:
         """s of the magnitude of a polar angle; its derivative holds up to the ends of the half."""
@@ -164,16 +199,18 @@ def panels(law: LocalLaw, v: Array, u: Array, turned: Array, time: Array) -> lis
         b = jnp.where(side > 0, jnp.pi - from_right, from_right) / 2
         return jnp.arcsinh(jnp.tan(b / 2) / width) / reach
 
-    start, end = jnp.zeros(()), jnp.ones(())
-    whole = stretch(start, end)
+    start, end = jnp.zeros_like(side), jnp.ones_like(side)
     found = []
     edges = law.edges(turned)
     for front, cuts in ((1.0, edges.front), (0.0, edges.back)):
         if not cuts:
             found.append(panel(whole, front))
             continue
-        ends = [start, *jnp.sort(jnp.stack([place((2 * front - 1) * edge) for edge in cuts])), end]
-        found += [panel(stretch(low, high), front) for low, high in pairwise(ends)]
+        at = jnp.stack([place((2 * front - 1) * edge + jnp.zeros_like(side)) for edge in cuts])
+        ends = [start, *jnp.sort(at, axis=0), end]
+        found += [
+            panel(_nodes(side, width, reach, low, high), front) for low, high in pairwise(ends)
+        ]
     return found
 
 
@@ -190,56 +227,161 @@ def _force(law: LocalLaw, ring: list[_Panel], tilt: tuple[Any, Any]) -> tuple[An
         t_xi += n_xi
         t_eta += n_eta
         moment += points.xi * n_eta - points.eta * n_xi
-    return tuple(jnp.dot(density, _GAUSS_WEIGHTS) for density in (t_xi, t_eta, moment))
+    return tuple(jnp.tensordot(_GAUSS_WEIGHTS, density, 1) for density in (t_xi, t_eta, moment))
+
+
+def _seen(function: Callable[..., Any], *inputs: Any) -> list[bool]:
+    """Which inputs a function makes any use of."""
+    jaxpr = jax.make_jaxpr(function)(*inputs).jaxpr
+    used = [*jaxpr.outvars, *(v for eqn in jaxpr.eqns for v in eqn.invars)]
+    return [any(variable is item for item in used) for variable in jaxpr.invars]
 
 
 def _sees_load(law: LocalLaw, points: RingPoint) -> bool:
     """Whether the traction per unit load depends on the load."""
-    closed = jax.make_jaxpr(lambda load: law.traction(points._replace(load=load)))(points.load)
-    (load,) = closed.jaxpr.invars
-    used = [*closed.jaxpr.outvars, *(v for eqn in closed.jaxpr.eqns for v in eqn.invars)]
-    return any(variable is load for variable in used)
+    (seen,) = _seen(lambda load: law.traction(points._replace(load=load)), points.load)
+    return seen
 
 
-def _consistent_tilt(law: LocalLaw, ring: list[_Panel], stone: Stone) -> Array:
-    """The linear load `n/n0 = 1 + p xi + q eta` that balances the friction (eq. 8-9), as (p, q).
+def _sees_turned_and_time(law: Law, stone: Stone) -> list[bool]:
+    """Whether friction depends on the angle turned, and on the time since release."""
 
-    On a thin ring eq. 8 reads `(p, q) = -2 (h/R) T/(m g)`. NaN where no load that is nowhere
-    negative balances it.
+    def felt(turned: Array, time: Array) -> Any:
+        if isinstance(law, NetLaw):
+            return law.accelerations(Motion(one, one, turned, time), stone)
+        assert isinstance(law, LocalLaw)
+        points = RingPoint(*(one for _ in RingPoint._fields))
+        return law.traction(points._replace(turned=turned, time=time)), law.edges(turned)
+
+    one = jnp.ones(())
+    law = jax.tree.map(lambda leaf: jnp.ones(()), law)
+    return _seen(felt, one, one)
+
+
+def _imbalance(law: LocalLaw, ring: list[_Panel], stone: Stone, tilt: Array) -> Array:
+    """How far a load `n/n0 = 1 + p xi + q eta`, given as (p, q), is from balancing the friction.
+
+    On a thin ring eq. 8 reads `(p, q) = -2 (h/R) T/(m g)`.
+    """
+    force = _force(law, ring, (tilt[0], tilt[1]))
+    return tilt + 2 * stone.h / stone.R * jnp.stack(force[:2])
+
+
+def _solved(slopes: tuple[Array, Array], value: Array) -> Array:
+    """The change of tilt that makes up for an imbalance, from the columns of its Jacobian."""
+    (a, c), (b, d) = slopes
+    f, g = value
+    return jnp.stack([d * f - b * g, a * g - c * f]) / (a * d - b * c)
+
+
+def _balance(law: LocalLaw, ring: list[_Panel], stone: Stone) -> tuple[Array, tuple[Array, Array]]:
+    """The consistent load (eq. 8-9) as (p, q), and the Jacobian of the imbalance, in columns.
+
+    NaN where no load that is nowhere negative balances the friction.
     """
 
-    def newton(tilt: Array, given: tuple[LocalLaw, list[_Panel], Stone]) -> tuple[Array, Array]:
-        """The next tilt, and how far this one was from balance."""
-        law, ring, stone = given
-
-        def imbalance(tilt: Array) -> tuple[Array, Array]:
-            force = _force(law, ring, (tilt[0], tilt[1]))
-            value = tilt + 2 * stone.h / stone.R * jnp.stack(force[:2])
-            return value, value
-
-        ((a, b), (c, d)), (f, g) = jax.jacfwd(imbalance, has_aux=True)(tilt)
-        step = jnp.stack([d * f - b * g, a * g - c * f]) / (a * d - b * c)
-        return tilt - step, jnp.maximum(jnp.abs(f), jnp.abs(g))
+    def newton(tilt: Array, given: tuple[LocalLaw, list[_Panel], Stone]) -> tuple[Any, ...]:
+        """The next tilt, how far this one was from balance, and the Jacobian."""
+        one, zero = jnp.ones_like(tilt[0]), jnp.zeros_like(tilt[0])
+        value, slope = jax.linearize(partial(_imbalance, *given), tilt)
+        slopes = slope(jnp.stack([one, zero])), slope(jnp.stack([zero, one]))
+        return tilt - _solved(slopes, value), jnp.abs(value).max(0), slopes
 
     given = (law, ring, stone)
-    tilt = jnp.zeros(2)
+    tilt = jnp.zeros((2, *ring[0].weight.shape[1:]))
     if _sees_load(law, ring[0].points):  # otherwise the balance is linear: one step solves it
         still = jax.lax.stop_gradient(given)  # the last step alone carries the exact derivative
 
         def again(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             tilt, _, count = carry
-            return *newton(tilt, still), count + 1
+            return *newton(tilt, still)[:2], count + 1
 
         def going(carry: tuple[Array, Array, Array]) -> Array:
             _, left, count = carry
-            return (left > _BALANCED) & (count < _MOST_NEWTON_STEPS)
+            return (left > _BALANCED).any() & (count < _MOST_NEWTON_STEPS)
 
         tilt, left, _ = jax.lax.while_loop(
-            going, again, (tilt, jnp.asarray(jnp.inf), jnp.zeros((), int))
+            going, again, (tilt, jnp.full(tilt.shape[1:], jnp.inf), jnp.zeros((), int))
         )
         tilt = jnp.where(left <= _BALANCED, tilt, jnp.nan)
-    tilt, _ = newton(tilt, given)
-    return jnp.where(tilt @ tilt <= 1, tilt, jnp.nan)
+    tilt, _, slopes = newton(tilt, given)
+    return jnp.where((tilt**2).sum(0) <= 1, tilt, jnp.nan), slopes
+
+
+_STONE = len(Stone.__dataclass_fields__)
+_Inputs = tuple[Array, ...]  # the law's coefficients, the stone's fields, v, omega, turned, time
+
+
+def _parted(kind: type[Law], inputs: _Inputs) -> tuple[Any, ...]:
+    k = len(kind.coefficients())
+    stone: Any = Stone(*inputs[k : k + _STONE])  # type: ignore[arg-type]
+    return (kind.from_vector(inputs), stone, *inputs[k + _STONE :])
+
+
+def _ring(kind: type[Law], inputs: _Inputs, crowd: Crowding) -> list[_Panel]:
+    law, stone, v, omega, turned, time = _parted(kind, inputs)
+    return panels(law, v, stone.R * omega, turned, time, crowd)
+
+
+def _near(kind: type[Law], load: Load, inputs: _Inputs, crowd: Crowding) -> Any:
+    """What is solved for once, before forces are taken or differentiated."""
+    if load == "uniform" or issubclass(kind, NetLaw):
+        return None
+    law, stone, *_ = _parted(kind, inputs)
+    return _balance(law, _ring(kind, inputs, crowd), stone)
+
+
+def _accelerations(
+    kind: type[Law], inputs: _Inputs, crowd: Crowding, near: Any, *, move: bool
+) -> tuple[Array, Array, Array]:
+    """xi, eta, angular. `move` has the tilt of the load follow the inputs."""
+    law, stone, v, omega, turned, time = _parted(kind, inputs)
+    if isinstance(law, NetLaw):
+        net = law.accelerations(Motion(jnp.where(v > 0, v, 1.0), omega, turned, time), stone)
+        return tuple(jnp.where(v > 0, value, 0.0) for value in net)  # type: ignore[return-value]
+    ring = _ring(kind, inputs, crowd)
+    tilt: Any = _EVEN
+    if near is not None:
+        tilt, slopes = near
+        if move:
+            tilt = tilt - _solved(slopes, _imbalance(law, ring, stone, tilt))
+        tilt = (tilt[0], tilt[1])
+    t_xi, t_eta, moment = _force(law, ring, tilt)
+    return GRAVITY * t_xi, GRAVITY * t_eta, GRAVITY * stone.R * moment / stone.rho**2
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _felt(
+    kind: type[Law], load: Load, inputs: _Inputs, crowd: Crowding
+) -> tuple[Array, Array, Array]:
+    return _accelerations(kind, inputs, crowd, _near(kind, load, inputs, crowd), move=False)
+
+
+def _felt_jvp(
+    kind: type[Law], load: Load, primals: tuple[Any, ...], tangents: tuple[Any, ...]
+) -> tuple[Any, Any]:
+    """One derivative by each input. However many directions are asked for, the ring is summed but
+    once for each input, and most inputs touch little of the sum."""
+    inputs, crowd = primals
+    near = _near(kind, load, inputs, crowd)
+    out = _accelerations(kind, inputs, crowd, near, move=False)
+    law, stone, *_ = _parted(kind, inputs)
+    sees = [True] * (len(inputs) - 2) + _sees_turned_and_time(law, stone)
+    change = tuple(jnp.zeros_like(value) for value in out)
+    for place, (sight, tangent) in enumerate(zip(sees, tangents[0], strict=True)):
+        if isinstance(tangent, SymbolicZero) or not sight:
+            continue
+
+        def along(value: Array, place: int = place) -> tuple[Array, Array, Array]:
+            moved = (*inputs[:place], value, *inputs[place + 1 :])
+            return _accelerations(kind, moved, crowd, near, move=True)
+
+        _, slope = jax.jvp(along, (inputs[place],), (jnp.ones_like(inputs[place]),))
+        change = tuple(c + s * tangent for c, s in zip(change, slope, strict=True))
+    return out, change
+
+
+_felt.defjvp(_felt_jvp, symbolic_zeros=True)
 
 
 def accelerations(
@@ -250,6 +392,7 @@ def accelerations(
     omega: Array,
     turned: ArrayLike = 0.0,
     time: ArrayLike = 0.0,
+    crowd: Crowding | None = None,
 ) -> Accelerations:
     """Acceleration of a stone that moves at speed `v` and spins at `omega`.
 
@@ -257,27 +400,24 @@ def accelerations(
     ----------
     law, stone : the friction law and the stone.
     load : "uniform", or "consistent" (eq. 8-9). A net law has no ring and ignores it.
-    v : speed of the centre in m/s, >= 0, scalar. `v = omega = 0` is allowed and gives zero.
-    omega : spin in rad/s, either sign, scalar.
+    v : speed of the centre in m/s, >= 0, of any shape. `v = omega = 0` is allowed and gives zero.
+    omega : spin in rad/s, either sign, of the same shape.
     turned, time : angle turned in rad and time in s since release.
+    crowd : where the nodes of the ring stand, if that is known already.
 
     Returns
     -------
     Accelerations; NaN where no consistent load with n >= 0 everywhere exists.
     """
-    v, omega, turned, time = (jnp.asarray(value, float) for value in (v, omega, turned, time))
-    if isinstance(law, NetLaw):
-        net = law.accelerations(Motion(jnp.where(v > 0, v, 1.0), omega, turned, time), stone)
-        return Accelerations(*(jnp.where(v > 0, value, 0.0) for value in net))
-    if not isinstance(law, LocalLaw):
+    if not isinstance(law, LocalLaw | NetLaw):
         raise TypeError(f"{law!r} is neither a LocalLaw nor a NetLaw")
-    ring = panels(law, v, stone.R * omega, turned, time)
-    if load == "consistent":
-        p, q = _consistent_tilt(law, ring, stone)
-        t_xi, t_eta, moment = _force(law, ring, (p, q))
-    else:
-        t_xi, t_eta, moment = _force(law, ring, _EVEN)
-    return Accelerations(GRAVITY * t_xi, GRAVITY * t_eta, GRAVITY * stone.R * moment / stone.rho**2)
+    inputs = tuple(
+        jnp.asarray(value, float)
+        for value in (*jax.tree.leaves((law, stone)), v, omega, turned, time)
+    )
+    v, omega = inputs[-4:-2]
+    crowd = crowding(v, inputs[len(law.coefficients()) + 1] * omega) if crowd is None else crowd
+    return Accelerations(*_felt(type(law), load, inputs, crowd))
 
 
 def consistent_load(
@@ -289,4 +429,4 @@ def consistent_load(
     """
     v, omega, turned = (jnp.asarray(value, float) for value in (v, omega, turned))
     ring = panels(law, v, stone.R * omega, turned, jnp.zeros(()))
-    return _consistent_tilt(law, ring, stone)
+    return _balance(law, ring, stone)[0]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import log_ndtr
 
 Floats = NDArray[np.float64]
 
@@ -164,7 +164,8 @@ def slack(jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room
     sigma = 1 / np.maximum(stiff, _UNSEEN / typical)
     alpha = push * sigma
     # mean square of a normal cut off alpha sigma above its mean, counted from the cut
-    hazard = np.exp(norm.logpdf(np.minimum(alpha, 30)) - norm.logsf(np.minimum(alpha, 30)))
+    least = np.minimum(alpha, 30)
+    hazard = np.exp(-(least**2 + np.log(2 * np.pi)) / 2 - log_ndtr(-least))
     square = np.where(alpha < 30, 1 + alpha**2 - alpha * hazard, 2 / np.maximum(alpha, 1) ** 2)
     distance = np.minimum(sigma * np.sqrt(square), room)
     return Slack(distance, follow * distance)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,7 +23,6 @@ from curlfit import backend  # noqa: F401  (configures JAX before its first use)
 # isort: split
 import jax
 import numpy as np
-from jaxtyping import Array
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.special import chdtrc
@@ -34,7 +32,7 @@ from curlfit.files import known, read_json, write_json
 from curlfit.fitting import bulk_sigma, estimated_sigma, first_sigma, prepared, shifted
 from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
 from curlfit.identifiability import Combination, analyse
-from curlfit.likelihood import Problem, problem_of, raw_residuals, weighted_residuals
+from curlfit.likelihood import Problem, linearised, problem_of, raw_residuals
 from curlfit.parameters import ParameterSet, check_loss
 from curlfit.results import Estimate, FitResult, load_fit
 from curlfit.solving import Solution
@@ -200,23 +198,6 @@ class _Layout(NamedTuple):
     """throw of each joint parameter; -1 for the shared"""
 
 
-@partial(jax.jit, static_argnames=("law", "load"))
-def _linearised(
-    law: type[Law], load: Load, values: Array, problems: Problem
-) -> tuple[Array, Array]:
-    """Residuals (throws, channels, n) and their Jacobian by each throw's own parameters."""
-
-    def one(values: Array, problem: Problem) -> tuple[Array, Array]:
-        def residual(values: Array) -> tuple[Array, Array]:
-            found = weighted_residuals(law, load, values, problem)
-            return found, found
-
-        jacobian, found = jax.jacfwd(residual, has_aux=True)(values)
-        return found, jacobian
-
-    return jax.vmap(one)(values, problems)
-
-
 class _Bench:
     """Throws side by side: residuals and Jacobians of all of them at once."""
 
@@ -233,7 +214,7 @@ class _Bench:
         """Residual and Jacobian for values of shape (throws, parameters)."""
         fill = len(self.stacked.times) - self.count
         every = np.concatenate([values, np.repeat(values[-1:], fill, 0)])
-        residual, jacobian = _linearised(self.law, self.load, every, self.stacked)
+        residual, jacobian = linearised(self.law, self.load, every, self.stacked)
         return np.asarray(residual)[: self.count], np.asarray(jacobian)[: self.count]
 
 

@@ -12,7 +12,6 @@ pay for it.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, NamedTuple
 
 from curlfit.motion import Start, simulate
@@ -27,6 +26,7 @@ from numpy.typing import NDArray
 from curlfit.friction import Law, Load
 from curlfit.losses import signed_root
 from curlfit.parameters import LOSSES, START
+from curlfit.programs import kept
 from curlfit.stone import Stone
 from curlfit.throw import CHANNELS, Throw
 
@@ -119,13 +119,28 @@ def weighted_residuals(law: type[Law], load: Load, values: Array, problem: Probl
     return signed_root(residual, problem.loss)
 
 
+@kept("law", "load")
+def linearised(law: type[Law], load: Load, values: Array, problems: Problem) -> tuple[Array, Array]:
+    """Residuals of many throws (throws, channels, n), and their Jacobian by their parameters."""
+
+    def one(values: Array, problem: Problem) -> tuple[Array, Array]:
+        def residual(values: Array) -> tuple[Array, Array]:
+            found = weighted_residuals(law, load, values, problem)
+            return found, found
+
+        jacobian, found = jax.jacfwd(residual, has_aux=True)(values)
+        return found, jacobian
+
+    return jax.vmap(one)(values, problems)
+
+
 def log_likelihood(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
     """Log-likelihood up to a constant; -inf where the law admits no motion."""
     value = -0.5 * (weighted_residuals(law, load, values, problem) ** 2).sum()
     return jnp.where(jnp.isfinite(value), value, -jnp.inf)
 
 
-@partial(jax.jit, static_argnames=("law", "load"))
+@kept("law", "load")
 def log_posterior(
     law: type[Law], load: Load, values: Array, lower: Array, upper: Array, problem: Problem
 ) -> Array:
@@ -143,7 +158,7 @@ def raw_residuals(law: type[Law], load: Load, values: Floats, problem: Problem) 
     return (model[: len(problem.observed)] - problem.observed) * problem.weight
 
 
-@partial(jax.jit, static_argnames=("law", "load"))
+@kept("law", "load")
 def trace(law: type[Law], load: Load, values: Array, times: Array, stone: Stone) -> Array:
     """x, y, phi, speed and spin at the times of a problem, shape (5, n)."""
     friction, start = split(law, values)

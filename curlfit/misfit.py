@@ -25,7 +25,6 @@ speeds and spins that were fitted, a law may fail worse than it did among them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple, cast
 
 from curlfit import backend  # noqa: F401  (configures JAX before its first use)
@@ -33,13 +32,12 @@ from curlfit import backend  # noqa: F401  (configures JAX before its first use)
 # isort: split
 import jax
 import numpy as np
-from jaxtyping import Array
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from curlfit.friction import Law, Load, check_load
+from curlfit.friction import check_load
 from curlfit.identifiability import directions
-from curlfit.likelihood import Problem, frame_of, problem_of, weighted_residuals
+from curlfit.likelihood import frame_of, linearised, problem_of
 from curlfit.results import FitResult
 from curlfit.throw import CHANNELS
 
@@ -262,14 +260,11 @@ def _slopes(fit: FitResult) -> _Slopes:
     problem = problem_of(throw, fit.stone, frame, fit.sigma)
     values = fit.values - frame.offset(len(fit.values))
     n = len(throw)
-    weighted = np.asarray(_jacobian(fit.law_class, check_load(fit.load), values, problem))[:, :n]
+    stacked = jax.tree.map(lambda leaf: np.asarray(leaf)[None], problem)
+    jacobian = linearised(fit.law_class, check_load(fit.load), values[None], stacked)[1]
+    weighted = np.asarray(jacobian)[0, :, :n]
     weight = np.asarray(problem.weight)[:, :n]
     return _Slopes(weighted / np.where(weight > 0, weight, 1.0)[..., None], weight)
-
-
-@partial(jax.jit, static_argnames=("law", "load"))
-def _jacobian(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
-    return jax.jacfwd(lambda values: weighted_residuals(law, load, values, problem))(values)
 
 
 class _Row(NamedTuple):

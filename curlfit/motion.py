@@ -26,14 +26,14 @@ from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any, NamedTuple
 
-from curlfit.contact import accelerations, swing
+from curlfit.contact import Crowding, accelerations, crowding, swing
 
 # isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, ArrayLike
 
 from curlfit.friction import Law, Load, NetLaw, check_load
@@ -46,8 +46,8 @@ _KINK = 3e-3  # width in `swing` below which the kink at |epsilon| = 1 is not re
 _MOST_TURNING = 5000.0  # rad of turning of the velocity in one time scale of the motion
 _CORNER = 1e-9  # rad before a corner of the law at which it counts as reached
 _LEAST_SPIN = 1e-8  # rad/s below which the end of the spin is not resolved further
-_CHUNK = 8  # steps between two looks at the clock
-_MOST_CHUNKS = 4096
+_KNOTS = 64  # steps whose ends are kept until the times between them are looked up
+_MOST_STRETCHES = 512
 
 # Dormand and Prince (1980), RK5(4)7M. The last row is the fifth-order formula itself, so that its
 # slope is the first slope of the next step.
@@ -144,9 +144,11 @@ def _slowing(law: Law, stone: Stone, state: _State, rate: _State) -> Array:
     return jnp.maximum(power, 0.0) / jnp.where(square > 0, square, 1.0)
 
 
-def _rates(law: Law, stone: Stone, load: Load, span: Array, state: _State, time: Array) -> _State:
+def _rates(
+    law: Law, stone: Stone, load: Load, span: Array, crowd: Crowding, state: _State, time: Array
+) -> _State:
     """Time derivative of the state."""
-    a = accelerations(law, stone, load, state.v, state.omega, state.phi, time)
+    a = accelerations(law, stone, load, state.v, state.omega, state.phi, time, crowd)
     moving = state.v > 0
     rate = _State(
         x=state.v * jnp.sin(state.heading),
@@ -192,8 +194,7 @@ def _step_size(
         turning = jnp.sqrt(1 / span**2 + state.omega**2 + jnp.abs(rate.omega))
         frequency += turning * (jnp.abs(state.phi) < max(law.corners) - _CORNER)
     # The error of a step goes as its fraction to the sixth power, times what is left to go.
-    fraction = jnp.minimum(STEP * to_go ** (-1 / 6), _LARGEST_STEP)
-    dt = fraction / frequency
+    dt = 1 / jnp.maximum(frequency * to_go ** (1 / 6) / STEP, ending / _LARGEST_STEP)
     for corner in law.corners:
         left = _time_to_turn(corner, state, rate)
         # In two steps, for the time is foretold the better the shorter it is.
@@ -214,29 +215,29 @@ def _time_to_turn(corner: float, state: _State, rate: _State) -> Array:
 
 class _Moving(NamedTuple):
     """Between two steps: time, length of the next step (0 when there is nothing more to do),
-    the state and its time derivative as vectors, and whether all is done."""
+    the state and its time derivative, and whether all is done; lanes along the last axis."""
 
     t: Array
     dt: Array
-    state: Array
-    rate: Array
+    state: _State
+    rate: _State
     idle: Array
 
 
-class _Knots(NamedTuple):
-    """Ends of steps: t, and for x, y, phi the value and its first two time derivatives."""
+class _Knot(NamedTuple):
+    """End of a step: t, and for x, y, phi the value and its first two time derivatives."""
 
-    t: Array
-    value: Array
-    first: Array
-    second: Array
+    t: Any
+    value: Any
+    first: Any
+    second: Any
 
 
-def _knot(moving: _Moving) -> _Knots:
-    state, rate = _State(*moving.state), _State(*moving.rate)
+def _knot(moving: _Moving) -> _Knot:
+    state, rate = moving.state, moving.rate
     s, c = jnp.sin(state.heading), jnp.cos(state.heading)
     along, across = rate.v, state.v * rate.heading
-    return _Knots(
+    return _Knot(
         moving.t,
         jnp.stack([state.x, state.y, state.phi]),
         jnp.stack([rate.x, rate.y, rate.phi]),
@@ -244,12 +245,16 @@ def _knot(moving: _Moving) -> _Knots:
     )
 
 
-def _quintic(a: _Knots, b: _Knots, t: Array) -> tuple[Array, Array]:
-    """Value and derivative at `t` of the quintic through two knots; arrays of shape (n, 3)."""
+def _quintics(knots: _Knot) -> Array:
+    """Polynomials between knots in `s`, which goes from 0 to 1: six coefficients for each of x, y,
+    phi, then the time at s = 0 and 1/h; shape (knots - 1, 20, lanes)."""
+    a, b = (
+        jax.tree.map(lambda k, part=part: k[part], knots) for part in (slice(-1), slice(1, None))
+    )
     h = b.t - a.t
     live = h > 0
-    h = jnp.where(live, h, 1.0)[:, None]
-    s = (t - a.t)[:, None] / h
+    safe = jnp.where(live, h, 1.0)
+    h = safe[:, None]
     p0, v0, a0 = a.value, h * a.first, h**2 * a.second / 2
     rise = b.value - (p0 + v0 + a0)
     slope = h * b.first - (v0 + 2 * a0)
@@ -257,132 +262,242 @@ def _quintic(a: _Knots, b: _Knots, t: Array) -> tuple[Array, Array]:
     c3 = 10 * rise - 4 * slope + bend
     c4 = -15 * rise + 7 * slope - 2 * bend
     c5 = 6 * rise - 3 * slope + bend
-    value = p0 + s * (v0 + s * (a0 + s * (c3 + s * (c4 + s * c5))))
-    first = (v0 + s * (2 * a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h
-    return value, first
+    return jnp.concatenate([p0, v0, a0, c3, c4, c5, a.t[:, None], 1 / h], 1)
+
+
+def _values(quintics: Array, place: Array, times: Array) -> tuple[list[Array], list[Array]]:
+    """Values and time derivatives of x, y, phi at `times`, each of shape (n, lanes), in the
+    polynomials at `place` (n, lanes)."""
+    lanes = quintics.shape[-1]
+    tables = jnp.moveaxis(quintics, 1, 0).reshape(quintics.shape[1], -1)
+    at = place * lanes + jnp.arange(lanes)
+
+    def chosen(row: int) -> Array:
+        return tables[row].at[at].get(mode="promise_in_bounds")
+
+    rate = chosen(19)
+    s = (times - chosen(18)) * rate
+    values, firsts = [], []
+    for channel in range(3):
+        c0, c1, c2, c3, c4, c5 = (chosen(3 * power + channel) for power in range(6))
+        values.append(c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5)))))
+        firsts.append((c1 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) * rate)
+    return values, firsts
 
 
 def _integrate(
     law: Law, stone: Stone, v0: Array, omega0: Array, *, times: Array, load: Load
 ) -> Array:
-    """Motion from the origin along +y: x, y, phi, vx, vy, omega at `times` >= 0, shape (n, 6)."""
-    last = jnp.max(times)
-    span = jnp.maximum(last, 1e-9)
-    f = partial(_rates, law, stone, load, span)
+    """Motions from the origin along +y, one a lane: x, y, phi, vx, vy, omega at `times` >= 0.
 
+    The start has shape (lanes,), the law's coefficients that or (), the times (n, lanes) or
+    (n, 1); the answer has shape (6, n, lanes).
+    """
+    lanes = v0.shape
+    last = jnp.max(times, 0) + jnp.zeros(lanes)
+    span = jnp.maximum(last, 1e-9)
     tableau, moments = jnp.asarray(_TABLEAU), jnp.asarray(_TABLEAU.sum(1))
 
-    def moved(moving: _Moving, weights: Array, slopes: Array) -> Array:
-        state = _State(*(moving.state + moving.dt * weights @ slopes[:-1]))
+    f = partial(_rates, law, stone, load, span)
+
+    def moved(moving: _Moving, weights: Array, slopes: _State) -> _State:
+        def gain(slope: Array) -> Array:
+            return jnp.asarray(sum(weights[place] * slope[place] for place in range(_STAGES)))
+
+        state = jax.tree.map(lambda y, k: y + moving.dt * gain(k), moving.state, slopes)
         state = state._replace(v=jnp.where(state.v > 0, state.v, 0.0))
         if isinstance(law, NetLaw):  # spin that has come to its end does not turn round
             state = state._replace(omega=jnp.where(state.omega * omega0 > 0, state.omega, 0.0))
-        return jnp.stack(state)
+        return state
 
-    def step(moving: _Moving, _: None) -> tuple[_Moving, _Knots]:
-        # A loop over the stages, not six copies of them, keeps the compiled program small.
-        def stage(place: Array, slopes: Array) -> Array:
-            state = moved(moving, tableau[place], slopes)
-            time = moving.t + moving.dt * moments[place]
-            return slopes.at[place + 1].set(jnp.stack(f(_State(*state), time)))
+    def step(moving: _Moving) -> _Moving:
+        crowd = crowding(moving.state.v, stone.R * moving.state.omega)
 
-        slopes = jnp.zeros((_STAGES + 1, len(moving.state))).at[0].set(moving.rate)
-        slopes = jax.lax.fori_loop(0, _STAGES, stage, slopes)
-        after = _Moving(
-            t=moving.t + moving.dt,
-            dt=moving.dt,
-            state=moved(moving, tableau[-1], slopes),
-            rate=slopes[-1],
-            idle=moving.idle,
+        # A loop over the stages, not six copies of them, keeps the compiled program small. The
+        # state of a stage is made at the end of the one before, lest XLA make it anew for every
+        # point of the ring.
+        def stage(place: Array, carry: tuple[_State, _State, _State]) -> tuple[Any, ...]:
+            _, state, slopes = carry
+            rate = f(crowd, state, moving.t + moving.dt * moments[place])
+            slopes = jax.tree.map(lambda k, new: k.at[place + 1].set(new), slopes, rate)
+            following = moved(moving, tableau[jnp.minimum(place + 1, _STAGES - 1)], slopes)
+            return state, following, slopes
+
+        slopes = jax.tree.map(
+            lambda k: jnp.zeros((_STAGES + 1, *k.shape)).at[0].set(k), moving.rate
         )
-        after = planned(after)
-        return after, _knot(after)
+        first = moved(moving, tableau[0], slopes)
+        state, _, slopes = jax.lax.fori_loop(0, _STAGES, stage, (first, first, slopes))
+        rate = jax.tree.map(lambda k: k[-1], slopes)
+        return planned(moving._replace(t=moving.t + moving.dt, state=state, rate=rate))
 
     def planned(moving: _Moving) -> _Moving:
         """The same with the length of the next step."""
-        dt, at_rest = _step_size(
-            law, stone, _State(*moving.state), _State(*moving.rate), moving.t, span
-        )
+        dt, at_rest = _step_size(law, stone, moving.state, moving.rate, moving.t, span)
         idle = at_rest | (moving.t >= last)
         return moving._replace(dt=jnp.where(idle, 0.0, dt), idle=idle)
 
-    def chunk(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+    def going(moving: _Moving) -> Array:
+        # A path that has become NaN is not followed further: it could hold up all the others.
+        return (~moving.idle & ~jnp.isnan(moving.dt)).any()
+
+    def stretch(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        """As many steps as there are knots to keep, and what they say of the times."""
         count, moving, out = carry
-        first = _knot(moving)
-        moving, knots = jax.lax.scan(step, moving, None, length=_CHUNK)
-        knots = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, knots)
-        place = jnp.clip(jnp.searchsorted(knots.t, times, side="left"), 1, _CHUNK)
-        left = jax.tree.map(lambda k: k[place - 1], knots)
-        right = jax.tree.map(lambda k: k[place], knots)
-        inside = (times >= knots.t[0]) & (times <= knots.t[-1])
-        value, velocity = _quintic(left, right, times)
-        out = jnp.where(inside[:, None], jnp.concatenate([value, velocity], 1), out)
+        knots = jax.tree.map(lambda k: jnp.zeros((_KNOTS, *k.shape)).at[0].set(k), _knot(moving))
+
+        def more(carry: tuple[Any, ...]) -> Array:
+            place, moving, *_ = carry
+            return (place < _KNOTS) & going(moving)
+
+        def again(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+            place, moving, knots, interval = carry
+            interval += times >= moving.t + moving.dt
+            moving = step(moving)
+            knots = jax.tree.map(lambda k, new: k.at[place].set(new), knots, _knot(moving))
+            return place + 1, moving, knots, interval
+
+        begin = moving.t
+        interval = jnp.zeros(out[0].shape, jnp.int32)
+        steps, moving, knots, interval = jax.lax.while_loop(
+            more, again, (jnp.ones((), int), moving, knots, interval)
+        )
+        interval = jnp.minimum(interval, steps - 2)
+        value, velocity = _values(_quintics(knots), interval, times)
+        inside = (times >= begin) & (times <= moving.t)
+        out = tuple(
+            jnp.where(inside, new, old) for new, old in zip((*value, *velocity), out, strict=True)
+        )
         return count + 1, moving, out
 
-    def going(carry: tuple[Any, ...]) -> Array:
+    def unfinished(carry: tuple[Any, ...]) -> Array:
         count, moving, _ = carry
-        # A path that has become NaN is not followed further: it could hold up all the others.
-        return (count < _MOST_CHUNKS) & ~moving.idle & ~jnp.isnan(moving.dt)
+        return (count < _MOST_STRETCHES) & going(moving)
 
-    zero = jnp.zeros(())
+    zero = jnp.zeros(lanes)
     state = _State(x=zero, y=zero, heading=zero, v=v0, phi=zero, omega=omega0)
-    moving = planned(
-        _Moving(
-            t=zero,
-            dt=zero,
-            state=jnp.stack(state),
-            rate=jnp.stack(f(state, zero)),
-            idle=jnp.asarray(False),
-        )
+    # The first step has no length; it is there to find the rates at the start.
+    still = jax.tree.map(jnp.zeros_like, state)
+    moving = _Moving(t=zero, dt=zero, state=state, rate=still, idle=zero > 0)
+    blank = jnp.full((len(times), *lanes), jnp.nan)
+    _, moving, out = jax.lax.while_loop(unfinished, stretch, (0, moving, (blank,) * 6))
+    final = moving.state
+    # What little is left is gone at an even loss of speed and spin.
+    left = 0.5 / jnp.maximum(_slowing(law, stone, final, moving.rate), 1e-9)
+    s, c = jnp.sin(final.heading), jnp.cos(final.heading)
+    held = (
+        final.x + left * final.v * s,
+        final.y + left * final.v * c,
+        final.phi + left * final.omega,
+        zero,
+        zero,
+        zero,
     )
-    out = jnp.full((times.shape[0], 6), jnp.nan)
-    _, moving, out = jax.lax.while_loop(going, chunk, (0, moving, out))
-    final = _State(*moving.state)
-    held = jnp.stack([final.x, final.y, final.phi, zero, zero, zero])
-    return jnp.where((moving.idle & (times >= moving.t))[:, None], held, out)
+    resting = moving.idle & (times >= moving.t)
+    return jnp.stack(
+        [jnp.where(resting, rest, value) for rest, value in zip(held, out, strict=True)]
+    )
 
 
 # Both directions of differentiation from forward mode alone: a throw has some ten inputs, so its
 # Jacobian costs ten tangents, and the loop need not be stored to be run backwards. The inputs are
-# law, stone and (v0, omega0) as vectors; those that nobody asks about cost nothing.
-Unravel = tuple[Callable[[Array], Any], ...]
+# the law's coefficients, the stone and (v0, omega0) as vectors; those that nobody asks about cost
+# nothing. What `vmap` maps over becomes lanes of one call.
 
 
-def _whole(unravel: Unravel, load: Load, inputs: tuple[Array, ...], times: Array) -> Array:
-    law, stone, start = (make(vector) for make, vector in zip(unravel, inputs, strict=True))
-    return _integrate(law, stone, *start, times=times, load=load)
+def _in_lanes(function: Callable[..., Any]) -> Callable[..., Any]:
+    """For a function of arrays with lanes last: the same without lanes, ready for `vmap`.
+
+    Parameters
+    ----------
+    function : takes arrays of shape (k, lanes) and times (n, lanes or 1); gives arrays with the
+        lanes last.
+    """
+
+    @custom_vmap
+    def laned(*arrays: Array) -> Any:
+        return function(*arrays)
+
+    @laned.def_vmap
+    def _(size: int, batched: list[bool], *arrays: Array) -> Any:
+        if not any(batched):  # so asks JAX when it differentiates what it does not map
+            out = function(*arrays)
+            return out, jax.tree.map(lambda _: False, out)
+        lanes = max(array.shape[-1] for array in arrays)
+
+        def merged(array: Array, mapped: bool, shared: bool) -> Array:
+            if not mapped and shared and array.shape[-1] == 1:
+                return array
+            array = array if mapped else array[None]
+            full = jnp.broadcast_to(array, (size, array.shape[1], lanes))
+            return jnp.moveaxis(full, 1, 0).reshape(-1, size * lanes)
+
+        def parted(array: Array) -> Array:
+            return jnp.moveaxis(array.reshape(*array.shape[:-1], size, lanes), -2, 0)
+
+        last = len(arrays) - 1  # the times
+        pairs = enumerate(zip(arrays, batched, strict=True))
+        out = laned(*(merged(a, b, place == last) for place, (a, b) in pairs))
+        return jax.tree.map(parted, out), jax.tree.map(lambda _: True, out)
+
+    def alone(*arrays: Array) -> Any:
+        return jax.tree.map(lambda a: a[..., 0], laned(*(array[:, None] for array in arrays)))
+
+    return alone
+
+
+def _whole(law: type[Law], load: Load, *arrays: Array) -> Array:
+    coefficients, stone, (v0, omega0), times = arrays
+    return _integrate(
+        law.from_vector(coefficients), Stone(*stone), v0, omega0, times=times, load=load
+    )
+
+
+def _with_jacobian(
+    law: type[Law], load: Load, asked: tuple[bool, ...], *arrays: Array
+) -> tuple[Array, Array]:
+    """The path, and its derivatives by the inputs asked for, along the first axis."""
+    *inputs, times = arrays
+    free = [vector for ask, vector in zip(asked, inputs, strict=True) if ask]
+
+    def run(free: list[Array]) -> Array:
+        given = iter(free)
+        full = (next(given) if ask else vector for ask, vector in zip(asked, inputs, strict=True))
+        return _whole(law, load, *full, times)
+
+    sizes = [len(vector) for vector in free]
+    basis = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1], axis=1)
+    tangents = [
+        jnp.broadcast_to(part[..., None], (*part.shape, vector.shape[-1]))
+        for part, vector in zip(basis, free, strict=True)
+    ]
+    return jax.vmap(lambda tangent: jax.jvp(run, (free,), (tangent,)), out_axes=(None, 0))(tangents)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _trajectory(unravel: Unravel, load: Load, inputs: tuple[Array, ...], times: Array) -> Array:
-    return _whole(unravel, load, inputs, times)
+def _trajectory(
+    law: type[Law], load: Load, inputs: tuple[Array, Array, Array], times: Array
+) -> Array:
+    """x, y, phi, vx, vy, omega of a motion from the origin along +y, shape (6, n)."""
+    return _in_lanes(partial(_whole, law, load))(*inputs, times)
 
 
 def _trajectory_jvp(
-    unravel: Unravel, load: Load, primals: tuple[Any, ...], tangents: tuple[Any, ...]
+    law: type[Law], load: Load, primals: tuple[Any, ...], tangents: tuple[Any, ...]
 ) -> tuple[Array, Array]:
     inputs, times = primals
     d_inputs, d_times = tangents
-    moving = [not isinstance(tangent, SymbolicZero) for tangent in d_inputs]
-
-    def run(asked: list[Array]) -> tuple[Array, Array]:
-        given = iter(asked)
-        full = tuple(
-            next(given) if ask else vector for ask, vector in zip(moving, inputs, strict=True)
-        )
-        out = _whole(unravel, load, full, times)
-        return out, out
-
-    asked = [vector for ask, vector in zip(moving, inputs, strict=True) if ask]
-    jacobians, out = jax.jacfwd(run, has_aux=True)(asked) if asked else ([], run([])[1])
-    change = jnp.zeros_like(out)
-    for jacobian, tangent in zip(
-        jacobians, [t for ask, t in zip(moving, d_inputs, strict=True) if ask], strict=True
-    ):
-        change = change + jacobian @ tangent
+    asked = tuple(not isinstance(tangent, SymbolicZero) for tangent in d_inputs)
+    if any(asked):
+        function = partial(_with_jacobian, law, load, asked)
+        out, jacobian = _in_lanes(function)(*inputs, times)
+        d_asked = [tangent for ask, tangent in zip(asked, d_inputs, strict=True) if ask]
+        change = jnp.tensordot(jnp.concatenate(d_asked), jacobian, 1)
+    else:
+        out = _in_lanes(partial(_whole, law, load))(*inputs, times)
+        change = jnp.zeros_like(out)
     if not isinstance(d_times, SymbolicZero):
-        velocity = jnp.concatenate([out[:, 3:], jnp.zeros_like(out[:, 3:])], 1)
-        change = change + velocity * d_times[:, None]
+        change = change.at[:3].add(out[3:] * d_times)
     return out, change
 
 
@@ -391,10 +506,12 @@ _trajectory.defjvp(_trajectory_jvp, symbolic_zeros=True)
 
 @partial(jax.jit, static_argnames="load")
 def _simulate(law: Law, stone: Stone, start: Start, times: Array, t0: Array, *, load: Load) -> Path:
-    vectors, unravel = zip(
-        *(ravel_pytree(tree) for tree in (law, stone, (start.v, start.omega))), strict=True
+    inputs = (
+        jnp.stack(jax.tree.leaves(law)),
+        jnp.stack(jax.tree.leaves(stone)),
+        jnp.stack([start.v, start.omega]),
     )
-    u, w, turned, du, dw, omega = _trajectory(unravel, load, vectors, times - t0).T
+    u, w, turned, du, dw, omega = _trajectory(type(law), load, inputs, times - t0)
     # Ice is the same everywhere and in every direction: place, heading and angle only move and
     # turn the path (u to the right of the first heading, w along it).
     s, c = jnp.sin(start.heading), jnp.cos(start.heading)

@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -41,6 +40,7 @@ from curlfit.friction import Law, Load, check_load, no_motion_because
 from curlfit.likelihood import split
 from curlfit.misfit import Misfit, bent, drawn, misfit_of, same_speed
 from curlfit.parameters import START
+from curlfit.programs import kept
 from curlfit.results import FitResult
 from curlfit.sampling import ridge_move
 from curlfit.sheet import END, HOUSE, LINES, STONE_RADIUS, TEE, TEE_TO_HOG, WIDTH
@@ -707,7 +707,7 @@ def _rest_times(t: Floats, state: Floats, speed: Floats) -> Floats:
     return cast(Floats, t[last] + np.where(np.isnan(left), step / 2, left))
 
 
-@partial(jax.jit, static_argnames=("law", "load"))
+@kept("law", "load")
 def _carried(law: type[Law], load: Load, values: Array, stone: Stone, times: Array) -> Array:
     def one(values: Array) -> Array:
         friction, start = split(law, values)

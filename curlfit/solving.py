@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, NamedTuple
 
 from curlfit import backend  # noqa: F401  (before equinox)
@@ -10,14 +9,13 @@ from curlfit import backend  # noqa: F401  (before equinox)
 # isort: split
 import jax
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from curlfit.box import BoxLevenbergMarquardt
 from curlfit.friction import Law, Load
 from curlfit.likelihood import Problem, weighted_residuals
 from curlfit.parameters import ParameterSet
+from curlfit.programs import kept
 from curlfit.starting import Smooth, start_values, usual
 
 Floats = NDArray[np.float64]
@@ -39,11 +37,16 @@ class Solution(NamedTuple):
     finished: Any
 
 
-@partial(jax.jit, static_argnames=("law", "load"))
+@kept("law", "load")
 def _solve(
     law: type[Law], load: Load, start: Array, lower: Array, upper: Array, scale: Array,
     problem: Problem,
 ) -> Solution:  # fmt: skip
+    # Loaded only where the program is made: that takes as long as all else there is to load.
+    import optimistix as optx
+
+    from curlfit.box import BoxLevenbergMarquardt
+
     def residual(z: Array, problem: Problem) -> Array:
         return weighted_residuals(law, load, z * scale, problem)
 
@@ -111,7 +114,7 @@ def best_of(
     found: Solution | None = None
     tried = 0
     for values in tries:
-        if found is not None and not _poor(found, path, problem):
+        if found is not None and not poor(found, path, problem):
             break
         tried += 1
         other = descend(law, load, values, parameters, problem)
@@ -122,7 +125,8 @@ def best_of(
     return found, tried
 
 
-def _poor(solution: Solution, path: Smooth, problem: Problem) -> bool:
+def poor(solution: Solution, path: Smooth, problem: Problem) -> bool:
+    """Whether an optimum is so bad that another start is worth trying."""
     if not solution.finished:
         return True
     over_polynomial, over_range = _POOR

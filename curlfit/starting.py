@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from curlfit.friction import Coefficient, Law, Load
 from curlfit.likelihood import Problem
 from curlfit.parameters import ParameterSet
+from curlfit.programs import kept
 from curlfit.stone import Stone
 from curlfit.throw import last_motion
 
@@ -82,7 +83,7 @@ def smooth(problem: Problem) -> Smooth:
     return Smooth(span, tuple(curves), rms)
 
 
-@partial(jax.jit, static_argnames=("law", "load"))
+@kept("law", "load")
 def _forces(
     law: type[Law],
     load: Load,

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
 from curlfit.identifiability import Identifiability, analyse, slack
-from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, raw_residuals, trace
-from curlfit.losses import precision, robust_sigma, signed_root, steepness
-from curlfit.parameters import LOSSES, ParameterSet
+from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, log_posterior, trace
+from curlfit.losses import precision, robust_sigma, steepness
+from curlfit.parameters import ParameterSet
 from curlfit.results import Estimate, FitResult
 from curlfit.solving import Solution
 from curlfit.stone import Stone
@@ -77,7 +77,7 @@ def weighed(
         law, solution, left, parameters, at_bound, known.names, tried,
         dict(zip(CHANNELS, count, strict=True)), rms_by, lag1,
     )  # fmt: skip
-    bent = _bent(law, load, solution, parameters, offset, problem, known, open_, loss)
+    bent = _bent(law, load, solution, parameters, offset, problem, known, open_)
     if bent:
         warnings.append(
             f"the misfit is no parabola within a standard error of {', '.join(bent)}; these errors "
@@ -159,34 +159,32 @@ def _bent(
     problem: Problem,
     known: Identifiability,
     open_: NDArray[np.bool_],
-    loss: str,
 ) -> list[str]:
     """Parameters along which one standard error does not raise chi squared by about one."""
     if not known.names:
         return []
     typical = parameters.typical[open_]
     squares, axes = np.linalg.eigh(known.covariance / np.outer(typical, typical))
-    found: set[str] = set()
-    place = LOSSES.index(loss)
-
-    def chi_squared(values: Floats) -> float:
-        residual = raw_residuals(law, load, values, problem)
-        return float((np.asarray(signed_root(residual, place)) ** 2).sum())
-
-    least = float((solution.residual**2).sum())
+    lower, upper = parameters.lower - offset, parameters.upper - offset
+    points, along = [], []
     for square, axis in zip(squares, axes.T, strict=True):
         if not _CURVED**2 < square < _UNKNOWN**2:
             continue
         for sense in (1.0, -1.0):
             values = solution.values.copy()
             values[open_] += sense * np.sqrt(square) * axis * typical
-            inside = (values + offset >= parameters.lower) & (values + offset <= parameters.upper)
-            if not inside.all():
-                continue
-            rise = chi_squared(values) - least
-            if not abs(rise - 1) < _PARABOLA:
-                large = np.abs(axis) > 0.3 * np.abs(axis).max()
-                found |= {name for name, take in zip(known.names, large, strict=True) if take}
+            if ((values >= lower) & (values <= upper)).all():
+                points.append(values)
+                along.append(axis)
+    # All at once, and always as many, so that one program serves.
+    full = points + [solution.values] * (2 * len(parameters) - len(points))
+    chi_squared = -2 * np.asarray(log_posterior(law, load, np.stack(full), lower, upper, problem))
+    least = float((solution.residual**2).sum())
+    found: set[str] = set()
+    for axis, rise in zip(along, chi_squared[: len(along)] - least, strict=True):
+        if not abs(rise - 1) < _PARABOLA:
+            large = np.abs(axis) > 0.3 * np.abs(axis).max()
+            found |= {name for name, take in zip(known.names, large, strict=True) if take}
     return [name for name in known.names if name in found]
 
 

@@ -537,26 +537,27 @@ def test_the_command(folder):
     record = json.loads((folder / "a-predict" / "predict.json").read_text())
     assert record["schema"] == 1
     assert record["goal"] == {"words": "to the tee", "x": 0.0, "y": 0.0, "speed": 0.0}
-    shown = curlfit_("show", "a-predict", cwd=folder)
-    assert shown.stdout == run.stdout[: run.stdout.index("Written:")]
-    assert json.loads(curlfit_("show", "a-predict", "--json", cwd=folder).stdout)["law"]
+    shown = CliRunner().invoke(app, ["show", str(folder / "a-predict")])
+    assert shown.output == run.stdout[: run.stdout.index("Written:")]
+    as_json = CliRunner().invoke(app, ["show", str(folder / "a-predict"), "--json"])
+    assert json.loads(as_json.output)["law"] == "front-back"
     (folder / "a-predict" / "predict.png").unlink()
-    drawn_again = curlfit_("plot", "a-predict", cwd=folder)
-    assert drawn_again.returncode == 0, drawn_again.stderr
+    assert CliRunner().invoke(app, ["plot", str(folder / "a-predict")]).exit_code == 0
     assert (folder / "a-predict" / "predict.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_command_compares_with_measured_rows(folder):
-    words = ("predict", "a-fit/fit.json", "--check", "a.csv", "--out", "c")
-    run = curlfit_(*words, "--no-figures", cwd=folder)
-    assert (run.returncode, run.stderr) == (0, "")
-    assert "within 68 %" in run.stdout
-    assert "from t = 12.1 to 20 s" in " ".join(run.stdout.split())
-    quiet = curlfit_(*words, "-q", cwd=folder)
-    assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
-    record = curlfit.load_prediction(folder / "c").check
-    assert set(record.channels) == {"x", "y", "phi"}
+def test_the_command_compares_with_measured_rows(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    words = ["predict", "a-fit/fit.json", "--check", "a.csv", "--out", "c"]
+    run = CliRunner().invoke(app, words)
+    assert run.exit_code == 0, run.exception
+    assert "within 68 %" in run.output
+    assert "from t = 12.1 to 20 s" in " ".join(run.output.split())
     assert (folder / "c" / "predict.png").exists()
+    quiet = CliRunner().invoke(app, [*words, "-q", "--no-figures"])
+    assert (quiet.exit_code, quiet.output) == (0, "")
+    assert not (folder / "c" / "predict.png").exists()
+    assert set(curlfit.load_prediction(folder / "c").check.channels) == {"x", "y", "phi"}
 
 
 def test_the_same_seed_gives_the_same_prediction(fit, carried):

@@ -24,6 +24,7 @@ BASH = [
 # The first is done by .ci/run, in an environment that has nothing yet; the second is running.
 NOT_HERE = ('pip install ".[test]"', "python -m pytest")
 PYTHON = re.findall(r"```python\n(.*?)```", README, re.S)
+FIRST = ("curlfit fit ", "curlfit simulate ", "curlfit batch ", "curlfit predict ")
 TABLE = re.search(r"A text table with a header:\n\n```text\n(.*?)```", README, re.S)[1]
 INLINE = re.findall(r"`(curlfit(?: [^`]+))`", README)
 
@@ -63,7 +64,7 @@ def printed(clone):
     """What each command of the blocks prints, in one folder."""
     lines = [line for line in BASH if line not in NOT_HERE]
     # a fit may resume another, or read what was simulated before
-    first = [line for line in lines if line.startswith(("curlfit fit ", "curlfit simulate ", "curlfit predict "))]
+    first = [line for line in lines if line.startswith(FIRST)]
     jobs = [first, *[[line] for line in lines if line not in first]]
     with ThreadPoolExecutor(2) as pool:
         done = pool.map(lambda job: {line: typed(line, clone) for line in job}, jobs)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from curlfit.cli.batch import batch
 from curlfit.cli.check import check
 from curlfit.cli.compare import compare
 from curlfit.cli.fit import fit
@@ -49,7 +50,7 @@ def _root(
     """
 
 
-for _verb in (check, fit, compare, predict, show, plot, simulate, laws, reproduce):
+for _verb in (check, fit, compare, batch, predict, show, plot, simulate, laws, reproduce):
     app.command()(_verb)
 
 

@@ -1,0 +1,148 @@
+"""`curlfit batch`: many throws, one law, one table."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from curlfit.cli import reading as r
+from curlfit.cli import settings as s
+
+
+def batch(
+    data: Annotated[
+        list[str],
+        typer.Argument(
+            help="Folders, files or patterns like `'season/*.csv'`; each file as for `curlfit "
+            "fit`. A folder stands for its .csv, .tsv, .txt, .json and .jsonl files.",
+            metavar="DIR_OR_GLOB...",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Table of results, one row a throw.")] = Path(
+        "results.csv"
+    ),
+    law: Annotated[str, typer.Option(help="Friction law, as in `curlfit fit`.")] = "front-back",
+    load: Annotated[str, typer.Option(help="`uniform` or `consistent` (eq. 8-9).")] = "uniform",
+    until: Annotated[
+        float | None, typer.Option(help="Use the rows with t up to this, in s.", metavar="S")
+    ] = None,
+    fix: Annotated[
+        list[str] | None, typer.Option(help="Hold a parameter at a value.", metavar="NAME=V")
+    ] = None,
+    bound: Annotated[
+        list[str] | None, typer.Option(help="Bounds of a parameter.", metavar="NAME=LO:HI")
+    ] = None,
+    unbounded: Annotated[
+        bool, typer.Option("--unbounded", help="Let coefficients be negative.")
+    ] = False,
+    sigma: Annotated[
+        list[str] | None,
+        typer.Option(help="Noise of a channel, as in `curlfit fit`.", metavar="NAME=V"),
+    ] = None,
+    stone: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="The stone, as in `curlfit fit`, over what the files say.", metavar="R=V,rho=V"
+        ),
+    ] = None,
+    format: r.Format = None,
+    axes: r.Axes = None,
+    units: r.Units = None,
+    reference: r.Reference = None,
+    stone_index: r.StoneIndex = None,
+    shot: r.Shot = None,
+    posterior: Annotated[
+        bool,
+        typer.Option(
+            "--posterior", help="Quantiles of each throw's posterior as well; far slower."
+        ),
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Of the posterior's random numbers.", min=0)] = 0,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes. [default: one a core]", min=1)
+    ] = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            help="Use the workers of a Dask scheduler, which see the same files; `local` starts "
+            "some here. Needs `pip install 'curlfit[dask]'`.",
+            metavar="tcp://...",
+        ),
+    ] = None,
+    again: Annotated[
+        bool, typer.Option("--again", help="Begin anew, over what lies in the table.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Fit a friction law to many throws, each by itself, into one table.
+
+    A row has coefficients, standard errors, verdicts, what is determined together, rms and status;
+    a throw that cannot be read or fitted has its reason there and stops nothing. The same command
+    goes on where an earlier run was stopped or killed.
+
+    Example: `curlfit batch season/ --stone R=0.054 --out season.csv`
+    """
+    from curlfit.plan import Plan, columns, found_files
+    from curlfit.table import Table
+
+    wanted: dict[str, Any] = {
+        "law": law,
+        "load": load,
+        "until": until,
+        "fix": s.pairs("--fix", fix or ()),
+        "bounds": s.intervals("--bound", bound or ()),
+        "unbounded": unbounded,
+        "sigma": s.pairs("--sigma", sigma or ()),
+        "stone": s.pairs("--stone", stone or ()),
+        "how": {
+            name: value
+            for name, value in r.how(format, axes, units, reference, stone_index, shot).items()
+            if value is not None
+        },
+        "posterior": posterior,
+        "seed": seed,
+    }
+    # Refused before anything slow is loaded.
+    plan = Plan(**wanted)
+    names = columns(plan)
+    files = [str(file) for file in found_files(data)]
+
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeRemainingColumn as Left
+
+    console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
+    with Table(out, names, plan.to_json(), again=again) as table:
+        from curlfit.crew import CHUNK, crew
+
+        todo = [file for file in files if file not in table.done]
+        if len(todo) < len(files):
+            console.print(f"{len(files) - len(todo)} of {len(files)} throws are in {out} already.")
+        chunks = [todo[at : at + CHUNK] for at in range(0, len(todo), CHUNK)]
+        with (
+            Progress(
+                TextColumn("Fitting"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                Left(),
+                TextColumn("(a first run on a machine compiles the model)"),
+                console=console,
+                disable=quiet or not console.is_terminal,
+                transient=True,
+            ) as progress,
+            crew(plan, workers=workers, dask=dask) as fitted,
+        ):
+            task = progress.add_task("", total=len(todo))
+            for rows in fitted(chunks):
+                table.add(rows)
+                progress.advance(task, len(rows))
+    counts = table.counts
+    console.print(
+        ", ".join(f"{counts[status]} {status}" for status in ("ok", "not usable", "failed"))
+        + f". Written: {out}",
+        soft_wrap=True,
+    )

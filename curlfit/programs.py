@@ -1,0 +1,143 @@
+"""Compiled programs, kept ready to run.
+
+JAX's own cache spares a new process the compiling, but not the tracing and lowering of the model,
+which take longer than a fit. A `kept` function is stored whole, machine code and all, in the user's
+cache folder, and the next process runs it without tracing anything. What it was made from is in
+its name: curlfit's sources, JAX, the processor, the law and the shapes of the arrays. Files may be
+deleted at any time; one that cannot be read is made anew.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import inspect
+import os
+import pickle
+import platform
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from pathlib import Path
+from typing import Any
+
+from curlfit import backend
+
+# isort: split
+import jax
+import numpy as np
+
+from curlfit.errors import InputError
+from curlfit.files import replaced
+
+
+def kept(*static: str) -> Callable[[Callable[..., Any]], _Kept]:
+    """`jax.jit` for a function of arrays, whose compiled programs outlive the process.
+
+    Parameters
+    ----------
+    static : names of arguments that are no arrays but laws (classes) or words.
+    """
+    return lambda function: _Kept(function, static)
+
+
+class _Kept:
+    def __init__(self, function: Callable[..., Any], static: tuple[str, ...]) -> None:
+        functools.update_wrapper(self, function)
+        self.name = function.__qualname__
+        self.static = static
+        self.names = tuple(inspect.signature(function).parameters)
+        self.jitted = jax.jit(function, static_argnames=static)
+        self.programs: dict[Any, Any] = {}
+
+    def __call__(self, *args: Any) -> Any:
+        named = tuple(zip(self.names, args, strict=True))
+        dynamic = tuple(value for name, value in named if name not in self.static)
+        leaves, tree = jax.tree.flatten(dynamic)
+        fixed = tuple(value for name, value in named if name in self.static)
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return self.jitted(*args)
+        # Lists of numbers and Python numbers become arrays of one kind, or each would be compiled.
+        leaves = [leaf if isinstance(leaf, jax.Array) else np.asarray(leaf) for leaf in leaves]
+        key = (fixed, tree, tuple((leaf.shape, leaf.dtype.str) for leaf in leaves))
+        program = self.programs.get(key)
+        if program is None:
+            dynamic = jax.tree.unflatten(tree, leaves)
+            program = self.programs[key] = self._made(fixed, dynamic, repr(key[1:]))
+        return program(*jax.tree.unflatten(tree, leaves))
+
+    def _made(self, fixed: tuple[Any, ...], dynamic: tuple[Any, ...], shapes: str) -> Any:
+        file = self._file(fixed, shapes)
+        if file is not None:
+            # A damaged file, or one of another build, fails in as many ways as there are builds.
+            with suppress(Exception):
+                return _read(file)
+        given, rest = iter(fixed), iter(dynamic)
+        args = [next(given) if name in self.static else next(rest) for name in self.names]
+        # A program out of JAX's own cache cannot be stored again.
+        with _without_cache() if file is not None else nullcontext():
+            program = self.jitted.lower(*args).compile()
+        if file is not None:
+            with suppress(OSError, InputError, ValueError, NotImplementedError):
+                _write(file, program)
+        return program
+
+    def _file(self, fixed: tuple[Any, ...], shapes: str) -> Path | None:
+        """Where the program lies; None where it is not to be kept."""
+        folder = backend.cache_folder()
+        words = []
+        for value in fixed:
+            if isinstance(value, type):
+                if not value.shipped():  # type: ignore[attr-defined]
+                    return None  # a law of the user's may change from run to run
+                value = value.__qualname__
+            words.append(str(value))
+        if folder is None or not folder.is_dir():
+            return None
+        about = "\n".join((self.__module__, self.name, *words, shapes, _origin()))
+        return folder / "programs" / hashlib.sha256(about.encode()).hexdigest()
+
+
+@contextmanager
+def _without_cache() -> Iterator[None]:
+    used = jax.config.values["jax_enable_compilation_cache"]
+    jax.config.update("jax_enable_compilation_cache", False)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_enable_compilation_cache", used)
+
+
+@functools.cache
+def _origin() -> str:
+    """What every program depends on: sources, JAX, the machine and its settings."""
+    sources = sorted(Path(__file__).parent.rglob("*.py"))
+    stamps = [
+        f"{source.name} {source.stat().st_mtime_ns} {source.stat().st_size}" for source in sources
+    ]
+    device = jax.devices()[0]
+    cpu = platform.processor() or platform.machine()
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        cpu += next((line for line in lines if line.startswith("flags")), "")
+    settings = (os.environ.get("XLA_FLAGS", ""), str(jax.config.values["jax_enable_x64"]))
+    return "\n".join(
+        (*stamps, jax.__version__, device.platform, device.device_kind, cpu, *settings)
+    )
+
+
+def _write(file: Path, program: Any) -> None:
+    from jax.experimental.serialize_executable import serialize
+
+    file.parent.mkdir(mode=0o700, exist_ok=True)
+    whole = pickle.dumps(serialize(program))
+    with replaced(file) as temporary:
+        temporary.write_bytes(whole)
+
+
+def _read(file: Path) -> Any:
+    whole = pickle.loads(file.read_bytes())
+    from jax.experimental.serialize_executable import deserialize_and_load
+    from jaxlib import lapack
+
+    lapack.prepare_lapack_call("geqrf_ffi", np.dtype(float))  # makes LAPACK known to programs
+    return deserialize_and_load(*whole)

@@ -1,0 +1,212 @@
+"""Benchmarks: each against a peer in the same run, as ratios.
+
+    python tests/benchmarks/run.py [answering] [forward] [batch] [posterior]
+
+Prints a table in Markdown; `README.md` beside this keeps the tables with date and machine.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from datetime import date
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).parent
+DATA = HERE.parent.parent / "data" / "jensen_shegelski_2004.csv"
+
+
+def row(*cells: Any) -> None:
+    """A line of the table."""
+    words = (f"{cell:.3g}" if isinstance(cell, float) else str(cell) for cell in cells)
+    print("| " + " | ".join(words) + " |", flush=True)
+
+
+def processes(
+    *commands: list[str], times: int = 5, env: dict[str, str] | None = None
+) -> list[float]:
+    """Median wall time of whole processes, s, taken in turns."""
+    taken: list[list[float]] = [[] for _ in commands]
+    for _ in range(times):
+        for place, command in enumerate(commands):
+            begin = time.perf_counter()
+            subprocess.run(command, capture_output=True, check=False, env=os.environ | (env or {}))
+            taken[place].append(time.perf_counter() - begin)
+    return [statistics.median(series) for series in taken]
+
+
+def best(function: Callable[[], Any], times: int = 5) -> float:
+    """Least wall time of a call, s, after one that compiles."""
+    import jax
+
+    jax.block_until_ready(function())
+    found = []
+    for _ in range(times):
+        begin = time.perf_counter()
+        jax.block_until_ready(function())
+        found.append(time.perf_counter() - begin)
+    return min(found)
+
+
+def answering() -> None:
+    """The command as a process, against the scipy script as one."""
+    curlfit = [sys.executable, "-m", "curlfit"]
+    peer = [sys.executable, str(HERE / "peer_scipy.py"), str(DATA)]
+    with tempfile.TemporaryDirectory() as folder:
+        fit = [*curlfit, "fit", str(DATA), "--no-sample", "--out", f"{folder}/fit"]
+        bare = [*fit, "--no-figures"]
+        first = processes(bare, times=1, env={"CURLFIT_CACHE": f"{folder}/cache"})[0]
+        processes(fit, times=1)
+        script, *ours = processes(
+            peer, bare, fit, [*curlfit, "--help"], [*curlfit, "fit", str(HERE / "run.py")]
+        )
+    row("scipy script", f"{script:.2f} s", 1.0)
+    names = ("fit, no figures", "fit with fit.png", "--help", "refusal of a bad file")
+    for name, taken in zip(names, ours, strict=True):
+        row(name, f"{taken:.2f} s", taken / script)
+    row("first run on a machine", f"{first:.2f} s", first / script)
+
+
+def forward() -> None:
+    """One path of 201 times under vmap, against scipy."""
+    import jax
+    import peer_scipy
+
+    from curlfit import LAWS, Start, Stone, simulate
+
+    t = np.linspace(0, 20, 201)
+    random = np.random.default_rng(0)
+    lanes = 256
+    v, omega = random.uniform(2.05, 2.2, lanes), random.uniform(0.5, 3, lanes)
+    p = np.array([4e-4, 0.0556, 0.0088, 0.0088, 0, 0, 0, 2.1, 0, 1.0])
+    begin = time.perf_counter()
+    for _ in range(5):
+        peer_scipy.path(p, t)
+    script = (time.perf_counter() - begin) / 5
+    row("scipy, front-back", f"{script * 1e6:.0f} us a path", 1.0)
+    for name, load in (
+        ("front-back", "uniform"), ("coulomb", "uniform"), ("power", "uniform"),
+        ("semi-empirical", "uniform"), ("front-back", "consistent"),
+    ):  # fmt: skip
+        law, stone = LAWS[name](), Stone(R=0.054)
+
+        def places(v: Any, omega: Any, law: Any = law, stone: Any = stone, load: str = load) -> Any:
+            path = simulate(law, stone, Start(v=v, omega=omega), t, load=load)
+            return path.x, path.y, path.phi
+
+        function = jax.jit(jax.vmap(places))
+        taken = best(lambda function=function: function(v, omega)) / lanes  # type: ignore[misc]
+        row(f"vmap of {lanes}, {name}, {load}", f"{taken * 1e6:.1f} us a path", taken / script)
+
+
+def batch() -> None:
+    """Fits of throws of 201 rows, start free, against the scipy script's fit."""
+    import peer_scipy
+
+    from curlfit import Stone
+    from curlfit.batch import fit_throws
+    from curlfit.plan import Plan
+    from curlfit.synthetic import law_with, synthetic_throw, write_table
+
+    random = np.random.default_rng(0)
+    law = law_with("front-back", {"mu1_xi": 6e-4, "mu2_xi": 0.055, "mu1_eta": 0.0087})
+    throws = [
+        synthetic_throw(
+            law, Stone(R=0.054), v0=random.uniform(1.9, 2.3), omega0=random.uniform(0.6, 3),
+            noise_xy=0.005, noise_phi=0.01, seed=seed,
+        )
+        for seed in range(512)
+    ]  # fmt: skip
+    begin = time.perf_counter()
+    peer_scipy.main(DATA)
+    script = 1 / (time.perf_counter() - begin)
+    row("scipy script's fit", f"{script:.2f} fits/s", 1.0)
+    fit_throws(throws[:32], Plan())
+    begin = time.perf_counter()
+    fit_throws(throws, Plan())
+    ours = len(throws) / (time.perf_counter() - begin)
+    row("fit_throws, one process", f"{ours:.0f} fits/s", ours / script)
+    with tempfile.TemporaryDirectory() as folder:
+        for place, throw in enumerate(throws):
+            (Path(folder) / f"{place}.csv").write_text(write_table(throw))
+        command = [sys.executable, "-m", "curlfit", "batch", folder, "--again", "--out"]
+        whole, few = processes([*command, f"{folder}.out"], times=1)[0], 0.0
+        for file in sorted(Path(folder).glob("*.csv"))[64:]:
+            file.unlink()
+        few = processes([*command, f"{folder}.out"], times=1)[0]
+        Path(f"{folder}.out").unlink()
+    ours = (len(throws) - 64) / (whole - few)
+    row("curlfit batch, files to table, all cores", f"{ours:.0f} fits/s", ours / script)
+
+
+def posterior() -> None:
+    """Least effective samples a second over the parameters, against emcee's stretch move."""
+    import emcee
+
+    from curlfit import fit, load_throw, sample
+    from curlfit.fitting import prepared, shifted
+    from curlfit.likelihood import log_posterior, problem_of
+
+    result = fit(load_throw(DATA))
+    sample(result, effective=500)
+    begin = time.perf_counter()
+    sampled, _ = sample(result, effective=4000)
+    assert sampled.posterior is not None
+    ours = min(sampled.posterior.ess.values()) / (time.perf_counter() - begin)
+
+    law = result.law_class
+    job = prepared(load_throw(DATA), law, None, None)
+    local = shifted(job.parameters, -job.frame.offset(len(job.parameters)))
+    problem = problem_of(job.throw, job.stone, job.frame, result.sigma)
+    centre = result.values - job.frame.offset(len(local))
+    walkers = 64
+    random = np.random.default_rng(0)
+    spread = 1e-5 * local.typical * random.standard_normal((walkers, len(local)))
+    first = np.clip(centre + spread, local.lower + 1e-9, local.upper)
+
+    def log_prob(values: Any) -> Any:
+        return np.asarray(log_posterior(law, "uniform", values, local.lower, local.upper, problem))
+
+    stock = emcee.EnsembleSampler(walkers, len(local), log_prob, vectorize=True)
+    state = stock.run_mcmc(first, 1000)
+    stock.reset()
+    begin = time.perf_counter()
+    stock.run_mcmc(state, 4000)
+    taken = time.perf_counter() - begin
+    times = stock.get_autocorr_time(quiet=True)
+    peer = walkers * 4000 / float(np.max(times)) / taken
+    row("emcee, stretch move, same likelihood", f"{peer:.0f} effective samples/s", 1.0)
+    row("curlfit sample", f"{ours:.0f} effective samples/s", ours / peer)
+
+
+ALL = {function.__name__: function for function in (answering, forward, batch, posterior)}
+
+
+def main(names: list[str]) -> None:
+    """Run the benchmarks asked for, or all."""
+    import jax
+
+    sys.path.insert(0, str(HERE))
+    packages = ", ".join(f"{name} {version(name)}" for name in ("jax", "scipy", "emcee"))
+    device = jax.devices()[0]
+    print(f"{date.today()}, {platform.processor() or platform.machine()}, {os.cpu_count()} cores, ")
+    print(f"{device.platform} {device.device_kind}, Python {platform.python_version()}, {packages}")
+    for name in names or list(ALL):
+        print(f"\n{(ALL[name].__doc__ or '').splitlines()[0]}\n")
+        row(name, "measured", "ratio")
+        row("---", "---", "---")
+        ALL[name]()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

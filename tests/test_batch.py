@@ -1,0 +1,165 @@
+"""Many throws: the same answers as one by one, in a table that survives a kill."""
+
+from __future__ import annotations
+
+import csv
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from conftest import command
+
+import curlfit
+from curlfit import Stone
+from curlfit.batch import fit_files
+from curlfit.plan import Plan
+from curlfit.synthetic import law_with, synthetic_throw, write_table
+
+STONE = Stone(R=0.054)
+
+
+@pytest.fixture(scope="module")
+def season(tmp_path_factory):
+    """Six throws, two of them without an angle or long at rest, and two files of no use."""
+    folder = tmp_path_factory.mktemp("season")
+    random = np.random.default_rng(3)
+    for place in range(6):
+        law = law_with(
+            "front-back",
+            {"mu1_xi": 0.0006, "mu2_xi": 0.055 * random.uniform(0.8, 1.2), "mu1_eta": 0.0085},
+        )
+        throw = synthetic_throw(
+            law, STONE, v0=random.uniform(1.9, 2.3), omega0=random.choice([-1.5, 1.2]),
+            heading=0.02, until=28.0 if place == 1 else 20.0, dt=0.2, noise_xy=0.005,
+            noise_phi=0.01, seed=place,
+        )  # fmt: skip
+        text = write_table(throw)
+        if place == 2:
+            text = "\n".join(
+                line if line.startswith("#") else ",".join(line.split(",")[:3])
+                for line in text.splitlines()
+            )
+        (folder / f"throw{place}.csv").write_text(text)
+    (folder / "broken.csv").write_text("t,x,y,phi\n0,0,0,0\n1,a,b,c\n")
+    (folder / "still.csv").write_text("t,x,y\n" + "".join(f"{k},1,2\n" for k in range(30)))
+    (folder / "notes.md").write_text("not a throw")
+    return folder
+
+
+def table(file):
+    with file.open() as lines:
+        return list(csv.DictReader(line for line in lines if not line.startswith("#")))
+
+
+def test_each_row_is_the_fit_of_that_throw(season):
+    files = sorted(season.glob("*.csv"))
+    for row in fit_files(files, Plan()):
+        if row["status"] == "failed":
+            continue
+        alone = curlfit.fit(curlfit.load_throw(row["file"]))
+        assert row["status"] == ("ok" if alone.converged else "not usable")
+        for name, item in alone.parameters.items():
+            assert row[f"{name}_verdict"] == item.verdict, (row["file"], name)
+            scale = item.stderr or 1e-3
+            assert row[name] == pytest.approx(item.value, abs=1e-3 * scale + 1e-7), name
+            if item.stderr is not None:
+                assert row[f"{name}_stderr"] == pytest.approx(item.stderr, rel=1e-3), name
+        assert row["rms_y"] == pytest.approx(alone.rms["y"], rel=1e-6)
+
+
+def test_a_useless_file_is_a_row_with_its_reason(season):
+    rows = {row["file"]: row for row in fit_files(sorted(season.glob("*.csv")), Plan())}
+    broken, still = (rows[str(season / name)] for name in ("broken.csv", "still.csv"))
+    assert broken["status"] == still["status"] == "failed"
+    assert "line 3" in broken["reason"]
+    assert "move" in still["reason"]
+    assert broken["mu1_xi"] is None
+    assert sum(row["status"] == "ok" for row in rows.values()) >= 5
+
+
+def test_a_table_cut_off_anywhere_is_completed_to_the_same_bytes(season, tmp_path):
+    out = tmp_path / "results.csv"
+    words = ["batch", str(season), "--out", str(out), "--workers", "1"]
+    first = command(*words)
+    assert first.returncode == 0, first.stderr
+    assert "2 failed" in first.stdout
+    whole = out.read_bytes()
+    assert len(table(out)) == 8
+    for size in (10, len(whole) // 2, len(whole) - 3):
+        out.write_bytes(whole[:size])
+        assert command(*words).returncode == 0
+        assert out.read_bytes() == whole
+    assert "8 of 8 throws" in command(*words).stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--law", "fricton"], "unknown law 'fricton'"),
+        (["--load", "even"], "even"),
+        (["--fix", "mu=1"], "mu"),
+        (["--stone", "R=-1"], "R"),
+        (["--law", "coulomb"], "line 1: made with other settings"),
+    ],
+)
+def test_what_cannot_be_done_is_one_sentence(season, tmp_path, words, said):
+    out = tmp_path / "results.csv"
+    if "coulomb" in words:
+        Plan_line = '# curlfit batch {"law": "front-back"}\nfile,status\n'
+        out.write_text(Plan_line)
+    before = out.read_bytes() if out.exists() else None
+    done = command("batch", str(season), "--out", str(out), *words)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert (out.read_bytes() if out.exists() else None) == before
+
+
+def test_a_table_of_something_else_is_left_alone(season, tmp_path):
+    out = tmp_path / "results.csv"
+    out.write_text("my own notes\n")
+    done = command("batch", str(season), "--out", str(out))
+    assert done.returncode == 2
+    assert "not a table of `curlfit batch`" in done.stderr
+    assert out.read_text() == "my own notes\n"
+
+
+def test_nothing_found_is_said(tmp_path):
+    done = command("batch", str(tmp_path), "--out", str(tmp_path / "r.csv"))
+    assert done.returncode == 2
+    assert "no file that ends in .csv" in done.stderr
+
+
+@pytest.mark.slow
+def test_whoever_does_the_work_the_table_is_the_same(season, tmp_path):
+    pytest.importorskip("distributed", reason="Dask is an extra of its own")
+    texts = []
+    for words in (["--workers", "1"], ["--workers", "2"], ["--dask", "local", "--workers", "2"]):
+        out = tmp_path / "results.csv"
+        done = command("batch", str(season), "--again", "--out", str(out), *words)
+        assert done.returncode == 0, done.stderr
+        texts.append(out.read_bytes())
+    assert texts[0] == texts[1] == texts[2]
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_without_repeating_or_losing_a_throw(season, tmp_path):
+    many = tmp_path / "many"
+    many.mkdir()
+    text = (season / "throw0.csv").read_text()
+    for place in range(400):
+        (many / f"{place:04d}.csv").write_text(text)
+    out = tmp_path / "results.csv"
+    words = [sys.executable, "-m", "curlfit", "batch", str(many), "--out", str(out)]
+    run = subprocess.Popen(words, start_new_session=True)
+    while run.poll() is None and (not out.exists() or out.stat().st_size < 20_000):
+        time.sleep(0.02)
+    import os
+
+    os.killpg(run.pid, signal.SIGKILL)
+    run.wait()
+    assert subprocess.run(words, check=False).returncode == 0
+    assert [row["file"] for row in table(out)] == [str(file) for file in sorted(many.iterdir())]
