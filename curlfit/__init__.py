@@ -18,19 +18,23 @@ from typing import TYPE_CHECKING, Any
 from curlfit.version import __version__
 
 if TYPE_CHECKING:
+    from curlfit.aiming import Aim, aim
     from curlfit.chain import Chain, load_chain
     from curlfit.claims import Claim, Reproduction, reproduce
     from curlfit.comparison import Comparison, compare, load_comparison
     from curlfit.errors import CurlfitError, DataError, InputError, UnusableFitError
     from curlfit.figures import comparison_figure, corner_figure, fit_figure, joint_figure
+    from curlfit.figures_prediction import prediction_figure
     from curlfit.fitting import fit
     from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, coefficient, find_law
     from curlfit.joint import JointResult, fit_together, load_joint
     from curlfit.motion import Path, Start, simulate
+    from curlfit.prediction import Prediction, held_out, load_prediction, predict
     from curlfit.readers import load_throw
     from curlfit.report import print_fit
     from curlfit.report_comparison import print_comparison
     from curlfit.report_joint import print_joint
+    from curlfit.report_prediction import print_prediction
     from curlfit.results import FitResult, Posterior, load_fit
     from curlfit.sampling import sample
     from curlfit.stone import Stone
@@ -40,19 +44,23 @@ if TYPE_CHECKING:
 # Where each public name lives. They are imported on first use, so that `import curlfit` and the
 # command line's help need neither JAX nor matplotlib.
 _HOMES = {
+    "aiming": ("Aim", "aim"),
     "chain": ("Chain", "load_chain"),
     "claims": ("Claim", "Reproduction", "reproduce"),
     "comparison": ("Comparison", "compare", "load_comparison"),
     "errors": ("CurlfitError", "DataError", "InputError", "UnusableFitError"),
     "figures": ("comparison_figure", "corner_figure", "fit_figure", "joint_figure"),
+    "figures_prediction": ("prediction_figure",),
     "fitting": ("fit",),
     "friction": ("LAWS", "Law", "LocalLaw", "NetLaw", "coefficient", "find_law"),
     "joint": ("JointResult", "fit_together", "load_joint"),
     "motion": ("Path", "Start", "simulate"),
+    "prediction": ("Prediction", "held_out", "load_prediction", "predict"),
     "readers": ("load_throw",),
     "report": ("print_fit",),
     "report_comparison": ("print_comparison",),
     "report_joint": ("print_joint",),
+    "report_prediction": ("print_prediction",),
     "results": ("FitResult", "Posterior", "load_fit"),
     "sampling": ("sample",),
     "stone": ("Stone",),
@@ -66,6 +74,8 @@ __all__ = [  # noqa: RUF022  (in the order of use)
     "fit_figure", "corner_figure", "load_fit", "load_chain",
     "fit_together", "JointResult", "print_joint", "joint_figure", "load_joint",
     "compare", "Comparison", "print_comparison", "comparison_figure", "load_comparison",
+    "predict", "Prediction", "print_prediction", "prediction_figure", "load_prediction",
+    "held_out", "aim", "Aim",
     "Stone", "Start", "Path", "simulate", "synthetic_throw",
     "reproduce", "Reproduction", "Claim",
     "LAWS", "law_with", "find_law", "Law", "LocalLaw", "NetLaw", "coefficient",

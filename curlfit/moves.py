@@ -63,11 +63,11 @@ class RidgeMove(Move):
         """Share of its proposals that were accepted."""
         return self.taken / max(self.tried, 1)
 
-    def draw(self, n: int, random: Any) -> Floats:
-        """n parameter vectors, shape (n, p)."""
-        normal = random.standard_normal((n, len(self.seen)))
-        stretch = np.sqrt(_DEGREES / random.chisquare(_DEGREES, (n, 1)))
-        along = self.spread * normal * stretch
+    def draw(self, n: int, random: Any, *, gaussian: bool = False) -> Floats:
+        """n parameter vectors, shape (n, p); along seen directions Student or `gaussian`."""
+        along = self.spread * random.standard_normal((n, len(self.seen)))
+        if not gaussian:
+            along *= np.sqrt(_DEGREES / random.chisquare(_DEGREES, (n, 1)))
         across = self.low + (self.high - self.low) * random.uniform(size=(n, len(self.pivots)))
         off = self.scale * random.standard_exponential((n, len(self.pushed)))
         z = np.concatenate([along, across, off], 1) @ self._inverse.T

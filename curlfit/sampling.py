@@ -162,7 +162,7 @@ class _Run:
         self._base = fit.values - self._offset
         self._lower, self._upper = parameters.lower - self._offset, parameters.upper - self._offset
         self.names, self.free = parameters.names, parameters.free
-        self._move = _ridge_move(fit, self._offset)
+        self._move = ridge_move(fit, self._offset)
         self._dimension = int(self.free.sum())
         self._walkers = ENSEMBLES * max(32, 4 * ((2 * self._dimension + 3) // 4))
         self._bold = True
@@ -300,7 +300,7 @@ class _Run:
             raise KeyboardInterrupt
 
 
-def _ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
+def ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
     """The proposal from what the fit knows of its surroundings."""
     parameters = fit.parameter_set
     free = parameters.free

@@ -24,7 +24,7 @@ BASH = [
 # The first is done by .ci/run, in an environment that has nothing yet; the second is running.
 NOT_HERE = ('pip install ".[test]"', "python -m pytest")
 PYTHON = re.findall(r"```python\n(.*?)```", README, re.S)
-FIRST = ("curlfit fit ", "curlfit simulate ", "curlfit batch ")
+FIRST = ("curlfit fit ", "curlfit simulate ", "curlfit batch ", "curlfit predict ")
 TABLE = re.search(r"A text table with a header:\n\n```text\n(.*?)```", README, re.S)[1]
 INLINE = re.findall(r"`(curlfit(?: [^`]+))`", README)
 
@@ -83,6 +83,8 @@ def shown(command, after):
     [
         ("curlfit fit data/jensen_shegelski_2004.csv", "The first run on a machine"),
         ("curlfit compare data/jensen_shegelski_2004.csv --load both", "That is the paper's"),
+        ("curlfit predict jensen_shegelski_2004-fit --to-tee", "![The path on the sheet"),
+        ("curlfit predict first-12-s --check data/jensen_shegelski_2004.csv", "The parameters'"),
     ],
 )
 def test_the_commands_print_what_the_readme_shows(printed, command, after):
@@ -102,6 +104,9 @@ def test_the_commands_write_what_the_readme_says(printed, clone):
     assert {file.name for file in (clone / "jensen_shegelski_2004-compare").iterdir()} == {
         "compare.json", "compare.png",
     }  # fmt: skip
+    assert {file.name for file in (clone / "jensen_shegelski_2004-predict").iterdir()} == {
+        "predict.json", "predict.csv", "predict.png",
+    }  # fmt: skip
     assert {"claims.json", "claims.md"} < {file.name for file in (clone / "reproduction").iterdir()}
     assert "Posterior: converged" in " ".join(printed[RESUME].split())
 
@@ -111,7 +116,7 @@ RESUME = next(line for line in BASH if line.endswith("--resume"))
 
 @pytest.mark.parametrize("line", sorted(set(INLINE)))
 def test_commands_within_sentences(printed, clone, line):
-    folders = ["jensen_shegelski_2004-fit", "jensen_shegelski_2004-compare"]
+    folders = [f"jensen_shegelski_2004-{kind}" for kind in ("fit", "compare", "predict")]
     for folder in folders if "DIR" in line else [""]:
         assert typed(re.sub(r"\bDIR\b", folder, line), clone) != ""
 

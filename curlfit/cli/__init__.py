@@ -14,6 +14,7 @@ from curlfit.cli.compare import compare
 from curlfit.cli.fit import fit
 from curlfit.cli.laws import laws
 from curlfit.cli.plot import plot
+from curlfit.cli.predict import predict
 from curlfit.cli.reproduce import reproduce
 from curlfit.cli.show import show
 from curlfit.cli.simulate import simulate
@@ -49,7 +50,7 @@ def _root(
     """
 
 
-for _verb in (check, fit, compare, batch, show, plot, simulate, laws, reproduce):
+for _verb in (check, fit, compare, batch, predict, show, plot, simulate, laws, reproduce):
     app.command()(_verb)
 
 

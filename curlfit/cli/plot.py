@@ -15,7 +15,7 @@ def plot(
     out: Annotated[Path | None, typer.Option(help="Folder for the figures. [default: DIR]")] = None,
     format: Annotated[str, typer.Option(help="png, pdf or svg.")] = "png",
 ) -> None:
-    """Draw the figures of a saved fit, joint fit or comparison, without fitting again."""
+    """Draw the figures of a saved fit, joint fit, comparison or prediction again."""
     from curlfit.errors import InputError
     from curlfit.files import prepared_folder
     from curlfit.results import load_fit
@@ -24,14 +24,15 @@ def plot(
         raise InputError(f"--format {format}: expected png, pdf or svg")
     kind = kind_of(folder)
     if kind != "fit":
-        from curlfit.comparison import load_comparison
-        from curlfit.figures import comparison_figure, joint_figure, save_figure
-        from curlfit.joint import load_joint
+        import curlfit
+        from curlfit.figures import save_figure
 
         if kind == "compare":
-            figure = comparison_figure(load_comparison(folder))
+            figure = curlfit.comparison_figure(curlfit.load_comparison(folder))
+        elif kind == "joint":
+            figure = curlfit.joint_figure(curlfit.load_joint(folder))
         else:
-            figure = joint_figure(load_joint(folder))
+            figure = curlfit.prediction_figure(curlfit.load_prediction(folder))
         own = folder if folder.is_dir() else folder.parent
         file = prepared_folder(out or own) / f"{kind}.{format}"
         save_figure(figure, file)

@@ -159,8 +159,8 @@ def settled(throw: Throw, configured: Mapping[str, Any], flags: Mapping[str, Any
 
 
 def kind_of(folder: Path) -> str:
-    """What a folder of results, or a file of them, holds: "fit", "compare" or "joint"."""
-    for kind in ("fit", "compare", "joint"):
+    """What results a folder, or a file of them, holds: a "fit", "compare", "joint" or "predict"."""
+    for kind in ("fit", "compare", "joint", "predict"):
         if folder.name == f"{kind}.json" or (folder / f"{kind}.json").is_file():
             return kind
     return "fit"

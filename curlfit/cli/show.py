@@ -22,7 +22,7 @@ def show(
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print the JSON record.")] = False,
 ) -> None:
-    """Print the report of a saved fit, joint fit or comparison, without fitting again."""
+    """Print the report of a saved fit, joint fit, comparison or prediction again."""
     from rich.console import Console
 
     console = Console(width=None if sys.stdout.isatty() else 110)
@@ -41,6 +41,12 @@ def show(
 
         comparison = load_comparison(folder)
         record, printed = comparison.to_json, partial(print_comparison, comparison, console)
+    elif kind == "predict":
+        from curlfit.prediction import load_prediction
+        from curlfit.report_prediction import print_prediction
+
+        prediction = load_prediction(folder)
+        record, printed = prediction.summary, partial(print_prediction, prediction, console)
     else:
         from curlfit.report import print_fit
         from curlfit.results import load_fit

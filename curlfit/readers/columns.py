@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from curlfit.errors import InputError
+from curlfit.sheet import FOOT
 
 _NAMES = {
     "t": {"t", "time", "timestamp", "seconds", "elapsed"},
@@ -31,7 +32,6 @@ _CLOCKS = {
     "t_omega": {"imu"},
 }
 
-_FOOT = 0.3048
 _TURN = 2 * math.pi
 _UNITS = {
     "t": {
@@ -40,8 +40,8 @@ _UNITS = {
     },
     "length": {
         "m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0, "cm": 1e-2,
-        "mm": 1e-3, "ft": _FOOT, "foot": _FOOT, "feet": _FOOT, "in": _FOOT / 12,
-        "inch": _FOOT / 12, "inches": _FOOT / 12, "yd": 3 * _FOOT,
+        "mm": 1e-3, "ft": FOOT, "foot": FOOT, "feet": FOOT, "in": FOOT / 12,
+        "inch": FOOT / 12, "inches": FOOT / 12, "yd": 3 * FOOT,
     },
     "phi": {
         "rad": 1.0, "radian": 1.0, "radians": 1.0, "mrad": 1e-3, "deg": math.pi / 180,
@@ -52,7 +52,7 @@ _UNITS = {
     # "m/s" and "m_s" arrive here as "ms"
     "speed": {
         "m/s": 1.0, "ms": 1.0, "mps": 1.0, "ms^-1": 1.0, "ms⁻¹": 1.0, "cms": 1e-2, "mms": 1e-3,
-        "fts": _FOOT, "fps": _FOOT, "kmh": 1 / 3.6, "kph": 1 / 3.6, "mph": 1609.344 / 3600,
+        "fts": FOOT, "fps": FOOT, "kmh": 1 / 3.6, "kph": 1 / 3.6, "mph": 1609.344 / 3600,
     },
     "omega": {
         "rad/s": 1.0, "rads": 1.0, "radps": 1.0, "rads^-1": 1.0, "rads⁻¹": 1.0,

@@ -5,25 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from curlfit.errors import InputError
+from curlfit.sheet import LINES
 from curlfit.throw import Floats
 
-# World Curling: tee to tee 114 ft, tee to hack 12 ft, tee to hog 21 ft, tee to back line 6 ft.
-TEE_TO_TEE = 34.747
-TEE_TO_HACK = 3.658
-TEE_TO_HOG = 6.401
-TEE_TO_BACK = 1.829
-HOG_TO_HOG = TEE_TO_TEE - 2 * TEE_TO_HOG  # 21.945 m
-
-# y of the lines, from the hack that the stone is thrown from
-LINES = {
-    "hack": 0.0,
-    "back": TEE_TO_HACK - TEE_TO_BACK,
-    "tee": TEE_TO_HACK,
-    "hog": TEE_TO_HACK + TEE_TO_HOG,
-    "centre": TEE_TO_HACK + TEE_TO_TEE / 2,
-    "far-hog": TEE_TO_HACK + TEE_TO_TEE - TEE_TO_HOG,
-    "far-tee": TEE_TO_HACK + TEE_TO_TEE,
-}
 WORDS = {
     "y-along": "y points along the throw (as it is here)",
     "y-back": "y points back at the thrower",

@@ -12,9 +12,9 @@ import numpy as np
 from curlfit.errors import DataError
 from curlfit.readers.columns import Column, in_unit
 from curlfit.readers.defaults import defaults_of
-from curlfit.readers.frames import HOG_TO_HOG, LINES
 from curlfit.readers.reading import Reading, Series
 from curlfit.readers.text import number
+from curlfit.sheet import HOG_TO_HOG, LINES
 
 TIMES = ("back_to_hog", "hog_to_hog", "hog_to_rest")
 _KEYS = {

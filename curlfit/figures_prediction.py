@@ -1,0 +1,220 @@
+"""The picture of a prediction: the sheet and the house drawn to scale. Nothing is computed here
+but ellipses from covariances."""
+
+from __future__ import annotations
+
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.patches import Circle, Ellipse, Rectangle
+
+from curlfit import sheet
+from curlfit.figures import Picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from curlfit.prediction import Prediction
+
+_PATH = "#1b2a49"
+_BAND = "#7b5ea7"
+_AIM = "#e07a1f"
+_RINGS = ("#9fc3df", "#ffffff", "#e3a09b", "#ffffff")
+_LINE: dict[str, Any] = {"color": "0.55", "lw": 0.8, "zorder": 1}
+_UNITS = {"x": (100.0, "cm"), "y": (100.0, "cm"), "phi": (1000.0, "mrad")}
+_LETTERS = {"x": "x", "y": "y", "phi": r"\varphi"}
+
+
+def prediction_figure(prediction: Prediction) -> Figure:
+    """The path on the sheet, the place of rest in the house, the bands, and measured rows."""
+    checked = prediction.check is not None
+    figure = Picture(figsize=(11, 8.8 if checked else 6.6), layout="constrained")
+    rows = figure.add_gridspec(3 if checked else 2, 1, height_ratios=(1, 2.7, 1.4)[: 2 + checked])
+    top = figure.add_subplot(rows[0])
+    lower = rows[1].subgridspec(1, 2, width_ratios=(1.0, 1.25))
+    _whole(prediction, top)
+    _resting(prediction, figure.add_subplot(lower[0]))
+    right = lower[1].subgridspec(2, 1)
+    _across(prediction, figure.add_subplot(right[0]))
+    _speed(prediction, figure.add_subplot(right[1]))
+    if prediction.check is not None:
+        panels = rows[2].subgridspec(1, len(prediction.check.channels))
+        for place, name in enumerate(prediction.check.channels):
+            _checked(prediction, figure.add_subplot(panels[place]), name)
+    name = FilePath(prediction.fit["file"]).name
+    top.set_title(
+        f"{prediction.law} law fitted to {name}, "
+        + ("carried on to rest" if prediction.of == "fitted" else "another throw on this ice"),
+        fontsize=10, loc="left",
+    )  # fmt: skip
+    return figure
+
+
+def _whole(prediction: Prediction, axes: Any) -> None:
+    """The sheet from above, thrown to the right, so that right of the centre line is below."""
+    length, half = sheet.TEE + sheet.LINES["tee"], sheet.WIDTH / 2
+    axes.add_patch(
+        Rectangle(
+            (0, -half), length, 2 * half, facecolor="#f6fafc", edgecolor="0.55", lw=0.8, zorder=0
+        )
+    )
+    for tee in (sheet.LINES["tee"], sheet.TEE):
+        _house(axes, (tee, 0.0))
+    for name, place in sheet.LINES.items():
+        if name not in ("hack", "centre"):
+            axes.plot([place, place], [-half, half], **_LINE)
+    axes.plot([sheet.END - sheet.STONE_RADIUS] * 2, [-half, half], **_LINE)
+    axes.plot([0, length], [0, 0], **_LINE)
+    band, series = prediction.band, prediction.series
+    for low, high, alpha in (("x_2.5", "x_97.5", 0.25), ("x_16", "x_84", 0.45)):
+        axes.fill_between(
+            band["y"], band[low], band[high], color=_BAND, alpha=alpha, lw=0, zorder=3
+        )
+    axes.plot(series["y"], series["x"], color=_PATH, lw=1.2, zorder=4)
+    _stone(axes, (series["y"][0], series["x"][0]), hollow=True)
+    _stone(axes, (series["y"][-1], series["x"][-1]))
+    if prediction.check is not None:
+        seen = prediction.check.observed
+        axes.plot(seen["y"], seen["x"], ".", color=_AIM, markersize=2, zorder=5)
+    axes.set_aspect("equal")
+    axes.set_xlim(min(float(series["y"][0]), 0.0) - 0.5, length + 0.5)
+    beyond = max(half, float(np.abs(series["x"][series["y"] < length]).max()) + 0.3)
+    axes.set_ylim(beyond + 0.1, -beyond - 0.1)
+    names = {"hog": "hog line", "far-hog": "hog line", "tee": "tee", "far-tee": "tee"}
+    axes.set_xticks([sheet.LINES[name] for name in names], list(names.values()), fontsize=8)
+    axes.set_yticks([-half, 0, half], ["left", "0", "right"], fontsize=8)
+    axes.tick_params(length=0)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def _house(axes: Any, centre: tuple[float, float]) -> None:
+    for radius, color in zip(sheet.CIRCLES, _RINGS, strict=True):
+        axes.add_patch(
+            Circle(centre, radius, facecolor=color, edgecolor="0.55", lw=0.6, zorder=0.5)
+        )
+
+
+def _stone(axes: Any, place: tuple[float, float], hollow: bool = False) -> None:
+    axes.add_patch(
+        Circle(
+            place, sheet.STONE_RADIUS, facecolor="none" if hollow else "0.35", edgecolor=_PATH,
+            lw=0.9, zorder=6,
+        )
+    )  # fmt: skip
+
+
+def _resting(prediction: Prediction, axes: Any) -> None:
+    """Where it comes to rest, seen along the throw, in m from the tee."""
+    series, half = prediction.series, sheet.WIDTH / 2
+    x, y = series["x"][-1], series["y"][-1] - sheet.TEE
+    mean = np.array(prediction.rest["mean"]) - (0.0, sheet.TEE)
+    parameter, model = (np.array(prediction.rest[name]) for name in ("parameter", "model"))
+    reach = 2.6 * np.sqrt(np.diag(parameter + model)) + 0.3
+    _house(axes, (0.0, 0.0))
+    axes.plot([0, 0], [-40, 20], **_LINE)
+    for level in (0.0, -sheet.TEE_TO_HOG, sheet.TEE_TO_BACK):
+        axes.plot([-half, half], [level, level], **_LINE)
+    axes.plot(series["x"], series["y"] - sheet.TEE, color=_PATH, lw=1.2, zorder=4)
+    band = prediction.band
+    axes.fill_betweenx(
+        band["y"] - sheet.TEE,
+        band["x_2.5"],
+        band["x_97.5"],
+        color=_BAND,
+        alpha=0.15,
+        lw=0,
+        zorder=2,
+    )
+    for chance, alpha in ((0.95, 0.3), (0.68, 0.5)):
+        _ellipse(axes, mean, parameter + model, chance, color=_BAND, alpha=alpha, lw=0, zorder=3)
+    _ellipse(axes, mean, parameter, 0.95, facecolor="none", edgecolor=_PATH, lw=1, zorder=5)
+    _stone(axes, (x, y), hollow=True)
+    if prediction.goal is not None:
+        place = prediction.goal["x"] or 0.0, prediction.goal["y"]
+        axes.plot(*place, "+", color=_AIM, markersize=13, mew=2, zorder=7)
+    if prediction.check is not None:
+        seen = prediction.check.observed
+        axes.plot(seen["x"], seen["y"] - sheet.TEE, ".", color=_AIM, markersize=3, zorder=7)
+    end = sheet.TEE_TO_HACK + 0.3
+    away = y - reach[1] > end
+    sides = half if away else max(half, abs(x) + reach[0])
+    low = -sheet.HOUSE - 0.5
+    axes.set_aspect("equal", adjustable="box")
+    axes.set(
+        xlim=(-sides, sides),
+        ylim=(low if away else min(low, y - reach[1]), min(max(-low, y + reach[1]), end)),
+        xlabel="right of the centre line (m)",
+        ylabel="beyond the tee line (m)",
+    )
+    axes.set_title(
+        "it goes through; band: 95 % of both errors"
+        if away
+        else "at rest: 68 %, 95 % of both errors;\nline: 95 % of the parameters' error",
+        fontsize=9,
+    )
+
+
+def _ellipse(axes: Any, centre: Any, covariance: Any, chance: float, **style: Any) -> None:
+    """The ellipse that holds a share of a Gaussian."""
+    squares, vectors = np.linalg.eigh(covariance)
+    size = 2 * np.sqrt(-2 * np.log(1 - chance) * np.maximum(squares, 0.0))
+    angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
+    axes.add_patch(Ellipse(centre, size[1], size[0], angle=angle, **style))
+
+
+def _across(prediction: Prediction, axes: Any) -> None:
+    band = prediction.band
+    y = band["y"] - sheet.TEE
+    for low, high, alpha, label in (
+        ("x_2.5", "x_97.5", 0.25, "95 %"), ("x_16", "x_84", 0.45, "68 %"),
+    ):  # fmt: skip
+        axes.fill_between(y, band[low], band[high], color=_BAND, alpha=alpha, lw=0, label=label)
+    axes.plot(y, band["x"], color=_PATH, lw=1.2)
+    if prediction.check is not None:
+        seen = prediction.check.observed
+        axes.plot(
+            seen["y"] - sheet.TEE, seen["x"], ".", color=_AIM, markersize=2,
+            label="measured",
+        )  # fmt: skip
+    axes.invert_yaxis()
+    axes.set(
+        xlabel="along the sheet, from the far tee (m)",
+        ylabel="to the right, x (m)",
+    )
+    axes.legend(frameon=False, fontsize=8)
+    axes.margins(x=0.02)
+
+
+def _speed(prediction: Prediction, axes: Any) -> None:
+    series = prediction.series
+    axes.plot(series["t"], series["speed"], color=_PATH)
+    axes.set(xlabel="t (s)", ylabel="speed (m/s)")
+    axes.set_ylim(bottom=0)
+    axes.margins(x=0.02)
+    spin = axes.twinx()
+    spin.plot(series["t"], series["omega"], color="#2e8b57")
+    spin.set_ylabel(r"spin $\omega$ (rad/s)", color="#2e8b57")
+    low, high = float(series["omega"].min()), float(series["omega"].max())
+    spin.set_ylim((min(low, 0.0) * 1.05, max(high, 0.0) * 1.05) if high > low else (-1, 1))
+
+
+def _checked(prediction: Prediction, axes: Any, name: str) -> None:
+    """Measured minus foretold, with the bands of the path (without the noise of measuring)."""
+    assert prediction.check is not None
+    factor, unit = _UNITS[name]
+    series, seen = prediction.series, prediction.check.observed
+    step = series["t"][1] - series["t"][0]
+    shown = (series["t"] >= seen["t"][0] - 1) & (series["t"] <= seen["t"][-1] + step)
+    for low, high, alpha in (("2.5", "97.5", 0.25), ("16", "84", 0.45)):
+        edges = [
+            factor * (series[f"{name}_{level}"] - series[name])[shown] for level in (low, high)
+        ]
+        axes.fill_between(series["t"][shown], *edges, color=_BAND, alpha=alpha, lw=0)
+    axes.axhline(0, color="0.6", lw=0.8)
+    off = factor * (seen[name] - np.interp(seen["t"], series["t"], series[name]))
+    axes.plot(seen["t"], off, ".", color=_AIM, markersize=3)
+    axes.set(xlabel="t (s)", ylabel=unit)
+    axes.set_title(f"${_LETTERS[name]}$ measured - foretold", fontsize=10)
+    axes.margins(x=0.02)

@@ -1,0 +1,42 @@
+"""The sheet of ice: where its lines and circles lie.
+
+Dimensions of The Rules of Curling of World Curling (rule R1), which gives both feet and metres:
+114 ft from tee to tee, 12 ft from tee to hack, 21 ft from tee to hog line, 6 ft from tee to back
+line; circles of 6, 4, 2 and 1/2 ft radius; 146 to 150 ft long, at most 16 ft 5 in wide.
+
+Along the sheet everything counts from the hack that the stone is thrown from, across it from the
+centre line, to the right.
+"""
+
+from __future__ import annotations
+
+FOOT = 0.3048
+
+TEE_TO_TEE = 34.747
+TEE_TO_HACK = 3.658
+TEE_TO_HOG = 6.401
+TEE_TO_BACK = 1.829
+HOG_TO_HOG = TEE_TO_TEE - 2 * TEE_TO_HOG  # 21.945 m
+
+LENGTH = 45.720
+WIDTH = 5.000
+CIRCLES = (1.829, 1.219, 0.610, 0.152)
+"""Outer radii of the circles of the house in m, from the twelve-foot circle to the button."""
+HOUSE = CIRCLES[0]
+STONE_RADIUS = 0.145
+"""Of the whole stone, m; its circumference is at most 36 in (0.914 m)."""
+
+LINES = {
+    "hack": 0.0,
+    "back": TEE_TO_HACK - TEE_TO_BACK,
+    "tee": TEE_TO_HACK,
+    "hog": TEE_TO_HACK + TEE_TO_HOG,
+    "centre": TEE_TO_HACK + TEE_TO_TEE / 2,
+    "far-hog": TEE_TO_HACK + TEE_TO_TEE - TEE_TO_HOG,
+    "far-tee": TEE_TO_HACK + TEE_TO_TEE,
+}
+"""y of the lines, in m from the hack that the stone is thrown from."""
+TEE = LINES["far-tee"]
+"""y of the tee that is thrown at."""
+END = TEE + TEE_TO_BACK + STONE_RADIUS
+"""y from which a stone lies past the back line altogether, and is out of play."""

@@ -1,0 +1,181 @@
+"""Coverage of predictions: the first 12 s of synthetic throws are fitted, the rest is foretold.
+
+    python tests/statistics/held_out.py THROWS [CASE]
+
+runs all cases, or one by its number, and writes their tables into README.md beside this file. What
+is foretold is the true path, so that no measuring noise is in the comparison, and each throw gives
+one answer to each question, so that counts are binomial.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import binomtest
+
+import curlfit
+
+HERE = Path(__file__).parent
+UNTIL = 12.0
+TIMES = (14.0, 17.0, 20.0)
+NOISE_XY, NOISE_PHI = 0.005, 0.01
+LEVELS = {"68 %": ("16", "84", 0.68, 0.99446), "95 %": ("2.5", "97.5", 0.95, 1.95996)}
+ASKED = (*(f"{name} at {t:g} s" for t in TIMES for name in ("x", "y", "phi")), "rest_x", "rest_y",
+         "time")  # fmt: skip
+
+
+class Case(NamedTuple):
+    """Which law the throws obey, which is fitted, and what the noise is like."""
+
+    title: str
+    truth: str
+    fitted: str
+    correlation: float = 0.0
+    """of the noise from row to row"""
+
+
+CASES = (
+    Case("right law", "front-back", "front-back"),
+    Case("`power` fitted by `coulomb`", "power", "coulomb"),
+    Case("`stribeck` fitted by `coulomb`", "stribeck", "coulomb"),
+    Case("right law, noise correlated by 0.9 from row to row", "front-back", "front-back", 0.9),
+)
+
+
+class Answer(NamedTuple):
+    """Of one throw: whether the bands held the truth, by level and question."""
+
+    both: dict[str, dict[str, bool]]
+    parameters: dict[str, dict[str, bool]]
+    found: bool
+    """whether the law was taken to miss something"""
+
+
+def answers(case: Case, throws: int, seed: int = 0) -> Iterator[Answer]:
+    """One answer a throw; those that come to rest before they can be asked are thrown again."""
+    random = np.random.default_rng(seed)
+    stone = curlfit.Stone(R=0.065)
+    given = 0
+    while given < throws:
+        law = curlfit.find_law(case.truth)
+        scaled = {
+            item.name: item.default * random.uniform(0.9, 1.1)
+            for item in law.coefficients()
+            if not (item.optional or item.signed)
+        }
+        start = {"v0": random.uniform(2.0, 2.3), "omega0": random.uniform(0.6, 2.0),
+                 "heading": random.uniform(-0.03, 0.03)}  # fmt: skip
+        true_law = curlfit.law_with(case.truth, scaled)
+        t = np.append(np.arange(0.0, 30.0, 0.1), 300.0)
+        path = curlfit.simulate(
+            true_law, stone,
+            curlfit.Start(heading=start["heading"], v=start["v0"], omega=start["omega0"]), t,
+        ).to_numpy()  # fmt: skip
+        if not path.speed[200] > 0.05:
+            continue
+        seen = slice(0, 201)
+        noise = [_noise(case, random, 201) for _ in range(3)]
+        throw = curlfit.Throw.from_arrays(
+            t[seen], path.x[seen] + NOISE_XY * noise[0], path.y[seen] + NOISE_XY * noise[1],
+            path.phi[seen] + NOISE_PHI * noise[2],
+        )  # fmt: skip
+        fit = curlfit.fit(throw, case.fitted, stone=stone, until=UNTIL)
+        if not fit.converged:
+            continue
+        given += 1
+        foretold = curlfit.predict(fit, line="data", draws=500, seed=given)
+        yield _judged(foretold, path)
+
+
+def _noise(case: Case, random: np.random.Generator, rows: int) -> np.ndarray:
+    white = random.standard_normal(rows)
+    for k in range(1, rows):
+        white[k] = case.correlation * white[k - 1] + np.sqrt(1 - case.correlation**2) * white[k]
+    return white
+
+
+def _judged(foretold: curlfit.Prediction, path: curlfit.Path) -> Answer:
+    series = foretold.series
+    resting = path.t[np.flatnonzero(path.speed > 0)[-1]]
+    truth, best, own = {}, {}, {}
+    quantiles: dict[str, dict[str, float]] = {}
+    for t in TIMES:
+        for name in ("x", "y", "phi"):
+            key = f"{name} at {t:g} s"
+
+            def at(column: str, t: float = t) -> float:
+                return float(np.interp(t, series["t"], series[column]))
+
+            truth[key] = float(getattr(path, name)[round(t / 0.1)])
+            best[key], own[key] = at(name), at(f"{name}_parameter_sd")
+            quantiles[key] = {level: at(f"{name}_{level}") for level in ("2.5", "16", "84", "97.5")}
+    shift = {"rest_x": path.x[-1], "rest_y": path.y[-1] - 38.405, "time": None}
+    for name, value in shift.items():
+        item = foretold.quantities[name]
+        # the time of rest is known to the rows' 0.1 s only; two more rows tell it
+        truth[name] = _time_of_rest(path) if value is None else float(value)
+        best[name], own[name], quantiles[name] = item.value, item.parameter_sd, item.quantiles
+    assert truth["time"] >= resting
+    both: dict[str, dict[str, bool]] = {}
+    parameters: dict[str, dict[str, bool]] = {}
+    for level, (low, high, _, sigmas) in LEVELS.items():
+        both[level] = {k: quantiles[k][low] <= truth[k] <= quantiles[k][high] for k in ASKED}
+        parameters[level] = {k: abs(truth[k] - best[k]) <= sigmas * own[k] for k in ASKED}
+    return Answer(both, parameters, foretold.misfit.found)
+
+
+def _time_of_rest(path: curlfit.Path) -> float:
+    """From the last moving rows: near rest the way left goes as the square of the time left."""
+    k = int(np.flatnonzero(path.speed > 0)[-1])
+    left = [np.hypot(path.x[-1] - path.x[j], path.y[-1] - path.y[j]) for j in (k - 1, k)]
+    power = np.log(left[0] / left[1]) / np.log(path.speed[k - 1] / path.speed[k])
+    return float(path.t[k] + left[1] / path.speed[k] * power / (power - 1))
+
+
+def table(case: Case, found: list[Answer]) -> str:
+    """Markdown of the coverage of a case."""
+    n = len(found)
+    lines = [
+        f"### {case.title[0].upper()}{case.title[1:]}",
+        "",
+        f"{n} throws; the law was taken to miss something in {sum(a.found for a in found)}.",
+        "",
+        "| | 68 %: both errors | parameters alone | 95 %: both errors | parameters alone |",
+        "|---|---|---|---|---|",
+    ]
+    for name in ASKED:
+        cells = []
+        for level, (_, _, nominal, _) in LEVELS.items():
+            for kind in ("both", "parameters"):
+                inside = sum(getattr(answer, kind)[level][name] for answer in found)
+                off = binomtest(inside, n, nominal).pvalue < 0.01
+                cells.append(f"{100 * inside / n:.0f} %{' (!)' if off else ''}")
+        lines.append(f"| {name.replace('_', ' ')} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def write(throws: int, chosen: int | None) -> None:
+    """Run the cases and put their tables into README.md, between their marks."""
+    for number, case in enumerate(CASES, 1):
+        if chosen not in (None, number):
+            continue
+        began, found = time.time(), []
+        for answer in answers(case, throws):
+            found.append(answer)
+            print(f"\r{case.title}: {len(found)} of {throws}", end="", file=sys.stderr)
+        print(f", {time.time() - began:.0f} s", file=sys.stderr)
+        file = HERE / "README.md"
+        mark = f"<!-- held-out {number} -->\n"
+        before, _, after = file.read_text().split(mark)
+        file.write_text(mark.join([before, table(case, found), after]))
+
+
+if __name__ == "__main__":
+    if len(sys.argv) not in (2, 3):
+        sys.exit(__doc__)
+    write(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) == 3 else None)
