@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from curlfit.report import number
+from curlfit.throw import UNITS
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from curlfit.comparison import Comparison
     from curlfit.joint import JointResult
     from curlfit.results import FitResult
+    from curlfit.throw import Throw
 
 _DATA: dict[str, Any] = {
     "color": "0.45",
@@ -44,6 +46,20 @@ class Picture(Figure):
         file = BytesIO()
         self.savefig(file, format="png", dpi=80)
         return file.getvalue()
+
+
+def throw_figure(throw: Throw) -> Figure:
+    """What was measured over time, a panel for each channel."""
+    seen = throw.seen
+    figure = Picture(figsize=(8, 1.8 * len(seen) + 0.6), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(len(seen), 1, sharex=True))
+    for axes, name in zip(panels, seen, strict=True):
+        axes.plot(throw.t, getattr(throw, name), ".", color=_COLOR[name], markersize=3)
+        axes.set_ylabel(f"${_LABEL[name]}$ ({UNITS[name]})")
+        axes.grid(alpha=0.3)
+    panels[-1].set_xlabel("t (s)")
+    panels[0].set_title(FilePath(throw.name).name, fontsize=10, loc="left")
+    return figure
 
 
 def fit_figure(fit: FitResult) -> Figure:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from curlfit.cli import options as o
 from curlfit.cli import reading as r
 from curlfit.cli import settings as s
 
@@ -28,32 +29,22 @@ def compare(
         str | None,
         typer.Option(help="`uniform`, `consistent` (eq. 8-9) or `both`. [default: uniform]"),
     ] = None,
-    until: Annotated[
-        float | None, typer.Option(help="Use the rows with t up to this, in s.", metavar="S")
-    ] = None,
-    sigma: Annotated[
-        list[str] | None,
-        typer.Option(help="Noise of a channel, as in `curlfit fit`.", metavar="NAME=V"),
-    ] = None,
-    stone: Annotated[
-        list[str] | None, typer.Option(help="The stone, as in `curlfit fit`.", metavar="R=V,rho=V")
-    ] = None,
+    until: o.Until = None,
+    sigma: o.Sigma = None,
+    stone: o.StoneValues = None,
     format: r.Format = None,
     axes: r.Axes = None,
     units: r.Units = None,
     reference: r.Reference = None,
     stone_index: r.StoneIndex = None,
     shot: r.Shot = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(help="TOML file with settings of `curlfit fit`; flags override it."),
-    ] = None,
+    config: o.Config = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for the results. [default: DATA's name with -compare]"),
     ] = None,
-    no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    no_figures: o.NoFigures = False,
+    quiet: o.Quiet = False,
 ) -> None:
     """Fit many friction laws to one throw and rank them.
 
