@@ -308,7 +308,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
     missed.set(xlabel="t (s)", ylabel="x measured - fitted (mm)")
 
     for name in ("x", "y", "phi"):
-        values = [1000 * (item.rms or {}).get(name, np.nan) for item in shown]
+        values = [1000 * item.misfit.get(name, np.nan) for item in shown]
         unit = "mrad" if name == "phi" else "mm"
         dots.plot(
             values, range(len(shown)), "o", color=_COLOR[name], label=f"${_LABEL[name]}$ ({unit})"
@@ -320,7 +320,8 @@ def comparison_figure(comparison: Comparison) -> Figure:
     dots.invert_yaxis()
     dots.set_xscale("log")
     dots.set_axisbelow(True)
-    dots.set_xlabel("rms of the residuals; bold: follows the path")
+    size = "rms" if comparison.loss == "linear" else "bulk"
+    dots.set_xlabel(f"{size} of the residuals; bold: follows the path")
     dots.legend(frameon=False, fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     figure.draw_without_rendering()
     _stretch_note(path)

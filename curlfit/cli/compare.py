@@ -31,6 +31,7 @@ def compare(
     ] = None,
     until: o.Until = None,
     sigma: o.Sigma = None,
+    loss: o.Loss = None,
     stone: o.StoneValues = None,
     format: r.Format = None,
     axes: r.Axes = None,
@@ -49,7 +50,8 @@ def compare(
     """Fit many friction laws to one throw and rank them.
 
     Each law is fitted within its own bounds; one that fails with a coefficient at zero is fitted
-    again with either sign allowed, which is shown and not ranked. The rank is by BIC.
+    again with either sign allowed, which is shown and not ranked. The rank is by BIC; under a
+    robust `--loss` that of the noise which the loss stands for.
     Writes `compare.json` and `compare.png`.
 
     Example: `curlfit compare data/jensen_shegelski_2004.csv --load both`
@@ -57,7 +59,7 @@ def compare(
     from curlfit.errors import InputError
     from curlfit.files import prepared_folder
     from curlfit.friction import LAWS, check_load, find_law
-    from curlfit.parameters import ParameterSet
+    from curlfit.parameters import ParameterSet, check_loss
 
     flags = {
         **r.how(format, axes, units, reference, stone_index, shot),
@@ -65,9 +67,11 @@ def compare(
         "until": until,
         "stone": s.pairs("--stone", stone or ()),
         "sigma": s.pairs("--sigma", sigma or ()),
+        "loss": loss,
     }
     throw, wanted, the_stone = s.prepared(data, config, flags)
     check_load(wanted.get("load", "uniform"))
+    check_loss(wanted.get("loss", "linear"))
     names = [name.strip() for name in laws.split(",") if name.strip()] if laws else None
     if names == []:
         raise InputError("--laws: expected names with commas between")
@@ -104,6 +108,7 @@ def compare(
             load="both" if load == "both" else wanted.get("load", "uniform"),
             stone=the_stone,
             until=wanted.get("until"),
+            loss=wanted.get("loss", "linear"),
             progress=told,
         )
     written = [folder / "compare.json"]

@@ -64,13 +64,7 @@ def fit(
         typer.Option(help="Start value; found from the data if not given.", metavar="NAME=V"),
     ] = None,
     sigma: o.Sigma = None,
-    loss: Annotated[
-        str | None,
-        typer.Option(
-            help="`linear` is least squares; `huber`, `soft-l1`, `cauchy`, `student` keep outliers "
-            "from pulling. [default: linear]"
-        ),
-    ] = None,
+    loss: o.Loss = None,
     share: Annotated[
         str | None,
         typer.Option(

@@ -25,6 +25,13 @@ StoneValues = Annotated[
         metavar="R=V,rho=V",
     ),
 ]
+Loss = Annotated[
+    str | None,
+    typer.Option(
+        help="`linear` is least squares; `huber`, `soft-l1`, `cauchy`, `student` keep outliers "
+        "from pulling. [default: linear]"
+    ),
+]
 Config = Annotated[
     Path | None,
     typer.Option(help="TOML file with any settings of `curlfit fit`; flags override it."),
