@@ -79,10 +79,10 @@ def _ranks(comparison: Comparison) -> RenderableType:
         measure = "size of the bulk"
         by = f" BIC and AICc are of noise as the {comparison.loss} loss has it."
     note = Text(
-        f"k: what is determined, noises included; x, y, phi: {measure} of the residuals; curl: "
-        "share of\nthe bend explained; ccw curls: ways the law can bend a counter-clockwise throw. A "
-        "law follows the path\nwhere no residual is above a tenth of the departure from straight, "
-        f"even motion, or above the scatter.{by}",
+        f"k: what is determined, with noises; x, y, phi: {measure} of the residuals; curl: share "
+        "of the bend explained; ccw curls: ways the law can bend a counter-clockwise throw. A law "
+        "follows the path where no residual is above a tenth of the departure from straight, even "
+        f"motion, or above the scatter.{by}",
         style="dim",
     )
     return Padding(Group(table, note), (1, 0))
