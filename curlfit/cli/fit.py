@@ -89,7 +89,10 @@ def fit(
     max_steps: Annotated[
         int, typer.Option(help="Where to stop sampling if that is not reached.", min=40)
     ] = 2_000,
-    seed: Annotated[int, typer.Option(help="Of the posterior's random numbers.", min=0)] = 0,
+    seed: Annotated[
+        int | None,
+        typer.Option(help="Of the posterior's random numbers. [default: 0]", min=0, max=2**32 - 1),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for the results. [default: DATA's name with -fit]"),
@@ -133,6 +136,7 @@ def fit(
         "start": s.pairs("--start", start or ()),
         "unbounded": unbounded or None,
         "loss": loss,
+        "seed": seed,
     }
     if len(data) > 1:
         if resume:
@@ -157,7 +161,7 @@ def fit(
     cut.require_motion()
     parameters = ParameterSet.for_throw(law_class, cut, **choices)
     parameters.require("--start", wanted.get("start", {}))
-    load = wanted.get("load", "uniform")
+    load, seed = wanted.get("load", "uniform"), wanted.get("seed", 0)
     folder = out or Path(f"{file.stem}-fit")
     saved = None
     if resume:
