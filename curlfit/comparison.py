@@ -6,6 +6,11 @@ a fit is listed and not ranked.
 
 Information criteria count what the path determines, not what the law has: the rank of the
 Jacobian, and one for each noise that was estimated.
+
+Under a robust loss the likelihood is that of the noise which the loss stands for, at its likeliest
+sigma (see `losses.log_density`); all laws are fitted and weighed under the same. Then how large
+residuals are is said by their bulk, and the path to be explained is seen through a running median:
+outliers are no law's fault.
 """
 
 from __future__ import annotations
@@ -24,11 +29,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from curlfit.errors import DataError, UnusableFitError
 from curlfit.files import Migration, known, read_json, write_json
 from curlfit.fitting import fit
 from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, find_law
+from curlfit.losses import likeliest_sigma, log_density, robust_sigma
 from curlfit.results import FitResult
 from curlfit.stone import Stone
 from curlfit.throw import Throw, scatter
@@ -40,6 +47,7 @@ MIGRATIONS: dict[int, Migration] = {}  # see `curlfit.results`
 PLACE = ("x", "y", "phi")
 
 _FOLLOWS = 0.1  # rms of a residual over what there is to explain, up to which a law follows a path
+_MEDIAN = 5  # rows of a running median that takes out single outliers
 _NOISE = 1.5  # rms of a residual over the scatter of the data, up to which it does in any case
 
 
@@ -56,12 +64,13 @@ class Candidate:
     coefficients : by name, {"value", "stderr", "verdict", "unit"}; see `FitResult`.
     combinations : expression and value, where single coefficients are not identifiable.
     n_parameters : effective number: rank of the Jacobian plus noises estimated.
-    rms : by channel, m, m, rad.
+    rms : by channel, m, m, rad. bulk : the same of the bulk of the residuals (1.4826 times their
+        median size), under a robust loss.
     curl_explained : share of the path's curl that the law gives, 1 at best; None where the path
         has no curl beyond its scatter.
     follows : whether each channel's residual is within a tenth of its departure from straight and
         even motion, or within its scatter.
-    log_likelihood, aicc, bic : Gaussian noise, independent from row to row.
+    log_likelihood, aicc, bic : noise independent from row to row, Gaussian or as the loss has it.
     delta_aicc, delta_bic : above the best of the ranked candidates.
     rank : place by BIC among the candidates within their laws' bounds, from 1; None if not ranked.
     sides : to which sides the law can curl a slowing counter-clockwise stone on this path, within
@@ -81,6 +90,7 @@ class Candidate:
     combinations: tuple[dict[str, Any], ...] = ()
     n_parameters: int | None = None
     rms: dict[str, float] | None = None
+    bulk: dict[str, float] | None = None
     curl_explained: float | None = None
     follows: bool = False
     log_likelihood: float | None = None
@@ -102,6 +112,11 @@ class Candidate:
         load = "" if self.load == "-" else f", {self.load} load"
         return f"{self.law}{load}{', any sign' if self.signs_free else ''}"
 
+    @property
+    def misfit(self) -> dict[str, float]:
+        """Size of the residuals by channel: of their bulk where outliers do not count."""
+        return self.bulk or self.rms or {}
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -109,6 +124,7 @@ class Comparison:
 
     `data` says what was fitted; `curl` is the path's sideways departure from a straight line in m
     (rms), with the `side` to which it bends seen along the motion. `observed` holds t, x, y, phi.
+    `loss` is how large residuals counted.
     `fits` are the full results in the order of the candidates, and empty when read from a file.
     """
 
@@ -119,6 +135,7 @@ class Comparison:
     candidates: tuple[Candidate, ...]
     observed: dict[str, list[float]]
     fits: tuple[FitResult | None, ...] = ()
+    loss: str = "linear"
 
     @property
     def best(self) -> Candidate:
@@ -140,6 +157,7 @@ class Comparison:
             "stone": self.stone.as_dict(),
             "curl": self.curl,
             "side": self.side,
+            "loss": self.loss,
             "candidates": [asdict(item) for item in self.candidates],
             "observed": self.observed,
         }
@@ -174,6 +192,7 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
                 for item in found["candidates"]
             ),
             observed=found["observed"],
+            loss=found.get("loss", "linear"),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(
@@ -205,13 +224,14 @@ def compare(
     stone: Stone | None = None,
     until: float | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
+    loss: str = "linear",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Comparison:
     """Fit each law to a throw and rank them by BIC.
 
     Parameters
     ----------
-    throw, stone, until : as in `fit`.
+    throw, stone, until, loss : as in `fit`.
     laws : names or classes; where not given, curlfit's own but those that approximate another.
     load : "uniform", "consistent" or "both".
     bounds : (lower, upper) of start parameters, by name.
@@ -219,7 +239,7 @@ def compare(
 
     Raises
     ------
-    InputError : an unknown law or load, or a throw that cannot be fitted by any.
+    InputError : an unknown law, load or loss, or a throw that cannot be fitted by any.
     """
     todo = plan(laws, load)
     found: list[tuple[Candidate, FitResult | None]] = []
@@ -227,7 +247,7 @@ def compare(
         if progress is not None:
             progress(law.name, done, len(todo))
         choices: dict[str, Any] = {
-            "load": one_load, "stone": stone, "until": until, "bounds": bounds,
+            "load": one_load, "stone": stone, "until": until, "bounds": bounds, "loss": loss,
         }  # fmt: skip
         candidate, result = _candidate(throw, law, choices, signs_free=False)
         found.append((candidate, result))
@@ -281,6 +301,7 @@ def _candidate(
             ),
             n_parameters=k,
             rms=result.rms,
+            bulk=None if result.loss == "linear" else _sizes(result, _residuals(result)),
             curl_explained=explained,
             follows=follows,
             log_likelihood=log_likelihood,
@@ -340,17 +361,33 @@ def _opposes_sliding(law: type[Law]) -> bool:
     return True
 
 
+def _residuals(result: FitResult) -> dict[str, Floats]:
+    """Measured - fitted by channel, where measured."""
+    found = {name: result.observed[name] - result.fitted[name] for name in result.rms}
+    return {name: values[np.isfinite(values)] for name, values in found.items()}
+
+
+def _sizes(result: FitResult, residuals: dict[str, Floats]) -> dict[str, float]:
+    """rms, or the same of the bulk where the loss is robust."""
+    size = _rms if result.loss == "linear" else robust_sigma
+    return {name: size(values) for name, values in residuals.items()}
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def _log_likelihood(result: FitResult) -> float:
-    """Gaussian, at the fit; an estimated noise is at its most likely value, the rms itself."""
+    """At the fit, of noise as the loss has it; an estimated sigma is at its most likely value."""
     total = 0.0
-    for name in result.rms:
-        residual = result.observed[name] - result.fitted[name]
-        seen = np.isfinite(residual)
-        sigma = result.observed.get(f"sigma_{name}")
-        if sigma is None:
-            sigma = np.full(len(residual), max(result.rms[name], 1e-12))
-        scaled = residual[seen] / sigma[seen]
-        total -= float((0.5 * scaled**2 + np.log(sigma[seen]) + 0.5 * np.log(2 * np.pi)).sum())
+    for name, residual in _residuals(result).items():
+        given = result.observed.get(f"sigma_{name}")
+        sigma: Floats | float = (
+            likeliest_sigma(residual, result.loss)
+            if given is None
+            else given[np.isfinite(result.observed[name])]
+        )
+        total += float((log_density(residual / sigma, result.loss) - np.log(sigma)).sum())
     return total
 
 
@@ -358,32 +395,37 @@ def _followed(result: FitResult) -> tuple[float | None, bool]:
     """Share of the curl explained, and whether the law follows the path."""
     t = result.observed["t"]
     x, y, phi = (result.observed[name] for name in PLACE)
-    along, across, curl = _bend(x, y)
     place = np.isfinite(x) & np.isfinite(y)
+    given = np.stack([_seen(values[place], result.loss) for values in (x, y)], 1)
+    along, across, curl = _bend(*given.T)
     off = np.stack([(x - result.fitted["x"])[place], (y - result.fitted["y"])[place]], 1)
     residuals = {"across": off @ across, "along": off @ along}
-    given = np.stack([x[place], y[place]], 1)
-    noise = {name: scatter(given @ axis) for name, axis in (("across", across), ("along", along))}
+    raw = np.stack([x[place], y[place]], 1)
+    noise = {name: scatter(raw @ axis) for name, axis in (("across", across), ("along", along))}
     wanted = {"across": curl, "along": _uneven(t[place], given @ along)}
     turned = np.isfinite(phi)
     if turned.sum() > 3:
         residuals["phi"] = (phi - result.fitted["phi"])[turned]
         noise["phi"] = scatter(phi[turned])
-        wanted["phi"] = _uneven(t[turned], phi[turned])
-    rms = {name: float(np.sqrt(np.mean(values**2))) for name, values in residuals.items()}
+        wanted["phi"] = _uneven(t[turned], _seen(phi[turned], result.loss))
+    size = _sizes(result, residuals)
     follows = all(
-        rms[name] <= max(_FOLLOWS * wanted[name], _NOISE * noise[name]) for name in residuals
+        size[name] <= max(_FOLLOWS * wanted[name], _NOISE * noise[name]) for name in residuals
     )
     if curl <= 3 * noise["across"]:
         return None, follows
-    missed = max(rms["across"] ** 2 - noise["across"] ** 2, 0.0)
+    missed = max(size["across"] ** 2 - noise["across"] ** 2, 0.0)
     return float(1 - missed / (curl**2 - noise["across"] ** 2)), follows
+
+
+def _seen(values: Floats, loss: str) -> Floats:
+    """What there is to explain of a series: without its outliers, where the loss is robust."""
+    return values if loss == "linear" else median_filter(values, _MEDIAN, mode="nearest")
 
 
 def _bend(x: Floats, y: Floats) -> tuple[Floats, Floats, float]:
     """Unit vectors along and across (to the right of) the path, and its rms departure sideways."""
-    place = np.isfinite(x) & np.isfinite(y)
-    points = np.stack([x[place], y[place]], 1)
+    points = np.stack([x, y], 1)
     along = np.linalg.svd(points - points.mean(0), full_matrices=False)[2][0]
     along = along if along @ (points[-1] - points[0]) > 0 else -along
     across = np.array([along[1], -along[0]])
@@ -452,11 +494,11 @@ def _ranked(found: list[tuple[Candidate, FitResult | None]]) -> Comparison:
         candidates.append(item)
     first = fits[0]
     x, y = first.observed["x"], first.observed["y"]
-    along, across, curl = _bend(x, y)
     place = np.isfinite(x) & np.isfinite(y)
-    points = np.stack([x[place], y[place]], 1)
+    points = np.stack([_seen(values[place], first.loss) for values in (x, y)], 1)
+    along, across, curl = _bend(*points.T)
     bend = np.polyfit(points @ along, points @ across, 2)[0]
-    noise = scatter(points @ across)
+    noise = scatter(np.stack([x[place], y[place]], 1) @ across)
     return Comparison(
         data=first.data,
         stone=first.stone,
@@ -465,6 +507,7 @@ def _ranked(found: list[tuple[Candidate, FitResult | None]]) -> Comparison:
         candidates=tuple(candidates),
         observed={name: first.observed[name].tolist() for name in ("t", *PLACE)},
         fits=tuple(result for _, result in found),
+        loss=first.loss,
     )
 
 

@@ -10,6 +10,13 @@ class CurlfitError(Exception):
 
     exit_status = 1
 
+    def __str__(self) -> str:
+        """One line: what does not print in a name or a cell of the user's is escaped."""
+        text = super().__str__()
+        return "".join(
+            sign if sign.isprintable() else sign.encode("unicode_escape").decode() for sign in text
+        )
+
 
 class InputError(CurlfitError, ValueError):
     """The data, an option or a name is wrong (exit status 2)."""

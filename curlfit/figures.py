@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from curlfit.report import number
+from curlfit.throw import UNITS
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from curlfit.comparison import Comparison
     from curlfit.joint import JointResult
     from curlfit.results import FitResult
+    from curlfit.throw import Throw
 
 _DATA: dict[str, Any] = {
     "color": "0.45",
@@ -44,6 +46,20 @@ class Picture(Figure):
         file = BytesIO()
         self.savefig(file, format="png", dpi=80)
         return file.getvalue()
+
+
+def throw_figure(throw: Throw) -> Figure:
+    """What was measured over time, a panel for each channel."""
+    seen = throw.seen
+    figure = Picture(figsize=(8, 1.8 * len(seen) + 0.6), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(len(seen), 1, sharex=True))
+    for axes, name in zip(panels, seen, strict=True):
+        axes.plot(throw.t, getattr(throw, name), ".", color=_COLOR[name], markersize=3)
+        axes.set_ylabel(f"${_LABEL[name]}$ ({UNITS[name]})")
+        axes.grid(alpha=0.3)
+    panels[-1].set_xlabel("t (s)")
+    panels[0].set_title(FilePath(throw.name).name, fontsize=10, loc="left")
+    return figure
 
 
 def fit_figure(fit: FitResult) -> Figure:
@@ -292,7 +308,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
     missed.set(xlabel="t (s)", ylabel="x measured - fitted (mm)")
 
     for name in ("x", "y", "phi"):
-        values = [1000 * (item.rms or {}).get(name, np.nan) for item in shown]
+        values = [1000 * item.misfit.get(name, np.nan) for item in shown]
         unit = "mrad" if name == "phi" else "mm"
         dots.plot(
             values, range(len(shown)), "o", color=_COLOR[name], label=f"${_LABEL[name]}$ ({unit})"
@@ -304,7 +320,8 @@ def comparison_figure(comparison: Comparison) -> Figure:
     dots.invert_yaxis()
     dots.set_xscale("log")
     dots.set_axisbelow(True)
-    dots.set_xlabel("rms of the residuals; bold: follows the path")
+    size = "rms" if comparison.loss == "linear" else "bulk"
+    dots.set_xlabel(f"{size} of the residuals; bold: follows the path")
     dots.legend(frameon=False, fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     figure.draw_without_rendering()
     _stretch_note(path)

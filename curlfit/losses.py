@@ -19,6 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import beta, erf, kv
 
 from curlfit.parameters import LOSSES
 
@@ -75,6 +77,39 @@ def influence(r: Floats, loss: str) -> Influence:
         n = _DEGREES
         return Influence(r * (n + 1) / (n + z), (n + 1) * (n - z) / (n + z) ** 2)
     return Influence(r, np.ones_like(r))
+
+
+def log_density(r: Floats, loss: str) -> Floats:
+    """Log of the density exp(-rho/2) of noise of unit sigma, which integrates to 1.
+
+    Every loss is the likelihood of some noise: Gauss's; Gauss's with exponential tails (huber);
+    hyperbolic (soft-l1); Student's t, of 4 degrees of freedom (student) or, widened, of 4.7
+    (cauchy).
+    """
+    return -(np.asarray(signed_root(r, LOSSES.index(loss))) ** 2) / 2 - np.log(_NORMS[loss])
+
+
+_NORMS = {
+    "linear": np.sqrt(2 * np.pi),
+    "huber": np.sqrt(2 * np.pi) * erf(_HUBER / np.sqrt(2)) + 2 * np.exp(-(_HUBER**2) / 2) / _HUBER,
+    "soft-l1": 2 * np.e * kv(1, 1.0),
+    "cauchy": _CAUCHY * beta(0.5, (_CAUCHY**2 - 1) / 2),
+    "student": np.sqrt(_DEGREES) * beta(0.5, _DEGREES / 2),
+}
+
+
+def likeliest_sigma(residual: Floats, loss: str, floor: float = 1e-12) -> float:
+    """The sigma under which residuals are most likely: their rms, where the loss is linear."""
+    largest = float(np.abs(residual).max(initial=0.0))
+    if loss == "linear" or largest <= floor:
+        return max(float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0, floor)
+
+    def slope(log_sigma: float) -> float:  # of the log-likelihood by log sigma, per value
+        r = residual / np.exp(log_sigma)
+        return float(np.mean(r * influence(r, loss).psi)) - 1
+
+    low, high = np.log(floor), np.log(largest)
+    return float(np.exp(brentq(slope, low, high))) if slope(low) > 0 else floor
 
 
 def precision(r: Floats, loss: str) -> float:

@@ -28,6 +28,13 @@ def check_loss(loss: str) -> str:
     return loss
 
 
+def check_seed(seed: object) -> int:
+    """A seed of random numbers, if it is one. Raises `InputError`."""
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**32:
+        raise InputError(f"seed = {seed!r}: expected a whole number from 0 to {2**32 - 1}")
+    return seed
+
+
 START = (
     Parameter("x0", "m", -math.inf, math.inf, 1.0, "x_0", "place at the first time, to the right"),
     Parameter("y0", "m", -math.inf, math.inf, 1.0, "y_0", "place at the first time, along"),

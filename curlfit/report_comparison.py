@@ -30,7 +30,8 @@ def report(comparison: Comparison) -> RenderableType:
 def _heading(comparison: Comparison) -> RenderableType:
     data, stone = comparison.data, comparison.stone
     text = Text()
-    text.append(f"{len(comparison.candidates)} fits to {data['file']}\n", style="bold")
+    loss = "" if comparison.loss == "linear" else f", {comparison.loss} loss"
+    text.append(f"{len(comparison.candidates)} fits to {data['file']}{loss}\n", style="bold")
     text.append(
         f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s; stone R = {stone.R:g} m, "
         f"rho = {stone.rho:g} m, h = {stone.h:g} m\n"
@@ -60,6 +61,7 @@ def _ranks(comparison: Comparison) -> RenderableType:
         if item.rms is None:
             table.add_row(rank, name, item.load, *[""] * len(right), Text("no fit", style="red"))
             continue
+        size = item.misfit
         table.add_row(
             rank,
             name,
@@ -67,16 +69,20 @@ def _ranks(comparison: Comparison) -> RenderableType:
             str(item.n_parameters),
             _difference(item.delta_bic),
             _difference(item.delta_aicc),
-            *(f"{1000 * item.rms[c]:.3g}" if c in item.rms else "" for c in ("x", "y", "phi")),
+            *(f"{1000 * size[c]:.3g}" if c in size else "" for c in ("x", "y", "phi")),
             "" if item.curl_explained is None else _share(item.curl_explained),
             Text("yes", style="green") if item.follows else Text("no", style="yellow"),
             " or ".join(item.sides) or "neither way",
         )
+    measure, by = "rms", ""
+    if comparison.loss != "linear":
+        measure = "size of the bulk"
+        by = f" BIC and AICc are of noise as the {comparison.loss} loss has it."
     note = Text(
-        "k: what is determined, noises included; x, y, phi: rms of the residuals; curl: share of "
-        "the bend explained;\nccw curls: ways the law can bend a counter-clockwise throw. A law "
-        "follows the path where no residual is above\na tenth of the departure from straight, "
-        "even motion, or above the scatter.",
+        f"k: what is determined, with noises; x, y, phi: {measure} of the residuals; curl: share "
+        "of the bend explained; ccw curls: ways the law can bend a counter-clockwise throw. A law "
+        "follows the path where no residual is above a tenth of the departure from straight, even "
+        f"motion, or above the scatter.{by}",
         style="dim",
     )
     return Padding(Group(table, note), (1, 0))

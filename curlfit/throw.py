@@ -16,6 +16,8 @@ CHANNELS = ("x", "y", "phi", "speed", "omega")
 MOST_ROWS = 6000
 """Rows from which a fit condenses its data."""
 _REST_ROWS = 200
+_FEW_ROWS = 10  # below which a series does not show its noise
+_STILL = 0.003  # m from where it ends within which a stone counts as at rest
 UNITS = {"t": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
 
 
@@ -277,10 +279,14 @@ class Throw:
 
 
 def scatter(values: Floats) -> float:
-    """Standard deviation of the noise on a smooth series, from its second differences."""
-    if len(values) < 4:
+    """Standard deviation of the noise on a smooth series, from its third differences.
+
+    These see little of the path's own bend, which second differences take for noise. 0 where there
+    are too few rows to tell.
+    """
+    if len(values) < _FEW_ROWS:
         return 0.0
-    return float(np.median(np.abs(np.diff(values, 2)))) / (0.6745 * np.sqrt(6))
+    return float(np.median(np.abs(np.diff(values, 3)))) / (0.6745 * np.sqrt(20))
 
 
 def last_motion(t: Floats, x: Floats, y: Floats) -> float:
@@ -291,6 +297,6 @@ def last_motion(t: Floats, x: Floats, y: Floats) -> float:
     x, y, t = x[both], y[both], t[both]
     tail = slice(-max(3, len(x) // 50), None)
     left = np.hypot(x - np.median(x[tail]), y - np.median(y[tail]))
-    near = 5 * np.hypot(scatter(x), scatter(y)) + 1e-3 * left.max()
+    near = max(_STILL, 5 * np.hypot(scatter(x), scatter(y)))
     moving = np.flatnonzero(left > near)
     return float(t[moving[-1]]) if len(moving) else float(t[-1])

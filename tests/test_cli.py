@@ -129,6 +129,7 @@ def test_flags_override_the_configuration_and_that_the_file(tmp_path):
         (["fit", DATA, "--out", "/proc/nothing"], "output folder cannot be written"),
         (["fit", DATA, "--config", "no.toml"], "no.toml: no such file"),
         (["fit", DATA, "--nonsense"], "No such option"),
+        (["fit", DATA, "--seed", 2**32], "is not in the range 0<=x<=4294967295"),
         (["fit", DATA, "--format", "video"], "expected one of table, tracker, digitalcurling"),
         (["fit", DATA, "--axes", "x-up"], "axes 'x-up': unknown word"),
         (["fit", DATA, "--axes", "x-left,y-left"], "lie on one line"),
@@ -240,6 +241,38 @@ def test_how_to_read_may_stand_in_the_configuration(tmp_path):
     run = curlfit("check", "a.csv", "--config", "c.toml", cwd=tmp_path)
     assert run.returncode == 2
     assert "expected a whole number from 1" in run.stderr
+
+
+def test_the_seed_may_stand_in_the_file_and_in_the_configuration(tmp_path):
+    made = curlfit("simulate", "--law", "coulomb", "--noise-xy", 0.005, "--out", "a.csv",
+                   cwd=tmp_path)  # fmt: skip
+    assert made.returncode == 0
+    (tmp_path / "a.csv").write_text("# seed = 5\n" + (tmp_path / "a.csv").read_text())
+    (tmp_path / "c.toml").write_text("seed = 6\n")
+    words = ("fit", "a.csv", "--law", "coulomb", "--effective", 100, "--no-figures")
+    for more, seed in (
+        ((), 5), (("--config", "c.toml"), 6), (("--config", "c.toml", "--seed", 0), 0),
+    ):  # fmt: skip
+        run = curlfit(*words, *more, "--out", f"of-{seed}", cwd=tmp_path)
+        assert run.returncode == 0, run.stderr
+        assert load_chain(tmp_path / f"of-{seed}" / "chain.h5").seed == seed
+        assert load_fit(tmp_path / f"of-{seed}").posterior.seed == seed
+    again = curlfit(*words, "--seed", 5, "--out", "flag", cwd=tmp_path)
+    assert again.returncode == 0
+    same = load_chain(tmp_path / "flag" / "chain.h5").flat
+    np.testing.assert_array_equal(load_chain(tmp_path / "of-5" / "chain.h5").flat, same)
+
+
+@pytest.mark.parametrize("seed", ["-1", "1.5", "true", "'a'", str(2**32)])
+def test_a_seed_that_is_none_is_refused(seed, tmp_path):
+    (tmp_path / "c.toml").write_text(f"seed = {seed}\n")
+    (tmp_path / "a.csv").write_text(f"# filmed\n# seed = {seed}\n" + PLAIN)
+    (tmp_path / "b.csv").write_text(PLAIN)
+    for words, place in (("a.csv",), "a.csv, line 2"), (("b.csv", "--config", "c.toml"), "c.toml"):
+        run = curlfit("check", *words, cwd=tmp_path)
+        assert run.returncode == 2
+        assert run.stderr.startswith(f"curlfit: {place}: seed = ")
+        assert "expected a whole number from 0 to 4294967295" in run.stderr
 
 
 def test_a_tracker_file_is_fitted(tmp_path):

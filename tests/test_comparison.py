@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pytest
+from rich.console import Console
+from scipy.stats import t
 
 import curlfit
 from curlfit import LAWS, comparison
 from curlfit.comparison import compare, load_comparison, plan
 from curlfit.errors import DataError
-from curlfit.report_comparison import conclusions
+from curlfit.report_comparison import conclusions, print_comparison
 
 COMPARED = [name for name, law in LAWS.items() if law.shipped() and not law.approximates]
 ISOTROPIC = {"coulomb", "power", "pressure", "angular", "stribeck", "debris"}
@@ -129,6 +132,84 @@ def test_true_law_is_found_among_all(law):
         assert abs(one.value - true) < 4 * one.stderr, one.expression
         checked += 1
     assert checked >= 1
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return curlfit.synthetic_throw(
+        LAWS["front-back"](), curlfit.Stone(), v0=2.1, omega0=-1.3, heading=0.02,
+        noise_xy=0.005, noise_phi=0.01, seed=3,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def spoiled(clean):
+    """The same with 5 % gross outliers in each channel."""
+    random = np.random.default_rng(1)
+    channels = {}
+    for name, size in (("x", 0.3), ("y", 1.0), ("phi", 2.0)):
+        channels[name] = getattr(clean, name).copy()
+        rows = random.choice(len(clean), len(clean) // 20, replace=False)
+        channels[name][rows] += size * np.sign(random.standard_normal(len(rows)))
+    return replace(clean, **channels)
+
+
+RIVALS = ["coulomb", "angular", "radial", "tensor", "front-back"]
+
+
+@pytest.mark.parametrize("loss", ["student", "huber"])
+def test_outliers_change_neither_the_first_law_nor_its_coefficients(loss, clean, spoiled, tmp_path):
+    before = compare(clean, RIVALS, loss=loss)
+    after = compare(spoiled, RIVALS, loss=loss)
+    for found in (before, after):
+        assert found.loss == loss
+        assert (found.best.law, found.best.rank) == ("front-back", 1)
+        assert found.best.follows
+        assert found.side == "right"
+        assert found.best.curl_explained > 0.95
+        assert not any(item.follows for item in found.candidates if item.law == "coulomb")
+        others = [item.delta_bic for item in found.candidates[1:] if item.rank]
+        assert min(others) > 6  # "strong", Kass and Raftery (1995)
+    for name, one in before.best.coefficients.items():
+        if one["stderr"] is not None:
+            assert abs(after.best.coefficients[name]["value"] - one["value"]) < one["stderr"], name
+    for one, other in zip(before.best.combinations, after.best.combinations, strict=True):
+        assert one["expression"] == other["expression"]
+        assert abs(other["value"] - one["value"]) < one["stderr"]
+    for name, noise in (("x", 0.005), ("y", 0.005), ("phi", 0.01)):
+        assert after.best.misfit[name] == pytest.approx(noise, rel=0.25)
+        assert after.best.rms[name] > 5 * noise
+    after.save(tmp_path / "compare.json")
+    assert load_comparison(tmp_path).to_json() == after.to_json()
+
+
+def test_criteria_under_a_loss_are_those_of_its_noise(clean):
+    item = compare(clean, ["front-back"], loss="student").best
+    result = curlfit.fit(clean, "front-back", loss="student")
+    total = 0.0
+    for name in ("x", "y", "phi"):
+        residual = getattr(clean, name) - result.fitted[name]
+        sigma = t.fit(residual, fdf=4, floc=0)[2]
+        total += t.logpdf(residual, 4, scale=sigma).sum()
+    assert item.log_likelihood == pytest.approx(total, abs=1e-3)
+    assert item.bic == pytest.approx(
+        item.n_parameters * np.log(result.n_observations) - 2 * total, abs=2e-3
+    )
+
+
+def test_the_report_names_the_loss(spoiled):
+    words = _text(compare(spoiled, ["coulomb"], loss="student"))
+    assert "student loss" in words
+    assert "size of the bulk" in words
+    words = _text(compare(spoiled, ["coulomb"]))
+    assert "loss" not in words
+    assert "rms of the residuals" in words
+
+
+def _text(found):
+    console = Console(width=110, file=StringIO())
+    print_comparison(found, console)
+    return console.file.getvalue()
 
 
 def test_saved_comparison_reads_back_the_same(of_eq12, tmp_path):

@@ -8,12 +8,20 @@ import jax
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize_scalar
 from scipy.stats import norm, t
 
 import curlfit
 from curlfit.errors import InputError
-from curlfit.losses import influence, precision, robust_sigma, signed_root, steepness
+from curlfit.losses import (
+    influence,
+    likeliest_sigma,
+    log_density,
+    precision,
+    robust_sigma,
+    signed_root,
+    steepness,
+)
 from curlfit.parameters import LOSSES
 from curlfit.report import outliers
 
@@ -50,6 +58,38 @@ def test_derivatives(loss):
     bend = jax.vmap(jax.grad(jax.grad(lambda r: signed_root(r, place) ** 2 / 2)))(smooth)
     np.testing.assert_allclose(influence(smooth, loss).slope, bend, rtol=1e-5, atol=1e-7)
     assert np.isfinite(jax.grad(lambda r: signed_root(r, place))(0.0))
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_every_loss_is_the_likelihood_of_some_noise(loss):
+    def density(r):
+        return np.exp(log_density(np.array([r]), loss)[0])
+
+    assert 2 * quad(density, 0, np.inf, limit=400)[0] == pytest.approx(1, rel=1e-7)
+    place = LOSSES.index(loss)
+    for r in (0.3, 1.0, 2.0, 9.0):
+        fall = -2 * np.log(density(r) / density(0.0))
+        assert fall == pytest.approx(float(signed_root(r, place)) ** 2, rel=1e-9)
+    if loss in ("linear", "student"):
+        known = norm if loss == "linear" else t(4)
+        np.testing.assert_allclose(log_density(R, loss), known.logpdf(R), rtol=1e-9)
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_the_likeliest_sigma(loss):
+    random = np.random.default_rng(4)
+    values = 0.03 * random.standard_t(4, 4000)
+
+    def minus_log(log_sigma):
+        return -(log_density(values / np.exp(log_sigma), loss) - log_sigma).sum()
+
+    found = likeliest_sigma(values, loss)
+    best = minimize_scalar(minus_log, bounds=(np.log(1e-3), 0), method="bounded")
+    assert np.log(found) == pytest.approx(best.x, abs=1e-4)
+    if loss == "student":
+        assert found == pytest.approx(t.fit(values, fdf=4, floc=0)[2], rel=1e-3)
+        assert found == pytest.approx(0.03, rel=0.05)
+    assert likeliest_sigma(np.zeros(9), loss) == 1e-12
 
 
 @pytest.mark.parametrize(("loss", "efficiency"), [("huber", 0.95), ("cauchy", 0.95)])

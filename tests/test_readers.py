@@ -105,6 +105,7 @@ def test_ignored_columns_are_named(write):
         ("0,0,0,0\n1,1,1,1\n", 1, None, "expected a header"),
         (PLAIN.replace("x", "z"), 1, None, "no column for x among t, z, y, phi"),
         (PLAIN.replace("phi", "x_cm"), 1, None, "both mean x"),
+        (PLAIN.replace("x", "q\v\x1b"), 1, None, r"no column for x among t, q\x0b\x1b, y, phi"),
         (PLAIN.replace("0.2", "hello"), 3, "x", "'hello' found, expected a finite number"),
         (PLAIN.replace("0.2", "1_000"), 3, "x", "'1_000' found"),
         (PLAIN.replace("0.2", "inf"), 3, "x", "'inf' found"),
@@ -129,6 +130,7 @@ def test_each_fault_has_its_place_and_its_sentence(write, content, line, column,
         load_throw(file)
     error = caught.value
     assert str(error).startswith(str(file))
+    assert str(error).isprintable()
     assert words in str(error)
     assert error.line == line
     assert error.column == column

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from itertools import product
 
 import numpy as np
 import pytest
@@ -76,11 +77,11 @@ def test_a_wrong_format_is_refused(write):
 # Tracker
 
 
-@pytest.mark.parametrize("separator", ["\t", ",", ";", " "])
-@pytest.mark.parametrize("comma", [False, True])
+@pytest.mark.parametrize(
+    ("separator", "comma"),
+    [*product("\t,; ", [False]), *product("\t; ", [True])],  # not both a comma
+)
 def test_tracker(write, separator, comma):
-    if comma and separator == ",":
-        pytest.skip("decimal commas need another separator")
     text = tracker(separator, comma)
     text = text.replace(" (", "(") if separator == " " else text
     throw = load_throw(write(text))

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from curlfit.cli import options as o
 from curlfit.cli import reading as r
 from curlfit.cli import settings as s
 
@@ -28,37 +29,29 @@ def compare(
         str | None,
         typer.Option(help="`uniform`, `consistent` (eq. 8-9) or `both`. [default: uniform]"),
     ] = None,
-    until: Annotated[
-        float | None, typer.Option(help="Use the rows with t up to this, in s.", metavar="S")
-    ] = None,
-    sigma: Annotated[
-        list[str] | None,
-        typer.Option(help="Noise of a channel, as in `curlfit fit`.", metavar="NAME=V"),
-    ] = None,
-    stone: Annotated[
-        list[str] | None, typer.Option(help="The stone, as in `curlfit fit`.", metavar="R=V,rho=V")
-    ] = None,
+    until: o.Until = None,
+    sigma: o.Sigma = None,
+    loss: o.Loss = None,
+    stone: o.StoneValues = None,
     format: r.Format = None,
     axes: r.Axes = None,
     units: r.Units = None,
     reference: r.Reference = None,
     stone_index: r.StoneIndex = None,
     shot: r.Shot = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(help="TOML file with settings of `curlfit fit`; flags override it."),
-    ] = None,
+    config: o.Config = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for the results. [default: DATA's name with -compare]"),
     ] = None,
-    no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    no_figures: o.NoFigures = False,
+    quiet: o.Quiet = False,
 ) -> None:
     """Fit many friction laws to one throw and rank them.
 
     Each law is fitted within its own bounds; one that fails with a coefficient at zero is fitted
-    again with either sign allowed, which is shown and not ranked. The rank is by BIC.
+    again with either sign allowed, which is shown and not ranked. The rank is by BIC; under a
+    robust `--loss` that of the noise which the loss stands for.
     Writes `compare.json` and `compare.png`.
 
     Example: `curlfit compare data/jensen_shegelski_2004.csv --load both`
@@ -66,7 +59,7 @@ def compare(
     from curlfit.errors import InputError
     from curlfit.files import prepared_folder
     from curlfit.friction import LAWS, check_load, find_law
-    from curlfit.parameters import ParameterSet
+    from curlfit.parameters import ParameterSet, check_loss
 
     flags = {
         **r.how(format, axes, units, reference, stone_index, shot),
@@ -74,9 +67,11 @@ def compare(
         "until": until,
         "stone": s.pairs("--stone", stone or ()),
         "sigma": s.pairs("--sigma", sigma or ()),
+        "loss": loss,
     }
     throw, wanted, the_stone = s.prepared(data, config, flags)
     check_load(wanted.get("load", "uniform"))
+    check_loss(wanted.get("loss", "linear"))
     names = [name.strip() for name in laws.split(",") if name.strip()] if laws else None
     if names == []:
         raise InputError("--laws: expected names with commas between")
@@ -113,6 +108,7 @@ def compare(
             load="both" if load == "both" else wanted.get("load", "uniform"),
             stone=the_stone,
             until=wanted.get("until"),
+            loss=wanted.get("loss", "linear"),
             progress=told,
         )
     written = [folder / "compare.json"]

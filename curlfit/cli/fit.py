@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from curlfit.cli import options as o
 from curlfit.cli import reading as r
 from curlfit.cli import settings as s
 from curlfit.cli.together import fit_several
@@ -47,9 +48,7 @@ def fit(
             "(eq. 8-9). [default: uniform]"
         ),
     ] = None,
-    until: Annotated[
-        float | None, typer.Option(help="Use the rows with t up to this, in s.", metavar="S")
-    ] = None,
+    until: o.Until = None,
     fix: Annotated[
         list[str] | None, typer.Option(help="Hold a parameter at a value.", metavar="NAME=V")
     ] = None,
@@ -64,21 +63,8 @@ def fit(
         list[str] | None,
         typer.Option(help="Start value; found from the data if not given.", metavar="NAME=V"),
     ] = None,
-    sigma: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Noise of a channel: x=0.005,y=0.005,phi=0.01 (m, m, rad); estimated if not "
-            "given.",
-            metavar="NAME=V",
-        ),
-    ] = None,
-    loss: Annotated[
-        str | None,
-        typer.Option(
-            help="`linear` is least squares; `huber`, `soft-l1`, `cauchy`, `student` keep outliers "
-            "from pulling. [default: linear]"
-        ),
-    ] = None,
+    sigma: o.Sigma = None,
+    loss: o.Loss = None,
     share: Annotated[
         str | None,
         typer.Option(
@@ -86,24 +72,14 @@ def fit(
             metavar="all|NAME,...",
         ),
     ] = None,
-    stone: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="The stone: ring radius R, radius of gyration rho, height h of the centre of "
-            "mass (m), mass m (kg).",
-            metavar="R=V,rho=V",
-        ),
-    ] = None,
+    stone: o.StoneValues = None,
     format: r.Format = None,
     axes: r.Axes = None,
     units: r.Units = None,
     reference: r.Reference = None,
     stone_index: r.StoneIndex = None,
     shot: r.Shot = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(help="TOML file with any of these settings; flags override it."),
-    ] = None,
+    config: o.Config = None,
     no_sample: Annotated[
         bool, typer.Option("--no-sample", help="Least squares only; no posterior.")
     ] = False,
@@ -113,7 +89,10 @@ def fit(
     max_steps: Annotated[
         int, typer.Option(help="Where to stop sampling if that is not reached.", min=40)
     ] = 2_000,
-    seed: Annotated[int, typer.Option(help="Of the posterior's random numbers.", min=0)] = 0,
+    seed: Annotated[
+        int | None,
+        typer.Option(help="Of the posterior's random numbers. [default: 0]", min=0, max=2**32 - 1),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for the results. [default: DATA's name with -fit]"),
@@ -127,8 +106,8 @@ def fit(
             "continued.",
         ),
     ] = False,
-    no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    no_figures: o.NoFigures = False,
+    quiet: o.Quiet = False,
 ) -> None:
     """Fit a friction law to a throw, or to several together, and say what the path determines.
 
@@ -157,6 +136,7 @@ def fit(
         "start": s.pairs("--start", start or ()),
         "unbounded": unbounded or None,
         "loss": loss,
+        "seed": seed,
     }
     if len(data) > 1:
         if resume:
@@ -181,7 +161,7 @@ def fit(
     cut.require_motion()
     parameters = ParameterSet.for_throw(law_class, cut, **choices)
     parameters.require("--start", wanted.get("start", {}))
-    load = wanted.get("load", "uniform")
+    load, seed = wanted.get("load", "uniform"), wanted.get("seed", 0)
     folder = out or Path(f"{file.stem}-fit")
     saved = None
     if resume:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from curlfit.errors import DataError, InputError
+from curlfit.parameters import check_seed
 from curlfit.readers import load_throw
 from curlfit.stone import Stone
 from curlfit.throw import Throw
@@ -123,6 +124,10 @@ def checked(settings: dict[str, Any], origin: str) -> dict[str, Any]:
         value = settings.get(key, 1)
         if isinstance(value, bool) or not isinstance(value, int):
             raise InputError(f"{origin}: {key} = {value!r}; expected a whole number from 1")
+    try:
+        check_seed(settings.get("seed", 0))
+    except InputError as error:
+        raise InputError(f"{origin}: {error}") from None
     return settings
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from curlfit.cli import options as o
 from curlfit.cli import settings as s
 
 
@@ -19,9 +20,7 @@ def simulate(
         typer.Option("--set", help="A coefficient; the law's default if not set.", metavar="N=V"),
     ] = None,
     load: Annotated[str, typer.Option(help="`uniform` or `consistent`.")] = "uniform",
-    stone: Annotated[
-        list[str] | None, typer.Option(help="The stone, as in `curlfit fit`.", metavar="R=V,rho=V")
-    ] = None,
+    stone: o.StoneValues = None,
     v0: Annotated[float, typer.Option(help="First speed, m/s.")] = 2.0,
     omega0: Annotated[float, typer.Option(help="First spin, rad/s, counter-clockwise.")] = 1.0,
     heading: Annotated[float, typer.Option(help="First direction, rad, from +y toward +x.")] = 0.0,

@@ -10,11 +10,12 @@ from typing import Any
 
 from curlfit.errors import DataError, InputError
 from curlfit.friction import check_load, find_law
+from curlfit.parameters import check_seed
 from curlfit.readers.frames import parse_axes
 from curlfit.stone import Stone
 from curlfit.throw import Reference
 
-_SETTINGS = ("until", "law", "load", "stone", "sigma", "reference", "axes")
+_SETTINGS = ("until", "law", "load", "stone", "sigma", "seed", "reference", "axes")
 
 
 def defaults_of(
@@ -70,6 +71,7 @@ def _check(settings: dict[str, Any]) -> None:
     for key, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
             raise InputError(f"{key} = {value!r}: expected a number")
+    check_seed(settings.get("seed", 0))
     Stone().with_values(settings.get("stone", {}))
     if "law" in settings:
         find_law(settings["law"], from_files=False)

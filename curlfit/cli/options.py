@@ -1,0 +1,40 @@
+"""Options that several verbs have, declared once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Until = Annotated[
+    float | None, typer.Option(help="Use the rows with t up to this, in s.", metavar="S")
+]
+Sigma = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Noise of a channel: x=0.005,y=0.005,phi=0.01 (m, m, rad); estimated if not given.",
+        metavar="NAME=V",
+    ),
+]
+StoneValues = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="The stone: ring radius R, radius of gyration rho, height h of the centre of mass "
+        "(m), mass m (kg).",
+        metavar="R=V,rho=V",
+    ),
+]
+Loss = Annotated[
+    str | None,
+    typer.Option(
+        help="`linear` is least squares; `huber`, `soft-l1`, `cauchy`, `student` keep outliers "
+        "from pulling. [default: linear]"
+    ),
+]
+Config = Annotated[
+    Path | None,
+    typer.Option(help="TOML file with any settings of `curlfit fit`; flags override it."),
+]
+NoFigures = Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]

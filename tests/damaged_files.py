@@ -1,0 +1,238 @@
+"""Damaged files, and what the command does with each.
+
+`python damaged_files.py FOLDER SEED COUNT` lets the command have COUNT files, each in a process of
+its own that is forked from this one, and prints a `Tally` as JSON. A forked process needs what a
+fresh one would, but for the half second of its imports.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import random
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import redirect_stdout, suppress
+from dataclasses import asdict, dataclass, field
+from io import StringIO
+from pathlib import Path
+from typing import NamedTuple
+
+from sample_files import SAMPLES, known_points
+
+from curlfit.cli import main
+from curlfit.readers import FORMATS
+
+MOST_MB = 500
+_SECONDS = 10  # that a file may take
+_FIT_SECONDS = 120  # and a fit of one, where the model must be compiled
+
+_PIECES = [
+    "", ",", ";", "\t", " ", "\n", "\r", '"', "'", "#", "=", "nan", "inf", "-inf", "1e999", "-",
+    "--", "1e308", "-1e308", "1e-320", "999999999999999999999", "1_0", "0x1p3", "١٢", "NaN", "null",
+    "true", "{", "}", "[", "]", "{}", "[]", ":", "[" * 3000, "0" * 5000, "9" * 5000, "\x00",
+    "\ufeff", "\u2028", "\x1c", "\x85", "é", "θ_{r}", "t", "x", "y", "u", "v", "phi", "t_phi",
+    "# axes = 'x-along'\n", "# until = inf\n", "# stone = {R = 1}\n", "# sigma.x = 1\n",
+    "# reference.law = 1\n", "# law = 'nothing'\n", "hog_to_hog = 1\n", "curl = 1e5 ft\n",
+    '"trajectory": 1', '"team": 3', '"index": -1', '"index": true', "0.25", "-0.25", "1e9",
+]  # fmt: skip
+
+
+def damaged(chance: random.Random) -> bytes:
+    """A sample with some damage."""
+    text = chance.choice(list(SAMPLES.values()))
+    for _ in range(chance.choice([1, 1, 1, 2, 5])):
+        a, b = sorted(chance.randrange(len(text) + 1) for _ in range(2))
+        kind = chance.choice([0, 1, 2, 2, 2, 3, 3, 4, 4, 5, 6, 6, 8, 8, 8, 8, 7])
+        if kind == 0:
+            text = text[:a]
+        elif kind == 1:
+            text = text[:a] + text[min(b, a + 30) :]
+        elif kind == 2:
+            text = text[:a] + chance.choice(_PIECES) + text[a:]
+        elif kind == 3:
+            text = text[:a] + chance.choice(_PIECES) + text[min(b, a + 5) :]
+        elif kind == 4:  # a line lost, doubled or moved
+            lines = text.split("\n")
+            k = chance.randrange(len(lines))
+            line = lines.pop(k)
+            lines[chance.randrange(len(lines) + 1) : 0] = [line] * chance.randrange(3)
+            text = "\n".join(lines)
+        elif kind == 5:
+            one, other = chance.sample([",", ";", "\t", " ", ".", "\n", "0", "1", "-"], 2)
+            text = text.replace(one, other, chance.choice([1, 5, -1]))
+        elif kind == 8:  # another digit
+            text = text[:a] + chance.choice("0123456789") + text[a + 1 :]
+        elif kind == 6:
+            text = text[:a] + chr(chance.choice([0, 9, 11, 34, 44, 59, 127, 160, 8722])) + text[a:]
+        else:
+            text = text[a : a + 300] + text[b:]
+        text = text[:200_000] or " "
+    raw = text.encode(chance.choice(["utf-8"] * 6 + ["utf-8-sig", "utf-16", "utf-16-le"]))
+    if chance.random() < 0.2:
+        k = chance.randrange(len(raw))
+        raw = raw[:k] + bytes([chance.randrange(256)]) + raw[k + 1 :]
+    return raw
+
+
+def arguments(chance: random.Random, folder: Path) -> list[str]:
+    """A damaged file written to the folder, and words that have the command read it."""
+    file, points = folder / "damaged", folder / "points.csv"
+    raw = damaged(chance)
+    words = [f"{file}"]
+    if chance.random() < 0.15:
+        words.append(f"--format={chance.choice(FORMATS)}")
+    if chance.random() < 0.2:
+        axes = ["x-along", "clockwise,x-left", "y-back,from-tee", "q", ""]
+        words.append(f"--axes={chance.choice(axes)}")
+    if chance.random() < 0.1:
+        words.append(f"--stone-index={chance.choice([-1, 0, 1, 2, 9, 10**9])}")
+    if chance.random() < 0.1:
+        words.append(f"--shot={chance.choice([0, 1, 2, 99])}")
+    if chance.random() < 0.1:
+        units = ["x=cm", "angle=deg,t=ms", "x=px,y=px", "x=kg", "=", "length=ft"]
+        words.append(f"--units={chance.choice(units)}")
+    if chance.random() < 0.2:
+        spoiled = chance.random() < 0.5
+        points.write_bytes(raw if spoiled else known_points().encode())
+        words.append(f"--reference={points}")
+        if spoiled:
+            raw = SAMPLES["pixels"].encode()
+    file.write_bytes(raw)
+    verb = chance.random()
+    if verb < 0.01:
+        out = ["--no-sample", "--no-figures", "--law=coulomb", f"--out={folder / 'fit'}"]
+        return ["fit", *words, *out]
+    return ["check", *words, *([f"--out={folder / 'check.png'}"] if verb < 0.02 else [])]
+
+
+class Outcome(NamedTuple):
+    """How a process ended: exit status (minus the signal, if one ended it), and its needs."""
+
+    status: int
+    megabytes: float
+    seconds: float
+    errors: str
+
+    def fault(self) -> str | None:
+        """What is wrong with it, if anything is."""
+        if self.status not in (0, 1, 2):
+            return f"exit status {self.status}"
+        if self.megabytes > MOST_MB:
+            return f"{self.megabytes:.0f} MB"
+        said = self.errors.splitlines()
+        wanted = 0 if self.status == 0 else 1
+        if len(said) != wanted or not all(line.startswith("curlfit: ") for line in said):
+            return "not one sentence on stderr"
+        return None
+
+
+def watched(begin: Callable[[], int], errors: Path) -> Outcome:
+    """The outcome of the process that `begin` starts, which writes its stderr to `errors`."""
+    started = time.monotonic()
+    _, wait, usage = os.wait4(begin(), 0)
+    return Outcome(
+        os.waitstatus_to_exitcode(wait),
+        usage.ru_maxrss / 1024,
+        time.monotonic() - started,
+        errors.read_text(errors="replace"),
+    )
+
+
+def forked(words: list[str], errors: Path) -> Outcome:
+    """The command in a copy of this process."""
+
+    def begin() -> int:
+        child = os.fork()
+        if child:
+            return child
+        status = 70
+        try:
+            for name, stream in ((os.devnull, 1), (str(errors), 2)):
+                os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), stream)
+            signal.alarm(_FIT_SECONDS if words[0] == "fit" else _SECONDS)
+            sys.argv[1:] = words
+            main()
+            status = 0
+        except SystemExit as end:
+            status = end.code if isinstance(end.code, int) else 0 if end.code is None else 70
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(status)
+
+    return watched(begin, errors)
+
+
+def started(words: list[str], errors: Path) -> Outcome:
+    """The command in a process of its own, as users have it."""
+
+    def begin() -> int:
+        streams = [
+            (os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0o600),
+            (os.POSIX_SPAWN_OPEN, 2, str(errors), os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600),
+        ]
+        seconds = str(_FIT_SECONDS if words[0] == "fit" else _SECONDS)
+        line = ["timeout", "-s", "ALRM", seconds, sys.executable, "-m", "curlfit", *words]
+        return os.posix_spawnp(line[0], line, os.environ, file_actions=streams)
+
+    return watched(begin, errors)
+
+
+@dataclass
+class Tally:
+    """What became of many files: how many ended with each status, the most that one needed.
+
+    `plain_mb` is what the refusal of a file that is not there needs.
+    """
+
+    files: int = 0
+    statuses: dict[str, int] = field(default_factory=dict)
+    plain_mb: float = 0.0
+    most_mb: dict[str, float] = field(default_factory=dict)
+    most_seconds: dict[str, float] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
+
+    def add(self, verb: str, outcome: Outcome, what: str) -> None:
+        """Count one more."""
+        self.files += 1
+        status = str(outcome.status)
+        self.statuses[status] = self.statuses.get(status, 0) + 1
+        self.most_mb[verb] = max(self.most_mb.get(verb, 0.0), outcome.megabytes)
+        self.most_seconds[verb] = max(self.most_seconds.get(verb, 0.0), outcome.seconds)
+        fault = outcome.fault()
+        if fault is not None:
+            self.faults.append(f"{what}: {fault}: {outcome.errors[-2000:]}")
+
+
+def tally(folder: Path, seed: int, count: int, how: Callable[[list[str], Path], Outcome]) -> Tally:
+    """What becomes of `count` files of a seed."""
+    chance, errors, found = random.Random(seed), folder / "errors", Tally()
+    found.plain_mb = how(["check", str(folder / "nothing")], errors).megabytes
+    for k in range(count):
+        words = arguments(chance, folder)
+        verb = words[0] if len(words) == 1 or "--out" not in words[-1] else f"{words[0]} --out"
+        found.add(verb, how(words, errors), f"seed {seed}, file {k}, {words}")
+    return found
+
+
+def imported(folder: Path) -> None:
+    """Import what the command imports on its way, once for all copies of this process."""
+    whole = folder / "whole"
+    whole.write_text(SAMPLES["table"])
+    with redirect_stdout(StringIO()), suppress(SystemExit):
+        sys.argv[1:] = ["check", str(whole)]
+        main()
+
+
+if __name__ == "__main__":
+    folder, seed, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    imported(folder)
+    gc.freeze()  # pages that copies need not write to
+    print(json.dumps(asdict(tally(folder, seed, count, forked))))

@@ -1,0 +1,57 @@
+"""Damaged files: read or refused in one sentence, in no time and with little memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from damaged_files import Outcome, started, tally
+
+
+def worker(folder: Path, seed: int, count: int) -> dict:
+    """The tally of many files, forked from a process without the tests' own imports."""
+    run = subprocess.run(
+        [sys.executable, "-W", "error", Path(__file__).with_name("damaged_files.py"), folder,
+         str(seed), str(count)],
+        capture_output=True, text=True, check=False,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    return json.loads(run.stdout)
+
+
+def test_damaged_files_are_read_or_refused(tmp_path):
+    found = worker(tmp_path, 1, 300)
+    assert found["faults"] == []
+    assert found["files"] == 300
+    assert found["statuses"]["0"] > 20
+    assert found["statuses"]["2"] > 100
+
+
+def test_a_fault_would_be_seen():
+    assert Outcome(0, 50.0, 0.1, "").fault() is None
+    assert Outcome(2, 50.0, 0.1, "curlfit: no such file\n").fault() is None
+    assert Outcome(-14, 50.0, 10.0, "").fault() == "exit status -14"
+    assert Outcome(2, 501.0, 0.1, "curlfit: no such file\n").fault() == "501 MB"
+    trace = "Traceback (most recent call last):\n  ...\nValueError\n"
+    assert Outcome(1, 50.0, 0.1, trace).fault() == "not one sentence on stderr"
+    assert Outcome(2, 50.0, 0.1, "").fault() == "not one sentence on stderr"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10, 20))
+def test_many_damaged_files_are_read_or_refused(tmp_path, seed):
+    found = worker(tmp_path, seed, 2000)
+    print(json.dumps(found))
+    assert found["faults"] == []
+
+
+@pytest.mark.slow
+def test_so_they_are_by_processes_of_their_own(tmp_path):
+    found = tally(tmp_path, 30, 200, started)
+    print(json.dumps(found.statuses), found.most_mb, found.most_seconds)
+    assert found.faults == []
