@@ -133,7 +133,7 @@ class _Run:
             )  # fmt: skip
         return weighed(
             job.throw, self.law, check_load(plan.load), self.stone, job.until, job.parameters,
-            job.frame, self.problem, self.sigma, solution, 1, "linear",
+            job.frame, self.problem, self.sigma, solution, 1, "linear", side_by_side=True,
         )  # fmt: skip
 
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
 from curlfit.identifiability import Identifiability, analyse, slack
-from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, log_posterior, trace
-from curlfit.losses import precision, robust_sigma, steepness
-from curlfit.parameters import ParameterSet
+from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, log_posterior, raw_residuals, trace
+from curlfit.losses import precision, robust_sigma, signed_root, steepness
+from curlfit.parameters import LOSSES, ParameterSet
 from curlfit.results import Estimate, FitResult
 from curlfit.solving import Solution
 from curlfit.stone import Stone
@@ -40,8 +40,13 @@ def weighed(
     solution: Solution,
     tried: int,
     loss: str,
+    *,
+    side_by_side: bool = False,
 ) -> FitResult:
-    """The record of a fit from its optimum; `tried` starts led to it."""
+    """The record of a fit from its optimum; `tried` starts led to it.
+
+    `side_by_side` follows trial paths all at once: another program to compile, and faster.
+    """
     n = len(throw)
     offset = frame.offset(len(parameters))
     values = solution.values + offset
@@ -77,7 +82,7 @@ def weighed(
         law, solution, left, parameters, at_bound, known.names, tried,
         dict(zip(CHANNELS, count, strict=True)), rms_by, lag1,
     )  # fmt: skip
-    bent = _bent(law, load, solution, parameters, offset, problem, known, open_)
+    bent = _bent(law, load, solution, parameters, offset, problem, known, open_, side_by_side)
     if bent:
         warnings.append(
             f"the misfit is no parabola within a standard error of {', '.join(bent)}; these errors "
@@ -150,6 +155,13 @@ def _effective_jacobian(
     return jacobian
 
 
+def _chi_squared(law: type[Law], load: Load, values: Floats, problem: Problem) -> float:
+    residual = raw_residuals(law, load, values, problem)
+    if LOSSES[int(problem.loss)] != "linear":
+        residual = np.asarray(signed_root(residual, problem.loss))
+    return float((residual**2).sum())
+
+
 def _bent(
     law: type[Law],
     load: Load,
@@ -159,6 +171,7 @@ def _bent(
     problem: Problem,
     known: Identifiability,
     open_: NDArray[np.bool_],
+    side_by_side: bool,
 ) -> list[str]:
     """Parameters along which one standard error does not raise chi squared by about one."""
     if not known.names:
@@ -176,9 +189,11 @@ def _bent(
             if ((values >= lower) & (values <= upper)).all():
                 points.append(values)
                 along.append(axis)
-    # All at once, and always as many, so that one program serves.
-    full = points + [solution.values] * (2 * len(parameters) - len(points))
-    chi_squared = -2 * np.asarray(log_posterior(law, load, np.stack(full), lower, upper, problem))
+    if side_by_side:  # all at once, and always as many, so that one program serves
+        full = np.stack(points + [solution.values] * (2 * len(parameters) - len(points)))
+        chi_squared = -2 * np.asarray(log_posterior(law, load, full, lower, upper, problem))
+    else:
+        chi_squared = np.array([_chi_squared(law, load, values, problem) for values in points])
     least = float((solution.residual**2).sum())
     found: set[str] = set()
     for axis, rise in zip(along, chi_squared[: len(along)] - least, strict=True):
