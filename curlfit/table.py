@@ -58,16 +58,14 @@ class Table:
     def _read(self, head: str) -> int:
         """Take note of whole rows; the length of the file up to the last of them, in bytes."""
         whole = self.file.read_bytes()
-        if not whole:
-            return 0
+        if head.encode().startswith(whole):
+            return 0  # killed while it was begun
         if not whole.startswith(_MARK.encode()):
             raise InputError(
                 f"{self.file}, line 1: not a table of `curlfit batch`; name another with --out, or "
                 "write over it with --again"
             )
         if not whole.startswith(head.encode()):
-            if head.encode().startswith(whole):
-                return 0  # killed while it was begun
             raise InputError(
                 f"{self.file}, line 1: made with other settings; name another table with --out, or "
                 "write over it with --again"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import signal
 import subprocess
 import sys
@@ -83,16 +84,16 @@ def test_a_useless_file_is_a_row_with_its_reason(season):
 def test_a_table_cut_off_anywhere_is_completed_to_the_same_bytes(season, tmp_path):
     out = tmp_path / "results.csv"
     words = ["batch", str(season), "--out", str(out), "--workers", "1"]
-    first = command(*words)
+    first = command(*words, cwd=tmp_path)
     assert first.returncode == 0, first.stderr
     assert "2 failed" in first.stdout
     whole = out.read_bytes()
     assert len(table(out)) == 8
     for size in (10, len(whole) // 2, len(whole) - 3):
         out.write_bytes(whole[:size])
-        assert command(*words).returncode == 0
+        assert command(*words, cwd=tmp_path).returncode == 0
         assert out.read_bytes() == whole
-    assert "8 of 8 throws" in command(*words).stdout
+    assert "8 of 8 throws" in command(*words, cwd=tmp_path).stdout
 
 
 @pytest.mark.parametrize(
@@ -108,10 +109,9 @@ def test_a_table_cut_off_anywhere_is_completed_to_the_same_bytes(season, tmp_pat
 def test_what_cannot_be_done_is_one_sentence(season, tmp_path, words, said):
     out = tmp_path / "results.csv"
     if "coulomb" in words:
-        Plan_line = '# curlfit batch {"law": "front-back"}\nfile,status\n'
-        out.write_text(Plan_line)
+        out.write_text('# curlfit batch {"law": "front-back"}\nfile,status\n')
     before = out.read_bytes() if out.exists() else None
-    done = command("batch", str(season), "--out", str(out), *words)
+    done = command("batch", str(season), "--out", str(out), *words, cwd=tmp_path)
     assert done.returncode == 2
     assert said in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
@@ -121,14 +121,14 @@ def test_what_cannot_be_done_is_one_sentence(season, tmp_path, words, said):
 def test_a_table_of_something_else_is_left_alone(season, tmp_path):
     out = tmp_path / "results.csv"
     out.write_text("my own notes\n")
-    done = command("batch", str(season), "--out", str(out))
+    done = command("batch", str(season), "--out", str(out), cwd=tmp_path)
     assert done.returncode == 2
     assert "not a table of `curlfit batch`" in done.stderr
     assert out.read_text() == "my own notes\n"
 
 
 def test_nothing_found_is_said(tmp_path):
-    done = command("batch", str(tmp_path), "--out", str(tmp_path / "r.csv"))
+    done = command("batch", str(tmp_path), "--out", str(tmp_path / "r.csv"), cwd=tmp_path)
     assert done.returncode == 2
     assert "no file that ends in .csv" in done.stderr
 
@@ -139,7 +139,7 @@ def test_whoever_does_the_work_the_table_is_the_same(season, tmp_path):
     texts = []
     for words in (["--workers", "1"], ["--workers", "2"], ["--dask", "local", "--workers", "2"]):
         out = tmp_path / "results.csv"
-        done = command("batch", str(season), "--again", "--out", str(out), *words)
+        done = command("batch", str(season), "--again", "--out", str(out), *words, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         texts.append(out.read_bytes())
     assert texts[0] == texts[1] == texts[2]
@@ -157,8 +157,6 @@ def test_a_killed_run_goes_on_without_repeating_or_losing_a_throw(season, tmp_pa
     run = subprocess.Popen(words, start_new_session=True)
     while run.poll() is None and (not out.exists() or out.stat().st_size < 20_000):
         time.sleep(0.02)
-    import os
-
     os.killpg(run.pid, signal.SIGKILL)
     run.wait()
     assert subprocess.run(words, check=False).returncode == 0
