@@ -43,9 +43,9 @@ def carried(fit):
     return curlfit.predict(fit)
 
 
-def reference_of(fit, nodes=80):
+def reference_of(fit):
     values = [item.value for item in fit.coefficients.values()]
-    return Reference(front_back(*values), R=fit.stone.R, rho=fit.stone.rho, nodes=nodes)
+    return Reference(front_back(*values), R=fit.stone.R, rho=fit.stone.rho, nodes=80)
 
 
 def begun(prediction):
@@ -72,47 +72,54 @@ def test_the_sheet_is_that_of_the_rules():
 # --- the path and its numbers --------------------------------------------------------------------
 
 
-def test_path_lines_and_rest_are_those_of_an_independent_integration(fit):
+def almost_to_rest(fit, prediction, rows=1501):
+    """Times and the independent path up to a twentieth of a second before rest: what is left is
+    0.1 mm. In it the heading turns so fast that the integrator may go on for ever."""
+    t = np.linspace(0, prediction.quantities["time"].value - 0.05, rows)
+    return t, reference_of(fit).path(begun(prediction), t)
+
+
+def test_path_and_lines_are_those_of_an_independent_integration(fit):
     found = curlfit.predict(fit, start={"v0": 2.4, "omega0": 1.5, "heading": 0.01}, draws=100)
-    reference, start = reference_of(fit), begun(found)
-    t = np.linspace(0, 60, 3001)
-    x, y, phi = reference.path(start, t)
-    shown = found.series["t"]
+    t, (x, y, phi) = almost_to_rest(fit, found)
+    shown = found.series["t"] < t[-1]
     for name, values in {"x": x, "y": y, "phi": phi}.items():
         np.testing.assert_allclose(
-            found.series[name], CubicSpline(t, values)(shown), atol=2e-6, rtol=0, err_msg=name
-        )
+            found.series[name][shown], CubicSpline(t, values)(found.series["t"][shown]),
+            atol=2e-6, rtol=0, err_msg=name,
+        )  # fmt: skip
     value = {name: item.value for name, item in found.quantities.items()}
-    assert value["rest_x"] == pytest.approx(x[-1], abs=1e-6)
-    assert value["rest_y"] == pytest.approx(y[-1] - sheet.TEE, abs=1e-6)
-    assert value["turns"] == pytest.approx(phi[-1] / (2 * np.pi), abs=1e-6)
+    assert value["rest_x"] == pytest.approx(x[-1], abs=2e-4)
+    assert value["rest_y"] == pytest.approx(y[-1] - sheet.TEE, abs=2e-4)
+    assert value["turns"] == pytest.approx(phi[-1] / (2 * np.pi), abs=1e-3)
     across = np.array([np.cos(0.01), -np.sin(0.01)])  # to the right of the line of delivery
-    assert value["curl"] == pytest.approx(across @ [x[-1], y[-1] - HOG], abs=1e-6)
-
-    way = np.hypot(x - x[-1], y - y[-1])
-    moving = way > 0.01
-    along = CubicSpline(t[moving], y[moving])
+    assert value["curl"] == pytest.approx(across @ [x[-1], y[-1] - HOG], abs=2e-4)
+    along, sideways = CubicSpline(t, y), CubicSpline(t, x)
     times, speeds = {}, {}
     for line in ("far-hog", "far-tee"):
         level = sheet.LINES[line]
-        times[line] = brentq(lambda s, level=level: along(s) - level, 1.0, t[moving][-1])
-        sideways = CubicSpline(t[moving], x[moving])
+        times[line] = brentq(lambda s, level=level: along(s) - level, 1.0, t[-1])
         speeds[line] = np.hypot(along(times[line], 1), sideways(times[line], 1))
     assert value["hog_to_hog"] == pytest.approx(times["far-hog"], abs=1e-4)
     assert value["hog_to_tee"] == pytest.approx(times["far-tee"], abs=1e-4)
     assert value["speed_at_far_hog"] == pytest.approx(speeds["far-hog"], abs=1e-4)
     assert value["speed_at_tee"] == pytest.approx(speeds["far-tee"], abs=1e-4)
     assert value["speed_at_hog"] == pytest.approx(2.4)
+    assert value["hog_to_rest"] == pytest.approx(value["time"] - times["far-hog"], abs=1e-4)
+    law, rest = fit.law_class.from_vector(fit.values), value["time"]
+    speed = curlfit.simulate(law, STONE, begun(found), [0.0, rest - 2e-3, rest + 2e-3]).speed
+    assert speed[1] > 0 == speed[2]
 
-    # At rest the angle stays; before, what is left of it falls with the square root of its rate.
-    low, high = 0.0, 60.0
-    for _ in range(4):
-        steps = np.linspace(low, high, 61)
-        left = np.abs(reference.path(start, np.append(steps, 100.0))[2] - phi[-1])[:-1]
-        last = np.flatnonzero(left > 1e-7)[-1]
-        low, high = steps[last], steps[last + 1]
-    assert value["time"] == pytest.approx(low, abs=2e-3)
-    assert value["hog_to_rest"] == pytest.approx(low - times["far-hog"], abs=2e-3)
+
+def test_a_stone_that_does_not_turn_rests_when_mechanics_say():
+    """Coulomb's law: after v0/(mu g), v0^2/(2 mu g) away."""
+    throw = thrown(law="coulomb", omega0=0.0, noise=(0.0, 0.0))
+    still = curlfit.fit(throw, "coulomb", fix={"omega0": 0.0})
+    found = curlfit.predict(still, start={"v0": 2.2}, draws=100)
+    slowing = still.coefficients["mu"].value * 9.81
+    assert found.quantities["time"].value == pytest.approx(2.2 / slowing, abs=1e-3)
+    far = sheet.TEE + found.quantities["rest_y"].value - HOG
+    assert far == pytest.approx(2.2**2 / (2 * slowing), abs=1e-6)
 
 
 def test_a_mirrored_throw_has_a_mirrored_prediction(eq12_fit):
@@ -175,7 +182,7 @@ def test_data_that_lie_on_the_sheet_are_left_where_they_are(tmp_path):
 @pytest.mark.parametrize("place", [(0.0, 0.0), (-0.8, 1.1), (1.2, -3.0)])
 def test_a_target_is_met_by_an_independent_integration(fit, place):
     found = curlfit.predict(fit, target=place, start={"omega0": -2.0}, draws=100)
-    x, y, _ = reference_of(fit).path(begun(found), np.array([0.0, 100.0]))[:, -1]
+    x, y, _ = almost_to_rest(fit, found, rows=2)[1][:, -1]
     assert np.hypot(x - place[0], y - sheet.TEE - place[1]) < 1e-3
     assert found.start["v0"]["origin"] == found.start["heading"]["origin"] == "found"
 
@@ -254,17 +261,18 @@ def test_bands_are_those_of_brute_force(fit):
     place = [fit.covariance["names"].index(name) for name in names]
     matrix = np.array(fit.covariance["matrix"])[np.ix_(place, place)]
     random = np.random.default_rng(5)
-    rests = []
+    t = 25.0  # some two seconds before rest
+    there = []
     for values in random.multivariate_normal([fit.coefficients[n].value for n in names], matrix, k):
-        reference = Reference(front_back(*values), R=STONE.R, rho=STONE.rho, nodes=16)
-        rests.append(reference.path(begun(found), np.array([0.0, 80.0]))[:2, -1])
-    spread = np.std(rests, axis=0)
-    for name, size in zip(("rest_x", "rest_y"), spread, strict=True):
-        item = found.quantities[name]
-        assert item.model_sd == 0.0
-        assert item.parameter_sd == pytest.approx(size, rel=4 / np.sqrt(2 * k))
-        width = item.quantiles["97.5"] - item.quantiles["2.5"]
-        assert width == pytest.approx(2 * 1.96 * item.parameter_sd, rel=0.1)
+        reference = Reference(front_back(*values), R=STONE.R, rho=STONE.rho, nodes=24)
+        there.append(reference.path(begun(found), np.array([0.0, t]))[:, -1])
+    row = int(np.argmin(np.abs(found.series["t"] - t)))
+    for name, size in zip(("x", "y", "phi"), np.std(there, axis=0), strict=True):
+        assert found.series[f"{name}_model_sd"][row] == 0.0
+        sd = found.series[f"{name}_parameter_sd"][row]
+        assert sd == pytest.approx(size, rel=4 / np.sqrt(2 * k)), name
+        width = found.series[f"{name}_97.5"][row] - found.series[f"{name}_2.5"][row]
+        assert width == pytest.approx(2 * 1.96 * sd, rel=0.1), name
 
 
 def test_chain_and_covariance_say_the_same(eq12_posterior):
