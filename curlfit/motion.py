@@ -94,15 +94,17 @@ class Start:
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["t", "x", "y", "phi", "vx", "vy", "omega"],
+    data_fields=["t", "x", "y", "phi", "vx", "vy", "omega", "rest"],
     meta_fields=[],
 )
 @dataclass(frozen=True)
 class Path:
-    """Motion of a stone at given times; every field is an array of the shape of `t`.
+    """Motion of a stone at given times; every field but `rest` is an array of the shape of `t`.
 
     t in s; x, y in m; phi in rad, not wrapped; vx, vy in m/s; omega in rad/s. After the stone
-    has come to rest its place and angle are held and its velocities are zero.
+    has come to rest its place and angle are held and its velocities are zero. `rest` is the time
+    at which it comes to rest, in s; where it still moves at the last time, what its loss of energy
+    there lets expect.
     """
 
     t: Array
@@ -112,6 +114,7 @@ class Path:
     vx: Array
     vy: Array
     omega: Array
+    rest: Array
 
     @property
     def speed(self) -> Array:
@@ -265,7 +268,10 @@ def _quintic(a: _Knots, b: _Knots, t: Array) -> tuple[Array, Array]:
 def _integrate(
     law: Law, stone: Stone, v0: Array, omega0: Array, *, times: Array, load: Load
 ) -> Array:
-    """Motion from the origin along +y: x, y, phi, vx, vy, omega at `times` >= 0, shape (n, 6)."""
+    """Motion from the origin along +y at `times` >= 0, shape (n, 7).
+
+    The columns are x, y, phi, vx, vy, omega, and the time of coming to rest, the same in each row.
+    """
     last = jnp.max(times)
     span = jnp.maximum(last, 1e-9)
     f = partial(_rates, law, stone, load, span)
@@ -339,7 +345,10 @@ def _integrate(
     _, moving, out = jax.lax.while_loop(going, chunk, (0, moving, out))
     final = _State(*moving.state)
     held = jnp.stack([final.x, final.y, final.phi, zero, zero, zero])
-    return jnp.where((moving.idle & (times >= moving.t))[:, None], held, out)
+    out = jnp.where((moving.idle & (times >= moving.t))[:, None], held, out)
+    ending = _slowing(law, stone, final, _State(*moving.rate)) * (1 + law.steepness())
+    left = jnp.where(ending > 0, 1 / jnp.where(ending > 0, ending, 1.0), 0.0)
+    return jnp.concatenate([out, jnp.full((len(times), 1), moving.t + left)], 1)
 
 
 # Both directions of differentiation from forward mode alone: a throw has some ten inputs, so its
@@ -381,7 +390,7 @@ def _trajectory_jvp(
     ):
         change = change + jacobian @ tangent
     if not isinstance(d_times, SymbolicZero):
-        velocity = jnp.concatenate([out[:, 3:], jnp.zeros_like(out[:, 3:])], 1)
+        velocity = jnp.concatenate([out[:, 3:6], jnp.zeros_like(out[:, 3:])], 1)
         change = change + velocity * d_times[:, None]
     return out, change
 
@@ -394,7 +403,7 @@ def _simulate(law: Law, stone: Stone, start: Start, times: Array, t0: Array, *, 
     vectors, unravel = zip(
         *(ravel_pytree(tree) for tree in (law, stone, (start.v, start.omega))), strict=True
     )
-    u, w, turned, du, dw, omega = _trajectory(unravel, load, vectors, times - t0).T
+    u, w, turned, du, dw, omega, rest = _trajectory(unravel, load, vectors, times - t0).T
     # Ice is the same everywhere and in every direction: place, heading and angle only move and
     # turn the path (u to the right of the first heading, w along it).
     s, c = jnp.sin(start.heading), jnp.cos(start.heading)
@@ -406,6 +415,7 @@ def _simulate(law: Law, stone: Stone, start: Start, times: Array, t0: Array, *, 
         vx=c * du + s * dw,
         vy=-s * du + c * dw,
         omega=omega,
+        rest=t0 + rest[0],
     )
 
 
@@ -433,9 +443,9 @@ def simulate(
 
     Returns
     -------
-    Path of shape (n,). Positions are good to 1e-7 m and angles to 1e-7 rad over a throw. NaN
-    where the law admits no motion (a consistent load that would have to be negative) or the
-    motion cannot be followed.
+    Path of shape (n,), and when the stone comes to rest. Positions are good to 1e-7 m and angles
+    to 1e-7 rad over a throw. NaN where the law admits no motion (a consistent load that would have
+    to be negative) or the motion cannot be followed.
 
     Raises
     ------
