@@ -76,6 +76,11 @@ def directions(information: Floats, typical: Floats) -> tuple[Floats, Floats, Fl
     return rows[seen], singular[seen], rows[~seen]
 
 
+def visible(singular: Floats) -> NDArray[np.bool_]:
+    """Which directions the data see, from the singular values of the Jacobian by typical sizes."""
+    return singular > max(_UNSEEN, _ROUNDING * singular[0])
+
+
 def analyse(
     jacobian: Floats,
     names: Sequence[str],
@@ -97,7 +102,7 @@ def analyse(
     singular = np.concatenate([singular, np.zeros(p - len(singular))])
     if len(right) < p:  # fewer residuals than parameters
         right = np.linalg.svd(jacobian * typical)[2]
-    seen = singular > max(_UNSEEN, _ROUNDING * singular[0])
+    seen = visible(singular)
     inverse = right[seen].T / singular[seen]
     covariance = typical[:, None] * (inverse @ inverse.T) * typical
     if slack is not None:

@@ -8,6 +8,10 @@ Noise is independent and Gaussian, of a sigma by channel that is given or estima
 `curlfit.fitting`). An unknown sigma is not varied along with the rest: where a law is not exact,
 that likelihood has its maximum in a corner where one channel is fitted perfectly and the others
 pay for it.
+
+When a stone came to rest is a measurement of its own (see `Throw.stops`). A speed of zero at that
+time would not do for it: a stone that came to rest earlier has it too. What is compared is the time
+itself, and the place of that row is the place at rest.
 """
 
 from __future__ import annotations
@@ -35,6 +39,7 @@ Floats = NDArray[np.float64]
 SIGMA_FLOOR = 1e-7
 """Least noise (m and rad) that is believed: the precision of the computed path."""
 
+_LATE = 60.0  # s after the measured end by which a stone is at rest under any trial
 _SHORTEST = 256  # data are padded to a power of two from here up, so that few shapes are compiled
 
 
@@ -51,6 +56,8 @@ class Problem(NamedTuple):
     stone: Stone
     loss: Any = 0
     """place of the loss in `LOSSES`"""
+    stop: Any = -1
+    """row whose speed stands for the time of coming to rest; -1 where there is none"""
 
 
 class Frame(NamedTuple):
@@ -96,6 +103,7 @@ def problem_of(
         weight=np.pad(weight[:rows], pad),
         stone=jax.tree.map(lambda value: np.asarray(float(value)), stone),
         loss=np.asarray(LOSSES.index(loss)),
+        stop=np.asarray(n - 1 if throw.stops else -1),
     )
 
 
@@ -107,15 +115,25 @@ def split(law: type[Law], values: Any) -> tuple[Law, Start]:
     return law.from_vector(values), start
 
 
+def model(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
+    """x, y, phi, speed and spin at the times of a problem, shape (5, n).
+
+    In the row that says when the stone came to rest they are those at rest, and the speed is the
+    time that this is too late, at the mean loss of speed: below 0 where the stone stops too early.
+    """
+    friction, start = split(law, values)
+    stop = jnp.arange(problem.times.shape[-1]) == problem.stop
+    times = jnp.where(stop, problem.times + _LATE, problem.times)
+    path = simulate(friction, problem.stone, start, times, load=load, t0=0.0)
+    left = (path.rest - problem.times) * start.v / jnp.maximum(path.rest, 1e-9)
+    speed = jnp.where(stop, left, path.speed)
+    return jnp.stack([path.x, path.y, path.phi, speed, path.omega])
+
+
 def weighted_residuals(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
     """(model - data) times weight, as the loss has it, of the shape of the data."""
-    friction, start = split(law, values)
-    path = simulate(friction, problem.stone, start, problem.times, load=load, t0=0.0)
-    channels = [path.x, path.y, path.phi]
-    if len(problem.observed) > 3:
-        channels += [path.speed, path.omega]
-    model = jnp.stack(channels)
-    residual = jnp.where(problem.weight > 0, (model - problem.observed) * problem.weight, 0.0)
+    path = model(law, load, values, problem)[: len(problem.observed)]
+    residual = jnp.where(problem.weight > 0, (path - problem.observed) * problem.weight, 0.0)
     return signed_root(residual, problem.loss)
 
 
@@ -154,13 +172,8 @@ def log_posterior(
 
 def raw_residuals(law: type[Law], load: Load, values: Floats, problem: Problem) -> Floats:
     """(model - data) times weight, without any loss, of the shape of the data."""
-    model = np.asarray(trace(law, load, values, problem.times, problem.stone))
-    return (model[: len(problem.observed)] - problem.observed) * problem.weight
+    path = np.asarray(trace(law, load, values, problem))
+    return (path[: len(problem.observed)] - problem.observed) * problem.weight
 
 
-@kept("law", "load")
-def trace(law: type[Law], load: Load, values: Array, times: Array, stone: Stone) -> Array:
-    """x, y, phi, speed and spin at the times of a problem, shape (5, n)."""
-    friction, start = split(law, values)
-    path = simulate(friction, stone, start, times, load=load, t0=0.0)
-    return jnp.stack([path.x, path.y, path.phi, path.speed, path.omega])
+trace = kept("law", "load")(model)

@@ -94,15 +94,17 @@ class Start:
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["t", "x", "y", "phi", "vx", "vy", "omega"],
+    data_fields=["t", "x", "y", "phi", "vx", "vy", "omega", "rest"],
     meta_fields=[],
 )
 @dataclass(frozen=True)
 class Path:
-    """Motion of a stone at given times; every field is an array of the shape of `t`.
+    """Motion of a stone at given times; every field but `rest` is an array of the shape of `t`.
 
     t in s; x, y in m; phi in rad, not wrapped; vx, vy in m/s; omega in rad/s. After the stone
-    has come to rest its place and angle are held and its velocities are zero.
+    has come to rest its place and angle are held and its velocities are zero. `rest` is the time
+    at which it comes to rest, in s; where it still moves at the last time, what its loss of energy
+    there lets expect.
     """
 
     t: Array
@@ -112,6 +114,7 @@ class Path:
     vx: Array
     vy: Array
     omega: Array
+    rest: Array
 
     @property
     def speed(self) -> Array:
@@ -287,11 +290,12 @@ def _values(quintics: Array, place: Array, times: Array) -> tuple[list[Array], l
 
 def _integrate(
     law: Law, stone: Stone, v0: Array, omega0: Array, *, times: Array, load: Load
-) -> Array:
-    """Motions from the origin along +y, one a lane: x, y, phi, vx, vy, omega at `times` >= 0.
+) -> tuple[Array, Array]:
+    """Motions from the origin along +y, one a lane: x, y, phi, vx, vy, omega at `times` >= 0, and
+    the times of coming to rest.
 
     The start has shape (lanes,), the law's coefficients that or (), the times (n, lanes) or
-    (n, 1); the answer has shape (6, n, lanes).
+    (n, 1); the answers have shapes (6, n, lanes) and (lanes,).
     """
     lanes = v0.shape
     last = jnp.max(times, 0) + jnp.zeros(lanes)
@@ -383,7 +387,8 @@ def _integrate(
     _, moving, out = jax.lax.while_loop(unfinished, stretch, (0, moving, (blank,) * 6))
     final = moving.state
     # What little is left is gone at an even loss of speed and spin.
-    left = 0.5 / jnp.maximum(_slowing(law, stone, final, moving.rate), 1e-9)
+    slowing = _slowing(law, stone, final, moving.rate)
+    left = 0.5 / jnp.maximum(slowing, 1e-9)
     s, c = jnp.sin(final.heading), jnp.cos(final.heading)
     held = (
         final.x + left * final.v * s,
@@ -394,9 +399,10 @@ def _integrate(
         zero,
     )
     resting = moving.idle & (times >= moving.t)
-    return jnp.stack(
-        [jnp.where(resting, rest, value) for rest, value in zip(held, out, strict=True)]
-    )
+    path = jnp.stack([jnp.where(resting, at, value) for at, value in zip(held, out, strict=True)])
+    ending = slowing * (1 + law.steepness())
+    lost = ending > 0
+    return path, moving.t + jnp.where(lost, 1 / jnp.where(lost, ending, 1.0), 0.0)
 
 
 # Both directions of differentiation from forward mode alone: a throw has some ten inputs, so its
@@ -446,7 +452,7 @@ def _in_lanes(function: Callable[..., Any]) -> Callable[..., Any]:
     return alone
 
 
-def _whole(law: type[Law], load: Load, *arrays: Array) -> Array:
+def _whole(law: type[Law], load: Load, *arrays: Array) -> tuple[Array, Array]:
     coefficients, stone, (v0, omega0), times = arrays
     return _integrate(
         law.from_vector(coefficients), Stone(*stone), v0, omega0, times=times, load=load
@@ -455,12 +461,13 @@ def _whole(law: type[Law], load: Load, *arrays: Array) -> Array:
 
 def _with_jacobian(
     law: type[Law], load: Load, asked: tuple[bool, ...], *arrays: Array
-) -> tuple[Array, Array]:
-    """The path, and its derivatives by the inputs asked for, along the first axis."""
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Path and time of rest, and their derivatives by the inputs asked for, along the first
+    axis."""
     *inputs, times = arrays
     free = [vector for ask, vector in zip(asked, inputs, strict=True) if ask]
 
-    def run(free: list[Array]) -> Array:
+    def run(free: list[Array]) -> tuple[Array, Array]:
         given = iter(free)
         full = (next(given) if ask else vector for ask, vector in zip(asked, inputs, strict=True))
         return _whole(law, load, *full, times)
@@ -477,28 +484,29 @@ def _with_jacobian(
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
 def _trajectory(
     law: type[Law], load: Load, inputs: tuple[Array, Array, Array], times: Array
-) -> Array:
-    """x, y, phi, vx, vy, omega of a motion from the origin along +y, shape (6, n)."""
+) -> tuple[Array, Array]:
+    """x, y, phi, vx, vy, omega of a motion from the origin along +y, shape (6, n), and the time of
+    its coming to rest."""
     return _in_lanes(partial(_whole, law, load))(*inputs, times)
 
 
 def _trajectory_jvp(
     law: type[Law], load: Load, primals: tuple[Any, ...], tangents: tuple[Any, ...]
-) -> tuple[Array, Array]:
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     inputs, times = primals
     d_inputs, d_times = tangents
     asked = tuple(not isinstance(tangent, SymbolicZero) for tangent in d_inputs)
     if any(asked):
         function = partial(_with_jacobian, law, load, asked)
         out, jacobian = _in_lanes(function)(*inputs, times)
-        d_asked = [tangent for ask, tangent in zip(asked, d_inputs, strict=True) if ask]
-        change = jnp.tensordot(jnp.concatenate(d_asked), jacobian, 1)
+        step = jnp.concatenate([d for ask, d in zip(asked, d_inputs, strict=True) if ask])
+        change, later = (jnp.tensordot(step, part, 1) for part in jacobian)
     else:
         out = _in_lanes(partial(_whole, law, load))(*inputs, times)
-        change = jnp.zeros_like(out)
+        change, later = map(jnp.zeros_like, out)
     if not isinstance(d_times, SymbolicZero):
-        change = change.at[:3].add(out[3:] * d_times)
-    return out, change
+        change = change.at[:3].add(out[0][3:] * d_times)
+    return out, (change, later)
 
 
 _trajectory.defjvp(_trajectory_jvp, symbolic_zeros=True)
@@ -511,7 +519,8 @@ def _simulate(law: Law, stone: Stone, start: Start, times: Array, t0: Array, *, 
         jnp.stack(jax.tree.leaves(stone)),
         jnp.stack([start.v, start.omega]),
     )
-    u, w, turned, du, dw, omega = _trajectory(type(law), load, inputs, times - t0)
+    path, rest = _trajectory(type(law), load, inputs, times - t0)
+    u, w, turned, du, dw, omega = path
     # Ice is the same everywhere and in every direction: place, heading and angle only move and
     # turn the path (u to the right of the first heading, w along it).
     s, c = jnp.sin(start.heading), jnp.cos(start.heading)
@@ -523,6 +532,7 @@ def _simulate(law: Law, stone: Stone, start: Start, times: Array, t0: Array, *, 
         vx=c * du + s * dw,
         vy=-s * du + c * dw,
         omega=omega,
+        rest=t0 + rest,
     )
 
 
@@ -550,9 +560,9 @@ def simulate(
 
     Returns
     -------
-    Path of shape (n,). Positions are good to 1e-7 m and angles to 1e-7 rad over a throw. NaN
-    where the law admits no motion (a consistent load that would have to be negative) or the
-    motion cannot be followed.
+    Path of shape (n,), and when the stone comes to rest. Positions are good to 1e-7 m and angles
+    to 1e-7 rad over a throw. NaN where the law admits no motion (a consistent load that would have
+    to be negative) or the motion cannot be followed.
 
     Raises
     ------

@@ -38,7 +38,8 @@ class Estimate:
 
     `stderr` is None where the data do not determine the parameter, where it sits at a bound, or
     where it was fixed. `verdict` is one of "determined", "weak" (known to no better than its
-    typical size), "not identifiable", "at bound", "fixed".
+    typical size, or along a valley so bent that its error says little), "not identifiable",
+    "at bound", "fixed".
     """
 
     value: float

@@ -175,6 +175,19 @@ class Throw:
         """Numbers measured: finite values of all channels."""
         return int(np.isfinite(self.observed).sum())
 
+    @property
+    def stops(self) -> bool:
+        """Whether the last row says when the stone came to rest.
+
+        So it does where its speed is 0, with a sigma, and no other speed was measured.
+        """
+        seen = np.flatnonzero(np.isfinite(self.speed))
+        return (
+            "speed" in self.sigma
+            and seen.tolist() == [len(self) - 1]
+            and float(self.speed[-1]) == 0.0
+        )
+
     def require_motion(self) -> None:
         """Raise `DataError` where the place never changes by more than the data's own scatter."""
         if not {"x", "y"} & set(self.seen):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
-from curlfit.identifiability import Identifiability, analyse, slack
+from curlfit.identifiability import Identifiability, analyse, slack, visible
 from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, log_posterior, raw_residuals, trace
 from curlfit.losses import precision, robust_sigma, signed_root, steepness
 from curlfit.parameters import LOSSES, ParameterSet
@@ -20,6 +20,9 @@ from curlfit.throw import CHANNELS, Throw
 Floats = NDArray[np.float64]
 
 _LOOSE = 0.1  # typical sizes a parameter may be inside its bound before it counts as held by it
+_NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
+_PUSHED = 10.0  # times the slope along those inside that a parameter at a bound is pushed with ...
+_LEAST_PUSH, _CLEAR_PUSH = 1e-6, 1e-3  # ... within these limits, half chi squared a typical size
 _CURVED = 0.003  # typical sizes of a standard error, below which the misfit is a parabola
 _UNKNOWN = 3.0  # the same, above which nothing is known anyway
 _PARABOLA = 0.5  # how far chi squared may be from one higher at one standard error
@@ -51,7 +54,7 @@ def weighed(
     offset = frame.offset(len(parameters))
     values = solution.values + offset
     seen = np.isfinite(throw.observed)
-    curves = np.array(trace(law, load, solution.values, problem.times, problem.stone))[:, :n]
+    curves = np.array(trace(law, load, solution.values, problem))[:, :n]
     curves += frame.place[:, None]
     residual = throw.observed - curves
     squares = np.where(seen, residual**2, 0.0).sum(1)
@@ -116,7 +119,7 @@ def weighed(
         rms=rms_by,
         sigma=sigma,
         lag1=lag1,
-        parameters=_estimates(parameters, values, known, open_, at_bound),
+        parameters=_estimates(parameters, values, known, open_, at_bound, bent),
         combinations=known.combinations,
         rank=known.rank,
         singular_values=tuple(map(float, known.singular_values)),
@@ -251,12 +254,18 @@ class Slopes(NamedTuple):
     free: NDArray[np.bool_]
 
     def at_bound(self) -> NDArray[np.bool_]:
-        """Free parameters at a bound that the data push against it."""
+        """Free parameters at a bound that the data push against it, be it ever so little.
+
+        Along a valley that falls without end the push may be tiny. It is told from the end of an
+        exact ridge, which is none, by what is left of the slope along the other parameters.
+        """
         push = self.residual @ self.jacobian * self.typical
-        near = 1e-9 * self.typical
-        at_lower = (self.values <= self.lower + near) & (push > 1e-3)
-        at_upper = (self.values >= self.upper - near) & (push < -1e-3)
-        return self.free & (at_lower | at_upper)
+        near = _NEAR * self.typical
+        low = self.free & (self.values <= self.lower + near)
+        high = self.free & (self.values >= self.upper - near)
+        rest = np.abs(push[self.free & ~low & ~high]).max(initial=0.0)
+        least = np.clip(_PUSHED * rest, _LEAST_PUSH, _CLEAR_PUSH)
+        return low & (push > least) | high & (push < -least)
 
     def open(self, at_bound: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Floats]:
         """The parameters that can move, and what those held at a bound add to their spread.
@@ -280,14 +289,13 @@ class Slopes(NamedTuple):
         return open_, found.columns
 
     def distance(self, where: NDArray[np.bool_]) -> float:
-        """Length of the Gauss-Newton step that is left, in sigmas, along what is seen."""
-        jacobian = self.jacobian[:, where]
-        size = np.linalg.norm(jacobian, axis=0)
-        left, singular, _ = np.linalg.svd(
-            jacobian / np.where(size > 0, size, 1), full_matrices=False
-        )
-        seen = singular > 1e-7 * singular[0]
-        return float(np.linalg.norm(left[:, seen].T @ self.residual))
+        """Length of the Gauss-Newton step that is left, in sigmas, along what is seen.
+
+        A direction that counts as unseen would have to be followed over a thousand typical sizes.
+        """
+        jacobian = (self.jacobian * self.typical)[:, where]
+        left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
+        return float(np.linalg.norm(left[:, visible(singular)].T @ self.residual))
 
 
 def judged(
@@ -308,7 +316,9 @@ def _estimates(
     known: Identifiability,
     open_: NDArray[np.bool_],
     at_bound: NDArray[np.bool_],
+    bent: list[str],
 ) -> dict[str, Estimate]:
+    """By name; what lies along a bent valley is not determined, however sharp it looks there."""
     found = {}
     place = np.cumsum(open_) - 1
     for row, item in enumerate(parameters.parameters):
@@ -317,6 +327,8 @@ def _estimates(
             if item.name in parameters.fixed
             else judged(item.typical, bool(at_bound[row]), known, int(place[row]))
         )
+        if verdict == "determined" and item.name in bent:
+            verdict = "weak"
         found[item.name] = Estimate(
             value=float(values[row]),
             stderr=stderr,

@@ -11,9 +11,9 @@ import gc
 import json
 import os
 import random
+import resource
 import signal
 import sys
-import time
 import traceback
 from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
@@ -28,8 +28,9 @@ from curlfit.cli import main
 from curlfit.readers import FORMATS
 
 MOST_MB = 500
-_SECONDS = 10  # that a file may take
+_SECONDS = 10  # of a processor that a file may take
 _FIT_SECONDS = 120  # and a fit of one, where the model must be compiled
+_WAIT = 10  # times as long by the clock, on a busy machine
 
 _PIECES = [
     "", ",", ";", "\t", " ", "\n", "\r", '"', "'", "#", "=", "nan", "inf", "-inf", "1e999", "-",
@@ -111,7 +112,10 @@ def arguments(chance: random.Random, folder: Path) -> list[str]:
 
 
 class Outcome(NamedTuple):
-    """How a process ended: exit status (minus the signal, if one ended it), and its needs."""
+    """How a process ended: exit status (minus the signal, if one ended it), and its needs.
+
+    `seconds` are those of the processor, which do not depend on what else runs.
+    """
 
     status: int
     megabytes: float
@@ -133,12 +137,11 @@ class Outcome(NamedTuple):
 
 def watched(begin: Callable[[], int], errors: Path) -> Outcome:
     """The outcome of the process that `begin` starts, which writes its stderr to `errors`."""
-    started = time.monotonic()
     _, wait, usage = os.wait4(begin(), 0)
     return Outcome(
         os.waitstatus_to_exitcode(wait),
         usage.ru_maxrss / 1024,
-        time.monotonic() - started,
+        usage.ru_utime + usage.ru_stime,
         errors.read_text(errors="replace"),
     )
 
@@ -154,7 +157,9 @@ def forked(words: list[str], errors: Path) -> Outcome:
         try:
             for name, stream in ((os.devnull, 1), (str(errors), 2)):
                 os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), stream)
-            signal.alarm(_FIT_SECONDS if words[0] == "fit" else _SECONDS)
+            limit = _FIT_SECONDS if words[0] == "fit" else _SECONDS
+            resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 1))
+            signal.alarm(_WAIT * limit)
             sys.argv[1:] = words
             main()
             status = 0
@@ -178,9 +183,10 @@ def started(words: list[str], errors: Path) -> Outcome:
             (os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0o600),
             (os.POSIX_SPAWN_OPEN, 2, str(errors), os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600),
         ]
-        seconds = str(_FIT_SECONDS if words[0] == "fit" else _SECONDS)
-        line = ["timeout", "-s", "ALRM", seconds, sys.executable, "-m", "curlfit", *words]
-        return os.posix_spawnp(line[0], line, os.environ, file_actions=streams)
+        limit = _FIT_SECONDS if words[0] == "fit" else _SECONDS
+        line = f'ulimit -t {limit}; exec timeout {_WAIT * limit} "$@"'
+        run = ["sh", "-c", line, "sh", sys.executable, "-m", "curlfit", *words]
+        return os.posix_spawnp(run[0], run, os.environ, file_actions=streams)
 
     return watched(begin, errors)
 

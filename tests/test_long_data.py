@@ -51,8 +51,10 @@ def test_the_fit_is_that_of_all_rows_while_the_stone_moves(long):
     thinned = curlfit.fit(replace(moving.condensed(1500), notes=()), "front-back")
     for name in ("mu1_xi", "mu2_xi"):  # the start is that of the first block
         one, other = whole.parameters[name], thinned.parameters[name]
-        assert abs(one.value - other.value) < 0.1 * one.stderr
-        assert other.stderr == pytest.approx(one.stderr, rel=0.1)
+        # What is lost with the means scatters by the difference of the variances (Hausman 1978).
+        assert one.stderr < other.stderr < 1.01 * one.stderr
+        lost = np.sqrt(other.stderr**2 - one.stderr**2)
+        assert abs(one.value - other.value) < 4 * lost
 
 
 def test_given_sigmas_fall_as_in_a_mean(long):

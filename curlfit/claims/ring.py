@@ -20,7 +20,7 @@ from curlfit.fitting import fit
 from curlfit.friction import Load, LocalLaw
 from curlfit.friction.anisotropic import Radial
 from curlfit.friction.front_back import FrontBack, FrontBackFirstOrder
-from curlfit.likelihood import trace
+from curlfit.likelihood import Problem, trace
 from curlfit.paper import first_order_motion, jensen_shegelski_throw
 from curlfit.results import FitResult
 from curlfit.stone import GRAVITY, Stone
@@ -211,11 +211,12 @@ def _paths() -> tuple[tuple[float, float], tuple[float, float]]:
     """Eq. 27 in closed form, stepwise, and the full ring, from the same start, for eq. 28."""
     stone = Stone(R=0.054, rho=RHO)
     t = np.minimum(np.arange(256) / 10, 20.0)  # the shape of a fit's times
+    problem = Problem(t, np.zeros((3, 256)), np.zeros((3, 256)), stone)
     mu = (0.0018, 0.058, 0.009, 0.009)
     start = np.array([*mu, 0.0, 0.0, 0.0, SPEED, 0.0, 1.0])
     closed = first_order_motion(FrontBackFirstOrder(*mu), stone, SPEED, 1.0, t)
     stepped, ring = (
-        np.asarray(trace(law, "uniform", start, t, stone))
+        np.asarray(trace(law, "uniform", start, problem))
         for law in (FrontBackFirstOrder, FrontBack)
     )
 

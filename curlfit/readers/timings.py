@@ -24,10 +24,12 @@ _KEYS = {
     "turns": "phi",
     "sigma_t": "t",
     "sigma_rest": "y",
+    "sigma_turns": "phi",
 }
 _EXPECTED = (
     "expected lines such as hog_to_hog = 14.2 and hog_to_rest = 10.3 (s), curl = 1.2 (m), "
-    "rest = 0.5 (m beyond the far tee), turns = 2.5, sigma_t = 0.1, sigma_rest = 0.05"
+    "rest = 0.5 (m beyond the far tee), turns = 2.5, sigma_t = 0.1, sigma_rest = 0.05, "
+    "sigma_turns = 0.1"
 )
 _LINE = re.compile(r"""["']?(?P<key>[a-z_]+)["']?\s*[=:;,\t ]\s*(?P<value>\S.*?)\s*[;,]?$""", re.I)
 _VALUE = re.compile(r"""["']?(?P<number>[-+]?[\d.,]+(?:e[-+]?\d+)?)[\s;,]*(?P<unit>[^"']*)["']?$""",
@@ -45,7 +47,8 @@ def read_timings(path: Path, lines: list[str]) -> Reading:
 
     The stone crosses the back line (if timed), both hog lines, and rests; y is counted from the
     hack. The noise of y at a line is the timing error times the speed there, for which an even
-    deceleration is good enough. At rest the speed is a row's value too: it says when.
+    deceleration is good enough. The last row's speed of 0 says when the stone came to rest (see
+    `Throw.stops`), and its noise likewise is the timing error times the loss of speed.
 
     Raises
     ------
@@ -63,6 +66,7 @@ def read_timings(path: Path, lines: list[str]) -> Reading:
         raise DataError(f"no {missing}; {_EXPECTED}", file=path)
     hogs, back, slide = found["hog_to_hog"].value, get("back_to_hog"), get("hog_to_rest")
     sigma_t, sigma_rest = get("sigma_t") or 0.1, get("sigma_rest") or 0.05
+    sigma_turns = get("sigma_turns") or 0.1 * 2 * math.pi
     for key in ("curl", "rest", "turns"):
         if key in found and slide is None:
             raise DataError(
@@ -99,12 +103,14 @@ def read_timings(path: Path, lines: list[str]) -> Reading:
         columns["sigma_speed"] = [sigma_t * slowing] * (len(rows) + 1)
         if turns is not None:
             columns["phi"] = [0.0 if name == "hog" else nan for name, _ in rows] + [turns]
+            columns["sigma_phi"] = [sigma_turns] * (len(rows) + 1)
         numbers.append(found["hog_to_rest"].line)
     notes += [
         f"y from the hack: back line {LINES['back']:.3f}, hog lines {LINES['hog']:.3f} and "
         f"{LINES['far-hog']:.3f}, far tee {LINES['far-tee']:.3f} m (hog to hog "
         f"{HOG_TO_HOG:.3f} m); t = 0 at the near hog line",
-        f"times to {sigma_t:g} s, places at rest to {sigma_rest:g} m",
+        f"times to {sigma_t:g} s, places at rest to {sigma_rest:g} m"
+        + (f", turns to {sigma_turns / (2 * math.pi):g}" if "turns" in found else ""),
         "x = 0 up to the near hog line: curl counts from the line of delivery, and where that "
         "points was not measured (--fix heading=0)",
     ]
@@ -151,7 +157,13 @@ def _value(path: Path, line: int, key: str, text: str) -> _Entry:
         raise DataError(f"{text[:40]!r} found, expected a number", file=path, line=line, column=key)
     unit, quantity = match["unit"].strip().strip(";,").strip(), _KEYS[key]
     try:
-        factor = in_unit(quantity, unit).factor if unit else 2 * math.pi if key == "turns" else 1.0
+        factor = (
+            in_unit(quantity, unit).factor
+            if unit
+            else 2 * math.pi
+            if key.endswith("turns")
+            else 1.0
+        )
     except ValueError as error:
         raise DataError(str(error), file=path, line=line, column=key) from None
     value *= factor
@@ -159,7 +171,7 @@ def _value(path: Path, line: int, key: str, text: str) -> _Entry:
     if (
         abs(value) > limit
         or (quantity == "t" and value <= 0)
-        or (key == "sigma_rest" and value <= 0)
+        or (key in ("sigma_rest", "sigma_turns") and value <= 0)
     ):
         raise DataError(
             f"{value:g} found, expected a number {'above 0' if value <= 0 else f'up to {limit:g}'}",
