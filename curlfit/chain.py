@@ -26,6 +26,7 @@ from curlfit.throw import Throw
 from curlfit.version import __version__
 
 Floats = NDArray[np.float64]
+_BEFORE = {"noise": "white"}  # what a chain is of that does not say so
 _DIGEST = "#"  # begins a text that stands for numbers too many to be shown
 
 
@@ -167,6 +168,7 @@ def subject_of_fit(
     stone: Stone,
     parameters: ParameterSet,
     loss: str = "linear",
+    noise: str = "white",
 ) -> dict[str, str]:
     """What a fit is of, as short texts by name. Those of many numbers are digests."""
     sigma = [values for _, values in sorted(throw.sigma.items())]
@@ -176,6 +178,7 @@ def subject_of_fit(
         "law's file": _digest(text=_source(law)),
         "load": load,
         "loss": loss,
+        "noise": noise,
         "stone": ", ".join(f"{name} = {value!r}" for name, value in stone.as_dict().items()),
         "bounds": "; ".join(
             f"{item.name} {item.lower!r}:{item.upper!r}" for item in parameters.parameters
@@ -183,10 +186,18 @@ def subject_of_fit(
     }
 
 
+def subject_of_saved(fit: FitResult) -> dict[str, str]:
+    """The same of a fit that was made."""
+    return subject_of_fit(
+        fit.throw, fit.law_class, fit.load, fit.stone, fit.parameter_set, fit.loss, fit.noise.kind
+    )
+
+
 def subject_of(fit: FitResult, seed: int) -> dict[str, str]:
     """What a chain is sampled from, the same way."""
-    own = subject_of_fit(fit.throw, fit.law_class, fit.load, fit.stone, fit.parameter_set, fit.loss)
+    own = subject_of_saved(fit)
     noise = [fit.sigma[name] for name in sorted(fit.sigma)]
+    noise += [one[name] for one in (fit.noise.memory, fit.noise.sizes) for name in sorted(one)]
     information = [np.array(fit.information[name]) for name in ("matrix", "gradient")]
     return own | {
         "least-squares result": _digest(fit.values, np.array(noise), *information),
@@ -199,7 +210,7 @@ def subject_of(fit: FitResult, seed: int) -> dict[str, str]:
 def require_same(stored: Mapping[str, str], now: Mapping[str, str], file: Path) -> None:
     """Raise `DataError` where two subjects differ in something, saying what."""
     for name, value in now.items():
-        was = stored.get(name, "")
+        was = stored.get(name, _BEFORE.get(name, ""))
         if was == value:
             continue
         if value.startswith(_DIGEST):

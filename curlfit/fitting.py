@@ -4,7 +4,8 @@ Where no sigma is given, a first fit weights the channels evenly, 1 m like 1 rad
 its residuals, corrected for the parameters spent, is the sigma of the second and last fit (two-step
 generalised least squares). It is not repeated until both agree: where a law is not exact, that
 ends with one channel fitted perfectly at the expense of the others. A robust loss takes its sigma
-from the bulk of the residuals, and repeats that.
+from the bulk of the residuals, and repeats that. Noise that goes together from row to row is told
+from the residuals of a fit with white noise, and a last fit heeds it.
 """
 
 from __future__ import annotations
@@ -16,10 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.errors import UnusableFitError
+from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, frame_of, problem_of, raw_residuals
 from curlfit.losses import robust_sigma
+from curlfit.noise import check_noise, fitted_noise
 from curlfit.parameters import ParameterSet, check_loss
 from curlfit.results import FitResult
 from curlfit.solving import Solution, best_of, descend, starts
@@ -45,6 +47,7 @@ def fit(
     unbounded: bool = False,
     start: Mapping[str, float] | None = None,
     loss: str = "linear",
+    noise: str = "white",
 ) -> FitResult:
     """Fit a friction law and the start of the throw to a measured path by least squares.
 
@@ -60,6 +63,8 @@ def fit(
     start : start values of some parameters; the rest is found from the data. Not needed.
     loss : "linear" is least squares; "huber", "soft-l1", "cauchy" and "student" (4 degrees of
         freedom) keep outliers from pulling.
+    noise : "white" is independent from row to row; "ar1" forgets itself exponentially; "gp" is
+        white on top of a smooth discrepancy, as of a law that is not exact (`curlfit.noise`).
 
     Returns
     -------
@@ -67,12 +72,12 @@ def fit(
 
     Raises
     ------
-    InputError : an unknown law, load, loss or parameter name; too few rows; a stone that never
-        moves.
+    InputError : an unknown law, load, loss, noise or parameter name; too few rows; a stone that
+        never moves.
     UnusableFitError : no start led to a finite fit.
     """
     law = find_law(law) if isinstance(law, str) else law
-    loss = check_loss(loss)
+    loss, noise = check_loss(loss), check_noise(noise, loss)
     load = check_load(load or throw.defaults.get("load", "uniform"))
     throw, stone, until, parameters, frame = prepared(
         throw, law, stone, until, fix=fix, bounds=bounds, unbounded=unbounded
@@ -100,9 +105,25 @@ def fit(
             sigma |= bulk_sigma(throw, residual, problem, sigma)
             problem = problem_of(throw, stone, frame, sigma, loss)
             solution = descend(law, load, solution.values, local, problem) or solution
-    return weighed(
-        throw, law, load, stone, until, parameters, frame, problem, sigma, solution, tried, loss
-    )
+
+    def record(problem: Problem, sigma: dict[str, float], solution: Solution) -> FitResult:
+        return weighed(
+            throw, law, load, stone, until, parameters, frame, problem, sigma, solution, tried, loss
+        )
+
+    if noise == "white":
+        return record(problem, sigma, solution)
+    n = len(throw)
+    shown, sizes = fitted_noise(
+        noise, throw, solution.residual[:, :n], solution.jacobian[:, :n, parameters.free],
+        problem.weight[:, :n],
+    )  # fmt: skip
+    if not shown.memory and not sizes:
+        raise InputError(f"{throw.name}: too few values to tell how noise goes together")
+    sigma = {name: sizes.get(name, value) + SIGMA_FLOOR for name, value in sigma.items()}
+    problem = problem_of(throw, stone, frame, sigma, noise=shown)
+    solution = descend(law, load, solution.values, local, problem) or solution
+    return replace(record(problem, sigma, solution), noise=shown)
 
 
 class Job(NamedTuple):

@@ -4,10 +4,10 @@ A parameter vector holds the law's coefficients and then `x0 y0 heading v0 phi0 
 `Problem` the first time is 0 and place and angle count from a reference near the first row, so
 that neither a clock nor a map grid with large numbers costs precision.
 
-Noise is independent and Gaussian, of a sigma by channel that is given or estimated beforehand (see
-`curlfit.fitting`). An unknown sigma is not varied along with the rest: where a law is not exact,
-that likelihood has its maximum in a corner where one channel is fitted perfectly and the others
-pay for it.
+Noise is Gaussian, of a sigma by channel that is given or estimated beforehand (see
+`curlfit.fitting`), and independent from row to row unless a `Noise` says how it goes together. An
+unknown sigma is not varied along with the rest: where a law is not exact, that likelihood has its
+maximum in a corner where one channel is fitted perfectly and the others pay for it.
 
 When a stone came to rest is a measurement of its own (see `Throw.stops`). A speed of zero at that
 time would not do for it: a stone that came to rest earlier has it too. What is compared is the time
@@ -29,10 +29,12 @@ from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
 from curlfit.losses import signed_root
+from curlfit.noise import Noise
 from curlfit.parameters import LOSSES, START
 from curlfit.programs import kept
 from curlfit.stone import Stone
 from curlfit.throw import CHANNELS, Throw
+from curlfit.whitening import colour_of, whitened
 
 Floats = NDArray[np.float64]
 
@@ -58,6 +60,8 @@ class Problem(NamedTuple):
     """place of the loss in `LOSSES`"""
     stop: Any = -1
     """row whose speed stands for the time of coming to rest; -1 where there is none"""
+    colour: Any = None
+    """what makes noise independent that is not, see `curlfit.whitening`"""
 
 
 class Frame(NamedTuple):
@@ -86,24 +90,32 @@ def frame_of(throw: Throw) -> Frame:
 
 
 def problem_of(
-    throw: Throw, stone: Stone, frame: Frame, sigma: dict[str, float], loss: str = "linear"
+    throw: Throw,
+    stone: Stone,
+    frame: Frame,
+    sigma: dict[str, float],
+    loss: str = "linear",
+    noise: Noise | None = None,
 ) -> Problem:
     """The throw in a frame, padded. `sigma` serves the channels of which the throw gives none."""
     n = len(throw)
     rows = 5 if {"speed", "omega"} & set(throw.seen) else 3
-    size = max(_SHORTEST, 1 << (n - 1).bit_length())
+    long = max(_SHORTEST, 1 << (n - 1).bit_length())
     seen = np.isfinite(throw.observed)
     observed = np.where(seen, throw.observed - frame.place[:, None], 0.0)
-    noise = np.stack([throw.sigma.get(name, np.full(n, sigma.get(name, 1.0))) for name in CHANNELS])
-    weight = np.where(seen, 1 / np.where(seen, noise, 1.0), 0.0)
-    pad = ((0, 0), (0, size - n))
+    size = np.stack([throw.sigma.get(name, np.full(n, sigma.get(name, 1.0))) for name in CHANNELS])
+    weight = np.where(seen, 1 / np.where(seen, size, 1.0), 0.0)
+    pad = ((0, 0), (0, long - n))
+    times = np.pad(throw.t - frame.t, (0, long - n), mode="edge")
+    weight = np.pad(weight[:rows], pad)
     return Problem(
-        times=np.pad(throw.t - frame.t, (0, size - n), mode="edge"),
+        times=times,
         observed=np.pad(observed[:rows], pad),
-        weight=np.pad(weight[:rows], pad),
+        weight=weight,
         stone=jax.tree.map(lambda value: np.asarray(float(value)), stone),
         loss=np.asarray(LOSSES.index(loss)),
         stop=np.asarray(n - 1 if throw.stops else -1),
+        colour=None if noise is None else colour_of(noise, times, weight),
     )
 
 
@@ -131,10 +143,10 @@ def model(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
 
 
 def weighted_residuals(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
-    """(model - data) times weight, as the loss has it, of the shape of the data."""
+    """(model - data) times weight, independent and as the loss has it, of the shape of the data."""
     path = model(law, load, values, problem)[: len(problem.observed)]
     residual = jnp.where(problem.weight > 0, (path - problem.observed) * problem.weight, 0.0)
-    return signed_root(residual, problem.loss)
+    return signed_root(whitened(residual, problem.colour), problem.loss)
 
 
 @kept("law", "load")
@@ -171,9 +183,10 @@ def log_posterior(
 
 
 def raw_residuals(law: type[Law], load: Load, values: Floats, problem: Problem) -> Floats:
-    """(model - data) times weight, without any loss, of the shape of the data."""
+    """(model - data) times weight, independent but without any loss, of the shape of the data."""
     path = np.asarray(trace(law, load, values, problem))
-    return (path[: len(problem.observed)] - problem.observed) * problem.weight
+    residual = (path[: len(problem.observed)] - problem.observed) * problem.weight
+    return np.asarray(whitened(residual, problem.colour))
 
 
 trace = kept("law", "load")(model)

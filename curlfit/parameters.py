@@ -21,6 +21,10 @@ LOSSES = ("linear", "huber", "soft-l1", "cauchy", "student")
 """How large residuals may count; `curlfit.losses` has the formulas."""
 
 
+NOISES = ("white", "ar1", "gp")
+"""How noise goes together from row to row; `curlfit.noise` has the formulas."""
+
+
 def check_loss(loss: str) -> str:
     """The name of a loss, if it is one. Raises `InputError`."""
     if loss not in LOSSES:

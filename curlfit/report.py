@@ -61,7 +61,8 @@ def _heading(fit: FitResult) -> RenderableType:
     lines = Text()
     lines.append(f"{fit.law} law", style="bold")
     loss = "" if fit.loss == "linear" else f", {fit.loss} loss"
-    lines.append(f", {fit.load} load{loss}, fitted to {data['file']}\n")
+    noise = "" if fit.noise.kind == "white" else f", {fit.noise.kind} noise"
+    lines.append(f", {fit.load} load{loss}{noise}, fitted to {data['file']}\n")
     lines.append(
         f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s; "
         f"stone R = {stone.R:g} m, rho = {stone.rho:g} m, h = {stone.h:g} m, m = {stone.m:g} kg\n"
@@ -161,16 +162,34 @@ def _digits(size: float) -> int:
 
 def _quality(fit: FitResult) -> RenderableType:
     table = plain_table()
-    for head in ("channel", "rms", "unit", "noise assumed", "", "lag-1 correlation"):
+    white = fit.noise.kind == "white"
+    heads = ["channel", "rms", "unit", "noise assumed", "", "lag-1 correlation"]
+    for head in heads if white else [*heads, "noise model", "lag-1 after it"]:
         table.add_column(head, justify="right" if head == "rms" else "left", no_wrap=True)
     for name, rms in fit.rms.items():
         origin = fit.data["sigma"][name]
         noise = f"{fit.sigma[name]:.3g} {UNITS[name]}" if origin == "estimated" else "by row"
         lag1 = fit.lag1.get(name)
-        table.add_row(
-            name, f"{rms:.3g}", UNITS[name], noise, origin, "" if lag1 is None else f"{lag1:.2f}"
-        )
+        cells = [name, f"{rms:.3g}", UNITS[name], noise, origin, _two(lag1)]
+        if not white:
+            after = fit.independence.get(name)
+            cells += [_memory(fit, name), _two(None if after is None else after.lag1)]
+        table.add_row(*cells)
     return Padding(table, (0, 0, 1, 0))
+
+
+def _two(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"
+
+
+def _memory(fit: FitResult, channel: str) -> str:
+    """How noise of a channel goes together, in a few words."""
+    lasting = fit.noise.memory.get(channel)
+    if lasting is None:
+        return "independent"
+    if fit.noise.kind == "ar1":
+        return f"memory {lasting:.2g} s"
+    return f"smooth {fit.noise.sizes[channel]:.2g} {UNITS[channel]} over {lasting:.2g} s"
 
 
 def identifiability(fit: FitResult) -> str:

@@ -19,6 +19,7 @@ from curlfit.errors import DataError
 from curlfit.files import Migration, known, read_json, strict, write_json
 from curlfit.friction import LAWS, Law, Parameter, find_law
 from curlfit.identifiability import Combination
+from curlfit.noise import WHITE, Independence, Noise
 from curlfit.parameters import START, ParameterSet
 from curlfit.stone import Stone
 from curlfit.throw import CHANNELS, Reference, Throw
@@ -105,6 +106,8 @@ class FitResult:
     n_observations : finite values of all channels. rms : of the residuals by channel (SI, rad).
     sigma : noise by channel as estimated; empty for channels whose sigma was given.
     lag1 : correlation of neighbouring residuals by channel.
+    independence : by channel, how far the residuals are from independent noise, after what the
+        noise model foretells of them.
     parameters : by name, coefficients first, then x0 y0 heading v0 phi0 omega0.
     combinations : what is determined where single parameters are not.
     rank, singular_values, null_directions : see `curlfit.identifiability`.
@@ -117,6 +120,7 @@ class FitResult:
     fitted : x, y, phi, speed, omega of the fit at the same times.
     posterior : None until sampled.
     loss : how large residuals count, see `curlfit.losses`.
+    noise : how noise goes together from row to row, see `curlfit.noise`.
     outliers : values far off the fit: {"channel", "t", "line" (of the file, or None), "off" (SI),
         "sigmas"}, the farthest first.
     sampling : "none", "unfinished" (begun, or to be begun) or "ended".
@@ -145,6 +149,8 @@ class FitResult:
     fitted: dict[str, Floats] = field(repr=False)
     posterior: Posterior | None = None
     loss: str = "linear"
+    noise: Noise = WHITE
+    independence: dict[str, Independence] = field(default_factory=dict)
     outliers: tuple[dict[str, Any], ...] = ()
     sampling: str = "none"
 
@@ -212,6 +218,8 @@ class FitResult:
             "sigma": self.sigma,
             "lag1": self.lag1,
             "loss": self.loss,
+            "noise": self.noise.as_dict(),
+            "independence": {name: asdict(item) for name, item in self.independence.items()},
             "outliers": list(self.outliers),
             "parameters": {name: asdict(item) for name, item in self.parameters.items()},
             "combinations": [asdict(item) for item in self.combinations],
@@ -261,6 +269,11 @@ class FitResult:
             posterior=None if posterior is None else Posterior(**known(Posterior, posterior)),
             sampling=found.get("sampling", "none" if posterior is None else "ended"),
             loss=found.get("loss", "linear"),
+            noise=Noise(**known(Noise, found.get("noise", {}))),
+            independence={
+                name: Independence(**known(Independence, item))
+                for name, item in found.get("independence", {}).items()
+            },
             outliers=tuple(found.get("outliers", ())),
         )
 

@@ -47,8 +47,9 @@ def sample(
 ) -> tuple[FitResult, Chain]:
     """Sample the posterior about a fit, until it is converged.
 
-    The prior is even within the bounds of the parameters. Noise is independent, of the fit's
-    sigmas, Gaussian or as the fit's loss has it. Ctrl-C ends the run and keeps what there is.
+    The prior is even within the bounds of the parameters. Noise is of the fit's sigmas,
+    independent or as the fit's noise model has it, Gaussian or as its loss has it. Ctrl-C ends the
+    run and keeps what there is.
 
     Parameters
     ----------
@@ -157,7 +158,7 @@ class _Run:
         self._law, self._load = fit.law_class, check_load(fit.load)
         throw, parameters = fit.throw, fit.parameter_set
         frame = frame_of(throw)
-        self._problem = problem_of(throw, fit.stone, frame, fit.sigma, fit.loss)
+        self._problem = problem_of(throw, fit.stone, frame, fit.sigma, fit.loss, fit.noise)
         self._offset = frame.offset(len(parameters))
         self._base = fit.values - self._offset
         self._lower, self._upper = parameters.lower - self._offset, parameters.upper - self._offset

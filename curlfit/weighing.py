@@ -11,6 +11,7 @@ from curlfit.friction import Law, Load
 from curlfit.identifiability import Identifiability, analyse, slack, visible
 from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, log_posterior, raw_residuals, trace
 from curlfit.losses import precision, robust_sigma, signed_root, steepness
+from curlfit.noise import Independence, independence
 from curlfit.parameters import LOSSES, ParameterSet
 from curlfit.results import Estimate, FitResult
 from curlfit.solving import Solution
@@ -80,10 +81,15 @@ def weighed(
     lag1 = {
         name: _lag1(residual[row][seen[row]]) for row, name in enumerate(CHANNELS) if count[row] > 3
     }
+    apart = {
+        name: independence(solution.residual[row, :n][seen[row]])
+        for row, name in enumerate(CHANNELS)
+        if count[row] > 3
+    }
     left = slopes.distance(free & ~at_bound) / max(1.0, float(np.sqrt(np.mean(slopes.residual**2))))
     converged, status, warnings = _judge(
         law, solution, left, parameters, at_bound, known.names, tried,
-        dict(zip(CHANNELS, count, strict=True)), rms_by, lag1,
+        dict(zip(CHANNELS, count, strict=True)), rms_by, apart, white=problem.colour is None,
     )  # fmt: skip
     bent = _bent(law, load, solution, parameters, offset, problem, known, open_, side_by_side)
     if bent:
@@ -136,6 +142,7 @@ def weighed(
         observed=observed,
         fitted=fitted,
         loss=loss,
+        independence=apart,
         outliers=outliers,
     )
 
@@ -360,7 +367,9 @@ def _judge(
     tried: int,
     count: dict[str, int],
     rms: dict[str, float],
-    correlation: dict[str, float],
+    apart: dict[str, Independence],
+    *,
+    white: bool,
 ) -> tuple[bool, str, list[str]]:
     """Converged or not (`left` standard errors from it), the same in words, and what to mind."""
     converged = bool(left < 0.01)
@@ -386,15 +395,36 @@ def _judge(
                     else f"the data would rather have it outside {within}"
                 )
             )
-    smooth_in = {
-        name: lag1
-        for name, lag1 in correlation.items()
-        if lag1 > _SMOOTH and count[name] > 20 and rms[name] > 10 * SIGMA_FLOOR
+    together = {
+        name: item
+        for name, item in apart.items()
+        if item.doubtful and count[name] > 20 and rms[name] > 10 * SIGMA_FLOOR
     }
-    if smooth_in:
-        listed = ", ".join(f"{r:.2f} in {name}" for name, r in smooth_in.items())
-        warnings.append(
-            f"the residuals are smooth (lag-1 correlation {listed}): they show what the law "
-            "misses, not noise, and standard errors, which assume independent noise, are too small"
-        )
+    if together:
+        warnings.append(_about_correlation(together, count, white=white))
     return converged, status, warnings
+
+
+def _about_correlation(
+    together: dict[str, Independence], count: dict[str, int], *, white: bool
+) -> str:
+    listed = ", ".join(f"{item.lag1:.2f} in {name}" for name, item in together.items())
+    if not white:
+        return (
+            f"what the noise model leaves still goes together from row to row (lag-1 correlation "
+            f"{listed}): standard errors are too small"
+        )
+    worth = ", ".join(
+        f"{item.effective:.0f} of {count[name]} in {name}" for name, item in together.items()
+    )
+    if max(item.lag1 for item in together.values()) > _SMOOTH:
+        return (
+            f"the residuals are smooth (lag-1 correlation {listed}): they show what the law "
+            "misses, not noise, and standard errors, which assume independent noise, are too small "
+            f"(values worth as much as independent ones: {worth}); --noise gp carries it"
+        )
+    return (
+        f"the residuals go together from row to row (lag-1 correlation {listed}): standard errors, "
+        f"which assume independent noise, are too small (values worth as much as independent ones: "
+        f"{worth}); --noise ar1 or gp carries it"
+    )

@@ -20,6 +20,15 @@ DATA = Path(__file__).parent.parent / "data" / "jensen_shegelski_2004.csv"
 G = 9.81
 
 
+LONG = ("test_readme", "test_comparison", "test_prediction", "test_laws", "test_reproduce")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first, lest one of them run on alone at the end."""
+    place = {name: -1 - LONG[::-1].index(name) for name in LONG}
+    items.sort(key=lambda item: place.get(item.path.stem, 0))
+
+
 def command(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     """`curlfit` as a process, in a folder."""
     return subprocess.run(

@@ -199,7 +199,15 @@ _value = jax.jit(_path, static_argnames=("name", "load"))
     ("name", "values", "load"),
     [
         *(
-            (name, values, load)
+            pytest.param(
+                name,
+                values,
+                load,
+                # The load's own derivative is the same code under every law.
+                marks=[pytest.mark.slow]
+                if load == "consistent" and name not in ("power", "debris")
+                else [],
+            )
             for name, values in dict(LAWS_OF_THE_RING).items()
             for load in LOADS
             if name != "front-back"  # in test_motion.py

@@ -190,8 +190,10 @@ def test_a_target_is_met_by_an_independent_integration(fit, place):
 @pytest.mark.parametrize(
     ("law", "load"),
     [
-        ("power", "uniform"), ("stribeck", "consistent"), ("semi-empirical", "uniform"),
-        ("angular", "uniform"), ("front-back", "consistent"), ("pressure", "consistent"),
+        ("power", "uniform"), ("semi-empirical", "uniform"), ("front-back", "consistent"),
+        pytest.param("stribeck", "consistent", marks=pytest.mark.slow),
+        pytest.param("angular", "uniform", marks=pytest.mark.slow),
+        pytest.param("pressure", "consistent", marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_every_kind_of_law_is_aimed_with(law, load):

@@ -72,6 +72,7 @@ def compare(
     throw, wanted, the_stone = s.prepared(data, config, flags)
     check_load(wanted.get("load", "uniform"))
     check_loss(wanted.get("loss", "linear"))
+    s.require_white(wanted, "laws are compared")
     names = [name.strip() for name in laws.split(",") if name.strip()] if laws else None
     if names == []:
         raise InputError("--laws: expected names with commas between")

@@ -65,6 +65,7 @@ def fit(
     ] = None,
     sigma: o.Sigma = None,
     loss: o.Loss = None,
+    noise: o.NoiseModel = None,
     share: Annotated[
         str | None,
         typer.Option(
@@ -120,6 +121,7 @@ def fit(
     from curlfit.errors import InputError
     from curlfit.files import prepared_folder
     from curlfit.friction import check_load, find_law
+    from curlfit.noise import check_noise
     from curlfit.parameters import ParameterSet, check_loss
 
     if resume and no_sample:
@@ -136,6 +138,7 @@ def fit(
         "start": s.pairs("--start", start or ()),
         "unbounded": unbounded or None,
         "loss": loss,
+        "noise": noise,
         "seed": seed,
     }
     if len(data) > 1:
@@ -151,7 +154,8 @@ def fit(
     # Everything that can be refused is looked at before anything slow is loaded.
     law_class = find_law(wanted.get("law", "front-back"))
     check_load(wanted.get("load", "uniform"))
-    check_loss(wanted.get("loss", "linear"))
+    loss = check_loss(wanted.get("loss", "linear"))
+    noise = check_noise(wanted.get("noise", "white"), loss)
     choices: dict[str, Any] = {
         "fix": wanted.get("fix"),
         "bounds": wanted.get("bound"),
@@ -165,8 +169,8 @@ def fit(
     folder = out or Path(f"{file.stem}-fit")
     saved = None
     if resume:
-        loss = wanted.get("loss", "linear")
-        saved = _saved(folder, seed, cut.condensed(), law_class, load, the_stone, parameters, loss)
+        of = (cut.condensed(), law_class, load, the_stone, parameters, loss, noise)
+        saved = _saved(folder, seed, *of)
     folder = prepared_folder(folder)
 
     from rich.console import Console
@@ -185,7 +189,8 @@ def fit(
                 stone=the_stone,
                 until=wanted.get("until"),
                 start=wanted.get("start"),
-                loss=wanted.get("loss", "linear"),
+                loss=loss,
+                noise=noise,
                 **choices,
             )
     else:
@@ -238,19 +243,17 @@ def _saved(
     stone: Stone,
     parameters: ParameterSet,
     loss: str,
+    noise: str,
 ) -> FitResult | None:
     """The fit that lies in the folder, if any; it and its chain must be of what is asked for."""
     if not (folder / "fit.json").exists():
         return None
-    from curlfit.chain import load_chain, require_same, subject_of, subject_of_fit
+    from curlfit.chain import load_chain, require_same, subject_of, subject_of_fit, subject_of_saved
     from curlfit.results import load_fit
 
     found = load_fit(folder)
-    before = subject_of_fit(
-        found.throw, found.law_class, found.load, found.stone, found.parameter_set, found.loss
-    )
-    now = subject_of_fit(throw, law, load, stone, parameters, loss)
-    require_same(before, now, folder / "fit.json")
+    now = subject_of_fit(throw, law, load, stone, parameters, loss, noise)
+    require_same(subject_of_saved(found), now, folder / "fit.json")
     chain = folder / "chain.h5"
     if chain.exists():
         require_same(load_chain(chain).subject, subject_of(found, seed), chain)

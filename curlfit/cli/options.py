@@ -32,6 +32,16 @@ Loss = Annotated[
         "from pulling. [default: linear]"
     ),
 ]
+NoiseModel = Annotated[
+    str | None,
+    typer.Option(
+        help="How noise goes together from row to row: `white` not at all; `ar1` forgets itself "
+        "exponentially, as of a filter or a camera that sways; `gp` is white on top of a smooth "
+        "discrepancy, as of a law that is not exact. Estimated from the residuals. "
+        "[default: white]",
+        metavar="white|ar1|gp",
+    ),
+]
 Config = Annotated[
     Path | None,
     typer.Option(help="TOML file with any settings of `curlfit fit`; flags override it."),

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from curlfit.errors import DataError, InputError
+from curlfit.noise import check_noise
 from curlfit.parameters import check_seed
 from curlfit.readers import load_throw
 from curlfit.stone import Stone
@@ -17,8 +18,8 @@ from curlfit.throw import Throw
 HOW = ("format", "axes", "units", "reference", "stone_index", "shot")
 """Settings that say how to read a file."""
 _KEYS = (
-    "law", "load", "until", "stone", "sigma", "fix", "bound", "start", "unbounded", "loss", "seed",
-    *HOW,
+    "law", "load", "until", "stone", "sigma", "fix", "bound", "start", "unbounded", "loss", "noise",
+    "seed", *HOW,
 )  # fmt: skip
 
 
@@ -117,7 +118,7 @@ def checked(settings: dict[str, Any], origin: str) -> dict[str, Any]:
         isinstance(until, bool) or not isinstance(until, int | float) or not math.isfinite(until)
     ):
         raise InputError(f"{origin}: until = {until!r}; expected a time in s")
-    for key in ("law", "load", "loss", "format", "axes", "units", "reference"):
+    for key in ("law", "load", "loss", "noise", "format", "axes", "units", "reference"):
         if not isinstance(settings.get(key, ""), str):
             raise InputError(f"{origin}: {key} = {settings[key]!r}; expected a text in quotes")
     for key in ("stone_index", "shot"):
@@ -129,6 +130,12 @@ def checked(settings: dict[str, Any], origin: str) -> dict[str, Any]:
     except InputError as error:
         raise InputError(f"{origin}: {error}") from None
     return settings
+
+
+def require_white(wanted: Mapping[str, Any], what: str) -> None:
+    """Raise `InputError` where noise is asked for that goes together from row to row."""
+    if check_noise(wanted.get("noise", "white")) != "white":
+        raise InputError(f"noise {wanted['noise']}: {what} with white noise only")
 
 
 class Prepared(NamedTuple):

@@ -42,6 +42,8 @@ def fit_several(
     law = find_law(wanted.get("law", "front-back"))
     load = check_load(wanted.get("load", "uniform"))
     loss = check_loss(wanted.get("loss", "linear"))
+    for job in jobs:
+        s.require_white(job.wanted, "several throws are fitted together")
     names = "all" if share in (None, "all") else [name.strip() for name in str(share).split(",")]
     own = [item.name for item in law.coefficients()]
     for name in [] if names == "all" else names:
