@@ -111,14 +111,17 @@ def fit(
             throw, law, load, stone, until, parameters, frame, problem, sigma, solution, tried, loss
         )
 
+    white = record(problem, sigma, solution)
     if noise == "white":
-        return record(problem, sigma, solution)
+        return white
     n = len(throw)
+    moving = np.flatnonzero(white.fitted["speed"] > 0)
+    span = float(throw.t[moving[-1]] - throw.t[0]) if len(moving) else 0.0
     shown, sizes = fitted_noise(
         noise, throw, solution.residual[:, :n], solution.jacobian[:, :n, parameters.free],
-        problem.weight[:, :n],
+        problem.weight[:, :n], span,
     )  # fmt: skip
-    if not shown.memory and not sizes:
+    if not (shown.memory or shown.sizes or sizes):
         raise InputError(f"{throw.name}: too few values to tell how noise goes together")
     sigma = {name: sizes.get(name, value) + SIGMA_FLOOR for name, value in sigma.items()}
     problem = problem_of(throw, stone, frame, sigma, noise=shown)

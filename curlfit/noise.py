@@ -8,20 +8,21 @@ Three models, by channel:
   filters, a camera that sways.
 - "gp": independent noise on top of a smooth discrepancy, a Gaussian process of Matern's kernel with
   nu = 5/2 (Rasmussen and Williams 2006, eq. 4.17): (1 + q + q^2/3) exp(-q), q = sqrt(5) gap/memory.
-  For a law that is not exact (Kennedy and O'Hagan 2001): what it misses is integrated twice on its
-  way into the path and is far smoother than any tracker's noise.
+  For a law that is not exact (Kennedy and O'Hagan 2001): what it misses depends on speed and spin,
+  which change over the whole throw. So its memory is the time for which the stone moves; to leave
+  it open is to take what is left of a slow discrepancy, once the fit has hidden most of it, for a
+  small quick one.
 
-Memory and size are the likeliest for the residuals of a fit with white noise, channel by channel.
-Such a fit hides what its parameters can imitate: it leaves M e of a noise e, M = 1 - Q Q^T, Q an
-orthonormal basis of the Jacobian's columns, all over sigma. So the residuals of a channel have the
-covariance M' C M', M' being the channel's own part of M and C its noise's. What the other channels
-pull into it counts as its own, and the fit is held: else one channel would be fitted perfectly, and
-taken to be exact, while the others pay for it.
+Sizes, and the memory of "ar1", are those of greatest restricted likelihood (Patterson and Thompson
+1971) of the residuals of a fit with white noise: that of what no change of the parameters can make,
+since the fit has hidden the rest. How the channels' sizes compare is taken from those residuals and
+held: else one channel would be fitted perfectly, and taken to be exact, while the others pay for it.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -39,11 +40,9 @@ Floats = NDArray[np.float64]
 
 _FEWEST = 20  # values of a channel from which its residuals are judged
 _MOST = 300  # values of a channel looked at; more are condensed to means
-_WAVES = (0.03, 2.0)  # memory of a discrepancy, over the time of the throw
 _LASTING = (1e-3, 10.0)  # memory of "ar1" noise, the same
-_SIZES = (1e-2, 300.0)  # of a discrepancy over the independent noise
+_PURE = 300.0  # greatest discrepancy over the independent noise
 _NEGLIGIBLE = 0.05  # the same, below which there is none
-_HIDDEN = 1e-6  # share of a direction that is left where a fit hides it
 _SURE = 3.5  # standard deviations from which residuals are not taken for independent
 _MATTERS = 0.2  # lag-1 correlation below which errors would hardly change
 
@@ -67,13 +66,16 @@ class Noise:
     Attributes
     ----------
     kind : "white", "ar1" or "gp".
-    memory : by channel, the time in s over which it does; channels that are not here are white.
+    memory : of "ar1" by channel, the time in s over which it does.
     sizes : of "gp" by channel, standard deviation of the discrepancy (SI).
+    span : of "gp", the time in s after the first row for which the stone moves: the discrepancy's
+        memory, and after it stands still.
     """
 
     kind: str = "white"
     memory: dict[str, float] = field(default_factory=dict)
     sizes: dict[str, float] = field(default_factory=dict)
+    span: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -95,7 +97,7 @@ def alike(gaps: Floats, memory: float) -> Floats:
 
 
 def fitted_noise(
-    kind: str, throw: Throw, residual: Floats, jacobian: Floats, weight: Floats
+    kind: str, throw: Throw, residual: Floats, jacobian: Floats, weight: Floats, span: float
 ) -> tuple[Noise, dict[str, float]]:
     """The noise that residuals of a fit with white noise show, and the sigmas that go with it.
 
@@ -104,6 +106,7 @@ def fitted_noise(
     kind : "ar1" or "gp".
     residual, jacobian : over sigma, shapes (channels, n) and (channels, n, free parameters).
     weight : 1/sigma, 0 where nothing was seen, shape (channels, n).
+    span : time after the first row for which the stone moves, s.
 
     Returns
     -------
@@ -112,38 +115,33 @@ def fitted_noise(
     """
     left, singular, _ = np.linalg.svd(jacobian.reshape(-1, jacobian.shape[-1]), full_matrices=False)
     basis = left[:, singular > 1e-9 * singular[0]].reshape(*residual.shape, -1)
-    channels = {
-        name: _Channel.of(throw.t, residual[row], basis[row], weight[row], name in throw.sigma)
+    channels = [
+        _Channel.of(name, throw, residual[row], basis[row], weight[row])
         for row, name in enumerate(CHANNELS[: len(residual)])
         if (weight[row] > 0).sum() >= _FEWEST
-    }
-    memory, sizes, sigma = {}, {}, {}
-    for name, item in channels.items():
-        part = item.likeliest(kind)
-        if kind == "ar1" or part.size > _NEGLIGIBLE:
-            memory[name] = part.memory
-            sizes[name] = part.size * part.sigma * item.scale
+    ]
+    if not channels:
+        return Noise(kind), {}
+    found = _forgetful(channels, span) if kind == "ar1" else _smooth(channels, span)
+    sigma, more = {}, {}
+    for item, (own, other) in zip(channels, found, strict=True):
         if not item.given:
-            sigma[name] = part.sigma * item.scale
-    return Noise(kind, memory, sizes if kind == "gp" else {}), sigma
-
-
-class _Part(NamedTuple):
-    """Noise of a channel over the sigma so far: sigma, memory in s, and of "gp" the size of the
-    discrepancy over this sigma."""
-
-    sigma: float
-    memory: float
-    size: float
+            sigma[item.name] = own * item.scale
+        if kind == "ar1":
+            more[item.name] = other
+        elif other > _NEGLIGIBLE:
+            more[item.name] = other * own * item.scale
+    noise = Noise(kind, memory=more) if kind == "ar1" else Noise(kind, sizes=more, span=span)
+    return noise, sigma
 
 
 class _Channel(NamedTuple):
     """A channel's residuals over sigma, where seen and condensed."""
 
+    name: str
     t: Floats
-    residual: Floats
-    basis: Floats
-    """rows of Q, shape (rows, parameters)"""
+    both: Floats
+    """residuals, and an orthonormal basis of the Jacobian over all channels; shape (rows, 1 + p)"""
     uneven: Floats
     """1/sigma of a row, over the channel's"""
     scale: float
@@ -154,86 +152,115 @@ class _Channel(NamedTuple):
 
     @classmethod
     def of(
-        cls, t: Floats, residual: Floats, basis: Floats, weight: Floats, given: bool
+        cls, name: str, throw: Throw, residual: Floats, basis: Floats, weight: Floats
     ) -> _Channel:
         seen = weight > 0
         block = -(-int(seen.sum()) // _MOST)
         typical = float(np.sqrt(np.mean(weight[seen] ** 2)))
-        root = math.sqrt(block)
+        both = np.column_stack([residual, basis])[seen]
         return cls(
-            _means(t[seen], block), root * _means(residual[seen], block),
-            root * _means(basis[seen], block), _means(weight[seen] / typical, block), 1 / typical,
-            block, given,
+            name, _means(throw.t[seen] - throw.t[0], block), math.sqrt(block) * _means(both, block),
+            _means(weight[seen] / typical, block), 1 / typical, block, name in throw.sigma,
         )  # fmt: skip
 
     @property
-    def span(self) -> float:
-        return float(self.t[-1] - self.t[0])
+    def squares(self) -> float:
+        """Mean square of the residuals."""
+        return float(np.mean(self.both[:, 0] ** 2)) + 1e-20
 
-    def first(self, kind: str) -> _Part:
-        """Where to begin: noise from row to row, and all the rest a discrepancy."""
-        r = self.residual
-        sigma = math.sqrt(max(float(np.mean(np.diff(r, 2) ** 2)) / 6, 1e-20))
-        whole = math.sqrt(float(np.mean(r**2)) + 1e-20)
-        if kind == "ar1":
-            return _Part(1.0 if self.given else whole, self.span / 20, 0.0)
-        return _Part(1.0 if self.given else sigma, self.span / 5, whole / sigma)
+    def independent(self) -> float:
+        """Variance of what is independent from row to row, from second differences."""
+        steady = float(np.mean(np.diff(self.both[:, 0], 2) ** 2)) / 6
+        return 1.0 if self.given else max(steady, self.squares / _PURE**2)
 
-    def covariance(self, kind: str, part: _Part) -> Floats:
-        """Of the noise, shape (rows, rows)."""
-        gap = np.abs(self.t[:, None] - self.t)
-        if kind == "ar1":
-            # of means over blocks, whose noise is taken to be that of single rows so far apart
-            return part.sigma**2 * self.block * alike(gap, part.memory)
-        wave = part.size**2 * self.block * matern(gap, part.memory)
+    def forgetful(self, variance: float, memory: float) -> tuple[Floats, float]:
+        """Residuals and basis with "ar1" noise made independent, and half its log-determinant."""
+        # The noise of means over blocks is taken to be that of single rows so far apart.
+        steps = alike(np.diff(self.t), memory)[:, None]
+        left = np.sqrt(np.maximum(1 - steps**2, 1e-14))
+        white = self.both / math.sqrt(variance * self.block)
+        white[1:] = (white[1:] - steps * white[:-1]) / left
+        spread = len(white) / 2 * math.log(variance * self.block)
+        return white, spread + float(np.log(left).sum())
+
+    def smooth(self, variance: float, size: float, span: float) -> tuple[Floats, float]:
+        """The same with "gp" noise; `size` is over the independent part."""
+        t = np.minimum(self.t, span)
+        wave = size**2 * self.block * matern(t[:, None] - t, span)
         together = np.eye(len(self.t)) + self.uneven[:, None] * wave * self.uneven
-        return np.asarray(part.sigma**2 * together)
+        lower = np.linalg.cholesky(variance * together)
+        white = np.linalg.solve(lower, self.both)
+        return white, float(np.log(np.diag(lower)).sum())
 
-    def likeliest(self, kind: str) -> _Part:
-        """The noise that the residuals are likeliest under."""
-        from scipy.linalg import solve_triangular
-        from scipy.optimize import minimize
 
-        q = self.basis
-        left, share, _ = np.linalg.svd(q, full_matrices=False)
-        gone = left[:, share**2 > 1 - _HIDDEN]
-        limits = np.log([np.multiply(_LASTING if kind == "ar1" else _WAVES, self.span)])
-        if kind == "gp":
-            limits = np.concatenate([limits, np.log([_SIZES])])
+def _forgetful(channels: list[_Channel], span: float) -> list[tuple[float, float]]:
+    """By channel, sigma over the one so far, and memory; one scale for all sigmas not given."""
 
-        def part_of(logs: Floats) -> _Part:
-            memory, *size = np.exp(np.clip(logs[: len(limits)], *limits.T))
-            sigma = 1.0 if self.given else math.exp(logs[-1])
-            return _Part(sigma, memory, size[0] if size else 0.0)
-
-        def unlikely(logs: Floats) -> float:
-            covariance = self.covariance(kind, part_of(logs))
-            cq = covariance @ q
-            crossed = q @ cq.T
-            seen = covariance - crossed - crossed.T + q @ (q.T @ cq) @ q.T
-            # What the fit hides altogether says nothing, whatever its variance.
-            full = seen + float(np.trace(covariance)) * gone @ gone.T
-            full[np.diag_indices_from(full)] += 1e-10 * float(np.mean(np.diag(covariance)))
-            try:
-                lower = np.linalg.cholesky(full)
-            except np.linalg.LinAlgError:
-                return math.inf
-            white = solve_triangular(lower, self.residual, lower=True)
-            variance = float(np.trace(covariance)) if gone.size else 1.0
-            spent = gone.shape[1] / 2 * math.log(variance)
-            return float(np.log(np.diag(lower)).sum() - spent + white @ white / 2)
-
-        near, starts = self.first(kind), []
-        for memory in (near.memory, near.memory / 4):
-            start = [math.log(memory)]
-            start += [math.log(near.size)] if kind == "gp" else []
-            start += [] if self.given else [math.log(near.sigma)]
-            starts.append(np.array(start))
-        found = [
-            minimize(unlikely, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3})
-            for start in starts
+    def parts(logs: Floats) -> list[tuple[float, float]]:
+        memories = np.exp(np.clip(logs[1:], *np.log(np.multiply(_LASTING, span))))
+        return [
+            (1.0 if item.given else math.sqrt(item.squares) * math.exp(logs[0]), float(memory))
+            for item, memory in zip(channels, memories, strict=True)
         ]
-        return part_of(min(found, key=lambda item: float(item.fun)).x)
+
+    def roots(logs: Floats) -> list[tuple[Floats, float]]:
+        pairs = zip(channels, parts(logs), strict=True)
+        return [item.forgetful(sigma**2, memory) for item, (sigma, memory) in pairs]
+
+    starts = [[0.0] + [math.log(share * span)] * len(channels) for share in (0.01, 0.1)]
+    return parts(_likeliest(roots, starts))
+
+
+def _smooth(channels: list[_Channel], span: float) -> list[tuple[float, float]]:
+    """By channel, sigma over the one so far, and size of the discrepancy over this; one scale for
+    all discrepancies, and one for all sigmas not given."""
+    steady = [item.independent() for item in channels]
+    pairs = list(zip(channels, steady, strict=True))
+    excess = [math.sqrt(max(item.squares / own - 1, 0.0)) for item, own in pairs]
+
+    def parts(logs: Floats) -> list[tuple[float, float]]:
+        scale, size = math.exp(logs[0]), math.exp(logs[1])
+        return [
+            (1.0 if item.given else math.sqrt(own) * scale, min(size * over, _PURE))
+            for (item, own), over in zip(pairs, excess, strict=True)
+        ]
+
+    def roots(logs: Floats) -> list[tuple[Floats, float]]:
+        pairs = zip(channels, parts(logs), strict=True)
+        return [item.smooth(sigma**2, size, span) for item, (sigma, size) in pairs]
+
+    return parts(_likeliest(roots, [[0.0, 0.0], [0.0, 3.0]]))
+
+
+def _likeliest(
+    roots: Callable[[Floats], list[tuple[Floats, float]]], starts: list[list[float]]
+) -> Floats:
+    """The place of greatest restricted likelihood.
+
+    Parameters
+    ----------
+    roots : from a place, by channel, the residuals and then the basis of the Jacobian, made
+        independent, and half the log-determinant of the covariance.
+    """
+    from scipy.optimize import minimize
+
+    def unlikely(logs: Floats) -> float:
+        try:
+            parts = roots(np.clip(logs, -30, 30))
+        except np.linalg.LinAlgError:
+            return math.inf
+        white = np.concatenate([part for part, _ in parts])
+        q, triangle = np.linalg.qr(white[:, 1:])
+        left = white[:, 0] - q @ (q.T @ white[:, 0])
+        spent = float(np.log(np.abs(np.diag(triangle))).sum())
+        return sum(half for _, half in parts) + spent + float(left @ left) / 2
+
+    found = [
+        minimize(unlikely, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3})
+        for start in starts
+    ]
+    best: Floats = min(found, key=lambda item: float(item.fun)).x
+    return best
 
 
 def _means(values: Floats, block: int) -> Floats:

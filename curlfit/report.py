@@ -184,12 +184,11 @@ def _two(value: float | None) -> str:
 
 def _memory(fit: FitResult, channel: str) -> str:
     """How noise of a channel goes together, in a few words."""
-    lasting = fit.noise.memory.get(channel)
-    if lasting is None:
-        return "independent"
-    if fit.noise.kind == "ar1":
-        return f"memory {lasting:.2g} s"
-    return f"smooth {fit.noise.sizes[channel]:.2g} {UNITS[channel]} over {lasting:.2g} s"
+    if channel in fit.noise.memory:
+        return f"memory {fit.noise.memory[channel]:.2g} s"
+    if channel in fit.noise.sizes:
+        return f"smooth, {fit.noise.sizes[channel]:.2g} {UNITS[channel]}"
+    return "independent"
 
 
 def identifiability(fit: FitResult) -> str:

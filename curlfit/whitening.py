@@ -93,14 +93,14 @@ def _smooth(noise: Noise, times: Floats, weight: Floats) -> Smooth:
     """From the greatest modes of the kernel on a grid: the j-th has some j^-6 of the variance."""
     directions = np.zeros((*weight.shape, _MODES))
     shrink = np.zeros((len(weight), _MODES))
-    grid = np.linspace(0.0, times[-1], _GRID)
+    grid = np.linspace(0.0, noise.span, _GRID)
+    kernel = matern(grid[:, None] - grid, noise.span)
+    squares, shapes = eigh(kernel, subset_by_index=(_GRID - _MODES, _GRID - 1))
+    modes = shapes * np.sqrt(np.maximum(squares, 0.0))
+    there = np.array([np.interp(times, grid, mode) for mode in modes.T]).T
     for row, name in enumerate(CHANNELS[: len(weight)]):
-        if name not in noise.memory:
-            continue
-        kernel = matern(grid[:, None] - grid, noise.memory[name])
-        squares, shapes = eigh(kernel, subset_by_index=(_GRID - _MODES, _GRID - 1))
-        modes = noise.sizes[name] * shapes * np.sqrt(np.maximum(squares, 0.0))
-        there = np.array([np.interp(times, grid, mode) for mode in modes.T]).T
-        left, singular, _ = np.linalg.svd(weight[row][:, None] * there, full_matrices=False)
-        directions[row], shrink[row] = left, 1 - 1 / np.sqrt(1 + singular**2)
+        if name in noise.sizes:
+            response = noise.sizes[name] * weight[row][:, None] * there
+            left, singular, _ = np.linalg.svd(response, full_matrices=False)
+            directions[row], shrink[row] = left, 1 - 1 / np.sqrt(1 + singular**2)
     return Smooth(directions, shrink)
