@@ -240,7 +240,9 @@ def _separate(design: Design, parted: Separation) -> Figure:
         _ring(right, design, way.throws)
     right.set_ylabel("first spin (rad/s)")
     right.set_title(
-        f"{difference} from one throw, consistent load; framed: in the best {count}", fontsize=10
+        f"{difference} from one throw, % of {parted.size:g}\n"
+        f"consistent load; framed: in the best {count}",
+        fontsize=10,
     )
     figure.suptitle(f"{design.law} law: telling {' from '.join(parted.pair)}", fontsize=11)
     return figure

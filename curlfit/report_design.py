@@ -21,6 +21,7 @@ _CRITERIA = {
     "D": "smallest volume of the errors together (D-optimal)",
     "A": "smallest mean squared error over typical sizes (A-optimal)",
 }
+_WEAK = 0.05  # relative error of a difference above which it shows but weakly
 _MOST_LISTED = 24  # candidates; the rest is in design.json
 _SMALL = {"x": ("m", "mm", "um"), "phi": ("rad", "mrad", "urad")}
 _UNITS = {
@@ -236,6 +237,7 @@ def _way(design: Design, parted: Separation, way: Way) -> list[RenderableType]:
     name = f"{way.load.capitalize()} load" + (" (eq. 8-9)" if way.load == "consistent" else "")
     if way.throws is None or way.stderr is None:
         return [_paragraph(f"{name}: none of these throws can tell them apart.", "bold red")]
+    weak = way.stderr > _WEAK * parted.size
     table = plain_table()
     for head in (
         "omega0\n(rad/s)", "v0\n(m/s)", "error from\none throw", "relative",
@@ -259,7 +261,8 @@ def _way(design: Design, parted: Separation, way: Way) -> list[RenderableType]:
     if factor < 1:
         text += (
             f"needs noise of {noise(design.sigma, factor)}, or "
-            f"{_many(parted.throws_needed(way.stderr, design.throws))} throws at the present noise."
+            f"{_many(parted.throws_needed(way.stderr, design.throws))} throws at the present noise, "
+            f"or {rough(1 / factor**2)} times as many rows a second."
         )
     else:
         text += f"enough, up to a noise of {noise(design.sigma, factor)}."
@@ -269,7 +272,7 @@ def _way(design: Design, parted: Separation, way: Way) -> list[RenderableType]:
             "a change of the ice from throw to throw would be taken for the error asked for."
         )
     return [
-        Text(f"{name}: the difference shows, but weakly.", style="bold yellow"),
+        Text(f"{name}: the difference shows{', but weakly' if weak else ''}.", style="bold yellow"),
         Padding(table, (1, 0)),
         _paragraph(text),
     ]

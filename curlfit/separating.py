@@ -194,7 +194,8 @@ class Split:
 
     Raises
     ------
-    InputError : a name that is no free coefficient of the law, or twice the same.
+    InputError : a name that is no free coefficient of the law, twice the same, different units, or
+        both values zero.
     """
 
     def __init__(
@@ -202,18 +203,22 @@ class Split:
     ) -> None:
         items = law.coefficients()
         names = [item.name for item, take in zip(items, free, strict=True) if take]
+        if len(pair) != 2 or pair[0] == pair[1]:
+            raise InputError(
+                "separate: expected two different coefficients, such as mu1_eta,mu2_eta"
+            )
         for name in pair:
             if name not in names:
                 raise InputError(
                     f"separate: law {law.name} has no free coefficient {name!r}; it has "
                     + ", ".join(names)
                 )
-        if len(pair) != 2 or pair[0] == pair[1]:
+        units = {item.name: item.unit for item in items}
+        if units[pair[0]] != units[pair[1]]:
             raise InputError(
-                "separate: expected two different coefficients, such as mu1_eta,mu2_eta"
+                f"separate: {pair[0]} ({units[pair[0]]}) and {pair[1]} ({units[pair[1]]}) have "
+                "different units, and no difference"
             )
-        if not 0 < free.sum() == len(names):
-            raise InputError("separate: nothing is left to determine")
         self.law, self.values, self.free = law, values, free
         self.pair = (pair[0], pair[1])
         typical = np.array([item.typical for item in items])
