@@ -259,10 +259,10 @@ def _way(design: Design, parted: Separation, way: Way) -> list[RenderableType]:
         f"{way.stderr:.2g}, that is {percent(way.stderr / parted.size)}: "
     )
     if factor < 1:
+        needed = _many(parted.throws_needed(way.stderr, design.throws))
         text += (
-            f"needs noise of {noise(design.sigma, factor)}, or "
-            f"{_many(parted.throws_needed(way.stderr, design.throws))} throws at the present noise, "
-            f"or {rough(1 / factor**2)} times as many rows a second."
+            f"needs noise of {noise(design.sigma, factor)}, or {needed} throws at the present "
+            f"noise, or {rough(1 / factor**2)} times as many rows a second."
         )
     else:
         text += f"enough, up to a noise of {noise(design.sigma, factor)}."

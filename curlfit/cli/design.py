@@ -182,7 +182,6 @@ def design(
     from curlfit.stone import Stone
 
     known = load_fit(fit) if fit is not None else None
-    folder = prepared_folder(out)
 
     from rich.console import Console
 
@@ -209,6 +208,7 @@ def design(
             progress=told,
             **grid,
         )
+    folder = prepared_folder(out)
     written = [folder / "design.json"]
     found.save(written[0])
 
