@@ -28,10 +28,11 @@ _MOST_WRITTEN = 80  # cells of a map with a number in each
 
 def design_figures(design: Design) -> dict[str, Figure]:
     """The pictures by name: the map of single throws, errors against the plan, and, where two
-    coefficients are to be told apart, what that takes."""
+    coefficients are to be told apart and can be, what that takes."""
     found = {"design-map": _map(design), "design-errors": _errors(design)}
-    if design.separation is not None:
-        found["design-separate"] = _separate(design, design.separation)
+    parted = design.separation
+    if parted is not None and parted.way("consistent").stderr is not None:
+        found["design-separate"] = _separate(design, parted)
     return found
 
 
@@ -57,7 +58,11 @@ def _label(design: Design, expression: str) -> str:
 
 def _unit(design: Design, weights: Mapping[str, float]) -> str:
     units = {design.units[name] for name in weights}
-    return "" if units == {"1"} else f" ({'; '.join(sorted(units))})"
+    return (
+        ""
+        if units == {"1"}
+        else f" ({'; '.join(sorted(units))})".replace("^2", "\N{SUPERSCRIPT TWO}")
+    )
 
 
 def _grid(design: Design, values: Sequence[float | None]) -> tuple[list[float], list[float], Any]:
@@ -88,7 +93,7 @@ def _cells(axes: Any, design: Design, values: Sequence[float | None], *, shares:
     if cells.size <= _MOST_WRITTEN:
         for (row, column), value in np.ndenumerate(cells):
             dark = np.isfinite(value) and np.log(value / low) < 0.6 * np.log(high / low)
-            text = percent(value) if shares else f"{value:.1e}".replace("e-0", "e-")
+            text = percent(value) if shares else _number(value)
             axes.text(
                 column, row, text if np.isfinite(value) else "not\ndetermined", ha="center",
                 va="center", fontsize=7.5, color="white" if dark else "black",
@@ -98,6 +103,10 @@ def _cells(axes: Any, design: Design, values: Sequence[float | None], *, shares:
     axes.set_xticks(range(len(speeds)), [f"{one:g}" for one in speeds])
     axes.set_yticks(range(len(spins)), [f"{one:g}" for one in spins])
     axes.set_xlabel("first speed (m/s)")
+
+
+def _number(value: float) -> str:
+    return f"{value:.2g}" if value >= 0.01 else f"{value:.1e}".replace("e-0", "e-")
 
 
 def _ring(axes: Any, design: Design, places: Sequence[int]) -> None:
@@ -113,7 +122,7 @@ def _ring(axes: Any, design: Design, places: Sequence[int]) -> None:
 
 def _map(design: Design) -> Figure:
     names = list(design.quantities)
-    columns = min(len(names), 3)
+    columns = 2 if len(names) == 4 else min(len(names), 3)
     rows = -(-len(names) // columns)
     tall = 1.2 + 0.42 * len({one.omega0 for one in design.candidates})
     figure = Picture(
@@ -147,15 +156,16 @@ def _errors(design: Design) -> Figure:
         "throws": "number of throws, the best for each",
     }
     names = [name for name in about if name in design.curves]
-    figure = Picture(figsize=(2.9 * len(names) + 0.6, 4.2), layout="constrained")
+    figure = Picture(figsize=(2.9 * len(names) + 0.6, 4.5), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
     for axes, name in zip(panels, names, strict=True):
         curve = design.curves[name]
-        for color, quantity in zip(_cycled(len(design.quantities)), design.quantities, strict=True):
+        for place, (quantity, weights) in enumerate(design.quantities.items()):
             values = [np.nan if value is None else value for value in curve[quantity]]
             axes.plot(
-                curve["at"], values, ".-", color=color, ms=5, lw=1.3, label=_label(design, quantity)
-            )
+                curve["at"], values, ".", color=_COLORS[place % len(_COLORS)], ms=5, lw=1.4,
+                ls=("-", "--")[place % 2], label=_label(design, quantity) + _unit(design, weights),
+            )  # fmt: skip
         axes.set(xscale="log", yscale="log", xlabel=about[name])
         axes.grid(alpha=0.3, which="major")
         if name in ("place", "angle"):
@@ -169,7 +179,10 @@ def _errors(design: Design) -> Figure:
             axes.set_xticks(counts, [str(one) for one in counts], fontsize=8)
             axes.minorticks_off()
     panels[0].set_ylabel("standard error")
-    panels[0].legend(frameon=False, fontsize=9)
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", frameon=False,
+        ncols=len(design.quantities), fontsize=9.5,
+    )  # fmt: skip
     figure.suptitle(
         f"{design.law} law, {design.load} load, best {design.throws} throws; dotted: as planned",
         fontsize=10,
@@ -179,10 +192,6 @@ def _errors(design: Design) -> Figure:
 
 def _only(design: Design, channels: Sequence[str]) -> str:
     return noise({name: value for name, value in design.sigma.items() if name in channels})
-
-
-def _cycled(count: int) -> list[str]:
-    return [_COLORS[place % len(_COLORS)] for place in range(count)]
 
 
 def _separate(design: Design, parted: Separation) -> Figure:

@@ -228,7 +228,7 @@ def design(
         not measured. 5 mm and 10 mrad if not given.
     throws : how many throws are made: the best of the candidates, each as often as is best.
     separate : two coefficients that are to be told apart; if not given, two of which the candidates
-        determine the sum alone.
+        under uniform load determine the sum alone.
     relative_error : of their difference (or of their mean where they are equal) that is wanted.
     progress : called with what is being done.
 
@@ -273,15 +273,19 @@ def design(
             f"no {throws} of these throws determine what all of them together do; ask for more "
             "throws, or offer others"
         )
-    if split is None and (pair := _open_pair(whole)) is not None:
-        split = Split(kind, values, free, pair)
+    by_load: dict[str, list[Told]] = {load: known_by}
+    if split is None:
+        if load == "consistent":
+            say("what would be hidden under uniform load")
+            by_load["uniform"] = told(kind, "uniform", values, trials, **record)
+            whole = plan.seen(joined([plan.root(one) for one in by_load["uniform"]]))
+        pair = _open_pair(whole)
+        split = None if pair is None else Split(kind, values, free, pair)
     say("errors against noise, rate and number of throws")
     curves = _curves(plan, field, roots, known_by, trials, best, load, record, quantities)
     parted = None
     if split is not None:
-        parted = separation(
-            split, trials, throws, sigma, relative_error, record, {load: known_by}, say
-        )
+        parted = separation(split, trials, throws, sigma, relative_error, record, by_load, say)
     return Design(
         law=kind.name,
         load=load,
@@ -487,7 +491,7 @@ def _notes(
         )
     if until is not None and (early := sum(one.rest > until for one in known_by)):
         notes.append(
-            f"{early} of {len(known_by)} records end at {until:g} s, before the stone is at rest"
+            f"of {len(known_by)} records {early} end at {until:g} s, before the stone is at rest"
         )
     far = [one.distance for one in known_by if one.distance > _LONGEST_WAY]
     if until is None and far:

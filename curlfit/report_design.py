@@ -22,6 +22,7 @@ _CRITERIA = {
     "A": "smallest mean squared error over typical sizes (A-optimal)",
 }
 _WEAK = 0.05  # relative error of a difference above which it shows but weakly
+_SCATTER = 0.01  # of the ice from throw to throw, relative, for what it costs in throws
 _MOST_LISTED = 24  # candidates; the rest is in design.json
 _SMALL = {"x": ("m", "mm", "um"), "phi": ("rad", "mrad", "urad")}
 _UNITS = {
@@ -99,7 +100,7 @@ def _heading(design: Design) -> RenderableType:
     text = Text()
     text.append(f"{design.law} law", style="bold")
     text.append(f", {design.load} load: what ")
-    text.append(f"{_throws(design.throws)} of {len(design.candidates)} candidates would tell\n")
+    text.append(f"{_throws(design.throws)} would tell, {len(design.candidates)} to choose from\n")
     text.append(
         f"{', '.join(f'{rate:g}' for rate in rates)} Hz "
         f"{'until the stone is at rest' if until is None else f'for {until:g} s'}, independent "
@@ -113,9 +114,12 @@ def _best(design: Design) -> RenderableType:
     table = plain_table()
     table.add_column("coefficient", no_wrap=True)
     table.add_column("taken as", justify="right", no_wrap=True)
-    for name in design.best:
+    alike = len({item.throws for item in design.best.values()}) == 1
+    shown = dict(list(design.best.items())[:1]) if alike else design.best
+    for name in shown:
+        by = "" if alike else f" by {name}"
         table.add_column(
-            f"std. error, best {_throws(design.throws)} by {name}", justify="right", no_wrap=True
+            f"std. error, best {_throws(design.throws)}{by}", justify="right", no_wrap=True
         )
     table.add_column("verdict", no_wrap=True)
     first = next(iter(design.best.values()))
@@ -126,7 +130,7 @@ def _best(design: Design) -> RenderableType:
         table.add_row(
             name if unit == "1" else f"{name} ({unit})",
             f"{design.coefficients[name] if known else _value(first, name):.6g}",
-            *(_error(item.stderr.get(name)) for item in design.best.values()),
+            *(_error(item.stderr.get(name)) for item in shown.values()),
             Text(verdict, style=STYLE[verdict]),
         )
     return Padding(table, (1, 0))
@@ -269,7 +273,8 @@ def _way(design: Design, parted: Separation, way: Way) -> list[RenderableType]:
     if way.steady is not None:
         text += (
             f" The sum of both must then be the same in all of them to {percent(way.steady)}: such "
-            "a change of the ice from throw to throw would be taken for the error asked for."
+            "a change of the ice from throw to throw would be taken for the error asked for (single "
+            "throws, above, do not rely on that)."
         )
     return [
         Text(f"{name}: the difference shows{', but weakly' if weak else ''}.", style="bold yellow"),
@@ -305,7 +310,7 @@ def _changes(design: Design, parted: Separation) -> list[RenderableType]:
     for head in (
         "stone", f"error, {count}\nas above", "relative",
         f"error, {count} of\n{draw.v0:g} m/s, {draw.omega0:g} rad/s,\nhalf with each stone",
-        "relative", "ice steady to",
+        "relative", "ice steady\nto", f"throws, ice\nscattering {percent(_SCATTER)}",
     ):  # fmt: skip
         table.add_column(head, justify="left" if head == "stone" else "right", no_wrap=True)
 
@@ -315,29 +320,17 @@ def _changes(design: Design, parted: Separation) -> list[RenderableType]:
     alone = way.each[parted.ordinary]
     table.add_row(
         "as it is", *shown(way.stderr),
-        *shown(None if alone is None else alone / math.sqrt(design.throws)), "",
+        *shown(None if alone is None else alone / math.sqrt(design.throws)), "", "",
     )  # fmt: skip
     for item in parted.changes:
+        steady = item.steady
         table.add_row(
             f"{item.name} = {1000 * item.value:.3g} mm", *shown(item.all), *shown(item.half),
-            "-" if item.steady is None else percent(item.steady),
+            *("--" if steady is None else (
+                percent(steady), _many(parted.throws_against(_SCATTER, steady))
+            )),
         )  # fmt: skip
-    lines = [_paragraph(_about_changes(parted)), Padding(table, (0, 0, 1, 0))]
-    told = [one for one in parted.changes if one.half is not None and one.steady is not None]
-    if told:
-        best = min(told, key=lambda one: one.half or math.inf)
-        assert best.half is not None
-        assert best.steady is not None
-        lines.append(
-            _paragraph(
-                f"With {best.name} = {1000 * best.value:.3g} mm in half of the throws, noise of "
-                f"{noise(design.sigma, parted.noise_factor(best.half))} would do; what counts then "
-                "is the ice. Where the sum scatters by 1 % from throw to throw, some "
-                f"{_many(parted.throws_against(0.01, best.steady))} throws, with one stone and the "
-                "other in turn, average that out."
-            )
-        )
-    return lines
+    return [_paragraph(_about_changes(parted)), Padding(table, (0, 0, 1, 0))]
 
 
 def _about_changes(parted: Separation) -> str:
@@ -345,7 +338,8 @@ def _about_changes(parted: Separation) -> str:
     return (
         "Changes to the stone, under consistent load. Within one throw the sum makes up for nearly "
         "all that the difference does. How much of it differs from stone to stone (it goes with "
-        "h/R), so two stones on the same ice, with the same coefficients, tell more than any one: "
-        f"the last column is how far {a} + {b} may differ between the halves, relatively, before "
-        "that is taken for the error asked for."
+        "h/R), so two stones on the same ice, with the same coefficients, tell more than any one. "
+        f"The last columns are how far {a} + {b} may differ between the halves, relatively, before "
+        "that is taken for the error asked for, and how many throws, with one stone and the other "
+        f"in turn, average out ice that scatters by {percent(_SCATTER)} from throw to throw."
     )

@@ -5,7 +5,8 @@ For `mu1_eta` and `mu2_eta` of the front-back law this is the question that Ivan
 (eq. 8-9) the front carries more, so the difference changes the braking a little, and the sum makes
 up for nearly all of it. What is left depends on the spin (the share of the braking that the ring's
 turning takes away), and on how far two throws differ in that share: two stones whose weight lies at
-different heights make up for it by different sums, and together they tell.
+different heights make up for it by different sums, and together they tell. (A load made uneven on
+purpose would turn with the stone; there is no such load here.)
 """
 
 from __future__ import annotations
@@ -343,7 +344,8 @@ def separation(
         range(len(trials)),
         key=lambda place: (
             abs(math.log(trials[place].v0 / _ORDINARY[0]))
-            + abs(abs(trials[place].omega0) - _ORDINARY[1])
+            + abs(abs(trials[place].omega0) - _ORDINARY[1]),
+            -trials[place].rate,
         ),
     )
     way = ways[-1]

@@ -408,10 +408,11 @@ def test_the_command(tmp_path):
     assert (run.returncode, run.stderr) == (0, "")
     text = " ".join(run.stdout.split())
     for words in (
-        "2 throws of 4 candidates", "10, 20 Hz for 15 s", "5 mm in x and y, 8.7 mrad in phi",
+        "2 throws would tell, 4 to choose from", "10, 20 Hz for 15 s",
+        "5 mm in x and y, 8.7 mrad in phi",
         "h = 0.1 m", "2 x (2 m/s, 5 rad/s, 20 Hz)", "3 of 4 directions",
         "no throw can tell them apart", "Why (eq. 16, 25-26)", "the last is rounding",
-        "the highest rate is chosen", "4 of 4 records end at 15 s",
+        "the highest rate is chosen", "of 4 records 4 end at 15 s",
     ):  # fmt: skip
         assert words in text, words
     folder = tmp_path / "design"

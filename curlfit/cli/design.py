@@ -116,8 +116,8 @@ def design(
     separate: Annotated[
         str | None,
         typer.Option(
-            help="Two coefficients that are to be told apart. [default: two of which only the sum "
-            "is determined]",
+            help="Two coefficients that are to be told apart. [default: two of which uniform load "
+            "shows only the sum]",
             metavar="A,B",
         ),
     ] = None,
@@ -140,7 +140,7 @@ def design(
     to row. Where two coefficients go together, it is said what precision, which throws or which
     change to the stone would tell them apart.
     Writes `design.json`, `design-map.png`, `design-errors.png` and, where two coefficients are to
-    be told apart, `design-separate.png`.
+    be told apart and can be, `design-separate.png`.
 
     Examples:
 
