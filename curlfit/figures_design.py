@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from curlfit.figures import Picture, save_figure
-from curlfit.report_design import noise, percent
+from curlfit.report_design import noise, rough
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -82,6 +82,8 @@ def _cells(axes: Any, design: Design, values: Sequence[float | None], *, shares:
     from matplotlib.colors import LogNorm
 
     speeds, spins, cells = _grid(design, values)
+    if shares:
+        cells = 100 * cells
     axes.set_facecolor("0.9")
     known = cells[np.isfinite(cells)]
     low, high = (known.min(), known.max()) if len(known) else (1.0, 1.0)
@@ -93,15 +95,16 @@ def _cells(axes: Any, design: Design, values: Sequence[float | None], *, shares:
     if cells.size <= _MOST_WRITTEN:
         for (row, column), value in np.ndenumerate(cells):
             dark = np.isfinite(value) and np.log(value / low) < 0.6 * np.log(high / low)
-            text = percent(value) if shares else _number(value)
+            text = f"{rough(value)} %" if shares else _number(value)
             axes.text(
                 column, row, text if np.isfinite(value) else "not\ndetermined", ha="center",
                 va="center", fontsize=7.5, color="white" if dark else "black",
             )  # fmt: skip
     else:
-        axes.figure.colorbar(shown, ax=axes)
-    axes.set_xticks(range(len(speeds)), [f"{one:g}" for one in speeds])
-    axes.set_yticks(range(len(spins)), [f"{one:g}" for one in spins])
+        axes.figure.colorbar(shown, ax=axes, label="%" if shares else "")
+    for ticks, numbers, most in ((axes.set_xticks, speeds, 6), (axes.set_yticks, spins, 12)):
+        some = range(0, len(numbers), -(-len(numbers) // most))
+        ticks(some, [f"{numbers[place]:g}" for place in some])
     axes.set_xlabel("first speed (m/s)")
 
 
@@ -150,8 +153,8 @@ def _map(design: Design) -> Figure:
 
 def _errors(design: Design) -> Figure:
     about = {
-        "place": f"noise of place, times\n{_only(design, ('x', 'y', 'speed'))}",
-        "angle": f"noise of angle, times\n{_only(design, ('phi', 'omega'))}",
+        "place": f"noise, times\n{_only(design, ('x', 'y', 'speed'))}",
+        "angle": f"noise, times\n{_only(design, ('phi', 'omega'))}",
         "rate": "rows a second (Hz)",
         "throws": "number of throws, the best for each",
     }

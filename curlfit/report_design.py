@@ -273,8 +273,8 @@ def _way(design: Design, parted: Separation, way: Way) -> list[RenderableType]:
     if way.steady is not None:
         text += (
             f" The sum of both must then be the same in all of them to {percent(way.steady)}: such "
-            "a change of the ice from throw to throw would be taken for the error asked for (single "
-            "throws, above, do not rely on that)."
+            "a change of the ice from throw to throw would be taken for the error asked for. What "
+            "single throws tell, above, does not rely on it."
         )
     return [
         Text(f"{name}: the difference shows{', but weakly' if weak else ''}.", style="bold yellow"),
