@@ -233,6 +233,13 @@ def test_the_value_at_a_place_is_best_seen_there():
     assert chosen(field, by_error(field, np.array([1.0, 1.0])), 8).count(2) >= 7
 
 
+def test_the_mean_error_asks_for_more_of_what_tells_less():
+    """a is seen with information 1, b with 9: errors 1/n + 1/(9 m) are least for n = 3 m."""
+    field = field_of([np.diag([1.0, 0.0]), np.diag([0.0, 3.0])])
+    assert chosen(field, by_mean_error(field), 8) == (0,) * 6 + (1,) * 2
+    assert chosen(field, by_volume(field), 8) == (0,) * 4 + (1,) * 4
+
+
 def test_where_not_all_is_determined_the_rest_is_judged():
     field = field_of(line([2.0, 2.0]) + [np.sqrt(3) * one for one in line([2.0])])
     assert field.rank == 1
@@ -257,6 +264,21 @@ def test_the_best_of_the_plan_is_the_best_of_all_choices(plain):
         key=lambda places: np.linalg.det(information[list(places)].sum(0)),
     )
     assert plain.best["D"].throws == best
+
+
+def test_both_criteria_are_the_best_of_all_choices():
+    found = design(load="consistent", v0=[2.0], rate=10, throws=2)
+    roots = [root_of([Trial(2.0, c.omega0, 10.0, STONE)], "consistent") for c in found.candidates]
+    information = np.stack([root.T @ root for root in roots])
+    pairs = [(a, b) for a in range(5) for b in range(a, 5)]
+    total = {pair: information[list(pair)].sum(0) for pair in pairs}
+    volume = max(pairs, key=lambda pair: np.linalg.slogdet(total[pair])[1])
+    mean = min(pairs, key=lambda pair: np.trace(np.linalg.inv(total[pair])))
+    assert volume != mean
+    assert found.best["D"].throws == volume
+    assert found.best["A"].throws == mean
+    # what uniform load would hide is looked at without being asked for
+    assert found.separation.pair == ("mu1_eta", "mu2_eta")
 
 
 # The question of the paper.
@@ -347,6 +369,17 @@ def test_with_the_noise_that_is_asked_for_the_error_is_the_one_wanted(plain):
     assert finer == pytest.approx(0.2 * 0.009, rel=1e-9)
     needed = plain.separation.throws_needed(way.each[place], 1)
     assert way.each[place] / np.sqrt(needed) == pytest.approx(0.2 * 0.009, rel=1e-9)
+
+
+def test_half_of_the_throws_with_another_stone(plain):
+    ordinary = plain.candidates[plain.separation.ordinary]
+    assert (ordinary.v0, ordinary.omega0) == (1.9, 1.0)
+    for change in plain.separation.changes:
+        stones = [STONE, STONE.with_values({change.name: change.value})]
+        # two of these throws, of which the three planned are one and a half times as many
+        trials = [Trial(1.9, 1.0, 30.0, stone) for stone in stones]
+        expected = error_of(root_of(trials, "consistent"), DIFFERENCE) / np.sqrt(1.5)
+        assert change.half == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.slow
