@@ -84,6 +84,7 @@ def shown(command, after):
         ("curlfit fit data/jensen_shegelski_2004.csv", "The first run on a machine"),
         ("curlfit compare data/jensen_shegelski_2004.csv --load both", "That is the paper's"),
         ("curlfit predict jensen_shegelski_2004-fit --to-tee", "![The path on the sheet"),
+        ("curlfit design", "- **Uniform load**"),
         ("curlfit predict first-12-s --check data/jensen_shegelski_2004.csv", "The parameters'"),
     ],
 )

@@ -11,6 +11,7 @@ import typer
 from curlfit.cli.batch import batch
 from curlfit.cli.check import check
 from curlfit.cli.compare import compare
+from curlfit.cli.design import design
 from curlfit.cli.fit import fit
 from curlfit.cli.laws import laws
 from curlfit.cli.plot import plot
@@ -50,7 +51,7 @@ def _root(
     """
 
 
-for _verb in (check, fit, compare, batch, predict, show, plot, simulate, laws, reproduce):
+for _verb in (check, fit, compare, batch, predict, design, show, plot, simulate, laws, reproduce):
     app.command()(_verb)
 
 

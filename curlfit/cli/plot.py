@@ -15,7 +15,7 @@ def plot(
     out: Annotated[Path | None, typer.Option(help="Folder for the figures. [default: DIR]")] = None,
     format: Annotated[str, typer.Option(help="png, pdf or svg.")] = "png",
 ) -> None:
-    """Draw the figures of a saved fit, joint fit, comparison or prediction again."""
+    """Draw the figures of a saved fit, joint fit, comparison, prediction or design again."""
     from curlfit.errors import InputError
     from curlfit.files import prepared_folder
     from curlfit.results import load_fit
@@ -23,6 +23,15 @@ def plot(
     if format not in ("png", "pdf", "svg"):
         raise InputError(f"--format {format}: expected png, pdf or svg")
     kind = kind_of(folder)
+    if kind == "design":
+        from curlfit.figures_design import save_figures
+        from curlfit.planning import load_design
+
+        own = folder if folder.is_dir() else folder.parent
+        design = load_design(folder)
+        written = save_figures(design, prepared_folder(out or own), format)
+        typer.echo("Written: " + ", ".join(map(str, written)))
+        return
     if kind != "fit":
         import curlfit
         from curlfit.figures import save_figure

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from curlfit.errors import DataError, InputError
 from curlfit.noise import check_noise
 from curlfit.parameters import check_seed
 from curlfit.readers import load_throw
+from curlfit.readers.columns import in_unit
 from curlfit.stone import Stone
 from curlfit.throw import Throw
 
@@ -50,6 +52,31 @@ def intervals(option: str, items: Sequence[str]) -> dict[str, tuple[float, float
             number(option, name, high) if high.strip() else math.inf,
         )
     return found
+
+
+def numbers(option: str, text: str) -> tuple[float, ...]:
+    """Finite numbers with commas between."""
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = (math.nan,)
+    if not all(map(math.isfinite, found)):
+        raise InputError(f"{option} {text.strip()}: expected numbers with commas between")
+    return found
+
+
+def with_unit(option: str, quantity: str, text: str) -> float:
+    """A number with a unit behind it, `5mm`, in SI; without one it is SI. `quantity` as "x"."""
+    size = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
+    if size is None:
+        raise InputError(
+            f"{option} {text.strip()}: expected a number, with a unit behind it if it is not SI"
+        )
+    unit = text[size.end() :].strip()
+    try:
+        return float(size[0]) * (in_unit(quantity, unit).factor if unit else 1.0)
+    except InputError as error:
+        raise InputError(f"{option} {text.strip()}: {error}") from None
 
 
 def number(option: str, name: str, text: str) -> float:
@@ -171,8 +198,9 @@ def settled(throw: Throw, configured: Mapping[str, Any], flags: Mapping[str, Any
 
 
 def kind_of(folder: Path) -> str:
-    """What results a folder, or a file of them, holds: a "fit", "compare", "joint" or "predict"."""
-    for kind in ("fit", "compare", "joint", "predict"):
+    """What results a folder, or a file of them, holds: a "fit", "compare", "joint", "predict" or
+    "design"."""
+    for kind in ("fit", "compare", "joint", "predict", "design"):
         if folder.name == f"{kind}.json" or (folder / f"{kind}.json").is_file():
             return kind
     return "fit"

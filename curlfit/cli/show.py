@@ -22,7 +22,7 @@ def show(
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print the JSON record.")] = False,
 ) -> None:
-    """Print the report of a saved fit, joint fit, comparison or prediction again."""
+    """Print the report of a saved fit, joint fit, comparison, prediction or design again."""
     from rich.console import Console
 
     console = Console(width=None if sys.stdout.isatty() else 110)
@@ -47,6 +47,12 @@ def show(
 
         prediction = load_prediction(folder)
         record, printed = prediction.summary, partial(print_prediction, prediction, console)
+    elif kind == "design":
+        from curlfit.planning import load_design
+        from curlfit.report_design import print_design
+
+        design = load_design(folder)
+        record, printed = design.to_json, partial(print_design, design, console)
     else:
         from curlfit.report import print_fit
         from curlfit.results import load_fit

@@ -1,0 +1,548 @@
+"""What throws are expected to tell: against fits, finite differences and known best choices."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import Reference, command, front_back
+from typer.testing import CliRunner
+
+import curlfit
+from curlfit import LAWS, Start, Stone
+from curlfit.batch import fit_throws
+from curlfit.choosing import by_error, by_mean_error, by_volume, chosen, field_of
+from curlfit.cli import app
+from curlfit.contact import accelerations
+from curlfit.errors import InputError
+from curlfit.information import Trial, about_coefficients, error_of, joined, told
+from curlfit.plan import Plan
+from curlfit.planning import design
+from curlfit.separating import Split, proof
+
+LAW = LAWS["front-back"]
+STONE = Stone()
+TRUE = np.array([0.005, 0.05, 0.009, 0.009])
+TYPICAL = np.full(4, 0.01)
+FREE = np.ones(4, bool)
+NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01}
+SUM = "mu1_eta + mu2_eta"
+DIFFERENCE = np.array([0.0, 0.0, 0.01, -0.01])  # by typical sizes
+
+
+def root_of(trials, load="uniform", until=None, sigma=NOISE):
+    """Of the information of some throws together."""
+    return joined(
+        [
+            about_coefficients(LAW, one, sigma, FREE)
+            for one in told(LAW, load, TRUE, trials, until=until)
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """As the command does without any option."""
+    return design()
+
+
+@pytest.fixture(scope="module")
+def single():
+    """One throw of one kind, 201 rows."""
+    return design(v0=[2.0], omega0=[1.5], rate=10, until=20.0, throws=1)
+
+
+def throw_of(v0, omega0, stone=STONE, load="uniform", seed=None, until=20.0, rate=10.0):
+    noise = (0.0, 0.0) if seed is None else (NOISE["x"], NOISE["phi"])
+    throw = curlfit.synthetic_throw(
+        LAW(), stone, load=load, v0=v0, omega0=omega0, until=until, dt=1 / rate,
+        noise_xy=noise[0], noise_phi=noise[1], seed=seed or 0,
+    )  # fmt: skip
+    return throw.with_sigma(NOISE)
+
+
+def reported(fit):
+    errors = {name: item.stderr for name, item in fit.coefficients.items() if item.stderr}
+    return errors | {item.expression: item.stderr for item in fit.combinations}
+
+
+@pytest.mark.parametrize(("seed", "tolerance"), [(None, 1e-6), (4, 0.03)])
+def test_errors_are_those_that_a_fit_of_such_a_throw_reports(single, seed, tolerance):
+    found = curlfit.fit(throw_of(2.0, 1.5, seed=seed))
+    expected = {name: one for name, one in single.best["D"].stderr.items() if one is not None}
+    assert set(expected) == {"mu1_xi", "mu2_xi", SUM}
+    assert reported(found) == pytest.approx(expected, rel=tolerance)
+    verdicts = {name: item.verdict for name, item in found.coefficients.items()}
+    assert single.best["D"].verdicts == verdicts
+    assert single.candidates[0].rows == len(found.throw)
+
+
+@pytest.mark.parametrize("channels", [("x", "y"), ("x", "phi")])
+def test_what_is_not_measured_is_as_in_a_fit(channels):
+    sigma = {name: NOISE[name] for name in channels}
+    throw = throw_of(2.0, 1.5)
+    (hidden,) = {"y", "phi"} - set(channels)
+    blind = replace(
+        throw, **{hidden: np.full_like(throw.t, np.nan)},
+        sigma={name: throw.sigma[name] for name in channels},
+    )  # fmt: skip
+    fit = curlfit.fit(blind)
+    names, covariance = fit.covariance["names"], np.array(fit.covariance["matrix"])
+    root = root_of([Trial(2.0, 1.5, 10.0, STONE)], until=20.0, sigma=sigma)
+    weights = np.array([float(name in ("mu1_eta", "mu2_eta")) for name in names])
+    expected = np.sqrt(weights @ covariance @ weights)
+    assert error_of(root, np.array([0, 0, 0.01, 0.01])) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_several_throws_are_as_in_a_joint_fit():
+    starts = [(2.0, 1.5), (1.8, -3.0)]
+    joint = curlfit.fit_together([throw_of(*start) for start in starts])
+    root = root_of([Trial(*start, 10.0, STONE) for start in starts], until=20.0)
+    for name, weights in {"mu1_xi": [0.01, 0, 0, 0], "mu2_xi": [0, 0.01, 0, 0]}.items():
+        expected = error_of(root, np.array(weights))
+        assert joint.coefficients[name].stderr == pytest.approx(expected, rel=1e-6)
+    (one,) = joint.combinations
+    assert one.stderr == pytest.approx(error_of(root, np.array([0, 0, 0.01, 0.01])), rel=1e-6)
+
+
+def covariance_by_differences(load, v0, omega0, times, sigma):
+    """Of the coefficients, from central differences of paths that scipy integrates."""
+    base = np.array([*TRUE, 0.0, 0.0, 0.0, v0, 0.0, omega0])
+    step = np.array([1e-5] * 4 + [1e-4] * 6)
+
+    def path(values):
+        law = Reference(
+            front_back(*values[:4]), STONE.R, STONE.rho, STONE.h if load == "consistent" else None,
+            nodes=60,
+        )  # fmt: skip
+        x, y, heading, v, phi, omega = values[4:]
+        return law.path(Start(x, y, heading, v, phi, omega), times)
+
+    columns = [
+        (path(base + h * one) - path(base - h * one)) / (2 * h)
+        for h, one in zip(step, np.eye(10), strict=True)
+    ]
+    weighted = np.stack(columns, -1) / np.array(list(sigma.values()))[:, None, None]
+    return weighted.reshape(-1, 10)
+
+
+@pytest.mark.parametrize(
+    ("load", "omega0", "tolerance"), [("uniform", 1.5, 1e-4), ("consistent", 10.0, 1e-2)]
+)
+def test_information_is_that_of_finite_differences(load, omega0, tolerance):
+    times = np.arange(121) / 10
+    jacobian = covariance_by_differences(load, 2.0, omega0, times, NOISE)
+    if load == "uniform":  # the sum alone
+        jacobian = np.delete(jacobian, 3, 1)
+        weights = {"mu1_xi": [1, 0, 0], "mu2_xi": [0, 1, 0], "sum": [0, 0, 1]}
+    else:
+        weights = {"mu1_xi": [1, 0, 0, 0], "difference": [0, 0, 1, -1], "sum": [0, 0, 1, 1]}
+    # the whole matrix inverted: no Schur complement, no QR of parts
+    scale = np.linalg.norm(jacobian, axis=0)
+    covariance = np.linalg.inv((jacobian / scale).T @ (jacobian / scale)) / np.outer(scale, scale)
+    root = root_of([Trial(2.0, omega0, 10.0, STONE)], load, until=12.0)
+    full = {"mu1_xi": [1, 0, 0, 0], "mu2_xi": [0, 1, 0, 0], "sum": [0, 0, 1, 1],
+            "difference": [0, 0, 1, -1]}  # fmt: skip
+    for name, vector in weights.items():
+        # where only the sum enters, the column of mu1_eta is that of the sum
+        k = len(vector)
+        expected = np.sqrt(np.array(vector) @ covariance[:k, :k] @ np.array(vector))
+        found = error_of(root, 0.01 * np.array(full[name]))
+        assert found == pytest.approx(expected, rel=tolerance), name
+
+
+def test_two_like_throws_tell_as_much_as_root_two():
+    one, two = (design(v0=[2.0], omega0=[1.5], throws=count) for count in (1, 2))
+    for name, stderr in one.best["D"].stderr.items():
+        if stderr is not None:
+            assert two.best["D"].stderr[name] == pytest.approx(stderr / np.sqrt(2), rel=1e-12)
+
+
+def test_errors_go_with_the_noise(single):
+    sigma = {name: 7 * value for name, value in NOISE.items()}
+    louder = design(v0=[2.0], omega0=[1.5], rate=10, until=20.0, throws=1, sigma=sigma)
+    for name, stderr in single.best["D"].stderr.items():
+        if stderr is not None:
+            assert louder.best["D"].stderr[name] == pytest.approx(7 * stderr, rel=1e-12)
+
+
+def test_a_mirrored_spin_tells_as_much():
+    trials = [Trial(2.0, sense * 3.0, 10.0, STONE) for sense in (1, -1)]
+    for load in ("uniform", "consistent"):
+        left, right = (np.linalg.inv(root_of([trial], load)[:2, :2]) for trial in trials)
+        np.testing.assert_allclose(np.abs(left), np.abs(right), rtol=1e-6)
+        if load == "consistent":
+            errors = [error_of(root_of([trial], load), DIFFERENCE) for trial in trials]
+            assert errors[0] == pytest.approx(errors[1], rel=1e-5)
+
+
+def test_a_record_until_rest_has_the_row_of_coming_to_rest(plain):
+    for one in plain.candidates[::7]:
+        path = curlfit.simulate(
+            LAW(), STONE, Start(v=one.v0, omega=one.omega0), np.array([0.0, 100.0])
+        ).to_numpy()
+        assert one.rest == pytest.approx(float(path.rest), rel=1e-6)
+        assert one.distance == pytest.approx(float(np.hypot(path.x[-1], path.y[-1])), rel=1e-6)
+        assert one.last <= one.rest < one.last + 1 / one.rate + 1e-9
+        assert one.rows == round(one.last * one.rate) + 1
+
+
+def test_the_parts_of_a_long_record_make_the_whole():
+    """601 rows, in three parts: the rows at whole multiples, and those between."""
+    trial = Trial(2.0, 1.5, 30.0, STONE)
+    (whole,) = told(LAW, "uniform", TRUE, [trial], until=20.0)
+    assert whole.rows == 601
+
+    def path(values):
+        law, start = LAW(*values[:4]), Start(v=values[4], omega=values[5])
+        found = curlfit.simulate(law, STONE, start, np.arange(601) / 30.0)
+        return np.stack([found.x, found.y, found.phi])
+
+    base = np.array([*TRUE, 2.0, 1.5])
+    for place, column in ((0, 0), (1, 1), (4, 7), (5, 9)):
+        step = 1e-5 * np.eye(6)[place]
+        slope = (path(base + step) - path(base - step)) / 2e-5
+        slope *= 0.01 if place < 4 else 1.0
+        information = np.einsum("cij,cik->cjk", whole.roots, whole.roots)
+        np.testing.assert_allclose(information[:, column, column], (slope**2).sum(1), rtol=1e-5)
+
+
+# Which throws to make, where that is known.
+
+
+def line(places):
+    """Roots of the information of observations of a + b x."""
+    return [np.array([[1.0, x], [0.0, 0.0]]) for x in places]
+
+
+@pytest.mark.parametrize("throws", [4, 60])
+def test_a_straight_line_is_best_seen_from_its_ends(throws):
+    field = field_of(line(np.linspace(-1, 1, 9)))
+    half = (0,) * (throws // 2) + (8,) * (throws // 2)
+    assert chosen(field, by_volume(field), throws) == half
+    assert chosen(field, by_mean_error(field), throws) == half
+    assert chosen(field, by_error(field, np.array([0.0, 1.0])), throws) == half
+
+
+def test_the_value_at_a_place_is_best_seen_there():
+    # and once elsewhere, so that the slope is not left unknown
+    field = field_of(line([-1.0, 0.0, 1.0]))
+    assert chosen(field, by_error(field, np.array([1.0, 1.0])), 8).count(2) >= 7
+
+
+def test_the_mean_error_asks_for_more_of_what_tells_less():
+    """a is seen with information 1, b with 9: errors 1/n + 1/(9 m) are least for n = 3 m."""
+    field = field_of([np.diag([1.0, 0.0]), np.diag([0.0, 3.0])])
+    assert chosen(field, by_mean_error(field), 8) == (0,) * 6 + (1,) * 2
+    assert chosen(field, by_volume(field), 8) == (0,) * 4 + (1,) * 4
+
+
+def test_where_not_all_is_determined_the_rest_is_judged():
+    field = field_of(line([2.0, 2.0]) + [np.sqrt(3) * one for one in line([2.0])])
+    assert field.rank == 1
+    assert chosen(field, by_volume(field), 2) == (2, 2)
+    assert chosen(field, by_mean_error(field), 2) == (2, 2)
+
+
+def test_too_few_throws_choose_nothing():
+    field = field_of(line([-1.0, 1.0]))
+    assert chosen(field, by_volume(field), 1) is None
+
+
+def test_the_best_of_the_plan_is_the_best_of_all_choices(plain):
+    assert len(plain.candidates) == 15
+    assert plain.rank == 3
+    assert plain.free == 4
+    roots = [root_of([Trial(c.v0, c.omega0, c.rate, STONE)]) for c in plain.candidates]
+    sums = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 0.5], [0, 0, 0.5]])
+    information = np.stack([(one @ sums).T @ (one @ sums) for one in roots])
+    best = max(
+        ((a, b, c) for a in range(15) for b in range(a, 15) for c in range(b, 15)),
+        key=lambda places: np.linalg.det(information[list(places)].sum(0)),
+    )
+    assert plain.best["D"].throws == best
+
+
+def test_both_criteria_are_the_best_of_all_choices():
+    found = design(load="consistent", v0=[2.0], rate=10, throws=2)
+    roots = [root_of([Trial(2.0, c.omega0, 10.0, STONE)], "consistent") for c in found.candidates]
+    information = np.stack([root.T @ root for root in roots])
+    pairs = [(a, b) for a in range(5) for b in range(a, 5)]
+    total = {pair: information[list(pair)].sum(0) for pair in pairs}
+    volume = max(pairs, key=lambda pair: np.linalg.slogdet(total[pair])[1])
+    mean = min(pairs, key=lambda pair: np.trace(np.linalg.inv(total[pair])))
+    assert volume != mean
+    assert found.best["D"].throws == volume
+    assert found.best["A"].throws == mean
+    # what uniform load would hide is looked at without being asked for
+    assert found.separation.pair == ("mu1_eta", "mu2_eta")
+
+
+# The question of the paper.
+
+
+def test_under_uniform_load_the_split_is_in_no_force():
+    random = np.random.default_rng(7)
+    v, u = random.uniform(0.02, 3, 40), random.uniform(-3, 3, 40)
+    front, back = (Reference(front_back(0.005, 0.05, *split)) for split in ((0.018, 0), (0, 0.018)))
+    for one, other in zip(v, u, strict=True):
+        force = front.force(one, other)
+        np.testing.assert_allclose(back.force(one, other), force, rtol=0, atol=1e-16)
+        assert abs(force[1]) > 2e-5  # which the sum does
+
+
+def test_the_proof_is_rounding_and_nothing_else(plain):
+    found = plain.separation.proof
+    assert found.hidden
+    assert found.throws == 12
+    assert max(found.by_difference) < 1e-15
+    assert found.by_sum[0] == 0.0
+    assert found.by_sum[1] == pytest.approx(1.0, abs=0.01)
+    assert found.by_sum[2] == pytest.approx(0.5, abs=0.01)
+    assert found.singular_values[2] > 100
+    assert found.singular_values[3] < 1e-13 * found.singular_values[0]
+    assert "eq. 16, 25-26" in found.because
+    assert plain.separation.way("uniform").stderr is None
+    assert set(plain.separation.way("uniform").each) == {None}
+
+
+def test_the_proof_does_not_hold_for_others():
+    split = Split(LAW, TRUE, FREE, ("mu1_xi", "mu2_xi"))
+    roots = [root_of([Trial(2.0, 1.5, 10.0, STONE)])]
+    found = proof(split, STONE, roots)
+    assert not found.hidden
+    assert found.because == ""
+    assert max(found.by_difference) > 0.1
+
+
+def test_the_consistent_load_feels_the_split():
+    def force(split, load):
+        law = LAW(mu1_eta=split[0], mu2_eta=split[1])
+        return np.array(accelerations(law, STONE, load, np.array(2.0), np.array(1.5)))
+
+    changed = [
+        force((0.012, 0.006), load) - force((0.006, 0.012), load)
+        for load in ("uniform", "consistent")
+    ]
+    assert np.abs(changed[0]).max() < 1e-15
+    # 0.7 % of the braking, as a dense ring in numpy has it
+    dense = [
+        Reference(front_back(0.005, 0.05, *split), STONE.R, STONE.rho, STONE.h).force(
+            2.0, STONE.R * 1.5
+        )
+        for split in ((0.012, 0.006), (0.006, 0.012))
+    ]
+    assert changed[1][1] == pytest.approx(9.81 * (dense[0] - dense[1])[1], rel=1e-6)
+    assert abs(changed[1][1]) > 1e-4
+
+
+def test_under_consistent_load_they_separate(plain):
+    found = plain.separation
+    assert found.pair == ("mu1_eta", "mu2_eta")
+    assert (found.of, found.size) == ("mean", 0.009)
+    way = found.way("consistent")
+    by_start = {
+        (c.v0, c.omega0): stderr for c, stderr in zip(plain.candidates, way.each, strict=True)
+    }
+    # the more spin the more it tells, by far
+    for v0 in (1.6, 1.9, 2.2):
+        errors = [by_start[v0, spin] for spin in (0.5, 1.0, 2.0, 5.0, 10.0)]
+        assert errors == sorted(errors, reverse=True)
+        assert errors[0] > 400 * errors[-1]
+    assert way.stderr < min(way.each) / np.sqrt(3)  # no worse than three of the best
+    made = [plain.candidates[place] for place in way.throws]
+    root = root_of([Trial(c.v0, c.omega0, c.rate, STONE) for c in made], "consistent")
+    assert way.stderr == pytest.approx(error_of(root, DIFFERENCE), rel=1e-6)
+
+
+def test_with_the_noise_that_is_asked_for_the_error_is_the_one_wanted(plain):
+    way = plain.separation.way("consistent")
+    place = [(c.v0, c.omega0) for c in plain.candidates].index((2.2, 1.0))
+    factor = plain.separation.noise_factor(way.each[place])
+    assert 1e-4 < factor < 1e-2  # some micrometres
+    trial = Trial(2.2, 1.0, 30.0, STONE)
+    sigma = {name: factor * value for name, value in NOISE.items()}
+    finer = error_of(root_of([trial], "consistent", sigma=sigma), DIFFERENCE)
+    assert finer == pytest.approx(0.2 * 0.009, rel=1e-9)
+    needed = plain.separation.throws_needed(way.each[place], 1)
+    assert way.each[place] / np.sqrt(needed) == pytest.approx(0.2 * 0.009, rel=1e-9)
+
+
+def test_half_of_the_throws_with_another_stone(plain):
+    ordinary = plain.candidates[plain.separation.ordinary]
+    assert (ordinary.v0, ordinary.omega0) == (1.9, 1.0)
+    for change in plain.separation.changes:
+        stones = [STONE, STONE.with_values({change.name: change.value})]
+        # two of these throws, of which the three planned are one and a half times as many
+        trials = [Trial(1.9, 1.0, 30.0, stone) for stone in stones]
+        expected = error_of(root_of(trials, "consistent"), DIFFERENCE) / np.sqrt(1.5)
+        assert change.half == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_two_stones_of_different_height_tell_what_a_joint_fit_of_them_says(plain):
+    found = plain.separation
+    ordinary = plain.candidates[found.ordinary]
+    change = next(one for one in found.changes if (one.name, one.value) == ("h", 0.114))
+    stones = [STONE, STONE.with_values({"h": 0.114})]
+    throws = [
+        throw_of(ordinary.v0, ordinary.omega0, stone, "consistent", 3 + place, ordinary.last, 30.0)
+        for place, stone in enumerate(stones)
+    ]
+    joint = curlfit.fit_together(throws, load="consistent")
+    assert joint.converged
+    # the sum being known a hundred times better, either is off by half of the difference
+    alone = joint.coefficients["mu1_eta"].stderr * 2 * np.sqrt(2 / 3)
+    assert change.half == pytest.approx(alone, rel=0.03)
+    plain_way = found.way("consistent").each[found.ordinary]
+    assert change.half < plain_way / np.sqrt(3) / 1000
+
+
+def test_ice_that_changes_between_the_stones_passes_for_a_difference(plain):
+    found = plain.separation
+    change = next(one for one in found.changes if (one.name, one.value) == ("h", 0.114))
+    # Braking as each stone has it, of the sum alone and of the difference alone.
+    force = {}
+    for h in (0.057, 0.114):
+        for split in ((0.009, 0.009), (0.0099, 0.0081), (0.00909, 0.00909)):
+            law = LAW(mu1_eta=split[0], mu2_eta=split[1])
+            stone = STONE.with_values({"h": h})
+            force[h, split] = float(
+                accelerations(law, stone, "consistent", np.array(1.0), np.array(1e-3)).eta
+            )
+    by_difference = [
+        (force[h, (0.0099, 0.0081)] - force[h, (0.009, 0.009)]) / force[h, (0.009, 0.009)]
+        for h in (0.057, 0.114)
+    ]
+    assert change.steady == pytest.approx(abs(by_difference[1] - by_difference[0]), rel=0.05)
+
+
+# Record, text and pictures.
+
+
+def test_a_saved_design_is_the_same(plain, tmp_path):
+    plain.save(tmp_path / "design.json")
+    again = curlfit.load_design(tmp_path)
+    assert again == plain
+    assert json.loads((tmp_path / "design.json").read_text())["schema"] == 1
+    (tmp_path / "design.json").write_text('{"schema": 1}')
+    with pytest.raises(curlfit.DataError, match=r"not a complete design\.json"):
+        curlfit.load_design(tmp_path)
+
+
+def test_the_command(tmp_path):
+    run = command(
+        "design", "--v0", "2.0", "--omega0=-1,5", "--throws", "2", "--rate", "10,20",
+        "--sigma-phi", "0.5deg", "--stone", "h=0.1", "--until", "15", cwd=tmp_path,
+    )  # fmt: skip
+    assert (run.returncode, run.stderr) == (0, "")
+    text = " ".join(run.stdout.split())
+    for words in (
+        "2 throws would tell, 4 to choose from", "10, 20 Hz for 15 s",
+        "5 mm in x and y, 8.7 mrad in phi",
+        "h = 0.1 m", "2 x (2 m/s, 5 rad/s, 20 Hz)", "3 of 4 directions",
+        "no throw can tell them apart", "Why (eq. 16, 25-26)", "the last is rounding",
+        "the highest rate is chosen", "of 4 records 4 end at 15 s",
+    ):  # fmt: skip
+        assert words in text, words
+    folder = tmp_path / "design"
+    files = ["design-errors.png", "design-map.png", "design-separate.png", "design.json"]
+    assert sorted(file.name for file in folder.iterdir()) == files
+    shown = CliRunner().invoke(app, ["show", str(folder)])
+    assert shown.output == run.stdout[: run.stdout.index("Written:")]
+    assert CliRunner().invoke(app, ["plot", str(folder), "--format", "svg"]).exit_code == 0
+    assert (folder / "design-map.svg").stat().st_size > 10_000
+
+
+def test_a_fit_is_what_is_taken_to_be_true(eq12_fit, tmp_path):
+    eq12_fit.save(tmp_path / "fit.json")
+    words = [
+        "design", "--fit", str(tmp_path), "--v0", "2", "--omega0", "1", "--throws", "1", "--set",
+        "mu1_xi=0.001", "--no-figures", "-q", "--out", str(tmp_path / "d"),
+    ]  # fmt: skip
+    assert CliRunner().invoke(app, words).exit_code == 0
+    found = curlfit.load_design(tmp_path / "d")
+    assert found.stone == eq12_fit.stone
+    fitted = {name: item.value for name, item in eq12_fit.coefficients.items()}
+    assert found.coefficients == fitted | {"mu1_xi": 0.001}
+    assert [file.name for file in (tmp_path / "d").iterdir()] == ["design.json"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--law", "glue"], "unknown law 'glue'"),
+        (["--set", "mu=1"], "no coefficient 'mu'"),
+        (["--v0", "fast"], "--v0 fast: expected numbers with commas between"),
+        (["--v0", "2,-1"], "v0 = 2,-1: expected positive numbers"),
+        (["--rate", "0"], "rate = 0: expected positive numbers"),
+        (["--rate", "1e6"], "rows; expected 2 to"),
+        (["--until", "-3"], "until = -3: expected a positive number"),
+        (["--until", "0.01"], "make 1 rows"),
+        (["--throws", "0"], "throws = 0: expected a whole number"),
+        (["--sigma-xy", "5 parsecs"], "--sigma-xy 5 parsecs: x in 'parsecs': unknown unit"),
+        (["--sigma-xy", "tiny"], "--sigma-xy tiny: expected a number"),
+        (["--sigma-xy=-1mm"], "sigma of x = -0.001: expected a positive number"),
+        (["--sigma-xy", "none", "--sigma-phi", "none"], "nothing is measured"),
+        (["--separate", "mu1_eta"], "expected two different coefficients"),
+        (["--separate", "mu1_eta,mu9"], "no free coefficient 'mu9'"),
+        (["--separate", "mu1_eta,mu2_eta", "--set", "mu1_eta=0,mu2_eta=0"], "both zero"),
+        (["--relative-error", "0"], "relative error = 0: expected a positive number"),
+        (["--load", "heavy"], "unknown load 'heavy'"),
+        (
+            ["--set", "mu1_xi=0,mu2_xi=0,mu1_eta=5e-5,mu2_eta=5e-5"],
+            "does not come to rest within 120 s",
+        ),
+        (["--fit", "nowhere"], "no such file"),
+        (["--fit", "x", "--law", "coulomb"], "expected one of them"),
+        (["--v0", ",".join(["2"] * 101)], "expected at most 500"),
+    ],
+)
+def test_refusals(words, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = CliRunner().invoke(app, ["design", *words])
+    assert isinstance(found.exception, InputError), found.output
+    assert found.exception.exit_status == 2
+    assert said in str(found.exception)
+    assert found.output == ""
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_refusal_is_one_sentence(tmp_path):
+    run = command("design", "--v0", "-2", cwd=tmp_path)
+    assert (run.returncode, run.stdout) == (2, "")
+    assert run.stderr == "curlfit: v0 = -2: expected positive numbers\n"
+
+
+# Long runs.
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["coulomb", "tensor", "radial", "semi-empirical"])
+def test_other_laws_expect_what_their_fits_report(name):
+    law = LAWS[name]
+    throw = curlfit.synthetic_throw(law(), STONE, v0=2.0, omega0=1.5, until=15.0, dt=0.1)
+    fit = reported(curlfit.fit(throw.with_sigma(NOISE), law))
+    found = design(name, v0=[2.0], omega0=[1.5], rate=10, until=15.0, throws=1)
+    expected = {key: one for key, one in found.best["D"].stderr.items() if one is not None}
+    assert expected == pytest.approx({key: fit[key] for key in expected}, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_fits_of_many_throws_scatter_as_expected(single):
+    count = 100
+    throws = [throw_of(2.0, 1.5, seed=place + 1) for place in range(count)]
+    fits = fit_throws(throws, Plan())
+    for name in ("mu1_xi", "mu2_xi", SUM):
+        values = [
+            fit.combinations[0].value if name == SUM else fit.coefficients[name].value
+            for fit in fits
+        ]
+        expected = single.best["D"].stderr[name]
+        # the scatter of 100 is known to 7 %, its mean to a tenth of it
+        assert np.std(values, ddof=1) == pytest.approx(expected, rel=0.25)
+        true = 0.018 if name == SUM else getattr(LAW(), name)
+        assert abs(np.mean(values) - true) < 4 * expected / np.sqrt(count)
