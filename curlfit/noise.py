@@ -16,7 +16,7 @@ Three models, by channel:
 Sizes, and the memory of "ar1", are those of greatest restricted likelihood (Patterson and Thompson
 1971) of the residuals of a fit with white noise: that of what no change of the parameters can make,
 since the fit has hidden the rest. How the channels' sizes compare is taken from those residuals and
-held: else one channel would be fitted perfectly, and taken to be exact, while the others pay for it.
+held: else one channel would be fitted perfectly and taken to be exact, and the others pay for it.
 """
 
 from __future__ import annotations
