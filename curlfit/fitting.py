@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.errors import InputError, UnusableFitError
+from curlfit.errors import UnusableFitError
 from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, frame_of, problem_of, raw_residuals
 from curlfit.losses import robust_sigma
@@ -121,8 +121,6 @@ def fit(
         noise, throw, solution.residual[:, :n], solution.jacobian[:, :n, parameters.free],
         problem.weight[:, :n], span,
     )  # fmt: skip
-    if not (shown.memory or shown.sizes or sizes):
-        raise InputError(f"{throw.name}: too few values to tell how noise goes together")
     sigma = {name: sizes.get(name, value) + SIGMA_FLOOR for name, value in sigma.items()}
     problem = problem_of(throw, stone, frame, sigma, noise=shown)
     solution = descend(law, load, solution.values, local, problem) or solution

@@ -112,6 +112,10 @@ def fitted_noise(
     -------
     the noise, and by channel its sigma (for "gp" that of the independent part); a channel whose
     sigma was given, or of few values, keeps its own and is not named.
+
+    Raises
+    ------
+    InputError : all channels are of few values.
     """
     left, singular, _ = np.linalg.svd(jacobian.reshape(-1, jacobian.shape[-1]), full_matrices=False)
     basis = left[:, singular > 1e-9 * singular[0]].reshape(*residual.shape, -1)
@@ -121,7 +125,7 @@ def fitted_noise(
         if (weight[row] > 0).sum() >= _FEWEST
     ]
     if not channels:
-        return Noise(kind), {}
+        raise InputError(f"{throw.name}: too few values to tell how noise goes together")
     found = _forgetful(channels, span) if kind == "ar1" else _smooth(channels, span)
     sigma, more = {}, {}
     for item, (own, other) in zip(channels, found, strict=True):
@@ -183,14 +187,13 @@ class _Channel(NamedTuple):
         spread = len(white) / 2 * math.log(variance * self.block)
         return white, spread + float(np.log(left).sum())
 
-    def smooth(self, variance: float, size: float, span: float) -> tuple[Floats, float]:
-        """The same with "gp" noise; `size` is over the independent part."""
+    def turned(self, span: float) -> tuple[Floats, Floats]:
+        """Residuals and basis along the axes of "gp" noise, and the squares of a discrepancy of
+        unit size along these."""
         t = np.minimum(self.t, span)
-        wave = size**2 * self.block * matern(t[:, None] - t, span)
-        together = np.eye(len(self.t)) + self.uneven[:, None] * wave * self.uneven
-        lower = np.linalg.cholesky(variance * together)
-        white = np.linalg.solve(lower, self.both)
-        return white, float(np.log(np.diag(lower)).sum())
+        wave = self.block * matern(t[:, None] - t, span)
+        squares, axes = np.linalg.eigh(self.uneven[:, None] * wave * self.uneven)
+        return axes.T @ self.both, np.maximum(squares, 0.0)
 
 
 def _forgetful(channels: list[_Channel], span: float) -> list[tuple[float, float]]:
@@ -216,6 +219,7 @@ def _smooth(channels: list[_Channel], span: float) -> list[tuple[float, float]]:
     all discrepancies, and one for all sigmas not given."""
     steady = [item.independent() for item in channels]
     pairs = list(zip(channels, steady, strict=True))
+    turned = [item.turned(span) for item in channels]
     excess = [math.sqrt(max(item.squares / own - 1, 0.0)) for item, own in pairs]
 
     def parts(logs: Floats) -> list[tuple[float, float]]:
@@ -226,8 +230,11 @@ def _smooth(channels: list[_Channel], span: float) -> list[tuple[float, float]]:
         ]
 
     def roots(logs: Floats) -> list[tuple[Floats, float]]:
-        pairs = zip(channels, parts(logs), strict=True)
-        return [item.smooth(sigma**2, size, span) for item, (sigma, size) in pairs]
+        found = []
+        for (both, squares), (sigma, size) in zip(turned, parts(logs), strict=True):
+            spread = sigma * np.sqrt(1 + size**2 * squares)
+            found.append((both / spread[:, None], float(np.log(spread).sum())))
+        return found
 
     return parts(_likeliest(roots, [[0.0, 0.0], [0.0, 3.0]]))
 

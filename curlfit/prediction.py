@@ -334,6 +334,11 @@ def predict(
     wanted.require(fit, check)
     if not fit.converged:
         raise UnusableFitError(f"nothing can be foretold from this fit: {fit.status}")
+    if fit.noise.kind != "white":
+        raise InputError(
+            f"noise {fit.noise.kind}: a prediction carries what the law misses by itself; make it "
+            "from a fit with white noise"
+        )
     if draws < 100:
         raise InputError(f"{draws} draws: expected at least 100")
     random = np.random.default_rng(seed)
