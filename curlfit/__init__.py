@@ -25,16 +25,20 @@ if TYPE_CHECKING:
     from curlfit.errors import CurlfitError, DataError, InputError, UnusableFitError
     from curlfit.figures import comparison_figure, corner_figure, fit_figure, joint_figure
     from curlfit.figures_prediction import prediction_figure
+    from curlfit.figures_profile import profile_figure
     from curlfit.fitting import fit
     from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, coefficient, find_law
     from curlfit.joint import JointResult, fit_together, load_joint
     from curlfit.motion import Path, Start, simulate
     from curlfit.prediction import Prediction, held_out, load_prediction, predict
+    from curlfit.profiles import PairProfile, Profile, load_profile
+    from curlfit.profiling import profile
     from curlfit.readers import load_throw
     from curlfit.report import print_fit
     from curlfit.report_comparison import print_comparison
     from curlfit.report_joint import print_joint
     from curlfit.report_prediction import print_prediction
+    from curlfit.report_profile import print_profile
     from curlfit.results import FitResult, Posterior, load_fit
     from curlfit.sampling import sample
     from curlfit.stone import Stone
@@ -51,16 +55,20 @@ _HOMES = {
     "errors": ("CurlfitError", "DataError", "InputError", "UnusableFitError"),
     "figures": ("comparison_figure", "corner_figure", "fit_figure", "joint_figure"),
     "figures_prediction": ("prediction_figure",),
+    "figures_profile": ("profile_figure",),
     "fitting": ("fit",),
     "friction": ("LAWS", "Law", "LocalLaw", "NetLaw", "coefficient", "find_law"),
     "joint": ("JointResult", "fit_together", "load_joint"),
     "motion": ("Path", "Start", "simulate"),
     "prediction": ("Prediction", "held_out", "load_prediction", "predict"),
+    "profiles": ("PairProfile", "Profile", "load_profile"),
+    "profiling": ("profile",),
     "readers": ("load_throw",),
     "report": ("print_fit",),
     "report_comparison": ("print_comparison",),
     "report_joint": ("print_joint",),
     "report_prediction": ("print_prediction",),
+    "report_profile": ("print_profile",),
     "results": ("FitResult", "Posterior", "load_fit"),
     "sampling": ("sample",),
     "stone": ("Stone",),
@@ -76,6 +84,7 @@ __all__ = [  # noqa: RUF022  (in the order of use)
     "compare", "Comparison", "print_comparison", "comparison_figure", "load_comparison",
     "predict", "Prediction", "print_prediction", "prediction_figure", "load_prediction",
     "held_out", "aim", "Aim",
+    "profile", "Profile", "PairProfile", "print_profile", "profile_figure", "load_profile",
     "Stone", "Start", "Path", "simulate", "synthetic_throw",
     "reproduce", "Reproduction", "Claim",
     "LAWS", "law_with", "find_law", "Law", "LocalLaw", "NetLaw", "coefficient",
