@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _PROFILE = "#1b2a49"
 _COVARIANCE = "#e07a1f"
 _POSTERIOR = "#7b5ea7"
+_SAMPLES = "#3d0c45"
 _REGIONS = ("#5f8fc4", "#bcd3ea")
 _HIGH, _LOW = 10.0, 5.5  # tops of the axis: of a profile that is limited, and of one that is not
 _MOVES = 0.05  # standard errors, below which another parameter does not follow
@@ -59,8 +60,8 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
     for level in LEVELS:
         axes.axhline(level.rise, color="0.6", lw=0.8, ls=":")
         axes.annotate(
-            level.name, (1.0, level.rise), xycoords=("axes fraction", "data"), xytext=(-4, 2),
-            textcoords="offset points", ha="right", fontsize=8, color="0.4",
+            level.name, (1.0, level.rise), xycoords=("axes fraction", "data"), xytext=(4, 0),
+            textcoords="offset points", va="center", fontsize=8, color="0.4",
         )  # fmt: skip
     if limited:
         for interval, alpha in zip(profile.intervals, (0.16, 0.08), strict=True):
@@ -82,8 +83,13 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
     axes.plot(
         profile.best, 0, "v", color=_PROFILE, markersize=7, zorder=5, clip_on=False, mec="white"
     )
-    axes.set_ylim(-0.04 * top, top)
+    lowest = -0.04 * top
+    if profile.posterior is not None:
+        lower = profile.posterior["height"] - profile.posterior["error"]
+        lowest = max(-1.0, min(lowest, float(lower.min()) - 0.1))
+    axes.set_ylim(lowest, top)
     axes.set_xlim(*_span(profile))
+    axes.locator_params(axis="x", nbins=7)
     axes.set_ylabel(r"$\Delta\chi^2$, all others fitted again")
     axes.legend(frameon=False, fontsize=9, loc="upper center")
     if not limited:
@@ -118,7 +124,9 @@ def _say(profile: Profile, axes: Any) -> None:
 
 def _others(profile: Profile, axes: Any) -> None:
     """How the others follow: in standard errors; those without one, by their values."""
-    shown = np.isfinite(profile.delta) & (profile.delta < (_HIGH + 2))
+    shown = np.isfinite(profile.delta) & (profile.delta < _HIGH + 2)
+    if profile.verdict != "limited":  # beyond, it is a bound that moves them
+        shown &= (profile.at >= profile.free[0]) & (profile.at <= profile.free[1])
     moves, values = {}, {}
     partners = {name for item in profile.combinations for name in item.weights}
     for name, series in profile.others.items():
@@ -153,11 +161,11 @@ def _others(profile: Profile, axes: Any) -> None:
         right.margins(y=0.1)
     if not moves:
         axes.set_ylim(-1, 1)
-        if not values:
-            axes.text(
-                0.5, 0.6, f"no other parameter moves by more than {_MOVES:g} standard errors",
-                transform=axes.transAxes, ha="center", fontsize=9, color="0.4",
-            )  # fmt: skip
+        axes.text(
+            0.02, 0.05, f"none of the {'others' if values else 'parameters'} moves by more than "
+            f"{_MOVES:g} standard errors",
+            transform=axes.transAxes, fontsize=9, color="0.4",
+        )  # fmt: skip
     if lines:
         axes.get_figure().legend(
             lines, [line.get_label() for line in lines], loc="outside lower center", frameon=False,
@@ -223,7 +231,7 @@ def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
     if len(profile.samples):
         a, b = profile.samples.T
         axes.plot(
-            a, b - below(a), ".", color=_POSTERIOR, markersize=1.8, alpha=0.5, zorder=2,
+            a, b - below(a), ".", color=_SAMPLES, markersize=2.2, alpha=0.45, zorder=2,
             label="posterior",
         )  # fmt: skip
     at, valley = profile.each[0].at, profile.valley
@@ -239,7 +247,7 @@ def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
             a, b = np.array(profile.best)[:, None] + np.sqrt(edge) * (root @ circle)
             axes.plot(
                 a, b - below(a), "--", color=_COVARIANCE, lw=1.3, zorder=5,
-                label=None if place else "covariance",
+                label=None if place else "covariance, the same",
             )  # fmt: skip
     a, b = np.array(profile.best)
     axes.plot(a, b - below(np.array(a)), "+", color="black", markersize=10, mew=1.6, zorder=6)

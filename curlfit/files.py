@@ -86,7 +86,8 @@ def read_json(file: Path, schema: int, migrations: Mapping[int, Migration]) -> d
     DataError : the file is not there, is not such a record, or is of a schema that cannot be read.
     """
     kind = next(
-        (f"{name}.json" for name in ("compare", "predict") if name in file.name), "fit.json"
+        (f"{name}.json" for name in ("compare", "predict", "profile") if name in file.name),
+        "fit.json",
     )
     try:
         found = json.loads(file.read_text(encoding="utf-8"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from os import PathLike
 from pathlib import Path
@@ -12,15 +12,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.errors import DataError
+from curlfit.errors import DataError, InputError
 from curlfit.files import Migration, known, read_json, strict, write_json
 from curlfit.identifiability import Combination
+from curlfit.parameters import ParameterSet
 from curlfit.results import Estimate
 
 Floats = NDArray[np.float64]
 
 SCHEMA = 1
 MIGRATIONS: dict[int, Migration] = {}
+
+
+_FEWEST, _MOST = 5, 2001  # places along a parameter
 
 
 class Level(NamedTuple):
@@ -290,6 +294,49 @@ def load_profile(file: str | PathLike[str]) -> Profile | PairProfile:
         raise DataError(
             f"not a complete profile.json of curlfit ({type(error).__name__}: {error})", file=path
         ) from None
+
+
+def require_usable(
+    parameters: ParameterSet,
+    names: Sequence[str],
+    points: int | None,
+    ranges: Mapping[str, tuple[float, float]],
+    best: Mapping[str, float] | None = None,
+) -> None:
+    """Raise `InputError` where names, points and ranges cannot be had of these parameters.
+
+    `best` are the fitted values, where they are known; a range has to hold them.
+    """
+    if not 1 <= len(names) <= 2:
+        raise InputError(f"--param: {len(names)} names; expected one or two")
+    parameters.require("--param", names)
+    for name in names:
+        if name in parameters.fixed:
+            raise InputError(
+                f"--param {name}: it is fixed at {parameters.fixed[name]:g}; expected one that is "
+                "fitted"
+            )
+    if len(set(names)) < len(names):
+        raise InputError(f"--param {names[0]} is given twice")
+    if points is not None and not _FEWEST <= points <= _MOST:
+        raise InputError(f"--points {points}: expected {_FEWEST} to {_MOST}")
+    if len(parameters.fixed) + len(names) == len(parameters):
+        raise InputError("nothing else is left to fit; free another parameter")
+    for name, (low, high) in ranges.items():
+        if name not in names:
+            raise InputError(f"--range of {name}: expected one of {', '.join(names)}")
+        item = parameters.parameters[parameters.index(name)]
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise InputError(f"--range {low:g},{high:g} of {name} is empty; expected LOW,HIGH")
+        if low < item.lower or high > item.upper:
+            raise InputError(
+                f"--range {low:g},{high:g} of {name} leaves its bounds "
+                f"{item.lower:g}:{item.upper:g}; --bound moves them"
+            )
+        if best is not None and not low <= best[name] <= high:
+            raise InputError(
+                f"--range {low:g},{high:g} of {name} leaves out the best estimate, {best[name]:.6g}"
+            )
 
 
 def array(found: Any) -> Floats:

@@ -21,8 +21,7 @@ from scipy.optimize import brentq
 from curlfit.chain import Chain
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.fitting import fit as least_squares
-from curlfit.parameters import ParameterSet
-from curlfit.profiles import LEVELS, Interval, PairProfile, Profile
+from curlfit.profiles import LEVELS, Interval, PairProfile, Profile, require_usable
 from curlfit.refitting import Held, Place, Point, Progress, Refit
 from curlfit.results import FitResult
 from curlfit.throw import Throw
@@ -31,7 +30,6 @@ Floats = NDArray[np.float64]
 
 POINTS = 41
 POINTS_OF_PAIR = 25
-_FEWEST, _MOST = 5, 2001
 _REACH = 4.0  # standard errors to either side
 _HIGH = 9.0  # rise of chi squared at the ends of a range that is searched for
 _FIRST, _LAST = 1e-3, 30.0  # typical sizes at which that search begins, and ends without a bound
@@ -91,8 +89,10 @@ def profile(
         fit = subject
         if choices:
             raise InputError(f"{', '.join(choices)}: a fit has its own; give a throw to fit anew")
-    count = points or (POINTS if len(wanted) == 1 else POINTS_OF_PAIR)
-    require_usable(fit.parameter_set, wanted, count, ranges or {})
+    require_usable(
+        fit.parameter_set, wanted, points, ranges or {}, fit.parameter_set.values_of(fit.values)
+    )
+    count = (POINTS, POINTS_OF_PAIR)[len(wanted) - 1] if points is None else points
     if not fit.converged:
         raise UnusableFitError(f"the fit is not usable: {fit.status}")
     if chain is not None and chain.names != fit.parameter_set.names:
@@ -104,41 +104,6 @@ def profile(
         if not refit.improved():
             break
     return found[0] if pair is None else pair
-
-
-def require_usable(
-    parameters: ParameterSet,
-    names: Sequence[str],
-    points: int,
-    ranges: Mapping[str, tuple[float, float]],
-) -> None:
-    """Raise `InputError` where names, points and ranges cannot be had of these parameters."""
-    if not 1 <= len(names) <= 2:
-        raise InputError(f"--param: {len(names)} names; expected one or two")
-    parameters.require("--param", names)
-    for name in names:
-        if name in parameters.fixed:
-            raise InputError(
-                f"--param {name}: it is fixed at {parameters.fixed[name]:g}; expected one that is "
-                "fitted"
-            )
-    if len(set(names)) < len(names):
-        raise InputError(f"--param {names[0]} is given twice")
-    if not _FEWEST <= points <= _MOST:
-        raise InputError(f"--points {points}: expected {_FEWEST} to {_MOST}")
-    if len(parameters.fixed) + len(names) == len(parameters):
-        raise InputError("nothing else is left to fit; free another parameter")
-    for name, (low, high) in ranges.items():
-        if name not in names:
-            raise InputError(f"--range of {name}: expected one of {', '.join(names)}")
-        item = parameters.parameters[parameters.index(name)]
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise InputError(f"--range {low:g},{high:g} of {name} is empty; expected LOW,HIGH")
-        if low < item.lower or high > item.upper:
-            raise InputError(
-                f"--range {low:g},{high:g} of {name} leaves its bounds "
-                f"{item.lower:g}:{item.upper:g}; --bound moves them"
-            )
 
 
 def _one(
@@ -156,12 +121,7 @@ def _one(
     if chosen is None:
         low, high = _range(held, name)
     else:
-        low, high = chosen[0] - offset, chosen[1] - offset
-        if not low <= best <= high:
-            raise InputError(
-                f"--range {chosen[0]:g},{chosen[1]:g} of {name} leaves out the best estimate, "
-                f"{best + offset:.6g}"
-            )
+        low, high = min(chosen[0] - offset, best), max(chosen[1] - offset, best)
     line = np.unique([*np.linspace(low, high, points), best])
     held.reach(line[:, None])
     held.settle(_in_turn(line))
@@ -412,8 +372,16 @@ def _two(
     stiff = float(refit.response(names)[1][1])
     typical = fit.parameters[other.name].typical
     across = 1 / stiff if stiff * typical > _UNSEEN else None
-    low, high = one.at[0] - offset[0], one.at[-1] - offset[0]
-    first = np.unique([*np.linspace(low, high, points), one.best - offset[0]])
+    bounds = refit.parameters.lower[index[1]], refit.parameters.upper[index[1]]
+    edges = (
+        []
+        if across is None
+        else [
+            bound + sense * _REACH * across + offset[1]
+            for bound, sense in zip(bounds, (1, -1), strict=True)
+        ]
+    )
+    first = _columns(one, other.name, edges, points) - offset[0]
     if across is None or other.name in (ranges or {}):
         ends = other.at[0] - offset[1], other.at[-1] - offset[1]
         second = np.tile(np.linspace(*ends, points), (len(first), 1))
@@ -422,7 +390,6 @@ def _two(
         valley = np.interp(first + offset[0], one.at[seen], one.others[other.name][seen])
         steps = across * np.linspace(-_REACH, _REACH, points | 1)
         second = valley[:, None] - offset[1] + steps
-    bounds = refit.parameters.lower[index[1]], refit.parameters.upper[index[1]]
     grid = np.stack([np.broadcast_to(first[:, None], second.shape), second], -1)
     usable = (second >= bounds[0]) & (second <= bounds[1])
     held.reach(grid[usable])
@@ -463,6 +430,24 @@ def _two(
         samples=samples,
         warnings=one.warnings,
     )
+
+
+def _columns(one: Profile, other: str, edges: Sequence[float], points: int) -> Floats:
+    """Values of the first of two parameters, evenly; of a flat one, more at the end of its valley.
+
+    There the region is cut by the bound of the second, which it begins to be at `edges`.
+    """
+    if one.verdict == "limited":
+        return np.unique([*np.linspace(one.at[0], one.at[-1], points), one.best])
+    free = (one.at >= one.free[0]) & (one.at <= one.free[1])
+    at, way = one.at[free], one.others[other][free]
+    order = np.argsort(way)
+    cut = [
+        float(np.interp(edge, way[order], at[order]))
+        for edge in edges
+        if way.min() < edge < way.max()
+    ]
+    return np.unique([*np.linspace(*one.free, points), one.best, *cut, *one.at[~free]])
 
 
 def _beside(grid: Floats, usable: NDArray[np.bool_]) -> list[tuple[Point, Point]]:
