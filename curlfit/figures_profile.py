@@ -108,7 +108,7 @@ def _say(profile: Profile, axes: Any) -> None:
     low, high = profile.free
     rise = f"{profile.rise:.1g}" if profile.rise < 1e-3 else f"{profile.rise:.2g}"
     axes.text(
-        0.04, 0.93, rf"$\Delta\chi^2 \leq$ {rise} over {low:.4g} .. {high:.4g}",
+        0.04, 0.93, rf"$\Delta\chi^2 \leq$ {rise} over {low:.5g} .. {high:.5g}",
         transform=axes.transAxes, fontsize=10, va="top", color=_PROFILE,
     )  # fmt: skip
     if profile.verdict != "hardly" or profile.rise > 0.5:

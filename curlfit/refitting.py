@@ -159,6 +159,7 @@ class Held:
         best = refit.place(names, refit.solution)
         self.best = best
         self.known: dict[Point, Place | None] = {tuple(best.held): best}
+        self._tried: set[tuple[Point, Point, float]] = set()
         self._scale = np.array([refit.fit.parameters[name].typical for name in names])
 
     def reach(self, points: Floats) -> None:
@@ -199,8 +200,15 @@ class Held:
                     tries.append((second, one))
                 if other is not None and (one is None or not self._agree(one, other)):
                     tries.append((first, other))
+            # not twice from the same place
+            tries = [
+                (point, place)
+                for point, place in tries
+                if (point, tuple(place.held), place.chi_squared) not in self._tried
+            ]
             if not tries:
                 return
+            self._tried |= {(point, tuple(place.held), place.chi_squared) for point, place in tries}
             points = np.array([point for point, _ in tries])
             starts = [self._from(place, np.array(point)) for point, place in tries]
             better = False

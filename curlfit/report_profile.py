@@ -51,24 +51,24 @@ def report(profile: Profile | PairProfile) -> RenderableType:
 
 def about(profile: Profile) -> str:
     """That a parameter is not determined, in words, and what it would take."""
-    low, high = (_short(end) for end in profile.free)
+    span = _span(profile, *profile.free)
     name = profile.name
     if profile.verdict == "narrow":
         return (
-            f"The range is too narrow: from {low} to {high} chi squared rises by no more than "
+            f"The range is too narrow: within {span} chi squared rises by no more than "
             f"{profile.rise:.2g}."
         )
     if profile.verdict == "flat":
         same = f"the same to {profile.rise:.0e}" if profile.rise > 0 else "exactly the same"
         text = (
             f"{name} is not determined, its profile is flat: chi squared is {same} over the whole "
-            f"range {low} .. {high}."
+            f"range {span}."
         )
     else:
         times, all_of_it = profile.quieter(1.0), profile.quieter(LEVELS[-1].rise)
         text = (
             f"{name} is hardly determined: chi squared changes by no more than {profile.rise:.2g} "
-            f"over {low} .. {high}. For a limit at 68 % the noise would have to be "
+            f"over {span}. For a limit at 68 % the noise would have to be "
             f"{_times(times)} smaller, or such rows {_times(times**2)} as many; at 95 %, "
             f"{_times(all_of_it)} and {_times(all_of_it**2)}."
         )
@@ -123,7 +123,7 @@ def _heading(profile: Profile | PairProfile) -> RenderableType:
     places = one.at.size if isinstance(profile, Profile) else int(profile.delta.size)
     text.append(f"All other parameters fitted again at {places} values")
     if isinstance(profile, Profile):
-        text.append(f", {_short(one.at[0])} .. {_short(one.at[-1])}")
+        text.append(f", {_span(one, one.at[0], one.at[-1])}")
     return text
 
 
@@ -178,8 +178,7 @@ def _limits(profile: Profile) -> list[str]:
         elif by == "range":
             said.append(f"No {side} limit from these data, as far as {_short(end)}.")
     for names, end, side in zip(profile.stops, profile.free, ("Below", "Above"), strict=True):
-        inside = widest.low <= end <= widest.high
-        if names and inside:
+        if names and profile.free[0] < profile.free[1] and widest.low <= end <= widest.high:
             held = "is at its bound" if len(names) == 1 else "are at their bounds"
             said.append(
                 f"{side} {_short(end)} {listed(list(names))} {held}, which makes the profile "
@@ -256,6 +255,12 @@ def _gaussian(item: Estimate, level: Level, scale: float) -> str:
 
 def _from_to(low: float, high: float, scale: float) -> str:
     return f"{number(low, scale)[0]} .. {number(high, scale)[0]}"
+
+
+def _span(profile: Profile, low: float, high: float) -> str:
+    """Part of the range, to some thousandths of it."""
+    scale = (profile.at[-1] - profile.at[0]) / 50
+    return _from_to(float(low), float(high), scale)
 
 
 def _short(value: float) -> str:
