@@ -89,7 +89,8 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
         lowest = max(-1.0, min(lowest, float(lower.min()) - 0.1))
     axes.set_ylim(lowest, top)
     axes.set_xlim(*_span(profile))
-    axes.locator_params(axis="x", nbins=7)
+    axes.ticklabel_format(axis="x", useOffset=False)
+    axes.locator_params(axis="x", nbins=6)
     axes.set_ylabel(r"$\Delta\chi^2$, all others fitted again")
     axes.legend(frameon=False, fontsize=9, loc="upper center")
     if not limited:
@@ -176,7 +177,8 @@ def _others(profile: Profile, axes: Any) -> None:
 
 def _label(item: Estimate, name: str) -> str:
     unit = "" if item.unit in ("", "1") else f" ({item.unit})"
-    return f"${item.symbol}$, {name}{unit}"
+    own = f"${item.symbol}$" if item.symbol == name else f"${item.symbol}$, {name}"
+    return own + unit
 
 
 def _of_two(profile: PairProfile) -> Figure:

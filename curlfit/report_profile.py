@@ -105,7 +105,7 @@ def about_two(profile: PairProfile) -> str:
     elif profile.each[0].verdict in ("flat", "hardly"):
         text += (
             f" Both lie in a valley, drawn as a line: where {one} is held, {other} is known to "
-            f"{_short(profile.across)}."
+            f"{profile.across:.2g}."
         )
     return text
 
@@ -160,12 +160,12 @@ def _limits(profile: Profile) -> list[str]:
         else:
             said.append(
                 f"Profile and covariance differ, by up to {far:.2g} standard errors: the misfit is "
-                "no parabola there. The profile holds."
+                "not the parabola that the covariance takes it for. Go by the profile."
             )
     else:
         said.append(
             f"The covariance has no standard error for it ({profile.estimate.verdict}); the "
-            "profile holds."
+            "profile needs none."
         )
     widest = profile.intervals[-1]
     for side, end, by in (
@@ -260,7 +260,7 @@ def _from_to(low: float, high: float, scale: float) -> str:
 def _span(profile: Profile, low: float, high: float) -> str:
     """Part of the range, to some thousandths of it."""
     scale = (profile.at[-1] - profile.at[0]) / 50
-    return _from_to(float(low), float(high), scale)
+    return " .. ".join(number(end, scale)[0] if end else "0" for end in (float(low), float(high)))
 
 
 def _short(value: float) -> str:
