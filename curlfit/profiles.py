@@ -202,10 +202,10 @@ class PairProfile:
     names : of the two.
     each : the profiles of either alone. That of the first is the misfit along the bottom of the
         valley, with the way of the second in its `others`.
-    first, second : values of both, shape (n, m).
-    delta : by how much chi squared is above the fit's there; NaN where the second would be outside
-        its bounds, or the law admits no motion.
-    across : standard error of the second while the first is held; None where the data do not tell.
+    first, second : values of both, shape (n, m). Places beyond a bound of the second lie on it.
+    delta : by how much chi squared is above the fit's there; NaN where the law admits no motion.
+    across : standard error of the second while the first is held, at the best fit; None where the
+        data do not tell.
     extent : by level, for each of the two, the interval that the region of that confidence spans.
     covariance : of both, shape (2, 2); None where one of them has no standard error.
     ellipse : the most that `delta` differs from the covariance's ellipse within its 95 %; None

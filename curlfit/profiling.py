@@ -43,6 +43,8 @@ _HARDLY = 1.0  # the same that tells nothing
 _LARGE_PART = 0.5  # of an interval, that is walled in by bounds of other parameters
 _LESS = 1e-3  # fall of chi squared that makes another fit the better one
 _UNSEEN = 1e-3  # slope of the residuals by typical sizes that is none
+_LEAST_STEP, _WIDEST = 0.05, 30.0  # of a valley's width at the best fit: to measure it by, and most
+_WIDER = 1.6  # at a time
 _BINS = 24
 _MOST_SAMPLES = 1500
 
@@ -387,15 +389,14 @@ def _two(
         second = np.tile(np.linspace(*ends, points), (len(first), 1))
     else:
         seen = np.isfinite(one.delta)
-        valley = np.interp(first + offset[0], one.at[seen], one.others[other.name][seen])
-        steps = across * np.linspace(-_REACH, _REACH, points | 1)
-        second = valley[:, None] - offset[1] + steps
+        way = one.others[other.name][seen]
+        valley = np.interp(first + offset[0], one.at[seen], way) - offset[1]
+        second = _across(held, first, valley, across, bounds, points)
+    second = np.clip(second, *bounds)
     grid = np.stack([np.broadcast_to(first[:, None], second.shape), second], -1)
-    usable = (second >= bounds[0]) & (second <= bounds[1])
-    held.reach(grid[usable])
-    held.settle(_beside(grid, usable))
-    delta = np.full(second.shape, np.nan)
-    delta[usable] = [held.delta(point) for point in grid[usable]]
+    held.reach(grid.reshape(-1, 2))
+    held.settle(_beside(grid))
+    delta = np.array([held.delta(point) for point in grid.reshape(-1, 2)]).reshape(second.shape)
     covariance = _covariance(fit, names)
     ellipse = None
     if covariance is not None:
@@ -450,16 +451,41 @@ def _columns(one: Profile, other: str, edges: Sequence[float], points: int) -> F
     return np.unique([*np.linspace(*one.free, points), one.best, *cut, *one.at[~free]])
 
 
-def _beside(grid: Floats, usable: NDArray[np.bool_]) -> list[tuple[Point, Point]]:
+def _across(
+    held: Held, first: Floats, valley: Floats, across: float, bounds: tuple[float, float],
+    points: int,
+) -> Floats:  # fmt: skip
+    """Values of the second about the bottom of the valley, as far as it is wide at each place."""
+    bottom = np.stack([first, valley], -1)
+    steps = np.linspace(-_REACH, _REACH, points | 1)
+    wide = np.full((len(first), 2), across)
+    sides = [np.clip(valley + sense * across, *bounds) for sense in (-1, 1)]
+    held.reach(np.concatenate([bottom, *(np.stack([first, side], -1) for side in sides)]))
+    for column, side in enumerate(sides):
+        for row, value in enumerate(side):
+            away = abs(value - valley[row]) / across
+            rise = held.delta([first[row], value]) - held.delta([first[row], valley[row]])
+            if away > _LEAST_STEP and math.isfinite(rise):
+                wide[row, column] *= away / math.sqrt(max(rise, (away / _WIDEST) ** 2))
+    for _ in range(_ROUNDS):  # where it is no parabola either
+        ends = np.clip(valley[:, None] + _REACH * np.array([-1, 1]) * wide, *bounds)
+        held.reach(np.stack([np.broadcast_to(first[:, None], ends.shape), ends], -1).reshape(-1, 2))
+        above = np.array(
+            [[held.delta([a, b]) for b in row] for a, row in zip(first, ends, strict=True)]
+        )
+        low = (above < _HIGH) & (ends > bounds[0]) & (ends < bounds[1])
+        if not low.any():
+            break
+        wide[low] *= _WIDER
+    return np.asarray(valley[:, None] + steps * np.where(steps < 0, wide[:, :1], wide[:, 1:]))
+
+
+def _beside(grid: Floats) -> list[tuple[Point, Point]]:
     """Pairs of neighbours on a grid, along the columns and from one to the next."""
-    found = []
-    for step in ((1, 0), (0, 1)):
-        rows, columns = np.nonzero(usable[: len(usable) - step[0], : usable.shape[1] - step[1]])
-        for i, j in zip(rows, columns, strict=True):
-            k, m = i + step[0], j + step[1]
-            if usable[k, m]:
-                found.append((tuple(map(float, grid[i, j])), tuple(map(float, grid[k, m]))))
-    return found
+    points = [[(float(a), float(b)) for a, b in row] for row in grid]
+    pairs = [pair for row in points for pair in pairwise(row)]
+    pairs += [pair for column in zip(*points, strict=True) for pair in pairwise(column)]
+    return [(one, other) for one, other in pairs if one != other]
 
 
 def _extent(refit: Refit, profile: Profile, rise: float, level: str) -> Interval:

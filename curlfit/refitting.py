@@ -158,13 +158,17 @@ class Held:
         self._response = refit.response(names)[0]
         best = refit.place(names, refit.solution)
         self.best = best
-        self.known: dict[Point, Place | None] = {tuple(best.held): best}
+        self.known: dict[Point, Place | None] = {tuple(map(float, best.held)): best}
         self._tried: set[tuple[Point, Point, float]] = set()
         self._scale = np.array([refit.fit.parameters[name].typical for name in names])
 
     def reach(self, points: Floats) -> None:
         """Fit at those of the points, shape (n, held), that are not known, from the nearest."""
-        new = [point for point in np.atleast_2d(points) if tuple(point) not in self.known]
+        new = [
+            np.array(point)
+            for point in dict.fromkeys(tuple(map(float, point)) for point in np.atleast_2d(points))
+            if point not in self.known
+        ]
         if not new:
             return
         good = [place for place in self.known.values() if place is not None and place.finished]
@@ -181,11 +185,11 @@ class Held:
         low, high = self.refit.parameters.lower, self.refit.parameters.upper
         return np.clip(place.values + self._response @ (point - place.held), low, high)
 
-    def at(self, point: Sequence[float]) -> Place | None:
+    def at(self, point: Sequence[float] | Floats) -> Place | None:
         """What is known of a point."""
         return self.known[tuple(point)]
 
-    def delta(self, point: Sequence[float]) -> float:
+    def delta(self, point: Sequence[float] | Floats) -> float:
         """By how much chi squared is above the fit's at a known point; NaN without a path."""
         place = self.known[tuple(point)]
         return math.nan if place is None else place.chi_squared - self.refit.chi_squared

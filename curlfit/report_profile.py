@@ -96,9 +96,10 @@ def about_two(profile: PairProfile) -> str:
             f"{profile.ellipse:.1g}."
         )
     else:
+        size = f"up to {profile.ellipse:.2g}" if profile.ellipse < 100 else "more than 100"
         text = (
-            f"The covariance's ellipse does not hold: within its 95 % chi squared differs by up to "
-            f"{profile.ellipse:.2g}; the contours tell."
+            "The covariance's ellipse does not hold: within its 95 % chi squared differs by "
+            f"{size}; the contours tell."
         )
     if profile.across is None:
         text += f" {other} is not determined even where {one} is held."
@@ -152,7 +153,13 @@ def _limits(profile: Profile) -> list[str]:
     apart = profile.departure
     if apart:
         far = max(apart.values())
-        if far <= _AGREE:
+        if profile.loss != "linear":
+            said.append(
+                f"Profile and covariance differ by up to {far:.2g} standard errors: the covariance "
+                "goes by the scatter that was found, the profile by the noise that the loss stands "
+                "for."
+            )
+        elif far <= _AGREE:
             said.append(
                 "Profile and covariance agree: no limit differs by more than "
                 f"{max(far, 0.001):.1g} standard errors."

@@ -69,7 +69,7 @@ def scipy_minimum(fit, held):
     values = fit.values - offset
     for name, value in held.items():
         values[parameters.index(name)] = value - offset[parameters.index(name)]
-    free = np.array([name not in held for name in parameters.names])
+    free = parameters.free & [name not in held for name in parameters.names]
     low, high = ((end - offset)[free] for end in (parameters.lower, parameters.upper))
 
     def residual(some):
@@ -79,7 +79,7 @@ def scipy_minimum(fit, held):
 
     found = least_squares(
         residual, values[free], bounds=(low, high), x_scale=parameters.typical[free] / 100,
-        jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-14,
+        jac="3-point", xtol=1e-12, ftol=1e-12, gtol=1e-12,
     )  # fmt: skip
     return 2 * found.cost
 
@@ -112,6 +112,24 @@ def test_of_two_parameters_too(fit):
     # a region of two spans sqrt(2.30) of what an interval of one does
     one, two = pair.each[1].intervals[0], pair.extent["68 %"][1]
     assert (two.high - two.low) / (one.high - one.low) == pytest.approx(np.sqrt(2.30), rel=0.01)
+
+
+def test_without_an_angle_the_limits_are_far_from_the_covariance_s_and_right():
+    """The spin is then known only by the curl, which is no less than friction can make of it."""
+    throw = thrown()
+    sigma = {name: throw.sigma[name] for name in ("x", "y")}
+    blind = replace(throw, phi=np.full(len(throw), np.nan), sigma=sigma)
+    fit = curlfit.fit(blind)
+    found = curlfit.profile(fit, "omega0", points=9)
+    least = scipy_minimum(fit, {"omega0": float(found.at[-2])})
+    assert found.delta[-2] == pytest.approx(least - found.chi_squared, abs=0.01)
+    assert found.delta[-2] > 3
+    assert max(found.departure.values()) > 0.5
+    assert "Go by the profile" in printed(found)
+    pair = curlfit.profile(fit, ("mu2_xi", "omega0"), points=5)
+    # the whole region of 95 % is on the grid, however bent it is
+    assert (pair.delta[:, [0, -1]] >= 5.99).all()
+    assert pair.ellipse > 1
 
 
 def test_a_parameter_that_only_moves_the_path_has_its_parabola(fit):
