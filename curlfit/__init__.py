@@ -26,18 +26,22 @@ if TYPE_CHECKING:
     from curlfit.figures import comparison_figure, corner_figure, fit_figure, joint_figure
     from curlfit.figures_design import design_figures
     from curlfit.figures_prediction import prediction_figure
+    from curlfit.figures_profile import profile_figure
     from curlfit.fitting import fit
     from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, coefficient, find_law
     from curlfit.joint import JointResult, fit_together, load_joint
     from curlfit.motion import Path, Start, simulate
     from curlfit.planning import Design, design, load_design
     from curlfit.prediction import Prediction, held_out, load_prediction, predict
+    from curlfit.profiles import PairProfile, Profile, load_profile
+    from curlfit.profiling import profile
     from curlfit.readers import load_throw
     from curlfit.report import print_fit
     from curlfit.report_comparison import print_comparison
     from curlfit.report_design import print_design
     from curlfit.report_joint import print_joint
     from curlfit.report_prediction import print_prediction
+    from curlfit.report_profile import print_profile
     from curlfit.results import FitResult, Posterior, load_fit
     from curlfit.sampling import sample
     from curlfit.stone import Stone
@@ -55,18 +59,22 @@ _HOMES = {
     "figures": ("comparison_figure", "corner_figure", "fit_figure", "joint_figure"),
     "figures_design": ("design_figures",),
     "figures_prediction": ("prediction_figure",),
+    "figures_profile": ("profile_figure",),
     "fitting": ("fit",),
     "friction": ("LAWS", "Law", "LocalLaw", "NetLaw", "coefficient", "find_law"),
     "joint": ("JointResult", "fit_together", "load_joint"),
     "motion": ("Path", "Start", "simulate"),
     "planning": ("Design", "design", "load_design"),
     "prediction": ("Prediction", "held_out", "load_prediction", "predict"),
+    "profiles": ("PairProfile", "Profile", "load_profile"),
+    "profiling": ("profile",),
     "readers": ("load_throw",),
     "report": ("print_fit",),
     "report_comparison": ("print_comparison",),
     "report_design": ("print_design",),
     "report_joint": ("print_joint",),
     "report_prediction": ("print_prediction",),
+    "report_profile": ("print_profile",),
     "results": ("FitResult", "Posterior", "load_fit"),
     "sampling": ("sample",),
     "stone": ("Stone",),
@@ -83,6 +91,7 @@ __all__ = [  # noqa: RUF022  (in the order of use)
     "predict", "Prediction", "print_prediction", "prediction_figure", "load_prediction",
     "held_out", "aim", "Aim",
     "design", "Design", "print_design", "design_figures", "load_design",
+    "profile", "Profile", "PairProfile", "print_profile", "profile_figure", "load_profile",
     "Stone", "Start", "Path", "simulate", "synthetic_throw",
     "reproduce", "Reproduction", "Claim",
     "LAWS", "law_with", "find_law", "Law", "LocalLaw", "NetLaw", "coefficient",

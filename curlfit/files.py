@@ -74,6 +74,9 @@ def _clear(folder: Path) -> None:
                 file.unlink()
 
 
+_OTHERS = ("compare", "predict", "profile", "design")  # kinds of records beside fits
+
+
 def read_json(file: Path, schema: int, migrations: Mapping[int, Migration]) -> dict[str, Any]:
     """Read a record that `write_json` wrote, as one of the given schema.
 
@@ -86,7 +89,11 @@ def read_json(file: Path, schema: int, migrations: Mapping[int, Migration]) -> d
     DataError : the file is not there, is not such a record, or is of a schema that cannot be read.
     """
     kind = next(
-        (f"{name}.json" for name in ("compare", "predict", "design") if name in file.name),
+        (
+            f"{name}.json"
+            for name in ("compare", "predict", "profile", "design")
+            if name in file.name
+        ),
         "fit.json",
     )
     try:

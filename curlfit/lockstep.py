@@ -11,11 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Generic, NamedTuple, TypeVar
 
+from curlfit.likelihood import Problem, linearised
+
+# isort: split
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
-from curlfit.likelihood import Problem, linearised
 from curlfit.parameters import ParameterSet
 from curlfit.solving import Solution
 
@@ -122,7 +125,7 @@ def solve_many(
             law,
             load,
             np.stack([lane.trial for lane in full]),
-            Problem(*(_stacked(column) for column in zip(*stack, strict=True))),
+            jax.tree.map(lambda *leaves: np.stack(leaves), *stack),
         )
         residual, jacobian = np.asarray(residual), np.asarray(jacobian)
         left = []
@@ -137,12 +140,3 @@ def solve_many(
             else:
                 left.append(_Lane(following))
         lanes = left
-
-
-def _stacked(column: tuple[Any, ...]) -> Any:
-    """Arrays, or records of arrays, of many problems as one."""
-    if isinstance(column[0], np.ndarray | float | int):
-        return np.stack(column)
-    kind = type(column[0])
-    fields = kind.__dataclass_fields__
-    return kind(*(np.stack([getattr(item, name) for item in column]) for name in fields))

@@ -24,7 +24,7 @@ BASH = [
 # The first is done by .ci/run, in an environment that has nothing yet; the second is running.
 NOT_HERE = ('pip install ".[test]"', "python -m pytest")
 PYTHON = re.findall(r"```python\n(.*?)```", README, re.S)
-FIRST = ("curlfit fit ", "curlfit simulate ", "curlfit batch ", "curlfit predict ")
+FIRST = tuple(f"curlfit {verb} " for verb in ("fit", "simulate", "batch", "predict", "profile"))
 TABLE = re.search(r"A text table with a header:\n\n```text\n(.*?)```", README, re.S)[1]
 INLINE = re.findall(r"`(curlfit(?: [^`]+))`", README)
 
@@ -82,6 +82,7 @@ def shown(command, after):
     ("command", "after"),
     [
         ("curlfit fit data/jensen_shegelski_2004.csv", "The first run on a machine"),
+        ("curlfit profile jensen_shegelski_2004-fit --param mu1_xi", "What the path does not"),
         ("curlfit compare data/jensen_shegelski_2004.csv --load both", "That is the paper's"),
         ("curlfit predict jensen_shegelski_2004-fit --to-tee", "![The path on the sheet"),
         ("curlfit design", "- **Uniform load**"),
@@ -108,8 +109,18 @@ def test_the_commands_write_what_the_readme_says(printed, clone):
     assert {file.name for file in (clone / "jensen_shegelski_2004-predict").iterdir()} == {
         "predict.json", "predict.csv", "predict.png",
     }  # fmt: skip
+    assert {file.name for file in (clone / "jensen_shegelski_2004-profile-mu1_xi").iterdir()} == {
+        "profile.json", "profile.png",
+    }  # fmt: skip
     assert {"claims.json", "claims.md"} < {file.name for file in (clone / "reproduction").iterdir()}
     assert "Posterior: converged" in " ".join(printed[RESUME].split())
+
+
+def test_what_it_would_take_is_printed_as_the_readme_has_it(printed):
+    """The block does not follow its command."""
+    (line,) = [line for line in BASH if "--load consistent --out" in line]
+    (text,) = re.findall(r"```text\n(mu1_eta is hardly.*?)```", README, re.S)
+    assert " ".join(text.split()) in " ".join(printed[line].split())
 
 
 RESUME = next(line for line in BASH if line.endswith("--resume"))
@@ -118,6 +129,7 @@ RESUME = next(line for line in BASH if line.endswith("--resume"))
 @pytest.mark.parametrize("line", sorted(set(INLINE)))
 def test_commands_within_sentences(printed, clone, line):
     folders = [f"jensen_shegelski_2004-{kind}" for kind in ("fit", "compare", "predict")]
+    folders.append("jensen_shegelski_2004-profile-mu1_xi")
     for folder in folders if "DIR" in line else [""]:
         assert typed(re.sub(r"\bDIR\b", folder, line), clone) != ""
 

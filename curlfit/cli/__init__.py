@@ -16,6 +16,7 @@ from curlfit.cli.fit import fit
 from curlfit.cli.laws import laws
 from curlfit.cli.plot import plot
 from curlfit.cli.predict import predict
+from curlfit.cli.profile import profile
 from curlfit.cli.reproduce import reproduce
 from curlfit.cli.show import show
 from curlfit.cli.simulate import simulate
@@ -51,7 +52,9 @@ def _root(
     """
 
 
-for _verb in (check, fit, compare, batch, predict, design, show, plot, simulate, laws, reproduce):
+for _verb in (
+    check, fit, compare, batch, predict, profile, design, show, plot, simulate, laws, reproduce,
+):  # fmt: skip
     app.command()(_verb)
 
 

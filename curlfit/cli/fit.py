@@ -37,32 +37,13 @@ def fit(
             show_default=False,
         ),
     ],
-    law: Annotated[
-        str | None,
-        typer.Option(help="Friction law; `curlfit laws` lists them. [default: front-back]"),
-    ] = None,
-    load: Annotated[
-        str | None,
-        typer.Option(
-            help="How the weight rests on the ring: `uniform`, or `consistent` with the friction "
-            "(eq. 8-9). [default: uniform]"
-        ),
-    ] = None,
+    law: o.Law = None,
+    load: o.LoadName = None,
     until: o.Until = None,
-    fix: Annotated[
-        list[str] | None, typer.Option(help="Hold a parameter at a value.", metavar="NAME=V")
-    ] = None,
-    bound: Annotated[
-        list[str] | None,
-        typer.Option(help="Bounds of a parameter, in place of its own.", metavar="NAME=LO:HI"),
-    ] = None,
-    unbounded: Annotated[
-        bool, typer.Option("--unbounded", help="Let coefficients be negative.")
-    ] = False,
-    start: Annotated[
-        list[str] | None,
-        typer.Option(help="Start value; found from the data if not given.", metavar="NAME=V"),
-    ] = None,
+    fix: o.Fix = None,
+    bound: o.Bound = None,
+    unbounded: o.Unbounded = False,
+    start: o.Start = None,
     sigma: o.Sigma = None,
     loss: o.Loss = None,
     noise: o.NoiseModel = None,

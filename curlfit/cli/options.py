@@ -7,6 +7,29 @@ from typing import Annotated
 
 import typer
 
+Law = Annotated[
+    str | None,
+    typer.Option(help="Friction law; `curlfit laws` lists them. [default: front-back]"),
+]
+LoadName = Annotated[
+    str | None,
+    typer.Option(
+        help="How the weight rests on the ring: `uniform`, or `consistent` with the friction "
+        "(eq. 8-9). [default: uniform]"
+    ),
+]
+Fix = Annotated[
+    list[str] | None, typer.Option(help="Hold a parameter at a value.", metavar="NAME=V")
+]
+Bound = Annotated[
+    list[str] | None,
+    typer.Option(help="Bounds of a parameter, in place of its own.", metavar="NAME=LO:HI"),
+]
+Unbounded = Annotated[bool, typer.Option("--unbounded", help="Let coefficients be negative.")]
+Start = Annotated[
+    list[str] | None,
+    typer.Option(help="Start value; found from the data if not given.", metavar="NAME=V"),
+]
 Until = Annotated[
     float | None, typer.Option(help="Use the rows with t up to this, in s.", metavar="S")
 ]

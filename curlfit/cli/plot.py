@@ -15,7 +15,7 @@ def plot(
     out: Annotated[Path | None, typer.Option(help="Folder for the figures. [default: DIR]")] = None,
     format: Annotated[str, typer.Option(help="png, pdf or svg.")] = "png",
 ) -> None:
-    """Draw the figures of a saved fit, joint fit, comparison, prediction or design again."""
+    """Draw the figures again of a saved fit, joint fit, comparison, prediction, profile, design."""
     from curlfit.errors import InputError
     from curlfit.files import prepared_folder
     from curlfit.results import load_fit
@@ -40,6 +40,8 @@ def plot(
             figure = curlfit.comparison_figure(curlfit.load_comparison(folder))
         elif kind == "joint":
             figure = curlfit.joint_figure(curlfit.load_joint(folder))
+        elif kind == "profile":
+            figure = curlfit.profile_figure(curlfit.load_profile(folder))
         else:
             figure = curlfit.prediction_figure(curlfit.load_prediction(folder))
         own = folder if folder.is_dir() else folder.parent

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from curlfit.cli import reading as r
 from curlfit.cli import settings as s
-
-if TYPE_CHECKING:
-    from curlfit.chain import Chain
-    from curlfit.results import FitResult
 
 _START = "Another throw: how it starts (what is not given is as in the fitted throw)"
 _GOAL = "Another throw: where it is to go (speed and heading are found)"
@@ -148,7 +144,7 @@ def predict(
     if sum(goals) > 1:
         raise InputError("--to-tee, --weight and --target: expected one of them")
     place = (0.0, 0.0) if to_tee else None if target is None else _place(target)
-    result, chain = _fitted(fit)
+    result, chain = s.fitted(fit)
     throw = None
     if check is not None:
         from curlfit.readers import load_throw
@@ -166,7 +162,7 @@ def predict(
             result, chain, start=start, line=line, target=place, weight=weight,
             tee_speed=tee_speed, draws=draws, seed=seed, check=throw,
         )  # fmt: skip
-    folder = prepared_folder(out or Path(f"{_name(fit)}-predict"))
+    folder = prepared_folder(out or Path(f"{s.name_of(fit)}-predict"))
     written = [folder / "predict.json", folder / "predict.csv"]
     found.save(written[0])
     with replaced(written[1]) as temporary:
@@ -194,30 +190,3 @@ def _place(text: str) -> tuple[float, float]:
         raise InputError(f"--target {text}: expected X,Y in m from the tee")
     x, y = (s.number("--target", name, part) for name, part in zip("XY", parts, strict=True))
     return x, y
-
-
-def _fitted(folder: Path) -> tuple[FitResult, Chain | None]:
-    """The fit, and its chain where it was sampled to the end."""
-    from curlfit.errors import InputError
-    from curlfit.results import load_fit
-
-    kind = s.kind_of(folder)
-    if kind != "fit":
-        what = {"joint": "several throws fitted together", "compare": "a comparison of laws"}
-        raise InputError(
-            f"{folder}: {what.get(kind, f'a result of curlfit {kind}')}; expected the fit of one "
-            "throw" + (f", such as {folder}/NAME" if kind == "joint" else "")
-        )
-    result = load_fit(folder)
-    file = s.chain_beside(folder)
-    if result.posterior is None or not file.is_file():
-        return result, None
-
-    from curlfit.chain import load_chain
-
-    return result, load_chain(file)
-
-
-def _name(fit: Path) -> str:
-    own = fit.resolve()
-    return (own.parent if own.suffix == ".json" else own).name.removesuffix("-fit")

@@ -7,7 +7,7 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from curlfit.errors import DataError, InputError
 from curlfit.noise import check_noise
@@ -16,6 +16,10 @@ from curlfit.readers import load_throw
 from curlfit.readers.columns import in_unit
 from curlfit.stone import Stone
 from curlfit.throw import Throw
+
+if TYPE_CHECKING:
+    from curlfit.chain import Chain
+    from curlfit.results import FitResult
 
 HOW = ("format", "axes", "units", "reference", "stone_index", "shot")
 """Settings that say how to read a file."""
@@ -198,9 +202,8 @@ def settled(throw: Throw, configured: Mapping[str, Any], flags: Mapping[str, Any
 
 
 def kind_of(folder: Path) -> str:
-    """What results a folder, or a file of them, holds: a "fit", "compare", "joint", "predict" or
-    "design"."""
-    for kind in ("fit", "compare", "joint", "predict", "design"):
+    """What results a folder, or a file of them, holds, by the name of its JSON file."""
+    for kind in ("fit", "compare", "joint", "predict", "profile", "design"):
         if folder.name == f"{kind}.json" or (folder / f"{kind}.json").is_file():
             return kind
     return "fit"
@@ -209,3 +212,30 @@ def kind_of(folder: Path) -> str:
 def chain_beside(folder: Path) -> Path:
     """The `chain.h5` in the folder of a fit, or beside its file."""
     return (folder if folder.is_dir() else folder.parent) / "chain.h5"
+
+
+def fitted(folder: Path) -> tuple[FitResult, Chain | None]:
+    """The fit, and its chain where it was sampled to the end."""
+    from curlfit.results import load_fit
+
+    kind = kind_of(folder)
+    if kind != "fit":
+        what = {"joint": "several throws fitted together", "compare": "a comparison of laws"}
+        raise InputError(
+            f"{folder}: {what.get(kind, f'a result of curlfit {kind}')}; expected the fit of one "
+            "throw" + (f", such as {folder}/NAME" if kind == "joint" else "")
+        )
+    result = load_fit(folder)
+    file = chain_beside(folder)
+    if result.posterior is None or not file.is_file():
+        return result, None
+
+    from curlfit.chain import load_chain
+
+    return result, load_chain(file)
+
+
+def name_of(fit: Path) -> str:
+    """The name of a saved fit, for results made from it."""
+    own = fit.resolve()
+    return (own.parent if own.suffix == ".json" else own).name.removesuffix("-fit")

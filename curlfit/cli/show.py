@@ -22,7 +22,7 @@ def show(
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print the JSON record.")] = False,
 ) -> None:
-    """Print the report of a saved fit, joint fit, comparison, prediction or design again."""
+    """Print the report again of a saved fit, joint fit, comparison, prediction, profile, design."""
     from rich.console import Console
 
     console = Console(width=None if sys.stdout.isatty() else 110)
@@ -53,6 +53,12 @@ def show(
 
         design = load_design(folder)
         record, printed = design.to_json, partial(print_design, design, console)
+    elif kind == "profile":
+        from curlfit.profiles import load_profile
+        from curlfit.report_profile import print_profile
+
+        profile = load_profile(folder)
+        record, printed = profile.summary, partial(print_profile, profile, console)
     else:
         from curlfit.report import print_fit
         from curlfit.results import load_fit

@@ -1,0 +1,213 @@
+"""`curlfit profile`: how the misfit rises along a parameter, or two."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from curlfit.cli import options as o
+from curlfit.cli import reading as r
+from curlfit.cli import settings as s
+
+if TYPE_CHECKING:
+    from curlfit.chain import Chain
+    from curlfit.results import FitResult
+
+
+def profile(
+    data: Annotated[
+        Path,
+        typer.Argument(
+            help="Data as for `curlfit fit`; or a saved fit: its folder, or the fit.json in it.",
+            metavar="DATA|FIT",
+            show_default=False,
+        ),
+    ],
+    param: Annotated[
+        list[str],
+        typer.Option(
+            help="A fitted parameter: a coefficient, or one of x0 y0 heading v0 phi0 omega0. Given "
+            "twice: two parameters together.",
+            metavar="NAME",
+            show_default=False,
+        ),
+    ],
+    points: Annotated[
+        int | None,
+        typer.Option(
+            help="Values of each parameter. [default: 41; 25 of each of two]", metavar="N"
+        ),
+    ] = None,
+    span: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--range",
+            help="Where to look; given twice, of the first and the second parameter. [default: 4 "
+            "standard errors to either side; as far as it takes where there are none]",
+            metavar="LO,HI",
+        ),
+    ] = None,
+    law: o.Law = None,
+    load: o.LoadName = None,
+    until: o.Until = None,
+    fix: o.Fix = None,
+    bound: o.Bound = None,
+    unbounded: o.Unbounded = False,
+    start: o.Start = None,
+    sigma: o.Sigma = None,
+    loss: o.Loss = None,
+    noise: o.NoiseModel = None,
+    stone: o.StoneValues = None,
+    format: r.Format = None,
+    axes: r.Axes = None,
+    units: r.Units = None,
+    reference: r.Reference = None,
+    stone_index: r.StoneIndex = None,
+    shot: r.Shot = None,
+    config: o.Config = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the results. [default: DATA's name with -profile-NAME]"),
+    ] = None,
+    no_figures: o.NoFigures = False,
+    quiet: o.Quiet = False,
+) -> None:
+    """Hold a parameter at many values, fit all others again at each, and see how the misfit rises.
+
+    That gives intervals which hold where the misfit is no parabola, and shows plainly what the path
+    does not determine. The noise is that of the fit. A posterior beside a saved fit is drawn too.
+    Writes `profile.json` and `profile.png`.
+
+    Examples:
+
+    `curlfit profile throw.csv --param mu1_xi`
+
+    `curlfit profile throw-fit --param mu1_eta --param mu2_eta`: two of a saved fit
+    """
+    from curlfit.errors import InputError
+    from curlfit.files import prepared_folder
+
+    flags = {
+        **r.how(format, axes, units, reference, stone_index, shot),
+        "law": law,
+        "load": load,
+        "until": until,
+        "stone": s.pairs("--stone", stone or ()),
+        "sigma": s.pairs("--sigma", sigma or ()),
+        "fix": s.pairs("--fix", fix or ()),
+        "bound": s.intervals("--bound", bound or ()),
+        "start": s.pairs("--start", start or ()),
+        "unbounded": unbounded or None,
+        "loss": loss,
+        "noise": noise,
+    }
+    if len(span or ()) > len(param):
+        raise InputError(f"--range is given {len(span or ())} times; expected one of each --param")
+    ranges = {name: _range(text) for name, text in zip(param, span or (), strict=False)}
+    saved = data.is_dir() or data.name == "fit.json"
+    fitted: Callable[[], tuple[FitResult, Chain | None]]
+    if saved:
+        given = [name for name, value in {**flags, "config": config}.items() if value]
+        if given:
+            option = given[0].replace("_", "-")
+            raise InputError(f"--{option}: a saved fit has its own; give the data to fit anew")
+        result, chain = s.fitted(data)
+        parameters = result.parameter_set
+        fitted = lambda: (result, chain)  # noqa: E731
+    else:
+        parameters, fitted = _to_fit(data, config, flags)
+
+    from curlfit.profiles import require_usable
+
+    require_usable(parameters, param, points, ranges)
+    name = s.name_of(data) if saved else data.stem
+
+    with _progress(quiet) as told:
+        fit, chain = fitted()
+        require_usable(parameters, param, points, ranges, parameters.values_of(fit.values))
+        folder = prepared_folder(out or Path(f"{name}-profile-{'-'.join(param)}"))
+
+        from curlfit.profiling import profile as profiled
+
+        found = profiled(fit, param, chain=chain, points=points, ranges=ranges, progress=told)
+    written = [folder / "profile.json"]
+    found.save(written[0])
+    if no_figures:
+        (folder / "profile.png").unlink(missing_ok=True)
+    else:
+        from curlfit.figures import save_figure
+        from curlfit.figures_profile import profile_figure
+
+        written.append(folder / "profile.png")
+        save_figure(profile_figure(found), written[1])
+
+    from rich.console import Console
+
+    from curlfit.report_profile import print_profile
+
+    console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
+    print_profile(found, console)
+    console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+
+
+def _range(text: str) -> tuple[float, float]:
+    from curlfit.errors import InputError
+
+    parts = text.split(",")
+    if len(parts) != 2:
+        raise InputError(f"--range {text}: expected LOW,HIGH")
+    low, high = (
+        s.number("--range", end, part) for end, part in zip(("low", "high"), parts, strict=True)
+    )
+    return low, high
+
+
+def _to_fit(data: Path, config: Path | None, flags: dict[str, Any]) -> tuple[Any, Any]:
+    """The parameters of a fit that is to be made, and what makes it."""
+    from curlfit.friction import check_load, find_law
+    from curlfit.noise import check_noise
+    from curlfit.parameters import ParameterSet, check_loss
+
+    throw, wanted, the_stone = s.prepared(data, config, flags)
+    law = find_law(wanted.get("law", "front-back"))
+    load = check_load(wanted.get("load", "uniform"))
+    loss = check_loss(wanted.get("loss", "linear"))
+    noise = check_noise(wanted.get("noise", "white"), loss)
+    choices: dict[str, Any] = {
+        "fix": wanted.get("fix"),
+        "bounds": wanted.get("bound"),
+        "unbounded": bool(wanted.get("unbounded", False)),
+    }
+    cut = throw.until(wanted.get("until"))
+    cut.require_motion()
+    parameters = ParameterSet.for_throw(law, cut, **choices)
+    parameters.require("--start", wanted.get("start", {}))
+
+    def fitted() -> tuple[FitResult, None]:
+        from curlfit.fitting import fit as least_squares
+
+        result = least_squares(
+            throw, law, load=load, stone=the_stone, until=wanted.get("until"),
+            start=wanted.get("start"), loss=loss, noise=noise, **choices,
+        )  # fmt: skip
+        return result, None
+
+    return parameters, fitted
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[int], None]]:
+    """A line on a terminal that says how many fits are done."""
+    from rich.console import Console
+
+    console = Console(stderr=True, quiet=quiet)
+    if not console.is_terminal or quiet:
+        yield lambda done: None
+        return
+    with console.status("Fitting (a first run on a machine compiles the model)") as status:
+        yield lambda done: status.update(f"Fitting the other parameters again: {done} fits")

@@ -1,0 +1,446 @@
+"""Profile likelihoods: against scipy, closed forms, symmetry, and counting."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import DATA
+from matplotlib.figure import Figure
+from rich.console import Console
+from scipy.optimize import least_squares
+from typer.testing import CliRunner
+
+import curlfit
+from curlfit import DataError, InputError, UnusableFitError
+from curlfit.cli import app
+from curlfit.likelihood import frame_of, problem_of, raw_residuals
+from curlfit.results import Estimate
+from curlfit.sampling import sample
+
+STONE = curlfit.Stone(R=0.065)
+TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}
+NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01}
+
+
+def thrown(seed=1, sigma=True, **start):
+    throw = curlfit.synthetic_throw(
+        curlfit.law_with("front-back", TRUE), STONE, noise_xy=NOISE["x"], noise_phi=NOISE["phi"],
+        seed=seed, **{"v0": 2.1, "omega0": 1.2, "heading": 0.02} | start,
+    )  # fmt: skip
+    return throw.with_sigma(NOISE) if sigma else throw
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return curlfit.fit(thrown())
+
+
+@pytest.fixture(scope="module")
+def sharp(fit):
+    return curlfit.profile(fit, "mu1_xi")
+
+
+@pytest.fixture(scope="module")
+def flat(eq12_fit):
+    return curlfit.profile(eq12_fit, "mu1_eta")
+
+
+@pytest.fixture(scope="module")
+def sloping(eq12):
+    """The split under consistent load, with noise of the same size in all places."""
+    return curlfit.profile(eq12, "mu1_eta", load="consistent", points=11)
+
+
+def printed(profile):
+    console = Console(width=110, record=True, file=None, quiet=False, force_terminal=False)
+    with console.capture() as found:
+        curlfit.print_profile(profile, console)
+    return " ".join(found.get().split())
+
+
+def scipy_minimum(fit, held):
+    """Least chi squared with some parameters held, by scipy on the residuals of the model."""
+    throw, parameters = fit.throw, fit.parameter_set
+    frame = frame_of(throw)
+    problem = problem_of(throw, fit.stone, frame, fit.sigma, fit.loss)
+    offset = frame.offset(len(parameters))
+    values = fit.values - offset
+    for name, value in held.items():
+        values[parameters.index(name)] = value - offset[parameters.index(name)]
+    free = parameters.free & [name not in held for name in parameters.names]
+    low, high = ((end - offset)[free] for end in (parameters.lower, parameters.upper))
+
+    def residual(some):
+        whole = values.copy()
+        whole[free] = some
+        return np.asarray(raw_residuals(fit.law_class, fit.load, whole, problem)).ravel()
+
+    found = least_squares(
+        residual, values[free], bounds=(low, high), x_scale=parameters.typical[free] / 100,
+        jac="3-point", xtol=1e-12, ftol=1e-12, gtol=1e-12,
+    )  # fmt: skip
+    return 2 * found.cost
+
+
+# --- numbers -------------------------------------------------------------------------------------
+
+
+def test_the_profile_is_what_scipy_finds_with_the_parameter_held(fit, sharp):
+    assert sharp.chi_squared == pytest.approx(scipy_minimum(fit, {}), abs=1e-6)
+    for place in (3, 14, 35):
+        least = scipy_minimum(fit, {"mu1_xi": float(sharp.at[place])})
+        assert sharp.delta[place] == pytest.approx(least - sharp.chi_squared, abs=2e-5)
+        assert sharp.delta[place] > 0.3
+
+
+def test_of_two_parameters_too(fit):
+    pair = curlfit.profile(fit, ["mu1_xi", "v0"], points=7)
+    assert pair.delta.shape == (7, 7)
+    for i, j in ((1, 2), (4, 5)):
+        held = {"mu1_xi": float(pair.first[i, j]), "v0": float(pair.second[i, j])}
+        least = scipy_minimum(fit, held)
+        assert pair.delta[i, j] == pytest.approx(least - pair.each[0].chi_squared, abs=1e-4)
+        assert pair.delta[i, j] > 1
+    # the bottom of the valley is the profile of one
+    bottom = np.interp(pair.first[:, 3], pair.each[0].at, pair.each[0].delta)
+    np.testing.assert_allclose(pair.delta[:, 3], bottom, atol=1e-3)
+    assert pair.ellipse is not None
+    assert pair.ellipse < 0.2
+    assert pair.across < fit.parameters["v0"].stderr  # less than with the first free
+    # a region of two spans sqrt(2.30) of what an interval of one does
+    one, two = pair.each[1].intervals[0], pair.extent["68 %"][1]
+    assert (two.high - two.low) / (one.high - one.low) == pytest.approx(np.sqrt(2.30), rel=0.01)
+
+
+@pytest.fixture(scope="module")
+def blind():
+    """A fit without an angle: the spin is known only by the curl, of which friction makes less."""
+    throw = thrown()
+    sigma = {name: throw.sigma[name] for name in ("x", "y")}
+    return curlfit.fit(replace(throw, phi=np.full(len(throw), np.nan), sigma=sigma))
+
+
+def test_limits_far_from_those_of_the_covariance_are_right(blind):
+    found = curlfit.profile(blind, "omega0", points=5)
+    least = scipy_minimum(blind, {"omega0": float(found.at[-2])})
+    assert found.delta[-2] == pytest.approx(least - found.chi_squared, abs=0.01)
+    assert found.delta[-2] > 3
+    assert max(found.departure.values()) > 0.5
+    assert "Go by the profile" in printed(found)
+
+
+@pytest.mark.slow
+def test_a_bent_region_is_on_the_grid_as_a_whole(blind):
+    pair = curlfit.profile(blind, ("mu2_xi", "omega0"), points=9)
+    assert (pair.delta[:, [0, -1]] >= 5.99).all()
+    assert (pair.delta[[0, -1]] >= 5.99).all()
+    assert pair.ellipse > 1
+
+
+def test_a_parameter_that_only_moves_the_path_has_its_parabola(fit):
+    """With the rest fixed, chi squared is sum (x - x0)^2/sigma^2: a mean of n rows."""
+    fixed = {name: item.value for name, item in fit.parameters.items() if name not in ("x0", "y0")}
+    alone = curlfit.fit(thrown(), fix=fixed)
+    found = curlfit.profile(alone, "x0")
+    sd = NOISE["x"] / np.sqrt(len(alone.throw))
+    np.testing.assert_allclose(found.delta, ((found.at - found.best) / sd) ** 2, atol=1e-7)
+    np.testing.assert_allclose((found.at[0], found.at[-1]), found.best + sd * np.array([-4, 4]))
+    for interval, rise in zip(found.intervals, (1.0, 3.84), strict=True):
+        assert interval.high == pytest.approx(found.best + np.sqrt(rise) * sd, abs=1e-4 * sd)
+        assert interval.low == pytest.approx(found.best - np.sqrt(rise) * sd, abs=1e-4 * sd)
+        assert (interval.low_by, interval.high_by) == ("data", "data")
+    assert found.others.keys() == {"y0"}
+    np.testing.assert_allclose(found.others["y0"], alone.parameters["y0"].value, atol=1e-9)
+
+
+def test_limits_are_where_the_misfit_is_higher_by_the_threshold(fit, sharp):
+    low, high = sharp.intervals[1].low, sharp.intervals[1].high
+    again = curlfit.profile(fit, "mu1_xi", ranges={"mu1_xi": (low, high)}, points=5)
+    np.testing.assert_allclose(again.delta[[0, -1]], 3.84, atol=1e-4)
+    assert again.at[[0, -1]] == pytest.approx([low, high])
+    assert max(sharp.departure.values()) < 0.1
+    assert sharp.verdict == "limited"
+    assert "agree" in printed(sharp)
+
+
+def test_chi_squared_goes_with_the_inverse_square_of_sigma(fit):
+    sigma = {name: 3 * value for name, value in NOISE.items()}
+    rough = curlfit.fit(thrown(sigma=False).with_sigma(sigma))
+    ends = {"mu1_xi": (0.0045, 0.0055)}
+    coarse, fine = (curlfit.profile(one, "mu1_xi", ranges=ends, points=5) for one in (rough, fit))
+    for value in np.linspace(*ends["mu1_xi"], 5):
+        one, other = (item.delta[np.argmin(np.abs(item.at - value))] for item in (coarse, fine))
+        assert 9 * one == pytest.approx(other, rel=1e-3, abs=1e-3)
+    assert fine.delta.max() > 30
+
+
+def test_a_mirrored_throw_has_the_mirrored_profile(fit, sharp):
+    throw = thrown()
+    mirrored = curlfit.fit(replace(throw, x=-throw.x, phi=-throw.phi))
+    points = {"points": 9}
+    for name, sign in (("mu1_xi", 1), ("x0", -1), ("omega0", -1)):
+        one = curlfit.profile(fit, name, **points)
+        other = curlfit.profile(mirrored, name, **points)
+        np.testing.assert_allclose(one.at, (sign * other.at)[::sign], rtol=1e-5, atol=1e-9)
+        np.testing.assert_allclose(one.delta, other.delta[::sign], atol=2e-3)
+        assert one.delta.max() > 10
+
+
+# --- what is not determined ----------------------------------------------------------------------
+
+
+def test_the_split_is_exactly_flat_under_uniform_load(flat, eq12_fit):
+    (total,) = eq12_fit.combinations
+    inside = (flat.at >= 0) & (flat.at <= total.value - 1e-9)
+    assert inside.sum() > 35
+    assert np.abs(flat.delta[inside]).max() < 1e-8
+    # where the other is, is no matter of the solver's taste
+    both = flat.at + flat.others["mu2_eta"]
+    np.testing.assert_allclose(both[inside], total.value, atol=1e-10)
+    assert flat.free[0] == 0
+    assert flat.free[1] == pytest.approx(total.value, rel=1e-3)
+    assert flat.stops == ((), ("mu2_eta",))
+    assert flat.verdict == "flat"
+    assert flat.rise < 1e-8
+    # beyond, where the other is at zero, the sum alone is left: its parabola
+    beyond = (flat.at > total.value) & (flat.delta < 9)
+    assert beyond.sum() >= 3
+    expected = ((flat.at[beyond] - total.value) / total.stderr) ** 2
+    np.testing.assert_allclose(flat.delta[beyond], expected, rtol=0.01)
+    text = printed(flat)
+    assert "mu1_eta is not determined, its profile is flat" in text
+    assert "Only mu1_eta + mu2_eta = 0.017573(16) is determined" in text
+    assert "covariance" not in text
+    assert "residuals are smooth" in text  # the warning of the fit
+
+
+def test_under_consistent_load_it_slopes_and_how_much_is_said(sloping):
+    inside = (sloping.at >= sloping.free[0]) & (sloping.at <= sloping.free[1])
+    delta = sloping.delta[inside]
+    assert delta.size > 8
+    assert (np.diff(delta) > 0).all()
+    assert 0.05 < sloping.rise < 0.2
+    assert sloping.verdict == "hardly"
+    # the misfit goes with the inverse square of the noise
+    assert sloping.quieter(1.0) == pytest.approx(sloping.rise**-0.5)
+    text = printed(sloping)
+    assert "mu1_eta is hardly determined" in text
+    assert "noise would have to be 3.3 times smaller, or such rows 11 times as many" in text
+
+
+def test_with_less_noise_the_consistent_split_is_determined(sloping, eq12):
+    """As much less as was said."""
+    fit = curlfit.fit(eq12, load="consistent")
+    less = {name: sigma / sloping.quieter(3.84) / 1.1 for name, sigma in fit.sigma.items()}
+    found = curlfit.profile(eq12.with_sigma(less), "mu1_eta", load="consistent", points=11)
+    assert found.verdict == "limited"
+    (first, second) = found.intervals
+    assert (first.low_by, first.high_by) == ("bound", "data")
+    assert second.high_by == "data"
+    assert second.high > first.high > 0
+    assert second.high < sloping.free[1]
+    assert found.rise == pytest.approx(3.84 * 1.21, rel=0.02)
+    assert "No lower limit from these data: its lower bound, 0" in printed(found)
+
+
+def test_a_pair_with_a_valley_follows_it(eq12_fit):
+    pair = curlfit.profile(eq12_fit, ("mu1_eta", "mu2_eta"), points=7)
+    (total,) = eq12_fit.combinations
+    inside = np.isfinite(pair.delta)
+    assert (pair.second[inside] >= 0).all()
+    assert inside.sum() > 40
+    away = (pair.first + pair.second - total.value)[inside] / total.stderr
+    near = np.abs(away) < 4.5
+    np.testing.assert_allclose(pair.delta[inside][near], away[near] ** 2, rtol=0.01, atol=1e-6)
+    assert pair.covariance is None
+    assert pair.ellipse is None
+    text = printed(pair)
+    assert "no ellipse" in text
+    assert "mu1_eta - -" in text  # no error is printed for either
+
+
+def test_a_range_that_is_too_narrow_says_so(fit):
+    value, stderr = fit.parameters["v0"].value, fit.parameters["v0"].stderr
+    ends = {"v0": (value - stderr, value + stderr)}
+    found = curlfit.profile(fit, "v0", ranges=ends, points=5)
+    assert found.verdict == "narrow"
+    assert found.rise == pytest.approx(1, rel=0.05)
+    assert "The range is too narrow" in printed(found)
+
+
+def test_a_better_fit_that_is_met_is_the_one_to_count_from(fit):
+    """A fit that stopped short of its optimum."""
+    item = fit.parameters["v0"]
+    short = {name: replace(one, value=one.value) for name, one in fit.parameters.items()}
+    short["v0"] = replace(item, value=item.value + 2 * item.stderr)
+    found = curlfit.profile(replace(fit, parameters=short), "mu1_xi", points=9)
+    assert found.chi_squared == pytest.approx(curlfit.profile(fit, "mu1_xi").chi_squared, abs=1e-5)
+    assert np.nanmin(found.delta) > -1e-6
+
+
+# --- the posterior beside it ---------------------------------------------------------------------
+
+
+def test_the_posterior_lies_on_the_profile(fit):
+    sampled, chain = sample(fit, effective=2000)
+    found = curlfit.profile(sampled, "mu1_xi", chain=chain)
+    beside = found.posterior
+    expected = np.interp(beside["at"], found.at, found.delta)
+    low = expected < 4
+    assert low.sum() > 6
+    pull = ((beside["height"] - expected) / beside["error"])[low]
+    assert np.abs(pull).max() < 5
+    assert np.mean(pull**2) < 3
+    assert found.quantiles == sampled.posterior.quantiles["mu1_xi"]
+    assert "posterior" in printed(found)
+    with pytest.raises(InputError, match="the chain is not of this fit"):
+        curlfit.profile(sampled, "mu1_xi", chain=replace(chain, names=("mu", "x0")))
+
+
+# --- the record ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("which", ["sharp", "flat"])
+def test_a_saved_profile_is_the_same(request, which, tmp_path):
+    profile = request.getfixturevalue(which)
+    profile.save(tmp_path / "profile.json")
+    again = curlfit.load_profile(tmp_path)
+    assert again.to_json() == profile.to_json()
+    assert isinstance(again.parameters["v0"], Estimate)
+    assert again.intervals == profile.intervals
+    assert printed(again) == printed(profile)
+    assert isinstance(curlfit.profile_figure(again), Figure)
+
+
+def test_a_saved_pair_is_the_same(fit, tmp_path):
+    pair = curlfit.profile(fit, ("mu1_xi", "mu2_xi"), points=5)
+    pair.save(tmp_path / "profile.json")
+    again = curlfit.load_profile(tmp_path / "profile.json")
+    np.testing.assert_array_equal(again.delta, pair.delta)
+    assert again.extent == pair.extent
+    assert printed(again) == printed(pair)
+    figure = curlfit.profile_figure(again)
+    assert "mu1_xi" in figure.axes[0].get_xlabel()
+
+
+def test_what_is_no_profile_is_refused(tmp_path):
+    (tmp_path / "profile.json").write_text('{"schema": 1, "kind": "one"}')
+    with pytest.raises(DataError, match=r"not a complete profile\.json"):
+        curlfit.load_profile(tmp_path)
+    (tmp_path / "profile.json").write_text('{"schema": 99}')
+    with pytest.raises(DataError, match="newer curlfit"):
+        curlfit.load_profile(tmp_path)
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+
+def test_the_command_writes_prints_and_is_shown_again(fit, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "throw-fit").mkdir()
+    fit.save(tmp_path / "throw-fit" / "fit.json")
+    words = ["profile", "throw-fit", "--param", "mu1_xi", "--points", "9"]
+    found = CliRunner().invoke(app, words)
+    assert found.exit_code == 0, found.exception
+    folder = tmp_path / "throw-profile-mu1_xi"
+    assert {file.name for file in folder.iterdir()} == {"profile.json", "profile.png"}
+    said = found.stdout.rpartition("Written:")[0]
+    assert "Profile and covariance agree" in said
+    shown = CliRunner().invoke(app, ["show", str(folder)])
+    assert shown.stdout == said
+    record = CliRunner().invoke(app, ["show", "--json", str(folder / "profile.json")])
+    assert '"verdict": "limited"' in record.stdout
+    drawn = CliRunner().invoke(app, ["plot", str(folder), "--format", "svg"])
+    assert drawn.exit_code == 0
+    assert (folder / "profile.svg").stat().st_size > 1000
+    again = CliRunner().invoke(app, [*words, "--no-figures", "--quiet"])
+    assert (again.exit_code, again.stdout) == (0, "")
+    assert {file.name for file in folder.iterdir()} == {"profile.json", "profile.svg"}
+
+
+def test_options_of_a_fit_are_heeded(tmp_path):
+    words = ["profile", DATA, "--param", "v0", "--points", "5", "--until", "10", "--no-figures"]
+    words += ["--fix", "mu1_eta=0", "--sigma", "x=0.01,y=0.01,phi=0.01", "--out", tmp_path]
+    found = CliRunner().invoke(app, list(map(str, words)))
+    assert found.exit_code == 0, found.exception
+    profile = curlfit.load_profile(tmp_path)
+    assert profile.data["to"] == 10
+    assert "mu1_eta" not in profile.others
+    assert profile.parameters["mu1_eta"].verdict == "fixed"
+    expected = curlfit.fit(
+        curlfit.load_throw(DATA).with_sigma(dict.fromkeys("xy", 0.01) | {"phi": 0.01}),
+        until=10, fix={"mu1_eta": 0},
+    )  # fmt: skip
+    assert profile.best == expected.parameters["v0"].value
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--param", "mu9"], "no parameter 'mu9'; there are mu1_xi"),
+        (["--param", "v0", "--param", "v0"], "v0 is given twice"),
+        (["--param", "v0", "--param", "x0", "--param", "y0"], "expected one or two"),
+        (["--param", "v0", "--fix", "v0=2"], "it is fixed at 2"),
+        (["--param", "v0", "--range", "3,1"], "--range 3,1 of v0 is empty; expected LOW,HIGH"),
+        (["--param", "v0", "--range", "1"], "--range 1: expected LOW,HIGH"),
+        (["--param", "v0", "--range", "1,much"], "expected a number"),
+        (["--param", "v0", "--range", "1,nan"], "expected a number"),
+        (["--param", "mu1_xi", "--range=-1,0.1"], "leaves its bounds 0:1; --bound moves them"),
+        (["--param", "v0", "--range", "1,3", "--range", "1,3"], "expected one of each --param"),
+        (["--param", "v0", "--points", "2"], "--points 2: expected 5 to 2001"),
+        (["--param", "mu", "--law", "nothing"], "unknown law"),
+    ],
+)
+def test_what_cannot_be_had_is_one_sentence(words, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = CliRunner().invoke(app, ["profile", str(DATA), *words])
+    assert isinstance(found.exception, InputError)
+    assert found.exception.exit_status == 2
+    assert message in str(found.exception)
+    assert "\n" not in str(found.exception)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_saved_fit_takes_no_options_of_a_fit(fit, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a-fit").mkdir()
+    fit.save(tmp_path / "a-fit" / "fit.json")
+    for words, message in (
+        (["--law", "coulomb"], "--law: a saved fit has its own"),
+        (["--stone-index", "2"], "--stone-index: a saved fit has its own"),
+        (["--range", "5,6"], "leaves out the best estimate"),
+    ):
+        found = CliRunner().invoke(app, ["profile", "a-fit/fit.json", "--param", "v0", *words])
+        assert isinstance(found.exception, InputError)
+        assert message in str(found.exception)
+    assert [file.name for file in tmp_path.iterdir()] == ["a-fit"]
+
+
+def test_python_refuses_the_same(fit):
+    with pytest.raises(InputError, match="a fit has its own"):
+        curlfit.profile(fit, "v0", load="consistent")
+    with pytest.raises(InputError, match="expected one of v0"):
+        curlfit.profile(fit, "v0", ranges={"x0": (0, 1)})
+    with pytest.raises(UnusableFitError, match="not usable"):
+        curlfit.profile(replace(fit, converged=False, status="not converged"), "v0")
+
+
+# --- counting ------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    """Two coefficients of 100 throws each: 68 and 95 %, within four binomial deviations."""
+    held = {"68 %": 0, "95 %": 0}
+    tries = 0
+    for seed in range(100):
+        fit = curlfit.fit(thrown(seed=1000 + seed))
+        for name in ("mu1_xi", "mu2_xi"):
+            tries += 1
+            for interval in curlfit.profile(fit, name, points=9).intervals:
+                held[interval.level] += interval.low <= TRUE[name] <= interval.high
+    for level, chance in (("68 %", 0.683), ("95 %", 0.95)):
+        sd = np.sqrt(chance * (1 - chance) / 100)  # the two of a throw are not independent
+        assert abs(held[level] / tries - chance) < 4 * sd, held
