@@ -23,6 +23,7 @@ from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, frame_of, problem_of
 from curlfit.losses import robust_sigma
 from curlfit.noise import check_noise, fitted_noise
 from curlfit.parameters import ParameterSet, check_loss
+from curlfit.remedies import remedies
 from curlfit.results import FitResult
 from curlfit.solving import Solution, best_of, descend, starts
 from curlfit.starting import smooth
@@ -32,6 +33,7 @@ from curlfit.weighing import weighed
 
 Floats = NDArray[np.float64]
 
+_OPEN = ("not identifiable", "weak")  # verdicts that something else might mend
 _ROUNDS = 4  # of a robust fit: sigma from the bulk, then the fit
 
 
@@ -111,9 +113,16 @@ def fit(
             throw, law, load, stone, until, parameters, frame, problem, sigma, solution, tried, loss
         )
 
+    def remedied(result: FitResult, problem: Problem, solution: Solution) -> FitResult:
+        open_ = [n for n, i in result.parameters.items() if i.verdict in _OPEN]
+        if not open_ or not result.converged:
+            return result
+        found = remedies(law, load, solution.values, problem, local, len(throw), open_, fix or ())
+        return replace(result, remedies=found)
+
     white = record(problem, sigma, solution)
     if noise == "white":
-        return white
+        return remedied(white, problem, solution)
     n = len(throw)
     moving = np.flatnonzero(white.fitted["speed"] > 0)
     span = float(throw.t[moving[-1]] - throw.t[0]) if len(moving) else 0.0
@@ -124,7 +133,8 @@ def fit(
     sigma = {name: sizes.get(name, value) + SIGMA_FLOOR for name, value in sigma.items()}
     problem = problem_of(throw, stone, frame, sigma, noise=shown)
     solution = descend(law, load, solution.values, local, problem) or solution
-    return replace(record(problem, sigma, solution), noise=shown)
+    result = replace(record(problem, sigma, solution), noise=shown)
+    return remedied(result, problem, solution)
 
 
 class Job(NamedTuple):

@@ -43,6 +43,7 @@ _MOST = 300  # values of a channel looked at; more are condensed to means
 _LASTING = (1e-3, 10.0)  # memory of "ar1" noise, the same
 _PURE = 300.0  # greatest discrepancy over the independent noise
 _NEGLIGIBLE = 0.05  # the same, below which there is none
+_FAR = (-30.0, 30.0)  # logarithms beyond which nothing is sought
 _SURE = 3.5  # standard deviations from which residuals are not taken for independent
 _MATTERS = 0.2  # lag-1 correlation below which errors would hardly change
 
@@ -253,7 +254,7 @@ def _likeliest(
 
     def unlikely(logs: Floats) -> float:
         try:
-            parts = roots(np.clip(logs, -30, 30))
+            parts = roots(np.clip(logs, *_FAR))
         except np.linalg.LinAlgError:
             return math.inf
         white = np.concatenate([part for part, _ in parts])
@@ -266,8 +267,7 @@ def _likeliest(
         minimize(unlikely, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3})
         for start in starts
     ]
-    best: Floats = min(found, key=lambda item: float(item.fun)).x
-    return best
+    return np.clip(min(found, key=lambda item: float(item.fun)).x, *_FAR)
 
 
 def _means(values: Floats, block: int) -> Floats:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
@@ -26,6 +26,9 @@ _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
     "Sampling was not finished; the same `curlfit fit` command with --resume goes on with it."
 )
+_WORDS = {
+    "x": "x", "y": "y", "phi": "the angle", "speed": "the speed", "omega": "the spin",
+}  # fmt: skip
 _WIDE = 92  # columns from which the posterior fits beside the estimates
 
 
@@ -210,7 +213,24 @@ def identifiability(fit: FitResult) -> str:
     if weak:
         text += f" {listed(weak)}: only weakly determined."
         text += "" if unseen else _instead(fit, weak)
-    return text
+    return text + "".join(f" {_remedy(fit, item)}" for item in fit.remedies)
+
+
+def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:
+    """What would determine some parameters, as a sentence."""
+    names, channels = remedy["parameters"], [_WORDS[name] for name in remedy["measure"]]
+    if channels:
+        also = listed(channels) if remedy["all"] else _either(channels)
+        return f"Measuring {also} as well would determine {listed(names)}."
+    text = f"Nothing else measured along this path would determine {listed(names)}"
+    own = [name for name in names if name in fit.coefficients]
+    if fit.law_class.origin or len(own) != 2:
+        return text + "."
+    return text + f"; `curlfit design --separate {own[0]},{own[1]}` looks for throws that would."
+
+
+def _either(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
 
 
 def _instead(fit: FitResult, names: list[str]) -> str:

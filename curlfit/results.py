@@ -123,6 +123,7 @@ class FitResult:
     noise : how noise goes together from row to row, see `curlfit.noise`.
     outliers : values far off the fit: {"channel", "t", "line" (of the file, or None), "off" (SI),
         "sigmas"}, the farthest first.
+    remedies : what else would have to be measured, see `curlfit.remedies`.
     sampling : "none", "unfinished" (begun, or to be begun) or "ended".
     """
 
@@ -152,6 +153,7 @@ class FitResult:
     noise: Noise = WHITE
     independence: dict[str, Independence] = field(default_factory=dict)
     outliers: tuple[dict[str, Any], ...] = ()
+    remedies: tuple[dict[str, Any], ...] = ()
     sampling: str = "none"
 
     @property
@@ -221,6 +223,7 @@ class FitResult:
             "noise": self.noise.as_dict(),
             "independence": {name: asdict(item) for name, item in self.independence.items()},
             "outliers": list(self.outliers),
+            "remedies": list(self.remedies),
             "parameters": {name: asdict(item) for name, item in self.parameters.items()},
             "combinations": [asdict(item) for item in self.combinations],
             "identifiability": {
@@ -275,6 +278,7 @@ class FitResult:
                 for name, item in found.get("independence", {}).items()
             },
             outliers=tuple(found.get("outliers", ())),
+            remedies=tuple(found.get("remedies", ())),
         )
 
     def save(self, file: str | PathLike[str]) -> None:

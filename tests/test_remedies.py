@@ -1,0 +1,68 @@
+"""What else to measure: said of a throw, and true of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import curlfit
+from curlfit import LAWS, Start, Stone, simulate
+from curlfit.remedies import NOISE
+from curlfit.report import identifiability
+from curlfit.results import load_fit
+
+T = np.arange(0.0, 15.05, 0.1)
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """All channels of a throw, with noise."""
+    path = simulate(LAWS["front-back"](), Stone(), Start(v=2.1, omega=1.3), T).to_numpy()
+    random = np.random.default_rng(4)
+    return {
+        name: getattr(path, name) + sigma * random.standard_normal(len(T))
+        for name, sigma in NOISE.items()
+    }
+
+
+def fitted(seen, *channels, **choices):
+    throw = curlfit.Throw.from_arrays(
+        T, **{name: seen[name] for name in channels}, sigma={name: NOISE[name] for name in channels}
+    )
+    return curlfit.fit(throw, "front-back", **choices)
+
+
+@pytest.mark.parametrize(
+    ("channels", "name"), [(("x", "y"), "omega0"), (("y", "phi"), "mu1_xi"), (("phi",), "mu1_xi")]
+)
+def test_what_is_said_to_help_does_and_the_rest_does_not(seen, channels, name):
+    before = fitted(seen, *channels)
+    assert before.parameters[name].verdict in ("weak", "not identifiable")
+    (remedy,) = (item for item in before.remedies if name in item["parameters"])
+    assert remedy["measure"]
+    others = [other for other in NOISE if other not in channels]
+    if remedy["all"]:
+        more = remedy["measure"]
+        assert fitted(seen, *channels, *more).parameters[name].verdict == "determined"
+        for left_out in more:
+            fewer = [other for other in more if other != left_out]
+            assert fitted(seen, *channels, *fewer).parameters[name].verdict != "determined"
+    else:
+        for other in others:
+            helps = fitted(seen, *channels, other).parameters[name].verdict == "determined"
+            assert helps == (other in remedy["measure"]), other
+
+
+def test_nothing_tells_the_split_and_the_report_says_where_to_look(seen, tmp_path):
+    found = fitted(seen, "x", "y", "phi")
+    assert found.remedies == ({"parameters": ["mu1_eta", "mu2_eta"], "measure": [], "all": False},)
+    assert "curlfit design --separate mu1_eta,mu2_eta" in identifiability(found)
+    found.save(tmp_path / "fit.json")
+    assert load_fit(tmp_path / "fit.json").remedies == found.remedies
+
+
+def test_what_is_held_stays_so_and_what_is_known_needs_nothing(seen):
+    held = fitted(seen, "x", "y", "phi", fix={"mu1_eta": 0.009})
+    assert held.remedies == ()
+    spin = fitted(seen, "x", "y", fix={"omega0": 1.3})
+    assert not any("omega0" in item["parameters"] for item in spin.remedies)
