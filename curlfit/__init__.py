@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from curlfit.joint import JointResult, fit_together, load_joint
     from curlfit.motion import Path, Start, simulate
     from curlfit.planning import Design, design, load_design
-    from curlfit.prediction import Prediction, held_out, load_prediction, predict
+    from curlfit.prediction import held_out, predict
+    from curlfit.predictions import Prediction, load_prediction
     from curlfit.profiles import PairProfile, Profile, load_profile
     from curlfit.profiling import profile
     from curlfit.readers import load_throw
@@ -65,7 +66,8 @@ _HOMES = {
     "joint": ("JointResult", "fit_together", "load_joint"),
     "motion": ("Path", "Start", "simulate"),
     "planning": ("Design", "design", "load_design"),
-    "prediction": ("Prediction", "held_out", "load_prediction", "predict"),
+    "prediction": ("held_out", "predict"),
+    "predictions": ("Prediction", "load_prediction"),
     "profiles": ("PairProfile", "Profile", "load_profile"),
     "profiling": ("profile",),
     "readers": ("load_throw",),

@@ -11,6 +11,8 @@ from collections.abc import Iterable, Sequence
 from os import PathLike
 from typing import Any
 
+import numpy as np
+
 from curlfit.errors import CurlfitError
 from curlfit.fitting import Job, estimated_sigma, first_sigma, fit, prepared, shifted
 from curlfit.friction import Law, check_load
@@ -121,8 +123,12 @@ class _Run:
         self.sigma = estimated_sigma(
             job.throw, solution, self.problem, self.local, list(self.sigma)
         )
+        before = np.where(self.problem.weight > 0, self.problem.weight, 1.0)
         self.problem = problem_of(job.throw, self.stone, job.frame, self.sigma)
-        return Task(place, self.problem, solution.values, self.local)
+        # Another sigma is another scale of what is known already.
+        scale = self.problem.weight / before
+        known = scale * solution.residual, scale[..., None] * solution.jacobian
+        return Task(place, self.problem, solution.values, self.local, known)
 
     def result(self, solution: Solution | None) -> FitResult:
         job, plan = self.job, self.plan

@@ -15,7 +15,7 @@ from curlfit.figures import Picture
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from curlfit.prediction import Prediction
+    from curlfit.predictions import Prediction
 
 _PATH = "#1b2a49"
 _BAND = "#7b5ea7"

@@ -33,6 +33,7 @@ from curlfit.weighing import weighed
 
 Floats = NDArray[np.float64]
 
+_LASTING = 0.03  # memory over the time of motion, above which `tests/statistics` finds errors small
 _OPEN = ("not identifiable", "weak")  # verdicts that something else might mend
 _ROUNDS = 4  # of a robust fit: sigma from the bulk, then the fit
 
@@ -134,6 +135,13 @@ def fit(
     problem = problem_of(throw, stone, frame, sigma, noise=shown)
     solution = descend(law, load, solution.values, local, problem) or solution
     result = replace(record(problem, sigma, solution), noise=shown)
+    lasting = max(shown.memory.values(), default=0.0)
+    if lasting > _LASTING * span:
+        rough = (
+            f"the noise remembers {lasting:.2g} s of a throw of {span:.3g} s, too long to be told "
+            "well: its standard errors may be too small by half"
+        )
+        result = replace(result, warnings=(*result.warnings, rough))
     return remedied(result, problem, solution)
 
 

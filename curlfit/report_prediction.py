@@ -13,7 +13,7 @@ from curlfit.report import number, plain_table
 from curlfit.sheet import FOOT, STONE_RADIUS, TEE_TO_BACK
 
 if TYPE_CHECKING:
-    from curlfit.prediction import HeldOut, Prediction, Quantity
+    from curlfit.predictions import HeldOut, Prediction, Quantity
 
 _LINES = {
     "hack": "at the hack", "back": "on the near back line", "tee": "on the near tee line",
@@ -120,7 +120,7 @@ def _aim(prediction: Prediction) -> str:
 
 
 def _quantities(prediction: Prediction) -> RenderableType:
-    from curlfit.prediction import QUANTITIES
+    from curlfit.predictions import QUANTITIES
 
     shown = prediction.quantities
     partly = any(item.share < 1 for item in shown.values())
@@ -153,7 +153,7 @@ def _row(item: Quantity) -> list[str]:
 
 
 def _sentences(prediction: Prediction) -> list[str]:
-    from curlfit.prediction import CHANCES
+    from curlfit.predictions import CHANCES
 
     found = [in_words(prediction)]
     likely = [

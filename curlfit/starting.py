@@ -170,7 +170,10 @@ def start_values(
         low = np.concatenate([lower[:k], np.full(6, -np.inf)])
         high = np.concatenate([upper[:k], np.full(6, np.inf)])
         solution = _bounded_least_squares(np.concatenate(rows), np.concatenate(right), low, high)
+        linear = np.allclose(by_coefficient @ nominal, a, rtol=1e-9, atol=1e-12)
         nominal = solution[:k]
+        if linear:
+            break
 
     x0, vx0, y0, vy0, phi0, omega0 = solution[k:]
     if phi is None:

@@ -16,9 +16,9 @@ from typer.testing import CliRunner
 
 import curlfit
 from curlfit import InputError, UnusableFitError, sheet
+from curlfit.asked import GUARD, TAKEOUT
 from curlfit.cli import app
 from curlfit.misfit import bent, drawn, misfit_of, same_speed
-from curlfit.prediction import GUARD, TAKEOUT
 
 STONE = curlfit.Stone(R=0.065)
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}

@@ -42,7 +42,7 @@ def show(
         comparison = load_comparison(folder)
         record, printed = comparison.to_json, partial(print_comparison, comparison, console)
     elif kind == "predict":
-        from curlfit.prediction import load_prediction
+        from curlfit.predictions import load_prediction
         from curlfit.report_prediction import print_prediction
 
         prediction = load_prediction(folder)

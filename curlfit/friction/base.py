@@ -7,6 +7,7 @@ so the same class serves the compiled model, numpy and a table of names and unit
 from __future__ import annotations
 
 import dataclasses
+import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Literal, NamedTuple, Self, dataclass_transform, get_args
@@ -222,6 +223,7 @@ class Law:
             callback(cls)
 
     @classmethod
+    @functools.cache
     def coefficients(cls) -> tuple[Coefficient, ...]:
         """The coefficients in the order of the class's fields."""
         found = []
