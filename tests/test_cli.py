@@ -194,6 +194,16 @@ def test_help_and_refusals_load_no_jax(tmp_path):
         assert run.returncode == 0, run.stderr
 
 
+def test_help_computes_nothing():
+    code = (
+        "import sys; sys.argv[1:] = ['fit', '--help']\n"
+        "from curlfit.cli import main\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "assert 'numpy' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
 def test_check_shows_what_was_understood(tmp_path):
     (tmp_path / "points.csv").write_text(known_points())
     (tmp_path / "pixels.csv").write_text(PIXELS)

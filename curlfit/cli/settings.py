@@ -10,16 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from curlfit.errors import DataError, InputError
-from curlfit.noise import check_noise
-from curlfit.parameters import check_seed
-from curlfit.readers import load_throw
-from curlfit.readers.columns import in_unit
-from curlfit.stone import Stone
-from curlfit.throw import Throw
 
 if TYPE_CHECKING:
     from curlfit.chain import Chain
     from curlfit.results import FitResult
+    from curlfit.stone import Stone
+    from curlfit.throw import Throw
 
 HOW = ("format", "axes", "units", "reference", "stone_index", "shot")
 """Settings that say how to read a file."""
@@ -76,6 +72,8 @@ def with_unit(option: str, quantity: str, text: str) -> float:
         raise InputError(
             f"{option} {text.strip()}: expected a number, with a unit behind it if it is not SI"
         )
+    from curlfit.readers.columns import in_unit
+
     unit = text[size.end() :].strip()
     try:
         return float(size[0]) * (in_unit(quantity, unit).factor if unit else 1.0)
@@ -140,6 +138,8 @@ def merged(*layers: Mapping[str, Any]) -> dict[str, Any]:
 
 def checked(settings: dict[str, Any], origin: str) -> dict[str, Any]:
     """Settings with their types made sure of, in words a user can act on."""
+    from curlfit.parameters import check_seed
+
     for key in ("stone", "sigma", "fix", "start"):
         for name, value in settings.get(key, {}).items():
             if isinstance(value, bool) or not isinstance(value, int | float):
@@ -165,6 +165,8 @@ def checked(settings: dict[str, Any], origin: str) -> dict[str, Any]:
 
 def require_white(wanted: Mapping[str, Any], what: str) -> None:
     """Raise `InputError` where noise is asked for that goes together from row to row."""
+    from curlfit.noise import check_noise
+
     if check_noise(wanted.get("noise", "white")) != "white":
         raise InputError(f"noise {wanted['noise']}: {what} with white noise only")
 
@@ -190,12 +192,16 @@ def prepared(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Prepa
     ------
     InputError : the data, a setting or a value cannot be used.
     """
+    from curlfit.readers import load_throw
+
     configured = checked(read_config(config), str(config))
     return settled(load_throw(data, **how_to_read(configured, flags)), configured, flags)
 
 
 def settled(throw: Throw, configured: Mapping[str, Any], flags: Mapping[str, Any]) -> Prepared:
     """`prepared`, of a throw that was read."""
+    from curlfit.stone import Stone
+
     wanted = merged(checked(throw.defaults, throw.name), configured, flags)
     stone = Stone().with_values(wanted.get("stone", {}))
     return Prepared(throw.with_sigma(wanted.get("sigma", {})), wanted, stone)
