@@ -93,7 +93,7 @@ def test_the_optimum_and_its_errors_are_scipy_s(three):
     assert joint.rank == joint.parameters - 1
 
 
-@pytest.mark.parametrize("count", [3, 12])
+@pytest.mark.parametrize("count", [3, pytest.param(12, marks=pytest.mark.slow)])
 def test_shared_coefficients_are_covered(count):
     # squared deviations in standard errors of three quantities: chi squared, 15 or 9 of it
     squares, truth = [], LAW()
