@@ -213,11 +213,19 @@ def time_to_rest(case: Case, y: np.ndarray, f: np.ndarray) -> np.ndarray:
 
 
 def by_extrapolation(
+    case: Case, p: np.ndarray, times: np.ndarray, **precision: float
+) -> np.ndarray:
+    """x, y, phi at the times, shape (3, n, lanes), see `extrapolated`."""
+    return extrapolated(case, p, times, **precision)[0]
+
+
+def extrapolated(
     case: Case, p: np.ndarray, times: np.ndarray, *, columns: int = 8, least: float = 1e-15,
     share: float = 0.3,
-) -> np.ndarray:  # fmt: skip
-    """x, y, phi at the times, shape (3, n, lanes), by the extrapolated midpoint rule (Gragg 1965,
-    Bulirsch and Stoer 1966) of order 2 `columns` in extended precision.
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """x, y, phi at the times, shape (3, n, lanes), and the time of rest, or zero where that is
+    later, by the extrapolated midpoint rule (Gragg 1965, Bulirsch and Stoer 1966) of order
+    2 `columns` in extended precision.
 
     Steps are a `share` of the time to rest and of that to |epsilon| = 1, where friction has a
     logarithmic kink; what is shorter than `least` (s) is stepped over, or is the rest.
@@ -243,14 +251,15 @@ def by_extrapolation(
         return table[-1]
 
     y, t = begin(p), np.longdouble(0)
-    found = []
+    found, rest = [], np.zeros_like(p[0])
     resting = False
     for time in times:
         while t < time and not resting:
             slope = f(y)
-            to_rest = time_to_rest(case, y, slope)[0].real
+            left = time_to_rest(case, y, slope)
+            to_rest = left[0].real
             if to_rest < least:
-                resting = True
+                resting, rest = True, t + left
                 break
             length = min(time - t, share * to_rest)
             if case.law != "semi-empirical":
@@ -264,7 +273,7 @@ def by_extrapolation(
             if time - t < 1e-17:
                 t = time
         found.append(y[[X, Y, PHI]])
-    return np.stack(found, 1)
+    return np.stack(found, 1), rest
 
 
 def by_runge_kutta(case: Case, p: np.ndarray, times: np.ndarray) -> np.ndarray:
