@@ -104,10 +104,12 @@ def test_rest_and_its_derivatives_agree_with_an_independent_integration(values, 
     np.testing.assert_allclose(found[:-1], exact[:-1], rtol=0, atol=1e-8 * size)
     assert found[-1] == pytest.approx(exact[-1], abs=2e-6)  # s, at a speed of less than 1e-6 m/s
     assert 0 < exact[-1] < 200  # it does come to rest
-    # Each by each parameter, against the greatest of its kind. Without friction across the motion the
-    # derivatives by it reach 5e-6, all others 1e-6.
+    # Each by each parameter, against the greatest of its kind. At rest those by a friction across
+    # the motion that is zero are the least exact: 1.4e-5, all others 2e-6.
     largest = np.abs(exact_slopes[:-1]).max(0)
-    assert (np.abs(slopes - exact_slopes)[:-1] <= 1e-5 * largest).all()
+    gaps = np.abs(slopes - exact_slopes)[:-1].reshape(3, len(times), -1) / largest
+    assert gaps[:, :3].max() < 1e-7
+    assert gaps.max() < 2e-5
     gap = np.abs(slopes[-1] - exact_slopes[-1])
     assert (gap * largest).max() / (np.abs(exact_slopes[-1]) * largest).max() < 1e-5
 
@@ -161,7 +163,7 @@ def honest(result, start):
     # Without spin the friction across and the spin are known as a product only, and the descent may
     # end early in that bent valley; it then says so, and what is determined holds all the same.
     ending = result.status.startswith("not converged: the next step would still gain 0.")
-    assert result.converged or (ending and not start["omega0"]), result.status
+    assert result.converged or (ending and start.get("omega0") == 0), result.status
     truth = dict(zip(NAMES, FRONT_BACK, strict=True)) | start
     told = set()
     for name, item in result.parameters.items():
@@ -199,9 +201,10 @@ def test_what_a_fit_says_of_hard_data_is_so(rate, until, start, told, seed):
     throw = thrown(
         seed, rate=rate, until=until, noise_xy=0.002 * fine, noise_phi=0.004 * fine, **start
     )
-    found = honest(fit(throw, stone=STONE), start)
+    # Of condensed data the start is that of the first mean, a little later.
+    found = honest(fit(throw, stone=STONE), start if rate * until < 6000 else {})
     assert found >= told
-    if not start["omega0"]:  # friction across the motion needs spin to show
+    if start["omega0"] == 0:  # friction across the motion needs spin to show
         assert not {"mu1_xi", "mu2_xi"} & found
 
 
