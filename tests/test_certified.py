@@ -1,0 +1,137 @@
+"""Fits against the certified solutions of tests/certified, which share no code with the program."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from functools import cache
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import curlfit
+
+FOLDER = Path(__file__).parent / "certified"
+CERTIFIED = json.loads((FOLDER / "certified.json").read_text())["cases"]
+CHANNELS = ("x", "y", "phi")
+
+# Digits of all values, where they are fewer than 8, and of all standard errors, where they are not
+# 6. The path's steps leave no more; the folder's README has the figures.
+FEWER = {
+    "front_back": (7.5, 8),
+    "front_back_rest": (6.5, 7.5),
+    "front_back_low_spin": (7, 8),
+    "front_back_consistent": (7.5, 8),
+    "front_back_consistent_split": (5, 5),
+    "coulomb": (7.5, 7.5),
+    "eq12": (6, 8),
+}
+
+
+def fitted(name):
+    case = CERTIFIED[name]
+    throw = curlfit.load_throw(FOLDER / case["file"]).with_sigma(case["sigma"])
+    return curlfit.fit(
+        throw, case["law"], load=case["load"], stone=curlfit.Stone(**case["stone"]), fix=case["fix"]
+    )
+
+
+def compared(name, result):
+    """Relative errors of values and standard errors, and the first in standard errors."""
+    found = {key: (item.value, item.stderr) for key, item in result.parameters.items()}
+    found |= {item.expression: (item.value, item.stderr) for item in result.combinations}
+    case = CERTIFIED[name]
+    ours = np.array([found[key] for key in case["values"]], float)
+    exact = np.array([list(case["values"].values()), list(case["stderr"].values())]).T
+    relative = np.abs(ours / exact - 1)
+    return relative[:, 0], relative[:, 1], np.abs(ours - exact)[:, 0] / exact[:, 1]
+
+
+@cache
+def certify():
+    """The independent program."""
+    spec = spec_from_file_location("certify", FOLDER / "certify.py")
+    module = module_from_spec(spec)
+    sys.modules["certify"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", CERTIFIED)
+def test_fit_has_the_certified_digits(name):
+    case = CERTIFIED[name]
+    result = fitted(name)
+    assert result.converged
+    assert result.n_observations == 3 * case["rows"]
+    values, errors, sigmas = compared(name, result)
+    digits, digits_of_errors = FEWER.get(name, (8, 6))
+    assert -np.log10(values.max()) > digits
+    assert -np.log10(errors.max()) > digits_of_errors
+    assert sigmas.max() < (1e-3 if "split" in name else 1e-4)
+    for channel in CHANNELS:
+        residual = np.subtract(result.observed[channel], result.fitted[channel])
+        squares = case["sum_of_squares"][channel]
+        assert (residual**2).sum() == pytest.approx(squares, rel=2e-5)
+        assert result.rms[channel] == pytest.approx(case["rms"][channel], rel=1e-5)
+
+
+def test_what_only_matters_as_a_sum_is_certified_as_a_sum():
+    for name, case in CERTIFIED.items():
+        split = {"mu1_eta", "mu2_eta"} <= set(case["values"])
+        assert split == (name == "front_back_consistent_split")
+
+
+@pytest.mark.parametrize("name", CERTIFIED)
+def test_certified_values_are_where_the_misfit_is_least(name):
+    # By DOP853 in double precision, where the values come from an extrapolation in extended one
+    program = certify()
+    case, record = program.CASES[name], CERTIFIED[name]
+    data = program.read(case.file or FOLDER / f"{name}.csv")
+    data = data[:, data[0] <= case.until]
+    values = np.array(case.values)
+    values[case.free] = list(record["values"].values())
+    assert list(record["values"]) == [case.label(place) for place in case.free]
+    p = np.tile(values[:, None], 1 + len(case.free)).astype(complex)
+    p[case.free, np.arange(1, p.shape[1])] += 1j * program.TINY
+    path = program.by_runge_kutta(case, p, data[0])
+    sigma = np.array([case.sigma[channel] for channel in CHANNELS])[:, None]
+    residual = path[..., 0].real - data[1:]
+    np.testing.assert_allclose(
+        (residual**2).sum(1), list(record["sum_of_squares"].values()), rtol=1e-8
+    )
+    jacobian = path[..., 1:].imag / program.TINY / sigma[..., None]
+    q, _ = np.linalg.qr(jacobian.reshape(-1, len(case.free)).astype(float))
+    left = q.T @ (residual / sigma).ravel().astype(float)
+    assert np.linalg.norm(left) < 2e-7  # standard errors
+    assert np.linalg.norm(residual / sigma) > 5
+
+
+def test_ring_sums_of_the_independent_program_are_elliptic_integrals():
+    assert certify().check_forces() < 1e-14
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["front_back_clip", "semi_empirical", "eq12"])
+def test_certified_values_come_out_again(name):
+    program = certify()
+    again = program.certify(name, program.CASES[name])
+    for part in ("values", "stderr", "sum_of_squares", "rms"):
+        assert again[part] == pytest.approx(CERTIFIED[name][part], rel=1e-11)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in FEWER if "split" not in name])
+def test_a_shorter_step_gives_the_missing_digits(name):
+    script = (
+        "from curlfit import motion; motion.STEP /= 4\n"
+        f"import test_certified as t; print(max(t.compared({name!r}, t.fitted({name!r}))[0]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=Path(__file__).parent, check=True, text=True,
+        capture_output=True, timeout=500, env={**os.environ, "CURLFIT_CACHE": "off"},
+    )  # fmt: skip
+    assert float(done.stdout) < 1e-8
