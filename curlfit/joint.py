@@ -490,7 +490,7 @@ def _result(
         }
         throws.append(replace(result, parameters=estimates, combinations=sees.combinations))
     coefficients = {name: throws[0].parameters[name] for name in shared}
-    left = slopes.distance(free & ~at_bound)
+    left = slopes.distance(slopes.movable())
     converged = best.finished and left < 0.01 * max(1.0, np.sqrt(best.cost / best.residual.size))
     warnings = [
         f"{item.data['file']}: {warning}" for item in single for warning in item.warnings

@@ -137,7 +137,7 @@ def model(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
     stop = jnp.arange(problem.times.shape[-1]) == problem.stop
     times = jnp.where(stop, problem.times + _LATE, problem.times)
     path = simulate(friction, problem.stone, start, times, load=load, t0=0.0)
-    left = (path.rest - problem.times) * start.v / jnp.maximum(path.rest, 1e-9)
+    left = start.v * (1 - problem.times / jnp.maximum(path.rest, 1e-9))
     speed = jnp.where(stop, left, path.speed)
     return jnp.stack([path.x, path.y, path.phi, speed, path.omega])
 

@@ -104,7 +104,7 @@ class Path:
     t in s; x, y in m; phi in rad, not wrapped; vx, vy in m/s; omega in rad/s. After the stone
     has come to rest its place and angle are held and its velocities are zero. `rest` is the time
     at which it comes to rest, in s; where it still moves at the last time, what its loss of energy
-    there lets expect.
+    there lets expect, inf without any.
     """
 
     t: Array
@@ -402,7 +402,9 @@ def _integrate(
     path = jnp.stack([jnp.where(resting, at, value) for at, value in zip(held, out, strict=True)])
     ending = slowing * (1 + law.steepness())
     lost = ending > 0
-    return path, moving.t + jnp.where(lost, 1 / jnp.where(lost, ending, 1.0), 0.0)
+    turning = 0.0 if isinstance(law, NetLaw) else jnp.abs(final.omega)
+    never = jnp.where(final.v + turning > 0, jnp.inf, 0.0)
+    return path, moving.t + jnp.where(lost, 1 / jnp.where(lost, ending, 1.0), never)
 
 
 # Both directions of differentiation from forward mode alone: a throw has some ten inputs, so its

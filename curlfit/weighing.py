@@ -86,7 +86,7 @@ def weighed(
         for row, name in enumerate(CHANNELS)
         if count[row] > 3
     }
-    left = slopes.distance(free & ~at_bound) / max(1.0, float(np.sqrt(np.mean(slopes.residual**2))))
+    left = slopes.distance(slopes.movable()) / max(1.0, float(np.sqrt(np.mean(slopes.residual**2))))
     converged, status, warnings = _judge(
         law, solution, left, parameters, at_bound, known.names, tried,
         dict(zip(CHANNELS, count, strict=True)), rms_by, apart, white=problem.colour is None,
@@ -266,13 +266,24 @@ class Slopes(NamedTuple):
         Along a valley that falls without end the push may be tiny. It is told from the end of an
         exact ridge, which is none, by what is left of the slope along the other parameters.
         """
-        push = self.residual @ self.jacobian * self.typical
-        near = _NEAR * self.typical
-        low = self.free & (self.values <= self.lower + near)
-        high = self.free & (self.values >= self.upper - near)
+        push, low, high = self._pushes()
         rest = np.abs(push[self.free & ~low & ~high]).max(initial=0.0)
         least = np.clip(_PUSHED * rest, _LEAST_PUSH, _CLEAR_PUSH)
         return low & (push > least) | high & (push < -least)
+
+    def movable(self) -> NDArray[np.bool_]:
+        """Free parameters but those that only a bound keeps from moving on, however little."""
+        push, low, high = self._pushes()
+        return self.free & ~(low & (push > 0)) & ~(high & (push < 0))
+
+    def _pushes(self) -> tuple[Floats, NDArray[np.bool_], NDArray[np.bool_]]:
+        """The push against lower bounds, and which parameters are at a lower, an upper bound."""
+        near = _NEAR * self.typical
+        return (
+            self.residual @ self.jacobian * self.typical,
+            self.free & (self.values <= self.lower + near),
+            self.free & (self.values >= self.upper - near),
+        )
 
     def open(self, at_bound: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Floats]:
         """The parameters that can move, and what those held at a bound add to their spread.
