@@ -163,8 +163,7 @@ def test_data_that_lie_on_the_sheet_are_left_where_they_are(tmp_path):
         one = curlfit.fit(curlfit.load_throw(tmp_path / "a.csv", axes=words), stone=STONE)
         assert curlfit.predict(one, draws=100).series["y"][0] == pytest.approx(first, abs=0.02)
     (tmp_path / "b.txt").write_text(
-        "hog_to_hog = 13.45\nhog_to_rest = 12.22\nback_to_hog = 3.5\n"
-        "rest = 0\ncurl = -1\nturns = 3\n"
+        "hog_to_hog = 13.45\nhog_to_rest = 12.22\nback_to_hog = 3.5\nrest = 0\ncurl = -1\n"
     )
     watched = curlfit.fit(
         curlfit.load_throw(tmp_path / "b.txt"), "coulomb",
