@@ -20,11 +20,14 @@ DATA = Path(__file__).parent.parent / "data" / "jensen_shegelski_2004.csv"
 G = 9.81
 
 
-LONG = ("test_readme", "test_comparison", "test_prediction", "test_laws", "test_reproduce")
+LONG = ("test_readme", "test_laws", "test_motion", "test_prediction", "test_hard_numerics")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest files first, lest one of them run on alone at the end."""
+    """The longest files first, lest one of them run on alone at the end.
+
+    What compares all laws comes later, when the README's commands have compiled them.
+    """
     place = {name: -1 - LONG[::-1].index(name) for name in LONG}
     items.sort(key=lambda item: place.get(item.path.stem, 0))
 

@@ -1,7 +1,7 @@
 """Calibration: are error bars as wide as repetition shows?
 
-    python tests/statistics/calibration.py ranks [THROWS]    posterior and errors, law by law
-    python tests/statistics/calibration.py noise [THROWS]    noise models, right and wrong laws
+    python tests/statistics/calibration.py ranks [THROWS [LAW]]    posterior and errors, law by law
+    python tests/statistics/calibration.py noise [THROWS]          noise models, right, wrong laws
 
 write their tables and figures beside this file. A throw is 15 s at 10 Hz with noise of 5 mm on x
 and y and 10 mrad on phi; its coefficients and its start are drawn evenly from a box, which is
@@ -227,10 +227,10 @@ def noise_table(case: Case, found: list[dict[str, dict[str, float]]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(what: str, throws: int) -> None:
+def main(what: str, throws: int = 1000, only: str | None = None) -> None:
     """Run, and write tables and figures."""
     if what == "ranks":
-        for law in BOXES:
+        for law in BOXES if only is None else [only]:
             found = list(_counted(law, asked(law, throws), throws))
             put(f"ranks {law}", f"{len(found)} throws.\n\n{ranks_table(found)}")
             ranks_figure(law, found)
@@ -249,6 +249,6 @@ def _counted(title: str, items: Iterator[Any], of: int) -> Iterator[Any]:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) not in (2, 3) or sys.argv[1] not in ("ranks", "noise"):
+    if len(sys.argv) not in (2, 3, 4) or sys.argv[1] not in ("ranks", "noise"):
         sys.exit(__doc__)
-    main(sys.argv[1], int(sys.argv[2]) if len(sys.argv) == 3 else 1000)
+    main(sys.argv[1], *map(int, sys.argv[2:3]), *sys.argv[3:])
