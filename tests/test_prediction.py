@@ -163,11 +163,11 @@ def test_data_that_lie_on_the_sheet_are_left_where_they_are(tmp_path):
         one = curlfit.fit(curlfit.load_throw(tmp_path / "a.csv", axes=words), stone=STONE)
         assert curlfit.predict(one, draws=100).series["y"][0] == pytest.approx(first, abs=0.02)
     (tmp_path / "b.txt").write_text(
-        "hog_to_hog = 13.45\nhog_to_rest = 12.22\nback_to_hog = 3.5\nrest = 0\ncurl = -1\n"
+        "hog_to_hog = 13.45\nhog_to_rest = 12.22\nback_to_hog = 3.5\nrest = 0\n"
     )
     watched = curlfit.fit(
         curlfit.load_throw(tmp_path / "b.txt"), "coulomb",
-        fix={"heading": 0.0, "phi0": 0.0, "omega0": 1.5},
+        fix={"heading": 0.0, "phi0": 0.0, "omega0": 0.0},
     )  # fmt: skip
     found = curlfit.predict(watched, draws=100)
     assert found.line == "data"
