@@ -19,7 +19,15 @@ from numpy.typing import NDArray
 
 from curlfit.errors import UnusableFitError
 from curlfit.friction import Law, check_load, find_law, no_motion_because
-from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, frame_of, problem_of, raw_residuals
+from curlfit.likelihood import (
+    SIGMA_FLOOR,
+    Frame,
+    Problem,
+    frame_of,
+    problem_of,
+    raw_residuals,
+    trace,
+)
 from curlfit.losses import robust_sigma
 from curlfit.noise import check_noise, fitted_noise
 from curlfit.parameters import ParameterSet, check_loss
@@ -121,11 +129,11 @@ def fit(
         found = remedies(law, load, solution.values, problem, local, len(throw), open_, fix or ())
         return replace(result, remedies=found)
 
-    white = record(problem, sigma, solution)
     if noise == "white":
-        return remedied(white, problem, solution)
+        return remedied(record(problem, sigma, solution), problem, solution)
     n = len(throw)
-    moving = np.flatnonzero(white.fitted["speed"] > 0)
+    speed = np.asarray(trace(law, load, solution.values, problem))[CHANNELS.index("speed"), :n]
+    moving = np.flatnonzero(speed > 0)
     span = float(throw.t[moving[-1]] - throw.t[0]) if len(moving) else 0.0
     shown, sizes = fitted_noise(
         noise, throw, solution.residual[:, :n], solution.jacobian[:, :n, parameters.free],

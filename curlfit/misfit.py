@@ -38,6 +38,7 @@ from scipy.optimize import nnls
 from curlfit.friction import check_load
 from curlfit.identifiability import directions
 from curlfit.likelihood import frame_of, linearised, problem_of
+from curlfit.noise import block_means
 from curlfit.results import FitResult
 from curlfit.throw import CHANNELS
 
@@ -295,13 +296,13 @@ def _condensed(fit: FitResult) -> list[_Row]:
         t = np.minimum(fit.observed["t"] - fit.observed["t"][0], span)[seen]
         weight = slopes.weight[row, seen]
         residual = (fit.observed[name] - fit.fitted[name])[seen]
-        scale = np.sqrt(_means(weight**2, block) * block)
+        scale = np.sqrt(block_means(weight**2, block) * block)
         found.append(
             _Row(
                 name,
-                _means(t, block),
-                _means(residual, block) * scale,
-                _means(slopes.jacobian[row, seen][:, free], block) * scale[:, None],
+                block_means(t, block),
+                block_means(residual, block) * scale,
+                block_means(slopes.jacobian[row, seen][:, free], block) * scale[:, None],
                 scale,
                 float(1 / np.sqrt(np.mean(weight**2))),
                 count,
@@ -363,9 +364,3 @@ def _integral(values: Floats, step: float) -> Floats:
     """Running integral along the first axis, by the trapezoid rule."""
     middle = (values[1:] + values[:-1]) / 2 * step
     return np.concatenate([np.zeros_like(values[:1]), np.cumsum(middle, 0)])
-
-
-def _means(values: Floats, block: int) -> Floats:
-    """Means over blocks of rows; a last block that is not full is left out."""
-    whole = len(values) // block * block
-    return cast(Floats, values[:whole].reshape(whole // block, block, *values.shape[1:]).mean(1))

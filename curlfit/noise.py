@@ -164,8 +164,9 @@ class _Channel(NamedTuple):
         typical = float(np.sqrt(np.mean(weight[seen] ** 2)))
         both = np.column_stack([residual, basis])[seen]
         return cls(
-            name, _means(throw.t[seen] - throw.t[0], block), math.sqrt(block) * _means(both, block),
-            _means(weight[seen] / typical, block), 1 / typical, block, name in throw.sigma,
+            name, block_means(throw.t[seen] - throw.t[0], block),
+            math.sqrt(block) * block_means(both, block),
+            block_means(weight[seen] / typical, block), 1 / typical, block, name in throw.sigma,
         )  # fmt: skip
 
     @property
@@ -270,7 +271,7 @@ def _likeliest(
     return np.clip(min(found, key=lambda item: float(item.fun)).x, *_FAR)
 
 
-def _means(values: Floats, block: int) -> Floats:
+def block_means(values: Floats, block: int) -> Floats:
     """Means over blocks of rows; a last block that is not full is left out."""
     whole = len(values) // block * block
     return np.asarray(values[:whole].reshape(whole // block, block, *values.shape[1:]).mean(1))
@@ -301,14 +302,20 @@ class Independence:
         return sure and self.lag1 > _MATTERS
 
 
+def lag1_of(residual: Floats) -> float:
+    """Correlation of neighbouring residuals; 0 for independent noise."""
+    centred = residual - residual.mean()
+    total = float((centred**2).sum())
+    return float((centred[1:] * centred[:-1]).sum() / total) if total > 0 else 0.0
+
+
 def independence(residual: Floats) -> Independence:
     """Of the residuals of a channel, shape (n,)."""
     centred = residual - residual.mean()
-    total = float((centred**2).sum())
     n = len(residual)
-    if not total > 0:
+    if not centred.any():
         return Independence(0.0, 0.0, float(n))
-    lag1 = float((centred[1:] * centred[:-1]).sum() / total)
+    lag1 = lag1_of(residual)
     up = centred > 0
     above, below = int(up.sum()), int((~up).sum())
     runs = 1 + int((up[1:] != up[:-1]).sum())

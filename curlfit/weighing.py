@@ -11,7 +11,7 @@ from curlfit.friction import Law, Load
 from curlfit.identifiability import Identifiability, analyse, slack, visible
 from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, log_posterior, raw_residuals, trace
 from curlfit.losses import precision, robust_sigma, signed_root, steepness
-from curlfit.noise import Independence, independence
+from curlfit.noise import Independence, independence, lag1_of
 from curlfit.parameters import LOSSES, ParameterSet
 from curlfit.results import Estimate, FitResult
 from curlfit.solving import Solution
@@ -79,7 +79,9 @@ def weighed(
     )
     rms_by = {name: float(rms[row]) for row, name in enumerate(CHANNELS) if count[row]}
     lag1 = {
-        name: _lag1(residual[row][seen[row]]) for row, name in enumerate(CHANNELS) if count[row] > 3
+        name: lag1_of(residual[row][seen[row]])
+        for row, name in enumerate(CHANNELS)
+        if count[row] > 3
     }
     apart = {
         name: independence(solution.residual[row, :n][seen[row]])
@@ -359,13 +361,6 @@ def _estimates(
             typical=item.typical,
         )
     return found
-
-
-def _lag1(residual: Floats) -> float:
-    """Correlation of neighbouring residuals; 0 for independent noise."""
-    centred = residual - residual.mean()
-    total = float((centred**2).sum())
-    return float((centred[1:] * centred[:-1]).sum() / total) if total > 0 else 0.0
 
 
 def _judge(
