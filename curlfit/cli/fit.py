@@ -12,18 +12,14 @@ import typer
 
 from curlfit.cli import options as o
 from curlfit.cli import reading as r
-from curlfit.cli import settings as s
 from curlfit.cli.together import fit_several
+from curlfit.cli.wanted import FitWanted, fit_flags, fit_wanted
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from curlfit.chain import Chain
-    from curlfit.friction import Law
-    from curlfit.parameters import ParameterSet
     from curlfit.results import FitResult
-    from curlfit.stone import Stone
-    from curlfit.throw import Throw
 
 
 def fit(
@@ -101,27 +97,14 @@ def fit(
     """
     from curlfit.errors import InputError
     from curlfit.files import prepared_folder
-    from curlfit.friction import check_load, find_law
-    from curlfit.noise import check_noise
-    from curlfit.parameters import ParameterSet, check_loss
 
     if resume and no_sample:
         raise InputError("--resume goes on with sampling, and --no-sample does without it")
-    flags = {
-        **r.how(format, axes, units, reference, stone_index, shot),
-        "law": law,
-        "load": load,
-        "until": until,
-        "stone": s.pairs("--stone", stone or ()),
-        "sigma": s.pairs("--sigma", sigma or ()),
-        "fix": s.pairs("--fix", fix or ()),
-        "bound": s.intervals("--bound", bound or ()),
-        "start": s.pairs("--start", start or ()),
-        "unbounded": unbounded or None,
-        "loss": loss,
-        "noise": noise,
-        "seed": seed,
-    }
+    flags = fit_flags(
+        r.how(format, axes, units, reference, stone_index, shot),
+        law=law, load=load, until=until, stone=stone, sigma=sigma, fix=fix, bound=bound,
+        start=start, unbounded=unbounded, loss=loss, noise=noise, seed=seed,
+    )  # fmt: skip
     if len(data) > 1:
         if resume:
             raise InputError("--resume goes on with the sampling of one throw; give one file")
@@ -130,28 +113,12 @@ def fit(
     (file,) = data
     if share is not None:
         raise InputError("--share needs several files")
-    throw, wanted, the_stone = s.prepared(file, config, flags)
-
-    # Everything that can be refused is looked at before anything slow is loaded.
-    law_class = find_law(wanted.get("law", "front-back"))
-    check_load(wanted.get("load", "uniform"))
-    loss = check_loss(wanted.get("loss", "linear"))
-    noise = check_noise(wanted.get("noise", "white"), loss)
-    choices: dict[str, Any] = {
-        "fix": wanted.get("fix"),
-        "bounds": wanted.get("bound"),
-        "unbounded": bool(wanted.get("unbounded", False)),
-    }
-    cut = throw.until(wanted.get("until"))
-    cut.require_motion()
-    parameters = ParameterSet.for_throw(law_class, cut, **choices)
-    parameters.require("--start", wanted.get("start", {}))
-    load, seed = wanted.get("load", "uniform"), wanted.get("seed", 0)
+    asked = fit_wanted(file, config, flags)
+    seed = asked.wanted.get("seed", 0)
     folder = out or Path(f"{file.stem}-fit")
     saved = None
     if resume:
-        of = (cut.condensed(), law_class, load, the_stone, parameters, loss, noise)
-        saved = _saved(folder, seed, *of)
+        saved = _saved(folder, seed, asked)
     folder = prepared_folder(folder)
 
     from rich.console import Console
@@ -161,19 +128,7 @@ def fit(
         console.print(f"Nothing to resume in {folder}; this is a first run.", soft_wrap=True)
     if saved is None:
         with waiting(console, "Fitting (a first run on a machine compiles the model)"):
-            from curlfit.fitting import fit as least_squares
-
-            result = least_squares(
-                throw,
-                law_class,
-                load=load,
-                stone=the_stone,
-                until=wanted.get("until"),
-                start=wanted.get("start"),
-                loss=loss,
-                noise=noise,
-                **choices,
-            )
+            result = asked.fit()
     else:
         result = saved
     written = [folder / "fit.json"]
@@ -215,17 +170,7 @@ def fit(
     _finish(result)
 
 
-def _saved(
-    folder: Path,
-    seed: int,
-    throw: Throw,
-    law: type[Law],
-    load: str,
-    stone: Stone,
-    parameters: ParameterSet,
-    loss: str,
-    noise: str,
-) -> FitResult | None:
+def _saved(folder: Path, seed: int, asked: FitWanted) -> FitResult | None:
     """The fit that lies in the folder, if any; it and its chain must be of what is asked for."""
     if not (folder / "fit.json").exists():
         return None
@@ -233,7 +178,10 @@ def _saved(
     from curlfit.results import load_fit
 
     found = load_fit(folder)
-    now = subject_of_fit(throw, law, load, stone, parameters, loss, noise)
+    now = subject_of_fit(
+        asked.cut.condensed(), asked.law, asked.load, asked.stone, asked.parameters, asked.loss,
+        asked.noise,
+    )  # fmt: skip
     require_same(subject_of_saved(found), now, folder / "fit.json")
     chain = folder / "chain.h5"
     if chain.exists():

@@ -6,13 +6,14 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from curlfit.cli import options as o
 from curlfit.cli import reading as r
 from curlfit.cli import settings as s
+from curlfit.cli.wanted import fit_flags, fit_wanted
 
 if TYPE_CHECKING:
     from curlfit.chain import Chain
@@ -92,20 +93,11 @@ def profile(
     from curlfit.errors import InputError
     from curlfit.files import prepared_folder
 
-    flags = {
-        **r.how(format, axes, units, reference, stone_index, shot),
-        "law": law,
-        "load": load,
-        "until": until,
-        "stone": s.pairs("--stone", stone or ()),
-        "sigma": s.pairs("--sigma", sigma or ()),
-        "fix": s.pairs("--fix", fix or ()),
-        "bound": s.intervals("--bound", bound or ()),
-        "start": s.pairs("--start", start or ()),
-        "unbounded": unbounded or None,
-        "loss": loss,
-        "noise": noise,
-    }
+    flags = fit_flags(
+        r.how(format, axes, units, reference, stone_index, shot),
+        law=law, load=load, until=until, stone=stone, sigma=sigma, fix=fix, bound=bound,
+        start=start, unbounded=unbounded, loss=loss, noise=noise,
+    )  # fmt: skip
     if len(span or ()) > len(param):
         raise InputError(f"--range is given {len(span or ())} times; expected one of each --param")
     ranges = {name: _range(text) for name, text in zip(param, span or (), strict=False)}
@@ -120,7 +112,9 @@ def profile(
         parameters = result.parameter_set
         fitted = lambda: (result, chain)  # noqa: E731
     else:
-        parameters, fitted = _to_fit(data, config, flags)
+        asked = fit_wanted(data, config, flags)
+        parameters = asked.parameters
+        fitted = lambda: (asked.fit(), None)  # noqa: E731
 
     from curlfit.profiles import require_usable
 
@@ -165,39 +159,6 @@ def _range(text: str) -> tuple[float, float]:
         s.number("--range", end, part) for end, part in zip(("low", "high"), parts, strict=True)
     )
     return low, high
-
-
-def _to_fit(data: Path, config: Path | None, flags: dict[str, Any]) -> tuple[Any, Any]:
-    """The parameters of a fit that is to be made, and what makes it."""
-    from curlfit.friction import check_load, find_law
-    from curlfit.noise import check_noise
-    from curlfit.parameters import ParameterSet, check_loss
-
-    throw, wanted, the_stone = s.prepared(data, config, flags)
-    law = find_law(wanted.get("law", "front-back"))
-    load = check_load(wanted.get("load", "uniform"))
-    loss = check_loss(wanted.get("loss", "linear"))
-    noise = check_noise(wanted.get("noise", "white"), loss)
-    choices: dict[str, Any] = {
-        "fix": wanted.get("fix"),
-        "bounds": wanted.get("bound"),
-        "unbounded": bool(wanted.get("unbounded", False)),
-    }
-    cut = throw.until(wanted.get("until"))
-    cut.require_motion()
-    parameters = ParameterSet.for_throw(law, cut, **choices)
-    parameters.require("--start", wanted.get("start", {}))
-
-    def fitted() -> tuple[FitResult, None]:
-        from curlfit.fitting import fit as least_squares
-
-        result = least_squares(
-            throw, law, load=load, stone=the_stone, until=wanted.get("until"),
-            start=wanted.get("start"), loss=loss, noise=noise, **choices,
-        )  # fmt: skip
-        return result, None
-
-    return parameters, fitted
 
 
 @contextmanager
