@@ -28,6 +28,8 @@ _CURVED = 0.003  # typical sizes of a standard error, below which the misfit is 
 _UNKNOWN = 3.0  # the same, above which nothing is known anyway
 _PARABOLA = 0.5  # how far chi squared may be from one higher at one standard error
 _FAR = 5.0  # sigma from which a value is called an outlier
+_MUCH = 1.5  # times the sigma given, above which residuals are called too large ...
+_NOT_BY_CHANCE = 5.0  # ... where chi squared is so many of its own standard deviations too high
 _SMOOTH = 0.5  # lag-1 correlation of residuals from which they are called smooth
 
 
@@ -102,6 +104,8 @@ def weighed(
     outliers = _outliers(throw, residual, lag1)
     if outliers and loss == "linear":
         warnings.append(_about_outliers(outliers))
+    if loss == "linear" and problem.colour is None:
+        warnings += _about_given_sigma(throw, solution.residual[:, :n], outliers)
     kept = [name for name in CHANNELS if name in throw.seen or name in ("x", "y", "phi")]
     observed = {name: getattr(throw, name) for name in ("t", *kept)}
     observed |= {f"sigma_{name}": series for name, series in throw.sigma.items()}
@@ -247,6 +251,32 @@ def _about_outliers(outliers: tuple[dict[str, Any], ...]) -> str:
         f"{many} more than {_FAR:g} sigma off, the farthest {first['channel']} at "
         f"t = {first['t']:g} s{place}; --loss student keeps such values from pulling"
     )
+
+
+def _about_given_sigma(
+    throw: Throw, residual: Floats, outliers: tuple[dict[str, Any], ...]
+) -> list[str]:
+    """Channels whose residuals, outliers apart, are far larger than the sigma they were given."""
+    aside = {(item["channel"], item["t"]) for item in outliers}
+    found = {}
+    for row, name in enumerate(CHANNELS):
+        if name not in throw.sigma:
+            continue
+        seen = np.flatnonzero(np.isfinite(throw.observed[row]))
+        kept = [place for place in seen if (name, float(throw.t[place])) not in aside]
+        if not kept:
+            continue
+        square = float(np.mean(residual[row, kept] ** 2))
+        by_chance = 1 + _NOT_BY_CHANCE * np.sqrt(2 / len(kept))  # chi squared over its number
+        if square > max(by_chance, _MUCH**2):
+            found[name] = float(np.sqrt(square))
+    if not found:
+        return []
+    listed = ", ".join(f"{times:.2g} times in {name}" for name, times in found.items())
+    return [
+        f"the residuals are far larger than the sigma given ({listed}): that is too small, or the "
+        "law or a fixed value is wrong; standard errors are too small by as much or more"
+    ]
 
 
 class Slopes(NamedTuple):

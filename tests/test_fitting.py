@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import jax
@@ -181,6 +182,31 @@ def test_fixed_parameters_bounds_and_given_sigmas(eq12):
     assert result.parameters["mu2_xi"].value == 0.05
     assert not result.sigma
     assert set(result.data["sigma"].values()) == {"given"}
+
+
+@pytest.mark.parametrize(("times", "told"), [(1.0, 0), (0.5, 0), (3.0, 3)])
+def test_residuals_far_larger_than_the_sigma_given_are_told(times, told):
+    law = law_with("coulomb", {"mu": 0.01})
+    throw = synthetic_throw(law, Stone(), noise_xy=0.005 * times, noise_phi=0.01 * times, seed=3)
+    result = fit(throw.with_sigma({"x": 0.005, "y": 0.005, "phi": 0.01}), "coulomb")
+    said = " ".join(warning for warning in result.warnings if "the sigma given" in warning)
+    ratios = re.findall(r"([\d.]+) times in", said)
+    assert len(ratios) == told
+    for ratio in ratios:
+        assert float(ratio) == pytest.approx(times, rel=0.1)
+    # sigma that the fit estimates is never too small by its own measure
+    assert not [w for w in fit(throw, "coulomb").warnings if "sigma given" in w]
+
+
+def test_one_far_value_does_not_make_all_sigma_too_small():
+    law = law_with("coulomb", {"mu": 0.01})
+    throw = synthetic_throw(law, Stone(), noise_xy=0.005, noise_phi=0.01, seed=3)
+    x = throw.x.copy()
+    x[50] += 0.5
+    spoiled = replace(throw, x=x).with_sigma({"x": 0.005, "y": 0.005, "phi": 0.01})
+    result = fit(spoiled, "coulomb")
+    assert len(result.outliers) == 1
+    assert not [warning for warning in result.warnings if "sigma given" in warning]
 
 
 def test_consistent_load_confounds_the_split(eq12):
