@@ -16,6 +16,7 @@ itself, and the place of that row is the place at rest.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 from curlfit.motion import Start, simulate
@@ -144,24 +145,34 @@ def model(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
 
 def weighted_residuals(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
     """(model - data) times weight, independent and as the loss has it, of the shape of the data."""
+    return signed_root(_independent(law, load, values, problem), problem.loss)
+
+
+def _independent(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
+    """The same without any loss."""
     path = model(law, load, values, problem)[: len(problem.observed)]
     residual = jnp.where(problem.weight > 0, (path - problem.observed) * problem.weight, 0.0)
-    return signed_root(whitened(residual, problem.colour), problem.loss)
+    return whitened(residual, problem.colour)
 
 
 @kept("law", "load")
 def linearised(law: type[Law], load: Load, values: Array, problems: Problem) -> tuple[Array, Array]:
-    """Residuals of many throws (throws, channels, n), and their Jacobian by their parameters."""
+    """Residuals of many throws (throws, channels, n), and their Jacobian by their parameters.
+
+    One loss, that of the first throw, holds for all.
+    """
 
     def one(values: Array, problem: Problem) -> tuple[Array, Array]:
         def residual(values: Array) -> tuple[Array, Array]:
-            found = weighted_residuals(law, load, values, problem)
+            found = _independent(law, load, values, problem)
             return found, found
 
-        jacobian, found = jax.jacfwd(residual, has_aux=True)(values)
-        return found, jacobian
+        return jax.jacfwd(residual, has_aux=True)(values)
 
-    return jax.vmap(one)(values, problems)
+    jacobian, found = jax.vmap(one)(values, problems)
+    root = partial(signed_root, loss=problems.loss[0])
+    found, slope = jax.jvp(root, (found,), (jnp.ones_like(found),))
+    return found, slope[..., None] * jacobian
 
 
 def log_likelihood(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:

@@ -218,54 +218,45 @@ def _time_to_turn(corner: float, state: _State, rate: _State) -> Array:
 
 class _Moving(NamedTuple):
     """Between two steps: time, length of the next step (0 when there is nothing more to do),
-    the state and its time derivative, and whether all is done; lanes along the last axis."""
+    the state and its time derivative, each of shape (6, lanes), and whether all is done."""
 
     t: Array
     dt: Array
-    state: _State
-    rate: _State
+    state: Array
+    rate: Array
     idle: Array
 
 
-class _Knot(NamedTuple):
-    """End of a step: t, and for x, y, phi the value and its first two time derivatives."""
-
-    t: Any
-    value: Any
-    first: Any
-    second: Any
-
-
-def _knot(moving: _Moving) -> _Knot:
-    state, rate = moving.state, moving.rate
+def _knot(moving: _Moving) -> Array:
+    """End of a step, shape (10, lanes): t, and of x, y, phi the values, their first and their
+    second time derivatives."""
+    state, rate = _State(*moving.state), _State(*moving.rate)
     s, c = jnp.sin(state.heading), jnp.cos(state.heading)
     along, across = rate.v, state.v * rate.heading
-    return _Knot(
-        moving.t,
-        jnp.stack([state.x, state.y, state.phi]),
-        jnp.stack([rate.x, rate.y, rate.phi]),
-        jnp.stack([along * s + across * c, along * c - across * s, rate.omega]),
+    return jnp.stack(
+        [
+            moving.t,
+            *(state.x, state.y, state.phi),
+            *(rate.x, rate.y, rate.phi),
+            *(along * s + across * c, along * c - across * s, rate.omega),
+        ]
     )
 
 
-def _quintics(knots: _Knot) -> Array:
+def _quintics(knots: Array) -> Array:
     """Polynomials between knots in `s`, which goes from 0 to 1: six coefficients for each of x, y,
     phi, then the time at s = 0 and 1/h; shape (knots - 1, 20, lanes)."""
-    a, b = (
-        jax.tree.map(lambda k, part=part: k[part], knots) for part in (slice(-1), slice(1, None))
-    )
-    h = b.t - a.t
-    live = h > 0
-    safe = jnp.where(live, h, 1.0)
-    h = safe[:, None]
-    p0, v0, a0 = a.value, h * a.first, h**2 * a.second / 2
-    rise = b.value - (p0 + v0 + a0)
-    slope = h * b.first - (v0 + 2 * a0)
-    bend = h**2 * b.second / 2 - a0
+    a, b = knots[:-1], knots[1:]
+    h = b[:, :1] - a[:, :1]
+    h = jnp.where(h > 0, h, 1.0)
+    p0, v0, a0 = a[:, 1:4], h * a[:, 4:7], h**2 * a[:, 7:] / 2
+    rise = b[:, 1:4] - (p0 + v0 + a0)
+    slope = h * b[:, 4:7] - (v0 + 2 * a0)
+    bend = h**2 * b[:, 7:] / 2 - a0
     c3 = 10 * rise - 4 * slope + bend
     c4 = -15 * rise + 7 * slope - 2 * bend
     c5 = 6 * rise - 3 * slope + bend
-    return jnp.concatenate([p0, v0, a0, c3, c4, c5, a.t[:, None], 1 / h], 1)
+    return jnp.concatenate([p0, v0, a0, c3, c4, c5, a[:, :1], 1 / h], 1)
 
 
 def _values(quintics: Array, place: Array, times: Array) -> tuple[list[Array], list[Array]]:
@@ -300,44 +291,48 @@ def _integrate(
     lanes = v0.shape
     last = jnp.max(times, 0) + jnp.zeros(lanes)
     span = jnp.maximum(last, 1e-9)
-    tableau, moments = jnp.asarray(_TABLEAU), jnp.asarray(_TABLEAU.sum(1))
+    tableau = jnp.asarray(np.pad(_TABLEAU, ((0, 0), (0, 1))))
+    moments = jnp.asarray(_TABLEAU.sum(1))
 
-    f = partial(_rates, law, stone, load, span)
+    def rates(crowd: Crowding, state: Array, time: Array) -> Array:
+        return jnp.stack(_rates(law, stone, load, span, crowd, _State(*state), time))
 
-    def moved(moving: _Moving, weights: Array, slopes: _State) -> _State:
-        def gain(slope: Array) -> Array:
-            return jnp.asarray(sum(weights[place] * slope[place] for place in range(_STAGES)))
+    kept = jax.lax.dynamic_update_index_in_dim
 
-        state = jax.tree.map(lambda y, k: y + moving.dt * gain(k), moving.state, slopes)
-        state = state._replace(v=jnp.where(state.v > 0, state.v, 0.0))
+    def admitted(state: Array) -> Array:
+        """A state without motion backwards."""
+        x, y, heading, v, phi, omega = state
+        v = jnp.where(v > 0, v, 0.0)
         if isinstance(law, NetLaw):  # spin that has come to its end does not turn round
-            state = state._replace(omega=jnp.where(state.omega * omega0 > 0, state.omega, 0.0))
-        return state
+            omega = jnp.where(omega * omega0 > 0, omega, 0.0)
+        return jnp.stack([x, y, heading, v, phi, omega])
 
     def step(moving: _Moving) -> _Moving:
-        crowd = crowding(moving.state.v, stone.R * moving.state.omega)
+        t, dt, begin, rate, _ = moving
+        crowd = crowding(begin[3], stone.R * begin[5])
 
-        # A loop over the stages, not six copies of them, keeps the compiled program small. The
-        # state of a stage is made at the end of the one before, lest XLA make it anew for every
-        # point of the ring.
-        def stage(place: Array, carry: tuple[_State, _State, _State]) -> tuple[Any, ...]:
-            _, state, slopes = carry
-            rate = f(crowd, state, moving.t + moving.dt * moments[place])
-            slopes = jax.tree.map(lambda k, new: k.at[place + 1].set(new), slopes, rate)
-            following = moved(moving, tableau[jnp.minimum(place + 1, _STAGES - 1)], slopes)
-            return state, following, slopes
+        # A loop over the stages, not six copies of them, keeps the compiled program small. Their
+        # slopes are weighted by a dot product, which XLA does not make part of anything else: it
+        # would find the slopes, and their derivatives, anew for each use of them.
+        def reached(place: Array, slopes: Array) -> Array:
+            return admitted(begin + dt * jnp.tensordot(tableau[place], slopes, 1))
 
-        slopes = jax.tree.map(
-            lambda k: jnp.zeros((_STAGES + 1, *k.shape)).at[0].set(k), moving.rate
-        )
-        first = moved(moving, tableau[0], slopes)
+        def stage(place: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
+            _, now, slopes = carry
+            rate = rates(crowd, now, t + dt * moments[place])
+            slopes = kept(slopes, rate, place + 1, 0)
+            return now, reached(jnp.minimum(place + 1, _STAGES - 1), slopes), slopes
+
+        slopes = jnp.zeros((_STAGES + 1, *rate.shape)).at[0].set(rate)
+        first = reached(jnp.zeros((), int), slopes)
         state, _, slopes = jax.lax.fori_loop(0, _STAGES, stage, (first, first, slopes))
-        rate = jax.tree.map(lambda k: k[-1], slopes)
-        return planned(moving._replace(t=moving.t + moving.dt, state=state, rate=rate))
+        rate = slopes[-1]
+        return planned(moving._replace(t=t + dt, state=state, rate=rate))
 
     def planned(moving: _Moving) -> _Moving:
         """The same with the length of the next step."""
-        dt, at_rest = _step_size(law, stone, moving.state, moving.rate, moving.t, span)
+        state, rate = _State(*moving.state), _State(*moving.rate)
+        dt, at_rest = _step_size(law, stone, state, rate, moving.t, span)
         idle = at_rest | (moving.t >= last)
         return moving._replace(dt=jnp.where(idle, 0.0, dt), idle=idle)
 
@@ -346,9 +341,9 @@ def _integrate(
         return (~moving.idle & ~jnp.isnan(moving.dt)).any()
 
     def stretch(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        """As many steps as there are knots to keep, and what they say of the times."""
-        count, moving, out = carry
-        knots = jax.tree.map(lambda k: jnp.zeros((_KNOTS, *k.shape)).at[0].set(k), _knot(moving))
+        """As many steps as there are knots to keep, and what they say of the times and of rest."""
+        count, moving, _, out = carry
+        knots = jnp.zeros((_KNOTS, 10, *lanes)).at[0].set(_knot(moving))
 
         def more(carry: tuple[Any, ...]) -> Array:
             place, moving, *_ = carry
@@ -358,8 +353,7 @@ def _integrate(
             place, moving, knots, interval = carry
             interval += times >= moving.t + moving.dt
             moving = step(moving)
-            knots = jax.tree.map(lambda k, new: k.at[place].set(new), knots, _knot(moving))
-            return place + 1, moving, knots, interval
+            return place + 1, moving, kept(knots, _knot(moving), place, 0), interval
 
         begin = moving.t
         interval = jnp.zeros(out[0].shape, jnp.int32)
@@ -372,39 +366,49 @@ def _integrate(
         out = tuple(
             jnp.where(inside, new, old) for new, old in zip((*value, *velocity), out, strict=True)
         )
-        return count + 1, moving, out
+        return count + 1, moving, resting(moving), out
+
+    def resting(moving: _Moving) -> Array:
+        """x, y, phi where the stone comes to rest; and the time it does, if it does."""
+        state, rate = _State(*moving.state), _State(*moving.rate)
+        # What little is left is gone at an even loss of speed and spin.
+        slowing = _slowing(law, stone, state, rate)
+        left = 0.5 / jnp.maximum(slowing, 1e-9)
+        s, c = jnp.sin(state.heading), jnp.cos(state.heading)
+        ending = slowing * (1 + law.steepness())
+        lost = ending > 0
+        turning = 0.0 if isinstance(law, NetLaw) else jnp.abs(state.omega)
+        never = jnp.where(state.v + turning > 0, jnp.inf, 0.0)
+        return jnp.stack(
+            [
+                state.x + left * state.v * s,
+                state.y + left * state.v * c,
+                state.phi + left * state.omega,
+                moving.t + jnp.where(lost, 1 / jnp.where(lost, ending, 1.0), never),
+            ]
+        )
 
     def unfinished(carry: tuple[Any, ...]) -> Array:
-        count, moving, _ = carry
+        count, moving, *_ = carry
         return (count < _MOST_STRETCHES) & going(moving)
 
     zero = jnp.zeros(lanes)
-    state = _State(x=zero, y=zero, heading=zero, v=v0, phi=zero, omega=omega0)
+    state = jnp.stack([zero, zero, zero, v0, zero, omega0])
     # The first step has no length; it is there to find the rates at the start.
-    still = jax.tree.map(jnp.zeros_like, state)
-    moving = _Moving(t=zero, dt=zero, state=state, rate=still, idle=zero > 0)
+    moving = _Moving(zero, zero, state, jnp.zeros_like(state), idle=zero > 0)
     blank = jnp.full((len(times), *lanes), jnp.nan)
-    _, moving, out = jax.lax.while_loop(unfinished, stretch, (0, moving, (blank,) * 6))
-    final = moving.state
-    # What little is left is gone at an even loss of speed and spin.
-    slowing = _slowing(law, stone, final, moving.rate)
-    left = 0.5 / jnp.maximum(slowing, 1e-9)
-    s, c = jnp.sin(final.heading), jnp.cos(final.heading)
-    held = (
-        final.x + left * final.v * s,
-        final.y + left * final.v * c,
-        final.phi + left * final.omega,
-        zero,
-        zero,
-        zero,
+    # Where it rests is carried along, or XLA would find it anew for each of the times.
+    _, moving, held, out = jax.lax.while_loop(
+        unfinished, stretch, (0, moving, resting(moving), (blank,) * 6)
     )
-    resting = moving.idle & (times >= moving.t)
-    path = jnp.stack([jnp.where(resting, at, value) for at, value in zip(held, out, strict=True)])
-    ending = slowing * (1 + law.steepness())
-    lost = ending > 0
-    turning = 0.0 if isinstance(law, NetLaw) else jnp.abs(final.omega)
-    never = jnp.where(final.v + turning > 0, jnp.inf, 0.0)
-    return path, moving.t + jnp.where(lost, 1 / jnp.where(lost, ending, 1.0), never)
+    at_rest = moving.idle & (times >= moving.t)
+    path = jnp.stack(
+        [
+            jnp.where(at_rest, at, value)
+            for at, value in zip((*held[:3], zero, zero, zero), out, strict=True)
+        ]
+    )
+    return path, held[3]
 
 
 # Both directions of differentiation from forward mode alone: a throw has some ten inputs, so its
