@@ -81,7 +81,7 @@ class _Kept:
         args = [next(given) if name in self.static else next(rest) for name in self.names]
         # A program out of JAX's own cache cannot be stored again.
         with _without_cache() if file is not None else nullcontext():
-            program = self.jitted.lower(*args).compile()
+            program = _compiled(self.jitted.lower(*args))
         if file is not None:
             with suppress(OSError, InputError, ValueError, NotImplementedError):
                 _write(file, program)
@@ -101,6 +101,15 @@ class _Kept:
             return None
         about = "\n".join((self.__module__, self.name, *words, shapes, _origin()))
         return folder / "programs" / hashlib.sha256(about.encode()).hexdigest()
+
+
+def _compiled(lowered: Any) -> Any:
+    """By XLA's older emitters of kernels, where it has them: as fast a program, in half the time
+    and a third of the memory."""
+    if jax.default_backend() == "cpu":
+        with suppress(jax.errors.JaxRuntimeError):  # of a version that knows no such option
+            return lowered.compile(compiler_options={"xla_cpu_use_fusion_emitters": False})
+    return lowered.compile()
 
 
 @contextmanager

@@ -9,9 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import command
 from damaged_files import Outcome, started, tally
-from sample_files import SAMPLES
 
 
 def worker(folder: Path, seed: int, count: int) -> dict:
@@ -24,15 +22,6 @@ def worker(folder: Path, seed: int, count: int) -> dict:
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout)
-
-
-@pytest.fixture(scope="module")
-def compiled(tmp_path_factory):
-    """The model of the fits, compiled: that needs more memory than any file, and only once."""
-    folder = tmp_path_factory.mktemp("compiled")
-    (folder / "whole").write_text(SAMPLES["table"])
-    words = ("fit", "whole", "--no-sample", "--no-figures", "--law=coulomb")
-    assert command(*words, cwd=folder).returncode == 0
 
 
 def test_damaged_files_are_read_or_refused(tmp_path):
@@ -55,14 +44,14 @@ def test_a_fault_would_be_seen():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10, 20))
-def test_many_damaged_files_are_read_or_refused(compiled, tmp_path, seed):
+def test_many_damaged_files_are_read_or_refused(tmp_path, seed):
     found = worker(tmp_path, seed, 2000)
     print(json.dumps(found))
     assert found["faults"] == []
 
 
 @pytest.mark.slow
-def test_so_they_are_by_processes_of_their_own(compiled, tmp_path):
+def test_so_they_are_by_processes_of_their_own(tmp_path):
     found = tally(tmp_path, 30, 200, started)
     print(json.dumps(found.statuses), found.most_mb, found.most_seconds)
     assert found.faults == []

@@ -29,8 +29,7 @@ def defaults_of(
     ------
     DataError : a setting that cannot be read or used.
     """
-    kept: list[str] = []
-    notes: list[str] = []
+    numbers, bodies, notes = [], [], []
     for number, line in comments:
         body = line.lstrip().lstrip("#").strip()
         key = body.split("=", 1)[0].strip().split(".")[0]
@@ -39,9 +38,33 @@ def defaults_of(
         if key not in _SETTINGS:
             notes.append(f"line {number}: setting {key!r} is not known and was ignored")
             continue
+        numbers.append(number)
+        bodies.append(body)
+    try:
+        settings = _settings(bodies)
+    except (ValueError, RecursionError, InputError):
+        _raise_at_fault(path, numbers, bodies)
+        raise
+    reference = settings.pop("reference", None)
+    return settings, None if reference is None else _reference(path, reference), notes
+
+
+def _settings(bodies: list[str]) -> dict[str, Any]:
+    """The settings that lines, each complete in itself, make together."""
+    for body in bodies:
+        tomllib.loads(body)
+    found = tomllib.loads("\n".join(bodies))
+    _check(found)
+    return found
+
+
+def _raise_at_fault(path: Path, numbers: list[int], bodies: list[str]) -> None:
+    """Name the first line with which the settings cannot be used."""
+    for last, (number, body) in enumerate(zip(numbers, bodies, strict=True), 1):
         try:
-            tomllib.loads(body)
-            found = tomllib.loads("\n".join([*kept, body]))
+            _settings(bodies[:last])
+        except InputError as error:
+            raise DataError(str(error), file=path, line=number) from None
         except (ValueError, RecursionError):
             raise DataError(
                 f"cannot read the setting {body!r}; expected key = value as in TOML, "
@@ -49,18 +72,10 @@ def defaults_of(
                 file=path,
                 line=number,
             ) from None
-        kept.append(body)
-        try:
-            _check(found)
-        except InputError as error:
-            raise DataError(str(error), file=path, line=number) from None
-    settings = tomllib.loads("\n".join(kept))
-    reference = settings.pop("reference", None)
-    return settings, None if reference is None else _reference(path, reference), notes
 
 
 def _check(settings: dict[str, Any]) -> None:
-    """Refuse settings that no fit could use, while the line is still known."""
+    """Refuse settings that no fit could use."""
     kinds = (("stone", dict), ("sigma", dict), ("law", str), ("load", str), ("axes", str))
     for key, expected in kinds:
         if not isinstance(settings.get(key, expected()), expected):
