@@ -25,7 +25,9 @@ from curlfit.solving import Solution, poor
 from curlfit.starting import Smooth, smooth, start_values
 from curlfit.stone import Stone
 from curlfit.throw import Throw
-from curlfit.weighing import weighed
+from curlfit.weighing import Optimum, weighed_together
+
+_WEIGHED = 128  # optima that wait to be weighed together
 
 
 def fit_files(files: Sequence[str | PathLike[str]], plan: Plan) -> list[dict[str, Any]]:
@@ -76,11 +78,24 @@ def fit_throws(throws: Iterable[Throw | str], plan: Plan) -> list[FitResult | st
     for places in by_shape.values():
         tasks = (runs[place].task(place) for place in places)
         again = lambda place, solution: runs[place].again(place, solution)  # noqa: E731
+        optima: dict[int, Optimum] = {}
+
+        def weigh(optima: dict[int, Optimum] = optima) -> None:
+            found.update(zip(optima, weighed_together(list(optima.values())), strict=True))
+            optima.clear()
+
         for place, solution in solve_many(law, check_load(plan.load), tasks, again):
+            optimum = runs[place].optimum(solution)
+            if optimum is not None:
+                optima[place] = optimum
+                if len(optima) == _WEIGHED:
+                    weigh()
+                continue
             try:
-                found[place] = runs[place].result(solution)
+                found[place] = runs[place].alone()
             except CurlfitError as error:
                 found[place] = str(error)
+        weigh()
     return [found[place] for place in sorted(found)]
 
 
@@ -130,16 +145,21 @@ class _Run:
         known = scale * solution.residual, scale[..., None] * solution.jacobian
         return Task(place, self.problem, solution.values, self.local, known)
 
-    def result(self, solution: Solution | None) -> FitResult:
-        job, plan = self.job, self.plan
+    def optimum(self, solution: Solution | None) -> Optimum | None:
+        """Where it ended; None where that is not good enough."""
         if solution is None or not solution.finished or self.poor:
-            return fit(
-                self.throw, self.law, load=plan.load, stone=self.stone, until=plan.until,
-                **self.choices,
-            )  # fmt: skip
-        return weighed(
-            job.throw, self.law, check_load(plan.load), self.stone, job.until, job.parameters,
-            job.frame, self.problem, self.sigma, solution, 1, "linear", side_by_side=True,
+            return None
+        job = self.job
+        return Optimum(
+            job.throw, self.law, check_load(self.plan.load), self.stone, job.until, job.parameters,
+            job.frame, self.problem, self.sigma, solution, 1, "linear",
+        )  # fmt: skip
+
+    def alone(self) -> FitResult:
+        """The fit by itself, with all the starts that `fit` would try."""
+        return fit(
+            self.throw, self.law, load=self.plan.load, stone=self.stone, until=self.plan.until,
+            **self.choices,
         )  # fmt: skip
 
 

@@ -37,7 +37,7 @@ from curlfit.solving import Solution, best_of, descend, starts
 from curlfit.starting import smooth
 from curlfit.stone import Stone
 from curlfit.throw import CHANNELS, Throw
-from curlfit.weighing import weighed
+from curlfit.weighing import Optimum, weighed
 
 Floats = NDArray[np.float64]
 
@@ -118,9 +118,10 @@ def fit(
             solution = descend(law, load, solution.values, local, problem) or solution
 
     def record(problem: Problem, sigma: dict[str, float], solution: Solution) -> FitResult:
-        return weighed(
+        found = Optimum(
             throw, law, load, stone, until, parameters, frame, problem, sigma, solution, tried, loss
         )
+        return weighed(found)
 
     def remedied(result: FitResult, problem: Problem, solution: Solution) -> FitResult:
         open_ = [n for n, i in result.parameters.items() if i.verdict in _OPEN]

@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, no_motion_because
 from curlfit.identifiability import visible
-from curlfit.likelihood import Problem, linearised, trace
-from curlfit.lockstep import LANES
+from curlfit.likelihood import LANES, Problem, linearised, trace
 from curlfit.parameters import START
 from curlfit.stone import Stone
 from curlfit.throw import CHANNELS

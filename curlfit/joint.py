@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 from curlfit import backend  # noqa: F401  (configures JAX before its first use)
 
 # isort: split
-import jax
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
@@ -32,14 +31,14 @@ from curlfit.files import known, read_json, write_json
 from curlfit.fitting import bulk_sigma, estimated_sigma, first_sigma, prepared, shifted
 from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
 from curlfit.identifiability import Combination, analyse
-from curlfit.likelihood import Problem, linearised, problem_of, raw_residuals
+from curlfit.likelihood import Problem, linearised, problem_of, raw_residuals, stacked
 from curlfit.parameters import ParameterSet, check_loss
 from curlfit.results import Estimate, FitResult, load_fit
 from curlfit.solving import Solution
 from curlfit.starting import smooth, start_values
 from curlfit.stone import Stone
 from curlfit.throw import Throw
-from curlfit.weighing import Slopes, judged, weighed
+from curlfit.weighing import Optimum, Slopes, judged, weighed
 
 Floats = NDArray[np.float64]
 
@@ -208,7 +207,7 @@ class _Bench:
         rows = max(problem.observed.shape[0] for problem in every)
         size = max(problem.observed.shape[1] for problem in every)
         padded = [_padded(problem, rows, size) for problem in every]
-        self.stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *padded)
+        self.stacked = stacked(padded)
 
     def at(self, values: Floats) -> tuple[Floats, Floats]:
         """Residual and Jacobian for values of shape (throws, parameters)."""
@@ -468,8 +467,10 @@ def _result(
     )
     single = [
         weighed(
-            job.throw, law, load, job.stone, job.until, job.parameters, job.frame, problem, sigma,
-            search.solution(best, place), 1, loss,
+            Optimum(
+                job.throw, law, load, job.stone, job.until, job.parameters, job.frame, problem,
+                sigma, search.solution(best, place), 1, loss,
+            )
         )
         for place, (job, problem, sigma) in enumerate(zip(jobs, problems, sigmas, strict=True))
     ]  # fmt: skip

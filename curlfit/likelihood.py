@@ -16,6 +16,7 @@ itself, and the place of that row is the place at rest.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -41,6 +42,10 @@ Floats = NDArray[np.float64]
 
 SIGMA_FLOOR = 1e-7
 """Least noise (m and rad) that is believed: the precision of the computed path."""
+
+LANES = 32
+"""Throws or vectors that are followed side by side: few enough for a processor's cache, enough to
+share the cost of a pass."""
 
 _LATE = 60.0  # s after the measured end by which a stone is at rest under any trial
 _SHORTEST = 256  # data are padded to a power of two from here up, so that few shapes are compiled
@@ -195,9 +200,24 @@ def log_posterior(
 
 def raw_residuals(law: type[Law], load: Load, values: Floats, problem: Problem) -> Floats:
     """(model - data) times weight, independent but without any loss, of the shape of the data."""
-    path = np.asarray(trace(law, load, values, problem))
+    return residuals_from(np.asarray(trace(law, load, values, problem)), problem)
+
+
+def residuals_from(path: Floats, problem: Problem) -> Floats:
+    """The same from a path that is known."""
     residual = (path[: len(problem.observed)] - problem.observed) * problem.weight
-    return np.asarray(whitened(residual, problem.colour))
+    return residual if problem.colour is None else np.asarray(whitened(residual, problem.colour))
+
+
+def stacked(problems: Sequence[Problem]) -> Problem:
+    """Problems of one shape as one, with the throws along the first axis of each array."""
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *problems)
 
 
 trace = kept("law", "load")(model)
+
+
+@kept("law", "load")
+def traces(law: type[Law], load: Load, values: Array, problems: Problem) -> Array:
+    """What `trace` finds for each of many throws, shape (throws, 5, n)."""
+    return jax.vmap(partial(model, law, load))(values, problems)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from curlfit.likelihood import Problem, linearised
+from curlfit.likelihood import LANES, Problem, linearised, stacked
 
 # isort: split
 import jax
@@ -25,7 +25,6 @@ from curlfit.solving import Solution
 Floats = NDArray[np.float64]
 Key = TypeVar("Key")
 
-LANES = 32  # few enough for a processor's cache, enough to share the cost of a pass
 _FIRST_DAMPING = 1e-4
 _LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e8
 _GAIN = 1e-10  # of the misfit, that a step would win: a last one, taken without another look
@@ -140,8 +139,7 @@ def solve_many(
                     break
                 lane = _Lane(task)
                 if stack is None:  # lanes that nothing is in follow the first throw
-                    full = [task.problem] * LANES
-                    stack = jax.tree.map(lambda *leaves: np.stack(leaves), *full)
+                    stack = stacked([task.problem] * LANES)
                     trials = np.tile(lane.trial, (LANES, 1))
                 for whole, part in zip(
                     jax.tree.leaves(stack), jax.tree.leaves(task.problem), strict=True

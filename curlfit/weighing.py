@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +10,16 @@ from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
 from curlfit.identifiability import Identifiability, analyse, slack, visible
-from curlfit.likelihood import SIGMA_FLOOR, Frame, Problem, log_posterior, raw_residuals, trace
+from curlfit.likelihood import (
+    LANES,
+    SIGMA_FLOOR,
+    Frame,
+    Problem,
+    residuals_from,
+    stacked,
+    trace,
+    traces,
+)
 from curlfit.losses import precision, robust_sigma, signed_root, steepness
 from curlfit.noise import Independence, independence, lag1_of
 from curlfit.parameters import LOSSES, ParameterSet
@@ -33,32 +43,90 @@ _NOT_BY_CHANCE = 5.0  # ... where chi squared is so many of its own standard dev
 _SMOOTH = 0.5  # lag-1 correlation of residuals from which they are called smooth
 
 
-def weighed(
-    throw: Throw,
-    law: type[Law],
-    load: Load,
-    stone: Stone,
-    until: float | None,
-    parameters: ParameterSet,
-    frame: Frame,
-    problem: Problem,
-    sigma: dict[str, float],
-    solution: Solution,
-    tried: int,
-    loss: str,
-    *,
-    side_by_side: bool = False,
-) -> FitResult:
-    """The record of a fit from its optimum; `tried` starts led to it.
+class Optimum(NamedTuple):
+    """What a fit ended with, and what it was asked."""
 
-    `side_by_side` follows trial paths all at once: another program to compile, and faster.
-    """
+    throw: Throw
+    law: type[Law]
+    load: Load
+    stone: Stone
+    until: float | None
+    parameters: ParameterSet
+    frame: Frame
+    problem: Problem
+    sigma: dict[str, float]
+    """of the channels whose own was not given"""
+    solution: Solution
+    tried: int
+    """starts that led to it"""
+    loss: str
+
+
+_Weighing = Generator[Floats, Floats, FitResult]
+"""Asks for the paths of parameter vectors and is sent those, until it has the answer."""
+
+
+def weighed(optimum: Optimum) -> FitResult:
+    """The record of a fit from its optimum."""
+    work = _weighing(optimum)
+    wanted = next(work)
+    while True:
+        paths = [np.asarray(_trace(optimum, values)) for values in wanted]
+        try:
+            wanted = work.send(np.array(paths))
+        except StopIteration as done:
+            return done.value
+
+
+def weighed_together(optima: Sequence[Optimum]) -> list[FitResult]:
+    """The same for fits of one law under one load, to problems of one shape, side by side."""
+    works = dict(enumerate(map(_weighing, optima)))
+    wanted = {place: next(work) for place, work in works.items()}
+    found: dict[int, FitResult] = {}
+    while works:
+        paths = _traces(optima, wanted)
+        for place, work in list(works.items()):
+            try:
+                wanted[place] = work.send(paths[place])
+            except StopIteration as done:
+                found[place] = done.value
+                del works[place], wanted[place]
+    return [found[place] for place in range(len(optima))]
+
+
+def _trace(optimum: Optimum, values: Floats) -> Any:
+    return trace(optimum.law, optimum.load, values, optimum.problem)
+
+
+def _traces(optima: Sequence[Optimum], wanted: Mapping[int, Floats]) -> dict[int, Floats]:
+    """The paths of each optimum's vectors, `LANES` at a time."""
+    owners = [place for place, vectors in wanted.items() for _ in vectors]
+    if not owners:
+        return {place: np.zeros((0, 0, 0)) for place in wanted}
+    fill = -len(owners) % LANES
+    vectors = np.concatenate([item for item in wanted.values() if len(item)])
+    vectors = np.concatenate([vectors, np.repeat(vectors[-1:], fill, 0)])
+    problems = [optima[place].problem for place in [*owners, *[owners[-1]] * fill]]
+    law, load = optima[0].law, optima[0].load
+    parts = [
+        np.asarray(traces(law, load, vectors[k : k + LANES], stacked(problems[k : k + LANES])))
+        for k in range(0, len(vectors), LANES)
+    ]
+    paths = np.concatenate(parts)
+    ends = np.cumsum([len(item) for item in wanted.values()])
+    return dict(zip(wanted, np.split(paths[: ends[-1]], ends[:-1]), strict=True))
+
+
+def _weighing(optimum: Optimum) -> _Weighing:
+    throw, law, load, stone, until, parameters, frame, problem, sigma, solution, tried, loss = (
+        optimum
+    )
     n = len(throw)
     offset = frame.offset(len(parameters))
     values = solution.values + offset
     seen = np.isfinite(throw.observed)
-    curves = np.array(trace(law, load, solution.values, problem))[:, :n]
-    curves += frame.place[:, None]
+    (path,) = yield solution.values[None]
+    curves = path[:, :n] + frame.place[:, None]
     residual = throw.observed - curves
     squares = np.where(seen, residual**2, 0.0).sum(1)
     count = seen.sum(1)
@@ -95,7 +163,8 @@ def weighed(
         law, solution, left, parameters, at_bound, known.names, tried,
         dict(zip(CHANNELS, count, strict=True)), rms_by, apart, white=problem.colour is None,
     )  # fmt: skip
-    bent = _bent(law, load, solution, parameters, offset, problem, known, open_, side_by_side)
+    points, along = _at_one_error(solution, parameters, offset, known, open_)
+    bent = _bent(problem, solution, known, along, (yield points))
     if bent:
         warnings.append(
             f"the misfit is no parabola within a standard error of {', '.join(bent)}; these errors "
@@ -171,49 +240,47 @@ def _effective_jacobian(
     return jacobian
 
 
-def _chi_squared(law: type[Law], load: Load, values: Floats, problem: Problem) -> float:
-    residual = raw_residuals(law, load, values, problem)
-    if LOSSES[int(problem.loss)] != "linear":
-        residual = np.asarray(signed_root(residual, problem.loss))
-    return float((residual**2).sum())
-
-
-def _bent(
-    law: type[Law],
-    load: Load,
+def _at_one_error(
     solution: Solution,
     parameters: ParameterSet,
     offset: Floats,
-    problem: Problem,
     known: Identifiability,
     open_: NDArray[np.bool_],
-    side_by_side: bool,
+) -> tuple[Floats, list[Floats]]:
+    """Places one standard error off along each axis of the covariance, and these axes."""
+    points: list[Floats] = []
+    along: list[Floats] = []
+    if known.names:
+        typical = parameters.typical[open_]
+        squares, axes = np.linalg.eigh(known.covariance / np.outer(typical, typical))
+        lower, upper = parameters.lower - offset, parameters.upper - offset
+        for square, axis in zip(squares, axes.T, strict=True):
+            if not _CURVED**2 < square < _UNKNOWN**2:
+                continue
+            for sense in (1.0, -1.0):
+                values = solution.values.copy()
+                values[open_] += sense * np.sqrt(square) * axis * typical
+                if ((values >= lower) & (values <= upper)).all():
+                    points.append(values)
+                    along.append(axis)
+    return np.array(points).reshape(-1, len(parameters)), along
+
+
+def _bent(
+    problem: Problem,
+    solution: Solution,
+    known: Identifiability,
+    along: list[Floats],
+    paths: Floats,
 ) -> list[str]:
     """Parameters along which one standard error does not raise chi squared by about one."""
-    if not known.names:
-        return []
-    typical = parameters.typical[open_]
-    squares, axes = np.linalg.eigh(known.covariance / np.outer(typical, typical))
-    lower, upper = parameters.lower - offset, parameters.upper - offset
-    points, along = [], []
-    for square, axis in zip(squares, axes.T, strict=True):
-        if not _CURVED**2 < square < _UNKNOWN**2:
-            continue
-        for sense in (1.0, -1.0):
-            values = solution.values.copy()
-            values[open_] += sense * np.sqrt(square) * axis * typical
-            if ((values >= lower) & (values <= upper)).all():
-                points.append(values)
-                along.append(axis)
-    if side_by_side:  # all at once, and always as many, so that one program serves
-        full = np.stack(points + [solution.values] * (2 * len(parameters) - len(points)))
-        chi_squared = -2 * np.asarray(log_posterior(law, load, full, lower, upper, problem))
-    else:
-        chi_squared = np.array([_chi_squared(law, load, values, problem) for values in points])
     least = float((solution.residual**2).sum())
     found: set[str] = set()
-    for axis, rise in zip(along, chi_squared[: len(along)] - least, strict=True):
-        if not abs(rise - 1) < _PARABOLA:
+    for axis, path in zip(along, paths, strict=True):
+        residual = residuals_from(path, problem)
+        if LOSSES[int(problem.loss)] != "linear":
+            residual = np.asarray(signed_root(residual, problem.loss))
+        if not abs(float((residual**2).sum()) - least - 1) < _PARABOLA:
             large = np.abs(axis) > 0.3 * np.abs(axis).max()
             found |= {name for name, take in zip(known.names, large, strict=True) if take}
     return [name for name in known.names if name in found]
