@@ -12,6 +12,7 @@ import time
 import numpy as np
 import pytest
 from conftest import command
+from distributed import Client, LocalCluster
 
 import curlfit
 from curlfit import Stone
@@ -135,7 +136,6 @@ def test_nothing_found_is_said(tmp_path):
 
 @pytest.mark.slow
 def test_whoever_does_the_work_the_table_is_the_same(season, tmp_path):
-    pytest.importorskip("distributed", reason="Dask is an extra of its own")
     texts = []
     for words in (["--workers", "1"], ["--workers", "2"], ["--dask", "local", "--workers", "2"]):
         out = tmp_path / "results.csv"
@@ -145,13 +145,40 @@ def test_whoever_does_the_work_the_table_is_the_same(season, tmp_path):
     assert texts[0] == texts[1] == texts[2]
 
 
-@pytest.mark.slow
-def test_a_killed_run_goes_on_without_repeating_or_losing_a_throw(season, tmp_path):
-    many = tmp_path / "many"
-    many.mkdir()
+@pytest.fixture
+def many(season, tmp_path):
+    """A folder of 400 copies of a throw."""
+    folder = tmp_path / "many"
+    folder.mkdir()
     text = (season / "throw0.csv").read_text()
     for place in range(400):
-        (many / f"{place:04d}.csv").write_text(text)
+        (folder / f"{place:04d}.csv").write_text(text)
+    return folder
+
+
+@pytest.mark.slow
+def test_a_killed_worker_costs_no_throw(many, tmp_path):
+    out, alone = tmp_path / "results.csv", tmp_path / "alone.csv"
+    words = [sys.executable, "-m", "curlfit", "batch", many]
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        run = subprocess.Popen([*words, "--out", out, "--dask", cluster.scheduler_address])
+        while run.poll() is None and (not out.exists() or out.stat().st_size < 20_000):
+            time.sleep(0.02)
+        assert run.poll() is None
+        before = client.run(os.getpid)
+        os.kill(next(iter(before.values())), signal.SIGKILL)
+        assert run.wait() == 0
+        assert set(client.run(os.getpid).values()) != set(before.values())
+    assert subprocess.run([*words, "--out", alone, "--workers", "1"], check=False).returncode == 0
+    assert out.read_bytes() == alone.read_bytes()
+    assert [row["file"] for row in table(out)] == [str(file) for file in sorted(many.iterdir())]
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_without_repeating_or_losing_a_throw(many, tmp_path):
     out = tmp_path / "results.csv"
     words = [sys.executable, "-m", "curlfit", "batch", str(many), "--out", str(out)]
     run = subprocess.Popen(words, start_new_session=True)
