@@ -139,7 +139,7 @@ class Family:
     def __init__(self, fit: FitResult, begun: Begun, new: bool) -> None:
         self.fit, self.begun, self.new = fit, begun, new
         self._first = len(fit.parameters) - len(START)
-        self._turned = begun.values["heading"] - fit.parameters["heading"].value if new else 0.0
+        self._heading = begun.values["heading"] if new else fit.parameters["heading"].value
         spin = fit.parameters["omega0"].value
         known = new and abs(spin) > _LEAST_SPIN
         self._spin = begun.values["omega0"] / spin if known else 1.0
@@ -215,7 +215,7 @@ class Family:
         moved = values - bent(self.fit, fitted, missing.deviation(fitted, fitted))
         found = self.follow(self.begin(moved))
         deviation = missing.deviation(t, there)
-        s, c = math.sin(self._turned), math.cos(self._turned)
+        s, c = math.sin(self._heading), math.cos(self._heading)
 
         def taken(series: Floats, clock: Floats) -> tuple[Floats, ...]:
             """To the right, along and turning on the clocks of the paths, as the sheet has them."""

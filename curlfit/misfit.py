@@ -45,8 +45,10 @@ from curlfit.throw import CHANNELS
 Floats = NDArray[np.float64]
 
 WAYS = ("across", "along", "turning")
-"""The ways in which an acceleration drifts: x, y and phi."""
-_SHOWN_IN = ((("x", 2),), (("y", 2), ("speed", 1)), (("phi", 2), ("omega", 1)))
+"""The ways in which an acceleration drifts: across the first heading of the fitted throw (to its
+right), along it, and in turning."""
+_ACROSS, _ALONG, _TURNING = range(len(WAYS))
+_MAINLY = {"x": _ACROSS, "y": _ALONG, "speed": _ALONG, "phi": _TURNING, "omega": _TURNING}
 _FEWEST = 20  # values of a channel from which its residuals are judged
 _MOST = 120  # values looked at; more are condensed to means
 _SLOW = 0.05  # share of the throw within which values count as neighbours
@@ -123,10 +125,11 @@ def misfit_of(fit: FitResult) -> Misfit:
         forms += [(here, np.eye(len(row.t))), (here, slow)]
         counts += [total, total]
     ways = [
-        way for way, channels in zip(WAYS, _SHOWN_IN, strict=True)
-        if any(excess.get(name, 0.0) > _BELIEVED for name, _ in channels)
+        way for way in range(len(WAYS))
+        if any(excess.get(name, 0.0) > _BELIEVED for name, main in _MAINLY.items() if main == way)
     ]  # fmt: skip
-    wanderings = [_covariance(left @ _response(rows, way, span)) for way in ways]
+    heading = fit.parameters["heading"].value
+    wanderings = [_covariance(left @ _response(rows, way, span, heading)) for way in ways]
     # Each moment in units of what is there, each unknown so that it makes at most about one.
     matrix = np.array(
         [[np.sum(form * part[here, here]) for part in (*noises, *wanderings)]
@@ -138,11 +141,10 @@ def misfit_of(fit: FitResult) -> Misfit:
     found = nnls(matrix / scale, right)[0] / scale
     made = (matrix @ found)[::2]
     for place, way in enumerate(ways, len(judged)):
-        shown = dict(_SHOWN_IN[WAYS.index(way)])
-        found[place] *= max(
-            1.0, *(1 / part for row, part in zip(judged, made, strict=True) if row.name in shown)
-        )
-    sizes |= dict(zip(ways, map(float, np.sqrt(found[len(judged) :])), strict=True))
+        shown = [part for row, part in zip(judged, made, strict=True) if _MAINLY[row.name] == way]
+        found[place] *= max(1.0, *(1 / part for part in shown))
+    for way, square in zip(ways, found[len(judged) :], strict=True):
+        sizes[WAYS[way]] = float(np.sqrt(square))
     noise_by = {
         row.name: float(np.sqrt(found[place])) * row.sigma for place, row in enumerate(judged)
     }
@@ -236,10 +238,12 @@ def bent(fit: FitResult, times: Floats, deviation: Deviation) -> Floats:
     seen, singular, _ = directions(information, typical)
     inverse = (seen.T * typical[:, None]) / singular
     since = np.minimum(fit.observed["t"] - fit.observed["t"][0], _span(fit))
+    heading = fit.parameters["heading"].value
     pull = np.zeros((len(deviation.value), int(movable.sum())))
     for row, name in enumerate(CHANNELS[: len(slopes.weight)]):
-        way, order_of = _way(name)
-        series = (deviation.slope if order_of == 1 else deviation.value)[:, way]
+        series = np.zeros_like(deviation.value[:, 0])
+        for way, integrals, share in _shares(name, heading):
+            series += share * (deviation.slope if integrals == 1 else deviation.value)[:, way]
         there = np.stack([np.interp(since, times, one) for one in series])
         weighted = slopes.weight[row][:, None] ** 2 * slopes.jacobian[row][:, movable]
         pull += there @ weighted
@@ -319,18 +323,18 @@ def _left_over(jacobian: Floats) -> Floats:
     return cast(Floats, np.eye(len(jacobian)) - own @ own.T)
 
 
-def _response(rows: list[_Row], way: str, span: float) -> Floats:
+def _response(rows: list[_Row], way: int, span: float, heading: float) -> Floats:
     """What an acceleration at each time of a grid does to the rows, over sigma."""
     grid = np.linspace(0.0, span, _GRID)
     once = _integral(np.eye(_GRID), grid[1])
     weights = {1: once, 2: _integral(once, grid[1])}
-    orders = dict(_SHOWN_IN[WAYS.index(way)])
     blocks = []
     for row in rows:
         at = np.zeros((len(row.t), _GRID))
-        if row.name in orders:
-            columns = weights[orders[row.name]].T
-            at = np.array([np.interp(row.t, grid, column) for column in columns]).T
+        for shown, order, share in _shares(row.name, heading):
+            if shown == way:
+                columns = weights[order].T
+                at = share * np.array([np.interp(row.t, grid, column) for column in columns]).T
         blocks.append(at * row.scale[:, None])
     return np.concatenate(blocks)
 
@@ -343,13 +347,17 @@ def _covariance(response: Floats) -> Floats:
     return found
 
 
-def _way(channel: str) -> tuple[int, int]:
-    """Which way a channel shows, and how often the acceleration is integrated in it."""
-    for place, channels in enumerate(_SHOWN_IN):
-        for name, order in channels:
-            if name == channel:
-                return place, order
-    raise KeyError(channel)
+def _shares(channel: str, heading: float) -> tuple[tuple[int, int, float], ...]:
+    """The ways that show in a channel, how often the acceleration is integrated, and by how much
+    it counts."""
+    s, c = float(np.sin(heading)), float(np.cos(heading))
+    return {
+        "x": ((_ACROSS, 2, c), (_ALONG, 2, s)),
+        "y": ((_ALONG, 2, c), (_ACROSS, 2, -s)),
+        "speed": ((_ALONG, 1, 1.0),),
+        "phi": ((_TURNING, 2, 1.0),),
+        "omega": ((_TURNING, 1, 1.0),),
+    }[channel]
 
 
 def _span(fit: FitResult) -> float:

@@ -397,6 +397,23 @@ def test_the_size_of_a_missing_acceleration_is_found():
     assert np.sqrt(np.mean(found)) == pytest.approx(size, rel=0.4)
 
 
+def test_what_is_missed_along_a_throw_is_missed_along_a_turned_one(eq12):
+    sigma = {"x": 0.02, "y": 0.02, "phi": 0.003}
+    found = []
+    for turn in (0.0, 0.2):
+        s, c = np.sin(turn), np.cos(turn)
+        x, y = c * eq12.x + s * eq12.y, c * eq12.y - s * eq12.x
+        found.append(curlfit.fit(replace(eq12, x=x, y=y).with_sigma(sigma)))
+    one, other = (misfit_of(fit).sizes for fit in found)
+    assert one["across"] < 0.05 * one["along"]
+    assert other["along"] == pytest.approx(one["along"], rel=0.05)
+    # It takes the turned stone sideways as well, as its heading has it.
+    foretold = [curlfit.predict(fit, line="data", draws=400, seed=1) for fit in found]
+    x, y = (foretold[1].quantities[name].model_sd for name in ("rest_x", "rest_y"))
+    assert x > 0.9 * np.tan(found[1].parameters["heading"].value) * y
+    assert x > 2 * foretold[0].quantities["rest_x"].model_sd
+
+
 def test_times_of_the_same_speed(fit):
     t = fit.observed["t"]
     np.testing.assert_allclose(same_speed(fit, fit.fitted["speed"][::20]), t[::20], atol=1e-9)
