@@ -150,7 +150,7 @@ def batch() -> None:
 
 
 def posterior() -> None:
-    """Least effective samples a second over the parameters, against emcee's stretch move."""
+    """Least effective samples a second over the parameters, eq. 12: two peers on one likelihood."""
     import emcee
 
     from curlfit import fit, load_throw, sample
@@ -187,6 +187,50 @@ def posterior() -> None:
     peer = walkers * 4000 / float(np.max(times)) / taken
     row("emcee, stretch move, same likelihood", f"{peer:.0f} effective samples/s", 1.0)
     row("curlfit sample", f"{ours:.0f} effective samples/s", ours / peer)
+    nuts = _nuts(law, problem, local, centre)
+    row("numpyro, NUTS with a dense mass", f"{nuts:.2f} effective samples/s", nuts / peer)
+    row("curlfit sample over NUTS", "", ours / nuts)
+
+
+def _nuts(law: Any, problem: Any, local: Any, centre: Any) -> float:
+    """Least effective samples a second of NUTS on the same likelihood and priors."""
+    import jax
+    import numpyro
+    import numpyro.distributions as dist
+    from numpyro.diagnostics import effective_sample_size
+    from numpyro.infer import MCMC, NUTS, init_to_value
+
+    from curlfit.likelihood import log_likelihood
+
+    scale = local.typical * 1e-3
+    low, high = (local.lower - centre) / scale, (local.upper - centre) / scale
+    bounded = np.isfinite(low) & np.isfinite(high)
+
+    def model() -> None:
+        parts = []
+        for place, inside in enumerate(bounded):
+            whole = dist.constraints.real
+            prior = (
+                dist.Uniform(low[place], high[place]) if inside
+                else dist.ImproperUniform(whole, (), ())
+            )  # fmt: skip
+            parts.append(numpyro.sample(f"z{place}", prior))
+        values = centre + scale * jax.numpy.stack(parts)
+        numpyro.factor("path", log_likelihood(law, "uniform", values, problem))
+
+    near = np.where(bounded, np.clip(0.0, low + 1e-3, high - 1e-3), 0.0)
+    kernel = NUTS(
+        model, dense_mass=True, max_tree_depth=8,
+        init_strategy=init_to_value(values={f"z{k}": value for k, value in enumerate(near)}),
+    )  # fmt: skip
+    run = MCMC(kernel, num_warmup=150, num_samples=150, progress_bar=False)
+    run.warmup(jax.random.PRNGKey(0))
+    begin = time.perf_counter()
+    run.run(jax.random.PRNGKey(1))
+    jax.block_until_ready(run.get_samples())
+    taken = time.perf_counter() - begin
+    found = run.get_samples(group_by_chain=True).values()
+    return min(float(effective_sample_size(np.asarray(series))) for series in found) / taken
 
 
 ALL = {function.__name__: function for function in (answering, forward, batch, posterior)}
