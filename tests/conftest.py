@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -21,6 +24,17 @@ G = 9.81
 
 
 LONG = ("test_readme", "test_laws", "test_motion", "test_prediction", "test_hard_numerics")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Have the tests' own programs compile as curlfit's do (see `curlfit.programs`), in half the
+    time, where this JAX knows how: set for the workers, before they start."""
+    if hasattr(config, "workerinput"):
+        return
+    lowered = jax.jit(lambda x: x).lower(0.0)
+    with suppress(jax.errors.JaxRuntimeError):
+        lowered.compile(compiler_options={"xla_cpu_use_fusion_emitters": False})
+        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
