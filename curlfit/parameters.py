@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -150,33 +151,37 @@ class ParameterSet:
     def __len__(self) -> int:
         return len(self.parameters)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names in order."""
         return tuple(item.name for item in self.parameters)
 
     def _array(self, attribute: str) -> Floats:
-        return np.array([getattr(item, attribute) for item in self.parameters])
+        values = np.array([getattr(item, attribute) for item in self.parameters])
+        values.flags.writeable = False  # one array for all who ask
+        return values
 
-    @property
+    @cached_property
     def lower(self) -> Floats:
         """Lower bounds; a fixed parameter's value."""
         return self._array("lower")
 
-    @property
+    @cached_property
     def upper(self) -> Floats:
         """Upper bounds; a fixed parameter's value."""
         return self._array("upper")
 
-    @property
+    @cached_property
     def typical(self) -> Floats:
         """Typical sizes."""
         return self._array("typical")
 
-    @property
+    @cached_property
     def free(self) -> NDArray[np.bool_]:
         """True for the parameters to be determined."""
-        return np.array([name not in self.fixed for name in self.names])
+        free = np.array([name not in self.fixed for name in self.names])
+        free.flags.writeable = False
+        return free
 
     def names_where(self, mask: NDArray[np.bool_]) -> list[str]:
         """Names of the parameters that a mask picks out."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -165,7 +166,7 @@ class Throw:
         """All channels as one array of shape (5, n), in the order of `CHANNELS`."""
         return np.stack([getattr(self, name) for name in CHANNELS])
 
-    @property
+    @cached_property
     def seen(self) -> tuple[str, ...]:
         """Channels of which there is a value."""
         return tuple(name for name in CHANNELS if np.isfinite(getattr(self, name)).any())
