@@ -183,8 +183,12 @@ def test_a_mirrored_throw_has_the_mirrored_profile(fit, sharp):
     for name, sign in (("mu1_xi", 1), ("x0", -1), ("omega0", -1)):
         one = curlfit.profile(fit, name, **points)
         other = curlfit.profile(mirrored, name, **points)
-        np.testing.assert_allclose(one.at, (sign * other.at)[::sign], rtol=1e-5, atol=1e-9)
-        np.testing.assert_allclose(one.delta, other.delta[::sign], atol=2e-3)
+        at, delta = (sign * other.at)[::sign], other.delta[::sign]
+        # Whether there is one more point out at an end may rest on rounding.
+        place = np.abs(one.at[:, None] - at).argmin(1)
+        same = np.isclose(one.at, at[place], rtol=1e-5, atol=1e-9)
+        assert same.sum() >= max(len(one.at), len(at)) - 1
+        np.testing.assert_allclose(one.delta[same], delta[place[same]], atol=2e-3)
         assert one.delta.max() > 10
 
 

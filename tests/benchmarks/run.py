@@ -1,6 +1,6 @@
 """Benchmarks: each against a peer in the same run, as ratios.
 
-    python tests/benchmarks/run.py [answering] [forward] [batch] [posterior]
+    python tests/benchmarks/run.py [answering] [forward] [roof] [batch] [posterior]
 
 Prints a table in Markdown; `README.md` beside this keeps the tables with date and machine.
 """
@@ -150,46 +150,68 @@ def batch() -> None:
 
 
 def posterior() -> None:
-    """Least effective samples a second over the parameters, eq. 12: two peers on one likelihood."""
-    import emcee
+    """Least effective samples a second over the parameters: peers on the same likelihood."""
+    from curlfit import Stone, load_throw
+    from curlfit.synthetic import law_with, synthetic_throw
 
-    from curlfit import fit, load_throw, sample
+    law = law_with("front-back", {"mu1_xi": 6e-4, "mu2_xi": 0.055, "mu1_eta": 0.0087})
+    short = synthetic_throw(
+        law, Stone(R=0.054), until=2.5, noise_xy=0.02, noise_phi=0.05, seed=1
+    )  # fmt: skip
+    _posterior("eq. 12", load_throw(DATA), nuts=True)
+    _posterior("2.5 s with 2 cm of noise", short, nuts=False)
+
+
+def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
+    import emcee
+    from emcee.autocorr import integrated_time
+
+    from curlfit import fit, sample
     from curlfit.fitting import prepared, shifted
     from curlfit.likelihood import log_posterior, problem_of
 
-    result = fit(load_throw(DATA))
+    result = fit(throw)
     sample(result, effective=500)
     begin = time.perf_counter()
-    sampled, _ = sample(result, effective=4000)
+    sampled, chain = sample(result, effective=4000)
+    taken = time.perf_counter() - begin
     assert sampled.posterior is not None
-    ours = min(sampled.posterior.ess.values()) / (time.perf_counter() - begin)
+    effective = min(sampled.posterior.ess.values())
+    ours = effective / taken
 
     law = result.law_class
-    job = prepared(load_throw(DATA), law, None, None)
+    job = prepared(throw, law, None, None)
     local = shifted(job.parameters, -job.frame.offset(len(job.parameters)))
     problem = problem_of(job.throw, job.stone, job.frame, result.sigma)
-    centre = result.values - job.frame.offset(len(local))
-    walkers = 64
+    offset = job.frame.offset(len(local))
+    walkers, steps = 64, 8000
     random = np.random.default_rng(0)
-    spread = 1e-5 * local.typical * random.standard_normal((walkers, len(local)))
-    first = np.clip(centre + spread, local.lower + 1e-9, local.upper)
+    # It begins among our draws, so that no time is lost on finding them.
+    first = random.permutation(chain.flat)[:walkers] - offset
 
     def log_prob(values: Any) -> Any:
         return np.asarray(log_posterior(law, "uniform", values, local.lower, local.upper, problem))
 
     stock = emcee.EnsembleSampler(walkers, len(local), log_prob, vectorize=True)
-    state = stock.run_mcmc(first, 1000)
-    stock.reset()
     begin = time.perf_counter()
-    stock.run_mcmc(state, 4000)
+    stock.run_mcmc(first, steps)
     taken = time.perf_counter() - begin
-    times = stock.get_autocorr_time(quiet=True)
-    peer = walkers * 4000 / float(np.max(times)) / taken
-    row("emcee, stretch move, same likelihood", f"{peer:.0f} effective samples/s", 1.0)
-    row("curlfit sample", f"{ours:.0f} effective samples/s", ours / peer)
-    nuts = _nuts(law, problem, local, centre)
-    row("numpyro, NUTS with a dense mass", f"{nuts:.2f} effective samples/s", nuts / peer)
-    row("curlfit sample over NUTS", "", ours / nuts)
+    draws = stock.get_chain()
+    theirs = walkers * steps / float(np.max(integrated_time(draws, quiet=True)))
+    peer = theirs / taken
+    row(f"{name}: emcee, stretch move", f"{peer:.0f} effective samples/s", 1.0)
+    row(f"{name}: curlfit sample", f"{ours:.0f} effective samples/s", ours / peer)
+
+    levels = np.array([0.025, 0.16, 0.5, 0.84, 0.975])
+    quantiles = np.quantile(draws.reshape(-1, len(local)) + offset, levels, axis=0)
+    shares = (chain.flat[:, None] < quantiles).mean(0)
+    error = np.sqrt(levels * (1 - levels) * (1 / effective + 1 / theirs))
+    off = float(np.abs((shares - levels[:, None]) / error[:, None]).max())
+    row(f"{name}: quantiles differ by at most", f"{off:.1f} Monte Carlo errors", "")
+    if nuts:
+        speed = _nuts(law, problem, local, result.values - offset)
+        row(f"{name}: numpyro, NUTS", f"{speed:.2f} effective samples/s", speed / peer)
+        row(f"{name}: curlfit over NUTS", "", ours / speed)
 
 
 def _nuts(law: Any, problem: Any, local: Any, centre: Any) -> float:
@@ -233,7 +255,65 @@ def _nuts(law: Any, problem: Any, local: Any, centre: Any) -> float:
     return min(float(effective_sample_size(np.asarray(series))) for series in found) / taken
 
 
-ALL = {function.__name__: function for function in (answering, forward, batch, posterior)}
+def roof() -> None:
+    """Forward model under vmap against what the device can do: arithmetic and memory."""
+    import jax
+    import jax.numpy as jnp
+
+    from curlfit import LAWS, Start, Stone, motion, simulate
+    from curlfit.contact import accelerations, crowding
+
+    t, lanes = np.linspace(0, 20, 201), 1024 if jax.default_backend() == "cpu" else 65536
+    random = np.random.default_rng(0)
+    v, omega = random.uniform(2.05, 2.2, lanes), random.uniform(0.5, 3, lanes)
+    law, stone = LAWS["front-back"](), Stone(R=0.054)
+
+    calls: list[int] = []
+    rates = motion._rates
+
+    def counted(*given: Any) -> Any:
+        jax.debug.callback(lambda: calls.append(1))
+        return rates(*given)
+
+    motion._rates = counted
+    simulate(law, stone, Start(v=2.1, omega=1.0), t).x.block_until_ready()
+    jax.effects_barrier()
+    motion._rates = rates
+    jax.clear_caches()
+
+    def ring(v: Any, omega: Any) -> Any:
+        return accelerations(law, stone, "uniform", v, omega, 0.0, 0.0, crowding(v, 0.054 * omega))
+
+    cost = jax.jit(ring).lower(v, omega).compile().cost_analysis()
+    flops = len(calls) * cost["flops"] / lanes
+    least = 8.0 * (10 + 3 * len(t))  # parameters in, x y phi out
+    row("evaluations of the ring a path", len(calls), "")
+    row("flops of them a path", f"{flops:.3g}", "")
+    row("bytes a path, at least", f"{least:.3g}", "")
+
+    def places(v: Any, omega: Any) -> Any:
+        path = simulate(law, stone, Start(v=v, omega=omega), t)
+        return path.x, path.y, path.phi
+
+    function = jax.jit(jax.vmap(places))
+    taken = best(lambda: function(v, omega)) / lanes
+    n = 2048
+    square = jnp.ones((n, n))
+    product = jax.jit(lambda a: a @ a)
+    arithmetic = 2 * n**3 / best(lambda: product(square))
+    long = jnp.ones(1 << 25)
+    twice = jax.jit(lambda a: a + 1.0)
+    memory = 2 * long.nbytes / best(lambda: twice(long))
+    row("paths a second", f"{1 / taken:.3g}", "")
+    row(
+        "arithmetic, of a matrix product's",
+        f"{flops / taken:.3g} flop/s",
+        flops / taken / arithmetic,
+    )
+    row("memory, of a copy's", f"{least / taken:.3g} B/s", least / taken / memory)
+
+
+ALL = {f.__name__: f for f in (answering, forward, roof, batch, posterior)}
 
 
 def main(names: list[str]) -> None:
