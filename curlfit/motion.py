@@ -64,6 +64,7 @@ for _stage, _row in enumerate(
 ):
     _TABLEAU[_stage, : len(_row)] = _row
 _STAGES = len(_TABLEAU)
+_put = jax.lax.dynamic_update_index_in_dim
 
 
 @partial(
@@ -243,6 +244,29 @@ def _knot(moving: _Moving) -> Array:
     )
 
 
+def _resting(law: Law, stone: Stone, moving: _Moving) -> Array:
+    """x, y, phi where the stone comes to rest, and when, shape (4, lanes).
+
+    What little is left to go is gone at an even loss of speed and spin.
+    """
+    state, rate = _State(*moving.state), _State(*moving.rate)
+    slowing = _slowing(law, stone, state, rate)
+    left = 0.5 / jnp.maximum(slowing, 1e-9)
+    s, c = jnp.sin(state.heading), jnp.cos(state.heading)
+    ending = slowing * (1 + law.steepness())
+    lost = ending > 0
+    turning = 0.0 if isinstance(law, NetLaw) else jnp.abs(state.omega)
+    never = jnp.where(state.v + turning > 0, jnp.inf, 0.0)
+    return jnp.stack(
+        [
+            state.x + left * state.v * s,
+            state.y + left * state.v * c,
+            state.phi + left * state.omega,
+            moving.t + jnp.where(lost, 1 / jnp.where(lost, ending, 1.0), never),
+        ]
+    )
+
+
 def _quintics(knots: Array) -> Array:
     """Polynomials between knots in `s`, which goes from 0 to 1: six coefficients for each of x, y,
     phi, then the time at s = 0 and 1/h; shape (knots - 1, 20, lanes)."""
@@ -297,8 +321,6 @@ def _integrate(
     def rates(crowd: Crowding, state: Array, time: Array) -> Array:
         return jnp.stack(_rates(law, stone, load, span, crowd, _State(*state), time))
 
-    kept = jax.lax.dynamic_update_index_in_dim
-
     def admitted(state: Array) -> Array:
         """A state without motion backwards."""
         x, y, heading, v, phi, omega = state
@@ -320,7 +342,7 @@ def _integrate(
         def stage(place: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
             _, now, slopes = carry
             rate = rates(crowd, now, t + dt * moments[place])
-            slopes = kept(slopes, rate, place + 1, 0)
+            slopes = _put(slopes, rate, place + 1, 0)
             return now, reached(jnp.minimum(place + 1, _STAGES - 1), slopes), slopes
 
         slopes = jnp.zeros((_STAGES + 1, *rate.shape)).at[0].set(rate)
@@ -353,7 +375,7 @@ def _integrate(
             place, moving, knots, interval = carry
             interval += times >= moving.t + moving.dt
             moving = step(moving)
-            return place + 1, moving, kept(knots, _knot(moving), place, 0), interval
+            return place + 1, moving, _put(knots, _knot(moving), place, 0), interval
 
         begin = moving.t
         interval = jnp.zeros(out[0].shape, jnp.int32)
@@ -366,27 +388,7 @@ def _integrate(
         out = tuple(
             jnp.where(inside, new, old) for new, old in zip((*value, *velocity), out, strict=True)
         )
-        return count + 1, moving, resting(moving), out
-
-    def resting(moving: _Moving) -> Array:
-        """x, y, phi where the stone comes to rest; and the time it does, if it does."""
-        state, rate = _State(*moving.state), _State(*moving.rate)
-        # What little is left is gone at an even loss of speed and spin.
-        slowing = _slowing(law, stone, state, rate)
-        left = 0.5 / jnp.maximum(slowing, 1e-9)
-        s, c = jnp.sin(state.heading), jnp.cos(state.heading)
-        ending = slowing * (1 + law.steepness())
-        lost = ending > 0
-        turning = 0.0 if isinstance(law, NetLaw) else jnp.abs(state.omega)
-        never = jnp.where(state.v + turning > 0, jnp.inf, 0.0)
-        return jnp.stack(
-            [
-                state.x + left * state.v * s,
-                state.y + left * state.v * c,
-                state.phi + left * state.omega,
-                moving.t + jnp.where(lost, 1 / jnp.where(lost, ending, 1.0), never),
-            ]
-        )
+        return count + 1, moving, _resting(law, stone, moving), out
 
     def unfinished(carry: tuple[Any, ...]) -> Array:
         count, moving, *_ = carry
@@ -399,7 +401,7 @@ def _integrate(
     blank = jnp.full((len(times), *lanes), jnp.nan)
     # Where it rests is carried along, or XLA would find it anew for each of the times.
     _, moving, held, out = jax.lax.while_loop(
-        unfinished, stretch, (0, moving, resting(moving), (blank,) * 6)
+        unfinished, stretch, (0, moving, jnp.zeros((4, *lanes)), (blank,) * 6)
     )
     at_rest = moving.idle & (times >= moving.t)
     path = jnp.stack(
