@@ -394,14 +394,16 @@ def _integrate(
         count, moving, *_ = carry
         return (count < _MOST_STRETCHES) & going(moving)
 
-    zero = jnp.zeros(lanes)
+    # A zero that comes from the start: whatever is carried depends on the start before the first
+    # step, and JAX need not find out, for each loop within another, what does by trying.
+    zero = 0.0 * (v0 + omega0)
     state = jnp.stack([zero, zero, zero, v0, zero, omega0])
     # The first step has no length; it is there to find the rates at the start.
-    moving = _Moving(zero, zero, state, jnp.zeros_like(state), idle=zero > 0)
-    blank = jnp.full((len(times), *lanes), jnp.nan)
+    moving = _Moving(zero, zero, state, zero * state, idle=zero > 0)
+    blank = jnp.full((len(times), *lanes), jnp.nan) + zero
     # Where it rests is carried along, or XLA would find it anew for each of the times.
     _, moving, held, out = jax.lax.while_loop(
-        unfinished, stretch, (0, moving, jnp.zeros((4, *lanes)), (blank,) * 6)
+        unfinished, stretch, (0, moving, zero * state[:4], (blank,) * 6)
     )
     at_rest = moving.idle & (times >= moving.t)
     path = jnp.stack(
