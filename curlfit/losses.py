@@ -92,7 +92,7 @@ def log_density(r: Floats, loss: str) -> Floats:
 _NORMS = {
     "linear": np.sqrt(2 * np.pi),
     "huber": np.sqrt(2 * np.pi) * erf(_HUBER / np.sqrt(2)) + 2 * np.exp(-(_HUBER**2) / 2) / _HUBER,
-    "soft-l1": 2 * np.e * kv(1, 1.0),
+    "soft-l1": 2 * np.exp(1.0) * kv(1, 1.0),
     "cauchy": _CAUCHY * beta(0.5, (_CAUCHY**2 - 1) / 2),
     "student": np.sqrt(_DEGREES) * beta(0.5, _DEGREES / 2),
 }
