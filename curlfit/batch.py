@@ -79,24 +79,24 @@ def fit_throws(throws: Iterable[Throw | str], plan: Plan) -> list[FitResult | st
         tasks = (runs[place].task(place) for place in places)
         again = lambda place, solution: runs[place].again(place, solution)  # noqa: E731
         optima: dict[int, Optimum] = {}
-
-        def weigh(optima: dict[int, Optimum] = optima) -> None:
-            found.update(zip(optima, weighed_together(list(optima.values())), strict=True))
-            optima.clear()
-
         for place, solution in solve_many(law, check_load(plan.load), tasks, again):
             optimum = runs[place].optimum(solution)
             if optimum is not None:
                 optima[place] = optimum
                 if len(optima) == _WEIGHED:
-                    weigh()
+                    found |= _weighed(optima)
+                    optima.clear()
                 continue
             try:
                 found[place] = runs[place].alone()
             except CurlfitError as error:
                 found[place] = str(error)
-        weigh()
+        found |= _weighed(optima)
     return [found[place] for place in sorted(found)]
+
+
+def _weighed(optima: dict[int, Optimum]) -> dict[int, FitResult]:
+    return dict(zip(optima, weighed_together(list(optima.values())), strict=True))
 
 
 class _Run:

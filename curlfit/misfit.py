@@ -30,14 +30,13 @@ from typing import NamedTuple, cast
 from curlfit import backend  # noqa: F401  (configures JAX before its first use)
 
 # isort: split
-import jax
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from curlfit.friction import check_load
 from curlfit.identifiability import directions
-from curlfit.likelihood import frame_of, linearised, problem_of
+from curlfit.likelihood import frame_of, linearised, problem_of, stacked
 from curlfit.noise import block_means
 from curlfit.results import FitResult
 from curlfit.throw import CHANNELS
@@ -265,8 +264,8 @@ def _slopes(fit: FitResult) -> _Slopes:
     problem = problem_of(throw, fit.stone, frame, fit.sigma)
     values = fit.values - frame.offset(len(fit.values))
     n = len(throw)
-    stacked = jax.tree.map(lambda leaf: np.asarray(leaf)[None], problem)
-    jacobian = linearised(fit.law_class, check_load(fit.load), values[None], stacked)[1]
+    one = stacked([problem])
+    jacobian = linearised(fit.law_class, check_load(fit.load), values[None], one)[1]
     weighted = np.asarray(jacobian)[0, :, :n]
     weight = np.asarray(problem.weight)[:, :n]
     return _Slopes(weighted / np.where(weight > 0, weight, 1.0)[..., None], weight)

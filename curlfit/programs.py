@@ -83,6 +83,7 @@ class _Kept:
         with _without_cache() if file is not None else nullcontext():
             program = _compiled(self.jitted.lower(*args))
         if file is not None:
+            # One that cannot be kept (a full disk, a device that gives none) is made again.
             with suppress(OSError, InputError, ValueError, NotImplementedError):
                 _write(file, program)
         return program

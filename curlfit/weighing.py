@@ -68,10 +68,11 @@ _Weighing = Generator[Floats, Floats, FitResult]
 
 def weighed(optimum: Optimum) -> FitResult:
     """The record of a fit from its optimum."""
+    law, load, problem = optimum.law, optimum.load, optimum.problem
     work = _weighing(optimum)
     wanted = next(work)
     while True:
-        paths = [np.asarray(_trace(optimum, values)) for values in wanted]
+        paths = [np.asarray(trace(law, load, values, problem)) for values in wanted]
         try:
             wanted = work.send(np.array(paths))
         except StopIteration as done:
@@ -92,10 +93,6 @@ def weighed_together(optima: Sequence[Optimum]) -> list[FitResult]:
                 found[place] = done.value
                 del works[place], wanted[place]
     return [found[place] for place in range(len(optima))]
-
-
-def _trace(optimum: Optimum, values: Floats) -> Any:
-    return trace(optimum.law, optimum.load, values, optimum.problem)
 
 
 def _traces(optima: Sequence[Optimum], wanted: Mapping[int, Floats]) -> dict[int, Floats]:

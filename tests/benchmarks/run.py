@@ -307,12 +307,9 @@ def roof() -> None:
     twice = jax.jit(lambda a: a + 1.0)
     memory = 2 * long.nbytes / best(lambda: twice(long))
     row("paths a second", f"{1 / taken:.3g}", "")
-    row(
-        "arithmetic, of a matrix product's",
-        f"{flops / taken:.3g} flop/s",
-        flops / taken / arithmetic,
-    )
-    row("memory, of a copy's", f"{least / taken:.3g} B/s", least / taken / memory)
+    done, moved = flops / taken, least / taken
+    row("arithmetic, over a matrix product's", f"{done:.3g} flop/s", done / arithmetic)
+    row("memory, over a copy's", f"{moved:.3g} B/s", moved / memory)
 
 
 ALL = {f.__name__: f for f in (answering, forward, roof, batch, posterior)}
