@@ -16,7 +16,7 @@ derivatives with respect to the edge.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -29,6 +29,7 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, ArrayLike
 
+from curlfit.elliptic import Means, directions, on_half
 from curlfit.friction import LAWS, Law, Load, LocalLaw, Motion, NetLaw, RingPoint
 from curlfit.friction.base import on_new_law
 from curlfit.stone import GRAVITY, Stone
@@ -39,6 +40,8 @@ _BALANCED = 1e-9  # imbalance, relative to the weight, at which one more Newton 
 _MOST_NEWTON_STEPS = 30
 _LEAST_LOAD = 1e-6  # over the uniform load, as shown to a law
 _EVEN = (0.0, 0.0)  # tilt of the uniform load
+
+_POINT = RingPoint(*(1.0 for _ in RingPoint._fields))
 
 _x, _w = np.polynomial.legendre.leggauss(NODES)
 _GAUSS_NODES, _GAUSS_WEIGHTS = (_x + 1) / 2, _w / 2
@@ -214,10 +217,35 @@ def panels(
     return found
 
 
-def _force(law: LocalLaw, ring: list[_Panel], tilt: tuple[Any, Any]) -> tuple[Any, ...]:
+class _Halves(NamedTuple):
+    """The ring as a law sees it that is linear in the direction of sliding."""
+
+    right: Means
+    forward: Means
+    turned: Array
+    time: Array
+
+
+_Ring = list[_Panel] | _Halves
+
+
+def _force(law: LocalLaw, ring: _Ring, tilt: tuple[Any, Any]) -> tuple[Any, ...]:
     """Net force over m g (right, forward) and moment over m g R, under load 1 + p xi + q eta."""
     p, q = tilt
     t_xi = t_eta = moment = 0.0
+    if isinstance(ring, _Halves):
+        for front in (1.0, 0.0):
+            right, forward = (
+                means.loaded(p, q) for means in on_half(ring.right, ring.forward, front)
+            )
+            point = _POINT._replace(front=front, turned=ring.turned, time=ring.time)
+            across = law.traction(point._replace(e_xi=1.0, e_eta=0.0))
+            along = law.traction(point._replace(e_xi=0.0, e_eta=1.0))
+            t_xi += across[0] * right.one + along[0] * forward.one
+            t_eta += across[1] * right.one + along[1] * forward.one
+            moment += across[1] * right.xi + along[1] * forward.xi
+            moment -= across[0] * right.eta + along[0] * forward.eta
+        return t_xi, t_eta, moment
     for points, weight in ring:
         load = 1 + p * points.xi + q * points.eta
         # A trial load may be negative; a law need not know what to do with that.
@@ -231,10 +259,13 @@ def _force(law: LocalLaw, ring: list[_Panel], tilt: tuple[Any, Any]) -> tuple[An
 
 
 def _seen(function: Callable[..., Any], *inputs: Any) -> list[bool]:
-    """Which inputs a function makes any use of."""
+    """Which inputs the outputs of a function depend on."""
     jaxpr = jax.make_jaxpr(function)(*inputs).jaxpr
-    used = [*jaxpr.outvars, *(v for eqn in jaxpr.eqns for v in eqn.invars)]
-    return [any(variable is item for item in used) for variable in jaxpr.invars]
+    used = {id(item) for item in jaxpr.outvars}
+    for equation in reversed(jaxpr.eqns):
+        if any(id(item) in used for item in equation.outvars):
+            used |= {id(item) for item in equation.invars}
+    return [id(variable) in used for variable in jaxpr.invars]
 
 
 def _sees_load(law: LocalLaw, points: RingPoint) -> bool:
@@ -258,7 +289,31 @@ def _sees_turned_and_time(law: Law, stone: Stone) -> list[bool]:
     return _seen(felt, one, one)
 
 
-def _imbalance(law: LocalLaw, ring: list[_Panel], stone: Stone, tilt: Array) -> Array:
+@cache
+def _is_tensor(kind: type[LocalLaw], load: Load) -> bool:
+    """Whether traction on each half is a constant tensor times the direction of sliding."""
+    law = kind.from_vector([0.1 + 0.01 * place for place, _ in enumerate(kind.coefficients())])
+    if any(law.edges(1.0)):
+        return False
+    one = np.ones(())
+    free = {"front", "turned", "time"} | ({"load"} if load == "uniform" else set())
+
+    def along(e_xi: Array, e_eta: Array, *others: Array) -> Any:
+        given = dict(zip(bound, others, strict=True))
+        return law.traction(_POINT._replace(e_xi=e_xi, e_eta=e_eta, **given))
+
+    def slope(e_xi: Array, e_eta: Array, *others: Array) -> Any:
+        both = lambda *e: along(*e, *others)  # noqa: E731
+        return jax.jvp(both, (e_xi, e_eta), (one, one))[1]
+
+    bound = [name for name in RingPoint._fields if name not in free | {"e_xi", "e_eta"}]
+    inputs = (one,) * (2 + len(bound))
+    with jax.ensure_compile_time_eval():
+        still = any(float(part) for part in along(0 * one, 0 * one, *inputs[2:]))
+    return not (still or any(_seen(slope, *inputs)) or any(_seen(along, *inputs)[2:]))
+
+
+def _imbalance(law: LocalLaw, ring: _Ring, stone: Stone, tilt: Array) -> Array:
     """How far a load `n/n0 = 1 + p xi + q eta`, given as (p, q), is from balancing the friction.
 
     On a thin ring eq. 8 reads `(p, q) = -2 (h/R) T/(m g)`.
@@ -274,13 +329,13 @@ def _solved(slopes: tuple[Array, Array], value: Array) -> Array:
     return jnp.stack([d * f - b * g, a * g - c * f]) / (a * d - b * c)
 
 
-def _balance(law: LocalLaw, ring: list[_Panel], stone: Stone) -> tuple[Array, tuple[Array, Array]]:
+def _balance(law: LocalLaw, ring: _Ring, stone: Stone) -> tuple[Array, tuple[Array, Array]]:
     """The consistent load (eq. 8-9) as (p, q), and the Jacobian of the imbalance, in columns.
 
     NaN where no load that is nowhere negative balances the friction.
     """
 
-    def newton(tilt: Array, given: tuple[LocalLaw, list[_Panel], Stone]) -> tuple[Any, ...]:
+    def newton(tilt: Array, given: tuple[LocalLaw, _Ring, Stone]) -> tuple[Any, ...]:
         """The next tilt, how far this one was from balance, and the Jacobian."""
         one, zero = jnp.ones_like(tilt[0]), jnp.zeros_like(tilt[0])
         value, slope = jax.linearize(partial(_imbalance, *given), tilt)
@@ -288,8 +343,11 @@ def _balance(law: LocalLaw, ring: list[_Panel], stone: Stone) -> tuple[Array, tu
         return tilt - _solved(slopes, value), jnp.abs(value).max(0), slopes
 
     given = (law, ring, stone)
-    tilt = jnp.zeros((2, *ring[0].weight.shape[1:]))
-    if _sees_load(law, ring[0].points):  # otherwise the balance is linear: one step solves it
+    shape = ring.right.one.shape if isinstance(ring, _Halves) else ring[0].weight.shape[1:]
+    tilt = jnp.zeros((2, *shape))
+    if not isinstance(ring, _Halves) and _sees_load(
+        law, ring[0].points
+    ):  # otherwise the balance is linear: one step solves it
         still = jax.lax.stop_gradient(given)  # the last step alone carries the exact derivative
 
         def again(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -318,8 +376,10 @@ def _parted(kind: type[Law], inputs: _Inputs) -> tuple[Any, ...]:
     return (kind.from_vector(inputs), stone, *inputs[k + _STONE :])
 
 
-def _ring(kind: type[Law], inputs: _Inputs, crowd: Crowding) -> list[_Panel]:
+def _ring(kind: type[LocalLaw], load: Load, inputs: _Inputs, crowd: Crowding) -> _Ring:
     law, stone, v, omega, turned, time = _parted(kind, inputs)
+    if _is_tensor(kind, load):
+        return _Halves(*directions(v, stone.R * omega), turned, time)
     return panels(law, v, stone.R * omega, turned, time, crowd)
 
 
@@ -328,18 +388,18 @@ def _near(kind: type[Law], load: Load, inputs: _Inputs, crowd: Crowding) -> Any:
     if load == "uniform" or issubclass(kind, NetLaw):
         return None
     law, stone, *_ = _parted(kind, inputs)
-    return _balance(law, _ring(kind, inputs, crowd), stone)
+    return _balance(law, _ring(kind, load, inputs, crowd), stone)
 
 
 def _accelerations(
-    kind: type[Law], inputs: _Inputs, crowd: Crowding, near: Any, *, move: bool
+    kind: type[Law], load: Load, inputs: _Inputs, crowd: Crowding, near: Any, *, move: bool
 ) -> tuple[Array, Array, Array]:
     """xi, eta, angular. `move` has the tilt of the load follow the inputs."""
     law, stone, v, omega, turned, time = _parted(kind, inputs)
     if isinstance(law, NetLaw):
         net = law.accelerations(Motion(jnp.where(v > 0, v, 1.0), omega, turned, time), stone)
         return tuple(jnp.where(v > 0, value, 0.0) for value in net)  # type: ignore[return-value]
-    ring = _ring(kind, inputs, crowd)
+    ring = _ring(kind, load, inputs, crowd)
     tilt: Any = _EVEN
     if near is not None:
         tilt, slopes = near
@@ -354,7 +414,7 @@ def _accelerations(
 def _felt(
     kind: type[Law], load: Load, inputs: _Inputs, crowd: Crowding
 ) -> tuple[Array, Array, Array]:
-    return _accelerations(kind, inputs, crowd, _near(kind, load, inputs, crowd), move=False)
+    return _accelerations(kind, load, inputs, crowd, _near(kind, load, inputs, crowd), move=False)
 
 
 def _felt_jvp(
@@ -364,7 +424,7 @@ def _felt_jvp(
     once for each input, and most inputs touch little of the sum."""
     inputs, crowd = primals
     near = _near(kind, load, inputs, crowd)
-    out = _accelerations(kind, inputs, crowd, near, move=False)
+    out = _accelerations(kind, load, inputs, crowd, near, move=False)
     law, stone, *_ = _parted(kind, inputs)
     sees = [True] * (len(inputs) - 2) + _sees_turned_and_time(law, stone)
     change = tuple(jnp.zeros_like(value) for value in out)
@@ -374,7 +434,7 @@ def _felt_jvp(
 
         def along(value: Array, place: int = place) -> tuple[Array, Array, Array]:
             moved = (*inputs[:place], value, *inputs[place + 1 :])
-            return _accelerations(kind, moved, crowd, near, move=True)
+            return _accelerations(kind, load, moved, crowd, near, move=True)
 
         _, slope = jax.jvp(along, (inputs[place],), (jnp.ones_like(inputs[place]),))
         change = tuple(c + s * tangent for c, s in zip(change, slope, strict=True))

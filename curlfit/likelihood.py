@@ -140,9 +140,11 @@ def model(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
     time that this is too late, at the mean loss of speed: below 0 where the stone stops too early.
     """
     friction, start = split(law, values)
-    stop = jnp.arange(problem.times.shape[-1]) == problem.stop
-    times = jnp.where(stop, problem.times + _LATE, problem.times)
-    path = simulate(friction, problem.stone, start, times, load=load, t0=0.0)
+    rows = jnp.arange(problem.times.shape[-1])
+    stop = rows == problem.stop
+    late = (rows >= problem.stop) & (problem.stop >= 0)  # rows after it are but padding
+    times = jnp.where(late, problem.times + _LATE, problem.times)
+    path = simulate(friction, problem.stone, start, times, load=load, t0=0.0, ordered=True)
     left = start.v * (1 - problem.times / jnp.maximum(path.rest, 1e-9))
     speed = jnp.where(stop, left, path.speed)
     return jnp.stack([path.x, path.y, path.phi, speed, path.omega])
