@@ -1,9 +1,10 @@
 """Sums over the ring in closed form, for friction that is linear in the direction of sliding.
 
-On such a law, `t = -n M v/|v|` with a constant tensor M on each half of the ring (front-back, tensor,
-Coulomb's), the ring acts through a dozen means of the direction of sliding. In units of the larger
-of the two speeds `v` and `|u| = R |omega|`, with `q` the smaller one and `c` the cosine of the
-angle from the fastest point, the sliding speed is `rho = sqrt(1 + q^2 + 2 q c)`. Over a half ring
+Under such a law, `t = -n M v/|v|` with a constant tensor M on each half of the ring (front-back,
+tensor, Coulomb's), the ring acts through a dozen means of the direction of sliding. In units of
+the larger of the two speeds `v` and `|u| = R |omega|`, with `q` the smaller one and `c` the cosine
+of the angle from the fastest point, the sliding speed is `rho = sqrt(1 + q^2 + 2 q c)`. Over a half
+ring
 
 - means odd in `eta` are integrals of polynomials of c over rho, and `1/rho = sum (-q)^n P_n(c)` is
   the generating function of Legendre's polynomials (DLMF 18.12.11);
@@ -61,7 +62,8 @@ def _complete(m: Array, m1: Array) -> _Complete:
 @_complete.defjvp
 def _(inputs: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Any, Any]:
     m, m1 = inputs
-    B, H, D, G = found = _complete(m, m1)
+    found = _complete(m, m1)
+    D, G = found.D, found.G
     # From DLMF 19.4.1-2.
     small = m < _SMALL
     curved = (D - 4 * G + 3 * m * G) / (2 * jnp.where(small, 1.0, m) * m1)
@@ -139,8 +141,10 @@ def directions(v: Array, u: Array) -> tuple[Means, Means]:
 
 def on_half(right: Means, forward: Means, front: float) -> tuple[Means, Means]:
     """The same on the front half (1.0) or the back half (0.0)."""
-    odd, even = 2 * front - 1, 1.0
+    odd = 2 * front - 1
+    signs = (odd, odd, 1.0, odd, 1.0, odd)
+    others = (1.0, 1.0, odd, 1.0, odd, 1.0)
     return (
-        Means(*(sign * mean for sign, mean in zip((odd, odd, even, odd, even, odd), right))),
-        Means(*(sign * mean for sign, mean in zip((even, even, odd, even, odd, even), forward))),
+        Means(*(sign * mean for sign, mean in zip(signs, right, strict=True))),
+        Means(*(sign * mean for sign, mean in zip(others, forward, strict=True))),
     )

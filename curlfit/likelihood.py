@@ -43,7 +43,7 @@ Floats = NDArray[np.float64]
 SIGMA_FLOOR = 1e-7
 """Least noise (m and rad) that is believed: the precision of the computed path."""
 
-LANES = 32
+LANES = 64
 """Throws or vectors that are followed side by side: few enough for a processor's cache, enough to
 share the cost of a pass."""
 
@@ -162,7 +162,7 @@ def _independent(law: type[Law], load: Load, values: Array, problem: Problem) ->
     return whitened(residual, problem.colour)
 
 
-@kept("law", "load")
+@kept("law", "load", often=True)
 def linearised(law: type[Law], load: Load, values: Array, problems: Problem) -> tuple[Array, Array]:
     """Residuals of many throws (throws, channels, n), and their Jacobian by their parameters.
 

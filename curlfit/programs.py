@@ -30,21 +30,23 @@ from curlfit.errors import InputError
 from curlfit.files import replaced
 
 
-def kept(*static: str) -> Callable[[Callable[..., Any]], _Kept]:
+def kept(*static: str, often: bool = False) -> Callable[[Callable[..., Any]], _Kept]:
     """`jax.jit` for a function of arrays, whose compiled programs outlive the process.
 
     Parameters
     ----------
     static : names of arguments that are no arrays but laws (classes) or words.
+    often : run so often that a faster program is worth more time and memory for its compiling.
     """
-    return lambda function: _Kept(function, static)
+    return lambda function: _Kept(function, static, often)
 
 
 class _Kept:
-    def __init__(self, function: Callable[..., Any], static: tuple[str, ...]) -> None:
+    def __init__(self, function: Callable[..., Any], static: tuple[str, ...], often: bool) -> None:
         functools.update_wrapper(self, function)
         self.name = function.__qualname__
         self.static = static
+        self.often = often
         self.names = tuple(inspect.signature(function).parameters)
         self.jitted = jax.jit(function, static_argnames=static)
         self.programs: dict[Any, Any] = {}
@@ -81,7 +83,7 @@ class _Kept:
         args = [next(given) if name in self.static else next(rest) for name in self.names]
         # A program out of JAX's own cache cannot be stored again.
         with _without_cache() if file is not None else nullcontext():
-            program = _compiled(self.jitted.lower(*args))
+            program = _compiled(self.jitted.lower(*args), self.often)
         if file is not None:
             # One that cannot be kept (a full disk, a device that gives none) is made again.
             with suppress(OSError, InputError, ValueError, NotImplementedError):
@@ -104,10 +106,10 @@ class _Kept:
         return folder / "programs" / hashlib.sha256(about.encode()).hexdigest()
 
 
-def _compiled(lowered: Any) -> Any:
-    """By XLA's older emitters of kernels, where it has them: as fast a program, in half the time
-    and a third of the memory."""
-    if jax.default_backend() == "cpu":
+def _compiled(lowered: Any, often: bool) -> Any:
+    """By XLA's older emitters of kernels, where it has them and speed is not all: they take half
+    the time and half the memory, and make programs that are slower by a quarter to a half."""
+    if jax.default_backend() == "cpu" and not often:
         with suppress(jax.errors.JaxRuntimeError):  # of a version that knows no such option
             return lowered.compile(compiler_options={"xla_cpu_use_fusion_emitters": False})
     return lowered.compile()

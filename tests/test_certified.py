@@ -127,7 +127,7 @@ def test_certified_values_come_out_again(name):
 @pytest.mark.parametrize("name", [name for name in FEWER if "split" not in name])
 def test_a_shorter_step_gives_the_missing_digits(name):
     script = (
-        "from curlfit import motion; motion.STEP /= 4\n"
+        "from curlfit import steps; steps.STEP /= 4\n"
         f"import test_certified as t; print(max(t.compared({name!r}, t.fitted({name!r}))[0]))"
     )
     done = subprocess.run(

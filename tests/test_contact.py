@@ -5,13 +5,16 @@ from __future__ import annotations
 import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import G, Reference, front_back
 from scipy.special import ellipe, ellipk
 
-from curlfit import LAWS, LocalLaw, Stone
+from curlfit import LAWS, LocalLaw, Stone, coefficient
 from curlfit.contact import accelerations
+from curlfit.friction import Edges
+from curlfit.friction.base import on_new_law
 
 STONE = Stone(R=0.065, rho=0.1, h=0.057)
 MU = (0.004, 0.05, 0.012, 0.006)
@@ -55,6 +58,75 @@ def test_front_back_agrees_with_a_dense_ring(load, omega, tolerance):
     np.testing.assert_allclose(
         over_weight(FRONT_BACK, load, 2.0, omega), dense, rtol=tolerance, atol=1e-15
     )
+
+
+def _as_written(kind):
+    """The same law in other words, which do not say that it is linear in the direction."""
+
+    def traction(law, point):
+        turned = point._replace(
+            e_xi=point.slide_xi / point.speed, e_eta=point.slide_eta / point.speed
+        )
+        return kind.traction(law, turned)
+
+    return type(f"Written{kind.__name__}", (kind,), {"traction": traction, "name": ""})
+
+
+@pytest.mark.parametrize("load", ["uniform", "consistent"])
+@pytest.mark.parametrize("name", ["front-back", "tensor", "coulomb"])
+def test_closed_form_and_quadrature_agree_with_all_derivatives(name, load):
+    kind = LAWS[name]
+    written = _as_written(kind)
+    on_new_law[0](written)  # a law without a name is entered by hand
+    values = np.array([0.004, 0.05, 0.012, 0.006][: len(kind.coefficients())])
+    values = np.array([0.02, 0.009, 0.003]) if name == "tensor" else values
+
+    def felt(p, law):
+        stone = dataclasses.replace(STONE, R=p[-3])
+        return jnp.stack(accelerations(law.from_vector(p), stone, load, p[-2], p[-1]))
+
+    both = jax.jit(lambda p, law: (felt(p, law), jax.jacfwd(felt)(p, law)), static_argnames="law")
+    for v, omega in [(2.0, 0.3), (2.0, -1.0), (1.5, 7.0), (1.0, -12.0), (1.0, 22.0), (0.1, -40.0)]:
+        p = np.array([*values, STONE.R, v, omega])
+        for closed, summed in zip(both(p, kind), both(p, written), strict=True):
+            np.testing.assert_allclose(closed, summed, rtol=1e-8, atol=1e-9)
+
+
+@pytest.mark.parametrize("uneven", ["cubed", "pulled", "edged", "fast"])
+def test_friction_that_is_not_linear_in_the_direction_is_summed_point_by_point(uneven):
+    class Uneven(LocalLaw):
+        mu: float = coefficient(0.01, "")
+
+        def edges(self, turned):
+            return Edges(front=(1.0,)) if uneven == "edged" else Edges()
+
+        def traction(self, point):
+            more = {
+                "cubed": point.e_eta**2,
+                "pulled": 0.0,
+                "edged": 1.0 * (point.angle < 1.0) * point.front,
+                "fast": point.speed,
+            }[uneven]
+            pull = 0.1 * self.mu if uneven == "pulled" else 0.0
+            return (
+                -self.mu * (1 + more) * point.e_xi,
+                -self.mu * (1 + more) * point.e_eta + pull,
+            )
+
+    on_new_law[0](Uneven)
+    v, u = 1.2, 0.5
+    a = np.linspace(0, 2 * np.pi, 2_000_001)[:-1] + np.pi / 2_000_000
+    slide = -u * np.sin(a), v + u * np.cos(a)
+    speed = np.hypot(*slide)
+    more = {
+        "cubed": (slide[1] / speed) ** 2, "pulled": 0.0, "edged": 1.0 * (a < 1.0), "fast": speed
+    }[uneven]  # fmt: skip
+    pull = 0.001 if uneven == "pulled" else 0.0
+    t_xi, t_eta = (-0.01 * (1 + more) * part / speed for part in slide)
+    t_eta = t_eta + pull
+    exact = t_xi.mean(), t_eta.mean(), (np.cos(a) * t_eta - np.sin(a) * t_xi).mean()
+    found = over_weight(Uneven(0.01), "uniform", v, u / STONE.R)
+    np.testing.assert_allclose(found, exact, rtol=2e-6, atol=1e-10)
 
 
 def test_first_order_law_is_the_limit_of_the_ring():

@@ -12,7 +12,7 @@ import pytest
 from conftest import Reference, front_back
 
 import curlfit
-from curlfit import LAWS, Start, Stone, motion, simulate
+from curlfit import LAWS, Start, Stone, simulate, steps
 from curlfit.contact import accelerations
 from curlfit.paper import first_order_motion
 
@@ -53,7 +53,7 @@ def test_error_falls_with_the_fifth_power_of_the_step(monkeypatch):
     exact = Reference(front_back(*PAPER)).path(start, times)
     errors = []
     for step in (0.5, 0.25):
-        monkeypatch.setattr(motion, "STEP", step)
+        monkeypatch.setattr(steps, "STEP", step)
         jax.clear_caches()
         errors.append(np.abs(places(simulate(FRONT_BACK, STONE, start, times)) - exact).max())
     monkeypatch.undo()
@@ -134,6 +134,25 @@ def test_rest_is_held_and_order_of_times_does_not_matter():
     assert path.omega[0] == 0
     ordered = simulate(FRONT_BACK, STONE, Start(v=2.06, omega=1.0), np.sort(times))
     np.testing.assert_array_equal(np.sort(path.y), ordered.y)
+
+
+def test_compiled_code_sorts_times_that_it_does_not_know():
+    times = np.array([50.0, 0.0, 24.0, 26.0, 3.0, 100.0])
+    start = Start(v=2.06, omega=1.0)
+    compiled = jax.jit(lambda t: simulate(FRONT_BACK, STONE, start, t, t0=0.0))
+    np.testing.assert_allclose(
+        compiled(times).y, simulate(FRONT_BACK, STONE, start, times, t0=0.0).y, rtol=1e-12
+    )
+    slope = jax.jacfwd(lambda t: compiled(t).y)(times)
+    np.testing.assert_allclose(slope, np.diag(compiled(times).vy), atol=1e-9)
+
+
+@pytest.mark.parametrize("times", [[0.0], [0.0, 0.0]])
+def test_at_its_first_moment_a_stone_is_at_its_start(times):
+    path = simulate(FRONT_BACK, STONE, Start(x=1.0, y=2.0, v=2.0, phi=0.5, omega=1.0), times)
+    for name, value in (("x", 1.0), ("y", 2.0), ("phi", 0.5), ("vy", 2.0), ("omega", 1.0)):
+        np.testing.assert_allclose(getattr(path, name), value, rtol=1e-15)
+    assert path.rest > 20
 
 
 def test_pure_spin_stays_in_place_and_stops():

@@ -260,7 +260,7 @@ def roof() -> None:
     import jax
     import jax.numpy as jnp
 
-    from curlfit import LAWS, Start, Stone, motion, simulate
+    from curlfit import LAWS, Start, Stone, following, simulate
     from curlfit.contact import accelerations, crowding
 
     t, lanes = np.linspace(0, 20, 201), 1024 if jax.default_backend() == "cpu" else 65536
@@ -269,17 +269,17 @@ def roof() -> None:
     law, stone = LAWS["front-back"](), Stone(R=0.054)
 
     calls: list[int] = []
-    rates = motion._rates
+    rates = following.rates
 
     def counted(*given: Any) -> Any:
         jax.debug.callback(lambda: calls.append(1))
         return rates(*given)
 
     jax.clear_caches()
-    motion._rates = counted
+    following.rates = counted
     simulate(law, stone, Start(v=2.1, omega=1.0), t).x.block_until_ready()
     jax.effects_barrier()
-    motion._rates = rates
+    following.rates = rates
     jax.clear_caches()
 
     def ring(v: Any, omega: Any) -> Any:
