@@ -16,7 +16,7 @@ import numpy as np
 from curlfit.errors import CurlfitError
 from curlfit.fitting import Job, estimated_sigma, first_sigma, fit, prepared, shifted
 from curlfit.friction import Law, check_load
-from curlfit.likelihood import Problem, problem_of
+from curlfit.likelihood import Problem, problem_of, reweighed
 from curlfit.lockstep import Task, solve_many
 from curlfit.plan import Plan, columns
 from curlfit.readers import load_throw
@@ -139,7 +139,7 @@ class _Run:
             job.throw, solution, self.problem, self.local, list(self.sigma)
         )
         before = np.where(self.problem.weight > 0, self.problem.weight, 1.0)
-        self.problem = problem_of(job.throw, self.stone, job.frame, self.sigma)
+        self.problem = reweighed(self.problem, self.sigma)
         # Another sigma is another scale of what is known already.
         scale = self.problem.weight / before
         known = scale * solution.residual, scale[..., None] * solution.jacobian

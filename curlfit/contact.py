@@ -1,6 +1,8 @@
 """The contact ring: a law of friction at a point becomes acceleration of the stone.
 
-Sums a local law over the ring (eq. 2) under uniform or dynamically consistent load (eq. 8-9).
+Sums a local law over the ring (eq. 2) under uniform or dynamically consistent load (eq. 8-9): in
+closed form where the law is linear in the direction of sliding (see `elliptic.py`), which is found
+out by tracing it, by quadrature everywhere else.
 
 Quadrature. With `u = R omega`, the sliding speed at polar angle `alpha` is
 `|v(A)|^2 = (v - |u|)^2 cos^2 b + (v + |u|)^2 sin^2 b`, where `b` is half the angle between the
@@ -295,7 +297,7 @@ def _is_tensor(kind: type[LocalLaw], load: Load) -> bool:
     law = kind.from_vector([0.1 + 0.01 * place for place, _ in enumerate(kind.coefficients())])
     if any(law.edges(1.0)):
         return False
-    one = np.ones(())
+    one: Any = np.ones(())
     free = {"front", "turned", "time"} | ({"load"} if load == "uniform" else set())
 
     def along(e_xi: Array, e_eta: Array, *others: Array) -> Any:
@@ -376,7 +378,7 @@ def _parted(kind: type[Law], inputs: _Inputs) -> tuple[Any, ...]:
     return (kind.from_vector(inputs), stone, *inputs[k + _STONE :])
 
 
-def _ring(kind: type[LocalLaw], load: Load, inputs: _Inputs, crowd: Crowding) -> _Ring:
+def _ring(kind: Any, load: Load, inputs: _Inputs, crowd: Crowding) -> _Ring:
     law, stone, v, omega, turned, time = _parted(kind, inputs)
     if _is_tensor(kind, load):
         return _Halves(*directions(v, stone.R * omega), turned, time)

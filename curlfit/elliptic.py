@@ -46,7 +46,7 @@ def _complete(m: Array, m1: Array) -> _Complete:
     """At m in [0, 1) and m1 = 1 - m, which is better known where it is small."""
     a, b = jnp.ones_like(m), jnp.sqrt(m1)
     first = 1 / (2 * (a + b))  # c_1/m
-    total, power = 0.0, 2.0
+    total, power = jnp.zeros_like(m), 2.0
     for _ in range(_ROUNDS):
         a, b = (a + b) / 2, jnp.sqrt(a * b)
         power *= 2

@@ -168,10 +168,10 @@ def _follow(
             for row in range(len(State._fields)):
 
                 def put(whole: Array, part: Array, row: int = row) -> Array:
-                    at = (place + 1, row, *(0 for _ in part.shape))
+                    at: Any = (place + 1, row, *(0 for _ in part.shape))
                     return jax.lax.dynamic_update_slice(whole, part[None, None], at)
 
-                slopes = _put(slopes, _row(found, row), put)
+                slopes = _put(slopes, _at(found, row), put)
             return now, slopes
 
         blank = _map(lambda rate: jnp.zeros((_STAGES + 1, *rate.shape)), rate)
@@ -181,7 +181,7 @@ def _follow(
             _map(lambda t, dt: t + dt, t, dt),
             _map(lambda course, state: course.near(State(*state).heading).whole(), course, state),
             state,
-            _Both(*(part if part is None else part[-1] for part in slopes)),
+            _at(slopes, -1),
         )
 
     def planned(t: _Both, course: _Both, state: _Both, rate: _Both) -> _Both:
@@ -278,7 +278,7 @@ def _fields(moving: _Both) -> list[_Both]:
     return [_Both(*pair) for pair in zip(moving.value, slopes, strict=True)]
 
 
-def _row(rows: _Both, place: int) -> _Both:
+def _at(rows: _Both, place: int) -> _Both:
     return _Both(*(part if part is None else part[place] for part in rows))
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +81,12 @@ def visible(singular: Floats) -> NDArray[np.bool_]:
     return singular > max(_UNSEEN, _ROUNDING * singular[0])
 
 
+def triangle(matrix: Floats) -> Floats:
+    """As many rows as columns that stand for all the rows of a matrix (its QR decomposition)."""
+    found: Any = np.linalg.qr(matrix, mode="r")
+    return found
+
+
 def analyse(
     jacobian: Floats,
     names: Sequence[str],
@@ -98,6 +104,8 @@ def analyse(
         products add to the covariance, shape (parameters, others).
     """
     p = len(names)
+    if len(jacobian) > 2 * p:
+        jacobian = triangle(jacobian)
     _, singular, right = np.linalg.svd(jacobian * typical, full_matrices=False)
     singular = np.concatenate([singular, np.zeros(p - len(singular))])
     if len(right) < p:  # fewer residuals than parameters

@@ -107,22 +107,37 @@ def problem_of(
     n = len(throw)
     rows = 5 if {"speed", "omega"} & set(throw.seen) else 3
     long = max(_SHORTEST, 1 << (n - 1).bit_length())
-    seen = np.isfinite(throw.observed)
-    observed = np.where(seen, throw.observed - frame.place[:, None], 0.0)
-    size = np.stack([throw.sigma.get(name, np.full(n, sigma.get(name, 1.0))) for name in CHANNELS])
-    weight = np.where(seen, 1 / np.where(seen, size, 1.0), 0.0)
-    pad = ((0, 0), (0, long - n))
-    times = np.pad(throw.t - frame.t, (0, long - n), mode="edge")
-    weight = np.pad(weight[:rows], pad)
+    seen = np.isfinite(throw.observed[:rows])
+    times = np.full(long, throw.t[-1] - frame.t)
+    times[:n] = throw.t - frame.t
+    observed, weight = np.zeros((rows, long)), np.zeros((rows, long))
+    observed[:, :n] = np.where(seen, throw.observed[:rows] - frame.place[:rows, None], 0.0)
+    for row, name in enumerate(CHANNELS[:rows]):
+        weight[row, :n] = np.where(seen[row], 1 / _size(throw, sigma, name), 0.0)
     return Problem(
         times=times,
-        observed=np.pad(observed[:rows], pad),
+        observed=observed,
         weight=weight,
         stone=jax.tree.map(lambda value: np.asarray(float(value)), stone),
         loss=np.asarray(LOSSES.index(loss)),
         stop=np.asarray(n - 1 if throw.stops else -1),
         colour=None if noise is None else colour_of(noise, times, weight),
     )
+
+
+def _size(throw: Throw, sigma: dict[str, float], name: str) -> Any:
+    """Sigma of a channel; 1 where a value was not seen."""
+    given = throw.sigma.get(name)
+    return sigma.get(name, 1.0) if given is None else np.where(given > 0, given, 1.0)
+
+
+def reweighed(problem: Problem, sigma: dict[str, float]) -> Problem:
+    """The same white problem with another sigma for some channels."""
+    weight = problem.weight.copy()
+    for row, name in enumerate(CHANNELS[: len(weight)]):
+        if name in sigma:
+            weight[row, weight[row] > 0] = 1 / sigma[name]
+    return problem._replace(weight=weight)
 
 
 def split(law: type[Law], values: Any) -> tuple[Law, Start]:

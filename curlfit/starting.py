@@ -8,8 +8,8 @@ linear least squares. Nothing is differentiated but the polynomial, and that onl
 
 from __future__ import annotations
 
-from functools import partial
-from typing import NamedTuple
+from functools import cache, partial
+from typing import Any, NamedTuple
 
 from curlfit.contact import accelerations
 
@@ -19,9 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 from numpy.polynomial import Chebyshev
+from numpy.polynomial.chebyshev import chebder, chebval, chebvander
 from numpy.typing import NDArray
 
 from curlfit.friction import Coefficient, Law, Load
+from curlfit.identifiability import triangle
 from curlfit.likelihood import Problem
 from curlfit.parameters import ParameterSet
 from curlfit.programs import kept
@@ -61,6 +63,7 @@ def smooth(problem: Problem) -> Smooth:
     if last < 0.9 * span:
         span = last
     rms = np.full(len(problem.observed), np.inf)
+    bases: dict[tuple[bytes, int], tuple[Floats, Floats, Floats]] = {}
 
     def through(row: int) -> Chebyshev | None:
         use = (problem.weight[row] > 0) & (t <= span)
@@ -68,10 +71,17 @@ def smooth(problem: Problem) -> Smooth:
         if n < 2:
             return None
         degree = min(_DEGREE, max(min(2, n - 1), (n - 1) // 3))
-        curve = Chebyshev.fit(t[use], problem.observed[row][use], degree, domain=[0, span])
-        residual = problem.observed[row][use] - curve(t[use])
+        # Channels that were seen in the same rows have one basis.
+        key = (use.tobytes(), degree)
+        if key not in bases:
+            basis = chebvander(2 * t[use] / span - 1, degree)
+            bases[key] = basis, *np.linalg.qr(basis)
+        basis, q, r = bases[key]
+        values = problem.observed[row][use]
+        found = np.linalg.solve(r, q.T @ values)
+        residual = values - basis @ found
         rms[row] = max(float(np.sqrt(np.mean(residual**2))), 1e-6)
-        return curve
+        return Chebyshev(found, domain=[0, span])
 
     curves = [through(row) for row in range(3)]
     if len(rms) > 3:
@@ -118,13 +128,13 @@ def start_values(
     """
     grid = np.linspace(0, path.span, _GRID)
     x, y, phi = path.curves
-    vx = x.deriv()(grid) if x is not None else np.zeros(_GRID)
-    vy = y.deriv()(grid) if y is not None else np.zeros(_GRID)
+    vx = _slope(x) if x is not None else np.zeros(_GRID)
+    vy = _slope(y) if y is not None else np.zeros(_GRID)
     if x is None and y is None:
         vy = _USUAL_SPEED * (1 - 0.9 * grid / path.span)
     v, heading = np.hypot(vx, vy), np.arctan2(vx, vy)
-    omega = phi.deriv()(grid) if phi is not None else np.full(_GRID, spin)
-    turned = phi(grid) - phi(0.0) if phi is not None else spin * grid
+    omega = _slope(phi) if phi is not None else np.full(_GRID, spin)
+    turned = _rise(phi) if phi is not None else spin * grid
     s, c = np.sin(heading), np.cos(heading)
 
     k = len(law.coefficients())
@@ -155,22 +165,24 @@ def start_values(
         rows, right = [], []
         for row in range(len(problem.observed)):
             t = problem.times[use[row]]
-            design = np.zeros((len(t), k + 6))
             series, axis = (twice[row], row) if row < 3 else (once[row - 2], row - 2)
             if row == 3 and (use[0].any() or use[1].any()):
                 continue  # the places tell it already
-            for j in range(k):
-                design[:, j] = np.interp(t, grid, series[:, j])
+            below = np.minimum((t / step).astype(int), _GRID - 2)
+            share = (t / step - below)[:, None]
+            between = series[below] * (1 - share) + series[below + 1] * share
+            design = np.zeros((len(t), k + 6))
+            design[:, :k] = between[:, :k]
             if row < 3:
                 design[:, k + 2 * axis] = 1.0
             design[:, k + 2 * axis + 1] = t if row < 3 else 1.0
-            offset = np.interp(t, grid, series[:, k])
             rows.append(design / path.rms[row])
-            right.append((problem.observed[row][use[row]] - offset) / path.rms[row])
+            right.append((problem.observed[row][use[row]] - between[:, k]) / path.rms[row])
         low = np.concatenate([lower[:k], np.full(6, -np.inf)])
         high = np.concatenate([upper[:k], np.full(6, np.inf)])
         solution = _bounded_least_squares(np.concatenate(rows), np.concatenate(right), low, high)
-        linear = np.allclose(by_coefficient @ nominal, a, rtol=1e-9, atol=1e-12)
+        gap = np.abs(by_coefficient @ nominal - a)
+        linear = bool((gap <= 1e-12 + 1e-9 * np.abs(a)).all())
         nominal = solution[:k]
         if linear:
             break
@@ -185,6 +197,26 @@ def start_values(
     return np.clip(values, lower, upper)
 
 
+@cache
+def _bases(size: int) -> tuple[Any, Any]:
+    """Chebyshev polynomials on the grid, and their slopes, by -1 to 1."""
+    places = np.linspace(-1, 1, _GRID)
+    slopes = np.asarray(chebval(places, chebder(np.eye(size))), float)
+    return chebvander(places, size - 1), slopes.T
+
+
+def _slope(curve: Any) -> Floats:
+    """Its time derivative on the grid."""
+    _, slopes = _bases(len(curve.coef))
+    return slopes @ curve.coef * (2 / curve.domain[1])
+
+
+def _rise(curve: Any) -> Floats:
+    """How far it has come on the grid since the beginning."""
+    values, _ = _bases(len(curve.coef))
+    return (values - values[0]) @ curve.coef
+
+
 def _cumulative(values: Floats, step: float) -> Floats:
     """Running integral over the second axis, by the trapezoidal rule."""
     middle = (values[:, 1:] + values[:, :-1]) / 2 * step
@@ -193,6 +225,8 @@ def _cumulative(values: Floats, step: float) -> Floats:
 
 def _bounded_least_squares(matrix: Floats, right: Floats, low: Floats, high: Floats) -> Floats:
     """Linear least squares, the smallest solution where several fit, held within bounds."""
+    few = triangle(np.column_stack([matrix, right]))
+    matrix, right = few[:, :-1], few[:, -1]
     size = np.linalg.norm(matrix, axis=0)
     size[size == 0] = 1.0
     held = np.full(matrix.shape[1], np.nan)

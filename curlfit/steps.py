@@ -71,7 +71,7 @@ class Course(NamedTuple):
         vectors: to 1e-11 for up to 0.6 rad between them, to 1e-7 for 1.5 rad."""
         turn = heading - self.heading
         square = turn**2
-        sine = cosine = 0.0
+        sine = cosine = jnp.zeros_like(turn)
         for n in range(5, -1, -1):
             sine = sine * square + (-1) ** n / factorial(2 * n + 1)
             cosine = cosine * square + (-1) ** n / factorial(2 * n)

@@ -161,17 +161,20 @@ class Throw:
     def __len__(self) -> int:
         return len(self.t)
 
-    @property
+    @cached_property
     def observed(self) -> Floats:
-        """All channels as one array of shape (5, n), in the order of `CHANNELS`."""
-        return np.stack([getattr(self, name) for name in CHANNELS])
+        """All channels as one array of shape (5, n), in the order of `CHANNELS`; not to be
+        written to."""
+        whole = np.stack([getattr(self, name) for name in CHANNELS])
+        whole.flags.writeable = False
+        return whole
 
     @cached_property
     def seen(self) -> tuple[str, ...]:
         """Channels of which there is a value."""
         return tuple(name for name in CHANNELS if np.isfinite(getattr(self, name)).any())
 
-    @property
+    @cached_property
     def n_observations(self) -> int:
         """Numbers measured: finite values of all channels."""
         return int(np.isfinite(self.observed).sum())

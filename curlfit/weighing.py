@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
-from curlfit.identifiability import Identifiability, analyse, slack, visible
+from curlfit.identifiability import Identifiability, analyse, slack, triangle, visible
 from curlfit.likelihood import (
     LANES,
     SIGMA_FLOOR,
@@ -387,6 +387,8 @@ class Slopes(NamedTuple):
         A parameter that the data hardly push against its bound is not held by it: it is at the
         end of a ridge, and counts as open.
         """
+        if not at_bound.any():
+            return self.free, np.zeros((int(self.free.sum()), 0))
         push = np.abs(self.residual @ self.jacobian)
         room = self.upper - self.lower
         held = at_bound.copy()
@@ -408,8 +410,9 @@ class Slopes(NamedTuple):
         A direction that counts as unseen would have to be followed over a thousand typical sizes.
         """
         jacobian = (self.jacobian * self.typical)[:, where]
-        left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
-        return float(np.linalg.norm(left[:, visible(singular)].T @ self.residual))
+        few = triangle(np.column_stack([jacobian, self.residual]))
+        left, singular, _ = np.linalg.svd(few[:, :-1], full_matrices=False)
+        return float(np.linalg.norm(left[:, visible(singular)].T @ few[:, -1]))
 
 
 def judged(

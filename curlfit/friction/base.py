@@ -244,7 +244,8 @@ class LocalLaw(Law, ABC):
     """A law of friction at a point of the contact ring (eq. 3-5).
 
     A subclass defines `traction`. Summing over the ring is not its concern. Between the front
-    and the back half the traction may jump; other places where it does are named by `edges`.
+    and the back half the traction may jump; other places where it does are named by `edges`. Where
+    it is a constant tensor times (`e_xi`, `e_eta`) on each half, the sum is in closed form.
     """
 
     def edges(self, turned: Any) -> Edges:

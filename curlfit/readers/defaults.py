@@ -51,9 +51,11 @@ def defaults_of(
 
 def _settings(bodies: list[str]) -> dict[str, Any]:
     """The settings that lines, each complete in itself, make together."""
-    for body in bodies:
-        tomllib.loads(body)
-    found = tomllib.loads("\n".join(bodies))
+    text = "\n".join(bodies)
+    if any(mark in text for mark in ("[", '"""', "'''")):  # what could go on in the next line
+        for body in bodies:
+            tomllib.loads(body)
+    found = tomllib.loads(text)
     _check(found)
     return found
 

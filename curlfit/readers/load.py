@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import islice
 from os import PathLike
 from pathlib import Path
 
@@ -19,6 +20,8 @@ from curlfit.readers.tracker import looks_like_tracker, read_tracker
 from curlfit.throw import Throw
 
 FORMATS = ("table", "tracker", "digitalcurling", "timings")
+_HEAD = 30  # lines that show the format
+_TIMED = re.compile(rf"\s*[\"']?({'|'.join(TIMES)})\b", re.I)
 
 
 def load_throw(
@@ -94,13 +97,14 @@ def read(
 
 def guessed(lines: list[str]) -> str:
     """The format that the first lines of a file look like."""
-    head = [line for line in lines[:200] if line.strip() and not line.lstrip().startswith("#")]
+    shown = (line for line in lines[:200] if line.strip() and not line.lstrip().startswith("#"))
+    head = list(islice(shown, _HEAD))
     if not head:
         return "table"
     first = head[0].lstrip()
     if first.startswith("{") or re.match(r"\[\s*([{\[]|$)", first):
         return "digitalcurling"
-    if any(re.match(rf"\s*[\"']?({'|'.join(TIMES)})\b", line, re.I) for line in head[:30]):
+    if any(map(_TIMED.match, head)):
         return "timings"
     return "tracker" if looks_like_tracker(head[:3]) else "table"
 
