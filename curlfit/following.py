@@ -69,7 +69,7 @@ for _stage, _row in enumerate(
 _STAGES = len(_TABLEAU)
 
 Motion = tuple[tuple[Array, ...], Array]
-"""x, y, phi, vx, vy, omega at given times, and the time of coming to rest"""
+"""x, y, phi, and vx, vy, omega where they are wanted, at given times; the time of coming to rest"""
 
 
 class _Both(NamedTuple):
@@ -123,6 +123,7 @@ def _follow(
     *,
     times: Array,
     load: Load,
+    velocities: bool,
 ) -> tuple[_Both, _Both]:
     """Motions from the origin along +y, one a lane, at `times` >= 0.
 
@@ -134,7 +135,8 @@ def _follow(
 
     Returns
     -------
-    x, y, phi, vx, vy, omega, each of shape (n, lanes), and the times of coming to rest, (lanes,).
+    x, y, phi, and vx, vy, omega if wanted, each of shape (n, lanes), and the times of coming to
+    rest, (lanes,).
     """
     law, stone = ice(given.value)
     net = isinstance(law, NetLaw)
@@ -200,6 +202,7 @@ def _follow(
         # A path that has become NaN is not followed further: it could hold up all the others.
         return moving.dt > 0
 
+    kinds = 2 if velocities else 1
     window = min(_WINDOW, len(times))
     rows = jnp.pad(times, ((0, window), (0, 0)), constant_values=jnp.inf)
 
@@ -225,7 +228,9 @@ def _follow(
                 return jax.lax.dynamic_update_slice_in_dim(whole, new, place, 1)
 
             out = _put(
-                out, _map(lambda path: path.at(t), path), lambda *pair: jax.tree.map(put, *pair)
+                out,
+                _map(lambda path: path.at(t)[:kinds], path),
+                lambda *pair: jax.tree.map(put, *pair),
             )
             passed = (~(t >= end) | done).all(1)
             low = jnp.where(low == place, low + jnp.cumprod(passed).sum(), low)
@@ -255,7 +260,7 @@ def _follow(
         return Moving(zero, zero, course, state, 0 * state, 0 * state[:3])
 
     moving = _map(at_start, start)
-    blank = _map(lambda start: (jnp.full((3, len(rows), start.shape[-1]), jnp.nan),) * 2, start)
+    blank = _map(lambda start: (jnp.full((3, len(rows), start.shape[-1]), jnp.nan),) * kinds, start)
     # Where it rests is carried along, or XLA would find it anew for each of the times.
     held = _map(lambda moving: moving.state[:4], moving)
     begin = (0, moving, held, 0, blank)
@@ -263,11 +268,12 @@ def _follow(
     state, rate = State(*moving.value.state), State(*moving.value.rate)
     over = at_rest(law, stone, state, rate) & (times >= moving.value.t)
 
-    def whole(held: Array, out: tuple[Array, Array]) -> tuple[Array, ...]:
+    def whole(held: Array, out: tuple[Array, ...]) -> tuple[Array, ...]:
         ends = (*held[:3], 0.0, 0.0, 0.0)
+        channels = (channel for kind in out for channel in kind)
         return tuple(
             jnp.where(over, end, channel[: len(times)])
-            for end, channel in zip(ends, (*out[0], *out[1]), strict=True)
+            for end, channel in zip(ends, channels, strict=False)
         )
 
     return _map(whole, held, out), _map(lambda held: held[3], held)
@@ -323,15 +329,22 @@ def _in_lanes(function: Callable[..., Any]) -> Callable[..., Any]:
     return alone
 
 
-def _alone(law: type[Law], load: Load, *arrays: Array) -> Motion:
+def _alone(law: type[Law], load: Load, velocities: bool, *arrays: Array) -> Motion:
     coefficients, stone, start, times = arrays
     ice = lambda given: (law.from_vector(given[0]), Stone(*given[1]))  # noqa: E731
-    path, rest = _follow(ice, _Both((coefficients, stone)), _Both(start), times=times, load=load)
+    path, rest = _follow(
+        ice,
+        _Both((coefficients, stone)),
+        _Both(start),
+        times=times,
+        load=load,
+        velocities=velocities,
+    )
     return path.value, rest.value
 
 
 def _with_jacobian(
-    law: type[Law], load: Load, asked: tuple[bool, ...], *arrays: Array
+    law: type[Law], load: Load, velocities: bool, asked: tuple[bool, ...], *arrays: Array
 ) -> tuple[Motion, Motion]:
     """A motion, and its derivatives by the inputs asked for, along the last axis but the lanes."""
     *inputs, times = arrays
@@ -354,40 +367,51 @@ def _with_jacobian(
         return law.from_vector(coefficients), Stone(*stone)
 
     given = _Both([item.value for item in free], [item.slopes for item in free] if free else None)
-    path, rest = _follow(ice, given, start, times=times, load=load)
+    path, rest = _follow(ice, given, start, times=times, load=load, velocities=velocities)
     return (path.value, rest.value), (path.slopes, rest.slopes)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))
 def trajectory(
-    law: type[Law], load: Load, inputs: tuple[Array, Array, Array], times: Array
+    law: type[Law],
+    load: Load,
+    velocities: bool,
+    inputs: tuple[Array, Array, Array],
+    times: Array,
 ) -> Motion:
     """One motion from the origin along +y.
 
     Parameters
     ----------
+    velocities : whether these are wanted, which takes as long again as the places.
     inputs : the law's coefficients, the stone's fields and (v0, omega0), as vectors. Those that
         nobody asks about cost nothing, and what `vmap` maps over becomes lanes of one call.
     times : in s, from 0 up, not falling from one to the next, shape (n,).
     """
-    return _in_lanes(partial(_alone, law, load))(*inputs, times)
+    return _in_lanes(partial(_alone, law, load, velocities))(*inputs, times)
 
 
 def _trajectory_jvp(
-    law: type[Law], load: Load, primals: tuple[Any, ...], tangents: tuple[Any, ...]
+    law: type[Law],
+    load: Load,
+    velocities: bool,
+    primals: tuple[Any, ...],
+    tangents: tuple[Any, ...],
 ) -> tuple[Motion, Motion]:
     inputs, times = primals
     d_inputs, d_times = tangents
     asked = tuple(not isinstance(tangent, SymbolicZero) for tangent in d_inputs)
     if any(asked):
-        function = partial(_with_jacobian, law, load, asked)
+        function = partial(_with_jacobian, law, load, velocities, asked)
         out, jacobian = _in_lanes(function)(*inputs, times)
         step = jnp.concatenate([d for ask, d in zip(asked, d_inputs, strict=True) if ask])
         change, later = jax.tree.map(lambda part: part @ step, jacobian)
     else:
-        out = _in_lanes(partial(_alone, law, load))(*inputs, times)
+        out = _in_lanes(partial(_alone, law, load, velocities))(*inputs, times)
         change, later = jax.tree.map(jnp.zeros_like, out)
     if not isinstance(d_times, SymbolicZero):
+        if not velocities:
+            raise TypeError("derivatives by the times need the velocities")
         moved = (d + rate * d_times for d, rate in zip(change, out[0][3:], strict=False))
         change = (*moved, *change[3:])
     return out, (change, later)

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from curlfit.motion import Start, simulate
+from curlfit.motion import Start, places, simulate
 
 # isort: split
 import jax
@@ -172,7 +172,11 @@ def weighted_residuals(law: type[Law], load: Load, values: Array, problem: Probl
 
 def _independent(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
     """The same without any loss."""
-    path = model(law, load, values, problem)[: len(problem.observed)]
+    if len(problem.observed) == 3:
+        friction, start = split(law, values)
+        path = places(friction, problem.stone, start, problem.times, load=load)
+    else:
+        path = model(law, load, values, problem)
     residual = jnp.where(problem.weight > 0, (path - problem.observed) * problem.weight, 0.0)
     return whitened(residual, problem.colour)
 

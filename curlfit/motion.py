@@ -81,27 +81,42 @@ class Path:
         return Path(*arrays)
 
 
-@partial(jax.jit, static_argnames="load")
-def _simulate(law: Law, stone: Stone, start: Start, times: Array, t0: Array, *, load: Load) -> Path:
+def _moved(
+    law: Law, stone: Stone, start: Start, times: Array, load: Load, velocities: bool
+) -> tuple[list[Array], Array]:
+    """x, y, phi, with vx, vy, omega if wanted, and the time of coming to rest."""
     inputs = (
         jnp.stack(jax.tree.leaves(law)),
         jnp.stack(jax.tree.leaves(stone)),
         jnp.stack([start.v, start.omega]),
     )
-    (u, w, turned, du, dw, omega), rest = trajectory(type(law), load, inputs, times - t0)
+    path, rest = trajectory(type(law), load, velocities, inputs, times)
     # Ice is the same everywhere and in every direction: place, heading and angle only move and
     # turn the path (u to the right of the first heading, w along it).
     s, c = jnp.sin(start.heading), jnp.cos(start.heading)
-    return Path(
-        t=times,
-        x=start.x + c * u + s * w,
-        y=start.y - s * u + c * w,
-        phi=start.phi + turned,
-        vx=c * du + s * dw,
-        vy=-s * du + c * dw,
-        omega=omega,
-        rest=t0 + rest,
-    )
+    u, w, turned, *rates = path
+    found = [start.x + c * u + s * w, start.y - s * u + c * w, start.phi + turned]
+    if rates:
+        du, dw, omega = rates
+        found += [c * du + s * dw, -s * du + c * dw, omega]
+    return found, rest
+
+
+@partial(jax.jit, static_argnames="load")
+def _simulate(law: Law, stone: Stone, start: Start, times: Array, t0: Array, *, load: Load) -> Path:
+    (x, y, phi, *rates), rest = _moved(law, stone, start, times - t0, load, velocities=True)
+    vx, vy, omega = rates
+    return Path(t=times, x=x, y=y, phi=phi, vx=vx, vy=vy, omega=omega, rest=t0 + rest)
+
+
+def places(law: Law, stone: Stone, start: Start, times: Array, *, load: Load) -> Array:
+    """x, y and phi alone, shape (3, n), of a stone that starts at time 0.
+
+    Like `simulate`, for arrays and within compiled code, but that times must not fall, and that
+    there are no derivatives by them.
+    """
+    found, _ = _moved(law, stone, start, times, load, velocities=False)
+    return jnp.stack(found)
 
 
 def simulate(

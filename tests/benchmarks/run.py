@@ -45,13 +45,13 @@ def processes(
     return [statistics.median(series) for series in taken]
 
 
-def best(function: Callable[[], Any], times: int = 5) -> float:
-    """Least wall time of a call, s, after one that compiles."""
+def best(function: Callable[[], Any], seconds: float = 2.0) -> float:
+    """Least wall time of a call, s, of those in some seconds, after one that compiles."""
     import jax
 
     jax.block_until_ready(function())
-    found = []
-    for _ in range(times):
+    found, end = [], time.perf_counter() + seconds
+    while not found or time.perf_counter() < end:
         begin = time.perf_counter()
         jax.block_until_ready(function())
         found.append(time.perf_counter() - begin)
