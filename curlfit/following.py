@@ -154,9 +154,9 @@ def _follow(
 
     def step(moving: _Both) -> _Both:
         t, dt, course, begin, rate, _ = _fields(moving)
-        before, slowing = State(*begin.value), State(*rate.value)
+        before, change = State(*begin.value), State(*rate.value)
         crowd = crowding(before.v, stone.R * before.omega)
-        most = jnp.where(dt.value > 0, rounds(law, stone, span, before, slowing), jnp.inf)
+        most = jnp.where(dt.value > 0, rounds(law, stone, span, before, change), jnp.inf)
 
         def felt(given: Any, course: Course, now: Array, time: Array) -> State:
             return rates(*ice(given), load, most, course, crowd, State(*now), time)
@@ -192,7 +192,7 @@ def _follow(
         def plan(given: Any, t: Array, course: Course, state: Array, rate: Array) -> Moving:
             now, change = State(*state), State(*rate)
             dt = step_size(*ice(given), span, now, change, t)
-            idle = at_rest(law, stone, State(*state), State(*rate)) | (t > last)
+            idle = at_rest(law, stone, now, change) | (t > last)
             dt = jnp.where(idle, 0.0, dt)
             return Moving(t, dt, course, state, rate, bend(course, now, change))
 
@@ -211,10 +211,11 @@ def _follow(
         still before it."""
         path = _map(quintic, a, b)
         begin, end, done = a.value.t, b.value.t, ~going(b.value)
+        reach = jnp.where(going(a.value), end, -jnp.inf)
 
         def more(carry: tuple[Array, Array, _Both]) -> Array:
             place, *_ = carry
-            return (jax.lax.dynamic_index_in_dim(rows, place, keepdims=False) <= end).any()
+            return (jax.lax.dynamic_index_in_dim(rows, place, keepdims=False) <= reach).any()
 
         def again(carry: tuple[Array, Array, _Both]) -> tuple[Array, Array, _Both]:
             place, low, out = carry

@@ -136,6 +136,22 @@ def test_rest_is_held_and_order_of_times_does_not_matter():
     np.testing.assert_array_equal(np.sort(path.y), ordered.y)
 
 
+def test_stones_side_by_side_go_each_its_own_way():
+    # Fast and slow, spinning, at rest, without a path
+    v = np.array([2.1, 0.02, 3.0, 0.05, 0.0, 1.0, 2.1, 1.5])
+    omega = np.array([1.0, -2.0, 0.0, 40.0, 0.0, 15.4, np.nan, -6.0])
+    times = np.linspace(0, 40, 57)
+
+    def one(v, omega):
+        path = simulate(FRONT_BACK, STONE, Start(v=v, omega=omega), times)
+        return jnp.stack([path.x, path.y, path.phi, path.vx, path.vy, path.omega])
+
+    alone = jax.jit(one)
+    for k, path in enumerate(jax.jit(jax.vmap(one))(v, omega)):
+        np.testing.assert_allclose(path, alone(v[k], omega[k]), rtol=1e-12, atol=1e-12)
+        assert np.isfinite(path).all() == np.isfinite(omega[k])
+
+
 def test_compiled_code_sorts_times_that_it_does_not_know():
     times = np.array([50.0, 0.0, 24.0, 26.0, 3.0, 100.0])
     start = Start(v=2.06, omega=1.0)
