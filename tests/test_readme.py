@@ -11,6 +11,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parent.parent
@@ -78,6 +79,9 @@ def shown(command, after):
     return [line for line in block.splitlines() if line.strip() and line != "..."]
 
 
+FLAT = r"(\w+)\s+-\s+-\s+not identifiable\s+([\d.]+) \.\. ([\d.]+)"
+
+
 @pytest.mark.parametrize(
     ("command", "after"),
     [
@@ -92,11 +96,18 @@ def shown(command, after):
 def test_the_commands_print_what_the_readme_shows(printed, command, after):
     def words(text):
         # how many steps a fit takes may depend on the machine
-        return re.sub(r"\(\d+ steps\)", "(some steps)", " ".join(text.split()))
+        text = re.sub(r"\(\d+ steps\)", "(some steps)", " ".join(text.split()))
+        return re.sub(FLAT, r"\1 not identifiable", text)
 
     found = words(printed[command])
     for line in shown(command, after):
         assert words(line) in found, line
+    # So do the quantiles of a flat posterior, which is wide, in their last digit.
+    ranges = {item[0]: item[1:] for item in re.findall(FLAT, printed[command])}
+    for name, *limits in re.findall(FLAT, "\n".join(shown(command, after))):
+        np.testing.assert_allclose(
+            np.array(ranges[name], float), np.array(limits, float), atol=5e-4
+        )
 
 
 def test_the_commands_write_what_the_readme_says(printed, clone):
