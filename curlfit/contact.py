@@ -283,8 +283,7 @@ def _sees_turned_and_time(law: Law, stone: Stone) -> list[bool]:
         if isinstance(law, NetLaw):
             return law.accelerations(Motion(one, one, turned, time), stone)
         assert isinstance(law, LocalLaw)
-        points = RingPoint(*(one for _ in RingPoint._fields))
-        return law.traction(points._replace(turned=turned, time=time)), law.edges(turned)
+        return law.traction(_POINT._replace(turned=turned, time=time)), law.edges(turned)
 
     one = jnp.ones(())
     law = jax.tree.map(lambda leaf: jnp.ones(()), law)
@@ -347,9 +346,8 @@ def _balance(law: LocalLaw, ring: _Ring, stone: Stone) -> tuple[Array, tuple[Arr
     given = (law, ring, stone)
     shape = ring.right.one.shape if isinstance(ring, _Halves) else ring[0].weight.shape[1:]
     tilt = jnp.zeros((2, *shape))
-    if not isinstance(ring, _Halves) and _sees_load(
-        law, ring[0].points
-    ):  # otherwise the balance is linear: one step solves it
+    # Where the law does not see the load the balance is linear: one step solves it.
+    if not isinstance(ring, _Halves) and _sees_load(law, ring[0].points):
         still = jax.lax.stop_gradient(given)  # the last step alone carries the exact derivative
 
         def again(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:

@@ -116,7 +116,6 @@ def rounds(law: Law, stone: Stone, span: Array, state: State, rate: State) -> Ar
 
 def _to_go(law: Law, stone: Stone, state: State, rate: State) -> tuple[Array, Array]:
     """Whether the stone moves, and how far it has still to go, with 1 rad counted as 1 m."""
-    # A net law knows no spin without sliding: all is over when the stone stops.
     turns = (state.omega != 0) & (not isinstance(law, NetLaw))
     moving = (state.v > 0) | turns
     square = jnp.where(moving, state.v**2 + state.omega**2, 1.0)

@@ -28,7 +28,7 @@ FEWER = {
     "front_back_consistent": (7.5, 8),
     "front_back_consistent_split": (5, 5),
     "coulomb": (7.5, 7.5),
-    "eq12": (5.5, 8),
+    "eq12": (6, 8),
 }
 
 
