@@ -66,18 +66,16 @@ def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> tuple[Floats,
 def _period(angle: Floats, step: Floats) -> tuple[float, bool]:
     """The period an angle was reduced by, and whether it looks reduced at all."""
     span = float(np.ptp(angle))
-    typical = float(np.median(np.abs(step)))
     for period in (_TURN / 2, _TURN):
         large = np.abs(step) > 0.5 * period
         if not large.any() or not 0.7 * period < span <= 1.02 * period:
             continue
         if not ((step > 0).any() and (step < 0).any()):
             continue  # it only grows or only falls
-        if (
-            period < _TURN
-            and (np.abs(np.abs(step[large]) - period) > 0.15 * period + typical).any()
-        ):
-            continue
+        if period < _TURN:
+            typical = float(np.median(np.abs(step)))
+            if (np.abs(np.abs(step[large]) - period) > 0.15 * period + typical).any():
+                continue
         return period, True
     return _TURN, False
 
@@ -117,9 +115,10 @@ def _by_pace(time: Floats, step: Floats, dt: Floats, period: float, seen: np.nda
 
 def _without_jumps(step: Floats, dt: Floats) -> Floats:
     """An angle that counts on: single steps that are a whole turn off."""
-    if len(step) < 5:
-        return step
     rate = step / dt
+    farthest = np.abs(step).max() + np.abs(rate).max() * dt.max()
+    if len(step) < 5 or farthest < 0.85 * _TURN:  # no step can be off by as much as a jump
+        return step
     padded = np.pad(rate, 2, "edge")
     pace = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
     off = step - pace * dt

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 from curlfit.errors import InputError
@@ -79,6 +80,7 @@ class Column(NamedTuple):
     """whether the header names the unit"""
 
 
+@lru_cache(1024)
 def understand(header: str) -> Column | None:
     """Meaning of a column header such as `time`, `y_ft`, `x [cm]`, `phi_rev`; None if unknown."""
     words = [word for word in _SEPARATORS.split(header.strip().lower()) if word]

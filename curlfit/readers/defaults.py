@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Iterable
+from copy import deepcopy
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +43,8 @@ def defaults_of(
         numbers.append(number)
         bodies.append(body)
     try:
-        settings = _settings(bodies)
+        # Throws of one season say the same, and what they are given is theirs to change.
+        settings = deepcopy(_settings(tuple(bodies)))
     except (ValueError, RecursionError, InputError):
         _raise_at_fault(path, numbers, bodies)
         raise
@@ -49,7 +52,8 @@ def defaults_of(
     return settings, None if reference is None else _reference(path, reference), notes
 
 
-def _settings(bodies: list[str]) -> dict[str, Any]:
+@lru_cache(64)
+def _settings(bodies: tuple[str, ...]) -> dict[str, Any]:
     """The settings that lines, each complete in itself, make together."""
     text = "\n".join(bodies)
     if any(mark in text for mark in ("[", '"""', "'''")):  # what could go on in the next line
@@ -64,7 +68,7 @@ def _raise_at_fault(path: Path, numbers: list[int], bodies: list[str]) -> None:
     """Name the first line with which the settings cannot be used."""
     for last, (number, body) in enumerate(zip(numbers, bodies, strict=True), 1):
         try:
-            _settings(bodies[:last])
+            _settings(tuple(bodies[:last]))
         except InputError as error:
             raise DataError(str(error), file=path, line=number) from None
         except (ValueError, RecursionError):

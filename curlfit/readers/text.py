@@ -119,7 +119,8 @@ def read_rows(
     kept = [
         index
         for index in range(first, len(lines))
-        if (line := lines[index]) and not line.isspace() and line.lstrip()[0] != "#"
+        if (line := lines[index])[:1].isdigit()
+        or (line and not line.isspace() and line.lstrip()[0] != "#")
     ]
     decimal_comma = separator != "," and any("," in lines[index] for index in kept)
     parts = []
@@ -148,14 +149,19 @@ def _clean(
             return None
         rows = text.replace(",", ".").split("\n")
     split = [row.split(separator) for row in rows]
-    if any(len(row) != width for row in split):
+    if set(map(len, split)) != {width}:
         return None
     columns = list(zip(*split, strict=True))
+    found = np.empty((len(places), len(rows)))
     try:
-        found = np.array([[float(c or "nan") for c in columns[place]] for place in places])
+        for slot, place in enumerate(places):
+            column = columns[place]
+            if "" in column:
+                column = tuple(cell or "nan" for cell in column)
+            found[slot] = list(map(float, column))
     except ValueError:
         return None
-    return None if np.isinf(found).any() else found.reshape(len(places), len(rows))
+    return None if np.isinf(found).any() else found
 
 
 def _careful(
