@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -291,19 +292,21 @@ class Throw:
                 raise InputError(f"no channel {name!r}; the channels are {', '.join(CHANNELS)}")
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"sigma of {name} = {value:g}: expected a positive number")
+        if not sigma:
+            return self
         filled = {name: np.full_like(self.t, value) for name, value in sigma.items()}
         return replace(self, sigma={**self.sigma, **filled})
 
 
-def scatter(values: Floats) -> float:
-    """Standard deviation of the noise on a smooth series, from its third differences.
+def scatter(values: Floats) -> Any:
+    """Standard deviation of the noise on smooth series along the last axis, from third differences.
 
     These see little of the path's own bend, which second differences take for noise. 0 where there
     are too few rows to tell.
     """
-    if len(values) < _FEW_ROWS:
-        return 0.0
-    return float(np.median(np.abs(np.diff(values, 3)))) / (0.6745 * np.sqrt(20))
+    if values.shape[-1] < _FEW_ROWS:
+        return np.zeros(values.shape[:-1])[()]
+    return np.median(np.abs(np.diff(values, 3)), -1) / (0.6745 * math.sqrt(20))
 
 
 def last_motion(t: Floats, x: Floats, y: Floats) -> float:
@@ -311,9 +314,9 @@ def last_motion(t: Floats, x: Floats, y: Floats) -> float:
     both = np.isfinite(x) & np.isfinite(y)
     if both.sum() <= 8:
         return float(t[-1])
-    x, y, t = x[both], y[both], t[both]
-    tail = slice(-max(3, len(x) // 50), None)
-    left = np.hypot(x - np.median(x[tail]), y - np.median(y[tail]))
-    near = max(_STILL, 5 * np.hypot(scatter(x), scatter(y)))
+    places, t = np.stack([x[both], y[both]]), t[both]
+    tail = slice(-max(3, len(t) // 50), None)
+    left = np.hypot(*(places - np.median(places[:, tail], 1, keepdims=True)))
+    near = max(_STILL, 5 * math.hypot(*scatter(places)))
     moving = np.flatnonzero(left > near)
     return float(t[moving[-1]]) if len(moving) else float(t[-1])

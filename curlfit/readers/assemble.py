@@ -78,6 +78,8 @@ def _on_one_clock(
     found = {series.column.quantity: series.values for series in reading.series}
     clocks = {name: values for name, values in found.items() if name.split("_")[0] == "t"}
     columns = {name: values for name, values in found.items() if name not in clocks}
+    if list(clocks) == ["t"] and np.isfinite(clocks["t"]).all():
+        return clocks["t"], columns, reading.lines
     clock = {name: clock_of(name, clocks) for name in columns}
     used = {
         name: np.any([np.isfinite(columns[c]) for c in columns if clock[c] == name], axis=0)

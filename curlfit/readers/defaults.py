@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Iterable
-from copy import deepcopy
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -43,11 +42,12 @@ def defaults_of(
         numbers.append(number)
         bodies.append(body)
     try:
-        # Throws of one season say the same, and what they are given is theirs to change.
-        settings = deepcopy(_settings(tuple(bodies)))
+        common = _settings(tuple(bodies))
     except (ValueError, RecursionError, InputError):
         _raise_at_fault(path, numbers, bodies)
         raise
+    # Throws of a season say the same, and what each is given is its own to change.
+    settings = {k: dict(v) if isinstance(v, dict) else v for k, v in common.items()}
     reference = settings.pop("reference", None)
     return settings, None if reference is None else _reference(path, reference), notes
 

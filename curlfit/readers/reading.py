@@ -139,9 +139,11 @@ def clock_of(quantity: str, quantities: Any) -> str:
 
 def in_si(reading: Reading, header: str, column: Column, values: Floats) -> Series:
     """A column with its values in SI; refuses what is out of all range."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = values * column.factor
-        bad = np.abs(scaled) > 1e12
+    scaled = values
+    if column.factor != 1:
+        with np.errstate(over="ignore", invalid="ignore"):
+            scaled = values * column.factor
+    bad = np.abs(scaled) > 1e12
     if bad.any():
         row = int(np.argmax(bad))
         raise DataError(

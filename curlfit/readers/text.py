@@ -148,20 +148,28 @@ def _clean(
         if "." in text:
             return None
         rows = text.replace(",", ".").split("\n")
+    found: Floats | None
+    try:
+        every = np.loadtxt(rows, delimiter=separator, comments=None, ndmin=2)
+    except ValueError:
+        found = _with_gaps(rows, width, places, separator)
+    else:
+        found = every[:, list(places)].T if every.shape[1] == width else None
+    return None if found is None or np.isinf(found).any() else found
+
+
+def _with_gaps(
+    rows: list[str], width: int, places: Sequence[int], separator: str | None
+) -> Floats | None:
+    """The same where some cells are empty, or columns that are not wanted hold words."""
     split = [row.split(separator) for row in rows]
-    if set(map(len, split)) != {width}:
+    if any(len(row) != width for row in split):
         return None
     columns = list(zip(*split, strict=True))
-    found = np.empty((len(places), len(rows)))
     try:
-        for slot, place in enumerate(places):
-            column = columns[place]
-            if "" in column:
-                column = tuple(cell or "nan" for cell in column)
-            found[slot] = list(map(float, column))
+        return np.array([[float(c or "nan") for c in columns[place]] for place in places])
     except ValueError:
         return None
-    return None if np.isinf(found).any() else found
 
 
 def _careful(
