@@ -12,26 +12,25 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from curlfit.batch import fit_files
 from curlfit.errors import InputError
-from curlfit.plan import Plan
+from curlfit.plan import CHUNK, Plan
 
 Rows = list[dict[str, Any]]
-Fitted = Callable[[Iterable[Sequence[str]]], Iterator[Rows]]
+Fitted = Callable[[Sequence[str]], Iterator[Rows]]
 
 _ONE_THREAD = {
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
 }
-CHUNK = 128
-"""Throws that are read and fitted together."""
+_FEWEST = 64  # throws that are not worth to be parted between two processes
+_SAMPLED = 16  # throws in a chunk where each is sampled, which takes seconds
 _AHEAD = 3  # chunks that wait for each worker
 
 
 @contextmanager
 def crew(plan: Plan, *, workers: int | None = None, dask: str | None = None) -> Iterator[Fitted]:
-    """A function that fits chunks of files, in order.
+    """A function that fits files, and gives rows in their order, chunk by chunk.
 
     Parameters
     ----------
@@ -48,7 +47,7 @@ def crew(plan: Plan, *, workers: int | None = None, dask: str | None = None) -> 
         return
     count = workers or os.cpu_count() or 1
     if count == 1:
-        yield lambda chunks: (fit_files(chunk, plan) for chunk in chunks)
+        yield lambda files: (_fit(chunk, plan) for chunk in _chunks(files, plan, 1))
         return
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
@@ -57,8 +56,10 @@ def crew(plan: Plan, *, workers: int | None = None, dask: str | None = None) -> 
         _settings(_ONE_THREAD),
         ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool,
     ):
-        yield lambda chunks: _in_order(
-            lambda chunk: pool.submit(fit_files, chunk, plan), chunks, count * _AHEAD
+        yield lambda files: _in_order(
+            lambda chunk: pool.submit(_fit, chunk, plan),
+            _chunks(files, plan, count),
+            count * _AHEAD,
         )
 
 
@@ -80,17 +81,31 @@ def _dask_crew(plan: Plan, address: str, workers: int | None) -> Iterator[Fitted
     except (OSError, ValueError) as error:
         raise InputError(f"--dask {address}: no scheduler answers there ({error})") from None
     try:
-        ahead = max(len(client.scheduler_info()["workers"]), 1) * _AHEAD
+        count = max(len(client.scheduler_info()["workers"]), 1)
         # A worker that dies takes its chunk with it; the scheduler gives it to another.
-        yield lambda chunks: _in_order(
-            lambda chunk: client.submit(fit_files, list(chunk), plan, pure=False, retries=5),
-            chunks,
-            ahead,
+        yield lambda files: _in_order(
+            lambda chunk: client.submit(_fit, list(chunk), plan, pure=False, retries=5),
+            _chunks(files, plan, count),
+            count * _AHEAD,
         )
     finally:
         client.close()
         if cluster is not None:
             cluster.close()
+
+
+def _fit(files: Sequence[str], plan: Plan) -> Rows:
+    from curlfit.batch import fit_files  # loads JAX: for those who do the work
+
+    return fit_files(files, plan)
+
+
+def _chunks(files: Sequence[str], plan: Plan, workers: int) -> Iterator[Sequence[str]]:
+    """The files in chunks, as many for one worker as for another."""
+    most = _SAMPLED if plan.posterior else CHUNK
+    count = -(-len(files) // (most * workers)) * workers
+    size = max(-(-len(files) // max(count, 1)), min(most, _FEWEST))
+    return (files[at : at + size] for at in range(0, len(files), size))
 
 
 def _in_order(

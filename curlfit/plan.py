@@ -13,6 +13,8 @@ from curlfit.friction import Law, check_load, find_law
 from curlfit.parameters import START, ParameterSet
 from curlfit.stone import Stone
 
+CHUNK = 256
+"""Throws that are read and fitted together."""
 _SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")
 
 

@@ -117,12 +117,11 @@ def batch(
 
     console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
     with Table(out, names, plan.to_json(), again=again) as table:
-        from curlfit.crew import CHUNK, crew
+        from curlfit.crew import crew
 
         todo = [file for file in files if file not in table.done]
         if len(todo) < len(files):
             console.print(f"{len(files) - len(todo)} of {len(files)} throws are in {out} already.")
-        chunks = [todo[at : at + CHUNK] for at in range(0, len(todo), CHUNK)]
         with (
             Progress(
                 TextColumn("Fitting"),
@@ -137,7 +136,7 @@ def batch(
             crew(plan, workers=workers, dask=dask) as fitted,
         ):
             task = progress.add_task("", total=len(todo))
-            for rows in fitted(chunks):
+            for rows in fitted(todo):
                 table.add(rows)
                 progress.advance(task, len(rows))
     counts = table.counts
