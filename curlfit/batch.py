@@ -7,27 +7,48 @@ it holds up none of its neighbours.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import gc
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import islice
 from os import PathLike
-from typing import Any
+from typing import Any, NamedTuple
 
+from curlfit.likelihood import LANES, SIGMA_FLOOR, Problem, problem_of, stacked, unstacked
+
+# isort: split
+import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from curlfit.errors import CurlfitError
-from curlfit.fitting import Job, estimated_sigma, first_sigma, fit, prepared, shifted
+from curlfit.fitting import Job, first_sigma, fit, prepared
 from curlfit.friction import Law, check_load
-from curlfit.likelihood import Problem, problem_of, reweighed
-from curlfit.lockstep import Task, solve_many
-from curlfit.plan import Plan, columns
+from curlfit.lockstep import Places, Tasks, solve_many
+from curlfit.plan import CHUNK, Plan, columns
 from curlfit.readers import load_throw
 from curlfit.results import FitResult
-from curlfit.solving import Solution, poor
-from curlfit.starting import Smooth, smooth, start_values
+from curlfit.solving import Solution, poor, residual_sigma
+from curlfit.starting import smooth, start_values
 from curlfit.stone import Stone
-from curlfit.throw import Throw
+from curlfit.throw import CHANNELS, Throw
 from curlfit.weighing import Optimum, weighed_together
 
-_WEIGHED = 128  # optima that wait to be weighed together
+Floats = NDArray[np.float64]
+
+_ROWS = CHUNK * 256  # of throws that are fitted together, for the sake of memory
+
+
+@contextmanager
+def _no_sweeping() -> Iterator[None]:
+    """Nothing here makes cycles; to look for them among all of JAX takes a fifth of the time."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
 
 
 def fit_files(files: Sequence[str | PathLike[str]], plan: Plan) -> list[dict[str, Any]]:
@@ -40,15 +61,9 @@ def fit_files(files: Sequence[str | PathLike[str]], plan: Plan) -> list[dict[str
     ------
     InputError : the plan itself cannot be carried out.
     """
-    throws: list[Throw | str] = []
-    for file in files:
-        try:
-            throws.append(load_throw(file, **plan.how).with_sigma(dict(plan.sigma)))
-        except CurlfitError as error:
-            throws.append(str(error))
-    rows = []
+    rows, names, throws = [], columns(plan), _read(files, plan)
     for file, throw, result in zip(files, throws, fit_throws(throws, plan), strict=True):
-        row: dict[str, Any] = dict.fromkeys(columns(plan))
+        row: dict[str, Any] = dict.fromkeys(names)
         row["file"] = str(file)
         if isinstance(result, str):
             row |= {"status": "failed", "reason": result.removeprefix(f"{file}: ")}
@@ -59,108 +74,121 @@ def fit_files(files: Sequence[str | PathLike[str]], plan: Plan) -> list[dict[str
     return rows
 
 
+@_no_sweeping()
+def _read(files: Sequence[str | PathLike[str]], plan: Plan) -> list[Throw | str]:
+    throws: list[Throw | str] = []
+    for file in files:
+        try:
+            throws.append(load_throw(file, **plan.how).with_sigma(dict(plan.sigma)))
+        except CurlfitError as error:
+            throws.append(str(error))
+    return throws
+
+
+@_no_sweeping()
 def fit_throws(throws: Iterable[Throw | str], plan: Plan) -> list[FitResult | str]:
     """The fit of each throw, or why there is none; a text in place of a throw is passed on."""
     law = plan.checked()
     found: dict[int, FitResult | str] = {}
-    runs: dict[int, _Run] = {}
+    by_shape: dict[tuple[int, ...], dict[int, _Entry]] = {}
     for place, throw in enumerate(throws):
         if isinstance(throw, str):
             found[place] = throw
             continue
         try:
-            runs[place] = _Run(law, plan, throw)
+            entry = _entered(law, plan, throw)
         except CurlfitError as error:
             found[place] = str(error)
-    by_shape: dict[tuple[int, ...], list[int]] = {}
-    for place, run in runs.items():
-        by_shape.setdefault(run.problem.observed.shape, []).append(place)
-    for places in by_shape.values():
-        tasks = (runs[place].task(place) for place in places)
-        again = lambda place, solution: runs[place].again(place, solution)  # noqa: E731
-        optima: dict[int, Optimum] = {}
-        for place, solution in solve_many(law, check_load(plan.load), tasks, again):
-            optimum = runs[place].optimum(solution)
-            if optimum is not None:
-                optima[place] = optimum
-                if len(optima) == _WEIGHED:
-                    found |= _weighed(optima)
-                    optima.clear()
-                continue
-            try:
-                found[place] = runs[place].alone()
-            except CurlfitError as error:
-                found[place] = str(error)
-        found |= _weighed(optima)
+        else:
+            by_shape.setdefault(entry.problem.observed.shape, {})[place] = entry
+    for (_, rows), entries in by_shape.items():
+        rest = iter(entries.items())
+        while part := dict(islice(rest, max(LANES, _ROWS // rows))):
+            found |= zip(part, _fitted(law, plan, list(part.values())), strict=True)
     return [found[place] for place in sorted(found)]
 
 
-def _weighed(optima: dict[int, Optimum]) -> dict[int, FitResult]:
-    return dict(zip(optima, weighed_together(list(optima.values())), strict=True))
+class _Entry(NamedTuple):
+    """A throw ready to be fitted beside others."""
+
+    given: Throw
+    job: Job
+    sigma: dict[str, float]
+    """of the first fit, for the channels whose own is unknown"""
+    problem: Problem
 
 
-class _Run:
-    """A throw on its way through the steps of a fit."""
+def _entered(law: type[Law], plan: Plan, throw: Throw) -> _Entry:
+    own = Stone().with_values(throw.defaults.get("stone", {}))
+    stone = own.with_values(dict(plan.stone))
+    job = prepared(throw, law, stone, plan.until, **_choices(plan))
+    sigma = first_sigma(job.throw)
+    return _Entry(throw, job, sigma, problem_of(job.throw, stone, job.frame, sigma))
 
-    def __init__(self, law: type[Law], plan: Plan, throw: Throw) -> None:
-        own = Stone().with_values(throw.defaults.get("stone", {}))
-        self.law, self.plan, self.throw = law, plan, throw
-        self.choices: dict[str, Any] = {
-            "fix": dict(plan.fix),
-            "bounds": dict(plan.bounds),
-            "unbounded": plan.unbounded,
-        }
-        self.stone = own.with_values(dict(plan.stone))
-        self.job: Job = prepared(throw, law, self.stone, plan.until, **self.choices)
-        frame, parameters = self.job.frame, self.job.parameters
-        self.local = shifted(parameters, -frame.offset(len(parameters)))
-        self.sigma = first_sigma(self.job.throw)
-        self.estimate = bool(self.sigma)
-        self.problem: Problem = problem_of(self.job.throw, self.stone, frame, self.sigma)
-        self.path: Smooth = smooth(self.problem)
-        self.poor = False
 
-    def task(self, place: int) -> Task[int]:
-        start = start_values(
-            self.law, check_load(self.plan.load), self.problem, self.path, self.local
-        )
-        return Task(place, self.problem, start, self.local)
+def _choices(plan: Plan) -> dict[str, Any]:
+    return {"fix": dict(plan.fix), "bounds": dict(plan.bounds), "unbounded": plan.unbounded}
 
-    def again(self, place: int, solution: Solution) -> Task[int] | None:
-        """The second fit, with the sigma that the first one found."""
-        if not self.estimate:
-            return None
-        self.poor = poor(solution, self.path, self.problem)
-        if self.poor:
-            return None
-        self.estimate = False
-        job = self.job
-        self.sigma = estimated_sigma(
-            job.throw, solution, self.problem, self.local, list(self.sigma)
-        )
-        before = np.where(self.problem.weight > 0, self.problem.weight, 1.0)
-        self.problem = reweighed(self.problem, self.sigma)
-        # Another sigma is another scale of what is known already.
-        scale = self.problem.weight / before
-        known = scale * solution.residual, scale[..., None] * solution.jacobian
-        return Task(place, self.problem, solution.values, self.local, known)
 
-    def optimum(self, solution: Solution | None) -> Optimum | None:
-        """Where it ended; None where that is not good enough."""
-        if solution is None or not solution.finished or self.poor:
-            return None
-        job = self.job
-        return Optimum(
-            job.throw, self.law, check_load(self.plan.load), self.stone, job.until, job.parameters,
-            job.frame, self.problem, self.sigma, solution, 1, "linear",
+def _fitted(law: type[Law], plan: Plan, entries: list[_Entry]) -> list[FitResult | str]:
+    """The fits of throws of one shape, side by side."""
+    load = check_load(plan.load)
+    problems = stacked([entry.problem for entry in entries])
+    sets = [entry.job.parameters for entry in entries]
+    offset = np.stack([entry.job.frame.offset(len(entry.job.parameters)) for entry in entries])
+    lower = np.stack([item.lower for item in sets]) - offset
+    upper = np.stack([item.upper for item in sets]) - offset
+    free = np.stack([item.free for item in sets])
+    channels = CHANNELS[: problems.observed.shape[1]]
+    unknown = np.array([[name in entry.sigma for name in channels] for entry in entries])
+    sigma = np.zeros(unknown.shape)
+    failed = np.zeros(len(entries), bool)
+    paths = smooth(problems)
+
+    def again(which: Places, found: Solution) -> tuple[Places, Floats]:
+        """The second fit, with the sigma that the first one found, where it was not given."""
+        estimated = unknown[which].any(1)
+        paths_, problems_ = jax.tree.map(lambda leaf: leaf[which], (paths, problems))
+        failed[which] = estimated & poor(found, paths_, problems_)
+        on = estimated & ~failed[which]
+        which = which[on]
+        if not len(which):
+            return which, problems.weight[which]
+        found, problems_ = jax.tree.map(lambda leaf: leaf[on], (found, problems_))
+        sigma[which] = residual_sigma(found, problems_, free[which]) + SIGMA_FLOOR
+        change = unknown[which][..., None] & (problems_.weight > 0)
+        weight = np.where(change, 1 / sigma[which][..., None], problems_.weight)
+        problems.weight[which] = weight
+        return which, weight
+
+    start = start_values(law, load, problems, paths, lower, upper)
+    tasks = Tasks(problems, start, lower, upper, sets[0].typical)
+    solutions = solve_many(law, load, tasks, again)
+    optima: dict[int, Optimum] = {}
+    each = unstacked((problems, solutions))
+    for place in np.flatnonzero(solutions.finished & ~failed):
+        entry, job, (problem, solution) = entries[place], entries[place].job, each[place]
+        used = {
+            name: float(value) for name, value in zip(channels, sigma[place], strict=True)
+            if name in entry.sigma
+        }  # fmt: skip
+        optima[int(place)] = Optimum(
+            job.throw, law, load, job.stone, job.until, job.parameters, job.frame, problem, used,
+            solution, 1, "linear",
         )  # fmt: skip
+    found = dict(zip(optima, weighed_together(list(optima.values())), strict=True))
+    return [found.get(place) or _alone(law, plan, entry) for place, entry in enumerate(entries)]
 
-    def alone(self) -> FitResult:
-        """The fit by itself, with all the starts that `fit` would try."""
+
+def _alone(law: type[Law], plan: Plan, entry: _Entry) -> FitResult | str:
+    """The fit of one throw, with all the starts that `fit` would try."""
+    try:
         return fit(
-            self.throw, self.law, load=self.plan.load, stone=self.stone, until=self.plan.until,
-            **self.choices,
+            entry.given, law, load=plan.load, stone=entry.job.stone, until=plan.until,
+            **_choices(plan),
         )  # fmt: skip
+    except CurlfitError as error:
+        return str(error)
 
 
 def _row(result: FitResult, plan: Plan) -> dict[str, Any]:

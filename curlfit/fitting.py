@@ -10,7 +10,7 @@ from the residuals of a fit with white noise, and a last fit heeds it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -26,6 +26,7 @@ from curlfit.likelihood import (
     frame_of,
     problem_of,
     raw_residuals,
+    stacked,
     trace,
 )
 from curlfit.losses import robust_sigma
@@ -33,7 +34,7 @@ from curlfit.noise import check_noise, fitted_noise
 from curlfit.parameters import ParameterSet, check_loss
 from curlfit.remedies import remedies
 from curlfit.results import FitResult
-from curlfit.solving import Solution, best_of, descend, starts
+from curlfit.solving import Solution, alone, best_of, descend, residual_sigma, starts
 from curlfit.starting import smooth
 from curlfit.stone import Stone
 from curlfit.throw import CHANNELS, Throw
@@ -96,7 +97,7 @@ def fit(
     local = shifted(parameters, -frame.offset(len(parameters)))
     sigma = first_sigma(throw)
     problem = problem_of(throw, stone, frame, sigma)
-    path = smooth(problem)
+    path = smooth(stacked([problem]))
     tries = starts(law, load, problem, path, local)
     if start:
         tries.insert(0, _user_start(tries[0], start, parameters, frame))
@@ -107,7 +108,7 @@ def fit(
             + no_motion_because(load)
         )
     if sigma:
-        sigma = estimated_sigma(throw, solution, problem, local, list(sigma))
+        sigma = estimated_sigma(solution, problem, local, sigma)
         problem = problem_of(throw, stone, frame, sigma)
         solution = descend(law, load, solution.values, local, problem) or solution
     if loss != "linear":
@@ -207,25 +208,11 @@ def first_sigma(throw: Throw) -> dict[str, float]:
 
 
 def estimated_sigma(
-    throw: Throw,
-    solution: Solution,
-    problem: Problem,
-    parameters: ParameterSet,
-    names: list[str],
+    solution: Solution, problem: Problem, parameters: ParameterSet, names: Iterable[str]
 ) -> dict[str, float]:
-    """sqrt(sum of squares/(n - p)) by channel, p the parameters it pays for itself."""
-    n = len(throw)
-    jacobian = solution.jacobian[:, :n, parameters.free]
-    left, singular, _ = np.linalg.svd(jacobian.reshape(-1, jacobian.shape[-1]), full_matrices=False)
-    left = left[:, singular > 1e-9 * singular[0]].reshape(len(solution.residual), n, -1)
-    found = {}
-    for row, name in enumerate(CHANNELS):
-        if name in names:
-            weight = problem.weight[row, :n]
-            room = max((weight > 0).sum() - (left[row] ** 2).sum(), 1.0)
-            scaled = (solution.residual[row] ** 2).sum() / room
-            found[name] = float(np.sqrt(scaled) / weight.max()) + SIGMA_FLOOR
-    return found
+    """Sigma of some channels from the scatter about an optimum (see `residual_sigma`)."""
+    (found,) = residual_sigma(alone(solution), stacked([problem]), parameters.free[None])
+    return {name: float(found[CHANNELS.index(name)]) + SIGMA_FLOOR for name in names}
 
 
 def shifted(parameters: ParameterSet, by: Floats) -> ParameterSet:

@@ -8,6 +8,7 @@ not seen at all.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -23,6 +24,7 @@ _UNSEEN = 1e-3  # known to no better than a thousand typical sizes
 _ROUNDING = 1e-9  # of the largest singular value
 _NO_PART = 1e-3  # share of a direction below which a parameter takes no part in it
 _LITTLE_PART = 0.05  # the same for a direction that is seen, though weakly
+_WHOLE = np.arange(1.0, 7)[:, None, None]  # denominators of what counts as a simple ratio
 _WEAK = 1.0  # singular value below which a direction is known to no better than typical sizes
 
 
@@ -77,12 +79,19 @@ def directions(information: Floats, typical: Floats) -> tuple[Floats, Floats, Fl
 
 
 def visible(singular: Floats) -> NDArray[np.bool_]:
-    """Which directions the data see, from the singular values of the Jacobian by typical sizes."""
-    return singular > max(_UNSEEN, _ROUNDING * singular[0])
+    """Which directions the data see, from the singular values of Jacobians by typical sizes."""
+    found: NDArray[np.bool_] = singular > np.maximum(_UNSEEN, _ROUNDING * singular[..., :1])
+    return found
+
+
+def inverted(singular: Floats, counts: NDArray[np.bool_]) -> Floats:
+    """1/singular where it counts, else 0: a pseudoinverse's singular values."""
+    return np.where(counts, 1 / np.where(counts, singular, 1.0), 0.0)
 
 
 def triangle(matrix: Floats) -> Floats:
-    """As many rows as columns that stand for all the rows of a matrix (its QR decomposition)."""
+    """As many rows as columns that stand for all the rows of a matrix, or of each of a stack of
+    them (QR decomposition)."""
     found: Any = np.linalg.qr(matrix, mode="r")
     return found
 
@@ -103,48 +112,78 @@ def analyse(
     slack : what other parameters, at their bounds, add to the spread of these: columns whose outer
         products add to the covariance, shape (parameters, others).
     """
-    p = len(names)
-    if len(jacobian) > 2 * p:
-        jacobian = triangle(jacobian)
-    _, singular, right = np.linalg.svd(jacobian * typical, full_matrices=False)
-    singular = np.concatenate([singular, np.zeros(p - len(singular))])
-    if len(right) < p:  # fewer residuals than parameters
-        right = np.linalg.svd(jacobian * typical)[2]
+    slacks = None if slack is None else slack[None]
+    return analyse_many(jacobian[None], names, values[None], typical, slacks)[0]
+
+
+def analyse_many(
+    jacobians: Floats,
+    names: Sequence[str],
+    values: Floats,
+    typical: Floats,
+    slack: Floats | None = None,
+) -> list[Identifiability]:
+    """The same for many throws, along the first axis of the Jacobians, values and slack."""
+    throws, rows, p = jacobians.shape
+    if rows > 2 * p:
+        jacobians = triangle(jacobians)
+    elif rows < p:
+        jacobians = np.concatenate([jacobians, np.zeros((throws, p - rows, p))], 1)
+    _, singular, right = np.linalg.svd(jacobians * typical, full_matrices=False)
     seen = visible(singular)
-    inverse = right[seen].T / singular[seen]
-    covariance = typical[:, None] * (inverse @ inverse.T) * typical
+    inverse = right.mT * inverted(singular, seen)[:, None]
+    covariance = typical[:, None] * (inverse @ inverse.mT) * typical
     if slack is not None:
-        covariance = covariance + slack @ slack.T
-
-    unseen = _part(right[~seen]) > _NO_PART
-    null = [_named(row, names, unseen) for row in _tidy_basis((right[~seen] * typical)[:, unseen])]
-    weak = unseen | (_part(right[seen & (singular < _WEAK)]) > _LITTLE_PART)
-    combinations: list[Combination] = []
-    if weak.any():
-        own = (right[singular < _WEAK] * typical)[:, weak]
-        left = np.linalg.svd(own / typical[weak].max())[2][np.linalg.matrix_rank(own) :]
-        for row in _tidy_basis(left):
-            weights = _named(row, names, weak)
-            vector = np.array([weights.get(name, 0.0) for name in names])
-            stderr = float(np.sqrt(vector @ covariance @ vector))
-            text = expression(weights)
-            new = text not in {item.expression for item in combinations}
-            if len(weights) > 1 and stderr < typical[weak].max() and new:
-                combinations.append(Combination(text, weights, float(vector @ values), stderr))
-    return Identifiability(
-        names=tuple(names),
-        rank=int(seen.sum()),
-        singular_values=singular,
-        null_directions=tuple(null),
-        covariance=covariance,
-        unseen=unseen,
-        combinations=tuple(combinations),
-    )
+        covariance = covariance + slack @ slack.mT
+    # How far each parameter takes part in some directions, 0 to 1.
+    part = lambda some: np.sqrt((right**2 * some[..., None]).sum(1))  # noqa: E731
+    unseen = part(~seen) > _NO_PART
+    weak = unseen | (part(seen & (singular < _WEAK)) > _LITTLE_PART)
+    return [
+        Identifiability(
+            names=tuple(names),
+            rank=int(seen_.sum()),
+            singular_values=singular_,
+            null_directions=tuple(
+                _named(row, names, unseen_)
+                for row in _tidy_basis((right_[~seen_] * typical)[:, unseen_])
+            ),
+            covariance=covariance_,
+            unseen=unseen_,
+            combinations=_combinations(
+                right_[singular_ < _WEAK], weak_, names, values_, typical, covariance_
+            ),
+        )
+        for right_, singular_, seen_, unseen_, weak_, values_, covariance_ in zip(
+            right, singular, seen, unseen, weak, values, covariance, strict=True
+        )
+    ]
 
 
-def _part(directions: Floats) -> Floats:
-    """How far each parameter takes part in some directions, 0 to 1."""
-    return np.sqrt((directions**2).sum(0))
+def _combinations(
+    dim: Floats,
+    weak: NDArray[np.bool_],
+    names: Sequence[str],
+    values: Floats,
+    typical: Floats,
+    covariance: Floats,
+) -> tuple[Combination, ...]:
+    """What is determined of the weak parameters, `dim` being the directions that hardly are."""
+    if not weak.any():
+        return ()
+    found: dict[str, Combination] = {}
+    _, size, rows = np.linalg.svd((dim * typical)[:, weak])
+    rank = (size > size[0] * max(len(dim), weak.sum()) * np.finfo(float).eps).sum()
+    for row in _tidy_basis(rows[rank:]):
+        weights = _named(row, names, weak)
+        if len(weights) < 2:
+            continue
+        vector = np.array([weights.get(name, 0.0) for name in names])
+        stderr = math.sqrt(vector @ covariance @ vector)
+        text = expression(weights)
+        if stderr < typical[weak].max():
+            found.setdefault(text, Combination(text, weights, float(vector @ values), stderr))
+    return tuple(found.values())
 
 
 class Slack(NamedTuple):
@@ -199,6 +238,21 @@ def expression(weights: dict[str, float]) -> str:
 
 def _tidy_basis(rows: Floats) -> Floats:
     """A basis of the same space in reduced echelon form, with small whole numbers where close."""
+    if len(rows) > 1:
+        rows = _echelon(rows)
+    if not rows.size:
+        return rows
+    size = np.abs(rows)
+    first = np.argmax(size > 0.999 * size.max(1, keepdims=True), 1)
+    rows = rows / rows[np.arange(len(rows)), first, None]
+    near = np.round(rows * _WHOLE) / _WHOLE
+    off = np.abs(near - rows)
+    near = np.take_along_axis(near, off.argmin(0)[None], 0)[0]
+    return np.where(off.min(0) < _NO_PART, near, rows)
+
+
+def _echelon(rows: Floats) -> Floats:
+    """The reduced echelon form of independent rows, the largest entry of a column as its pivot."""
     rows = np.array(rows, float)
     place = 0
     for row in range(len(rows)):
@@ -215,11 +269,6 @@ def _tidy_basis(rows: Floats) -> Floats:
             if other != row:
                 rows[other] -= rows[other, place] * rows[row]
         place += 1
-    for row in rows:
-        row /= row[np.argmax(np.abs(row) > 0.999 * np.abs(row).max())]
-        for j, weight in enumerate(row):
-            near = float(Fraction(weight).limit_denominator(6))
-            row[j] = near if abs(near - weight) < _NO_PART else weight
     return rows
 
 

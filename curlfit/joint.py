@@ -277,12 +277,15 @@ def fit_together(
         problem_of(job.throw, job.stone, job.frame, sigma)
         for job, sigma in zip(jobs, sigmas, strict=True)
     ]
-    values = np.stack(
+    values = np.concatenate(
         [
-            start_values(law, checked, problem, smooth(problem), parameters)
-            for problem, parameters in zip(problems, local, strict=True)
+            start_values(
+                law, checked, one, smooth(one), parameters.lower[None], parameters.upper[None],
+                lanes=1,
+            )
+            for one, parameters in zip(map(stacked, zip(problems)), local, strict=True)
         ]
-    )
+    )  # fmt: skip
     search = _Search(local, layout, progress)
     joint = search.gather(values)
     best = search.run(_Bench(law, checked, problems), joint)
@@ -290,7 +293,8 @@ def fit_together(
         for place, (job, problem) in enumerate(zip(jobs, problems, strict=True)):
             solution, sigma = search.solution(best, place), sigmas[place]
             if kind == "linear":
-                found = estimated_sigma(job.throw, solution, problem, local[place], list(sigma))
+                shown = _padded(problem, *solution.residual.shape)
+                found = estimated_sigma(solution, shown, local[place], sigma)
             else:
                 residual = raw_residuals(law, checked, solution.values, problem)
                 found = bulk_sigma(job.throw, residual, problem, sigma)
@@ -465,14 +469,15 @@ def _result(
     sees = analyse(
         matrix[:, open_], list(names[open_]), values[open_], search.typical[open_], slack_columns
     )
+    solutions = [search.solution(best, place) for place in range(len(jobs))]
     single = [
         weighed(
             Optimum(
-                job.throw, law, load, job.stone, job.until, job.parameters, job.frame, problem,
-                sigma, search.solution(best, place), 1, loss,
+                job.throw, law, load, job.stone, job.until, job.parameters, job.frame,
+                _padded(problem, *solution.residual.shape), sigma, solution, 1, loss,
             )
         )
-        for place, (job, problem, sigma) in enumerate(zip(jobs, problems, sigmas, strict=True))
+        for job, problem, sigma, solution in zip(jobs, problems, sigmas, solutions, strict=True)
     ]  # fmt: skip
     place_of = {name: place for place, name in enumerate(sees.names)}
 

@@ -16,7 +16,7 @@ itself, and the place of that row is the place at rest.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -221,11 +221,7 @@ def log_posterior(
 
 def raw_residuals(law: type[Law], load: Load, values: Floats, problem: Problem) -> Floats:
     """(model - data) times weight, independent but without any loss, of the shape of the data."""
-    return residuals_from(np.asarray(trace(law, load, values, problem)), problem)
-
-
-def residuals_from(path: Floats, problem: Problem) -> Floats:
-    """The same from a path that is known."""
+    path = np.asarray(trace(law, load, values, problem))
     residual = (path[: len(problem.observed)] - problem.observed) * problem.weight
     return residual if problem.colour is None else np.asarray(whitened(residual, problem.colour))
 
@@ -235,6 +231,26 @@ def stacked(problems: Sequence[Problem]) -> Problem:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *problems)
 
 
+def unstacked(stack: Any) -> list[Any]:
+    """What was stacked, one by one."""
+    leaves, tree = jax.tree.flatten(stack)
+    return [jax.tree.unflatten(tree, parts) for parts in zip(*leaves, strict=True)]
+
+
+def by_lanes(program: Callable[..., Any], stacks: tuple[Any, ...], lanes: int = LANES) -> Any:
+    """What a program of `lanes` throws makes of the arrays of any number of throws."""
+    count = len(jax.tree.leaves(stacks)[0])
+    fill = np.minimum(np.arange(-(-count // lanes) * lanes), count - 1)
+    parts = [
+        program(*jax.tree.map(lambda leaf, here=fill[k : k + lanes]: leaf[here], stacks))
+        for k in range(0, count, lanes)
+    ]
+    return jax.tree.map(
+        lambda *leaves: (np.concatenate(leaves) if parts[1:] else np.asarray(leaves[0]))[:count],
+        *parts,
+    )
+
+
 trace = kept("law", "load")(model)
 
 
@@ -242,3 +258,13 @@ trace = kept("law", "load")(model)
 def traces(law: type[Law], load: Load, values: Array, problems: Problem) -> Array:
     """What `trace` finds for each of many throws, shape (throws, 5, n)."""
     return jax.vmap(partial(model, law, load))(values, problems)
+
+
+@kept("law", "load")
+def misfits(law: type[Law], load: Load, values: Array, problems: Problem) -> Array:
+    """Chi squared of each of many throws, shape (throws,); NaN where the law admits no motion.
+
+    One loss, that of the first throw, holds for all.
+    """
+    found = jax.vmap(partial(_independent, law, load))(values, problems)
+    return (signed_root(found, problems.loss[0]) ** 2).sum((1, 2))

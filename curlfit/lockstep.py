@@ -1,156 +1,186 @@
 """Many optima side by side.
 
 Levenberg and Marquardt's method within bounds, as in `box.py`, for many throws at once: each pass
-asks the model for the residuals and Jacobians of all throws that are on their way, which costs far
+asks the model for the residuals and Jacobians of some throws that are on their way, which costs far
 less than one throw after the other. A throw that has arrived leaves and the next takes its lane, so
 none waits for another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Generic, NamedTuple, TypeVar
+from collections.abc import Callable
+from typing import NamedTuple
 
-from curlfit.likelihood import LANES, Problem, linearised, stacked
+from curlfit.likelihood import LANES, Problem, by_lanes, linearised
 
 # isort: split
+from functools import partial
+
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
-from curlfit.parameters import ParameterSet
 from curlfit.solving import Solution
 
 Floats = NDArray[np.float64]
-Key = TypeVar("Key")
+Places = NDArray[np.intp]
 
 _FIRST_DAMPING = 1e-4
 _LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e8
-_GAIN = 1e-10  # of the misfit, that a step would win: a last one, taken without another look
+_GAIN = 1e-8  # of the misfit, that a step would win: a last one, taken without another look
 _MOST_PASSES = 80
 
 
-class Task(NamedTuple, Generic[Key]):
-    """A problem, where to begin, and whose it is. All tasks of a run have one shape."""
+class Tasks(NamedTuple):
+    """Problems of one shape, where to begin each, and within what; throws along the first axis."""
 
-    key: Key
-    problem: Problem
+    problems: Problem
     start: Floats
-    parameters: ParameterSet
-    known: tuple[Any, Any] | None = None
-    """residual and Jacobian at the start, where they are known"""
+    """shape (throws, parameters), as the next two"""
+    lower: Floats
+    upper: Floats
+    typical: Floats
+    """shape (parameters,)"""
 
 
-class _Lane(Generic[Key]):
-    """A task on its way: the best place so far, what it is like there, and the next to try."""
-
-    def __init__(self, task: Task[Key]) -> None:
-        self.task = task
-        self.lower, self.upper = task.parameters.lower, task.parameters.upper
-        self.best = self.trial = np.clip(task.start, self.lower, self.upper)
-        self.misfit = np.inf
-        self.damping = _FIRST_DAMPING
-        self.passes = 0
-        self.finished = False
-        self.residual: Any = None
-        self.jacobian: Any = None
-        self.over = task.known is not None and self.take(*task.known)
-
-    def take(self, residual: Floats, jacobian: Floats) -> bool:
-        """Take the answer of a pass and choose the next place; True where there is none."""
-        self.passes += 1
-        misfit = float((residual**2).sum())
-        if misfit <= self.misfit and np.isfinite(misfit) and np.isfinite(jacobian).all():
-            self.damping = max(self.damping / 10, _LEAST_DAMPING)
-            self.best, self.misfit = self.trial, misfit
-            # The lanes' arrays are written over by the next pass.
-            self.residual, self.jacobian = residual.copy(), jacobian.copy()
-            scaled = self.jacobian.reshape(-1, len(self.best)) * self.task.parameters.typical
-            self.normal = scaled.T @ scaled
-            self.gradient = residual.reshape(-1) @ scaled
-        else:
-            self.damping *= 30
-        if self.residual is None or self.passes >= _MOST_PASSES or self.damping > _MOST_DAMPING:
-            return True
-        # Cut off at a bound a step may lead uphill; a shorter one does not.
-        while (gain := self._step()) < -_GAIN * self.misfit and self.damping < _MOST_DAMPING:
-            self.damping *= 30
-        self.finished = gain <= _GAIN * self.misfit
-        if self.finished:
-            move = self.trial - self.best
-            self.residual = self.residual + self.jacobian @ move
-            self.best = self.trial
-        return self.finished
-
-    def _step(self) -> float:
-        """Choose the next place; the fall of the misfit that is hoped for."""
-        held = (self.best <= self.lower) & (self.gradient >= 0)
-        held |= (self.best >= self.upper) & (self.gradient <= 0)
-        held |= self.lower >= self.upper
-        free = ~held
-        normal = self.normal[np.ix_(free, free)]
-        size = np.maximum(np.diag(normal), 1e-24 * np.diag(normal).max(initial=0.0) + 1e-300)
-        move = np.zeros(len(self.best))
-        move[free] = np.linalg.solve(
-            normal + np.diag((self.damping + 1e-14) * size), -self.gradient[free]
-        )
-        step = move * self.task.parameters.typical
-        self.trial = np.clip(self.best + step, self.lower, self.upper)
-        taken = (self.trial - self.best) / self.task.parameters.typical
-        return float(-2 * self.gradient @ taken - taken @ self.normal @ taken)
-
-    def solution(self) -> Solution | None:
-        """Where it ended; None where there was no path even at the start."""
-        if self.residual is None:
-            return None
-        return Solution(self.best, self.residual, self.jacobian, self.passes, self.finished)
+Again = Callable[[Places, Solution], tuple[Places, Floats]]
+"""From throws that have arrived, and their optima: those to go on, and their new weights."""
 
 
 def solve_many(
     law: type[Law],
     load: Load,
-    tasks: Iterable[Task[Key]],
-    again: Callable[[Key, Solution], Task[Key] | None],
-) -> Iterator[tuple[Key, Solution | None]]:
-    """The optima of many problems of one shape, as they are found.
+    tasks: Tasks,
+    again: Again | None = None,
+    arrived: Callable[[int], None] | None = None,
+) -> Solution:
+    """The optima of many problems, throws along the first axis of each field.
 
-    `again` is shown each optimum and may answer with another task for the same key, which takes
-    its place.
+    A misfit that is not finite says that there was no path even at the start.
+
+    Parameters
+    ----------
+    again : asked once of each throw that has arrived, whether to go on under other weights.
+    arrived : told how many have arrived for good.
     """
-    waiting = iter(tasks)
-    lanes: list[_Lane[Key] | None] = [None] * LANES
-    stack: Any = None
-    trials = np.zeros(0)
-    while True:
-        for place in range(LANES):
-            lane = lanes[place]
-            while lane is None or lane.over:
-                if lane is None:
-                    task = next(waiting, None)
-                else:
-                    solution = lane.solution()
-                    task = None if solution is None else again(lane.task.key, solution)
-                    if task is None:
-                        yield lane.task.key, solution
-                        task = next(waiting, None)
-                if task is None:
-                    lane = None
-                    break
-                lane = _Lane(task)
-                if stack is None:  # lanes that nothing is in follow the first throw
-                    stack = stacked([task.problem] * LANES)
-                    trials = np.tile(lane.trial, (LANES, 1))
-                for whole, part in zip(
-                    jax.tree.leaves(stack), jax.tree.leaves(task.problem), strict=True
-                ):
-                    whole[place] = part
-            lanes[place] = lane
-            if lane is not None:
-                trials[place] = lane.trial
-        busy = [(place, lane) for place, lane in enumerate(lanes) if lane is not None]
-        if not busy:
-            return
-        residual, jacobian = map(np.asarray, linearised(law, load, trials, stack))
-        for place, lane in busy:
-            lane.over = lane.take(residual[place], jacobian[place])
+    fleet = _Fleet(tasks)
+    asked = np.zeros(len(tasks.start), bool)
+    going = np.ones(len(tasks.start), bool)
+    while going.any():
+        now = np.flatnonzero(going)[:LANES]
+        here = jax.tree.map(lambda leaf, now=now: leaf[now], fleet.problems)
+        found = by_lanes(partial(linearised, law, load), (fleet.trial[now], here))
+        over = now[fleet.take(now, *found)]
+        new = over[~asked[over]]
+        asked[new] = True
+        if again is not None and len(new):
+            more, weight = again(new, fleet.solution(new))
+            on = more[~fleet.reweigh(more, weight)]
+            over = np.setdiff1d(over, on)
+        going[over] = False
+        if arrived is not None:
+            arrived(int((~going).sum()))
+    return fleet.solution(np.arange(len(going)))
+
+
+class _Fleet:
+    """Throws on their way: the best place of each so far, what it is like there, the next to try.
+
+    Methods take the throws that they are about, and tell which of them have arrived.
+    """
+
+    def __init__(self, tasks: Tasks) -> None:
+        problems, _, self.lower, self.upper, self.typical = tasks
+        self.problems = problems._replace(weight=problems.weight.copy())
+        self.best = np.clip(tasks.start, self.lower, self.upper)
+        self.trial = self.best.copy()
+        count, size = self.best.shape
+        self.misfit = np.full(count, np.inf)
+        self.damping = np.full(count, _FIRST_DAMPING)
+        self.passes = np.zeros(count, int)
+        self.finished = np.zeros(count, bool)
+        shape = self.problems.observed.shape
+        self.residual, self.jacobian = np.full(shape, np.nan), np.full((*shape, size), np.nan)
+        self.normal, self.gradient = np.zeros((count, size, size)), np.zeros((count, size))
+
+    def take(self, now: Places, residual: Floats, jacobian: Floats) -> NDArray[np.bool_]:
+        """Take the answers of a pass and choose the next places."""
+        self.passes[now] += 1
+        misfit = (residual**2).sum((1, 2))
+        better = misfit <= self.misfit[now]
+        better &= np.isfinite(misfit + jacobian.sum((1, 2, 3)))
+        kept = now[better]
+        if not better.all():
+            residual, jacobian = residual[better], jacobian[better]
+        self.best[kept] = self.trial[kept]
+        self._looked(kept, residual, jacobian)
+        self.damping[now[~better]] *= 30
+        return self._chosen(now)
+
+    def reweigh(self, now: Places, weight: Floats) -> NDArray[np.bool_]:
+        """Go on under other weights: another scale of what is known already."""
+        before = self.problems.weight[now]
+        scale = weight / np.where(before > 0, before, 1.0)
+        self.problems.weight[now] = weight
+        self.trial[now] = self.best[now]
+        self.damping[now], self.passes[now], self.finished[now] = _FIRST_DAMPING, 1, False
+        self._looked(now, self.residual[now] * scale, self.jacobian[now] * scale[..., None])
+        return self._chosen(now)
+
+    def solution(self, which: Places) -> Solution:
+        """Where throws are."""
+        return Solution(
+            self.best[which], self.residual[which], self.jacobian[which], self.passes[which],
+            self.finished[which],
+        )  # fmt: skip
+
+    def _looked(self, now: Places, residual: Floats, jacobian: Floats) -> None:
+        """What the misfit is like at places that are the best so far."""
+        self.residual[now], self.jacobian[now] = residual, jacobian
+        _, channels, rows, size = self.jacobian.shape
+        jacobian = jacobian.reshape(len(now), channels * rows, size)
+        residual = residual.reshape(len(now), channels * rows, 1)
+        self.misfit[now] = (residual**2).sum((1, 2))
+        self.normal[now] = jacobian.mT @ jacobian * np.outer(self.typical, self.typical)
+        self.gradient[now] = (jacobian.mT @ residual)[..., 0] * self.typical
+        self.damping[now] = np.maximum(self.damping[now] / 10, _LEAST_DAMPING)
+
+    def _chosen(self, now: Places) -> NDArray[np.bool_]:
+        """Choose the next places."""
+        lost = ~np.isfinite(self.misfit[now]) | (self.passes[now] >= _MOST_PASSES)
+        lost |= self.damping[now] > _MOST_DAMPING
+        gain = np.zeros(len(now))
+        trying = ~lost
+        while trying.any():
+            gain[trying] = self._step(now[trying])
+            # Cut off at a bound a step may lead uphill; a shorter one does not.
+            trying &= (gain < -_GAIN * self.misfit[now]) & (self.damping[now] < _MOST_DAMPING)
+            self.damping[now[trying]] *= 30
+        last = ~lost & (gain <= _GAIN * np.where(lost, 0.0, self.misfit[now]))
+        done = now[last]
+        move = (self.trial[done] - self.best[done])[:, None, :, None]
+        self.residual[done] += (self.jacobian[done] @ move)[..., 0]
+        self.best[done] = self.trial[done]
+        self.finished[done] = True
+        return lost | last
+
+    def _step(self, now: Places) -> Floats:
+        """Choose the next places; the falls of the misfit that are hoped for."""
+        best, lower, upper = self.best[now], self.lower[now], self.upper[now]
+        normal, gradient = self.normal[now], self.gradient[now]
+        held = (best <= lower) & (gradient >= 0) | (best >= upper) & (gradient <= 0)
+        held |= lower >= upper
+        size = np.where(held, 0.0, np.diagonal(normal, axis1=1, axis2=2))
+        size = np.sqrt(np.maximum(size, 1e-24 * size.max(1, initial=0.0)[:, None] + 1e-300))
+        free = np.where(held, 0.0, 1 / size)
+        # Of unit diagonal, so that what damps it keeps it regular.
+        matrix = normal * free[:, :, None] * free[:, None, :]
+        damping = self.damping[now][:, None] + 1e-14
+        matrix += np.eye(len(self.typical)) * np.where(held, 1.0, damping)[:, None]
+        move = np.linalg.solve(matrix, -(gradient * free)[..., None])[..., 0] * free
+        trial = np.clip(best + move * self.typical, lower, upper)
+        self.trial[now] = trial
+        taken = (trial - best) / self.typical
+        curved = (normal @ taken[..., None])[..., 0]
+        return -2 * (gradient * taken).sum(1) - (taken * curved).sum(1)

@@ -121,9 +121,13 @@ def precision(r: Floats, loss: str) -> float:
     return slope**2 / max(float((found.psi**2).mean()), 1e-300)
 
 
+BULK = 1.4826
+"""Standard deviation of a Gaussian over its median size."""
+
+
 def robust_sigma(values: Floats) -> float:
     """Standard deviation of the bulk: 1.4826 times the median size."""
-    return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
+    return BULK * float(np.median(np.abs(values))) if len(values) else 0.0
 
 
 def steepness(r: Floats, loss: str) -> Floats:

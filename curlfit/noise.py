@@ -302,27 +302,40 @@ class Independence:
         return sure and self.lag1 > _MATTERS
 
 
-def lag1_of(residual: Floats) -> float:
-    """Correlation of neighbouring residuals; 0 for independent noise."""
-    centred = residual - residual.mean()
-    total = float((centred**2).sum())
-    return float((centred[1:] * centred[:-1]).sum() / total) if total > 0 else 0.0
+def lag1_of(residual: Floats, count: NDArray[np.int64]) -> Floats:
+    """Correlation of neighbouring residuals; 0 for independent noise.
+
+    Parameters
+    ----------
+    residual : shape (..., n), of which the first `count` are meant, shape (...).
+    """
+    centred = _centred(residual, count)
+    total = (centred**2).sum(-1)
+    return (centred[..., 1:] * centred[..., :-1]).sum(-1) / np.where(total > 0, total, 1.0)
+
+
+def _centred(residual: Floats, count: NDArray[np.int64]) -> Floats:
+    there = np.arange(residual.shape[-1]) < count[..., None]
+    mean = np.where(there, residual, 0.0).sum(-1) / np.maximum(count, 1)
+    return np.where(there, residual - mean[..., None], 0.0)
+
+
+def independences(residual: Floats, count: NDArray[np.int64]) -> list[list[Independence]]:
+    """Of the residuals of channels of throws, shape (throws, channels, n), the first `count`."""
+    centred, lag1 = _centred(residual, count), lag1_of(residual, count)
+    up, n = centred > 0, np.maximum(count, 2)
+    above = up.sum(-1)
+    pairs = np.arange(1, residual.shape[-1]) < count[..., None]
+    runs = 1 + ((up[..., 1:] != up[..., :-1]) & pairs).sum(-1)
+    mean = 1 + 2 * above * (count - above) / n
+    variance = (mean - 1) * (mean - 2) / (n - 1)
+    sure = variance > 0
+    z = np.where(sure, (runs - mean) / np.sqrt(np.where(sure, variance, 1.0)), 0.0)
+    effective = count * np.minimum((1 - lag1) / (1 + lag1), 1.0)
+    parts = np.stack([lag1, z, effective], -1).tolist()
+    return [[Independence(*channel) for channel in throw] for throw in parts]
 
 
 def independence(residual: Floats) -> Independence:
     """Of the residuals of a channel, shape (n,)."""
-    centred = residual - residual.mean()
-    n = len(residual)
-    if not centred.any():
-        return Independence(0.0, 0.0, float(n))
-    lag1 = lag1_of(residual)
-    up = centred > 0
-    above, below = int(up.sum()), int((~up).sum())
-    runs = 1 + int((up[1:] != up[:-1]).sum())
-    mean = 1 + 2 * above * below / n
-    variance = (mean - 1) * (mean - 2) / (n - 1)
-    return Independence(
-        lag1,
-        (runs - mean) / math.sqrt(variance) if variance > 0 else 0.0,
-        n * min((1 - lag1) / (1 + lag1), 1.0),
-    )
+    return independences(residual[None, None], np.array([[len(residual)]]))[0][0]

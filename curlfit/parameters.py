@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -83,7 +83,20 @@ class ParameterSet:
         InputError : an unknown name, an empty interval, a fixed value outside its bounds, or
             nothing left to fit.
         """
-        fix, bounds = dict(fix or {}), dict(bounds or {})
+        fixed, limits = (tuple((choice or {}).items()) for choice in (fix, bounds))
+        key: Any = law
+        return cls._built(key, fixed, limits, unbounded)
+
+    @classmethod
+    @lru_cache(64)
+    def _built(
+        cls,
+        law: Any,
+        fixed: tuple[tuple[str, float], ...],
+        limits: tuple[tuple[str, tuple[float, float]], ...],
+        unbounded: bool,
+    ) -> ParameterSet:
+        fix, bounds = dict(fixed), dict(limits)
         coefficients: tuple[Parameter, ...] = law.coefficients()
         if unbounded:
             coefficients = tuple(

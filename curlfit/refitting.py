@@ -19,10 +19,13 @@ from curlfit.errors import UnusableFitError
 from curlfit.fitting import shifted
 from curlfit.friction import check_load
 from curlfit.likelihood import frame_of, problem_of
-from curlfit.lockstep import Task, solve_many
+from curlfit.lockstep import Tasks, solve_many
 from curlfit.parameters import ParameterSet
 from curlfit.results import FitResult
 from curlfit.solving import Solution
+
+# isort: split
+import jax
 
 Floats = NDArray[np.float64]
 Progress = Callable[[int], None]
@@ -75,17 +78,25 @@ class Refit:
         return np.asarray(self.solution.values)
 
     def _solved(self, tasks: Iterable[tuple[ParameterSet, Floats]]) -> list[Solution | None]:
-        made = [
-            Task(place, self.problem, start, parameters)
-            for place, (parameters, start) in enumerate(tasks)
-        ]
-        found: dict[int, Solution | None] = {}
-        for place, solution in solve_many(self.law, self.load, made, lambda *_: None):
-            found[place] = solution
-            self.done += 1
+        sets, starts = zip(*tasks, strict=True)
+        everywhere = jax.tree.map(
+            lambda leaf: np.broadcast_to(leaf, (len(sets), *np.shape(leaf))), self.problem
+        )
+        lower, upper = (np.stack([getattr(one, end) for one in sets]) for end in ("lower", "upper"))
+        work = Tasks(everywhere, np.stack(starts), lower, upper, self.parameters.typical)
+        before = self.done
+
+        def arrived(count: int) -> None:
+            self.done = before + count
             if self._progress is not None:
                 self._progress(self.done)
-        return [found[place] for place in range(len(made))]
+
+        found = solve_many(self.law, self.load, work, arrived=arrived)
+        whole = np.isfinite(found.residual).all((1, 2))
+        return [
+            Solution(*(part[place] for part in found)) if there else None
+            for place, there in enumerate(whole)
+        ]
 
     def places(
         self, names: Sequence[str], points: Floats, starts: Sequence[Floats]

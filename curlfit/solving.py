@@ -13,7 +13,8 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
-from curlfit.likelihood import Problem, weighted_residuals
+from curlfit.identifiability import inverted, triangle
+from curlfit.likelihood import Problem, stacked, weighted_residuals
 from curlfit.parameters import ParameterSet
 from curlfit.programs import kept
 from curlfit.starting import Smooth, start_values, usual
@@ -78,9 +79,11 @@ def chi_squared(solution: Solution) -> float:
 def starts(
     law: type[Law], load: Load, problem: Problem, path: Smooth, parameters: ParameterSet
 ) -> list[Floats]:
-    """Start values in the order in which to try them."""
-    spins = (1.0,) if path.curves[2] is not None else (1.0, -1.0)
-    first = [start_values(law, load, problem, path, parameters, spin) for spin in spins]
+    """Start values in the order in which to try them; `path` is that of the problem alone."""
+    spins = (1.0,) if path.known[0, 2] else (1.0, -1.0)
+    bounds = parameters.lower[None], parameters.upper[None]
+    one = stacked([problem])
+    first = [start_values(law, load, one, path, *bounds, spin=s, lanes=1)[0] for s in spins]
     others = []
     k = len(law.coefficients())
     defaults = np.array([usual(item) for item in law.coefficients()])
@@ -114,7 +117,7 @@ def best_of(
     found: Solution | None = None
     tried = 0
     for values in tries:
-        if found is not None and not poor(found, path, problem):
+        if found is not None and not poor(alone(found), path, stacked([problem]))[0]:
             break
         tried += 1
         other = descend(law, load, values, parameters, problem)
@@ -125,18 +128,43 @@ def best_of(
     return found, tried
 
 
-def poor(solution: Solution, path: Smooth, problem: Problem) -> bool:
-    """Whether an optimum is so bad that another start is worth trying."""
-    if not solution.finished:
-        return True
+def poor(solutions: Solution, paths: Smooth, problems: Problem) -> NDArray[np.bool_]:
+    """Which of many optima are so bad that another start is worth trying."""
+    seen = problems.weight[:, :3] > 0
+    n = seen.sum(-1)
+    residual = solutions.residual[:, :3] / np.where(seen, problems.weight[:, :3], np.inf)
+    rms = np.sqrt((residual**2).sum(-1) / np.maximum(n, 1))
+    observed = problems.observed[:, :3]
+    highest = np.where(seen, observed, -np.inf).max(-1)
+    lowest = np.where(seen, observed, np.inf).min(-1)
     over_polynomial, over_range = _POOR
-    for row in range(3):
-        use = problem.weight[row] > 0
-        if use.sum() < 3:
-            continue
-        residual = solution.residual[row][use] / problem.weight[row][use]
-        rms = float(np.sqrt(np.mean(residual**2)))
-        extent = float(np.ptp(problem.observed[row][use]))
-        if rms > over_polynomial * path.rms[row] and rms > over_range * extent:
-            return True
-    return False
+    off = (rms > over_polynomial * paths.rms[:, :3]) & (rms > over_range * (highest - lowest))
+    return ~np.asarray(solutions.finished) | (off & (n >= 3)).any(-1)
+
+
+def residual_sigma(
+    solutions: Solution, problems: Problem, free: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """sqrt(sum of squares/(n - p)) by channel of many throws, p the parameters it pays for itself.
+
+    Parameters
+    ----------
+    free : which parameters were fitted, shape (throws, parameters).
+
+    Returns
+    -------
+    In the channels' units, shape (throws, channels); 0 where nothing was seen.
+    """
+    jacobian = solutions.jacobian * free[:, None, None]
+    _, singular, rows = np.linalg.svd(triangle(jacobian.reshape(len(free), -1, free.shape[1])))
+    inverse = rows.mT * inverted(singular, singular > 1e-9 * singular[:, :1])[:, None]
+    paid = ((jacobian @ inverse[:, None]) ** 2).sum((-1, -2))
+    room = np.maximum((problems.weight > 0).sum(-1) - paid, 1.0)
+    largest = problems.weight.max(-1)
+    rms = np.sqrt((solutions.residual**2).sum(-1) / room)
+    return np.where(largest > 0, rms / np.where(largest > 0, largest, 1.0), 0.0)
+
+
+def alone(solution: Solution) -> Solution:
+    """One optimum as the only one of many."""
+    return Solution(*(np.asarray(part)[None] for part in solution))

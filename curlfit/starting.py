@@ -18,14 +18,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from numpy.polynomial import Chebyshev
-from numpy.polynomial.chebyshev import chebder, chebval, chebvander
+from numpy.polynomial.chebyshev import chebder, chebint, chebval, chebvander
 from numpy.typing import NDArray
 
 from curlfit.friction import Coefficient, Law, Load
-from curlfit.identifiability import triangle
-from curlfit.likelihood import Problem
-from curlfit.parameters import ParameterSet
+from curlfit.identifiability import inverted, triangle
+from curlfit.likelihood import LANES, Problem, by_lanes
+from curlfit.parameters import START
 from curlfit.programs import kept
 from curlfit.stone import Stone
 from curlfit.throw import last_motion
@@ -43,158 +42,203 @@ def usual(item: Coefficient) -> float:
 
 
 class Smooth(NamedTuple):
-    """Polynomials through the moving part of a path."""
+    """Polynomials through the moving part of many paths, throws along the first axis."""
 
-    span: float
-    """s from the first row to the last in which the stone moved"""
-    curves: tuple[Chebyshev | None, ...]
-    """x, y, phi; None for a channel of which nothing is known. Where only the speed or the spin
-    was measured, y or phi is its integral"""
+    span: Floats
+    """s from the first row to the last in which the stone moved, shape (throws,)"""
+    curves: Floats
+    """Chebyshev coefficients over 0..span of x, y, phi, shape (throws, 3, coefficients). Where only
+    the speed or the spin was measured, y or phi is its integral"""
+    known: NDArray[np.bool_]
+    """whether anything is known of x, y, phi, shape (throws, 3)"""
     rms: Floats
-    """of the data about the polynomials, floored, inf where not seen; shape (channels,)"""
+    """of the data about the polynomials, floored, inf where not seen; shape (throws, channels)"""
 
 
-def smooth(problem: Problem) -> Smooth:
-    """Polynomials of degree 5 or less through each channel, up to where the stone came to rest."""
-    t = problem.times
-    span = t[-1]
-    shown = np.where(problem.weight > 0, problem.observed, np.nan)
-    last = last_motion(t, shown[0], shown[1])
-    if last < 0.9 * span:
-        span = last
-    rms = np.full(len(problem.observed), np.inf)
-    bases: dict[tuple[bytes, int], tuple[Floats, Floats, Floats]] = {}
+def smooth(problems: Problem) -> Smooth:
+    """Polynomials of degree 5 or less through each channel, up to where the stone came to rest.
 
-    def through(row: int) -> Chebyshev | None:
-        use = (problem.weight[row] > 0) & (t <= span)
-        n = int(use.sum())
-        if n < 2:
-            return None
-        degree = min(_DEGREE, max(min(2, n - 1), (n - 1) // 3))
-        # Channels that were seen in the same rows have one basis.
-        key = (use.tobytes(), degree)
-        if key not in bases:
-            basis = chebvander(2 * t[use] / span - 1, degree)
-            bases[key] = basis, *np.linalg.qr(basis)
-        basis, q, r = bases[key]
-        values = problem.observed[row][use]
-        found = np.linalg.solve(r, q.T @ values)
-        residual = values - basis @ found
-        rms[row] = max(float(np.sqrt(np.mean(residual**2))), 1e-6)
-        return Chebyshev(found, domain=[0, span])
-
-    curves = [through(row) for row in range(3)]
-    if len(rms) > 3:
-        speed, omega = through(3), through(4)
-        if curves[0] is None and curves[1] is None and speed is not None:
-            curves[1] = speed.integ(lbnd=0)
-        if curves[2] is None and omega is not None:
-            curves[2] = omega.integ(lbnd=0)
-    return Smooth(span, tuple(curves), rms)
+    Parameters
+    ----------
+    problems : of many throws, as `stacked` makes them.
+    """
+    t, seen, observed = problems.times, problems.weight > 0, problems.observed
+    shown = np.where(seen[:, :2], observed[:, :2], np.nan)
+    last = np.array([last_motion(*one) for one in zip(t, shown[:, 0], shown[:, 1], strict=True)])
+    span = np.maximum(np.where(last < 0.9 * t[:, -1], last, t[:, -1]), 1e-9)
+    use = seen & (t <= span[:, None])[:, None]
+    n = use.sum(-1)
+    degree = np.minimum(_DEGREE, np.maximum(np.minimum(2, n - 1), (n - 1) // 3))
+    part = (np.arange(_DEGREE + 1) <= degree[..., None]) & (n >= 2)[..., None]
+    basis = chebvander(2 * t / span[:, None] - 1, _DEGREE)
+    few = triangle(
+        np.concatenate([basis[:, None] * part[:, :, None], observed[..., None]], -1)
+        * use[..., None]
+    )
+    matrix = few[..., :-1, :-1] + np.eye(_DEGREE + 1) * ~part[..., None, :]
+    found = np.linalg.solve(matrix, few[..., :-1, -1:])[..., 0] * part
+    rms = np.maximum(np.abs(few[..., -1, -1]) / np.sqrt(np.maximum(n, 1)), 1e-6)
+    known = n >= 2
+    curves = np.pad(found, ((0, 0), (0, 0), (0, 1)))  # an integral has one term more
+    if len(found[0]) > 3:
+        risen = chebint(found[:, 3:], lbnd=-1, axis=-1) * span[:, None, None] / 2
+        placeless = ~known[:, 0] & ~known[:, 1] & known[:, 3]
+        angleless = ~known[:, 2] & known[:, 4]
+        curves[placeless, 1], curves[angleless, 2] = risen[placeless, 0], risen[angleless, 1]
+        known[:, 1] |= placeless
+        known[:, 2] |= angleless
+    return Smooth(span, curves[:, :3], known[:, :3], np.where(n >= 2, rms, np.inf))
 
 
 @kept("law", "load")
 def _forces(
-    law: type[Law],
-    load: Load,
-    coefficients: Array,
-    stone: Stone,
-    v: Array,
-    omega: Array,
-    turned: Array,
-    time: Array,
+    law: type[Law], load: Load, coefficients: Array, stones: Stone, paths: Array
 ) -> tuple[Array, Array]:
-    """Accelerations (xi, eta, angular) along the path and their derivatives by coefficient."""
+    """Accelerations (xi, eta, angular) along many paths and their derivatives by coefficient.
 
-    def along(coefficients: Array) -> Array:
-        friction = law.from_vector(coefficients)
-        one = partial(accelerations, friction, stone, load)
-        return jnp.stack(jax.vmap(one)(v, omega, turned, time))
+    Parameters
+    ----------
+    coefficients : shape (throws, coefficients). stones : each field of shape (throws,).
+    paths : speed, spin, angle and time, shape (throws, 4, n).
+    """
 
-    return along(coefficients), jax.jacfwd(along)(coefficients)
+    def of_one(coefficients: Array, stone: Stone, path: Array) -> tuple[Array, Array]:
+        def along(coefficients: Array) -> Array:
+            friction = law.from_vector(coefficients)
+            one = partial(accelerations, friction, stone, load)
+            return jnp.stack(jax.vmap(one)(*path))
+
+        return along(coefficients), jax.jacfwd(along)(coefficients)
+
+    return jax.vmap(of_one)(coefficients, stones, paths)
 
 
 def start_values(
     law: type[Law],
     load: Load,
-    problem: Problem,
+    problems: Problem,
     path: Smooth,
-    parameters: ParameterSet,
+    lower: Floats,
+    upper: Floats,
+    *,
     spin: float = 1.0,
+    lanes: int = LANES,
 ) -> Floats:
-    """A parameter vector near the optimum, inside the bounds.
+    """Parameter vectors near the optima, shape (throws, parameters), inside the bounds.
 
-    `spin` (rad/s) is used where the angle was never seen.
+    Parameters
+    ----------
+    problems : of many throws, as `stacked` makes them; `path` is what `smooth` makes of them.
+    lower, upper : bounds, shape (throws, parameters).
+    spin : in rad/s, where the angle was never seen.
+    lanes : how many are computed together.
     """
-    grid = np.linspace(0, path.span, _GRID)
-    x, y, phi = path.curves
-    vx = _slope(x) if x is not None else np.zeros(_GRID)
-    vy = _slope(y) if y is not None else np.zeros(_GRID)
-    if x is None and y is None:
-        vy = _USUAL_SPEED * (1 - 0.9 * grid / path.span)
-    v, heading = np.hypot(vx, vy), np.arctan2(vx, vy)
-    omega = _slope(phi) if phi is not None else np.full(_GRID, spin)
-    turned = _rise(phi) if phi is not None else spin * grid
-    s, c = np.sin(heading), np.cos(heading)
-
     k = len(law.coefficients())
-    lower, upper = parameters.lower, parameters.upper
-    nominal = np.clip([usual(item) for item in law.coefficients()], lower[:k], upper[:k])
-    use = (problem.weight > 0) & (problem.times <= path.span)
-    values = np.zeros(len(parameters))
+    moving = _moving(path, spin)
+    use = (problems.weight > 0) & (problems.times <= path.span[:, None])[:, None]
+    if use.shape[1] > 3:
+        use[:, 3] &= ~use[:, :2].any((1, 2))[:, None]  # the places tell it already
+    free = np.full((len(lower), len(START)), np.inf)
+    low, high = np.hstack([lower[:, :k], -free]), np.hstack([upper[:, :k], free])
+    found = np.zeros_like(low)
+    found[:, :k] = np.clip([usual(item) for item in law.coefficients()], low[:, :k], high[:, :k])
+    going = np.arange(len(found))
     for _ in range(3):
-        a, by_coefficient = (
-            np.asarray(item)
-            for item in _forces(law, load, nominal, problem.stone, v, omega, turned, grid)
+        here: Any = jax.tree.map(lambda leaf, going=going: leaf[going], (problems, path, moving))
+        nominal = found[going, :k]
+        a, by_coefficient = by_lanes(
+            partial(_forces, law, load), (nominal, here[0].stone, here[2].measured), lanes
         )
-        slopes = np.concatenate([by_coefficient, a[..., None]], -1)
-        slopes[..., -1] -= by_coefficient @ nominal
-        slopes = np.nan_to_num(slopes)
-        in_ice = np.stack(  # from the moving frame to x, y, phi
-            [
-                slopes[0] * c[:, None] + slopes[1] * s[:, None],
-                -slopes[0] * s[:, None] + slopes[1] * c[:, None],
-                slopes[2],
-            ]
-        )
-        step = grid[1] - grid[0]
-        once = _cumulative(in_ice, step)
-        twice = _cumulative(once, step)
-
-        # Place and angle are integrated twice, speed (along the first direction) and spin once.
-        rows, right = [], []
-        for row in range(len(problem.observed)):
-            t = problem.times[use[row]]
-            series, axis = (twice[row], row) if row < 3 else (once[row - 2], row - 2)
-            if row == 3 and (use[0].any() or use[1].any()):
-                continue  # the places tell it already
-            below = np.minimum((t / step).astype(int), _GRID - 2)
-            share = (t / step - below)[:, None]
-            between = series[below] * (1 - share) + series[below + 1] * share
-            design = np.zeros((len(t), k + 6))
-            design[:, :k] = between[:, :k]
-            if row < 3:
-                design[:, k + 2 * axis] = 1.0
-            design[:, k + 2 * axis + 1] = t if row < 3 else 1.0
-            rows.append(design / path.rms[row])
-            right.append((problem.observed[row][use[row]] - between[:, k]) / path.rms[row])
-        low = np.concatenate([lower[:k], np.full(6, -np.inf)])
-        high = np.concatenate([upper[:k], np.full(6, np.inf)])
-        solution = _bounded_least_squares(np.concatenate(rows), np.concatenate(right), low, high)
-        gap = np.abs(by_coefficient @ nominal - a)
-        linear = bool((gap <= 1e-12 + 1e-9 * np.abs(a)).all())
-        nominal = solution[:k]
-        if linear:
+        linear = (by_coefficient @ nominal[:, None, :, None])[..., 0]
+        slopes = np.concatenate([by_coefficient, (a - linear)[..., None]], -1)
+        matrix, right = _design(np.nan_to_num(slopes), use[going], *here)
+        found[going] = _bounded_least_squares(matrix, right, low[going], high[going])
+        bent = np.abs(linear - a) > 1e-12 + 1e-9 * np.abs(a)
+        going = going[(bent | np.isnan(a)).any((1, 2))]
+        if not len(going):
             break
 
-    x0, vx0, y0, vy0, phi0, omega0 = solution[k:]
-    if phi is None:
-        phi0, omega0 = 0.0, spin
-    if v[0] > 0.02 and np.hypot(vx0, vy0) < 0.2 * v[0]:
-        vx0, vy0 = vx[0], vy[0]
-    values[:k] = nominal
-    values[k:] = x0, y0, np.arctan2(vx0, vy0), np.hypot(vx0, vy0), phi0, omega0
-    return np.clip(values, lower, upper)
+    x0, vx0, y0, vy0, phi0, omega0 = found[:, k:].T
+    turning = path.known[:, 2]
+    phi0, omega0 = np.where(turning, phi0, 0.0), np.where(turning, omega0, spin)
+    v, first = moving.measured[:, 0, 0], moving.velocity[:, :, 0].T
+    slow = (v > 0.02) & (np.hypot(vx0, vy0) < 0.2 * v)
+    vx0, vy0 = np.where(slow, first, (vx0, vy0))
+    begin = np.stack([x0, y0, np.arctan2(vx0, vy0), np.hypot(vx0, vy0), phi0, omega0], -1)
+    return np.clip(np.hstack([found[:, :k], begin]), lower, upper)
+
+
+class _Moving(NamedTuple):
+    """Motions along the polynomials, on a grid from first to last."""
+
+    velocity: Floats
+    """vx, vy, shape (throws, 2, n)"""
+    measured: Floats
+    """speed, spin, angle and time, shape (throws, 4, n)"""
+
+
+def _moving(path: Smooth, spin: float) -> _Moving:
+    values, slopes = _bases(path.curves.shape[-1])
+    pace = path.curves @ slopes.T * (2 / path.span[:, None, None])
+    grid = path.span[:, None] * np.linspace(0, 1, _GRID)
+    unplaced, turning = ~path.known[:, :2].any(1), path.known[:, 2, None]
+    pace[unplaced, 1] = _USUAL_SPEED * (1 - 0.9 * np.linspace(0, 1, _GRID))
+    omega = np.where(turning, pace[:, 2], spin)
+    turned = np.where(turning, path.curves[:, 2] @ (values - values[0]).T, spin * grid)
+    velocity = pace[:, :2]
+    return _Moving(velocity, np.stack([np.hypot(*velocity.swapaxes(0, 1)), omega, turned, grid], 1))
+
+
+def _design(
+    slopes: Floats, use: NDArray[np.bool_], problems: Problem, path: Smooth, moving: _Moving
+) -> tuple[Floats, Floats]:
+    """Linear least squares for coefficients, x0, vx0, y0, vy0, phi0 and omega0, in few rows.
+
+    Parameters
+    ----------
+    slopes : accelerations (xi, eta, angular) for one of each coefficient, and those that go with
+        none, shape (throws, 3, n, coefficients + 1).
+
+    Returns
+    -------
+    Matrices, of shape (throws, rows, coefficients + 6), and right sides.
+    """
+    heading = np.arctan2(moving.velocity[:, 0], moving.velocity[:, 1])[..., None]
+    s, c = np.sin(heading), np.cos(heading)
+    in_ice = np.stack(  # from the moving frame to x, y, phi
+        [
+            slopes[:, 0] * c + slopes[:, 1] * s,
+            -slopes[:, 0] * s + slopes[:, 1] * c,
+            slopes[:, 2],
+        ],
+        1,
+    )
+    step = path.span / (_GRID - 1)
+    once = _cumulative(in_ice, step)
+    twice = _cumulative(once, step)
+
+    channels, k = use.shape[1], slopes.shape[-1] - 1
+    t = problems.times / step[:, None]
+    below = np.minimum(t.astype(int), _GRID - 2)
+    share = (t - below)[..., None]
+    throw = np.arange(len(t))[:, None]
+    scale = use / path.rms[..., None]
+    design = np.zeros((len(t), channels, k + 3, k + len(START) + 1))
+    own = np.zeros((*t.shape, k + 3))
+    for row in range(channels):
+        # Place and angle are integrated twice, speed (along the first direction) and spin once.
+        series, axis = (twice, row) if row < 3 else (once, row - 2)
+        early, late = series[throw, axis, below], series[throw, axis, below + 1]
+        own[..., : k + 1] = early + share * (late - early)
+        own[..., k + 2] = problems.observed[:, row] - own[..., k]
+        own[..., k] = 1.0 if row < 3 else 0.0
+        own[..., k + 1] = problems.times if row < 3 else 1.0
+        columns = [*range(k), k + 2 * axis, k + 2 * axis + 1, -1]
+        few = triangle(own * scale[:, row, :, None])
+        few = np.where(np.isfinite(few).all((1, 2), keepdims=True), few, 0.0)
+        design[:, row, :, columns] = np.moveaxis(few, -1, 0)
+    design = design.reshape(len(t), channels * (k + 3), -1)
+    return design[..., :-1], design[..., -1]
 
 
 @cache
@@ -205,41 +249,30 @@ def _bases(size: int) -> tuple[Any, Any]:
     return chebvander(places, size - 1), slopes.T
 
 
-def _slope(curve: Any) -> Floats:
-    """Its time derivative on the grid."""
-    _, slopes = _bases(len(curve.coef))
-    return slopes @ curve.coef * (2 / curve.domain[1])
-
-
-def _rise(curve: Any) -> Floats:
-    """How far it has come on the grid since the beginning."""
-    values, _ = _bases(len(curve.coef))
-    return (values - values[0]) @ curve.coef
-
-
-def _cumulative(values: Floats, step: float) -> Floats:
-    """Running integral over the second axis, by the trapezoidal rule."""
-    middle = (values[:, 1:] + values[:, :-1]) / 2 * step
-    return np.concatenate([np.zeros_like(values[:, :1]), np.cumsum(middle, 1)], 1)
+def _cumulative(values: Floats, step: Floats) -> Floats:
+    """Running integral over the third axis, by the trapezoidal rule."""
+    middle = (values[:, :, 1:] + values[:, :, :-1]) / 2 * step[:, None, None, None]
+    return np.concatenate([np.zeros_like(values[:, :, :1]), np.cumsum(middle, 2)], 2)
 
 
 def _bounded_least_squares(matrix: Floats, right: Floats, low: Floats, high: Floats) -> Floats:
-    """Linear least squares, the smallest solution where several fit, held within bounds."""
-    few = triangle(np.column_stack([matrix, right]))
-    matrix, right = few[:, :-1], few[:, -1]
-    size = np.linalg.norm(matrix, axis=0)
+    """Linear least squares of many throws, the smallest solution where several fit, held within
+    bounds."""
+    size = np.linalg.norm(matrix, axis=1)
     size[size == 0] = 1.0
-    held = np.full(matrix.shape[1], np.nan)
-    solution = np.zeros(matrix.shape[1])
-    for _ in range(matrix.shape[1]):
+    held = np.full_like(low, np.nan)
+    solution = np.zeros_like(low)
+    for _ in range(low.shape[1]):
         free = np.isnan(held)
-        known = matrix[:, ~free] @ held[~free]
-        solution[~free] = held[~free]
-        solution[free] = (
-            np.linalg.lstsq(matrix[:, free] / size[free], right - known, rcond=1e-9)[0] / size[free]
+        known = (matrix @ np.where(free, 0.0, held)[..., None])[..., 0]
+        left, singular, rows = np.linalg.svd(
+            matrix * np.where(free, 1 / size, 0.0)[:, None], full_matrices=False
         )
+        inverse = inverted(singular, singular > 1e-9 * singular[:, :1])[..., None]
+        found = rows.mT @ (inverse * (left.mT @ (right - known)[..., None]))
+        solution = np.where(free, found[..., 0] / size, held)
         outside = free & ((solution < low) | (solution > high))
         if not outside.any():
             break
-        held[outside] = np.clip(solution, low, high)[outside]
+        held = np.where(outside, np.clip(solution, low, high), held)
     return np.clip(solution, low, high)

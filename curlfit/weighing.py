@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+import math
+from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from curlfit.friction import Law, Load
-from curlfit.identifiability import Identifiability, analyse, slack, triangle, visible
 from curlfit.likelihood import (
     LANES,
     SIGMA_FLOOR,
     Frame,
     Problem,
-    residuals_from,
+    by_lanes,
+    misfits,
     stacked,
-    trace,
     traces,
 )
-from curlfit.losses import precision, robust_sigma, signed_root, steepness
-from curlfit.noise import Independence, independence, lag1_of
-from curlfit.parameters import LOSSES, ParameterSet
+
+# isort: split
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.friction import Law, Load
+from curlfit.identifiability import Identifiability, analyse_many, slack, triangle, visible
+from curlfit.losses import BULK, precision, robust_sigma, steepness
+from curlfit.noise import Independence, independences, lag1_of
+from curlfit.parameters import ParameterSet
 from curlfit.results import Estimate, FitResult
 from curlfit.solving import Solution
 from curlfit.stone import Stone
@@ -62,106 +67,132 @@ class Optimum(NamedTuple):
     loss: str
 
 
-_Weighing = Generator[Floats, Floats, FitResult]
-"""Asks for the paths of parameter vectors and is sent those, until it has the answer."""
-
-
 def weighed(optimum: Optimum) -> FitResult:
     """The record of a fit from its optimum."""
-    law, load, problem = optimum.law, optimum.load, optimum.problem
-    work = _weighing(optimum)
-    wanted = next(work)
-    while True:
-        paths = [np.asarray(trace(law, load, values, problem)) for values in wanted]
-        try:
-            wanted = work.send(np.array(paths))
-        except StopIteration as done:
-            return done.value
+    (found,) = weighed_together([optimum], lanes=1)
+    return found
 
 
-def weighed_together(optima: Sequence[Optimum]) -> list[FitResult]:
-    """The same for fits of one law under one load, to problems of one shape, side by side."""
-    works = dict(enumerate(map(_weighing, optima)))
-    wanted = {place: next(work) for place, work in works.items()}
-    found: dict[int, FitResult] = {}
-    while works:
-        paths = _traces(optima, wanted)
-        for place, work in list(works.items()):
-            try:
-                wanted[place] = work.send(paths[place])
-            except StopIteration as done:
-                found[place] = done.value
-                del works[place], wanted[place]
-    return [found[place] for place in range(len(optima))]
+def weighed_together(optima: Sequence[Optimum], lanes: int = 4 * LANES) -> list[FitResult]:
+    """The same for fits of one law under one load, to problems of one shape.
 
-
-def _traces(optima: Sequence[Optimum], wanted: Mapping[int, Floats]) -> dict[int, Floats]:
-    """The paths of each optimum's vectors, `LANES` at a time."""
-    owners = [place for place, vectors in wanted.items() for _ in vectors]
-    if not owners:
-        return {place: np.zeros((0, 0, 0)) for place in wanted}
-    fill = -len(owners) % LANES
-    vectors = np.concatenate([item for item in wanted.values() if len(item)])
-    vectors = np.concatenate([vectors, np.repeat(vectors[-1:], fill, 0)])
-    problems = [optima[place].problem for place in [*owners, *[owners[-1]] * fill]]
+    Parameters
+    ----------
+    lanes : paths that are followed side by side.
+    """
+    if not optima:
+        return []
+    problems = stacked([optimum.problem for optimum in optima])
+    solutions = Solution(*map(np.stack, zip(*(item.solution for item in optima), strict=True)))
     law, load = optima[0].law, optima[0].load
-    parts = [
-        np.asarray(traces(law, load, vectors[k : k + LANES], stacked(problems[k : k + LANES])))
-        for k in range(0, len(vectors), LANES)
-    ]
-    paths = np.concatenate(parts)
-    ends = np.cumsum([len(item) for item in wanted.values()])
-    return dict(zip(wanted, np.split(paths[: ends[-1]], ends[:-1]), strict=True))
+    paths = by_lanes(partial(traces, law, load), (solutions.values, problems), lanes)
+    drafts = _drafted(optima, list(_surveyed(problems, solutions, paths)))
+    points = [draft.points for draft in drafts]
+    owners = np.repeat(np.arange(len(optima)), [len(item) for item in points])
+    around = np.zeros(0)
+    if len(owners):
+        of_owners = jax.tree.map(lambda leaf: leaf[owners], problems)
+        look = partial(misfits, law, load)
+        around = by_lanes(look, (np.concatenate(points), of_owners), lanes)
+    ends = np.cumsum([len(item) for item in points])[:-1]
+    return list(map(_recorded, optima, drafts, np.split(around, ends)))
 
 
-def _weighing(optimum: Optimum) -> _Weighing:
+class _Survey(NamedTuple):
+    """What is left of a throw's data at its optimum."""
+
+    path: Floats
+    """in the problem's frame, shape (5, n)"""
+    few: Floats
+    """residual over its sigma, and its Jacobian before it, as few rows as columns"""
+    number: NDArray[np.int64]
+    """of the values of each channel, shape (channels,)"""
+    rms: Floats
+    lag1: Floats
+    apart: list[Independence]
+    """of the residuals over their sigma"""
+
+
+def _surveyed(problems: Problem, solutions: Solution, paths: Floats) -> Iterator[_Survey]:
+    seen = problems.weight > 0
+    count = seen.sum(-1)
+    residual = np.where(seen, problems.observed - paths[:, : seen.shape[1]], 0.0)
+    rms = np.sqrt((residual**2).sum(-1) / np.maximum(count, 1))
+    # What was seen, without the gaps.
+    order = np.argsort(~seen, -1, kind="stable")
+    lag1 = lag1_of(np.take_along_axis(residual, order, -1), count)
+    apart = independences(np.take_along_axis(solutions.residual, order, -1), count)
+    whole = np.concatenate([solutions.jacobian, solutions.residual[..., None]], -1)
+    few = triangle(whole.reshape(len(whole), -1, whole.shape[-1]))
+    return map(_Survey, paths, few, count, rms, lag1, apart)
+
+
+class _Draft(NamedTuple):
+    """The answer but for the last look around the optimum."""
+
+    survey: _Survey
+    known: Identifiability
+    at_bound: NDArray[np.bool_]
+    open: NDArray[np.bool_]
+    left: float
+    """standard errors to the optimum, as far as the slopes tell"""
+    points: Floats
+    """one standard error off along each axis of the covariance, shape (points, parameters)"""
+    along: Floats
+    """the axes, shape (points, open parameters)"""
+
+
+def _drafted(optima: Sequence[Optimum], surveys: Sequence[_Survey]) -> list[_Draft]:
+    """Those of one set of open parameters are looked into together."""
+    alike: dict[bytes, list[int]] = {}
+    held = []
+    for place, (optimum, survey) in enumerate(zip(optima, surveys, strict=True)):
+        parameters = optimum.parameters
+        values = optimum.solution.values + optimum.frame.offset(len(parameters))
+        slopes = Slopes(
+            survey.few[:, -1], survey.few[:, :-1], values, parameters.lower, parameters.upper,
+            parameters.typical, parameters.free,
+        )  # fmt: skip
+        at_bound = slopes.at_bound()
+        held.append((slopes, at_bound, *slopes.open(at_bound)))
+        alike.setdefault(held[-1][2].tobytes() + at_bound.tobytes(), []).append(place)
+    known: dict[int, Identifiability] = {}
+    for places in alike.values():
+        parameters, (_, _, open_, _) = optima[places[0]].parameters, held[places[0]]
+        jacobians = [_effective_jacobian(optima[place], surveys[place]) for place in places]
+        found = analyse_many(
+            np.stack(jacobians)[..., open_], parameters.names_where(open_),
+            np.stack([held[place][0].values[open_] for place in places]),
+            parameters.typical[open_], np.stack([held[place][3] for place in places]),
+        )  # fmt: skip
+        known |= zip(places, found, strict=True)
+    drafts = []
+    for place, (optimum, survey) in enumerate(zip(optima, surveys, strict=True)):
+        slopes, at_bound, open_, _ = held[place]
+        misfit = float((slopes.residual**2).sum()) / max(int(survey.number.sum()), 1)
+        left = slopes.distance(slopes.movable()) / max(1.0, math.sqrt(misfit))
+        points, along = _at_one_error(optimum, known[place], open_)
+        drafts.append(_Draft(survey, known[place], at_bound, open_, left, points, along))
+    return drafts
+
+
+def _recorded(optimum: Optimum, draft: _Draft, around: Floats) -> FitResult:
     throw, law, load, stone, until, parameters, frame, problem, sigma, solution, tried, loss = (
         optimum
     )
+    survey, known, at_bound = draft.survey, draft.known, draft.at_bound
     n = len(throw)
-    offset = frame.offset(len(parameters))
-    values = solution.values + offset
-    seen = np.isfinite(throw.observed)
-    (path,) = yield solution.values[None]
-    curves = path[:, :n] + frame.place[:, None]
+    curves = survey.path[:, :n] + frame.place[:, None]
     residual = throw.observed - curves
-    squares = np.where(seen, residual**2, 0.0).sum(1)
-    count = seen.sum(1)
-    rms = np.sqrt(squares / np.maximum(count, 1))
-
-    free = parameters.free
-    slopes = Slopes(
-        solution.residual.reshape(-1), solution.jacobian.reshape(-1, len(parameters)), values,
-        parameters.lower, parameters.upper, parameters.typical, free,
-    )  # fmt: skip
-    at_bound = slopes.at_bound()
-    open_, slack_columns = slopes.open(at_bound)
-    jacobian = _effective_jacobian(solution, residual, problem, loss)
-    known = analyse(
-        jacobian[:, :n, open_].reshape(-1, int(open_.sum())),
-        parameters.names_where(open_),
-        values[open_],
-        parameters.typical[open_],
-        slack_columns,
-    )
-    rms_by = {name: float(rms[row]) for row, name in enumerate(CHANNELS) if count[row]}
-    lag1 = {
-        name: lag1_of(residual[row][seen[row]])
-        for row, name in enumerate(CHANNELS)
-        if count[row] > 3
-    }
-    apart = {
-        name: independence(solution.residual[row, :n][seen[row]])
-        for row, name in enumerate(CHANNELS)
-        if count[row] > 3
-    }
-    left = slopes.distance(slopes.movable()) / max(1.0, float(np.sqrt(np.mean(slopes.residual**2))))
+    counted = [(row, name) for row, name in enumerate(CHANNELS[: len(survey.number)])]
+    rms = {name: float(survey.rms[row]) for row, name in counted if survey.number[row]}
+    lag1 = {name: float(survey.lag1[row]) for row, name in counted if survey.number[row] > 3}
+    apart = {name: survey.apart[row] for row, name in counted if survey.number[row] > 3}
     converged, status, warnings = _judge(
-        law, solution, left, parameters, at_bound, known.names, tried,
-        dict(zip(CHANNELS, count, strict=True)), rms_by, apart, white=problem.colour is None,
+        law, solution, draft.left, parameters, at_bound, known.names, tried,
+        dict(zip(CHANNELS, survey.number, strict=False)), rms, apart, white=problem.colour is None,
     )  # fmt: skip
-    points, along = _at_one_error(solution, parameters, offset, known, open_)
-    bent = _bent(problem, solution, known, along, (yield points))
+    bent = _bent(solution, known, draft.along, around)
     if bent:
         warnings.append(
             f"the misfit is no parabola within a standard error of {', '.join(bent)}; these errors "
@@ -175,7 +206,8 @@ def _weighing(optimum: Optimum) -> _Weighing:
     kept = [name for name in CHANNELS if name in throw.seen or name in ("x", "y", "phi")]
     observed = {name: getattr(throw, name) for name in ("t", *kept)}
     observed |= {f"sigma_{name}": series for name, series in throw.sigma.items()}
-    fitted = dict(zip(CHANNELS, curves, strict=True))
+    free = parameters.free
+    slope, few = survey.few[:, -1], survey.few[:, :-1][:, free]
     return FitResult(
         law=law.name,
         load=load,
@@ -187,97 +219,78 @@ def _weighing(optimum: Optimum) -> _Weighing:
             "from": float(throw.t[0]),
             "to": float(throw.t[-1]),
             "until": until,
-            "sigma": {name: "estimated" if name in sigma else "given" for name in rms_by},
+            "sigma": {name: "estimated" if name in sigma else "given" for name in rms},
             "notes": list(throw.notes),
         },
         converged=converged,
         status=status,
         warnings=tuple(warnings),
         n_observations=throw.n_observations,
-        rms=rms_by,
+        rms=rms,
         sigma=sigma,
         lag1=lag1,
-        parameters=_estimates(parameters, values, known, open_, at_bound, bent),
+        parameters=_estimates(
+            parameters, solution.values + frame.offset(len(parameters)), known, draft.open,
+            at_bound, bent,
+        ),
         combinations=known.combinations,
         rank=known.rank,
         singular_values=tuple(map(float, known.singular_values)),
         null_directions=known.null_directions,
         covariance={"names": list(known.names), "matrix": known.covariance.tolist()},
         information={
-            "gradient": (
-                -np.einsum("cn,cni->i", solution.residual, solution.jacobian)[free]
-            ).tolist(),
+            "gradient": (-slope @ few).tolist(),
             "names": parameters.names_where(free),
-            "matrix": np.einsum("cni,cnj->ij", *[solution.jacobian[:, :, free]] * 2).tolist(),
+            "matrix": (few.T @ few).tolist(),
         },
         reference=throw.reference if throw.reference and throw.reference.law == law.name else None,
         observed=observed,
-        fitted=fitted,
+        fitted=dict(zip(CHANNELS, curves, strict=True)),
         loss=loss,
         independence=apart,
         outliers=outliers,
-    )
+    )  # fmt: skip
 
 
-def _effective_jacobian(
-    solution: Solution, residual: Floats, problem: Problem, loss: str
-) -> Floats:
-    """Jacobian of the residuals over their sigma, each channel by what the loss makes of it.
+def _effective_jacobian(optimum: Optimum, survey: _Survey) -> Floats:
+    """Jacobian of the residuals over their sigma, each channel by what a robust loss makes of it.
 
     The covariance of an M-estimator is that of least squares over `precision` (Huber 1981).
     """
+    problem, loss = optimum.problem, optimum.loss
     if loss == "linear":
-        return solution.jacobian
-    n = residual.shape[1]
-    jacobian = solution.jacobian.copy()
-    for row in range(len(jacobian)):
-        r = np.nan_to_num(-residual[row]) * problem.weight[row, :n]
-        jacobian[row, :n] /= steepness(r, loss)[:, None]
-        jacobian[row] *= np.sqrt(precision(r[problem.weight[row, :n] > 0], loss))
-    return jacobian
+        return survey.few[:, :-1]
+    jacobian = optimum.solution.jacobian.copy()
+    for row, weight in enumerate(problem.weight):
+        r = (survey.path[row] - problem.observed[row]) * weight
+        jacobian[row] /= steepness(r, loss)[:, None]
+        jacobian[row] *= np.sqrt(precision(r[weight > 0], loss))
+    return jacobian.reshape(-1, jacobian.shape[-1])
 
 
 def _at_one_error(
-    solution: Solution,
-    parameters: ParameterSet,
-    offset: Floats,
-    known: Identifiability,
-    open_: NDArray[np.bool_],
-) -> tuple[Floats, list[Floats]]:
+    optimum: Optimum, known: Identifiability, open_: NDArray[np.bool_]
+) -> tuple[Floats, Floats]:
     """Places one standard error off along each axis of the covariance, and these axes."""
-    points: list[Floats] = []
-    along: list[Floats] = []
-    if known.names:
-        typical = parameters.typical[open_]
-        squares, axes = np.linalg.eigh(known.covariance / np.outer(typical, typical))
-        lower, upper = parameters.lower - offset, parameters.upper - offset
-        for square, axis in zip(squares, axes.T, strict=True):
-            if not _CURVED**2 < square < _UNKNOWN**2:
-                continue
-            for sense in (1.0, -1.0):
-                values = solution.values.copy()
-                values[open_] += sense * np.sqrt(square) * axis * typical
-                if ((values >= lower) & (values <= upper)).all():
-                    points.append(values)
-                    along.append(axis)
-    return np.array(points).reshape(-1, len(parameters)), along
+    parameters, values = optimum.parameters, optimum.solution.values
+    offset, typical = optimum.frame.offset(len(parameters)), parameters.typical[open_]
+    squares, axes = np.linalg.eigh(known.covariance / np.outer(typical, typical))
+    some = (squares > _CURVED**2) & (squares < _UNKNOWN**2)
+    along = np.repeat(axes.T[some], 2, 0)
+    step = np.sqrt(squares[some]).repeat(2) * np.tile([1.0, -1.0], some.sum())
+    points = np.tile(values, (len(along), 1))
+    points[:, open_] += step[:, None] * along * typical
+    lower, upper = parameters.lower - offset, parameters.upper - offset
+    inside = ((points >= lower) & (points <= upper)).all(1)
+    return points[inside], along[inside]
 
 
-def _bent(
-    problem: Problem,
-    solution: Solution,
-    known: Identifiability,
-    along: list[Floats],
-    paths: Floats,
-) -> list[str]:
+def _bent(solution: Solution, known: Identifiability, along: Floats, misfits: Floats) -> list[str]:
     """Parameters along which one standard error does not raise chi squared by about one."""
     least = float((solution.residual**2).sum())
     found: set[str] = set()
-    for axis, path in zip(along, paths, strict=True):
-        residual = residuals_from(path, problem)
-        if LOSSES[int(problem.loss)] != "linear":
-            residual = np.asarray(signed_root(residual, problem.loss))
-        if not abs(float((residual**2).sum()) - least - 1) < _PARABOLA:
+    for axis, misfit in zip(along, misfits, strict=True):
+        if not abs(misfit - least - 1) < _PARABOLA:
             large = np.abs(axis) > 0.3 * np.abs(axis).max()
             found |= {name for name, take in zip(known.names, large, strict=True) if take}
     return [name for name in known.names if name in found]
@@ -291,9 +304,12 @@ def _outliers(throw: Throw, residual: Floats, lag1: dict[str, float]) -> tuple[d
         if len(seen) < 10 or lag1.get(name, 1.0) > _SMOOTH:
             continue
         series = throw.sigma.get(name)
+        size = np.abs(residual[row, seen])
+        if 2 * (size > size.max() / (_FAR * BULK)).sum() > len(seen):
+            continue  # the median size is so large that none is far
         bulk = max(robust_sigma(residual[row, seen]), SIGMA_FLOOR)
         sigma = np.full(len(throw), bulk) if series is None else np.maximum(series, bulk)
-        far = np.abs(residual[row, seen]) > _FAR * sigma[seen]
+        far = size > _FAR * sigma[seen]
         for place in seen[far]:
             found.append(
                 {
@@ -410,9 +426,8 @@ class Slopes(NamedTuple):
         A direction that counts as unseen would have to be followed over a thousand typical sizes.
         """
         jacobian = (self.jacobian * self.typical)[:, where]
-        few = triangle(np.column_stack([jacobian, self.residual]))
-        left, singular, _ = np.linalg.svd(few[:, :-1], full_matrices=False)
-        return float(np.linalg.norm(left[:, visible(singular)].T @ few[:, -1]))
+        left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
+        return float(np.linalg.norm(left[:, visible(singular)].T @ self.residual))
 
 
 def judged(

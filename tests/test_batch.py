@@ -72,6 +72,14 @@ def test_each_row_is_the_fit_of_that_throw(season):
         assert row["rms_y"] == pytest.approx(alone.rms["y"], rel=1e-6)
 
 
+def test_company_changes_not_a_digit(season):
+    files = sorted(season.glob("throw*.csv"))
+    together = fit_files(files, Plan())
+    for file, row in zip(files, together, strict=True):
+        assert fit_files([file], Plan()) == [row]
+    assert fit_files(files[::-1], Plan()) == together[::-1]
+
+
 def test_a_useless_file_is_a_row_with_its_reason(season):
     rows = {row["file"]: row for row in fit_files(sorted(season.glob("*.csv")), Plan())}
     broken, still = (rows[str(season / name)] for name in ("broken.csv", "still.csv"))
