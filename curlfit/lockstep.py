@@ -84,6 +84,16 @@ def solve_many(
     return fleet.solution(np.arange(len(going)))
 
 
+class _Parabola(NamedTuple):
+    """The misfits near some places, by parameters in typical sizes."""
+
+    misfit: Floats
+    gradient: Floats
+    """half of it, shape (throws, parameters)"""
+    normal: Floats
+    """half of the second derivatives, shape (throws, parameters, parameters)"""
+
+
 class _Fleet:
     """Throws on their way: the best place of each so far, what it is like there, the next to try.
 
@@ -107,14 +117,13 @@ class _Fleet:
     def take(self, now: Places, residual: Floats, jacobian: Floats) -> NDArray[np.bool_]:
         """Take the answers of a pass and choose the next places."""
         self.passes[now] += 1
-        misfit = (residual**2).sum((1, 2))
-        better = misfit <= self.misfit[now]
-        better &= np.isfinite(misfit + jacobian.sum((1, 2, 3)))
-        kept = now[better]
+        near = self._parabola(residual, jacobian)
+        better = (near.misfit <= self.misfit[now]) & np.isfinite(near.normal).all((1, 2))
         if not better.all():
+            near = _Parabola(*(part[better] for part in near))
             residual, jacobian = residual[better], jacobian[better]
-        self.best[kept] = self.trial[kept]
-        self._looked(kept, residual, jacobian)
+        self.best[now[better]] = self.trial[now[better]]
+        self._keep(now[better], residual, jacobian, near)
         self.damping[now[~better]] *= 30
         return self._chosen(now)
 
@@ -125,7 +134,8 @@ class _Fleet:
         self.problems.weight[now] = weight
         self.trial[now] = self.best[now]
         self.damping[now], self.passes[now], self.finished[now] = _FIRST_DAMPING, 1, False
-        self._looked(now, self.residual[now] * scale, self.jacobian[now] * scale[..., None])
+        residual, jacobian = self.residual[now] * scale, self.jacobian[now] * scale[..., None]
+        self._keep(now, residual, jacobian, self._parabola(residual, jacobian))
         return self._chosen(now)
 
     def solution(self, which: Places) -> Solution:
@@ -135,15 +145,21 @@ class _Fleet:
             self.finished[which],
         )  # fmt: skip
 
-    def _looked(self, now: Places, residual: Floats, jacobian: Floats) -> None:
-        """What the misfit is like at places that are the best so far."""
+    def _parabola(self, residual: Floats, jacobian: Floats) -> _Parabola:
+        count, channels, rows, size = jacobian.shape
+        matrix = jacobian.reshape(count, channels * rows, size)
+        right = residual.reshape(count, channels * rows, 1)
+        with np.errstate(invalid="ignore", over="ignore"):  # where there is no path
+            return _Parabola(
+                misfit=(right.mT @ right)[:, 0, 0],
+                gradient=(matrix.mT @ right)[..., 0] * self.typical,
+                normal=matrix.mT @ matrix * np.outer(self.typical, self.typical),
+            )
+
+    def _keep(self, now: Places, residual: Floats, jacobian: Floats, near: _Parabola) -> None:
+        """Places that are the best so far."""
         self.residual[now], self.jacobian[now] = residual, jacobian
-        _, channels, rows, size = self.jacobian.shape
-        jacobian = jacobian.reshape(len(now), channels * rows, size)
-        residual = residual.reshape(len(now), channels * rows, 1)
-        self.misfit[now] = (residual**2).sum((1, 2))
-        self.normal[now] = jacobian.mT @ jacobian * np.outer(self.typical, self.typical)
-        self.gradient[now] = (jacobian.mT @ residual)[..., 0] * self.typical
+        self.misfit[now], self.gradient[now], self.normal[now] = near
         self.damping[now] = np.maximum(self.damping[now] / 10, _LEAST_DAMPING)
 
     def _chosen(self, now: Places) -> NDArray[np.bool_]:
