@@ -255,16 +255,40 @@ trace = kept("law", "load")(model)
 
 
 @kept("law", "load")
-def traces(law: type[Law], load: Load, values: Array, problems: Problem) -> Array:
-    """What `trace` finds for each of many throws, shape (throws, 5, n)."""
+def _traces(law: type[Law], load: Load, values: Array, problems: Problem) -> Array:
     return jax.vmap(partial(model, law, load))(values, problems)
 
 
+def traced(
+    law: type[Law], load: Load, values: Floats, problems: Problem, lanes: int = LANES
+) -> Floats:
+    """What `trace` finds for each of many throws, shape (throws, 5, n), `lanes` at a time."""
+    if lanes == 1:
+        pairs = zip(values, unstacked(problems), strict=True)
+        return np.array([trace(law, load, *pair) for pair in pairs])
+    return np.asarray(by_lanes(partial(_traces, law, load), (values, problems), lanes))
+
+
 @kept("law", "load")
-def misfits(law: type[Law], load: Load, values: Array, problems: Problem) -> Array:
-    """Chi squared of each of many throws, shape (throws,); NaN where the law admits no motion.
+def _misfits(law: type[Law], load: Load, values: Array, problems: Problem) -> Array:
+    found = jax.vmap(partial(_independent, law, load))(values, problems)
+    return (signed_root(found, problems.loss[0]) ** 2).sum((1, 2))
+
+
+def chi_squared(
+    law: type[Law], load: Load, values: Floats, problems: Problem, lanes: int = LANES
+) -> Floats:
+    """Of each of many throws, shape (throws,), `lanes` at a time; NaN where there is no motion.
 
     One loss, that of the first throw, holds for all.
     """
-    found = jax.vmap(partial(_independent, law, load))(values, problems)
-    return (signed_root(found, problems.loss[0]) ** 2).sum((1, 2))
+    if not len(values):
+        return np.zeros(0)
+    if lanes > 1:
+        return np.asarray(by_lanes(partial(_misfits, law, load), (values, problems), lanes))
+    found = np.array(
+        [raw_residuals(law, load, *p) for p in zip(values, unstacked(problems), strict=True)]
+    )
+    if LOSSES[int(problems.loss[0])] != "linear":
+        found = np.asarray(signed_root(found, problems.loss[0]))
+    return np.asarray((found**2).sum((1, 2)))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 from curlfit.likelihood import (
@@ -12,10 +11,9 @@ from curlfit.likelihood import (
     SIGMA_FLOOR,
     Frame,
     Problem,
-    by_lanes,
-    misfits,
+    chi_squared,
     stacked,
-    traces,
+    traced,
 )
 
 # isort: split
@@ -85,15 +83,12 @@ def weighed_together(optima: Sequence[Optimum], lanes: int = 4 * LANES) -> list[
     problems = stacked([optimum.problem for optimum in optima])
     solutions = Solution(*map(np.stack, zip(*(item.solution for item in optima), strict=True)))
     law, load = optima[0].law, optima[0].load
-    paths = by_lanes(partial(traces, law, load), (solutions.values, problems), lanes)
+    paths = traced(law, load, solutions.values, problems, lanes)
     drafts = _drafted(optima, list(_surveyed(problems, solutions, paths)))
     points = [draft.points for draft in drafts]
     owners = np.repeat(np.arange(len(optima)), [len(item) for item in points])
-    around = np.zeros(0)
-    if len(owners):
-        of_owners = jax.tree.map(lambda leaf: leaf[owners], problems)
-        look = partial(misfits, law, load)
-        around = by_lanes(look, (np.concatenate(points), of_owners), lanes)
+    of_owners = jax.tree.map(lambda leaf: leaf[owners], problems)
+    around = chi_squared(law, load, np.concatenate(points), of_owners, lanes)
     ends = np.cumsum([len(item) for item in points])[:-1]
     return list(map(_recorded, optima, drafts, np.split(around, ends)))
 
