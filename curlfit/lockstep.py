@@ -28,7 +28,9 @@ Places = NDArray[np.intp]
 
 _FIRST_DAMPING = 1e-4
 _LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e8
-_GAIN = 1e-8  # of the misfit, that a step would win: a last one, taken without another look
+_GAIN, _AFTER = 1e-8, 1e-10
+"""Shares of the misfit that a step would win, and the one after it: a last step, taken without
+another look."""
 _MOST_PASSES = 80
 
 
@@ -108,6 +110,7 @@ class _Fleet:
         count, size = self.best.shape
         self.misfit = np.full(count, np.inf)
         self.damping = np.full(count, _FIRST_DAMPING)
+        self.hoped = np.full(count, np.nan)  # fall of the misfit by the step before
         self.passes = np.zeros(count, int)
         self.finished = np.zeros(count, bool)
         shape = self.problems.observed.shape
@@ -125,6 +128,7 @@ class _Fleet:
         self.best[now[better]] = self.trial[now[better]]
         self._keep(now[better], residual, jacobian, near)
         self.damping[now[~better]] *= 30
+        self.hoped[now[~better]] = np.nan
         return self._chosen(now)
 
     def reweigh(self, now: Places, weight: Floats) -> NDArray[np.bool_]:
@@ -132,7 +136,7 @@ class _Fleet:
         before = self.problems.weight[now]
         scale = weight / np.where(before > 0, before, 1.0)
         self.problems.weight[now] = weight
-        self.trial[now] = self.best[now]
+        self.trial[now], self.hoped[now] = self.best[now], np.nan
         self.damping[now], self.passes[now], self.finished[now] = _FIRST_DAMPING, 1, False
         residual, jacobian = self.residual[now] * scale, self.jacobian[now] * scale[..., None]
         self._keep(now, residual, jacobian, self._parabola(residual, jacobian))
@@ -173,7 +177,12 @@ class _Fleet:
             # Cut off at a bound a step may lead uphill; a shorter one does not.
             trying &= (gain < -_GAIN * self.misfit[now]) & (self.damping[now] < _MOST_DAMPING)
             self.damping[now[trying]] *= 30
-        last = ~lost & (gain <= _GAIN * np.where(lost, 0.0, self.misfit[now]))
+        # The step after this would win less by as much again as this than the one before.
+        fewer = gain / np.maximum(self.hoped[now], 1e-300)
+        after = gain * np.where(fewer < 1, fewer, 1.0)
+        misfit = np.where(lost, 0.0, self.misfit[now])
+        last = ~lost & (gain <= _GAIN * misfit) & (after <= _AFTER * misfit)
+        self.hoped[now] = gain
         done = now[last]
         move = (self.trial[done] - self.best[done])[:, None, :, None]
         self.residual[done] += (self.jacobian[done] @ move)[..., 0]
