@@ -13,7 +13,7 @@ from curlfit.friction import Law, check_load, find_law
 from curlfit.parameters import START, ParameterSet
 from curlfit.stone import Stone
 
-CHUNK = 256
+CHUNK = 128
 """Throws that are read and fitted together."""
 _SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")
 
