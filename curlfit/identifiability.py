@@ -151,7 +151,7 @@ def analyse_many(
             covariance=covariance_,
             unseen=unseen_,
             combinations=_combinations(
-                right_[singular_ < _WEAK], weak_, names, values_, typical, covariance_
+                right_[~seen_ | (singular_ < _WEAK)], weak_, names, values_, typical, covariance_
             ),
         )
         for right_, singular_, seen_, unseen_, weak_, values_, covariance_ in zip(
@@ -173,7 +173,7 @@ def _combinations(
         return ()
     found: dict[str, Combination] = {}
     _, size, rows = np.linalg.svd((dim * typical)[:, weak])
-    rank = (size > size[0] * max(len(dim), weak.sum()) * np.finfo(float).eps).sum()
+    rank = (size > size[:1] * max(len(dim), weak.sum()) * np.finfo(float).eps).sum()
     for row in _tidy_basis(rows[rank:]):
         weights = _named(row, names, weak)
         if len(weights) < 2:

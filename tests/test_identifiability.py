@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from curlfit.identifiability import analyse, expression
+from curlfit.identifiability import analyse, analyse_many, expression
 
 
 def _analysed(jacobian, names, typical=None):
@@ -84,3 +84,27 @@ def test_fewer_observations_than_parameters():
 )
 def test_expressions(weights, text):
     assert expression(weights) == text
+
+
+def test_what_is_lost_in_rounding_beside_a_large_number_is_not_seen():
+    base = np.linalg.qr(np.random.default_rng(4).standard_normal((30, 3)))[0]
+    jacobian = np.stack([1e12 * base[:, 0], 5 * (base[:, 1] + base[:, 2]), 5 * base[:, 1]], 1)
+    found = _analysed(jacobian, ["a", "b", "c"])
+    assert found.rank == 1
+    np.testing.assert_array_equal(found.unseen, [False, True, True])
+    assert not found.combinations
+
+
+def test_many_are_analysed_as_each_alone():
+    jacobians = np.random.default_rng(5).standard_normal((6, 40, 3)) * 30
+    jacobians[3, :, 2] = jacobians[3, :, 1]
+    jacobians[4, :, 0] *= 1e-5
+    names, values, typical = ["a", "b", "c"], np.ones((6, 3)), np.array([1.0, 0.1, 0.1])
+    for jacobian, found in zip(
+        jacobians, analyse_many(jacobians, names, values, typical), strict=True
+    ):
+        alone = analyse(jacobian, names, np.ones(3), typical)
+        assert found.rank == alone.rank == np.linalg.matrix_rank(jacobian * typical, tol=1e-3)
+        assert found.combinations == alone.combinations
+        assert found.null_directions == alone.null_directions
+        np.testing.assert_array_equal(found.covariance, alone.covariance)
