@@ -81,7 +81,10 @@ def answering() -> None:
 
 
 def forward() -> None:
-    """One path of 201 times under vmap, against scipy."""
+    """One path of 201 times under vmap, against scipy and diffrax.
+
+    The first-order law has the closed form of eq. 27 in place of the ring: the floor.
+    """
     import jax
     import peer_scipy
 
@@ -100,6 +103,7 @@ def forward() -> None:
     for name, load in (
         ("front-back", "uniform"), ("coulomb", "uniform"), ("power", "uniform"),
         ("semi-empirical", "uniform"), ("front-back", "consistent"),
+        ("front-back-first-order", "uniform"),
     ):  # fmt: skip
         law, stone = LAWS[name](), Stone(R=0.054)
 
@@ -110,6 +114,37 @@ def forward() -> None:
         function = jax.jit(jax.vmap(places))
         taken = best(lambda function=function: function(v, omega)) / lanes  # type: ignore[misc]
         row(f"vmap of {lanes}, {name}, {load}", f"{taken * 1e6:.1f} us a path", taken / script)
+    taken = _by_diffrax(v, omega, t) / lanes
+    row(f"diffrax, vmap of {lanes}, front-back", f"{taken * 1e6:.1f} us a path", taken / script)
+
+
+def _by_diffrax(v: Any, omega: Any, t: Any) -> float:
+    """s for the same paths by diffrax, whose steps adapt to errors of 1e-8."""
+    import diffrax
+    import jax
+    import jax.numpy as jnp
+
+    from curlfit import LAWS, Stone
+    from curlfit.contact import accelerations
+
+    law, stone = LAWS["front-back"](), Stone(R=0.054)
+
+    def rates(_: Any, state: Any, __: Any) -> Any:
+        v, heading, phi, omega = state[2:]
+        a = accelerations(law, stone, "uniform", v, omega, phi)
+        east, north = v * jnp.sin(heading), v * jnp.cos(heading)
+        return jnp.stack([east, north, a.eta, a.xi / v, omega, a.angular])
+
+    def path(v: Any, omega: Any) -> Any:
+        begin = jnp.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0]).at[2].set(v).at[5].set(omega)
+        return diffrax.diffeqsolve(
+            diffrax.ODETerm(rates), diffrax.Tsit5(), 0.0, float(t[-1]), 0.1, begin,
+            saveat=diffrax.SaveAt(ts=t),
+            stepsize_controller=diffrax.PIDController(rtol=1e-8, atol=1e-8),
+        ).ys  # fmt: skip
+
+    function = jax.jit(jax.vmap(path))
+    return best(lambda: function(v, omega))
 
 
 def batch() -> None:
