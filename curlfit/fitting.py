@@ -34,7 +34,7 @@ from curlfit.noise import check_noise, fitted_noise
 from curlfit.parameters import ParameterSet, check_loss
 from curlfit.remedies import remedies
 from curlfit.results import FitResult
-from curlfit.solving import Solution, alone, best_of, descend, residual_sigma, starts
+from curlfit.solving import Solution, best_of, descend, residual_sigma, starts
 from curlfit.starting import smooth
 from curlfit.stone import Stone
 from curlfit.throw import CHANNELS, Throw
@@ -211,7 +211,7 @@ def estimated_sigma(
     solution: Solution, problem: Problem, parameters: ParameterSet, names: Iterable[str]
 ) -> dict[str, float]:
     """Sigma of some channels from the scatter about an optimum (see `residual_sigma`)."""
-    (found,) = residual_sigma(alone(solution), stacked([problem]), parameters.free[None])
+    (found,) = residual_sigma(stacked([solution]), stacked([problem]), parameters.free[None])
     return {name: float(found[CHANNELS.index(name)]) + SIGMA_FLOOR for name in names}
 
 

@@ -135,8 +135,11 @@ def analyse_many(
     covariance = typical[:, None] * (inverse @ inverse.mT) * typical
     if slack is not None:
         covariance = covariance + slack @ slack.mT
-    # How far each parameter takes part in some directions, 0 to 1.
-    part = lambda some: np.sqrt((right**2 * some[..., None]).sum(1))  # noqa: E731
+
+    def part(some: NDArray[np.bool_]) -> Floats:
+        """How far each parameter takes part in some directions, 0 to 1."""
+        return np.sqrt((right**2 * some[..., None]).sum(1))
+
     unseen = part(~seen) > _NO_PART
     weak = unseen | (part(seen & (singular < _WEAK)) > _LITTLE_PART)
     return [

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,14 +32,15 @@ from curlfit.files import known, read_json, write_json
 from curlfit.fitting import bulk_sigma, estimated_sigma, first_sigma, prepared, shifted
 from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
 from curlfit.identifiability import Combination, analyse
-from curlfit.likelihood import Problem, linearised, problem_of, raw_residuals, stacked
+from curlfit.likelihood import Problem, by_lanes, linearised, problem_of, raw_residuals, stacked
 from curlfit.parameters import ParameterSet, check_loss
 from curlfit.results import Estimate, FitResult, load_fit
+from curlfit.slopes import Slopes, judged
 from curlfit.solving import Solution
 from curlfit.starting import smooth, start_values
 from curlfit.stone import Stone
 from curlfit.throw import Throw
-from curlfit.weighing import Optimum, Slopes, judged, weighed
+from curlfit.weighing import Optimum, weighed
 
 Floats = NDArray[np.float64]
 
@@ -202,19 +204,16 @@ class _Bench:
 
     def __init__(self, law: type[Law], load: Load, problems: Sequence[Problem]) -> None:
         self.law, self.load, self.count = law, load, len(problems)
-        fill = -self.count % _TOGETHER
-        every = [*problems, *[problems[-1]] * fill]
-        rows = max(problem.observed.shape[0] for problem in every)
-        size = max(problem.observed.shape[1] for problem in every)
-        padded = [_padded(problem, rows, size) for problem in every]
-        self.stacked = stacked(padded)
+        rows = max(problem.observed.shape[0] for problem in problems)
+        size = max(problem.observed.shape[1] for problem in problems)
+        self.stacked = stacked([_padded(problem, rows, size) for problem in problems])
 
     def at(self, values: Floats) -> tuple[Floats, Floats]:
         """Residual and Jacobian for values of shape (throws, parameters)."""
-        fill = len(self.stacked.times) - self.count
-        every = np.concatenate([values, np.repeat(values[-1:], fill, 0)])
-        residual, jacobian = linearised(self.law, self.load, every, self.stacked)
-        return np.asarray(residual)[: self.count], np.asarray(jacobian)[: self.count]
+        lanes = -(-self.count // _TOGETHER) * _TOGETHER
+        program = partial(linearised, self.law, self.load)
+        residual, jacobian = by_lanes(program, (values, self.stacked), lanes)
+        return residual, jacobian
 
 
 def _padded(problem: Problem, rows: int, size: int) -> Problem:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from curlfit.motion import Start, places, simulate
 
@@ -39,6 +39,7 @@ from curlfit.throw import CHANNELS, Throw
 from curlfit.whitening import colour_of, whitened
 
 Floats = NDArray[np.float64]
+Record = TypeVar("Record")
 
 SIGMA_FLOOR = 1e-7
 """Least noise (m and rad) that is believed: the precision of the computed path."""
@@ -131,15 +132,6 @@ def _size(throw: Throw, sigma: dict[str, float], name: str) -> Any:
     return sigma.get(name, 1.0) if given is None else np.where(given > 0, given, 1.0)
 
 
-def reweighed(problem: Problem, sigma: dict[str, float]) -> Problem:
-    """The same white problem with another sigma for some channels."""
-    weight = problem.weight.copy()
-    for row, name in enumerate(CHANNELS[: len(weight)]):
-        if name in sigma:
-            weight[row, weight[row] > 0] = 1 / sigma[name]
-    return problem._replace(weight=weight)
-
-
 def split(law: type[Law], values: Any) -> tuple[Law, Start]:
     """A parameter vector as law and start."""
     k = len(law.coefficients())
@@ -226,9 +218,11 @@ def raw_residuals(law: type[Law], load: Load, values: Floats, problem: Problem) 
     return residual if problem.colour is None else np.asarray(whitened(residual, problem.colour))
 
 
-def stacked(problems: Sequence[Problem]) -> Problem:
-    """Problems of one shape as one, with the throws along the first axis of each array."""
-    return jax.tree.map(lambda *leaves: np.stack(leaves), *problems)
+def stacked(each: Sequence[Record]) -> Record:
+    """Problems or other records of one shape as one, with the throws along the first axis of each
+    array."""
+    found: Record = jax.tree.map(lambda *leaves: np.stack(leaves), *each)
+    return found
 
 
 def unstacked(stack: Any) -> list[Any]:
@@ -275,10 +269,11 @@ def _misfits(law: type[Law], load: Load, values: Array, problems: Problem) -> Ar
     return (signed_root(found, problems.loss[0]) ** 2).sum((1, 2))
 
 
-def chi_squared(
+def misfits(
     law: type[Law], load: Load, values: Floats, problems: Problem, lanes: int = LANES
 ) -> Floats:
-    """Of each of many throws, shape (throws,), `lanes` at a time; NaN where there is no motion.
+    """Chi squared of each of many throws, shape (throws,), `lanes` at a time; NaN where there is no
+    motion.
 
     One loss, that of the first throw, holds for all.
     """

@@ -59,7 +59,7 @@ def solve_many(
 ) -> Solution:
     """The optima of many problems, throws along the first axis of each field.
 
-    A misfit that is not finite says that there was no path even at the start.
+    Residuals that are not finite say that there was no path even at the start.
 
     Parameters
     ----------

@@ -309,9 +309,13 @@ def lag1_of(residual: Floats, count: NDArray[np.int64]) -> Floats:
     ----------
     residual : shape (..., n), of which the first `count` are meant, shape (...).
     """
-    centred = _centred(residual, count)
+    return _lag1(_centred(residual, count))
+
+
+def _lag1(centred: Floats) -> Floats:
     total = (centred**2).sum(-1)
-    return (centred[..., 1:] * centred[..., :-1]).sum(-1) / np.where(total > 0, total, 1.0)
+    found: Floats = (centred[..., 1:] * centred[..., :-1]).sum(-1) / np.where(total > 0, total, 1.0)
+    return found
 
 
 def _centred(residual: Floats, count: NDArray[np.int64]) -> Floats:
@@ -322,7 +326,8 @@ def _centred(residual: Floats, count: NDArray[np.int64]) -> Floats:
 
 def independences(residual: Floats, count: NDArray[np.int64]) -> list[list[Independence]]:
     """Of the residuals of channels of throws, shape (throws, channels, n), the first `count`."""
-    centred, lag1 = _centred(residual, count), lag1_of(residual, count)
+    centred = _centred(residual, count)
+    lag1 = _lag1(centred)
     up, n = centred > 0, np.maximum(count, 2)
     above = up.sum(-1)
     pairs = np.arange(1, residual.shape[-1]) < count[..., None]
@@ -334,8 +339,3 @@ def independences(residual: Floats, count: NDArray[np.int64]) -> list[list[Indep
     effective = count * np.minimum((1 - lag1) / (1 + lag1), 1.0)
     parts = np.stack([lag1, z, effective], -1).tolist()
     return [[Independence(*channel) for channel in throw] for throw in parts]
-
-
-def independence(residual: Floats) -> Independence:
-    """Of the residuals of a channel, shape (n,)."""
-    return independences(residual[None, None], np.array([[len(residual)]]))[0][0]

@@ -32,10 +32,10 @@ from curlfit.parameters import ParameterSet
 from curlfit.results import FitResult
 from curlfit.separating import Separation, Split, separation
 from curlfit.sheet import LINES, TEE, TEE_TO_BACK
+from curlfit.slopes import judged
 from curlfit.stone import Stone
 from curlfit.synthetic import law_with
 from curlfit.throw import CHANNELS
-from curlfit.weighing import judged
 
 Floats = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from curlfit.errors import UnusableFitError
 from curlfit.fitting import shifted
 from curlfit.friction import check_load
-from curlfit.likelihood import frame_of, problem_of
+from curlfit.likelihood import frame_of, problem_of, unstacked
 from curlfit.lockstep import Tasks, solve_many
 from curlfit.parameters import ParameterSet
 from curlfit.results import FitResult
@@ -93,10 +93,8 @@ class Refit:
 
         found = solve_many(self.law, self.load, work, arrived=arrived)
         whole = np.isfinite(found.residual).all((1, 2))
-        return [
-            Solution(*(part[place] for part in found)) if there else None
-            for place, there in enumerate(whole)
-        ]
+        each = unstacked(found)
+        return [one if there else None for one, there in zip(each, whole, strict=True)]
 
     def places(
         self, names: Sequence[str], points: Floats, starts: Sequence[Floats]

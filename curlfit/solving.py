@@ -117,7 +117,7 @@ def best_of(
     found: Solution | None = None
     tried = 0
     for values in tries:
-        if found is not None and not poor(alone(found), path, stacked([problem]))[0]:
+        if found is not None and not poor(stacked([found]), path, stacked([problem]))[0]:
             break
         tried += 1
         other = descend(law, load, values, parameters, problem)
@@ -163,8 +163,3 @@ def residual_sigma(
     largest = problems.weight.max(-1)
     rms = np.sqrt((solutions.residual**2).sum(-1) / room)
     return np.where(largest > 0, rms / np.where(largest > 0, largest, 1.0), 0.0)
-
-
-def alone(solution: Solution) -> Solution:
-    """One optimum as the only one of many."""
-    return Solution(*(np.asarray(part)[None] for part in solution))

@@ -11,7 +11,7 @@ from curlfit.likelihood import (
     SIGMA_FLOOR,
     Frame,
     Problem,
-    chi_squared,
+    misfits,
     stacked,
     traced,
 )
@@ -22,21 +22,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
-from curlfit.identifiability import Identifiability, analyse_many, slack, triangle, visible
+from curlfit.identifiability import Identifiability, analyse_many, triangle
 from curlfit.losses import BULK, precision, robust_sigma, steepness
 from curlfit.noise import Independence, independences, lag1_of
 from curlfit.parameters import ParameterSet
 from curlfit.results import Estimate, FitResult
+from curlfit.slopes import Slopes, judged
 from curlfit.solving import Solution
 from curlfit.stone import Stone
 from curlfit.throw import CHANNELS, Throw
 
 Floats = NDArray[np.float64]
 
-_LOOSE = 0.1  # typical sizes a parameter may be inside its bound before it counts as held by it
-_NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
-_PUSHED = 10.0  # times the slope along those inside that a parameter at a bound is pushed with ...
-_LEAST_PUSH, _CLEAR_PUSH = 1e-6, 1e-3  # ... within these limits, half chi squared a typical size
 _CURVED = 0.003  # typical sizes of a standard error, below which the misfit is a parabola
 _UNKNOWN = 3.0  # the same, above which nothing is known anyway
 _PARABOLA = 0.5  # how far chi squared may be from one higher at one standard error
@@ -81,14 +78,14 @@ def weighed_together(optima: Sequence[Optimum], lanes: int = 4 * LANES) -> list[
     if not optima:
         return []
     problems = stacked([optimum.problem for optimum in optima])
-    solutions = Solution(*map(np.stack, zip(*(item.solution for item in optima), strict=True)))
+    solutions = stacked([optimum.solution for optimum in optima])
     law, load = optima[0].law, optima[0].load
     paths = traced(law, load, solutions.values, problems, lanes)
     drafts = _drafted(optima, list(_surveyed(problems, solutions, paths)))
     points = [draft.points for draft in drafts]
     owners = np.repeat(np.arange(len(optima)), [len(item) for item in points])
     of_owners = jax.tree.map(lambda leaf: leaf[owners], problems)
-    around = chi_squared(law, load, np.concatenate(points), of_owners, lanes)
+    around = misfits(law, load, np.concatenate(points), of_owners, lanes)
     ends = np.cumsum([len(item) for item in points])[:-1]
     return list(map(_recorded, optima, drafts, np.split(around, ends)))
 
@@ -126,6 +123,8 @@ class _Draft(NamedTuple):
     """The answer but for the last look around the optimum."""
 
     survey: _Survey
+    values: Floats
+    """in the data's coordinates"""
     known: Identifiability
     at_bound: NDArray[np.bool_]
     open: NDArray[np.bool_]
@@ -167,7 +166,9 @@ def _drafted(optima: Sequence[Optimum], surveys: Sequence[_Survey]) -> list[_Dra
         misfit = float((slopes.residual**2).sum()) / max(int(survey.number.sum()), 1)
         left = slopes.distance(slopes.movable()) / max(1.0, math.sqrt(misfit))
         points, along = _at_one_error(optimum, known[place], open_)
-        drafts.append(_Draft(survey, known[place], at_bound, open_, left, points, along))
+        drafts.append(
+            _Draft(survey, slopes.values, known[place], at_bound, open_, left, points, along)
+        )
     return drafts
 
 
@@ -224,10 +225,7 @@ def _recorded(optimum: Optimum, draft: _Draft, around: Floats) -> FitResult:
         rms=rms,
         sigma=sigma,
         lag1=lag1,
-        parameters=_estimates(
-            parameters, solution.values + frame.offset(len(parameters)), known, draft.open,
-            at_bound, bent,
-        ),
+        parameters=_estimates(parameters, draft.values, known, draft.open, at_bound, bent),
         combinations=known.combinations,
         rank=known.rank,
         singular_values=tuple(map(float, known.singular_values)),
@@ -280,11 +278,11 @@ def _at_one_error(
     return points[inside], along[inside]
 
 
-def _bent(solution: Solution, known: Identifiability, along: Floats, misfits: Floats) -> list[str]:
+def _bent(solution: Solution, known: Identifiability, along: Floats, around: Floats) -> list[str]:
     """Parameters along which one standard error does not raise chi squared by about one."""
     least = float((solution.residual**2).sum())
     found: set[str] = set()
-    for axis, misfit in zip(along, misfits, strict=True):
+    for axis, misfit in zip(along, around, strict=True):
         if not abs(misfit - least - 1) < _PARABOLA:
             large = np.abs(axis) > 0.3 * np.abs(axis).max()
             found |= {name for name, take in zip(known.names, large, strict=True) if take}
@@ -352,89 +350,6 @@ def _about_given_sigma(
         f"the residuals are far larger than the sigma given ({listed}): that is too small, or the "
         "law or a fixed value is wrong; standard errors are too small by as much or more"
     ]
-
-
-class Slopes(NamedTuple):
-    """An optimum of one throw or of several, as the linear problem it is close by."""
-
-    residual: Floats
-    """over its sigma, shape (rows,)"""
-    jacobian: Floats
-    """shape (rows, parameters)"""
-    values: Floats
-    lower: Floats
-    upper: Floats
-    typical: Floats
-    free: NDArray[np.bool_]
-
-    def at_bound(self) -> NDArray[np.bool_]:
-        """Free parameters at a bound that the data push against it, be it ever so little.
-
-        Along a valley that falls without end the push may be tiny. It is told from the end of an
-        exact ridge, which is none, by what is left of the slope along the other parameters.
-        """
-        push, low, high = self._pushes()
-        rest = np.abs(push[self.free & ~low & ~high]).max(initial=0.0)
-        least = np.clip(_PUSHED * rest, _LEAST_PUSH, _CLEAR_PUSH)
-        return low & (push > least) | high & (push < -least)
-
-    def movable(self) -> NDArray[np.bool_]:
-        """Free parameters but those that only a bound keeps from moving on, however little."""
-        push, low, high = self._pushes()
-        return self.free & ~(low & (push > 0)) & ~(high & (push < 0))
-
-    def _pushes(self) -> tuple[Floats, NDArray[np.bool_], NDArray[np.bool_]]:
-        """The push against lower bounds, and which parameters are at a lower, an upper bound."""
-        near = _NEAR * self.typical
-        return (
-            self.residual @ self.jacobian * self.typical,
-            self.free & (self.values <= self.lower + near),
-            self.free & (self.values >= self.upper - near),
-        )
-
-    def open(self, at_bound: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Floats]:
-        """The parameters that can move, and what those held at a bound add to their spread.
-
-        A parameter that the data hardly push against its bound is not held by it: it is at the
-        end of a ridge, and counts as open.
-        """
-        if not at_bound.any():
-            return self.free, np.zeros((int(self.free.sum()), 0))
-        push = np.abs(self.residual @ self.jacobian)
-        room = self.upper - self.lower
-        held = at_bound.copy()
-        for _ in range(2):
-            open_ = self.free & ~held
-            found = slack(
-                self.jacobian[:, open_], self.jacobian[:, held], push[held], self.typical[held],
-                room[held],
-            )  # fmt: skip
-            loose = found.distance > _LOOSE * self.typical[held]
-            if not loose.any():
-                break
-            held[held] = ~loose
-        return open_, found.columns
-
-    def distance(self, where: NDArray[np.bool_]) -> float:
-        """Length of the Gauss-Newton step that is left, in sigmas, along what is seen.
-
-        A direction that counts as unseen would have to be followed over a thousand typical sizes.
-        """
-        jacobian = (self.jacobian * self.typical)[:, where]
-        left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
-        return float(np.linalg.norm(left[:, visible(singular)].T @ self.residual))
-
-
-def judged(
-    typical: float, at_bound: bool, known: Identifiability, place: int
-) -> tuple[float | None, str]:
-    """Standard error, where there is one, and verdict of a free parameter; its place in `known`."""
-    if at_bound:
-        return None, "at bound"
-    if known.unseen[place]:
-        return None, "not identifiable"
-    stderr = float(np.sqrt(known.covariance[place, place]))
-    return stderr, "determined" if stderr < typical else "weak"
 
 
 def _estimates(

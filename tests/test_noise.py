@@ -11,7 +11,7 @@ from conftest import command as curlfit_command
 from scipy.linalg import toeplitz
 
 import curlfit
-from curlfit.noise import Noise, independence
+from curlfit.noise import Noise, independences
 from curlfit.results import load_fit
 from curlfit.whitening import colour_of, whitened
 
@@ -74,6 +74,11 @@ def test_gp_noise_is_made_independent():
         made = w @ (covariance + np.eye(121)) @ w.T
         np.testing.assert_allclose(made[np.ix_(seen, seen)], np.eye(len(seen)), atol=2e-3)
     np.testing.assert_array_equal(operator(colour, 121, 2), np.eye(121))
+
+
+def independence(series):
+    """Of one channel of one throw."""
+    return independences(series[None, None], np.array([[len(series)]]))[0][0]
 
 
 def test_independence_by_hand():

@@ -115,10 +115,11 @@ def _by_pace(time: Floats, step: Floats, dt: Floats, period: float, seen: np.nda
 
 def _without_jumps(step: Floats, dt: Floats) -> Floats:
     """An angle that counts on: single steps that are a whole turn off."""
-    rate = step / dt
-    farthest = np.abs(step).max() + np.abs(rate).max() * dt.max()
-    if len(step) < 5 or farthest < 0.85 * _TURN:  # no step can be off by as much as a jump
+    if len(step) < 5:
         return step
+    rate = step / dt
+    if np.abs(step).max() + np.abs(rate).max() * dt.max() < 0.85 * _TURN:
+        return step  # none can be off by as much as a jump
     padded = np.pad(rate, 2, "edge")
     pace = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
     off = step - pace * dt

@@ -24,8 +24,6 @@ import numpy as np
 
 HERE = Path(__file__).parent
 DATA = HERE.parent.parent / "data" / "jensen_shegelski_2004.csv"
-
-
 _SEASON = 4096  # throws of a batch; the time of the first quarter is taken off, as it starts up
 
 
@@ -136,7 +134,7 @@ def _by_diffrax(v: Any, omega: Any, t: Any) -> float:
         return jnp.stack([east, north, a.eta, a.xi / v, omega, a.angular])
 
     def path(v: Any, omega: Any) -> Any:
-        begin = jnp.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0]).at[2].set(v).at[5].set(omega)
+        begin = jnp.array([0.0, 0.0, v, 0.0, 0.0, omega])
         return diffrax.diffeqsolve(
             diffrax.ODETerm(rates), diffrax.Tsit5(), 0.0, float(t[-1]), 0.1, begin,
             saveat=diffrax.SaveAt(ts=t),
