@@ -17,12 +17,12 @@ derivatives with respect to the edge.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from curlfit import backend  # noqa: F401  (configures JAX before its first use)
+from curlfit import powers  # noqa: F401  (configures JAX before its first use)
 
 # isort: split
 import jax
@@ -123,6 +123,12 @@ class _Panel(NamedTuple):
     weight: Array
 
 
+class _Mirrored(NamedTuple):
+    """The front half of a ring whose back half is its mirror image."""
+
+    front: _Panel
+
+
 def crowding(v: Array, u: Array) -> Crowding:
     """Places of the nodes for a speed `v >= 0` and `u = R omega`, in m/s; any shape."""
     v, u = jax.lax.stop_gradient((v, u))
@@ -154,7 +160,14 @@ def _nodes(side: Array, width: Array, reach: Array, low: Any, high: Any) -> Node
 
 
 def panels(
-    law: LocalLaw, v: Array, u: Array, turned: Array, time: Array, crowd: Crowding | None = None
+    law: LocalLaw,
+    v: Array,
+    u: Array,
+    turned: Array,
+    time: Array,
+    crowd: Crowding | None = None,
+    *,
+    halves: Sequence[float] = (1.0, 0.0),
 ) -> list[_Panel]:
     """Gauss points of the ring under uniform load, in panels within which friction is smooth.
 
@@ -163,6 +176,7 @@ def panels(
     v, u : speed of the centre (>= 0) and `R omega`, in m/s, of shape S.
     turned, time : angle turned (rad) and time (s) since release.
     crowd : where the nodes stand, if that is known already.
+    halves : front (1.0) and back (0.0), or one of them.
 
     Returns
     -------
@@ -207,7 +221,8 @@ def panels(
     start, end = jnp.zeros_like(side), jnp.ones_like(side)
     found = []
     edges = law.edges(turned)
-    for front, cuts in ((1.0, edges.front), (0.0, edges.back)):
+    for front in halves:
+        cuts = edges.front if front else edges.back
         if not cuts:
             found.append(panel(whole, front))
             continue
@@ -228,7 +243,7 @@ class _Halves(NamedTuple):
     time: Array
 
 
-_Ring = list[_Panel] | _Halves
+_Ring = list[_Panel] | _Mirrored | _Halves
 
 
 def _force(law: LocalLaw, ring: _Ring, tilt: tuple[Any, Any]) -> tuple[Any, ...]:
@@ -248,6 +263,10 @@ def _force(law: LocalLaw, ring: _Ring, tilt: tuple[Any, Any]) -> tuple[Any, ...]
             moment += across[1] * right.xi + along[1] * forward.xi
             moment -= across[0] * right.eta + along[0] * forward.eta
         return t_xi, t_eta, moment
+    if isinstance(ring, _Mirrored):
+        # What is felt to the right in front is felt to the left behind.
+        _, t_eta, moment = _force(law, [ring.front], tilt)
+        return jnp.zeros_like(t_eta), 2 * t_eta, 2 * moment
     for points, weight in ring:
         load = 1 + p * points.xi + q * points.eta
         # A trial load may be negative; a law need not know what to do with that.
@@ -290,28 +309,55 @@ def _sees_turned_and_time(law: Law, stone: Stone) -> list[bool]:
     return _seen(felt, one, one)
 
 
+def _is_linear(function: Callable[..., Any], size: int, others: int) -> bool:
+    """Whether a function is a constant matrix times its first `size` inputs, whatever the others
+    are."""
+    one: Any = np.ones(())
+    inputs = (one,) * (size + others)
+
+    def slope(*given: Array) -> Any:
+        those = lambda *first: function(*first, *given[size:])  # noqa: E731
+        return jax.jvp(those, given[:size], inputs[:size])[1]
+
+    with jax.ensure_compile_time_eval():
+        at_zero = jax.tree.leaves(function(*(0 * one for _ in range(size)), *inputs[size:]))
+        still = any(float(part) for part in at_zero)
+    return not (still or any(_seen(slope, *inputs)) or any(_seen(function, *inputs)[size:]))
+
+
+def _some(kind: type[LocalLaw]) -> LocalLaw:
+    return kind.from_vector([0.1 + 0.01 * place for place, _ in enumerate(kind.coefficients())])
+
+
 @cache
 def _is_tensor(kind: type[LocalLaw], load: Load) -> bool:
     """Whether traction on each half is a constant tensor times the direction of sliding."""
-    law = kind.from_vector([0.1 + 0.01 * place for place, _ in enumerate(kind.coefficients())])
+    law = _some(kind)
     if any(law.edges(1.0)):
         return False
-    one: Any = np.ones(())
-    free = {"front", "turned", "time"} | ({"load"} if load == "uniform" else set())
+    free = {"front", "turned", "time", "e_xi", "e_eta"}
+    free |= {"load"} if load == "uniform" else set()
+    names = ["e_xi", "e_eta", *(name for name in RingPoint._fields if name not in free)]
 
-    def along(e_xi: Array, e_eta: Array, *others: Array) -> Any:
-        given = dict(zip(bound, others, strict=True))
-        return law.traction(_POINT._replace(e_xi=e_xi, e_eta=e_eta, **given))
+    def traction(*given: Array) -> Any:
+        return law.traction(_POINT._replace(**dict(zip(names, given, strict=True))))
 
-    def slope(e_xi: Array, e_eta: Array, *others: Array) -> Any:
-        both = lambda *e: along(*e, *others)  # noqa: E731
-        return jax.jvp(both, (e_xi, e_eta), (one, one))[1]
+    return _is_linear(traction, 2, len(names) - 2)
 
-    bound = [name for name in RingPoint._fields if name not in free | {"e_xi", "e_eta"}]
-    inputs = (one,) * (2 + len(bound))
-    with jax.ensure_compile_time_eval():
-        still = any(float(part) for part in along(0 * one, 0 * one, *inputs[2:]))
-    return not (still or any(_seen(slope, *inputs)) or any(_seen(along, *inputs)[2:]))
+
+@cache
+def _is_mirrored(kind: type[LocalLaw], load: Load) -> bool:
+    """Whether friction behind is the mirror image of that in front, as under an isotropic law."""
+    law = _some(kind)
+    if load != "uniform" or any(law.edges(1.0)):
+        return False
+    names = ("e_xi", "slide_xi", "eta", "angle", "front")  # what differs between the halves
+
+    def traction(part: int, *given: Array) -> Any:
+        return law.traction(_POINT._replace(**dict(zip(names, given, strict=True))))[part]
+
+    seen = _seen(partial(traction, 1), *(np.ones(()) for _ in names))
+    return not any(seen) and _is_linear(partial(traction, 0), 1, len(names) - 1)
 
 
 def _imbalance(law: LocalLaw, ring: _Ring, stone: Stone, tilt: Array) -> Array:
@@ -380,6 +426,8 @@ def _ring(kind: Any, load: Load, inputs: _Inputs, crowd: Crowding) -> _Ring:
     law, stone, v, omega, turned, time = _parted(kind, inputs)
     if _is_tensor(kind, load):
         return _Halves(*directions(v, stone.R * omega), turned, time)
+    if _is_mirrored(kind, load):
+        return _Mirrored(*panels(law, v, stone.R * omega, turned, time, crowd, halves=(1.0,)))
     return panels(law, v, stone.R * omega, turned, time, crowd)
 
 

@@ -13,7 +13,7 @@ from scipy.special import ellipe, ellipk
 
 from curlfit import LAWS, LocalLaw, Stone, coefficient
 from curlfit.contact import accelerations
-from curlfit.friction import Edges
+from curlfit.friction import Edges, RingPoint, power
 from curlfit.friction.base import on_new_law
 
 STONE = Stone(R=0.065, rho=0.1, h=0.057)
@@ -92,7 +92,22 @@ def test_closed_form_and_quadrature_agree_with_all_derivatives(name, load):
             np.testing.assert_allclose(closed, summed, rtol=1e-8, atol=1e-9)
 
 
-@pytest.mark.parametrize("uneven", ["cubed", "pulled", "edged", "fast"])
+# How friction departs from Coulomb's: share added to its coefficient, and a pull to the right and
+# forward.
+UNEVEN = {
+    "cubed": lambda p: (p.e_eta**2, 0.0, 0.0),
+    "pulled": lambda p: (0.0, 0.0, 0.1),
+    "dragged": lambda p: (0.0, 0.1, 0.0),
+    "edged": lambda p: (1.0 * (p.angle < 1.0) * p.front, 0.0, 0.0),
+    "fast": lambda p: (p.speed, 0.0, 0.0),
+    "ahead": lambda p: (0.3 * p.eta, 0.0, 0.0),
+    "in front": lambda p: (0.3 * p.front, 0.0, 0.0),
+    "sideways": lambda p: (0.3 * p.slide_xi, 0.0, 0.0),
+    "askew": lambda p: (0.1 * p.e_xi * p.speed, 0.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("uneven", UNEVEN)
 def test_friction_that_is_not_linear_in_the_direction_is_summed_point_by_point(uneven):
     class Uneven(LocalLaw):
         mu: float = coefficient(0.01, "")
@@ -101,29 +116,23 @@ def test_friction_that_is_not_linear_in_the_direction_is_summed_point_by_point(u
             return Edges(front=(1.0,)) if uneven == "edged" else Edges()
 
         def traction(self, point):
-            more = {
-                "cubed": point.e_eta**2,
-                "pulled": 0.0,
-                "edged": 1.0 * (point.angle < 1.0) * point.front,
-                "fast": point.speed,
-            }[uneven]
-            pull = 0.1 * self.mu if uneven == "pulled" else 0.0
+            more, right, forward = UNEVEN[uneven](point)
             return (
-                -self.mu * (1 + more) * point.e_xi,
-                -self.mu * (1 + more) * point.e_eta + pull,
+                self.mu * (right - (1 + more) * point.e_xi),
+                self.mu * (forward - (1 + more) * point.e_eta),
             )
 
     on_new_law[0](Uneven)
     v, u = 1.2, 0.5
-    a = np.linspace(0, 2 * np.pi, 2_000_001)[:-1] + np.pi / 2_000_000
+    a = np.linspace(-np.pi, np.pi, 2_000_001)[:-1] + np.pi / 2_000_000
     slide = -u * np.sin(a), v + u * np.cos(a)
     speed = np.hypot(*slide)
-    more = {
-        "cubed": (slide[1] / speed) ** 2, "pulled": 0.0, "edged": 1.0 * (a < 1.0), "fast": speed
-    }[uneven]  # fmt: skip
-    pull = 0.001 if uneven == "pulled" else 0.0
-    t_xi, t_eta = (-0.01 * (1 + more) * part / speed for part in slide)
-    t_eta = t_eta + pull
+    point = RingPoint(
+        xi=np.cos(a), eta=np.sin(a), angle=a, front=1.0 * (a > 0), slide_xi=slide[0],
+        slide_eta=slide[1], speed=speed, e_xi=slide[0] / speed, e_eta=slide[1] / speed,
+        load=1.0, turned=0.0, time=0.0,
+    )  # fmt: skip
+    t_xi, t_eta = (part + 0 * a for part in Uneven(0.01).traction(point))
     exact = t_xi.mean(), t_eta.mean(), (np.cos(a) * t_eta - np.sin(a) * t_xi).mean()
     found = over_weight(Uneven(0.01), "uniform", v, u / STONE.R)
     np.testing.assert_allclose(found, exact, rtol=2e-6, atol=1e-10)
@@ -170,6 +179,18 @@ def test_rest_pure_spin_and_no_spin_are_finite_with_their_derivatives(v, omega, 
     assert np.isfinite(f(np.array([v, omega])))
     assert np.isfinite(jax.jacfwd(f)(np.array([v, omega]))).all()
     assert np.isfinite(jax.grad(f)(np.array([v, omega]))).all()
+
+
+def test_power_is_numpys_with_its_derivatives_and_nan_below_zero():
+    base = np.concatenate([np.logspace(-150, 150, 601), np.nextafter(np.sqrt([0.5, 2]), 0), [1.0]])
+    for exponent in (-0.7, -0.25, 0.0, 0.5, 1.0):
+        found = jax.jit(power)(base, exponent)
+        np.testing.assert_allclose(found, base**exponent, rtol=1e-13)
+        slopes = jax.vmap(jax.jit(jax.grad(power, (0, 1))), (0, None))(base, exponent)
+        np.testing.assert_allclose(slopes[0], exponent * base ** (exponent - 1), rtol=1e-13)
+        np.testing.assert_allclose(slopes[1], base**exponent * np.log(base), rtol=1e-13)
+    assert np.isnan(jax.jit(power)(np.array([-1.0, np.nan]), 0.5)).all()
+    assert power(4.0, 0.5) == 2.0
 
 
 def test_a_law_must_declare_its_coefficients():

@@ -19,6 +19,7 @@ from curlfit.friction.base import (
     coefficient,
     find_law,
     no_motion_because,
+    power,
 )
 
 for _module in iter_modules(__path__):
@@ -40,4 +41,5 @@ __all__ = [
     "coefficient",
     "find_law",
     "no_motion_because",
+    "power",
 ]

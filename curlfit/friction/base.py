@@ -156,6 +156,12 @@ class Motion(NamedTuple):
     """time since release, s"""
 
 
+@functools.singledispatch
+def power(base: Any, exponent: Any) -> Any:
+    """`base ** exponent` for a base above zero, in compiled programs several times as fast."""
+    return base**exponent
+
+
 LAWS: dict[str, type[Law]] = {}
 """Every law by its name; a class enters it by being defined."""
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from curlfit.friction.base import LocalLaw, RingPoint, coefficient
+from curlfit.friction.base import LocalLaw, RingPoint, coefficient, power
 
 
 def _opposing(mu: Any, point: RingPoint) -> tuple[Any, Any]:
@@ -44,7 +44,7 @@ class Power(LocalLaw):
         return abs(self.k)
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
-        return _opposing(self.c * (point.speed**2 + self.SLOWEST**2) ** (self.k / 2), point)
+        return _opposing(self.c * power(point.speed**2 + self.SLOWEST**2, self.k / 2), point)
 
 
 class Pressure(LocalLaw):
@@ -60,7 +60,7 @@ class Pressure(LocalLaw):
                            signed=True)  # fmt: skip
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
-        return _opposing(self.mu0 * point.load**-self.k, point)
+        return _opposing(self.mu0 * power(point.load, -self.k), point)
 
 
 class Angular(LocalLaw):

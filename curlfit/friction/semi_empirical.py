@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from curlfit.friction.base import Motion, NetLaw, coefficient
+from curlfit.friction.base import Motion, NetLaw, coefficient, power
 
 
 class SemiEmpirical(NetLaw):
@@ -34,6 +34,6 @@ class SemiEmpirical(NetLaw):
         sense = 1.0 * (motion.omega > 0) - 1.0 * (motion.omega < 0)
         return (
             -self.a * sense,
-            -self.c * motion.speed**self.p,
-            -self.q * motion.speed**self.r * sense,
+            -self.c * power(motion.speed, self.p),
+            -self.q * power(motion.speed, self.r) * sense,
         )
