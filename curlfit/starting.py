@@ -32,6 +32,7 @@ from curlfit.throw import last_motion
 Floats = NDArray[np.float64]
 
 _GRID = 128
+_BLOCKS = 64  # of rows that a throw is condensed to
 _DEGREE = 5
 _USUAL_SPEED = 2.0  # m/s, where nothing tells it
 
@@ -218,27 +219,46 @@ def _design(
     twice = _cumulative(once, step)
 
     channels, k = use.shape[1], slopes.shape[-1] - 1
-    t = problems.times / step[:, None]
+    count, times, observed = _condensed(use, problems)
+    t = times / step[:, None, None]
     below = np.minimum(t.astype(int), _GRID - 2)
     share = (t - below)[..., None]
     throw = np.arange(len(t))[:, None]
-    scale = use / path.rms[..., None]
+    scale = np.sqrt(count) / path.rms[..., None]
     design = np.zeros((len(t), channels, k + 3, k + len(START) + 1))
-    own = np.zeros((*t.shape, k + 3))
+    own = np.zeros((len(t), t.shape[-1], k + 3))
     for row in range(channels):
         # Place and angle are integrated twice, speed (along the first direction) and spin once.
         series, axis = (twice, row) if row < 3 else (once, row - 2)
-        early, late = series[throw, axis, below], series[throw, axis, below + 1]
-        own[..., : k + 1] = early + share * (late - early)
-        own[..., k + 2] = problems.observed[:, row] - own[..., k]
+        early, late = (series[throw, axis, below[:, row] + here] for here in (0, 1))
+        own[..., : k + 1] = early + share[:, row] * (late - early)
+        own[..., k + 2] = observed[:, row] - own[..., k]
         own[..., k] = 1.0 if row < 3 else 0.0
-        own[..., k + 1] = problems.times if row < 3 else 1.0
+        own[..., k + 1] = times[:, row] if row < 3 else 1.0
         columns = [*range(k), k + 2 * axis, k + 2 * axis + 1, -1]
         few = triangle(own * scale[:, row, :, None])
         few = np.where(np.isfinite(few).all((1, 2), keepdims=True), few, 0.0)
         design[:, row, :, columns] = np.moveaxis(few, -1, 0)
     design = design.reshape(len(t), channels * (k + 3), -1)
     return design[..., :-1], design[..., -1]
+
+
+def _condensed(use: NDArray[np.bool_], problems: Problem) -> tuple[Floats, Floats, Floats]:
+    """Blocks of rows of each throw: how many rows are used, and the means of their times and
+    values, each of shape (throws, channels, blocks)."""
+    rows = use.any(1)
+    n = np.where(rows.any(1), rows.shape[1] - np.argmax(rows[:, ::-1], 1), 0)
+    ends = n[:, None] * np.arange(_BLOCKS + 1) // np.minimum(np.maximum(n, 1), _BLOCKS)[:, None]
+    ends = np.minimum(ends, n[:, None])[:, None]
+
+    def sums(values: Floats) -> Floats:
+        running = np.pad(np.cumsum(values, -1), ((0, 0), (0, 0), (1, 0)))
+        return np.diff(np.take_along_axis(running, ends, -1))
+
+    count = np.round(sums(use.astype(float)))
+    some = np.maximum(count, 1.0)
+    totals = (sums(use * values) for values in (problems.times[:, None], problems.observed))
+    return count, *(total / some for total in totals)
 
 
 @cache
