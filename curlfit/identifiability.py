@@ -9,7 +9,7 @@ not seen at all.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -24,7 +24,7 @@ _UNSEEN = 1e-3  # known to no better than a thousand typical sizes
 _ROUNDING = 1e-9  # of the largest singular value
 _NO_PART = 1e-3  # share of a direction below which a parameter takes no part in it
 _LITTLE_PART = 0.05  # the same for a direction that is seen, though weakly
-_WHOLE = np.arange(1.0, 7)[:, None, None]  # denominators of what counts as a simple ratio
+_WHOLE = np.arange(1.0, 7)  # denominators of what counts as a simple ratio
 _WEAK = 1.0  # singular value below which a direction is known to no better than typical sizes
 
 
@@ -142,25 +142,36 @@ def analyse_many(
 
     unseen = part(~seen) > _NO_PART
     weak = unseen | (part(seen & (singular < _WEAK)) > _LITTLE_PART)
-    return [
-        Identifiability(
-            names=tuple(names),
-            rank=int(seen_.sum()),
-            singular_values=singular_,
-            null_directions=tuple(
-                _named(row, names, unseen_)
-                for row in _tidy_basis((right_[~seen_] * typical)[:, unseen_])
-            ),
-            covariance=covariance_,
-            unseen=unseen_,
-            combinations=_combinations(
-                right_[~seen_ | (singular_ < _WEAK)], weak_, names, values_, typical, covariance_
-            ),
+    rank = seen.sum(-1)
+    strong = np.minimum(rank, (singular >= _WEAK).sum(-1))
+    found: dict[int, Identifiability] = {}
+    for places in grouped(zip(unseen, weak, rank, strong, strict=True)):
+        first = places[0]
+        null = right[places, rank[first] :]
+        dim = right[places, strong[first] :]
+        shown = _tidy_basis((null * typical)[..., unseen[first]])
+        combinations = _combinations(
+            dim, weak[first], names, values[places], typical, covariance[places]
         )
-        for right_, singular_, seen_, unseen_, weak_, values_, covariance_ in zip(
-            right, singular, seen, unseen, weak, values, covariance, strict=True
-        )
-    ]
+        for place, rows, sums in zip(places, shown, combinations, strict=True):
+            found[place] = Identifiability(
+                names=tuple(names),
+                rank=int(rank[place]),
+                singular_values=singular[place],
+                null_directions=tuple(_named(row, names, unseen[place]) for row in rows),
+                covariance=covariance[place],
+                unseen=unseen[place],
+                combinations=sums,
+            )
+    return [found[place] for place in range(throws)]
+
+
+def grouped(keys: Iterable[Iterable[NDArray[Any]]]) -> list[list[int]]:
+    """Places of those whose keys are alike."""
+    found: dict[bytes, list[int]] = {}
+    for place, parts in enumerate(keys):
+        found.setdefault(b"".join(part.tobytes() for part in parts), []).append(place)
+    return list(found.values())
 
 
 def _combinations(
@@ -170,23 +181,29 @@ def _combinations(
     values: Floats,
     typical: Floats,
     covariance: Floats,
-) -> tuple[Combination, ...]:
-    """What is determined of the weak parameters, `dim` being the directions that hardly are."""
+) -> list[tuple[Combination, ...]]:
+    """What is determined of the weak parameters of each of many throws, `dim` being the directions
+    that hardly are."""
     if not weak.any():
-        return ()
-    found: dict[str, Combination] = {}
-    _, size, rows = np.linalg.svd((dim * typical)[:, weak])
-    rank = (size > size[:1] * max(len(dim), weak.sum()) * np.finfo(float).eps).sum()
-    for row in _tidy_basis(rows[rank:]):
-        weights = _named(row, names, weak)
-        if len(weights) < 2:
-            continue
-        vector = np.array([weights.get(name, 0.0) for name in names])
-        stderr = math.sqrt(vector @ covariance @ vector)
-        text = expression(weights)
-        if stderr < typical[weak].max():
-            found.setdefault(text, Combination(text, weights, float(vector @ values), stderr))
-    return tuple(found.values())
+        return [()] * len(dim)
+    _, size, rows = np.linalg.svd((dim * typical)[..., weak])
+    rank = (size > size[:, :1] * max(dim.shape[1], weak.sum()) * np.finfo(float).eps).sum(-1)
+    found: dict[int, tuple[Combination, ...]] = {}
+    for places in grouped((one,) for one in rank):
+        for place, tidy in zip(places, _tidy_basis(rows[places, rank[places[0]] :]), strict=True):
+            sums: dict[str, Combination] = {}
+            for row in tidy:
+                weights = _named(row, names, weak)
+                if len(weights) < 2:
+                    continue
+                vector = np.zeros(len(names))
+                vector[weak] = row
+                stderr = math.sqrt(vector @ covariance[place] @ vector)
+                if stderr < typical[weak].max():
+                    text, value = expression(weights), float(vector @ values[place])
+                    sums.setdefault(text, Combination(text, weights, value, stderr))
+            found[place] = tuple(sums.values())
+    return [found[place] for place in range(len(dim))]
 
 
 class Slack(NamedTuple):
@@ -239,16 +256,26 @@ def expression(weights: dict[str, float]) -> str:
     return text
 
 
-def _tidy_basis(rows: Floats) -> Floats:
-    """A basis of the same space in reduced echelon form, with small whole numbers where close."""
-    if len(rows) > 1:
-        rows = _echelon(rows)
+def _tidy_basis(bases: Floats) -> list[Floats]:
+    """Bases of the same spaces in reduced echelon form, with small whole numbers where close.
+
+    Parameters
+    ----------
+    bases : of many throws, rows along the second axis.
+    """
+    if bases.shape[1] > 1:
+        return [_tidied(_echelon(rows)) for rows in bases]
+    return list(_tidied(bases))
+
+
+def _tidied(rows: Floats) -> Floats:
     if not rows.size:
         return rows
     size = np.abs(rows)
-    first = np.argmax(size > 0.999 * size.max(1, keepdims=True), 1)
-    rows = rows / rows[np.arange(len(rows)), first, None]
-    near = np.round(rows * _WHOLE) / _WHOLE
+    first = np.argmax(size > 0.999 * size.max(-1, keepdims=True), -1)[..., None]
+    rows = rows / np.take_along_axis(rows, first, -1)
+    whole = _WHOLE.reshape(-1, *(1 for _ in rows.shape))
+    near = np.round(rows * whole) / whole
     off = np.abs(near - rows)
     near = np.take_along_axis(near, off.argmin(0)[None], 0)[0]
     return np.where(off.min(0) < _NO_PART, near, rows)

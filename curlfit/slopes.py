@@ -18,7 +18,10 @@ _LEAST_PUSH, _CLEAR_PUSH = 1e-6, 1e-3  # ... within these limits, half chi squar
 
 
 class Slopes(NamedTuple):
-    """An optimum of one throw or of several, as the linear problem it is close by."""
+    """An optimum of one throw or of several, as the linear problem it is close by.
+
+    Or many such optima, along the first axis of each field.
+    """
 
     residual: Floats
     """over its sigma, shape (rows,)"""
@@ -37,7 +40,7 @@ class Slopes(NamedTuple):
         exact ridge, which is none, by what is left of the slope along the other parameters.
         """
         push, low, high = self._pushes()
-        rest = np.abs(push[self.free & ~low & ~high]).max(initial=0.0)
+        rest = np.abs(push * (self.free & ~low & ~high)).max(-1, keepdims=True)
         least = np.clip(_PUSHED * rest, _LEAST_PUSH, _CLEAR_PUSH)
         return low & (push > least) | high & (push < -least)
 
@@ -50,13 +53,14 @@ class Slopes(NamedTuple):
         """The push against lower bounds, and which parameters are at a lower, an upper bound."""
         near = _NEAR * self.typical
         return (
-            self.residual @ self.jacobian * self.typical,
+            (self.residual[..., None, :] @ self.jacobian)[..., 0, :] * self.typical,
             self.free & (self.values <= self.lower + near),
             self.free & (self.values >= self.upper - near),
         )
 
     def open(self, at_bound: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Floats]:
-        """The parameters that can move, and what those held at a bound add to their spread.
+        """The parameters of one optimum that can move, and what those held at a bound add to their
+        spread.
 
         A parameter that the data hardly push against its bound is not held by it: it is at the
         end of a ridge, and counts as open.
@@ -78,14 +82,15 @@ class Slopes(NamedTuple):
             held[held] = ~loose
         return open_, found.columns
 
-    def distance(self, where: NDArray[np.bool_]) -> float:
+    def distance(self, where: NDArray[np.bool_]) -> Floats:
         """Length of the Gauss-Newton step that is left, in sigmas, along what is seen.
 
         A direction that counts as unseen would have to be followed over a thousand typical sizes.
         """
-        jacobian = (self.jacobian * self.typical)[:, where]
+        jacobian = self.jacobian * (self.typical * where)[..., None, :]
         left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
-        return float(np.linalg.norm(left[:, visible(singular)].T @ self.residual))
+        along = (self.residual[..., None, :] @ left)[..., 0, :]
+        return np.linalg.norm(along * visible(singular), axis=-1)
 
 
 def judged(

@@ -246,7 +246,7 @@ def _design(
 def _condensed(use: NDArray[np.bool_], problems: Problem) -> tuple[Floats, Floats, Floats]:
     """Blocks of rows of each throw: how many rows are used, and the means of their times and
     values, each of shape (throws, channels, blocks)."""
-    rows = use.any(1)
+    rows: Any = use.any(1)
     n = np.where(rows.any(1), rows.shape[1] - np.argmax(rows[:, ::-1], 1), 0)
     ends = n[:, None] * np.arange(_BLOCKS + 1) // np.minimum(np.maximum(n, 1), _BLOCKS)[:, None]
     ends = np.minimum(ends, n[:, None])[:, None]
@@ -257,8 +257,8 @@ def _condensed(use: NDArray[np.bool_], problems: Problem) -> tuple[Floats, Float
 
     count = np.round(sums(use.astype(float)))
     some = np.maximum(count, 1.0)
-    totals = (sums(use * values) for values in (problems.times[:, None], problems.observed))
-    return count, *(total / some for total in totals)
+    times = sums(use * problems.times[:, None]) / some
+    return count, times, sums(use * problems.observed) / some
 
 
 @cache

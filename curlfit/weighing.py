@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from curlfit.likelihood import (
@@ -22,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
-from curlfit.identifiability import Identifiability, analyse_many, triangle
+from curlfit.identifiability import Identifiability, analyse_many, grouped, triangle
 from curlfit.losses import BULK, precision, robust_sigma, steepness
 from curlfit.noise import Independence, independences, lag1_of
 from curlfit.parameters import ParameterSet
@@ -81,17 +80,18 @@ def weighed_together(optima: Sequence[Optimum], lanes: int = 4 * LANES) -> list[
     solutions = stacked([optimum.solution for optimum in optima])
     law, load = optima[0].law, optima[0].load
     paths = traced(law, load, solutions.values, problems, lanes)
-    drafts = _drafted(optima, list(_surveyed(problems, solutions, paths)))
-    points = [draft.points for draft in drafts]
-    owners = np.repeat(np.arange(len(optima)), [len(item) for item in points])
-    of_owners = jax.tree.map(lambda leaf: leaf[owners], problems)
-    around = misfits(law, load, np.concatenate(points), of_owners, lanes)
-    ends = np.cumsum([len(item) for item in points])[:-1]
-    return list(map(_recorded, optima, drafts, np.split(around, ends)))
+    survey = _surveyed(problems, solutions, paths)
+    drafts = _drafted(optima, survey)
+    around = _at_one_error(optima, drafts)
+    of_owners = jax.tree.map(lambda leaf: leaf[around.owner], problems)
+    least = (solutions.residual**2).sum((1, 2))
+    raised = misfits(law, load, around.point, of_owners, lanes) - least[around.owner]
+    bent = _bent(drafts, around, raised)
+    return list(map(_recorded, optima, map(_Survey, *survey), drafts, bent))
 
 
 class _Survey(NamedTuple):
-    """What is left of a throw's data at its optimum."""
+    """What is left of a throw's data at its optimum; or of many, along the first axis of each."""
 
     path: Floats
     """in the problem's frame, shape (5, n)"""
@@ -101,11 +101,11 @@ class _Survey(NamedTuple):
     """of the values of each channel, shape (channels,)"""
     rms: Floats
     lag1: Floats
-    apart: list[Independence]
-    """of the residuals over their sigma"""
+    apart: Any
+    """how far the residuals over their sigma are from independent, an `Independence` a channel"""
 
 
-def _surveyed(problems: Problem, solutions: Solution, paths: Floats) -> Iterator[_Survey]:
+def _surveyed(problems: Problem, solutions: Solution, paths: Floats) -> _Survey:
     seen = problems.weight > 0
     count = seen.sum(-1)
     residual = np.where(seen, problems.observed - paths[:, : seen.shape[1]], 0.0)
@@ -116,13 +116,12 @@ def _surveyed(problems: Problem, solutions: Solution, paths: Floats) -> Iterator
     apart = independences(np.take_along_axis(solutions.residual, order, -1), count)
     whole = np.concatenate([solutions.jacobian, solutions.residual[..., None]], -1)
     few = triangle(whole.reshape(len(whole), -1, whole.shape[-1]))
-    return map(_Survey, paths, few, count, rms, lag1, apart)
+    return _Survey(paths, few, count, rms, lag1, apart)
 
 
 class _Draft(NamedTuple):
     """The answer but for the last look around the optimum."""
 
-    survey: _Survey
     values: Floats
     """in the data's coordinates"""
     known: Identifiability
@@ -130,53 +129,53 @@ class _Draft(NamedTuple):
     open: NDArray[np.bool_]
     left: float
     """standard errors to the optimum, as far as the slopes tell"""
-    points: Floats
-    """one standard error off along each axis of the covariance, shape (points, parameters)"""
-    along: Floats
-    """the axes, shape (points, open parameters)"""
 
 
-def _drafted(optima: Sequence[Optimum], surveys: Sequence[_Survey]) -> list[_Draft]:
+def _drafted(optima: Sequence[Optimum], survey: _Survey) -> list[_Draft]:
     """Those of one set of open parameters are looked into together."""
-    alike: dict[bytes, list[int]] = {}
-    held = []
-    for place, (optimum, survey) in enumerate(zip(optima, surveys, strict=True)):
-        parameters = optimum.parameters
-        values = optimum.solution.values + optimum.frame.offset(len(parameters))
-        slopes = Slopes(
-            survey.few[:, -1], survey.few[:, :-1], values, parameters.lower, parameters.upper,
-            parameters.typical, parameters.free,
-        )  # fmt: skip
-        at_bound = slopes.at_bound()
-        held.append((slopes, at_bound, *slopes.open(at_bound)))
-        alike.setdefault(held[-1][2].tobytes() + at_bound.tobytes(), []).append(place)
+    sets = [optimum.parameters for optimum in optima]
+    values = np.stack([item.solution.values for item in optima]) + _offsets(optima)
+    slopes = Slopes(
+        survey.few[..., -1], survey.few[..., :-1], values,
+        *(np.stack([getattr(item, name) for item in sets])
+          for name in ("lower", "upper", "typical", "free")),
+    )  # fmt: skip
+    at_bound = slopes.at_bound()
+    number = np.maximum(survey.number.sum(-1), 1)
+    misfit = (slopes.residual**2).sum(-1) / number
+    left = slopes.distance(slopes.movable()) / np.sqrt(np.maximum(misfit, 1.0))
+    held = [
+        Slopes(*one).open(stuck)
+        for one, stuck in zip(zip(*slopes, strict=True), at_bound, strict=True)
+    ]
     known: dict[int, Identifiability] = {}
-    for places in alike.values():
-        parameters, (_, _, open_, _) = optima[places[0]].parameters, held[places[0]]
-        jacobians = [_effective_jacobian(optima[place], surveys[place]) for place in places]
+    for places in grouped((stuck, open_) for stuck, (open_, _) in zip(at_bound, held, strict=True)):
+        first, (open_, _) = sets[places[0]], held[places[0]]
+        jacobians = [
+            _effective_jacobian(optima[place], survey.path[place], survey.few[place])
+            for place in places
+        ]
         found = analyse_many(
-            np.stack(jacobians)[..., open_], parameters.names_where(open_),
-            np.stack([held[place][0].values[open_] for place in places]),
-            parameters.typical[open_], np.stack([held[place][3] for place in places]),
+            np.stack(jacobians)[..., open_], first.names_where(open_), values[places][:, open_],
+            first.typical[open_], np.stack([held[place][1] for place in places]),
         )  # fmt: skip
         known |= zip(places, found, strict=True)
-    drafts = []
-    for place, (optimum, survey) in enumerate(zip(optima, surveys, strict=True)):
-        slopes, at_bound, open_, _ = held[place]
-        misfit = float((slopes.residual**2).sum()) / max(int(survey.number.sum()), 1)
-        left = slopes.distance(slopes.movable()) / max(1.0, math.sqrt(misfit))
-        points, along = _at_one_error(optimum, known[place], open_)
-        drafts.append(
-            _Draft(survey, slopes.values, known[place], at_bound, open_, left, points, along)
-        )
-    return drafts
+    return [
+        _Draft(values[place], known[place], at_bound[place], open_, float(left[place]))
+        for place, (open_, _) in enumerate(held)
+    ]
 
 
-def _recorded(optimum: Optimum, draft: _Draft, around: Floats) -> FitResult:
+def _offsets(optima: Sequence[Optimum]) -> Floats:
+    """From the problems' coordinates to the data's."""
+    return np.stack([item.frame.offset(len(item.parameters)) for item in optima])
+
+
+def _recorded(optimum: Optimum, survey: _Survey, draft: _Draft, bent: list[str]) -> FitResult:
     throw, law, load, stone, until, parameters, frame, problem, sigma, solution, tried, loss = (
         optimum
     )
-    survey, known, at_bound = draft.survey, draft.known, draft.at_bound
+    known, at_bound = draft.known, draft.at_bound
     n = len(throw)
     curves = survey.path[:, :n] + frame.place[:, None]
     residual = throw.observed - curves
@@ -188,7 +187,6 @@ def _recorded(optimum: Optimum, draft: _Draft, around: Floats) -> FitResult:
         law, solution, draft.left, parameters, at_bound, known.names, tried,
         dict(zip(CHANNELS, survey.number, strict=False)), rms, apart, white=problem.colour is None,
     )  # fmt: skip
-    bent = _bent(solution, known, draft.along, around)
     if bent:
         warnings.append(
             f"the misfit is no parabola within a standard error of {', '.join(bent)}; these errors "
@@ -245,48 +243,67 @@ def _recorded(optimum: Optimum, draft: _Draft, around: Floats) -> FitResult:
     )  # fmt: skip
 
 
-def _effective_jacobian(optimum: Optimum, survey: _Survey) -> Floats:
+def _effective_jacobian(optimum: Optimum, path: Floats, few: Floats) -> Floats:
     """Jacobian of the residuals over their sigma, each channel by what a robust loss makes of it.
 
     The covariance of an M-estimator is that of least squares over `precision` (Huber 1981).
     """
     problem, loss = optimum.problem, optimum.loss
     if loss == "linear":
-        return survey.few[:, :-1]
+        return few[:, :-1]
     jacobian = optimum.solution.jacobian.copy()
     for row, weight in enumerate(problem.weight):
-        r = (survey.path[row] - problem.observed[row]) * weight
+        r = (path[row] - problem.observed[row]) * weight
         jacobian[row] /= steepness(r, loss)[:, None]
         jacobian[row] *= np.sqrt(precision(r[weight > 0], loss))
     return jacobian.reshape(-1, jacobian.shape[-1])
 
 
-def _at_one_error(
-    optimum: Optimum, known: Identifiability, open_: NDArray[np.bool_]
-) -> tuple[Floats, Floats]:
-    """Places one standard error off along each axis of the covariance, and these axes."""
-    parameters, values = optimum.parameters, optimum.solution.values
-    offset, typical = optimum.frame.offset(len(parameters)), parameters.typical[open_]
-    squares, axes = np.linalg.eigh(known.covariance / np.outer(typical, typical))
-    some = (squares > _CURVED**2) & (squares < _UNKNOWN**2)
-    along = np.repeat(axes.T[some], 2, 0)
-    step = np.sqrt(squares[some]).repeat(2) * np.tile([1.0, -1.0], some.sum())
-    points = np.tile(values, (len(along), 1))
-    points[:, open_] += step[:, None] * along * typical
-    lower, upper = parameters.lower - offset, parameters.upper - offset
-    inside = ((points >= lower) & (points <= upper)).all(1)
-    return points[inside], along[inside]
+class _Around(NamedTuple):
+    """Places one standard error off along the axes of the covariances, along the first axis."""
+
+    owner: NDArray[np.intp]
+    """whose place it is"""
+    point: Floats
+    """shape (places, parameters)"""
+    along: Floats
+    """the axis, in typical sizes; 0 for parameters that are not open"""
 
 
-def _bent(solution: Solution, known: Identifiability, along: Floats, around: Floats) -> list[str]:
+def _at_one_error(optima: Sequence[Optimum], drafts: Sequence[_Draft]) -> _Around:
+    sets, typical = [optimum.parameters for optimum in optima], optima[0].parameters.typical
+    values = np.stack([optimum.solution.values for optimum in optima])
+    lower, upper = (
+        np.stack([getattr(item, name) for item in sets]) - _offsets(optima)
+        for name in ("lower", "upper")
+    )
+    found = []
+    for places in grouped((draft.open,) for draft in drafts):
+        open_ = np.flatnonzero(drafts[places[0]].open)
+        covariance = np.stack([drafts[place].known.covariance for place in places])
+        squares, axes = np.linalg.eigh(covariance / np.outer(typical[open_], typical[open_]))
+        some = (squares > _CURVED**2) & (squares < _UNKNOWN**2)
+        along = np.zeros((*squares.shape, 2, len(typical)))
+        along[..., open_] = axes.mT[:, :, None]
+        size = np.sqrt(np.where(some, squares, 0.0))[..., None, None] * [[1.0], [-1.0]]
+        points = values[places][:, None, None] + size * along * typical
+        low, high = lower[places][:, None, None], upper[places][:, None, None]
+        inside = some[..., None] & ((points >= low) & (points <= high)).all(-1)
+        owner = np.array(places)[np.nonzero(inside)[0]]
+        found.append(_Around(owner, points[inside], along[inside]))
+    return _Around(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def _bent(drafts: Sequence[_Draft], around: _Around, raised: Floats) -> list[list[str]]:
     """Parameters along which one standard error does not raise chi squared by about one."""
-    least = float((solution.residual**2).sum())
-    found: set[str] = set()
-    for axis, misfit in zip(along, around, strict=True):
-        if not abs(misfit - least - 1) < _PARABOLA:
-            large = np.abs(axis) > 0.3 * np.abs(axis).max()
-            found |= {name for name, take in zip(known.names, large, strict=True) if take}
-    return [name for name in known.names if name in found]
+    off = ~(np.abs(raised - 1) < _PARABOLA)
+    found: list[list[str]] = [[] for _ in drafts]
+    for owner in np.unique(around.owner[off]):
+        size = np.abs(around.along[off & (around.owner == owner)])
+        large = (size > 0.3 * size.max(1, keepdims=True)).any(0)[drafts[owner].open]
+        names = drafts[owner].known.names
+        found[owner] = [name for name, take in zip(names, large, strict=True) if take]
+    return found
 
 
 def _outliers(throw: Throw, residual: Floats, lag1: dict[str, float]) -> tuple[dict[str, Any], ...]:
