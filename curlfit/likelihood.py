@@ -17,7 +17,7 @@ itself, and the place of that row is the place at rest.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple, TypeVar
 
 from curlfit.motion import Start, places, simulate
@@ -90,9 +90,9 @@ class Frame(NamedTuple):
 def frame_of(throw: Throw) -> Frame:
     """The frame of a throw: its first time, and the first finite value of each channel."""
     place = np.zeros(len(CHANNELS))
-    for row, values in enumerate(throw.observed[:3]):
-        seen = np.isfinite(values)
-        place[row] = values[np.argmax(seen)] if seen.any() else 0.0
+    seen = throw.finite[:3]
+    first = throw.observed[np.arange(3), seen.argmax(1)]
+    place[:3] = np.where(seen.any(1), first, 0.0)
     return Frame(float(throw.t[0]), place)
 
 
@@ -108,7 +108,7 @@ def problem_of(
     n = len(throw)
     rows = 5 if {"speed", "omega"} & set(throw.seen) else 3
     long = max(_SHORTEST, 1 << (n - 1).bit_length())
-    seen = np.isfinite(throw.observed[:rows])
+    seen = throw.finite[:rows]
     times = np.full(long, throw.t[-1] - frame.t)
     times[:n] = throw.t - frame.t
     observed, weight = np.zeros((rows, long)), np.zeros((rows, long))
@@ -119,11 +119,16 @@ def problem_of(
         times=times,
         observed=observed,
         weight=weight,
-        stone=jax.tree.map(lambda value: np.asarray(float(value)), stone),
+        stone=_as_arrays(*map(float, vars(stone).values())),
         loss=np.asarray(LOSSES.index(loss)),
         stop=np.asarray(n - 1 if throw.stops else -1),
         colour=None if noise is None else colour_of(noise, times, weight),
     )
+
+
+@lru_cache(64)
+def _as_arrays(*values: float) -> Stone:
+    return Stone(*map(np.asarray, values))  # type: ignore[arg-type]
 
 
 def _size(throw: Throw, sigma: dict[str, float], name: str) -> Any:

@@ -153,7 +153,7 @@ class ParameterSet:
             if name not in parameters.fixed:
                 parameters = parameters.with_fixed(name, 0.0)
         free = int(parameters.free.sum())
-        rows = int(np.isfinite(throw.observed).any(0).sum())
+        rows = int(throw.finite.any(0).sum())
         if rows < max(free, 3) and not set(throw.seen) <= throw.sigma.keys():
             raise DataError(
                 f"{rows} rows for {free} parameters; give more rows, or sigmas, or fix parameters",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from curlfit.errors import InputError
@@ -35,17 +35,17 @@ class Stone:
     h: float = 0.057
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for name, value in vars(self).items():
             if isinstance(value, (int, float)) and not (math.isfinite(value) and value > 0):
                 raise InputError(
-                    f"stone.{field.name} = {value} {UNITS[field.name]}: expected a positive, "
-                    "finite number"
+                    f"stone.{name} = {value} {UNITS[name]}: expected a positive, finite number"
                 )
 
     def with_values(self, values: dict[str, float]) -> Stone:
         """A copy with some values replaced. Raises `InputError` for an unknown name."""
-        unknown = set(values) - {field.name for field in fields(self)}
+        if not values:
+            return self
+        unknown = values.keys() - UNITS.keys()
         if unknown:
             raise InputError(
                 f"the stone has no property {sorted(unknown)[0]!r}; it has "

@@ -88,11 +88,9 @@ class Throw:
             object.__setattr__(self, name, values)
             if values.shape != (n,):
                 raise self._error(f"{name} has shape {values.shape}, t has {(n,)}")
-            bad = np.isinf(values) if name != "t" else ~np.isfinite(values)
-            if bad.any():
-                row = int(np.argmax(bad))
-                expected = "a finite number" if name == "t" else "a finite number or an empty cell"
-                raise self._error(f"{values[row]} found, expected {expected}", row, name)
+        for name, row in (*_first(~np.isfinite(self.t)), *_first(np.isinf(self.observed))):
+            expected = "a finite number" if name == "t" else "a finite number or an empty cell"
+            raise self._error(f"{getattr(self, name)[row]} found, expected {expected}", row, name)
         for name, values in self.sigma.items():
             bad = ~(np.isfinite(values) & (values > 0)) & np.isfinite(getattr(self, name))
             if bad.any():
@@ -102,14 +100,18 @@ class Throw:
                     row,
                     f"sigma_{name}",
                 )
-        step = np.diff(self.t)
-        if (step <= 0).any():
-            row = int(np.argmax(step <= 0)) + 1
-            fault = "is repeated" if step[row - 1] == 0 else f"follows {self.t[row - 1]:g} s"
+        late = self.t[1:] <= self.t[:-1]
+        if late.any():
+            row = int(np.argmax(late)) + 1
+            fault = (
+                "is repeated"
+                if self.t[row] == self.t[row - 1]
+                else f"follows {self.t[row - 1]:g} s"
+            )
             raise self._error(
                 f"time {self.t[row]:g} s {fault}; times must increase from row to row", row, "t"
             )
-        if not np.isfinite(self.observed).any():
+        if not self.finite.any():
             raise self._error(f"no value is given; expected some of {', '.join(CHANNELS)}")
 
     def _error(self, message: str, row: int | None = None, column: str | None = None) -> DataError:
@@ -171,14 +173,22 @@ class Throw:
         return whole
 
     @cached_property
+    def finite(self) -> NDArray[np.bool_]:
+        """Where there is a value, shape (5, n); not to be written to."""
+        found = np.isfinite(self.observed)
+        found.flags.writeable = False
+        return found
+
+    @cached_property
     def seen(self) -> tuple[str, ...]:
         """Channels of which there is a value."""
-        return tuple(name for name in CHANNELS if np.isfinite(getattr(self, name)).any())
+        there: Any = self.finite.any(1)
+        return tuple(name for name, some in zip(CHANNELS, there, strict=True) if some)
 
     @cached_property
     def n_observations(self) -> int:
         """Numbers measured: finite values of all channels."""
-        return int(np.isfinite(self.observed).sum())
+        return int(np.count_nonzero(self.finite))
 
     @property
     def stops(self) -> bool:
@@ -186,19 +196,16 @@ class Throw:
 
         So it does where its speed is 0, with a sigma, and no other speed was measured.
         """
-        seen = np.flatnonzero(np.isfinite(self.speed))
-        return (
-            "speed" in self.sigma
-            and seen.tolist() == [len(self) - 1]
-            and float(self.speed[-1]) == 0.0
-        )
+        if "speed" not in self.sigma or self.speed[-1] != 0:
+            return False
+        return int(np.isfinite(self.speed).sum()) == 1
 
     def require_motion(self) -> None:
         """Raise `DataError` where the place never changes by more than the data's own scatter."""
         if not {"x", "y"} & set(self.seen):
             return
-        for values in (self.x, self.y):
-            seen = values[np.isfinite(values)]
+        for row, values in enumerate((self.x, self.y)):
+            seen = values[self.finite[row]]
             if len(seen) < 2:
                 continue
             # Independent noise spreads as much over the whole throw as from row to row.
@@ -298,6 +305,14 @@ class Throw:
         return replace(self, sigma={**self.sigma, **filled})
 
 
+def _first(bad: NDArray[np.bool_]) -> list[tuple[str, int]]:
+    """Name and row of the first fault in the times, or in the channels; none where all is well."""
+    if not bad.any():
+        return []
+    channel, row = np.argwhere(np.atleast_2d(bad))[0]
+    return [("t" if bad.ndim == 1 else CHANNELS[channel], int(row))]
+
+
 def scatter(values: Floats) -> Any:
     """Standard deviation of the noise on smooth series along the last axis, from third differences.
 
@@ -306,7 +321,14 @@ def scatter(values: Floats) -> Any:
     """
     if values.shape[-1] < _FEW_ROWS:
         return np.zeros(values.shape[:-1])[()]
-    return np.median(np.abs(np.diff(values, 3)), -1) / (0.6745 * math.sqrt(20))
+    bend = values[..., 3:] - values[..., :-3] + 3 * (values[..., 1:-2] - values[..., 2:-1])
+    return _median(np.abs(bend)) / (0.6745 * math.sqrt(20))
+
+
+def _median(values: Floats) -> Any:
+    """Along the last axis, several times as fast as numpy's for a few hundred values."""
+    ordered, n = np.sort(values, -1), values.shape[-1]
+    return (ordered[..., (n - 1) // 2] + ordered[..., n // 2]) / 2
 
 
 def last_motion(t: Floats, x: Floats, y: Floats) -> float:
@@ -314,9 +336,9 @@ def last_motion(t: Floats, x: Floats, y: Floats) -> float:
     both = np.isfinite(x) & np.isfinite(y)
     if both.sum() <= 8:
         return float(t[-1])
-    places, t = np.stack([x[both], y[both]]), t[both]
+    places, t = np.stack([x, y])[:, both], t[both]
     tail = slice(-max(3, len(t) // 50), None)
-    left = np.hypot(*(places - np.median(places[:, tail], 1, keepdims=True)))
+    left = np.hypot(*(places - _median(places[:, tail])[:, None]))
     near = max(_STILL, 5 * math.hypot(*scatter(places)))
     moving = np.flatnonzero(left > near)
     return float(t[moving[-1]]) if len(moving) else float(t[-1])

@@ -21,7 +21,7 @@ from curlfit.throw import Throw
 
 FORMATS = ("table", "tracker", "digitalcurling", "timings")
 _HEAD = 30  # lines that show the format
-_TIMED = re.compile(rf"\s*[\"']?({'|'.join(TIMES)})\b", re.I)
+_TIMED = re.compile(rf"^[^\S\n]*[\"']?({'|'.join(TIMES)})\b", re.I | re.M)
 
 
 def load_throw(
@@ -104,7 +104,7 @@ def guessed(lines: list[str]) -> str:
     first = head[0].lstrip()
     if first.startswith("{") or re.match(r"\[\s*([{\[]|$)", first):
         return "digitalcurling"
-    if any(map(_TIMED.match, head)):
+    if _TIMED.search("\n".join(head)):
         return "timings"
     return "tracker" if looks_like_tracker(head[:3]) else "table"
 

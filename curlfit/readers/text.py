@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +18,8 @@ GAPS = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 EXPECTED = "expected a header such as t,x,y,phi (time in s, position in m, angle in rad)"
 _MOST_BYTES = 1_000_000_000
 _CHUNK = 20_000
+# A line that is blank or may be a comment: one that begins with a space, say
+_ODD_LINE = re.compile(r"\n[\s#]")
 # "t (s)" in a table that spaces separate
 _UNIT_APART = re.compile(r"[ \t]+([(\[][^()\[\]]*[)\]])")
 
@@ -29,9 +32,10 @@ def text_of(path: Path) -> str:
     DataError : no such file, a folder, not readable, too large, or not text.
     """
     try:
-        if path.is_file() and path.stat().st_size > _MOST_BYTES:
-            raise DataError("the file is larger than 1 GB; expected one throw", file=path)
-        raw = path.read_bytes()
+        with path.open("rb") as stream:
+            if os.fstat(stream.fileno()).st_size > _MOST_BYTES:
+                raise DataError("the file is larger than 1 GB; expected one throw", file=path)
+            raw = stream.read()
     except FileNotFoundError:
         raise DataError("no such file", file=path) from None
     except IsADirectoryError:
@@ -116,12 +120,15 @@ def read_rows(
     ------
     DataError : a row with another number of cells, or a cell that is no finite number.
     """
-    kept = [
-        index
-        for index in range(first, len(lines))
-        if (line := lines[index])[:1].isdigit()
-        or (line and not line.isspace() and line.lstrip()[0] != "#")
-    ]
+    last = len(lines)
+    while last > first and not lines[last - 1]:
+        last -= 1
+    kept: Sequence[int] = range(first, last)
+    if _ODD_LINE.search("\n".join(["", *lines[first:last]])):
+        kept = [
+            index for index in kept
+            if (line := lines[index]) and not line.isspace() and line.lstrip()[0] != "#"
+        ]  # fmt: skip
     decimal_comma = separator != "," and any("," in lines[index] for index in kept)
     parts = []
     for start in range(0, len(kept), _CHUNK):
@@ -175,7 +182,7 @@ def _with_gaps(
 def _careful(
     path: Path,
     rows: list[str],
-    indices: list[int],
+    indices: Sequence[int],
     names: Sequence[str],
     places: Sequence[int],
     separator: str | None,
