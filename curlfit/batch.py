@@ -11,6 +11,7 @@ import gc
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
+from operator import itemgetter
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from curlfit.errors import CurlfitError
 from curlfit.fitting import Job, first_sigma, fit, prepared
 from curlfit.friction import Law, check_load
-from curlfit.lockstep import Places, Tasks, solve_many
+from curlfit.lockstep import Places, Tasks, run_of, solve_many
 from curlfit.plan import CHUNK, Plan, columns
 from curlfit.readers import load_throw
 from curlfit.results import FitResult
@@ -147,14 +148,16 @@ def _fitted(law: type[Law], plan: Plan, entries: list[_Entry]) -> list[FitResult
 
     def again(which: Places, found: Solution) -> tuple[Places, Floats]:
         """The second fit, with the sigma that the first one found, where it was not given."""
+        here = itemgetter(run_of(which))
         estimated = unknown[which].any(1)
-        paths_, problems_ = jax.tree.map(lambda leaf: leaf[which], (paths, problems))
+        paths_, problems_ = jax.tree.map(here, (paths, problems))
         failed[which] = estimated & poor(found, paths_, problems_)
         on = estimated & ~failed[which]
-        which = which[on]
-        if not len(which):
-            return which, problems.weight[which]
-        found, problems_ = jax.tree.map(lambda leaf: leaf[on], (found, problems_))
+        if not on.all():
+            which = which[on]
+            if not len(which):
+                return which, problems.weight[which]
+            found, problems_ = jax.tree.map(itemgetter(on), (found, problems_))
         sigma[which] = residual_sigma(found, problems_, free[which]) + SIGMA_FLOOR
         change = unknown[which][..., None] & (problems_.weight > 0)
         weight = np.where(change, 1 / sigma[which][..., None], problems_.weight)

@@ -15,6 +15,7 @@ from curlfit.likelihood import LANES, Problem, by_lanes, linearised
 
 # isort: split
 from functools import partial
+from operator import itemgetter
 
 import jax
 import numpy as np
@@ -71,7 +72,7 @@ def solve_many(
     going = np.ones(len(tasks.start), bool)
     while going.any():
         now = np.flatnonzero(going)[:LANES]
-        here = jax.tree.map(lambda leaf, now=now: leaf[now], fleet.problems)
+        here = jax.tree.map(itemgetter(run_of(now)), fleet.problems)
         found = by_lanes(partial(linearised, law, load), (fleet.trial[now], here))
         over = now[fleet.take(now, *found)]
         new = over[~asked[over]]
@@ -84,6 +85,13 @@ def solve_many(
         if arrived is not None:
             arrived(int((~going).sum()))
     return fleet.solution(np.arange(len(going)))
+
+
+def run_of(places: Places) -> Places | slice:
+    """Places in rising order; as a slice where none is left out, which copies nothing."""
+    if len(places) and places[-1] - places[0] == len(places) - 1:
+        return slice(places[0], places[-1] + 1)
+    return places
 
 
 class _Parabola(NamedTuple):
@@ -125,28 +133,33 @@ class _Fleet:
         if not better.all():
             near = _Parabola(*(part[better] for part in near))
             residual, jacobian = residual[better], jacobian[better]
-        self.best[now[better]] = self.trial[now[better]]
-        self._keep(now[better], residual, jacobian, near)
+        run = run_of(now[better])
+        self.best[run], self.residual[run] = self.trial[run], residual
+        self.jacobian[run] = jacobian
+        self._know(run, near)
         self.damping[now[~better]] *= 30
         self.hoped[now[~better]] = np.nan
         return self._chosen(now)
 
     def reweigh(self, now: Places, weight: Floats) -> NDArray[np.bool_]:
         """Go on under other weights: another scale of what is known already."""
-        before = self.problems.weight[now]
+        run = run_of(now)
+        before = self.problems.weight[run]
         scale = weight / np.where(before > 0, before, 1.0)
-        self.problems.weight[now] = weight
-        self.trial[now], self.hoped[now] = self.best[now], np.nan
-        self.damping[now], self.passes[now], self.finished[now] = _FIRST_DAMPING, 1, False
-        residual, jacobian = self.residual[now] * scale, self.jacobian[now] * scale[..., None]
-        self._keep(now, residual, jacobian, self._parabola(residual, jacobian))
+        self.problems.weight[run] = weight
+        self.trial[run], self.hoped[run] = self.best[run], np.nan
+        self.damping[run], self.passes[run], self.finished[run] = _FIRST_DAMPING, 1, False
+        self.residual[run] *= scale
+        self.jacobian[run] *= scale[..., None]
+        self._know(run, self._parabola(self.residual[run], self.jacobian[run]))
         return self._chosen(now)
 
     def solution(self, which: Places) -> Solution:
-        """Where throws are."""
+        """Where throws are, for as long as they stay there."""
+        run = run_of(which)
         return Solution(
-            self.best[which], self.residual[which], self.jacobian[which], self.passes[which],
-            self.finished[which],
+            self.best[run], self.residual[run], self.jacobian[run], self.passes[run],
+            self.finished[run],
         )  # fmt: skip
 
     def _parabola(self, residual: Floats, jacobian: Floats) -> _Parabola:
@@ -160,11 +173,10 @@ class _Fleet:
                 normal=matrix.mT @ matrix * np.outer(self.typical, self.typical),
             )
 
-    def _keep(self, now: Places, residual: Floats, jacobian: Floats, near: _Parabola) -> None:
-        """Places that are the best so far."""
-        self.residual[now], self.jacobian[now] = residual, jacobian
-        self.misfit[now], self.gradient[now], self.normal[now] = near
-        self.damping[now] = np.maximum(self.damping[now] / 10, _LEAST_DAMPING)
+    def _know(self, run: Places | slice, near: _Parabola) -> None:
+        """What it is like at the best places so far."""
+        self.misfit[run], self.gradient[run], self.normal[run] = near
+        self.damping[run] = np.maximum(self.damping[run] / 10, _LEAST_DAMPING)
 
     def _chosen(self, now: Places) -> NDArray[np.bool_]:
         """Choose the next places."""
@@ -183,7 +195,7 @@ class _Fleet:
         misfit = np.where(lost, 0.0, self.misfit[now])
         last = ~lost & (gain <= _GAIN * misfit) & (after <= _AFTER * misfit)
         self.hoped[now] = gain
-        done = now[last]
+        done = run_of(now[last])
         move = (self.trial[done] - self.best[done])[:, None, :, None]
         self.residual[done] += (self.jacobian[done] @ move)[..., 0]
         self.best[done] = self.trial[done]

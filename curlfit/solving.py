@@ -13,7 +13,7 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
-from curlfit.identifiability import inverted, triangle
+from curlfit.identifiability import inverted
 from curlfit.likelihood import Problem, stacked, weighted_residuals
 from curlfit.parameters import ParameterSet
 from curlfit.programs import kept
@@ -23,6 +23,7 @@ Floats = NDArray[np.float64]
 
 _TOLERANCE = 1e-10
 _MOST_STEPS = 200
+_ROUNDING = 1e-12  # squares of columns of length 1 that may be but rounding
 _POOR = (3.0, 0.02)  # rms over a polynomial's, and over the range: both, and more starts are tried
 
 
@@ -155,10 +156,15 @@ def residual_sigma(
     -------
     In the channels' units, shape (throws, channels); 0 where nothing was seen.
     """
-    jacobian = solutions.jacobian * free[:, None, None]
-    _, singular, rows = np.linalg.svd(triangle(jacobian.reshape(len(free), -1, free.shape[1])))
-    inverse = rows.mT * inverted(singular, singular > 1e-9 * singular[:, :1])[:, None]
-    paid = ((jacobian @ inverse[:, None]) ** 2).sum((-1, -2))
+    jacobian = np.asarray(solutions.jacobian)
+    normal = jacobian.mT @ jacobian * (free[:, None, :, None] & free[:, None, None, :])
+    whole = normal.sum(1)
+    size = np.sqrt(np.diagonal(whole, axis1=1, axis2=2))
+    scale = inverted(size, size > 0)
+    squares, axes = np.linalg.eigh(whole * scale[:, None] * scale[..., None])
+    axes = axes * scale[..., None]
+    inverse = axes * inverted(squares, squares > _ROUNDING)[:, None] @ axes.mT
+    paid = (normal * inverse[:, None]).sum((-1, -2))
     room = np.maximum((problems.weight > 0).sum(-1) - paid, 1.0)
     largest = problems.weight.max(-1)
     rms = np.sqrt((solutions.residual**2).sum(-1) / room)

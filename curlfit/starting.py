@@ -219,7 +219,7 @@ def _design(
     twice = _cumulative(once, step)
 
     channels, k = use.shape[1], slopes.shape[-1] - 1
-    count, times, observed = _condensed(use, problems)
+    count, times, observed = _condensed(use, problems, path)
     t = times / step[:, None, None]
     below = np.minimum(t.astype(int), _GRID - 2)
     share = (t - below)[..., None]
@@ -243,9 +243,14 @@ def _design(
     return design[..., :-1], design[..., -1]
 
 
-def _condensed(use: NDArray[np.bool_], problems: Problem) -> tuple[Floats, Floats, Floats]:
-    """Blocks of rows of each throw: how many rows are used, and the means of their times and
-    values, each of shape (throws, channels, blocks)."""
+def _condensed(
+    use: NDArray[np.bool_], problems: Problem, path: Smooth
+) -> tuple[Floats, Floats, Floats]:
+    """Blocks of rows of each throw: how many rows are used, the means of their times, and values at
+    these times, each of shape (throws, channels, blocks).
+
+    The bend of a path within a block is that of its polynomial.
+    """
     rows: Any = use.any(1)
     n = np.where(rows.any(1), rows.shape[1] - np.argmax(rows[:, ::-1], 1), 0)
     ends = n[:, None] * np.arange(_BLOCKS + 1) // np.minimum(np.maximum(n, 1), _BLOCKS)[:, None]
@@ -258,7 +263,18 @@ def _condensed(use: NDArray[np.bool_], problems: Problem) -> tuple[Floats, Float
     count = np.round(sums(use.astype(float)))
     some = np.maximum(count, 1.0)
     times = sums(use * problems.times[:, None]) / some
-    return count, times, sums(use * problems.observed) / some
+    observed = problems.observed.copy()
+    observed[:, :3] -= _along(path, np.broadcast_to(problems.times[:, None], observed[:, :3].shape))
+    means = sums(use * observed) / some
+    means[:, :3] += _along(path, times[:, :3])
+    return count, times, means
+
+
+def _along(path: Smooth, times: Floats) -> Floats:
+    """The polynomials at times, each of shape (throws, 3, n)."""
+    places = 2 * times / path.span[:, None, None] - 1
+    values: Any = chebval(places, np.moveaxis(path.curves, -1, 0)[..., None], tensor=False)
+    return values
 
 
 @cache
