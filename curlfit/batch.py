@@ -63,7 +63,8 @@ def fit_files(files: Sequence[str | PathLike[str]], plan: Plan) -> list[dict[str
     InputError : the plan itself cannot be carried out.
     """
     rows, names, throws = [], columns(plan), _read(files, plan)
-    for file, throw, result in zip(files, throws, fit_throws(throws, plan), strict=True):
+    results = fit_throws(throws, plan, curves=False)
+    for file, throw, result in zip(files, throws, results, strict=True):
         row: dict[str, Any] = dict.fromkeys(names)
         row["file"] = str(file)
         if isinstance(result, str):
@@ -87,8 +88,15 @@ def _read(files: Sequence[str | PathLike[str]], plan: Plan) -> list[Throw | str]
 
 
 @_no_sweeping()
-def fit_throws(throws: Iterable[Throw | str], plan: Plan) -> list[FitResult | str]:
-    """The fit of each throw, or why there is none; a text in place of a throw is passed on."""
+def fit_throws(
+    throws: Iterable[Throw | str], plan: Plan, *, curves: bool = True
+) -> list[FitResult | str]:
+    """The fit of each throw, or why there is none; a text in place of a throw is passed on.
+
+    Parameters
+    ----------
+    curves : whether the fits shall hold the fitted curves.
+    """
     law = plan.checked()
     found: dict[int, FitResult | str] = {}
     by_shape: dict[tuple[int, ...], dict[int, _Entry]] = {}
@@ -105,7 +113,8 @@ def fit_throws(throws: Iterable[Throw | str], plan: Plan) -> list[FitResult | st
     for (_, rows), entries in by_shape.items():
         rest = iter(entries.items())
         while part := dict(islice(rest, max(LANES, _ROWS // rows))):
-            found |= zip(part, _fitted(law, plan, list(part.values())), strict=True)
+            fits = _fitted(law, plan, list(part.values()), curves)
+            found |= zip(part, fits, strict=True)
     return [found[place] for place in sorted(found)]
 
 
@@ -131,7 +140,9 @@ def _choices(plan: Plan) -> dict[str, Any]:
     return {"fix": dict(plan.fix), "bounds": dict(plan.bounds), "unbounded": plan.unbounded}
 
 
-def _fitted(law: type[Law], plan: Plan, entries: list[_Entry]) -> list[FitResult | str]:
+def _fitted(
+    law: type[Law], plan: Plan, entries: list[_Entry], curves: bool
+) -> list[FitResult | str]:
     """The fits of throws of one shape, side by side."""
     load = check_load(plan.load)
     problems = stacked([entry.problem for entry in entries])
@@ -179,7 +190,7 @@ def _fitted(law: type[Law], plan: Plan, entries: list[_Entry]) -> list[FitResult
             job.throw, law, load, job.stone, job.until, job.parameters, job.frame, problem, used,
             solution, 1, "linear",
         )  # fmt: skip
-    found = dict(zip(optima, weighed_together(list(optima.values())), strict=True))
+    found = dict(zip(optima, weighed_together(list(optima.values()), curves=curves), strict=True))
     return [found.get(place) or _alone(law, plan, entry) for place, entry in enumerate(entries)]
 
 

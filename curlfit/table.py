@@ -11,7 +11,7 @@ import json
 import math
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -40,7 +40,7 @@ class Table:
         self.file, self.columns = file, list(columns)
         self.done: set[str] = set()
         self.counts: Counter[str] = Counter()
-        head = _MARK + json.dumps(plan, sort_keys=True) + "\n" + _line(self.columns)
+        head = _MARK + json.dumps(plan, sort_keys=True) + "\n" + _lines([self.columns])
         size = 0
         try:
             if file.exists() and not again:
@@ -83,9 +83,7 @@ class Table:
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Write rows, in one piece and to the disk."""
-        self.stream.write(
-            "".join(_line([row[name] for name in self.columns]) for row in rows).encode()
-        )
+        self.stream.write(_lines([row[name] for name in self.columns] for row in rows).encode())
         self._settle()
         self.counts.update(row["status"] for row in rows)
 
@@ -105,13 +103,14 @@ class Table:
         self.stream.close()
 
 
-def _line(values: Sequence[Any]) -> str:
-    """A line of CSV: numbers in full precision, nothing for what is missing, no line breaks."""
+def _lines(rows: Iterable[Sequence[Any]]) -> str:
+    """Lines of CSV: numbers in full precision, nothing for what is missing, no line breaks."""
     out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerow(
-        "" if value is None or (isinstance(value, float) and math.isnan(value))
-        else " ".join(value.split()) if isinstance(value, str) and "\n" in value
-        else value
-        for value in values
-    )  # fmt: skip
+    csv.writer(out, lineterminator="\n").writerows(map(_cell, row) for row in rows)
     return out.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, str):
+        return " ".join(value.split()) if "\n" in value else value
+    return None if isinstance(value, float) and math.isnan(value) else value

@@ -67,19 +67,23 @@ def weighed(optimum: Optimum) -> FitResult:
     return found
 
 
-def weighed_together(optima: Sequence[Optimum], lanes: int = 4 * LANES) -> list[FitResult]:
+def weighed_together(
+    optima: Sequence[Optimum], lanes: int = 4 * LANES, *, curves: bool = True
+) -> list[FitResult]:
     """The same for fits of one law under one load, to problems of one shape.
 
     Parameters
     ----------
     lanes : paths that are followed side by side.
+    curves : whether the records shall hold the fitted curves. Only white noise and least squares
+        do without.
     """
     if not optima:
         return []
     problems = stacked([optimum.problem for optimum in optima])
     solutions = stacked([optimum.solution for optimum in optima])
     law, load = optima[0].law, optima[0].load
-    paths = traced(law, load, solutions.values, problems, lanes)
+    paths = traced(law, load, solutions.values, problems, lanes) if curves else None
     survey = _surveyed(problems, solutions, paths)
     drafts = _drafted(optima, survey)
     around = _at_one_error(optima, drafts)
@@ -87,14 +91,17 @@ def weighed_together(optima: Sequence[Optimum], lanes: int = 4 * LANES) -> list[
     least = (solutions.residual**2).sum((1, 2))
     raised = misfits(law, load, around.point, of_owners, lanes) - least[around.owner]
     bent = _bent(drafts, around, raised)
-    return list(map(_recorded, optima, map(_Survey, *survey), drafts, bent))
+    surveys = map(_Survey, [None] * len(optima) if paths is None else paths, *survey[1:])
+    return list(map(_recorded, optima, surveys, drafts, bent))
 
 
 class _Survey(NamedTuple):
     """What is left of a throw's data at its optimum; or of many, along the first axis of each."""
 
-    path: Floats
-    """in the problem's frame, shape (5, n)"""
+    path: Floats | None
+    """in the problem's frame, shape (5, n); None where the record shall not have it"""
+    residual: Floats
+    """data less path, 0 where nothing was seen, shape (channels, n)"""
     few: Floats
     """residual over its sigma, and its Jacobian before it, as few rows as columns"""
     number: NDArray[np.int64]
@@ -105,10 +112,13 @@ class _Survey(NamedTuple):
     """how far the residuals over their sigma are from independent, an `Independence` a channel"""
 
 
-def _surveyed(problems: Problem, solutions: Solution, paths: Floats) -> _Survey:
+def _surveyed(problems: Problem, solutions: Solution, paths: Floats | None) -> _Survey:
     seen = problems.weight > 0
     count = seen.sum(-1)
-    residual = np.where(seen, problems.observed - paths[:, : seen.shape[1]], 0.0)
+    if paths is None:
+        residual = -solutions.residual / np.where(seen, problems.weight, 1.0)
+    else:
+        residual = np.where(seen, problems.observed - paths[:, : seen.shape[1]], 0.0)
     rms = np.sqrt((residual**2).sum(-1) / np.maximum(count, 1))
     # What was seen, without the gaps.
     order = np.argsort(~seen, -1, kind="stable")
@@ -116,7 +126,7 @@ def _surveyed(problems: Problem, solutions: Solution, paths: Floats) -> _Survey:
     apart = independences(np.take_along_axis(solutions.residual, order, -1), count)
     whole = np.concatenate([solutions.jacobian, solutions.residual[..., None]], -1)
     few = triangle(whole.reshape(len(whole), -1, whole.shape[-1]))
-    return _Survey(paths, few, count, rms, lag1, apart)
+    return _Survey(paths, residual, few, count, rms, lag1, apart)
 
 
 class _Draft(NamedTuple):
@@ -152,7 +162,7 @@ def _drafted(optima: Sequence[Optimum], survey: _Survey) -> list[_Draft]:
     for places in grouped((stuck, open_) for stuck, (open_, _) in zip(at_bound, held, strict=True)):
         first, (open_, _) = sets[places[0]], held[places[0]]
         jacobians = [
-            _effective_jacobian(optima[place], survey.path[place], survey.few[place])
+            _effective_jacobian(optima[place], survey.residual[place], survey.few[place])
             for place in places
         ]
         found = analyse_many(
@@ -177,8 +187,9 @@ def _recorded(optimum: Optimum, survey: _Survey, draft: _Draft, bent: list[str])
     )
     known, at_bound = draft.known, draft.at_bound
     n = len(throw)
-    curves = survey.path[:, :n] + frame.place[:, None]
-    residual = throw.observed - curves
+    curves = {}
+    if survey.path is not None:
+        curves = dict(zip(CHANNELS, survey.path[:, :n] + frame.place[:, None], strict=True))
     counted = [(row, name) for row, name in enumerate(CHANNELS[: len(survey.number)])]
     rms = {name: float(survey.rms[row]) for row, name in counted if survey.number[row]}
     lag1 = {name: float(survey.lag1[row]) for row, name in counted if survey.number[row] > 3}
@@ -192,7 +203,7 @@ def _recorded(optimum: Optimum, survey: _Survey, draft: _Draft, bent: list[str])
             f"the misfit is no parabola within a standard error of {', '.join(bent)}; these errors "
             "are rough, the posterior tells more"
         )
-    outliers = _outliers(throw, residual, lag1)
+    outliers = _outliers(throw, survey.residual, lag1)
     if outliers and loss == "linear":
         warnings.append(_about_outliers(outliers))
     if loss == "linear" and problem.colour is None:
@@ -236,14 +247,14 @@ def _recorded(optimum: Optimum, survey: _Survey, draft: _Draft, bent: list[str])
         },
         reference=throw.reference if throw.reference and throw.reference.law == law.name else None,
         observed=observed,
-        fitted=dict(zip(CHANNELS, curves, strict=True)),
+        fitted=curves,
         loss=loss,
         independence=apart,
         outliers=outliers,
     )  # fmt: skip
 
 
-def _effective_jacobian(optimum: Optimum, path: Floats, few: Floats) -> Floats:
+def _effective_jacobian(optimum: Optimum, residual: Floats, few: Floats) -> Floats:
     """Jacobian of the residuals over their sigma, each channel by what a robust loss makes of it.
 
     The covariance of an M-estimator is that of least squares over `precision` (Huber 1981).
@@ -253,7 +264,7 @@ def _effective_jacobian(optimum: Optimum, path: Floats, few: Floats) -> Floats:
         return few[:, :-1]
     jacobian = optimum.solution.jacobian.copy()
     for row, weight in enumerate(problem.weight):
-        r = (path[row] - problem.observed[row]) * weight
+        r = -residual[row] * weight
         jacobian[row] /= steepness(r, loss)[:, None]
         jacobian[row] *= np.sqrt(precision(r[weight > 0], loss))
     return jacobian.reshape(-1, jacobian.shape[-1])
@@ -309,8 +320,8 @@ def _bent(drafts: Sequence[_Draft], around: _Around, raised: Floats) -> list[lis
 def _outliers(throw: Throw, residual: Floats, lag1: dict[str, float]) -> tuple[dict[str, Any], ...]:
     """Values farther off than noise goes, where what is left looks like noise."""
     found = []
-    for row, name in enumerate(CHANNELS):
-        seen = np.flatnonzero(np.isfinite(residual[row]))
+    for row, name in enumerate(CHANNELS[: len(residual)]):
+        seen = np.flatnonzero(throw.finite[row])
         if len(seen) < 10 or lag1.get(name, 1.0) > _SMOOTH:
             continue
         series = throw.sigma.get(name)
