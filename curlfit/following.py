@@ -131,7 +131,8 @@ def _follow(
     ----------
     ice : law and stone from the value of `given`.
     start : speed and spin, shape (2, lanes).
-    times : in s, not falling from row to row, shape (n, lanes or 1).
+    times : in s, not falling from row to row, shape (n, lanes or 1); inf for rows that nobody asks
+        for, which cost nothing and are 0.
 
     Returns
     -------
@@ -141,7 +142,8 @@ def _follow(
     law, stone = ice(given.value)
     net = isinstance(law, NetLaw)
     omega0 = start.value[1]
-    last = jnp.max(times, 0) + jnp.zeros_like(omega0)
+    asked = times < jnp.inf
+    last = jnp.max(jnp.where(asked, times, 0.0), 0) + jnp.zeros_like(omega0)
     span = jnp.maximum(last, 1e-9)
     tableau, moments = jnp.asarray(_TABLEAU), jnp.asarray(_TABLEAU.sum(1))
     # A speed does not go on below zero, nor the spin of a net law beyond its end.
@@ -268,9 +270,15 @@ def _follow(
     _, moving, held, _, out = jax.lax.while_loop(unfinished, again, begin)
     state, rate = State(*moving.value.state), State(*moving.value.rate)
     over = at_rest(law, stone, state, rate) & (times >= moving.value.t)
+    over |= ~asked
 
     def whole(held: Array, out: tuple[Array, ...]) -> tuple[Array, ...]:
-        ends = (*held[:3], 0.0, 0.0, 0.0)
+        ends: tuple[Any, ...] = (
+            *(jnp.where(asked, place, 0.0) for place in held[:3]),
+            0.0,
+            0.0,
+            0.0,
+        )
         channels = (channel for kind in out for channel in kind)
         return tuple(
             jnp.where(over, end, channel[: len(times)])
@@ -387,7 +395,8 @@ def trajectory(
     velocities : whether these are wanted, which takes as long again as the places.
     inputs : the law's coefficients, the stone's fields and (v0, omega0), as vectors. Those that
         nobody asks about cost nothing, and what `vmap` maps over becomes lanes of one call.
-    times : in s, from 0 up, not falling from one to the next, shape (n,).
+    times : in s, from 0 up, not falling from one to the next, shape (n,). Rows at inf, which may
+        stand at the end, cost nothing and are 0.
     """
     return _in_lanes(partial(_alone, law, load, velocities))(*inputs, times)
 

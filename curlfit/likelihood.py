@@ -154,12 +154,17 @@ def model(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
     friction, start = split(law, values)
     rows = jnp.arange(problem.times.shape[-1])
     stop = rows == problem.stop
-    late = (rows >= problem.stop) & (problem.stop >= 0)  # rows after it are but padding
-    times = jnp.where(late, problem.times + _LATE, problem.times)
+    times = jnp.where(stop, problem.times + _LATE, _asked(problem))
     path = simulate(friction, problem.stone, start, times, load=load, t0=0.0, ordered=True)
     left = start.v * (1 - problem.times / jnp.maximum(path.rest, 1e-9))
     speed = jnp.where(stop, left, path.speed)
     return jnp.stack([path.x, path.y, path.phi, speed, path.omega])
+
+
+def _asked(problem: Problem) -> Array:
+    """The times, inf in padded rows, which repeat the last."""
+    padded = jnp.diff(problem.times, prepend=-jnp.inf) == 0
+    return jnp.where(padded, jnp.inf, problem.times)
 
 
 def weighted_residuals(law: type[Law], load: Load, values: Array, problem: Problem) -> Array:
@@ -171,7 +176,7 @@ def _independent(law: type[Law], load: Load, values: Array, problem: Problem) ->
     """The same without any loss."""
     if len(problem.observed) == 3:
         friction, start = split(law, values)
-        path = places(friction, problem.stone, start, problem.times, load=load)
+        path = places(friction, problem.stone, start, _asked(problem), load=load)
     else:
         path = model(law, load, values, problem)
     residual = jnp.where(problem.weight > 0, (path - problem.observed) * problem.weight, 0.0)

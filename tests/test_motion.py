@@ -12,8 +12,9 @@ import pytest
 from conftest import Reference, front_back
 
 import curlfit
-from curlfit import LAWS, Start, Stone, simulate, steps
+from curlfit import LAWS, Start, Stone, Throw, simulate, steps
 from curlfit.contact import accelerations
+from curlfit.likelihood import frame_of, log_likelihood, problem_of, trace
 from curlfit.paper import first_order_motion
 
 STONE = Stone(R=0.054, rho=0.1)
@@ -273,3 +274,26 @@ def test_many_stones_at_once_are_each_as_alone():
 def test_unknown_load_is_refused():
     with pytest.raises(curlfit.InputError, match="expected uniform or consistent"):
         simulate(FRONT_BACK, STONE, Start(), [0.0, 1.0], load="heavy")
+
+
+def test_padded_rows_cost_and_change_nothing():
+    """A problem repeats its last time up to its length; neither path nor slopes heed that."""
+    law, load = LAWS["front-back"], "uniform"
+    t = np.linspace(0.0, 30.0, 37)  # at rest from 25 s on
+    throw = Throw.from_arrays(t, *np.random.default_rng(1).normal(size=(3, 37)))
+    frame = frame_of(throw)
+    sigma = {"x": 0.1, "y": 0.2, "phi": 0.3}
+    padded = problem_of(throw, Stone(), frame, sigma)
+    bare = padded._replace(
+        times=padded.times[:37], observed=padded.observed[:, :37], weight=padded.weight[:, :37]
+    )
+    values = np.array([0.004, 0.02, 0.012, 0.006, 0.1, -0.2, 0.03, 2.1, 0.4, 1.5])
+    for slopes in (jax.jacfwd, jax.grad):
+        both = [
+            jax.jit(slopes(partial(log_likelihood, law, load)))(values, problem)
+            for problem in (padded, bare)
+        ]
+        assert np.isfinite(both).all()
+        np.testing.assert_allclose(*both, rtol=1e-9)
+    path = np.asarray(trace(law, load, values, padded))
+    np.testing.assert_allclose(path[:, :37], trace(law, load, values, bare), rtol=1e-12, atol=1e-14)
