@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from curlfit.figures_profile import profile_figure
     from curlfit.fitting import fit
     from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, coefficient, find_law
-    from curlfit.joint import JointResult, fit_together, load_joint
+    from curlfit.joint import JointResult, load_joint
     from curlfit.motion import Path, Start, simulate
     from curlfit.planning import Design, design, load_design
     from curlfit.prediction import held_out, predict
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from curlfit.stone import Stone
     from curlfit.synthetic import law_with, synthetic_throw
     from curlfit.throw import Throw
+    from curlfit.together import fit_together
 
 # Where each public name lives. They are imported on first use, so that `import curlfit` and the
 # command line's help need neither JAX nor matplotlib.
@@ -63,7 +64,7 @@ _HOMES = {
     "figures_profile": ("profile_figure",),
     "fitting": ("fit",),
     "friction": ("LAWS", "Law", "LocalLaw", "NetLaw", "coefficient", "find_law"),
-    "joint": ("JointResult", "fit_together", "load_joint"),
+    "joint": ("JointResult", "load_joint"),
     "motion": ("Path", "Start", "simulate"),
     "planning": ("Design", "design", "load_design"),
     "prediction": ("held_out", "predict"),
@@ -82,6 +83,7 @@ _HOMES = {
     "stone": ("Stone",),
     "synthetic": ("law_with", "synthetic_throw"),
     "throw": ("Throw",),
+    "together": ("fit_together",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -80,7 +80,7 @@ def fit_several(
         def told(step: int, chi_squared: float) -> None:
             progress.update(task, more=f"step {step}, chi squared {chi_squared:.6g}")
 
-        from curlfit.joint import fit_together
+        from curlfit.together import fit_together
 
         result = fit_together(
             throws, law, share=names, load=load, loss=loss, progress=told, **choices
