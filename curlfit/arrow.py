@@ -39,14 +39,11 @@ class Layout(NamedTuple):
     places: NDArray[np.int64]
     """shape (throws, parameters of a throw)"""
     names: tuple[str, ...]
-    owner: NDArray[np.int64]
-    """throw of each joint parameter; -1 for the shared"""
 
 
 def layout_of(names: Sequence[str], shared: Sequence[str], count: int) -> Layout:
     """The layout for some throws, from the names of one throw's parameters and the shared ones."""
     joint = list(shared)
-    owner = [-1] * len(shared)
     places = np.zeros((count, len(names)), int)
     for throw in range(count):
         for column, name in enumerate(names):
@@ -55,8 +52,7 @@ def layout_of(names: Sequence[str], shared: Sequence[str], count: int) -> Layout
             else:
                 places[throw, column] = len(joint)
                 joint.append(f"{name}[{throw + 1}]")
-                owner.append(throw)
-    return Layout(places, tuple(joint), np.array(owner))
+    return Layout(places, tuple(joint))
 
 
 class Bench:
