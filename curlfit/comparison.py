@@ -475,7 +475,8 @@ def _ranked(found: list[tuple[Candidate, FitResult | None]]) -> Comparison:
 
     def order(pair: tuple[Candidate, FitResult | None]) -> tuple[bool, bool, bool, float]:
         item = pair[0]
-        return item.bic is None, item.signs_free, not item.converged, item.bic or 0.0
+        # Of what is alike to a tenth, which says nothing, the order in which it was asked stands.
+        return item.bic is None, item.signs_free, not item.converged, round(item.bic or 0.0, 1)
 
     found = sorted(found, key=order)
     ranked = [item for item, _ in found if _counts(item)] or [found[0][0]]

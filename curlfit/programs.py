@@ -29,6 +29,10 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.files import replaced
 
+WIDE: dict[str, Any] = {"xla_cpu_prefer_vector_width": "512"}
+"""Options of `jax.jit` for a program that runs often: XLA leaves half of AVX-512's vectors unused
+unless told, which costs up to a tenth."""
+
 
 def kept(*static: str, often: bool = False) -> Callable[[Callable[..., Any]], _Kept]:
     """`jax.jit` for a function of arrays, whose compiled programs outlive the process.
@@ -109,13 +113,10 @@ class _Kept:
 def _compiled(lowered: Any, often: bool) -> Any:
     """As fast to run as may be where that matters, else as fast to make.
 
-    XLA leaves half of AVX-512's vectors unused unless told, which costs a tenth. Its older emitters
-    of kernels take half the time and half the memory of the new ones, and make programs that are
-    slower by a quarter to a half.
+    XLA's older emitters of kernels take half the time and half the memory of the new ones, and make
+    programs that are slower by a quarter to a half.
     """
-    options: dict[str, Any] = {"xla_cpu_prefer_vector_width": "512"}
-    if not often:
-        options["xla_cpu_use_fusion_emitters"] = False
+    options = WIDE if often else WIDE | {"xla_cpu_use_fusion_emitters": False}
     if jax.default_backend() == "cpu":
         with suppress(jax.errors.JaxRuntimeError):  # of a version that knows no such option
             return lowered.compile(compiler_options=options)

@@ -210,13 +210,14 @@ def study_ring(motion: Kinematics) -> RingFindings:
 def _paths() -> tuple[tuple[float, float], tuple[float, float]]:
     """Eq. 27 in closed form, stepwise, and the full ring, from the same start, for eq. 28."""
     stone = Stone(R=0.054, rho=RHO)
-    t = np.minimum(np.arange(256) / 10, 20.0)  # the shape of a fit's times
-    problem = Problem(t, np.zeros((3, 256)), np.zeros((3, 256)), stone)
+    t = np.linspace(0, 20, 201)
+    padded = np.pad(t, (0, 55), mode="edge")  # the shape of a fit's times
+    problem = Problem(padded, np.zeros((3, 256)), np.zeros((3, 256)), stone)
     mu = (0.0018, 0.058, 0.009, 0.009)
     start = np.array([*mu, 0.0, 0.0, 0.0, SPEED, 0.0, 1.0])
     closed = first_order_motion(FrontBackFirstOrder(*mu), stone, SPEED, 1.0, t)
     stepped, ring = (
-        np.asarray(trace(law, "uniform", start, problem))
+        np.asarray(trace(law, "uniform", start, problem))[:, : len(t)]
         for law in (FrontBackFirstOrder, FrontBack)
     )
 
