@@ -330,6 +330,25 @@ def _some(kind: type[LocalLaw]) -> LocalLaw:
 
 
 @cache
+def _somewhere(front: float) -> RingPoint:
+    """Points on one half of the ring in several motions, for numpy; those of the other half are
+    their mirror images."""
+    v, u = np.array([[1.1], [0.3], [2.3]]), np.array([[-0.6], [0.15], [1.7]])
+    angle = (2 * front - 1) * np.linspace(0.2, 2.9, 7)
+    xi, eta = np.cos(angle), np.sin(angle)
+    slide_xi, slide_eta = -u * eta, v + u * xi
+    speed = np.hypot(slide_xi, slide_eta)
+    return RingPoint(
+        xi, eta, angle, front, slide_xi, slide_eta, speed, slide_xi / speed, slide_eta / speed,
+        np.ones_like(speed), 0.7 * v, 3.1 * v,
+    )  # fmt: skip
+
+
+def _close(one: Any, other: Any) -> bool:
+    return bool(np.allclose(np.asarray(one), np.asarray(other), rtol=1e-9, atol=1e-12))
+
+
+@cache
 def _is_tensor(kind: type[LocalLaw], load: Load) -> bool:
     """Whether traction on each half is a constant tensor times the direction of sliding."""
     law = _some(kind)
@@ -342,7 +361,17 @@ def _is_tensor(kind: type[LocalLaw], load: Load) -> bool:
     def traction(*given: Array) -> Any:
         return law.traction(_POINT._replace(**dict(zip(names, given, strict=True))))
 
-    return _is_linear(traction, 2, len(names) - 2)
+    if not _is_linear(traction, 2, len(names) - 2):
+        return False
+    with jax.ensure_compile_time_eval():
+        for here in (_somewhere(1.0), _somewhere(0.0)):
+            across, along = (
+                law.traction(here._replace(e_xi=e_xi, e_eta=1.0 - e_xi)) for e_xi in (1.0, 0.0)
+            )
+            for part, right, forward in zip(law.traction(here), across, along, strict=True):
+                if not _close(part, right * here.e_xi + forward * here.e_eta):
+                    return False
+    return True
 
 
 @cache
@@ -356,8 +385,15 @@ def _is_mirrored(kind: type[LocalLaw], load: Load) -> bool:
     def traction(part: int, *given: Array) -> Any:
         return law.traction(_POINT._replace(**dict(zip(names, given, strict=True))))[part]
 
-    seen = _seen(partial(traction, 1), *(np.ones(()) for _ in names))
-    return not any(seen) and _is_linear(partial(traction, 0), 1, len(names) - 1)
+    try:
+        seen = _seen(partial(traction, 1), *(np.ones(()) for _ in names))
+        if any(seen) or not _is_linear(partial(traction, 0), 1, len(names) - 1):
+            return False
+    except TypeError:  # of a law that asks Python which half it is on
+        return False
+    with jax.ensure_compile_time_eval():
+        front, back = (law.traction(_somewhere(half)) for half in (1.0, 0.0))
+        return _close(front[0], -np.asarray(back[0])) and _close(front[1], back[1])
 
 
 def _imbalance(law: LocalLaw, ring: _Ring, stone: Stone, tilt: Array) -> Array:

@@ -142,7 +142,7 @@ def _follow(
     law, stone = ice(given.value)
     net = isinstance(law, NetLaw)
     omega0 = start.value[1]
-    asked = times < jnp.inf
+    asked = ~(times == jnp.inf)
     last = jnp.max(jnp.where(asked, times, 0.0), 0) + jnp.zeros_like(omega0)
     span = jnp.maximum(last, 1e-9)
     tableau, moments = jnp.asarray(_TABLEAU), jnp.asarray(_TABLEAU.sum(1))

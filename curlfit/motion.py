@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
@@ -16,6 +16,8 @@ from jaxtyping import Array, ArrayLike
 
 from curlfit.friction import Law, Load, check_load
 from curlfit.stone import Stone
+
+_EVER = 1e30  # s, by when every stone is at rest
 
 
 @partial(
@@ -138,11 +140,12 @@ def simulate(
     Parameters
     ----------
     law, stone, start : what moves, and how it begins.
-    times : times in s, shape (n,), none before `t0`; order does not matter.
+    times : times in s, shape (n,), none before `t0`; order does not matter. At inf the stone is
+        where it comes to rest.
     load : "uniform" or "consistent" (eq. 8-9).
     t0 : time of `start` in s; the least of `times` if not given.
     ordered : times are known not to fall from one to the next, so that compiled code need not sort
-        them.
+        them; rows at inf are then not asked for, and are 0.
 
     Returns
     -------
@@ -158,11 +161,15 @@ def simulate(
     times = jnp.asarray(times, float)
     t0 = jnp.min(times) if t0 is None else jnp.asarray(t0, float)
     as_floats = jax.tree.map(lambda value: jnp.asarray(value, float), (law, stone, start))
-    if ordered or _ordered(times):
+    if ordered:
         return _simulate(*as_floats, times, t0, load=checked)
+    ever = jnp.where(times == jnp.inf, _EVER, times)
+    if _ordered(times):
+        return replace(_simulate(*as_floats, ever, t0, load=checked), t=times)
     order = jnp.argsort(times)
-    path, back = _simulate(*as_floats, times[order], t0, load=checked), jnp.argsort(order)
-    return jax.tree.map(lambda values: values[back] if values.ndim else values, path)
+    path, back = _simulate(*as_floats, ever[order], t0, load=checked), jnp.argsort(order)
+    path = jax.tree.map(lambda values: values[back] if values.ndim else values, path)
+    return replace(path, t=times)
 
 
 def _ordered(times: Array) -> bool:

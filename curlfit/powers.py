@@ -45,4 +45,4 @@ def _(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Array, Array]:
 
 @power.register(jax.core.Tracer)
 def _(base: Any, exponent: Any) -> Any:
-    return jnp.exp(exponent * log(base))
+    return jnp.exp(exponent * log(jnp.asarray(base, float)))

@@ -117,7 +117,7 @@ class FitResult:
         with the "gradient" of the log-likelihood, which vanishes but for parameters at a bound.
     reference : published or true values of the same law, if the data file has them.
     observed : t, x, y, phi as measured, speed and omega if they were, and given sigmas.
-    fitted : x, y, phi, speed, omega of the fit at the same times.
+    fitted : x, y, phi, speed, omega of the fit at the same times; empty where nobody wanted them.
     posterior : None until sampled.
     loss : how large residuals count, see `curlfit.losses`.
     noise : how noise goes together from row to row, see `curlfit.noise`.

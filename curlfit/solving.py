@@ -23,6 +23,7 @@ Floats = NDArray[np.float64]
 
 _TOLERANCE = 1e-10
 _MOST_STEPS = 200
+_NOTHING = 1e-7  # of the longest column of a Jacobian, below which another is but rounding
 _ROUNDING = 1e-12  # squares of columns of length 1 that may be but rounding
 _POOR = (3.0, 0.02)  # rms over a polynomial's, and over the range: both, and more starts are tried
 
@@ -160,7 +161,7 @@ def residual_sigma(
     normal = jacobian.mT @ jacobian * (free[:, None, :, None] & free[:, None, None, :])
     whole = normal.sum(1)
     size = np.sqrt(np.diagonal(whole, axis1=1, axis2=2))
-    scale = inverted(size, size > 0)
+    scale = inverted(size, size > _NOTHING * size.max(1, initial=0.0)[:, None])
     squares, axes = np.linalg.eigh(whole * scale[:, None] * scale[..., None])
     axes = axes * scale[..., None]
     inverse = axes * inverted(squares, squares > _ROUNDING)[:, None] @ axes.mT

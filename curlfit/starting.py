@@ -2,8 +2,9 @@
 
 A polynomial through each channel gives speed, direction and spin well enough to evaluate the
 law's forces along the path. In these the law's coefficients are linear, or are made so; their
-forces are integrated twice over time and fitted to the measured places and angles themselves by
-linear least squares. Nothing is differentiated but the polynomial, and that only once.
+forces are integrated twice over time and fitted to the measured places and angles, condensed to
+means over blocks of rows, by linear least squares. Nothing is differentiated but the polynomial,
+and that only once.
 """
 
 from __future__ import annotations

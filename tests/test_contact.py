@@ -104,6 +104,10 @@ UNEVEN = {
     "in front": lambda p: (0.3 * p.front, 0.0, 0.0),
     "sideways": lambda p: (0.3 * p.slide_xi, 0.0, 0.0),
     "askew": lambda p: (0.1 * p.e_xi * p.speed, 0.0, 0.0),
+    "stepped": lambda p: (p.speed, 0.3 * (p.e_xi > 0), 0.0),
+    "leaning": lambda p: (1 / (p.speed + 0.1), 0.1 * (1 - p.xi), 0.0),
+    "behind": lambda p: (0.0, 0.3 * (1 - p.front), 0.0),
+    "asking Python": lambda p: (p.speed + 0.3 * np.asarray(p.front), 0.0, 0.0),
 }
 
 
@@ -191,6 +195,8 @@ def test_power_is_numpys_with_its_derivatives_and_nan_below_zero():
         np.testing.assert_allclose(slopes[1], base**exponent * np.log(base), rtol=1e-13)
     assert np.isnan(jax.jit(power)(np.array([-1.0, np.nan]), 0.5)).all()
     assert power(4.0, 0.5) == 2.0
+    for base in (4, True + 3, np.float32(4), np.int32(4)):
+        assert jax.jit(power)(base, 0.5) == pytest.approx(2.0, rel=1e-15)
 
 
 def test_a_law_must_declare_its_coefficients():

@@ -15,7 +15,9 @@ from scipy.optimize import least_squares
 import curlfit
 from curlfit import DataError, InputError, Stone, Throw, fit, law_with, synthetic_throw
 from curlfit.box import BoxLevenbergMarquardt
+from curlfit.likelihood import Problem
 from curlfit.results import load_fit
+from curlfit.solving import Solution, residual_sigma
 
 NAMES = ("mu1_xi", "mu2_xi")
 
@@ -278,3 +280,15 @@ def test_public_names_are_there():
     for name in curlfit.__all__:
         assert getattr(curlfit, name) is not None
     assert jax.config.jax_enable_x64
+
+
+def test_what_no_row_shows_pays_for_no_residual():
+    """Sigma counts a row less for each direction that is seen, wherever its unit puts it."""
+    t = np.arange(6.0)
+    for columns, paid in (([t, 1e-10 * t**2], 1), ([t, 2 * t], 1), ([t, t**2], 2)):
+        jacobian = np.stack(columns, -1)[None, None]
+        solution = Solution(np.zeros((1, 2)), np.ones((1, 1, 6)), jacobian, 1, True)
+        ones = np.ones((1, 1, 6))
+        problem = Problem(t[None], ones, ones, Stone())
+        (found,) = residual_sigma(solution, problem, np.ones((1, 2), bool))
+        assert found[0] == pytest.approx(np.sqrt(6 / (6 - paid)), rel=1e-12)

@@ -297,3 +297,13 @@ def test_padded_rows_cost_and_change_nothing():
         np.testing.assert_allclose(*both, rtol=1e-9)
     path = np.asarray(trace(law, load, values, padded))
     np.testing.assert_allclose(path[:, :37], trace(law, load, values, bare), rtol=1e-12, atol=1e-14)
+
+
+def test_at_infinity_a_stone_is_where_it_comes_to_rest_and_nowhere_without_a_time():
+    start = Start(y=3.0, v=2.0)
+    times = np.array([0.0, 1.0, np.inf])
+    path = simulate(FRONT_BACK, STONE, start, times)
+    late = simulate(FRONT_BACK, STONE, start, np.array([0.0, 1.0, 1000.0]))
+    np.testing.assert_allclose(places(path), places(late), atol=1e-9)
+    np.testing.assert_array_equal(path.t, times)
+    assert np.isnan(simulate(FRONT_BACK, STONE, start, np.array([0.0, np.nan, 1.0]), t0=0).y[1])
