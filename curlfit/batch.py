@@ -7,9 +7,7 @@ it holds up none of its neighbours.
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from itertools import islice
 from operator import itemgetter
 from os import PathLike
@@ -27,6 +25,7 @@ from curlfit.fitting import Job, first_sigma, fit, prepared
 from curlfit.friction import Law, check_load
 from curlfit.lockstep import Places, Tasks, run_of, solve_many
 from curlfit.plan import CHUNK, Plan, columns
+from curlfit.programs import unswept
 from curlfit.readers import load_throw
 from curlfit.results import FitResult
 from curlfit.solving import Solution, poor, residual_sigma
@@ -38,18 +37,6 @@ from curlfit.weighing import Optimum, weighed_together
 Floats = NDArray[np.float64]
 
 _ROWS = CHUNK * 256  # of throws that are fitted together, for the sake of memory
-
-
-@contextmanager
-def _no_sweeping() -> Iterator[None]:
-    """Nothing here makes cycles; to look for them among all of JAX takes a fifth of the time."""
-    was = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was:
-            gc.enable()
 
 
 def fit_files(files: Sequence[str | PathLike[str]], plan: Plan) -> list[dict[str, Any]]:
@@ -76,7 +63,7 @@ def fit_files(files: Sequence[str | PathLike[str]], plan: Plan) -> list[dict[str
     return rows
 
 
-@_no_sweeping()
+@unswept()
 def _read(files: Sequence[str | PathLike[str]], plan: Plan) -> list[Throw | str]:
     throws: list[Throw | str] = []
     for file in files:
@@ -87,7 +74,7 @@ def _read(files: Sequence[str | PathLike[str]], plan: Plan) -> list[Throw | str]
     return throws
 
 
-@_no_sweeping()
+@unswept()
 def fit_throws(
     throws: Iterable[Throw | str], plan: Plan, *, curves: bool = True
 ) -> list[FitResult | str]:
