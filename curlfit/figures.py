@@ -138,7 +138,7 @@ def _stretch_note(axes: Any) -> None:
     factor = across / along
     if factor > 1.5:
         axes.text(
-            0.01, 0.04, f"x drawn about {factor:.2g} times as large as y",
+            0.01, 0.04, f"x drawn about {float(f'{factor:.2g}'):g} times as large as y",
             transform=axes.transAxes, fontsize=8, color="0.4",
         )  # fmt: skip
 
