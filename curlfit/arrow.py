@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from curlfit.friction import Law, Load
-from curlfit.identifiability import triangle
+from curlfit.identifiability import few_rows
 from curlfit.parameters import ParameterSet
 from curlfit.solving import Solution
 
@@ -145,11 +145,7 @@ class Search:
         count, p = self.layout.places.shape
         matrix = np.zeros((count * (p + 1), len(self.layout.names)))
         right = np.zeros(count * (p + 1))
-        for throw in range(count):
-            rows = np.concatenate(
-                [state.jacobian[throw].reshape(-1, p), state.residual[throw].reshape(-1, 1)], 1
-            )
-            few = triangle(rows)
+        for throw, few in enumerate(few_rows(state.jacobian, state.residual)):
             here = slice(throw * (p + 1), throw * (p + 1) + len(few))
             matrix[here, self.layout.places[throw]] = few[:, :p]
             right[here] = few[:, p]

@@ -273,12 +273,8 @@ def _follow(
     over |= ~asked
 
     def whole(held: Array, out: tuple[Array, ...]) -> tuple[Array, ...]:
-        ends: tuple[Any, ...] = (
-            *(jnp.where(asked, place, 0.0) for place in held[:3]),
-            0.0,
-            0.0,
-            0.0,
-        )
+        stopped = (jnp.where(asked, place, 0.0) for place in held[:3])
+        ends: tuple[Any, ...] = (*stopped, 0.0, 0.0, 0.0)
         channels = (channel for kind in out for channel in kind)
         return tuple(
             jnp.where(over, end, channel[: len(times)])

@@ -96,6 +96,17 @@ def triangle(matrix: Floats) -> Floats:
     return found
 
 
+def few_rows(jacobians: Floats, residuals: Floats) -> Floats:
+    """Jacobians of many throws with the residuals as the last column, in as few rows as columns.
+
+    Parameters
+    ----------
+    jacobians : shape (throws, channels, n, parameters); residuals without the last axis.
+    """
+    whole = np.concatenate([jacobians, residuals[..., None]], -1)
+    return triangle(whole.reshape(len(whole), -1, whole.shape[-1]))
+
+
 def analyse(
     jacobian: Floats,
     names: Sequence[str],

@@ -163,12 +163,13 @@ def simulate(
     as_floats = jax.tree.map(lambda value: jnp.asarray(value, float), (law, stone, start))
     if ordered:
         return _simulate(*as_floats, times, t0, load=checked)
-    ever = jnp.where(times == jnp.inf, _EVER, times)
+    finite = jnp.where(times == jnp.inf, _EVER, times)
     if _ordered(times):
-        return replace(_simulate(*as_floats, ever, t0, load=checked), t=times)
-    order = jnp.argsort(times)
-    path, back = _simulate(*as_floats, ever[order], t0, load=checked), jnp.argsort(order)
-    path = jax.tree.map(lambda values: values[back] if values.ndim else values, path)
+        path = _simulate(*as_floats, finite, t0, load=checked)
+    else:
+        order = jnp.argsort(finite)
+        path, back = _simulate(*as_floats, finite[order], t0, load=checked), jnp.argsort(order)
+        path = jax.tree.map(lambda values: values[back] if values.ndim else values, path)
     return replace(path, t=times)
 
 

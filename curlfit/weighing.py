@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
-from curlfit.identifiability import Identifiability, analyse_many, grouped, triangle
+from curlfit.identifiability import Identifiability, analyse_many, few_rows, grouped
 from curlfit.losses import BULK, precision, robust_sigma, steepness
 from curlfit.noise import Independence, independences, lag1_of
 from curlfit.parameters import ParameterSet
@@ -85,8 +85,10 @@ def weighed_together(
     law, load = optima[0].law, optima[0].load
     paths = traced(law, load, solutions.values, problems, lanes) if curves else None
     survey = _surveyed(problems, solutions, paths)
-    drafts = _drafted(optima, survey)
-    around = _at_one_error(optima, drafts)
+    # from the problems' coordinates to the data's
+    offset = np.stack([item.frame.offset(len(item.parameters)) for item in optima])
+    drafts = _drafted(optima, survey, solutions.values + offset)
+    around = _at_one_error(optima, drafts, solutions.values, offset)
     of_owners = jax.tree.map(lambda leaf: leaf[around.owner], problems)
     least = (solutions.residual**2).sum((1, 2))
     raised = misfits(law, load, around.point, of_owners, lanes) - least[around.owner]
@@ -124,8 +126,7 @@ def _surveyed(problems: Problem, solutions: Solution, paths: Floats | None) -> _
     order = np.argsort(~seen, -1, kind="stable")
     lag1 = lag1_of(np.take_along_axis(residual, order, -1), count)
     apart = independences(np.take_along_axis(solutions.residual, order, -1), count)
-    whole = np.concatenate([solutions.jacobian, solutions.residual[..., None]], -1)
-    few = triangle(whole.reshape(len(whole), -1, whole.shape[-1]))
+    few = few_rows(solutions.jacobian, solutions.residual)
     return _Survey(paths, residual, few, count, rms, lag1, apart)
 
 
@@ -141,10 +142,9 @@ class _Draft(NamedTuple):
     """standard errors to the optimum, as far as the slopes tell"""
 
 
-def _drafted(optima: Sequence[Optimum], survey: _Survey) -> list[_Draft]:
+def _drafted(optima: Sequence[Optimum], survey: _Survey, values: Floats) -> list[_Draft]:
     """Those of one set of open parameters are looked into together."""
     sets = [optimum.parameters for optimum in optima]
-    values = np.stack([item.solution.values for item in optima]) + _offsets(optima)
     slopes = Slopes(
         survey.few[..., -1], survey.few[..., :-1], values,
         *(np.stack([getattr(item, name) for item in sets])
@@ -174,11 +174,6 @@ def _drafted(optima: Sequence[Optimum], survey: _Survey) -> list[_Draft]:
         _Draft(values[place], known[place], at_bound[place], open_, float(left[place]))
         for place, (open_, _) in enumerate(held)
     ]
-
-
-def _offsets(optima: Sequence[Optimum]) -> Floats:
-    """From the problems' coordinates to the data's."""
-    return np.stack([item.frame.offset(len(item.parameters)) for item in optima])
 
 
 def _recorded(optimum: Optimum, survey: _Survey, draft: _Draft, bent: list[str]) -> FitResult:
@@ -281,12 +276,12 @@ class _Around(NamedTuple):
     """the axis, in typical sizes; 0 for parameters that are not open"""
 
 
-def _at_one_error(optima: Sequence[Optimum], drafts: Sequence[_Draft]) -> _Around:
+def _at_one_error(
+    optima: Sequence[Optimum], drafts: Sequence[_Draft], values: Floats, offset: Floats
+) -> _Around:
     sets, typical = [optimum.parameters for optimum in optima], optima[0].parameters.typical
-    values = np.stack([optimum.solution.values for optimum in optima])
     lower, upper = (
-        np.stack([getattr(item, name) for item in sets]) - _offsets(optima)
-        for name in ("lower", "upper")
+        np.stack([getattr(item, name) for item in sets]) - offset for name in ("lower", "upper")
     )
     found = []
     for places in grouped((draft.open,) for draft in drafts):
