@@ -5,7 +5,10 @@ follow the path, it is fitted once more with either sign allowed, to show what i
 a fit is listed and not ranked.
 
 Information criteria count what the path determines, not what the law has: the rank of the
-Jacobian, and one for each noise that was estimated.
+Jacobian, and one for each noise that was estimated. Where the residuals of the law that fits best
+are correlated from row to row, the log-likelihood of each channel counts by its effective number of
+values over the number of its rows (the variance inflation of QAICc: Burnham and Anderson 2002,
+sect. 2.5), for all laws alike. That is an approximation, and the report says so.
 
 Under a robust loss the likelihood is that of the noise which the loss stands for, at its likeliest
 sigma (see `losses.log_density`); all laws are fitted and weighed under the same. Then how large
@@ -15,8 +18,9 @@ outliers are no law's fault.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from os import PathLike
 from pathlib import Path
@@ -28,6 +32,7 @@ from curlfit.contact import accelerations, panels
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
@@ -35,6 +40,7 @@ from curlfit.errors import DataError, UnusableFitError
 from curlfit.files import Migration, known, read_json, write_json
 from curlfit.fitting import fit
 from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, find_law
+from curlfit.likelihood import SIGMA_FLOOR
 from curlfit.losses import likeliest_sigma, log_density, robust_sigma
 from curlfit.results import FitResult
 from curlfit.stone import Stone
@@ -48,7 +54,9 @@ PLACE = ("x", "y", "phi")
 
 _FOLLOWS = 0.1  # rms of a residual over what there is to explain, up to which a law follows a path
 _MEDIAN = 5  # rows of a running median that takes out single outliers
-_NOISE = 1.5  # rms of a residual over the scatter of the data, up to which it does in any case
+_NOISE = 1.5  # rms of a residual over the noise of the data, up to which it does in any case
+_UNCLEAR = 3.0  # the same, up to which correlated noise may explain it
+_DEGREE = 5  # of a polynomial in time from which noise is told
 
 
 @dataclass(frozen=True)
@@ -69,8 +77,9 @@ class Candidate:
     curl_explained : share of the path's curl that the law gives, 1 at best; None where the path
         has no curl beyond its scatter.
     follows : whether each channel's residual is within a tenth of its departure from straight and
-        even motion, or within its scatter.
-    log_likelihood, aicc, bic : noise independent from row to row, Gaussian or as the loss has it.
+        even motion, or within its noise; None where correlated noise may explain the residual.
+    log_likelihood : noise independent from row to row, Gaussian or as the loss has it.
+    aicc, bic : the same, by the effective number of values (see `Comparison.effective`).
     delta_aicc, delta_bic : above the best of the ranked candidates.
     rank : place by BIC among the candidates within their laws' bounds, from 1; None if not ranked.
     sides : to which sides the law can curl a slowing counter-clockwise stone on this path, within
@@ -92,7 +101,7 @@ class Candidate:
     rms: dict[str, float] | None = None
     bulk: dict[str, float] | None = None
     curl_explained: float | None = None
-    follows: bool = False
+    follows: bool | None = False
     log_likelihood: float | None = None
     aicc: float | None = None
     bic: float | None = None
@@ -124,7 +133,8 @@ class Comparison:
 
     `data` says what was fitted; `curl` is the path's sideways departure from a straight line in m
     (rms), with the `side` to which it bends seen along the motion. `observed` holds t, x, y, phi.
-    `loss` is how large residuals counted.
+    `loss` is how large residuals counted. `effective` is the effective number of values by channel
+    where the residuals of the law that fits best are correlated from row to row; else empty.
     `fits` are the full results in the order of the candidates, and empty when read from a file.
     """
 
@@ -136,6 +146,7 @@ class Comparison:
     observed: dict[str, list[float]]
     fits: tuple[FitResult | None, ...] = ()
     loss: str = "linear"
+    effective: dict[str, float] = field(default_factory=dict)
 
     @property
     def best(self) -> Candidate:
@@ -158,6 +169,7 @@ class Comparison:
             "curl": self.curl,
             "side": self.side,
             "loss": self.loss,
+            "effective": self.effective,
             "candidates": [asdict(item) for item in self.candidates],
             "observed": self.observed,
         }
@@ -193,6 +205,7 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
             ),
             observed=found["observed"],
             loss=found.get("loss", "linear"),
+            effective=found.get("effective", {}),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(
@@ -275,9 +288,6 @@ def _candidate(
         result = fit(throw, law, unbounded=signs_free, **choices)
     except UnusableFitError as error:
         return replace(blank, status=str(error)), None
-    n = result.n_observations
-    k = result.rank + len(result.sigma)
-    log_likelihood = _log_likelihood(result)
     coefficients = result.coefficients
     signed = {item.name for item in law.coefficients() if item.signed}
     explained, follows = _followed(result)
@@ -299,15 +309,12 @@ def _candidate(
                 {"expression": item.expression, "value": item.value, "stderr": item.stderr}
                 for item in result.combinations
             ),
-            n_parameters=k,
+            n_parameters=result.rank + len(result.sigma),
             rms=result.rms,
             bulk=None if result.loss == "linear" else _sizes(result, _residuals(result)),
             curl_explained=explained,
             follows=follows,
-            log_likelihood=log_likelihood,
-            # Hurvich and Tsai (1989), Schwarz (1978)
-            aicc=2 * k - 2 * log_likelihood + 2 * k * (k + 1) / max(n - k - 1, 1),
-            bic=k * float(np.log(n)) - 2 * log_likelihood,
+            log_likelihood=sum(_log_likelihood(result).values()),
             sides=_sides(law, choices["load"], result),
             negative=_needed_negative(result, signed),
             at_bound=_with_verdict(result, "at bound"),
@@ -377,9 +384,10 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _log_likelihood(result: FitResult) -> float:
-    """At the fit, of noise as the loss has it; an estimated sigma is at its most likely value."""
-    total = 0.0
+def _log_likelihood(result: FitResult) -> dict[str, float]:
+    """At the fit, by channel, of noise as the loss has it; an estimated sigma is at its most likely
+    value."""
+    found = {}
     for name, residual in _residuals(result).items():
         given = result.observed.get(f"sigma_{name}")
         sigma: Floats | float = (
@@ -387,11 +395,43 @@ def _log_likelihood(result: FitResult) -> float:
             if given is None
             else given[np.isfinite(result.observed[name])]
         )
-        total += float((log_density(residual / sigma, result.loss) - np.log(sigma)).sum())
-    return total
+        found[name] = float((log_density(residual / sigma, result.loss) - np.log(sigma)).sum())
+    return found
 
 
-def _followed(result: FitResult) -> tuple[float | None, bool]:
+def _effective(result: FitResult) -> dict[str, float]:
+    """Effective number of values of the channels whose residuals are correlated from row to row.
+
+    n (1 - r)/(1 + r) (Bayley and Hammersley 1946). A fit of p parameters to n rows makes the
+    correlation r of neighbours smaller by (2 r + p (1 + r))/n (Marriott and Pope 1954, for a mean).
+    """
+    found, p = {}, result.rank / len(result.rms)
+    for name, residual in _residuals(result).items():
+        item, n = result.independence.get(name), len(residual)
+        if item is not None and item.doubtful and result.rms[name] > 10 * SIGMA_FLOOR:
+            r = min((item.lag1 + p / n) / (1 - (2 + p) / n), 1 - 1 / n)
+            found[name] = n * (1 - r) / (1 + r)
+    return found
+
+
+def _with_criteria(
+    candidate: Candidate, result: FitResult, effective: Mapping[str, float]
+) -> Candidate:
+    """AICc (Hurvich and Tsai 1989) and BIC (Schwarz 1978) by the effective number of values."""
+    k, n = candidate.n_parameters or 0, result.n_observations
+    values = {name: len(residual) for name, residual in _residuals(result).items()}
+    counted = {name: effective.get(name, float(values[name])) for name in values}
+    twice = 2 * sum(
+        part * counted[name] / values[name] for name, part in _log_likelihood(result).items()
+    )
+    return replace(
+        candidate,
+        aicc=2 * k - twice + 2 * k * (k + 1) / max(n - k - 1, 1),
+        bic=k * float(np.log(sum(counted.values()))) - twice,
+    )
+
+
+def _followed(result: FitResult) -> tuple[float | None, bool | None]:
     """Share of the curl explained, and whether the law follows the path."""
     t = result.observed["t"]
     x, y, phi = (result.observed[name] for name in PLACE)
@@ -401,17 +441,25 @@ def _followed(result: FitResult) -> tuple[float | None, bool]:
     off = np.stack([(x - result.fitted["x"])[place], (y - result.fitted["y"])[place]], 1)
     residuals = {"across": off @ across, "along": off @ along}
     raw = np.stack([x[place], y[place]], 1)
-    noise = {name: scatter(raw @ axis) for name, axis in (("across", across), ("along", along))}
+    noise = {
+        name: _noise(t[place], raw @ axis, result.loss)
+        for name, axis in (("across", across), ("along", along))
+    }
     wanted = {"across": curl, "along": _uneven(t[place], given @ along)}
     turned = np.isfinite(phi)
     if turned.sum() > 3:
         residuals["phi"] = (phi - result.fitted["phi"])[turned]
-        noise["phi"] = scatter(phi[turned])
+        noise["phi"] = _noise(t[turned], phi[turned], result.loss)
         wanted["phi"] = _uneven(t[turned], _seen(phi[turned], result.loss))
     size = _sizes(result, residuals)
-    follows = all(
-        size[name] <= max(_FOLLOWS * wanted[name], _NOISE * noise[name]) for name in residuals
-    )
+    correlated = any(item.doubtful for item in result.independence.values())
+    answers = []
+    for name in residuals:
+        answer: bool | None = size[name] <= max(_FOLLOWS * wanted[name], _NOISE * noise[name])
+        if not answer and correlated and size[name] <= _UNCLEAR * noise[name]:
+            answer = None
+        answers.append(answer)
+    follows = False if False in answers else None if None in answers else True
     if curl <= 3 * noise["across"]:
         return None, follows
     missed = max(size["across"] ** 2 - noise["across"] ** 2, 0.0)
@@ -421,6 +469,18 @@ def _followed(result: FitResult) -> tuple[float | None, bool]:
 def _seen(values: Floats, loss: str) -> Floats:
     """What there is to explain of a series: without its outliers, where the loss is robust."""
     return values if loss == "linear" else median_filter(values, _MEDIAN, mode="nearest")
+
+
+def _noise(t: Floats, values: Floats, loss: str) -> float:
+    """Standard deviation of the noise on a smooth series: of its scatter from row to row, or about
+    a polynomial in time where that is larger, which correlated noise makes it."""
+    by_row = float(scatter(values))
+    if len(values) <= 3 * _DEGREE:
+        return by_row
+    fitted = Polynomial.fit(t, _seen(values, loss), _DEGREE)
+    size = _rms if loss == "linear" else robust_sigma
+    free = 1 - (_DEGREE + 1) / len(values)
+    return max(by_row, size(values - fitted(t)) / math.sqrt(free))
 
 
 def _bend(x: Floats, y: Floats) -> tuple[Floats, Floats, float]:
@@ -478,6 +538,14 @@ def _ranked(found: list[tuple[Candidate, FitResult | None]]) -> Comparison:
         # Of what is alike to a tenth, which says nothing, the order in which it was asked stands.
         return item.bic is None, item.signs_free, not item.converged, round(item.bic or 0.0, 1)
 
+    # The count of values is that of the law that fits best, among those that may be ranked.
+    usable = [pair for pair in found if pair[0].converged and not pair[0].signs_free] or found
+    best = max(usable, key=lambda pair: pair[0].log_likelihood or -math.inf)[1] or fits[0]
+    effective = _effective(best)
+    found = [
+        (item if result is None else _with_criteria(item, result, effective), result)
+        for item, result in found
+    ]
     found = sorted(found, key=order)
     ranked = [item for item, _ in found if _counts(item)] or [found[0][0]]
     least = {name: min(getattr(item, name) for item in ranked) for name in ("aicc", "bic")}
@@ -499,7 +567,9 @@ def _ranked(found: list[tuple[Candidate, FitResult | None]]) -> Comparison:
     points = np.stack([_seen(values[place], first.loss) for values in (x, y)], 1)
     along, across, curl = _bend(*points.T)
     bend = np.polyfit(points @ along, points @ across, 2)[0]
-    noise = scatter(np.stack([x[place], y[place]], 1) @ across)
+    noise = _noise(
+        first.observed["t"][place], np.stack([x[place], y[place]], 1) @ across, first.loss
+    )
     return Comparison(
         data=first.data,
         stone=first.stone,
@@ -509,6 +579,7 @@ def _ranked(found: list[tuple[Candidate, FitResult | None]]) -> Comparison:
         observed={name: first.observed[name].tolist() for name in ("t", *PLACE)},
         fits=tuple(result for _, result in found),
         loss=first.loss,
+        effective=effective,
     )
 
 

@@ -11,7 +11,7 @@ from matplotlib import colormaps
 from matplotlib.patches import Patch
 
 from curlfit.figures import Picture
-from curlfit.profiles import LEVELS, PairProfile, Profile
+from curlfit.profiles import PairProfile, Profile
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -57,7 +57,7 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
     limited = profile.verdict == "limited"
     top = _HIGH if limited else _LOW
     at, item = profile.at, profile.estimate
-    for level in LEVELS:
+    for level in profile.levels:
         axes.axhline(level.rise, color="0.6", lw=0.8, ls=":")
         axes.annotate(
             level.name, (1.0, level.rise), xycoords=("axes fraction", "data"), xytext=(4, 0),
@@ -209,7 +209,7 @@ def _of_two(profile: PairProfile) -> Figure:
         panels[1].set_title("the same, across the valley", fontsize=10, loc="left")
     handles = [
         Patch(facecolor=color, edgecolor=_PROFILE, label=level.name)
-        for level, color in zip(LEVELS, _REGIONS, strict=True)
+        for level, color in zip(profile.levels, _REGIONS, strict=True)
     ] + panels[-1].get_legend_handles_labels()[0]
     figure.legend(
         handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9
@@ -227,7 +227,7 @@ def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
     """Regions, ellipse, samples and valley; `below` is what the second counts from."""
     first, second = profile.first, profile.second - below(profile.first)
     delta = np.ma.masked_invalid(profile.delta)
-    edges = [level.rise_of_two for level in LEVELS]
+    edges = [level.rise_of_two for level in profile.levels]
     axes.contourf(first, second, delta, levels=[-1, *edges], colors=_REGIONS, zorder=1)
     axes.contour(first, second, delta, levels=edges, colors=_PROFILE, linewidths=0.9, zorder=3)
     if len(profile.samples):

@@ -30,12 +30,20 @@ _WEAK = 1.0  # singular value below which a direction is known to no better than
 
 @dataclass(frozen=True)
 class Combination:
-    """A weighted sum of parameters that the data determine where they do not one by one."""
+    """A weighted sum of parameters that the data determine where they do not one by one.
+
+    `dof` are the degrees of freedom of `stderr`; None where sigma was given.
+    """
 
     expression: str
     weights: dict[str, float]
     value: float
     stderr: float | None
+    dof: float | None = None
+
+    def interval(self, level: float = 0.95) -> tuple[float, float] | None:
+        """Confidence interval by Student's t; None where there is no standard error."""
+        return student_interval(self.value, self.stderr, self.dof, level)
 
 
 @dataclass(frozen=True)
@@ -60,6 +68,27 @@ class Identifiability:
     covariance: Floats
     unseen: NDArray[np.bool_]
     combinations: tuple[Combination, ...]
+
+
+def student_quantile(level: float, dof: float | None) -> float:
+    """Half width, in standard errors, of a two-sided confidence interval at a level.
+
+    Student's t with `dof` degrees of freedom; Gaussian where these are None (sigma known).
+    """
+    from scipy.special import ndtri, stdtrit
+
+    upper = (1 + level) / 2
+    return float(ndtri(upper) if dof is None else stdtrit(dof, upper))
+
+
+def student_interval(
+    value: float, stderr: float | None, dof: float | None, level: float
+) -> tuple[float, float] | None:
+    """The confidence interval at a level of a value with a standard error, if it has one."""
+    if stderr is None:
+        return None
+    reach = student_quantile(level, dof) * stderr
+    return value - reach, value + reach
 
 
 def directions(information: Floats, typical: Floats) -> tuple[Floats, Floats, Floats]:

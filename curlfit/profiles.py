@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from curlfit.errors import DataError, InputError
 from curlfit.files import Migration, known, read_json, strict, write_json
-from curlfit.identifiability import Combination
+from curlfit.identifiability import Combination, student_quantile
 from curlfit.parameters import ParameterSet
 from curlfit.results import Estimate
 
@@ -28,23 +28,43 @@ _FEWEST, _MOST = 5, 2001  # places along a parameter
 
 
 class Level(NamedTuple):
-    """A level of confidence, and what chi squared rises by at its limits (Wilks 1938)."""
+    """A level of confidence, and what chi squared rises by at its limits.
+
+    These are the quantiles of Wilks (1938) where sigma was given; where it was estimated, those of
+    Student's t and Fisher's F (Bates and Watts 1988, sect. 6.1).
+    """
 
     name: str
     rise: float
-    """quantile of chi squared with one degree of freedom"""
+    """for one parameter: 1 or 3.84 where sigma was given"""
     rise_of_two: float
-    """the same with two degrees of freedom"""
+    """for two parameters together: 2.30 or 5.99 where sigma was given"""
     sigmas: float
-    """half the width of a Gaussian's interval, in standard deviations"""
+    """half the width of the covariance's interval, in standard errors"""
     quantiles: tuple[str, str]
     """of a posterior"""
 
 
-LEVELS = (
-    Level("68 %", 1.0, 2.30, 1.0, ("16", "84")),
-    Level("95 %", 3.84, 5.99, 1.96, ("2.5", "97.5")),
-)
+def levels_of(dof: float | None) -> tuple[Level, ...]:
+    """68 % and 95 % for a standard error of so many degrees of freedom; None: sigma was given."""
+    found = []
+    for name, level, quantiles in (
+        ("68 %", math.erf(math.sqrt(0.5)), ("16", "84")), ("95 %", 0.95, ("2.5", "97.5")),
+    ):  # fmt: skip
+        sigmas = student_quantile(level, dof)
+        beyond = math.log(1 - level)
+        # twice the quantile of F with 2 and dof degrees of freedom; of chi squared with 2
+        two = -2 * beyond if dof is None else dof * math.expm1(-2 * beyond / dof)
+        found.append(Level(name, sigmas**2, two, sigmas, quantiles))
+    return tuple(found)
+
+
+def levels_for(names: Sequence[str], parameters: Mapping[str, Estimate]) -> tuple[Level, ...]:
+    """Those for some parameters of a fit: by the fewest degrees of freedom of their standard
+    errors, or of all where none of them has one."""
+    known = [item.dof for name, item in parameters.items() if name in names and item.dof]
+    known = known or [item.dof for item in parameters.values() if item.dof]
+    return levels_of(min(known, default=None))
 
 
 @dataclass(frozen=True)
@@ -81,7 +101,7 @@ class Profile:
     at : values of the parameter, growing, shape (n,). More of them where the misfit is steep.
     delta : by how much chi squared is above the fit's there; NaN where the law admits no motion.
     others : by name, the other free parameters there.
-    intervals : at the levels in `LEVELS`.
+    intervals : at its `levels`, 68 % and 95 %.
     free : (low, high), the part of the range along which no other parameter is stopped by a bound
         that it is off elsewhere. stops : the names of those that are, beyond either end of it.
     rise : the most that chi squared rises within that part.
@@ -128,6 +148,11 @@ class Profile:
         return self.parameters[self.name]
 
     @property
+    def levels(self) -> tuple[Level, ...]:
+        """What chi squared rises by at the limits of its intervals."""
+        return levels_for([self.name], self.parameters)
+
+    @property
     def departure(self) -> dict[str, float]:
         """By level, the farthest that a limit set by the misfit is from the covariance's.
 
@@ -137,7 +162,7 @@ class Profile:
         if not stderr:
             return {}
         found = {}
-        for interval, level in zip(self.intervals, LEVELS, strict=True):
+        for interval, level in zip(self.intervals, self.levels, strict=True):
             reach = level.sigmas * stderr
             apart = [
                 abs(end - self.estimate.value - sign * reach) / stderr
@@ -230,6 +255,11 @@ class PairProfile:
     def parameters(self) -> dict[str, Estimate]:
         """Of the fit, by name."""
         return self.each[0].parameters
+
+    @property
+    def levels(self) -> tuple[Level, ...]:
+        """What chi squared rises by on the edges of its regions."""
+        return levels_for(self.names, self.parameters)
 
     @property
     def best(self) -> tuple[float, float]:

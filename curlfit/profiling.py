@@ -21,7 +21,7 @@ from scipy.optimize import brentq
 from curlfit.chain import Chain
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.fitting import fit as least_squares
-from curlfit.profiles import LEVELS, Interval, PairProfile, Profile, require_usable
+from curlfit.profiles import Interval, Level, PairProfile, Profile, require_usable
 from curlfit.refitting import Held, Place, Point, Progress, Refit
 from curlfit.results import FitResult
 from curlfit.throw import Throw
@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 POINTS = 41
 POINTS_OF_PAIR = 25
 _REACH = 4.0  # standard errors to either side
-_HIGH = 9.0  # rise of chi squared at the ends of a range that is searched for
+_HIGH = 1.5  # rise of chi squared at the ends of a range, over that around a 95 % region of two
 _FIRST, _LAST = 1e-3, 30.0  # typical sizes at which that search begins, and ends without a bound
 _ABREAST = 6  # places of the search at a time
 _SECTION = 10  # parts of an interval that is searched in, or filled where the misfit is steep
@@ -128,7 +128,8 @@ def _one(
     held.reach(line[:, None])
     held.settle(_in_turn(line))
     for _ in range(_ROUNDS):
-        more = _between(line, np.array([held.delta([value]) for value in line]), best)
+        delta = np.array([held.delta([value]) for value in line])
+        more = _between(line, delta, best, held.levels)
         if not len(more):
             break
         held.reach(more[:, None])
@@ -144,7 +145,7 @@ def _one(
     rise = float(np.nanmax(np.maximum(delta[inside], 0.0)))
     bounds = float(refit.parameters.lower[place]), float(refit.parameters.upper[place])
     intervals = tuple(
-        _interval(line, delta, best, level.rise, level.name, free, bounds) for level in LEVELS
+        _interval(line, delta, best, level.rise, level.name, free, bounds) for level in held.levels
     )
     cut = chosen is not None and any(
         end == edge and edge != bound
@@ -176,11 +177,11 @@ def _one(
         free=(free[0] + offset, free[1] + offset),
         stops=stops,
         rise=rise,
-        verdict=_verdict(rise, soft=soft, cut=cut),
+        verdict=_verdict(rise, held.levels[-1].rise, soft=soft, cut=cut),
         combinations=tuple(item for item in fit.combinations if name in item.weights),
         posterior=None if chain is None else _marginal(fit, chain, name, line + offset, delta),
         quantiles={} if fit.posterior is None else fit.posterior.quantiles.get(name, {}),
-        warnings=_warnings(refit, found, intervals, line + offset, delta),
+        warnings=_warnings(held, found, intervals, line + offset, delta),
     )
 
 
@@ -219,14 +220,18 @@ def _end(held: Held, best: float, ladder: Floats, abreast: int, *, sharp: bool) 
         part = ladder[first : first + abreast]
         held.reach(part[:, None])
         for value in map(float, part):
-            if held.delta([value]) < _HIGH:
+            if held.delta([value]) < _HIGH * held.levels[-1].rise_of_two:
                 inside = value
                 continue
             outside = value
             while sharp and abs(outside - inside) > _SHARP * abs(outside - best):
                 line = np.linspace(inside, outside, _SECTION + 1)[1:-1]
                 held.reach(line[:, None])
-                low = [value for value in map(float, line) if held.delta([value]) < _HIGH]
+                low = [
+                    value
+                    for value in map(float, line)
+                    if held.delta([value]) < _HIGH * held.levels[-1].rise_of_two
+                ]
                 inside = low[-1] if low else inside
                 beyond = [value for value in (*map(float, line), outside)
                           if abs(value - best) > abs(inside - best)]  # fmt: skip
@@ -235,15 +240,15 @@ def _end(held: Held, best: float, ladder: Floats, abreast: int, *, sharp: bool) 
     return inside
 
 
-def _between(line: Floats, delta: Floats, best: float) -> Floats:
+def _between(line: Floats, delta: Floats, best: float, levels: tuple[Level, ...]) -> Floats:
     """Places to add where the profile passes a threshold too steeply to be interpolated."""
     root = np.sqrt(np.maximum(delta, 0.0))
     more: list[float] = []
     for place, (a, b) in enumerate(pairwise(line)):
         low, high = sorted(root[place : place + 2])
         # also those for the regions of two parameters
-        levels = [rise for item in LEVELS for rise in (item.rise, item.rise_of_two)]
-        passed = any(low**2 < rise <= high**2 for rise in levels)
+        rises = [rise for item in levels for rise in (item.rise, item.rise_of_two)]
+        passed = any(low**2 < rise <= high**2 for rise in rises)
         if passed and high - low > _STEEP and b - a > 1e-9 * max(abs(a), abs(b), abs(b - best)):
             more += list(np.linspace(a, b, _SECTION + 1)[1:-1])
     return np.array(more)
@@ -295,9 +300,9 @@ def _interval(
     return Interval(level, low, high, low_by, high_by)
 
 
-def _verdict(rise: float, *, soft: bool, cut: bool) -> str:
+def _verdict(rise: float, threshold: float, *, soft: bool, cut: bool) -> str:
     """See `Profile.verdict`; `soft` where the free part is most of the interval."""
-    if cut and rise < LEVELS[-1].rise:
+    if cut and rise < threshold:
         return "narrow"
     if not soft or rise >= _HARDLY:
         return "limited"
@@ -305,10 +310,10 @@ def _verdict(rise: float, *, soft: bool, cut: bool) -> str:
 
 
 def _warnings(
-    refit: Refit, found: Sequence[Place | None], intervals: Sequence[Interval],
+    held: Held, found: Sequence[Place | None], intervals: Sequence[Interval],
     at: Floats, delta: Floats,
 ) -> tuple[str, ...]:  # fmt: skip
-    fit = refit.fit
+    refit, fit = held.refit, held.refit.fit
     said = list(fit.warnings)
     less = refit.first - refit.chi_squared
     if less > _LESS:
@@ -327,7 +332,7 @@ def _warnings(
         said.append(f"at {lost} of {len(found)} values the law admits no motion")
     widest = intervals[-1]
     outside = (at < widest.low) | (at > widest.high)
-    outside &= delta < LEVELS[-1].rise - 0.1
+    outside &= delta < held.levels[-1].rise - 0.1
     outside &= np.isfinite(delta)
     if outside.any():
         said.append(
@@ -403,7 +408,7 @@ def _two(
         best = np.array([one.best, other.best]) - offset
         away = grid - best
         expected = np.einsum("ijk,kl,ijl->ij", away, np.linalg.inv(covariance), away)
-        within = (expected <= LEVELS[-1].rise_of_two) & np.isfinite(delta)
+        within = (expected <= held.levels[-1].rise_of_two) & np.isfinite(delta)
         if within.any():
             ellipse = float(np.abs(delta - expected)[within].max())
     extent = {
@@ -411,7 +416,7 @@ def _two(
             _extent(refit, one, level.rise_of_two, level.name),
             _extent(refit, other, level.rise_of_two, level.name),
         )
-        for level in LEVELS
+        for level in held.levels
     }
     samples = np.zeros((0, 2))
     if chain is not None:
@@ -473,7 +478,9 @@ def _across(
         above = np.array(
             [[held.delta([a, b]) for b in row] for a, row in zip(first, ends, strict=True)]
         )
-        low = (above < _HIGH) & (ends > bounds[0]) & (ends < bounds[1])
+        low = (
+            (above < _HIGH * held.levels[-1].rise_of_two) & (ends > bounds[0]) & (ends < bounds[1])
+        )
         if not low.any():
             break
         wide[low] *= _WIDER

@@ -21,6 +21,7 @@ from curlfit.friction import check_load
 from curlfit.likelihood import frame_of, problem_of, unstacked
 from curlfit.lockstep import Tasks, solve_many
 from curlfit.parameters import ParameterSet
+from curlfit.profiles import levels_for
 from curlfit.results import FitResult
 from curlfit.solving import Solution
 
@@ -170,6 +171,7 @@ class Held:
         self.known: dict[Point, Place | None] = {tuple(map(float, best.held)): best}
         self._tried: set[tuple[Point, Point, float]] = set()
         self._scale = np.array([refit.fit.parameters[name].typical for name in names])
+        self.levels = levels_for(names, refit.fit.parameters)
 
     def reach(self, points: Floats) -> None:
         """Fit at those of the points, shape (n, held), that are not known, from the nearest."""

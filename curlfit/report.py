@@ -44,6 +44,7 @@ def report(fit: FitResult, width: int = 110) -> RenderableType:
     parts: list[RenderableType] = [_heading(fit), _coefficients(fit, with_posterior=wide)]
     if fit.posterior is not None and not wide:
         parts.append(_quantiles(fit.posterior))
+    parts += _student(fit)
     parts.append(_quality(fit))
     parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
     if fit.posterior is not None:
@@ -74,6 +75,34 @@ def _heading(fit: FitResult) -> RenderableType:
         fit.status[:1].upper() + fit.status[1:], style="green" if fit.converged else "bold red"
     )
     return lines
+
+
+_FEW = 30.0  # degrees of freedom from which Student's t is a Gaussian to 4 %
+
+
+def _student(fit: FitResult) -> list[RenderableType]:
+    """95 % intervals where sigma was estimated from few values."""
+    items = {name: item for name, item in fit.coefficients.items() if item.stderr is not None}
+    both = items | {item.expression: item for item in fit.combinations}
+    if min((item.dof or math.inf for item in both.values()), default=math.inf) >= _FEW:
+        return []
+    table = plain_table()
+    table.add_column("", no_wrap=True)
+    table.add_column("95 % interval (Student's t)", no_wrap=True)
+    table.add_column("degrees of freedom", justify="right", no_wrap=True)
+    for name, item in both.items():
+        interval = item.interval()
+        if interval is None:
+            continue
+        digits = _digits(item.stderr or 0.0)
+        low, high = (f"{end:.{digits}f}" for end in interval)
+        table.add_row(name, f"{low} .. {high}", "-" if item.dof is None else f"{item.dof:.0f}")
+    text = (
+        "Few values: sigma is itself estimated, and intervals are wider than 1.96 standard errors."
+    )
+    if fit.posterior is not None:
+        text += " The posterior holds sigma fixed; its intervals are too narrow by as much."
+    return [Padding(Group(table, Text(text)), (0, 0, 1, 0))]
 
 
 def plain_table() -> Table:
@@ -210,9 +239,12 @@ def identifiability(fit: FitResult) -> str:
         )
         text += _instead(fit, unseen)
     weak = [name for name in free if fit.parameters[name].verdict == "weak"]
-    if weak:
-        text += f" {listed(weak)}: only weakly determined."
-        text += "" if unseen else _instead(fit, weak)
+    for reason in dict.fromkeys(fit.parameters[name].reason for name in weak):
+        alike = [name for name in weak if fit.parameters[name].reason == reason]
+        text += f" {listed(alike)} {'are' if len(alike) > 1 else 'is'} weakly determined"
+        text += f": {reason}." if reason else "."
+    if weak and not unseen:
+        text += _instead(fit, weak)
     return text + "".join(f" {_remedy(fit, item)}" for item in fit.remedies)
 
 
@@ -246,10 +278,10 @@ def outliers(fit: FitResult) -> str:
         line = "" if item["line"] is None else f" (line {item['line']})"
         named.append(
             f"{item['channel']} at {item['t']:g} s{line} by {item['off']:.3g} "
-            f"{UNITS[item['channel']]}"
+            f"{UNITS[item['channel']]} ({item['sigmas']:.2g} sigma)"
         )
     more = len(fit.outliers) - len(named)
-    text = f"Outliers, more than 5 sigma off: {'; '.join(named)}"
+    text = f"Outliers: {'; '.join(named)}"
     return text + (f"; and {more} more (all in fit.json)." if more else ".")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, Group, RenderableType
@@ -71,7 +72,7 @@ def _ranks(comparison: Comparison) -> RenderableType:
             _difference(item.delta_aicc),
             *(f"{1000 * size[c]:.3g}" if c in size else "" for c in ("x", "y", "phi")),
             "" if item.curl_explained is None else _share(item.curl_explained),
-            Text("yes", style="green") if item.follows else Text("no", style="yellow"),
+            _FOLLOWS[item.follows],
             " or ".join(item.sides) or "neither way",
         )
     measure, by = "rms", ""
@@ -82,10 +83,15 @@ def _ranks(comparison: Comparison) -> RenderableType:
         f"k: what is determined, with noises; x, y, phi: {measure} of the residuals; curl: share "
         "of the bend explained; ccw curls: ways the law can bend a counter-clockwise throw. A law "
         "follows the path where no residual is above a tenth of the departure from straight, even "
-        f"motion, or above the scatter.{by}",
+        f"motion, or above the noise.{by}",
         style="dim",
     )
     return Padding(Group(table, note), (1, 0))
+
+
+_FOLLOWS = {
+    True: Text("yes", style="green"), None: Text("unclear"), False: Text("no", style="yellow"),
+}  # fmt: skip
 
 
 def _difference(value: float | None) -> str:
@@ -138,9 +144,15 @@ def conclusions(comparison: Comparison) -> list[str]:
     within = [item for item in fitted if not item.signs_free]
     lines = []
     following = [item.label for item in within if item.follows and not item.negative]
+    unclear = [item.label for item in within if item.follows is None and not item.negative]
     if following:
         lines.append(f"Within their bounds follow the path: {'; '.join(following)}.")
-    else:
+    if unclear:
+        lines.append(
+            f"Unclear, for the residuals may be correlated noise: whether {'; '.join(unclear)} "
+            f"follow{'s' if len(unclear) == 1 else ''} the path."
+        )
+    if not following and not unclear:
         lines.append("No law follows the path within its bounds.")
     isotropic = [item for item in within if item.isotropic]
     if isotropic:
@@ -150,12 +162,27 @@ def conclusions(comparison: Comparison) -> list[str]:
             lines.append(
                 f"{item.label}: follows the path only with negative {listed(list(item.negative))}."
             )
-    if any("smooth" in warning for item in within[:1] for warning in item.warnings):
-        lines.append(
-            "Even the best law leaves smooth residuals. Differences of AICc and BIC take each row "
-            "for an independent measurement and are then too large; their order stands."
-        )
+    if comparison.effective:
+        lines.append(_about_correlation(comparison))
     return lines
+
+
+def _about_correlation(comparison: Comparison) -> str:
+    """That a ranking by correlated residuals is not reliable, and what it counts."""
+    observed = {name: comparison.observed.get(name, []) for name in comparison.effective}
+    rows = {
+        name: sum(v is not None and math.isfinite(v) for v in values)
+        for name, values in observed.items()
+    }
+    worth = ", ".join(
+        f"{count:.0f}" + (f" of {rows[name]}" if rows[name] else "") + f" in {name}"
+        for name, count in comparison.effective.items()
+    )
+    return (
+        "Warning: the ranking is not reliable. Even the law that fits best leaves residuals that "
+        f"are correlated from row to row. dBIC and dAICc count effective values ({worth}) and are "
+        "approximate; correlated noise alone can put a wrong law first."
+    )
 
 
 def _about_isotropic(isotropic: list[Candidate]) -> str:
@@ -163,6 +190,10 @@ def _about_isotropic(isotropic: list[Candidate]) -> str:
     following = [item.label for item in positive if item.follows]
     if following:
         return f"Isotropic friction, opposite to sliding at every point, is enough: {following[0]}."
+    if any(item.follows is None for item in positive):
+        return (
+            "Whether isotropic friction, opposite to sliding at every point, is enough is unclear."
+        )
     text = (
         "No isotropic law (friction opposite to sliding at every point) with non-negative "
         "coefficients follows it"

@@ -9,7 +9,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from curlfit.profiles import LEVELS, Interval, PairProfile, Profile
+from curlfit.profiles import Interval, PairProfile, Profile
 from curlfit.report import STYLE, compact, listed, number, plain_table
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def about(profile: Profile) -> str:
             f"range {span}."
         )
     else:
-        times, all_of_it = profile.quieter(1.0), profile.quieter(LEVELS[-1].rise)
+        times, all_of_it = profile.quieter(1.0), profile.quieter(profile.levels[-1].rise)
         text = (
             f"{name} is hardly determined: chi squared changes by no more than {profile.rise:.2g} "
             f"over {span}. For a limit at 68 % the noise would have to be "
@@ -135,14 +135,16 @@ def _intervals(profile: Profile) -> RenderableType:
     unit = "" if item.unit in ("", "1") else f" ({item.unit})"
     table = plain_table()
     table.add_column(f"{profile.name}{unit}", no_wrap=True)
-    for level in LEVELS:
+    for level in profile.levels:
         table.add_column(level.name, no_wrap=True)
     digits = _scale(profile)
     table.add_row("profile", *(_ends(interval, digits) for interval in profile.intervals))
-    table.add_row("covariance", *(_gaussian(item, level, digits) for level in LEVELS))
+    table.add_row("covariance", *(_gaussian(item, level, digits) for level in profile.levels))
     if profile.quantiles:
         found = profile.quantiles
-        rows = [(found[low], found[high]) for low, high in (item.quantiles for item in LEVELS)]
+        rows = [
+            (found[low], found[high]) for low, high in (item.quantiles for item in profile.levels)
+        ]
         table.add_row("posterior", *(_from_to(low, high, digits) for low, high in rows))
     return Padding(table, (1, 0, 1, 0))
 
@@ -210,14 +212,14 @@ def _open_ends(profile: Profile) -> str:
 def _region(profile: PairProfile) -> RenderableType:
     table = plain_table()
     table.add_column("region spans", no_wrap=True)
-    for level in LEVELS:
+    for level in profile.levels:
         table.add_column(level.name, no_wrap=True)
     for place, one in enumerate(profile.each):
         unit = "" if one.estimate.unit in ("", "1") else f" ({one.estimate.unit})"
         cells = ["-", "-"]
         if one.verdict == "limited":
             digits = _scale(one)
-            cells = [_ends(profile.extent[level.name][place], digits) for level in LEVELS]
+            cells = [_ends(profile.extent[level.name][place], digits) for level in profile.levels]
         table.add_row(f"{one.name}{unit}", *cells)
     return Padding(table, (1, 0, 1, 0))
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from curlfit.errors import DataError
 from curlfit.files import Migration, known, read_json, strict, write_json
 from curlfit.friction import LAWS, Law, Parameter, find_law
-from curlfit.identifiability import Combination
+from curlfit.identifiability import Combination, student_interval
 from curlfit.noise import WHITE, Independence, Noise
 from curlfit.parameters import START, ParameterSet
 from curlfit.stone import Stone
@@ -37,10 +37,15 @@ schema have defaults in `FitResult.from_json`."""
 class Estimate:
     """One parameter as fitted.
 
-    `stderr` is None where the data do not determine the parameter, where it sits at a bound, or
-    where it was fixed. `verdict` is one of "determined", "weak" (known to no better than its
-    typical size, or along a valley so bent that its error says little), "not identifiable",
-    "at bound", "fixed".
+    Attributes
+    ----------
+    stderr : standard error; None where the data do not determine the parameter, where it sits at a
+        bound, or where it was fixed.
+    verdict : "determined", "weak", "not identifiable", "at bound" or "fixed".
+    reason : of a weak parameter: its standard error is no smaller than its typical size, or chi
+        squared is so far from quadratic that the standard error is wrong by a factor of two or
+        more. Else empty.
+    dof : degrees of freedom of the standard error; None where it has none or sigma was given.
     """
 
     value: float
@@ -52,6 +57,12 @@ class Estimate:
     lower: float
     upper: float
     typical: float
+    reason: str = ""
+    dof: float | None = None
+
+    def interval(self, level: float = 0.95) -> tuple[float, float] | None:
+        """Confidence interval by Student's t; None where there is no standard error."""
+        return student_interval(self.value, self.stderr, self.dof, level)
 
     @classmethod
     def from_json(cls, found: dict[str, Any]) -> Estimate:

@@ -96,7 +96,10 @@ class Slopes(NamedTuple):
 def judged(
     typical: float, at_bound: bool, known: Identifiability, place: int
 ) -> tuple[float | None, str]:
-    """Standard error, where there is one, and verdict of a free parameter; its place in `known`."""
+    """Standard error, where there is one, and verdict of a free parameter; its place in `known`.
+
+    A weak parameter is known to no better than its typical size.
+    """
     if at_bound:
         return None, "at bound"
     if known.unseen[place]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from curlfit.likelihood import (
@@ -19,6 +20,7 @@ from curlfit.likelihood import (
 import jax
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from curlfit.friction import Law, Load
 from curlfit.identifiability import Identifiability, analyse_many, few_rows, grouped
@@ -30,13 +32,18 @@ from curlfit.slopes import Slopes, judged
 from curlfit.solving import Solution
 from curlfit.stone import Stone
 from curlfit.throw import CHANNELS, Throw
+from curlfit.whitening import Colour, Smooth
 
 Floats = NDArray[np.float64]
 
-_CURVED = 0.003  # typical sizes of a standard error, below which the misfit is a parabola
+_CURVED = 0.003  # typical sizes of a standard error, below which chi squared is quadratic
 _UNKNOWN = 3.0  # the same, above which nothing is known anyway
-_PARABOLA = 0.5  # how far chi squared may be from one higher at one standard error
-_FAR = 5.0  # sigma from which a value is called an outlier
+_QUADRATIC = 0.5  # how far the rise of chi squared at one standard error may be from one
+_MISLEADING = 4.0  # factor by which that rise is off where the standard error is by two
+_FEWEST = 10  # values of a channel in which outliers are looked for
+_FEW = 50  # values that one of them pulls the fit of
+_BY_CHANCE = 1e-3  # share of throws that may have one by chance
+_MEDIAN_EFFICIENCY = 0.37  # of a sigma from the median size, for Gaussian noise (Huber 1981)
 _MUCH = 1.5  # times the sigma given, above which residuals are called too large ...
 _NOT_BY_CHANCE = 5.0  # ... where chi squared is so many of its own standard deviations too high
 _SMOOTH = 0.5  # lag-1 correlation of residuals from which they are called smooth
@@ -92,9 +99,9 @@ def weighed_together(
     of_owners = jax.tree.map(lambda leaf: leaf[around.owner], problems)
     least = (solutions.residual**2).sum((1, 2))
     raised = misfits(law, load, around.point, of_owners, lanes) - least[around.owner]
-    bent = _bent(drafts, around, raised)
+    nonquadratic = _nonquadratic(drafts, around, raised)
     surveys = map(_Survey, [None] * len(optima) if paths is None else paths, *survey[1:])
-    return list(map(_recorded, optima, surveys, drafts, bent))
+    return list(map(_recorded, optima, surveys, drafts, nonquadratic))
 
 
 class _Survey(NamedTuple):
@@ -138,8 +145,23 @@ class _Draft(NamedTuple):
     known: Identifiability
     at_bound: NDArray[np.bool_]
     open: NDArray[np.bool_]
+    slack: Floats
+    """what parameters at a bound add to the spread of the open ones, see `Slopes.open`"""
     left: float
     """standard errors to the optimum, as far as the slopes tell"""
+    variance: Floats
+    """the covariance's part from each channel's noise, shape (channels, open, open)"""
+    dof: Floats
+    """degrees of freedom of each channel's sigma; infinite where it was given"""
+    leverage: Floats
+    """of each value on its own fitted one, 0 to 1, shape (channels, n)"""
+
+    def degrees_of_freedom(self, weights: Floats) -> float | None:
+        """Of the variance of a weighted sum of the open parameters (Satterthwaite 1946, eq. 17);
+        None where all sigmas were given."""
+        parts = np.einsum("i,cij,j->c", weights, self.variance, weights)
+        inverse = float((parts**2 / self.dof).sum())
+        return float(parts.sum()) ** 2 / inverse if inverse > 0 else None
 
 
 def _drafted(optima: Sequence[Optimum], survey: _Survey, values: Floats) -> list[_Draft]:
@@ -158,25 +180,39 @@ def _drafted(optima: Sequence[Optimum], survey: _Survey, values: Floats) -> list
         Slopes(*one).open(stuck)
         for one, stuck in zip(zip(*slopes, strict=True), at_bound, strict=True)
     ]
-    known: dict[int, Identifiability] = {}
+    drafts: dict[int, _Draft] = {}
+    estimated = np.array([[name in item.sigma for name in CHANNELS] for item in optima])
+    efficiency = 1.0 if optima[0].loss == "linear" else _MEDIAN_EFFICIENCY
     for places in grouped((stuck, open_) for stuck, (open_, _) in zip(at_bound, held, strict=True)):
         first, (open_, _) = sets[places[0]], held[places[0]]
         jacobians = [
             _effective_jacobian(optima[place], survey.residual[place], survey.few[place])
             for place in places
         ]
+        slack = np.stack([held[place][1] for place in places])
         found = analyse_many(
             np.stack(jacobians)[..., open_], first.names_where(open_), values[places][:, open_],
-            first.typical[open_], np.stack([held[place][1] for place in places]),
+            first.typical[open_], slack,
         )  # fmt: skip
-        known |= zip(places, found, strict=True)
-    return [
-        _Draft(values[place], known[place], at_bound[place], open_, float(left[place]))
-        for place, (open_, _) in enumerate(held)
-    ]
+        by_channel = np.stack([optima[place].solution.jacobian[..., open_] for place in places])
+        covariance = np.stack([item.covariance for item in found])[:, None]
+        covariance = covariance - (slack @ slack.mT)[:, None]
+        part = covariance @ (by_channel.mT @ by_channel)
+        leverage = ((by_channel @ covariance) * by_channel).sum(-1)
+        # n - p by channel, p the parameters that it pays for itself
+        dof = np.maximum(survey.number[places] - leverage.sum(-1), 1.0)
+        dof = np.where(estimated[places, : dof.shape[1]], efficiency * dof, np.inf)
+        for row, place in enumerate(places):
+            drafts[place] = _Draft(
+                values[place], found[row], at_bound[place], open_, slack[row], float(left[place]),
+                part[row] @ covariance[row], dof[row], leverage[row],
+            )  # fmt: skip
+    return [drafts[place] for place in range(len(optima))]
 
 
-def _recorded(optimum: Optimum, survey: _Survey, draft: _Draft, bent: list[str]) -> FitResult:
+def _recorded(
+    optimum: Optimum, survey: _Survey, draft: _Draft, nonquadratic: dict[str, float]
+) -> FitResult:
     throw, law, load, stone, until, parameters, frame, problem, sigma, solution, tried, loss = (
         optimum
     )
@@ -191,14 +227,14 @@ def _recorded(optimum: Optimum, survey: _Survey, draft: _Draft, bent: list[str])
     apart = {name: survey.apart[row] for row, name in counted if survey.number[row] > 3}
     converged, status, warnings = _judge(
         law, solution, draft.left, parameters, at_bound, known.names, tried,
-        dict(zip(CHANNELS, survey.number, strict=False)), rms, apart, white=problem.colour is None,
+        dict(zip(CHANNELS, survey.number, strict=False)), rms, apart, problem.colour,
     )  # fmt: skip
-    if bent:
+    if nonquadratic:
         warnings.append(
-            f"the misfit is no parabola within a standard error of {', '.join(bent)}; these errors "
-            "are rough, the posterior tells more"
+            f"chi squared is not quadratic within a standard error of {', '.join(nonquadratic)}: "
+            "these standard errors are rough; use the profile likelihood or the posterior"
         )
-    outliers = _outliers(throw, survey.residual, lag1)
+    outliers = _outliers(throw, survey.residual, lag1, draft, loss)
     if outliers and loss == "linear":
         warnings.append(_about_outliers(outliers))
     if loss == "linear" and problem.colour is None:
@@ -229,8 +265,16 @@ def _recorded(optimum: Optimum, survey: _Survey, draft: _Draft, bent: list[str])
         rms=rms,
         sigma=sigma,
         lag1=lag1,
-        parameters=_estimates(parameters, draft.values, known, draft.open, at_bound, bent),
-        combinations=known.combinations,
+        parameters=_estimates(parameters, draft, nonquadratic),
+        combinations=tuple(
+            replace(
+                item,
+                dof=draft.degrees_of_freedom(
+                    np.array([item.weights.get(name, 0.0) for name in known.names])
+                ),
+            )
+            for item in known.combinations
+        ),
         rank=known.rank,
         singular_values=tuple(map(float, known.singular_values)),
         null_directions=known.null_directions,
@@ -286,7 +330,10 @@ def _at_one_error(
     found = []
     for places in grouped((draft.open,) for draft in drafts):
         open_ = np.flatnonzero(drafts[places[0]].open)
-        covariance = np.stack([drafts[place].known.covariance for place in places])
+        # That of the open parameters alone: those at a bound stay where they are.
+        covariance = np.stack(
+            [drafts[k].known.covariance - drafts[k].slack @ drafts[k].slack.T for k in places]
+        )
         squares, axes = np.linalg.eigh(covariance / np.outer(typical[open_], typical[open_]))
         some = (squares > _CURVED**2) & (squares < _UNKNOWN**2)
         along = np.zeros((*squares.shape, 2, len(typical)))
@@ -300,32 +347,56 @@ def _at_one_error(
     return _Around(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
-def _bent(drafts: Sequence[_Draft], around: _Around, raised: Floats) -> list[list[str]]:
-    """Parameters along which one standard error does not raise chi squared by about one."""
-    off = ~(np.abs(raised - 1) < _PARABOLA)
-    found: list[list[str]] = [[] for _ in drafts]
+def _nonquadratic(
+    drafts: Sequence[_Draft], around: _Around, raised: Floats
+) -> list[dict[str, float]]:
+    """Parameters along which one standard error does not raise chi squared by about one, and the
+    largest factor by which it is more or less."""
+    off = ~(np.abs(raised - 1) < _QUADRATIC)
+    rise = np.maximum(np.nan_to_num(raised, nan=np.inf), 1e-300)
+    factor = np.maximum(rise, 1 / rise)
+    found: list[dict[str, float]] = [{} for _ in drafts]
     for owner in np.unique(around.owner[off]):
-        size = np.abs(around.along[off & (around.owner == owner)])
-        large = (size > 0.3 * size.max(1, keepdims=True)).any(0)[drafts[owner].open]
+        mine = off & (around.owner == owner)
+        size = np.abs(around.along[mine])
+        large = (size > 0.3 * size.max(1, keepdims=True))[:, drafts[owner].open]
+        most = np.where(large, factor[mine, None], 0.0).max(0)
         names = drafts[owner].known.names
-        found[owner] = [name for name, take in zip(names, large, strict=True) if take]
+        found[owner] = {name: float(f) for name, f in zip(names, most, strict=True) if f > 0}
     return found
 
 
-def _outliers(throw: Throw, residual: Floats, lag1: dict[str, float]) -> tuple[dict[str, Any], ...]:
-    """Values farther off than noise goes, where what is left looks like noise."""
+def _outliers(
+    throw: Throw, residual: Floats, lag1: dict[str, float], draft: _Draft, loss: str
+) -> tuple[dict[str, Any], ...]:
+    """Values farther off than noise goes, where what is left looks like noise.
+
+    Either more than 5 + 30/(n - 6) sigmas of the bulk, a limit that Gaussian noise in three
+    channels of n values passes in one of 1,000 throws, for n from 12 to 400 (Hampel's identifier,
+    its constants simulated as by Davies and Gather 1993); or, since a value pulls the fit of few
+    rows toward itself, an externally studentized residual beyond the same chance (Cook and
+    Weisberg 1982, sect. 2.2).
+    """
     found = []
     for row, name in enumerate(CHANNELS[: len(residual)]):
         seen = np.flatnonzero(throw.finite[row])
-        if len(seen) < 10 or lag1.get(name, 1.0) > _SMOOTH:
+        if len(seen) < _FEWEST or lag1.get(name, 1.0) > _SMOOTH:
             continue
+        limit = 5 + 30 / (len(seen) - 6)
         series = throw.sigma.get(name)
         size = np.abs(residual[row, seen])
-        if 2 * (size > size.max() / (_FAR * BULK)).sum() > len(seen):
+        dof = draft.dof[row]
+        studentized = len(seen) < _FEW and loss == "linear" and series is None and dof > 2
+        if not studentized and 2 * (size > size.max() / (limit * BULK)).sum() > len(seen):
             continue  # the median size is so large that none is far
         bulk = max(robust_sigma(residual[row, seen]), SIGMA_FLOOR)
         sigma = np.full(len(throw), bulk) if series is None else np.maximum(series, bulk)
-        far = size > _FAR * sigma[seen]
+        far = size > limit * sigma[seen]
+        if studentized:
+            free = np.maximum(1 - draft.leverage[row, seen], 1e-6)
+            others = np.maximum((size**2).sum() - size**2 / free, SIGMA_FLOOR**2) / (dof - 1)
+            chance = _BY_CHANCE / (2 * residual.shape[0] * len(seen))
+            far |= size > -stdtrit(dof - 1, chance) * np.sqrt(free * others)
         for place in seen[far]:
             found.append(
                 {
@@ -342,10 +413,10 @@ def _outliers(throw: Throw, residual: Floats, lag1: dict[str, float]) -> tuple[d
 def _about_outliers(outliers: tuple[dict[str, Any], ...]) -> str:
     first = outliers[0]
     place = f" (line {first['line']})" if first["line"] is not None else ""
-    many = "one value lies" if len(outliers) == 1 else f"{len(outliers)} values lie"
+    many = "one outlier" if len(outliers) == 1 else f"{len(outliers)} outliers, the farthest"
     return (
-        f"{many} more than {_FAR:g} sigma off, the farthest {first['channel']} at "
-        f"t = {first['t']:g} s{place}; --loss student keeps such values from pulling"
+        f"{many}: {first['channel']} at t = {first['t']:g} s{place}, {first['sigmas']:.2g} sigma "
+        "off; --loss student is robust to outliers"
     )
 
 
@@ -376,28 +447,28 @@ def _about_given_sigma(
 
 
 def _estimates(
-    parameters: ParameterSet,
-    values: Floats,
-    known: Identifiability,
-    open_: NDArray[np.bool_],
-    at_bound: NDArray[np.bool_],
-    bent: list[str],
+    parameters: ParameterSet, draft: _Draft, nonquadratic: dict[str, float]
 ) -> dict[str, Estimate]:
-    """By name; what lies along a bent valley is not determined, however sharp it looks there."""
+    """By name; see `Estimate` for the verdicts."""
     found = {}
-    place = np.cumsum(open_) - 1
+    place, unit = np.cumsum(draft.open) - 1, np.eye(int(draft.open.sum()))
     for row, item in enumerate(parameters.parameters):
         stderr, verdict = (
             (None, "fixed")
             if item.name in parameters.fixed
-            else judged(item.typical, bool(at_bound[row]), known, int(place[row]))
+            else judged(item.typical, bool(draft.at_bound[row]), draft.known, int(place[row]))
         )
-        if verdict == "determined" and item.name in bent:
-            verdict = "weak"
+        reason = ""
+        if verdict == "weak":
+            reason = f"its standard error is no smaller than its typical size, {item.typical:g}"
+        elif verdict == "determined" and nonquadratic.get(item.name, 1.0) > _MISLEADING:
+            verdict, reason = "weak", "chi squared is far from quadratic within its standard error"
         found[item.name] = Estimate(
-            value=float(values[row]),
+            value=float(draft.values[row]),
             stderr=stderr,
+            dof=None if stderr is None else draft.degrees_of_freedom(unit[place[row]]),
             verdict=verdict,
+            reason=reason,
             unit=item.unit,
             symbol=item.symbol,
             meaning=item.meaning,
@@ -419,8 +490,7 @@ def _judge(
     count: dict[str, int],
     rms: dict[str, float],
     apart: dict[str, Independence],
-    *,
-    white: bool,
+    colour: Colour,
 ) -> tuple[bool, str, list[str]]:
     """Converged or not (`left` standard errors from it), the same in words, and what to mind."""
     converged = bool(left < 0.01)
@@ -452,30 +522,33 @@ def _judge(
         if item.doubtful and count[name] > 20 and rms[name] > 10 * SIGMA_FLOOR
     }
     if together:
-        warnings.append(_about_correlation(together, count, white=white))
+        warnings.append(_about_correlation(together, count, colour))
     return converged, status, warnings
 
 
 def _about_correlation(
-    together: dict[str, Independence], count: dict[str, int], *, white: bool
+    together: dict[str, Independence], count: dict[str, int], colour: Colour
 ) -> str:
     listed = ", ".join(f"{item.lag1:.2f} in {name}" for name, item in together.items())
-    if not white:
+    if isinstance(colour, Smooth):
         return (
-            f"what the noise model leaves still goes together from row to row (lag-1 correlation "
-            f"{listed}): standard errors are too small"
+            f"noise gp does not describe these residuals, which stay correlated from row to row "
+            f"(lag-1 correlation {listed}); it takes noise of short memory for a discrepancy of "
+            "the law, and standard errors are then up to four times too large; fit with --noise ar1"
         )
-    worth = ", ".join(
+    if colour is not None:
+        return (
+            f"noise ar1 does not describe these residuals, which stay correlated from row to row "
+            f"(lag-1 correlation {listed}); standard errors are too small; fit with --noise gp"
+        )
+    effective = ", ".join(
         f"{item.effective:.0f} of {count[name]} in {name}" for name, item in together.items()
     )
-    if max(item.lag1 for item in together.values()) > _SMOOTH:
-        return (
-            f"the residuals are smooth (lag-1 correlation {listed}): they show what the law "
-            "misses, not noise, and standard errors, which assume independent noise, are too small "
-            f"(values worth as much as independent ones: {worth}); --noise gp carries it"
-        )
+    smooth = max(item.lag1 for item in together.values()) > _SMOOTH
+    kind = "are smooth" if smooth else "are correlated from row to row"
+    cause = ", as a model discrepancy or slow noise leaves them" if smooth else ""
     return (
-        f"the residuals go together from row to row (lag-1 correlation {listed}): standard errors, "
-        f"which assume independent noise, are too small (values worth as much as independent ones: "
-        f"{worth}); --noise ar1 or gp carries it"
+        f"the residuals {kind} (lag-1 correlation {listed}){cause}; standard errors, which assume "
+        f"independent noise, are too small (effective number of values: {effective}); fit with "
+        f"--noise {'gp' if smooth else 'ar1'}, or compare both models"
     )

@@ -95,9 +95,13 @@ def test_no_turning_alone_is_said_to_determine_the_speed(seed, name):
 
 
 def test_well_measured_throws_have_honest_parabolas(seen):
-    assert not any("no parabola" in text for text in fitted(seen, "x", "y", "phi").warnings)
+    assert not any("not quadratic" in text for text in fitted(seen, "x", "y", "phi").warnings)
     angle = fitted(seen, "phi")
-    assert any("no parabola" in text and "v0" in text for text in angle.warnings)
+    assert any("not quadratic" in text and "v0" in text for text in angle.warnings)
+    v0 = angle.parameters["v0"]
+    assert (v0.verdict, v0.reason) == (
+        "weak", "chi squared is far from quadratic within its standard error",
+    )  # fmt: skip
 
 
 def test_places_along_the_sheet_alone(seen):

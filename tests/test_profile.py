@@ -10,6 +10,7 @@ from conftest import DATA
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.optimize import least_squares
+from scipy.stats import chi2
 from typer.testing import CliRunner
 
 import curlfit
@@ -147,7 +148,7 @@ def test_a_parameter_that_only_moves_the_path_has_its_parabola(fit):
     sd = NOISE["x"] / np.sqrt(len(alone.throw))
     np.testing.assert_allclose(found.delta, ((found.at - found.best) / sd) ** 2, atol=1e-7)
     np.testing.assert_allclose((found.at[0], found.at[-1]), found.best + sd * np.array([-4, 4]))
-    for interval, rise in zip(found.intervals, (1.0, 3.84), strict=True):
+    for interval, rise in zip(found.intervals, (1.0, chi2.ppf(0.95, 1)), strict=True):
         assert interval.high == pytest.approx(found.best + np.sqrt(rise) * sd, abs=1e-4 * sd)
         assert interval.low == pytest.approx(found.best - np.sqrt(rise) * sd, abs=1e-4 * sd)
         assert (interval.low_by, interval.high_by) == ("data", "data")
@@ -158,7 +159,7 @@ def test_a_parameter_that_only_moves_the_path_has_its_parabola(fit):
 def test_limits_are_where_the_misfit_is_higher_by_the_threshold(fit, sharp):
     low, high = sharp.intervals[1].low, sharp.intervals[1].high
     again = curlfit.profile(fit, "mu1_xi", ranges={"mu1_xi": (low, high)}, points=5)
-    np.testing.assert_allclose(again.delta[[0, -1]], 3.84, atol=1e-4)
+    np.testing.assert_allclose(again.delta[[0, -1]], chi2.ppf(0.95, 1), atol=1e-4)
     assert again.at[[0, -1]] == pytest.approx([low, high])
     assert max(sharp.departure.values()) < 0.1
     assert sharp.verdict == "limited"

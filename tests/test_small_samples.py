@@ -1,0 +1,161 @@
+"""Few rows and parameters at a bound: Student's t, outliers by chance, verdicts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from io import StringIO
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rich.console import Console
+from scipy.stats import binomtest, chi2, f, t
+
+import curlfit
+from curlfit.likelihood import SIGMA_FLOOR
+from curlfit.profiles import levels_of
+from curlfit.report import identifiability, report
+from curlfit.weighing import _Draft
+
+SIGMA = {"x": 0.005, "y": 0.005, "phi": 0.01}
+TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05}
+START = {"x0": 0.0, "y0": 0.0, "heading": 0.02, "v0": 2.1, "phi0": 0.0, "omega0": 1.3}
+
+
+def thrown(seed, rows, coefficients=TRUE):
+    law = curlfit.law_with("front-back", coefficients)
+    start = curlfit.Start(heading=START["heading"], v=START["v0"], omega=START["omega0"])
+    times, random = np.linspace(0, 15, rows), np.random.default_rng(seed)
+    path = curlfit.simulate(law, curlfit.Stone(), start, times).to_numpy()
+    series = {
+        name: getattr(path, name) + sigma * random.standard_normal(rows)
+        for name, sigma in SIGMA.items()
+    }
+    return curlfit.Throw.from_arrays(times, **series)
+
+
+def test_the_interval_of_a_mean_is_student_s():
+    """With all else held, x0 is the mean of n rows."""
+    throw = thrown(0, 12)
+    held = START | {name: item.default for name, item in coefficients().items()} | TRUE
+    fit = curlfit.fit(throw, fix={name: value for name, value in held.items() if name != "x0"})
+    item = fit.parameters["x0"]
+    path = curlfit.simulate(
+        curlfit.law_with("front-back", TRUE), curlfit.Stone(),
+        curlfit.Start(heading=START["heading"], v=START["v0"], omega=START["omega0"]), throw.t,
+    ).to_numpy()  # fmt: skip
+    off = throw.x - path.x
+    expected = t.interval(0.95, 11, off.mean(), off.std(ddof=1) / np.sqrt(12))
+    assert item.dof == pytest.approx(11, abs=1e-6)
+    np.testing.assert_allclose(item.interval(0.95), expected, atol=3 * SIGMA_FLOOR)
+
+
+def coefficients():
+    return {item.name: item for item in curlfit.LAWS["front-back"].coefficients()}
+
+
+def test_degrees_of_freedom_are_welch_s():
+    """The difference of two means whose variances are estimated apart (Welch 1947)."""
+    squares, counts = (4.0, 0.25), (5, 9)
+    variance = np.zeros((2, 2, 2))
+    variance[0, 0, 0], variance[1, 1, 1] = (s / n for s, n in zip(squares, counts, strict=True))
+    draft = SimpleNamespace(variance=variance, dof=np.array([4.0, 8.0]))
+    parts = np.array([variance[0, 0, 0], variance[1, 1, 1]])
+    expected = parts.sum() ** 2 / (parts**2 / (np.array(counts) - 1)).sum()
+    weights = np.array([1.0, -1.0])
+    assert _Draft.degrees_of_freedom(draft, weights) == pytest.approx(expected)
+    draft.dof = np.array([np.inf, np.inf])
+    assert _Draft.degrees_of_freedom(draft, weights) is None
+
+
+@pytest.mark.parametrize("dof", [3.0, 12.5, 200.0, None])
+def test_levels_are_quantiles_of_t_and_f(dof):
+    for item, level in zip(levels_of(dof), (0.682689492137, 0.95), strict=True):
+        one = chi2.ppf(level, 1) if dof is None else t.ppf((1 + level) / 2, dof) ** 2
+        two = chi2.ppf(level, 2) if dof is None else 2 * f.ppf(level, 2, dof)
+        assert item.rise == pytest.approx(one, rel=1e-9)
+        assert item.rise_of_two == pytest.approx(two, rel=1e-9)
+        assert item.sigmas**2 == pytest.approx(item.rise)
+
+
+def test_twelve_rows_hold_the_truth_as_often_as_they_say():
+    """By 1.96 standard errors it is 92 %."""
+    inside = gaussian = outliers = several = 0
+    truth = START | TRUE
+    for seed in range(150):
+        fit = curlfit.fit(thrown(seed, 12))
+        outliers += len(fit.outliers) > 0
+        for name, true in truth.items():
+            item = fit.parameters[name]
+            if item.stderr is None:
+                continue
+            low, high = item.interval()
+            inside += low <= true <= high
+            gaussian += abs(item.value - true) <= 1.96 * item.stderr
+            several += 1
+    assert several >= 1190
+    assert 0.935 < inside / several < 0.965
+    assert gaussian / several < 0.93
+    assert binomtest(outliers, 150, 0.001).pvalue > 0.01
+
+
+@pytest.mark.parametrize(("rows", "sigmas"), [(12, 40.0), (24, 15.0), (150, 9.0)])
+def test_a_gross_outlier_is_found_in_few_rows(rows, sigmas):
+    throw = thrown(2, rows)
+    row = rows // 2
+    off = np.where(np.arange(rows) == row, sigmas * SIGMA["x"], 0.0)
+    fit = curlfit.fit(replace(throw, x=throw.x + off))
+    assert [(item["channel"], item["t"]) for item in fit.outliers] == [("x", throw.t[row])]
+    assert any("one outlier: x at" in text and "--loss student" in text for text in fit.warnings)
+
+
+def test_few_rows_have_their_interval_in_the_report():
+    def text(fit):
+        console = Console(width=100, file=StringIO())
+        console.print(report(fit, 100))
+        return console.file.getvalue()
+
+    few, many = curlfit.fit(thrown(1, 12)), curlfit.fit(thrown(1, 150))
+    assert "95 % interval (Student's t)" in text(few)
+    assert "Student" not in text(many)
+
+
+def with_little_on_one_side(seed):
+    times, random = np.arange(0, 15.05, 0.1), np.random.default_rng(seed)
+    low, high = (0, 0.02, 0, 0.004), (0.002, 0.1, 0.015, 0.015)
+    law = curlfit.LAWS["front-back"](
+        *(random.uniform(*ends) for ends in zip(low, high, strict=True))
+    )
+    start = curlfit.Start(v=random.uniform(1.9, 2.3), omega=random.uniform(0.8, 1.6))
+    path = curlfit.simulate(law, curlfit.Stone(), start, times).to_numpy()
+    series = {
+        name: getattr(path, name) + sigma * random.standard_normal(len(times))
+        for name, sigma in SIGMA.items()
+    }
+    return curlfit.Throw.from_arrays(times, **series)
+
+
+@pytest.mark.parametrize("seed", [29, 53, 65])
+def test_a_coefficient_beside_one_at_its_bound_is_not_weak_for_that(seed):
+    """What the bound leaves of freedom widens the error, and is no bend of chi squared."""
+    fit = curlfit.fit(with_little_on_one_side(seed))
+    assert fit.parameters["mu1_xi"].verdict == "at bound"
+    item = fit.parameters["mu2_xi"]
+    assert item.stderr < 0.01 * item.value
+    assert (item.verdict, item.reason) == ("determined", "")
+    assert not any("quadratic" in text for text in fit.warnings)
+
+
+def test_a_weak_parameter_says_why():
+    law = curlfit.LAWS["semi-empirical"]()
+    times, random = np.linspace(0, 3, 31), np.random.default_rng(0)
+    path = curlfit.simulate(law, curlfit.Stone(), curlfit.Start(v=2.1, omega=1.3), times).to_numpy()
+    throw = curlfit.Throw.from_arrays(
+        times, path.x + 0.005 * random.standard_normal(31), path.y + 0.005 *
+        random.standard_normal(31), path.phi + 0.05 * random.standard_normal(31),
+    )  # fmt: skip
+    fit = curlfit.fit(throw, "semi-empirical")
+    weak = {name: item for name, item in fit.parameters.items() if item.verdict == "weak"}
+    assert weak
+    assert all(item.reason for item in weak.values())
+    assert "weakly determined: its standard error" in identifiability(fit)
