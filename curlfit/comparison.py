@@ -409,8 +409,8 @@ def _effective(result: FitResult) -> dict[str, float]:
     for name, residual in _residuals(result).items():
         item, n = result.independence.get(name), len(residual)
         if item is not None and item.doubtful and result.rms[name] > 10 * SIGMA_FLOOR:
-            r = min((item.lag1 + p / n) / (1 - (2 + p) / n), 1 - 1 / n)
-            found[name] = n * (1 - r) / (1 + r)
+            r = (item.lag1 + p / n) / (1 - (2 + p) / n)
+            found[name] = max(n * (1 - r) / (1 + r), 1.0)
     return found
 
 
