@@ -64,19 +64,19 @@ def ending(power, until, noise, dt, seed):
     return Throw.from_arrays(t, *places), np.hypot(1, 0.03) * SPEED * left[-1] ** power
 
 
-@pytest.mark.parametrize("power", [2 / 3, 1, 2])
-def test_a_throw_cut_off_is_not_at_rest(power):
+def test_a_throw_cut_off_is_not_at_rest():
     off = []
-    for noise, dt, speed in product(
-        (0.0, 0.001, 0.005, 0.02), (0.02, 0.1, 0.5), (0.05, 0.1, 0.15, 0.3, 0.5)
+    for power, noise, dt, speed in product(
+        (2 / 3, 1, 2), (0.0, 0.001, 0.005, 0.02), (0.02, 0.1, 0.5), (0.05, 0.1, 0.15, 0.3, 0.5)
     ):
         until = 20 * (1 - (speed / SPEED) ** (1 / power))
         for seed in range(10):
             made, last = ending(power, until, noise, dt, seed)
             rest = inspected(made).rest
-            assert rest.since is None, (noise, dt, speed, seed)
+            assert rest.since is None, (power, noise, dt, speed, seed)
             off.append((rest.speed - last) / rest.error)
-    assert np.mean(np.abs(off) < 2) > 0.9  # 0.95, had the path no bend but a parabola's
+    # 0.954, were the paths parabolas; the braking of the first grows without limit toward rest
+    assert 0.92 < np.mean(np.abs(off) < 2) < 0.98
 
 
 @pytest.mark.parametrize("power", [2 / 3, 1])
