@@ -13,12 +13,11 @@ from __future__ import annotations
 
 import os
 import stat
-import sys
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from curlfit.errors import InputError
+from curlfit.errors import InputError, warn_once
 from curlfit.files import replaced
 
 LIMIT = 256 * 2**20
@@ -44,7 +43,7 @@ def folder(part: str) -> Path | None:
     except OSError:
         return None
     if intruded is not None:
-        _warn_once(
+        warn_once(
             f"compiled programs are not kept in {place}, since others may write to {intruded}; "
             "let CURLFIT_CACHE name a folder of your own, or be off"
         )
@@ -82,17 +81,12 @@ def _private(status: os.stat_result) -> bool:
     return status.st_uid in (os.geteuid(), 0) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
-@cache
-def _warn_once(sentence: str) -> None:
-    print(f"curlfit: Warning: {sentence}", file=sys.stderr)
-
-
 def read(file: Path) -> bytes | None:
     """The content of a file of the cache, which has then been used; None where there is none."""
     try:
         with file.open("rb") as opened:
             if not _private(os.fstat(opened.fileno())):
-                _warn_once(f"{file} is not read, since others may write to it; it is made again")
+                warn_once(f"{file} is not read, since others may write to it; it is made again")
                 return None
             content = opened.read()
         with suppress(OSError):
