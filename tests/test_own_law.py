@@ -89,9 +89,9 @@ MU = '    mu: float = coefficient(0.01, "mu")\n    def traction(self, point):\n'
         (HEAD + "    mu: float = 3\n    def traction(self, point): ...\n", "A.mu: declare it as"),
         (HEAD + '    name = "coulomb"\n' + MU + "        return 1, 2\n", "already; rename yours"),
         (HEAD + MU + "        return point.nothing, 2\n", "line 5: AttributeError"),
-        (HEAD + MU + "        if point.xi > 0: return 1, 2\n", "line 5: a law is compiled"),
+        (HEAD + MU + "        if point.xi > 0: return 1, 2\n", "line 5: ValueError"),
         (HEAD + MU + "        return -self.mu * point.e_xi\n", "expected (to the right, forward)"),
-        (HEAD + MU + "        return float('nan'), 0.0\n", "with its defaults, at 2 m/s and 1 rad/s, g"),
+        (HEAD + MU + "        return float('nan'), 0.0\n", "A with its defaults, at 2 m/s"),
         (HEAD + '    mu: float = coefficient(0.01, "mu")\n', "TypeError"),
     ],
 )  # fmt: skip
@@ -109,28 +109,24 @@ SLIDING = "        return -s * point.e_xi, -s * point.e_eta\n"
 
 
 @pytest.mark.parametrize(
-    "line",
+    ("wrong", "right"),
     [
-        "np.sqrt(point.speed)", "np.sqrt(self.mu)", "math.sqrt(self.mu)", "np.abs(point.xi)",
-        "np.where(point.xi > 0, 1, 2)", "1 if self.mu > 0 else 2", "float(point.turned)",
-        "[1, 2, 3][int(point.time)]",
+        ("np.sqrt(point.speed)", "jnp.sqrt(point.speed)"),
+        ("np.sqrt(self.mu)", "jnp.sqrt(self.mu)"),
+        ("math.sqrt(self.mu)", "jnp.sqrt(self.mu)"),
+        ("np.where(point.xi > 0, 1, 2)", "jnp.where(point.xi > 0, 1, 2)"),
+        ("1 if self.mu > 0 else 2", "jnp.where(self.mu > 0, 1, 2)"),
+        ("float(point.time)", "point.time"),
+        ("[1, 2][int(point.front[0])]", "2 - point.front"),
     ],
-)  # fmt: skip
-def test_a_law_that_cannot_be_compiled_is_told_of_jax_numpy(line, tmp_path):
-    file = tmp_path / "own.py"
+)
+def test_a_law_that_cannot_be_compiled_is_told_of_jax_numpy(wrong, right, tmp_path):
     text = "import math\nimport numpy as np\nimport jax.numpy as jnp\n" + HEAD + MU
-    file.write_text(f"{text}        s = {line}\n{SLIDING}")
-    if "abs" in line:  # which jax takes
-        find_law(str(file))
-        return
+    for name, line in (("bad", wrong), ("good", right)):
+        (tmp_path / f"{name}.py").write_text(f"{text}        s = self.mu * ({line})\n{SLIDING}")
     with pytest.raises(DataError, match=r"line 8: a law is compiled.*jnp\.sqrt for np\.sqrt"):
-        find_law(str(file))
-    mended = {"np.": "jnp.", "math.": "jnp.", "1 if self.mu > 0 else 2": "2",
-              "float(point.turned)": "1 + point.turned**2", "[1, 2, 3][int(point.time)]": "1"}  # fmt: skip
-    for wrong, right in mended.items():
-        line = re.sub(rf"(?<!j){re.escape(wrong)}", right, line)
-    file.write_text(f"{text}        s = self.mu * ({line})\n{SLIDING}# mended\n")
-    assert find_law(str(file)).__name__ == "A"
+        find_law(str(tmp_path / "bad.py"))
+    assert find_law(str(tmp_path / "good.py")).__name__ == "A"
 
 
 def test_a_law_that_drives_is_refused(tmp_path):
@@ -152,7 +148,7 @@ def test_a_law_that_drives_a_part_of_the_ring_is_warned_of(tmp_path, capsys):
     file.write_text(HEAD + MU + "        return self.mu * point.e_xi, -self.mu * point.e_eta\n")
     find_law(str(file))
     said = capsys.readouterr().err
-    assert said.startswith(f"curlfit: Warning: {file}: A with its defaults, at 2 m/s")
+    assert said.startswith(f"curlfit: Warning: {file}: A with its defaults, at ")
     assert "drives some points of the ring" in said
     file.write_text(HEAD + MU + "        return -self.mu * point.e_xi, -self.mu * point.e_eta\n\n")
     find_law(str(file))
