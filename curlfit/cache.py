@@ -59,7 +59,8 @@ def _place() -> Path | None:
         return Path(setting).expanduser().resolve()
     from platformdirs import user_cache_path
 
-    return user_cache_path("curlfit", appauthor=False).resolve()
+    place = user_cache_path("curlfit", appauthor=False)
+    return place.resolve() if place.is_absolute() else None  # of a user without a home
 
 
 def _open_to_others(path: Path) -> Path | None:
