@@ -32,15 +32,15 @@ _SWEEP = 1 / 32  # of the limit, written by a process until it looks again at ho
 @cache
 def folder(part: str) -> Path | None:
     """One of the `PARTS`, there to be read and written; None where there is to be no cache."""
-    place = _place()
-    if place is None:
-        return None
-    wanted = place / part
     try:
+        place = _place()
+        if place is None:
+            return None
+        wanted = place / part
         for missing in [path for path in (*reversed(wanted.parents), wanted) if not path.exists()]:
             missing.mkdir(mode=0o700, exist_ok=True)
         intruded = _open_to_others(wanted)
-    except OSError:
+    except (OSError, RuntimeError):  # the second where there is no home
         return None
     if intruded is not None:
         warn_once(
@@ -60,7 +60,7 @@ def _place() -> Path | None:
     from platformdirs import user_cache_path
 
     place = user_cache_path("curlfit", appauthor=False)
-    return place.resolve() if place.is_absolute() else None  # of a user without a home
+    return place.resolve() if place.is_absolute() else None  # "~/.cache" without a home
 
 
 def _open_to_others(path: Path) -> Path | None:

@@ -187,6 +187,18 @@ def test_the_folder_of_all_temporary_files_may_lie_above(keeping, tmp_path):
     assert (done.stdout, done.stderr) == ("programs\n", "")
 
 
+@posix
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may change")
+def test_a_user_without_a_home_has_no_cache(keeping, tmp_path):
+    done = keeping(
+        "import platformdirs, platformdirs.unix, pwd\n"
+        "os.setuid(54321); del os.environ['HOME']; os.environ['CURLFIT_CACHE'] = ''\n"
+        "os.environ.pop('XDG_CACHE_HOME', None); cache.folder.cache_clear()\n"
+        "print(cache.folder('jax'))"
+    )
+    assert (done.stdout, done.stderr) == ("None\n", "")
+
+
 def test_jax_reads_its_entries_with_the_same_care(keeping, tmp_path):
     code = """
 import jax
