@@ -7,11 +7,13 @@
     curlfit.fit_figure(fit); curlfit.corner_figure(fit, chain)
 
 Axes: y along the sheet, x to the right of it, angle and spin counter-clockwise; SI units and
-radians. JAX runs in 64-bit once a name that needs it is used.
+radians. With `import curlfit` JAX computes with 64-bit numbers, whatever JAX_ENABLE_X64 says.
 """
 
 from __future__ import annotations
 
+import os
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -49,6 +51,13 @@ if TYPE_CHECKING:
     from curlfit.synthetic import law_with, synthetic_throw
     from curlfit.throw import Throw
     from curlfit.together import fit_together
+
+# A function of the user's may be traced before any name of curlfit is used, and the width of
+# numbers cannot change while it is. JAX reads the variable when it is loaded.
+if "jax" in sys.modules:
+    sys.modules["jax"].config.update("jax_enable_x64", True)
+else:
+    os.environ["JAX_ENABLE_X64"] = "1"
 
 # Where each public name lives. They are imported on first use, so that `import curlfit` and the
 # command line's help need neither JAX nor matplotlib.

@@ -1,15 +1,12 @@
-"""JAX as curlfit needs it: 64-bit numbers and a cache of compiled programs for each user.
+"""JAX as curlfit needs it, with a cache of compiled programs for each user.
 
-Imported before any other use of JAX inside curlfit. The cache lies in the user's cache folder,
-is keyed by the versions of curlfit and JAX, and may be deleted at any time. `CURLFIT_CACHE`
-names another folder, or switches it off with `off`.
+Imported before any other use of JAX inside curlfit. 64-bit numbers are switched on by `curlfit`
+itself, before that.
 """
 
 from __future__ import annotations
 
 import os
-import sys
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,66 +15,51 @@ from typing import Any
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
-from jaxlib import version as jaxlib_version
 
-from curlfit.errors import InputError
-from curlfit.files import replaced
-from curlfit.version import __version__
-
-
-def cache_folder() -> Path | None:
-    """Where compiled programs are kept, or None where the cache is off."""
-    setting = os.environ.get("CURLFIT_CACHE", "")
-    if setting.lower() in {"off", "0", "no", "false"}:
-        return None
-    if setting:
-        return Path(setting).expanduser()
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "curlfit" / f"{__version__}-jax-{jax.__version__}-{jaxlib_version.__version__}"
+from curlfit import cache
 
 
 def _configure() -> None:
-    jax.config.update("jax_enable_x64", True)
     if jax.config.values["jax_compilation_cache_dir"] is not None:
         return  # the user's own choice stands
-    folder = cache_folder()
+    folder = cache.folder("jax")
     if folder is None:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    except OSError:
-        return
-    if not os.access(folder, os.W_OK):
         return
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    _keep_whole_entries()
+    _keep_in(folder)
 
 
-def _keep_whole_entries() -> None:
-    """Have entries of the cache moved into place. JAX itself leaves half of one behind on a full
-    disk or when killed, does not mend it, and warns of it ever after."""
+def _keep_in(folder: Path) -> None:
+    """Have JAX read and write the entries in that folder as `curlfit.cache` does.
+
+    JAX itself reads whatever lies there, and leaves half of an entry behind on a full disk or when
+    killed, does not mend it, and warns of it ever after. With `jax_compilation_cache_max_size` it
+    needs a lock for each access, and half of an entry ends all writing.
+    """
     try:
         from jax._src.lru_cache import _CACHE_SUFFIX, LRUCache
     except ImportError:  # another version of JAX, which may do better
         return
-    put = LRUCache.put
+    get, put = LRUCache.get, LRUCache.put
+
+    def ours(self: Any, key: str) -> Path | None:
+        file = Path(str(self.path)) / f"{key}{_CACHE_SUFFIX}"
+        return file if file.parent == folder and not self.eviction_enabled else None
+
+    def get_own(self: Any, key: str) -> bytes | None:
+        file = ours(self, key)
+        return get(self, key) if file is None else cache.read(file)
 
     def put_whole(self: Any, key: str, value: bytes) -> None:
-        file = Path(str(self.path)) / f"{key}{_CACHE_SUFFIX}"
-        if self.eviction_enabled or not file.parent.is_dir():
+        file = ours(self, key)
+        if file is None:
             put(self, key, value)
-        elif not file.exists():
-            with suppress(InputError), replaced(file) as temporary:
-                temporary.write_bytes(value)
+        else:
+            cache.write(file, value)
 
-    LRUCache.put = put_whole  # type: ignore[method-assign]
+    LRUCache.get, LRUCache.put = get_own, put_whole  # type: ignore[method-assign]
 
 
 _configure()

@@ -1,7 +1,9 @@
-"""The errors a user can meet. Each message says what, where, and what was expected."""
+"""The errors and warnings a user can meet. Each message says what, where, and what was expected."""
 
 from __future__ import annotations
 
+import sys
+from functools import cache
 from os import PathLike
 
 
@@ -46,3 +48,9 @@ class DataError(InputError):
 
 class UnusableFitError(CurlfitError):
     """The data were read, but no usable fit came of them (exit status 1)."""
+
+
+@cache
+def warn_once(sentence: str) -> None:
+    """Print a warning on stderr, the first time that it is given."""
+    print(f"curlfit: Warning: {sentence}", file=sys.stderr)

@@ -22,8 +22,10 @@ _PREFIX = ".curlfit-"  # of temporary names
 
 
 @contextmanager
-def replaced(file: Path) -> Iterator[Path]:
+def replaced(file: Path, *, private: bool = False) -> Iterator[Path]:
     """A temporary path beside `file`; moved into its place when the block ends without error.
+
+    Others may read and write the file as the umask allows, or not at all if it is `private`.
 
     Raises
     ------
@@ -35,7 +37,8 @@ def replaced(file: Path) -> Iterator[Path]:
         os.close(handle)
         temporary = Path(name)
         yield temporary
-        temporary.chmod(0o666 & ~_umask())
+        if not private:
+            temporary.chmod(0o666 & ~_umask())
         temporary.replace(file)
     except OSError as error:
         raise InputError(f"{file}: cannot be written ({error.strerror or error})") from error

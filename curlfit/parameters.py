@@ -99,10 +99,7 @@ class ParameterSet:
         fix, bounds = dict(fixed), dict(limits)
         coefficients: tuple[Parameter, ...] = law.coefficients()
         if unbounded:
-            coefficients = tuple(
-                item if item.signed or item.optional else replace(item, lower=-item.upper)
-                for item in law.coefficients()
-            )
+            coefficients = tuple(item.unbounded() for item in law.coefficients())
         for one in law.coefficients():
             if one.optional and one.name not in bounds:
                 fix.setdefault(one.name, one.default)

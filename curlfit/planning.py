@@ -380,12 +380,12 @@ def _truth(
     stone: Stone | None,
 ) -> tuple[type[Law], Floats, Load, Stone]:
     """What is taken to be true: law, values of its coefficients, load and stone."""
-    given = dict(coefficients or {})
+    fitted = {}
     if isinstance(law, FitResult):
-        given = {name: item.value for name, item in law.coefficients.items()} | given
+        fitted = {name: item.value for name, item in law.coefficients.items()}
         load, stone = load or law.load, stone or law.stone
         law = law.law_class
-    made = law_with(law, given)
+    made = law_with(law, coefficients or {}, others=fitted)
     values = np.array([float(getattr(made, item.name)) for item in made.coefficients()])
     return type(made), values, check_load(load or "uniform"), stone or Stone()
 

@@ -3,8 +3,8 @@
 JAX's own cache spares a new process the compiling, but not the tracing and lowering of the model,
 which take longer than a fit. A `kept` function is stored whole, machine code and all, in the user's
 cache folder, and the next process runs it without tracing anything. What it was made from is in
-its name: curlfit's sources, JAX, the processor, the law and the shapes of the arrays. Files may be
-deleted at any time; one that cannot be read is made anew.
+its name: curlfit's sources, JAX, the processor, the law and the shapes of the arrays. A file that
+is gone or cannot be read is made anew.
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
-from curlfit import backend
+from curlfit import backend  # noqa: F401  (configures JAX before its first use)
 
 # isort: split
 import jax
 import numpy as np
+from jax.experimental.serialize_executable import deserialize_and_load, serialize
+from jaxlib import version as jaxlib_version
 
-from curlfit.errors import InputError
-from curlfit.files import replaced
+from curlfit import cache
 
 WIDE: dict[str, Any] = {"xla_cpu_prefer_vector_width": "512"}
 """Options of `jax.jit` for a program that runs often: XLA leaves half of AVX-512's vectors unused
@@ -74,11 +75,12 @@ class _Kept:
 
     def _ready(self, fixed: tuple[Any, ...], dynamic: tuple[Any, ...], shapes: str) -> Any:
         file = self._file(fixed, shapes)
-        if file is not None and file.exists():
+        whole = None if file is None else cache.read(file)
+        if whole is not None:
             # A damaged file, or one of another build, fails in as many ways as there are builds,
             # some of them not before it is run.
             with suppress(Exception):
-                program = _read(file)
+                program = _loaded(whole)
                 jax.block_until_ready(program(*dynamic))
                 return program
         return self._made(fixed, dynamic, file)
@@ -90,14 +92,14 @@ class _Kept:
         with unswept(), _without_cache() if file is not None else nullcontext():
             program = _compiled(self.jitted.lower(*args), self.often)
         if file is not None:
-            # One that cannot be kept (a full disk, a device that gives none) is made again.
-            with suppress(OSError, InputError, ValueError, NotImplementedError):
-                _write(file, program)
+            # One that cannot be kept (of a device that gives none) is made again.
+            with suppress(ValueError, NotImplementedError):
+                cache.write(file, pickle.dumps(serialize(program)))
         return program
 
     def _file(self, fixed: tuple[Any, ...], shapes: str) -> Path | None:
         """Where the program lies; None where it is not to be kept."""
-        folder = backend.cache_folder()
+        folder = cache.folder("programs")
         words = []
         for value in fixed:
             if isinstance(value, type):
@@ -105,10 +107,10 @@ class _Kept:
                     return None  # a law of the user's may change from run to run
                 value = value.__qualname__
             words.append(str(value))
-        if folder is None or not folder.is_dir():
+        if folder is None:
             return None
         about = "\n".join((self.__module__, self.name, *words, shapes, _origin()))
-        return folder / "programs" / hashlib.sha256(about.encode()).hexdigest()
+        return folder / hashlib.sha256(about.encode()).hexdigest()
 
 
 def _compiled(lowered: Any, often: bool) -> Any:
@@ -164,25 +166,13 @@ def _origin() -> str:
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         cpu += next((line for line in lines if line.startswith("flags")), "")
+    versions = (jax.__version__, jaxlib_version.__version__)
     settings = (os.environ.get("XLA_FLAGS", ""), str(jax.config.values["jax_enable_x64"]))
-    return "\n".join(
-        (*stamps, jax.__version__, device.platform, device.device_kind, cpu, *settings)
-    )
+    return "\n".join((*stamps, *versions, device.platform, device.device_kind, cpu, *settings))
 
 
-def _write(file: Path, program: Any) -> None:
-    from jax.experimental.serialize_executable import serialize
-
-    file.parent.mkdir(mode=0o700, exist_ok=True)
-    whole = pickle.dumps(serialize(program))
-    with replaced(file) as temporary:
-        temporary.write_bytes(whole)
-
-
-def _read(file: Path) -> Any:
-    whole = pickle.loads(file.read_bytes())
-    from jax.experimental.serialize_executable import deserialize_and_load
+def _loaded(whole: bytes) -> Any:
     from jaxlib import lapack
 
     lapack.prepare_lapack_call("geqrf_ffi", np.dtype(float))  # makes LAPACK known to programs
-    return deserialize_and_load(*whole)
+    return deserialize_and_load(*pickle.loads(whole))

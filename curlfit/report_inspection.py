@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from curlfit.inspection import Clock, Inspection, Rest
+from curlfit.report import compact
 from curlfit.throw import CHANNELS, UNITS
 
 if TYPE_CHECKING:
@@ -117,7 +118,10 @@ def _rest(rest: Rest) -> str:
         return "at the last row"
     if rest.measured:
         return f"not reached: {rest.speed:.3g} m/s at the end"
-    return f"not seen: {rest.speed:.3g} m/s at the last rows"
+    speed = f"{compact(rest.speed, rest.error)} m/s at the last row"
+    if rest.speed < 2 * rest.error:
+        return f"not certain: {speed}"
+    return f"not seen: {speed}"
 
 
 def braille(t: Floats, values: Floats, width: int = 60, height: int = 4) -> list[str]:

@@ -13,18 +13,30 @@ from curlfit.stone import Stone
 from curlfit.throw import Floats, Reference, Throw
 
 _MOST_ROWS = 2_000_000
+_RISE = 1e-6  # of the energy from row to row; velocities are good to less
 
 
-def law_with(law: str | type[Law], coefficients: Mapping[str, float]) -> Law:
+def law_with(
+    law: str | type[Law],
+    coefficients: Mapping[str, float],
+    *,
+    unbounded: bool = False,
+    others: Mapping[str, float] | None = None,
+) -> Law:
     """A law with some coefficients set and the rest at their defaults.
+
+    Parameters
+    ----------
+    unbounded : let coefficients be negative, as in a fit.
+    others : in place of defaults; of a fit, which may have had other bounds.
 
     Raises
     ------
-    InputError : an unknown law or coefficient, a value that is not finite, or values that make no
-        law of friction.
+    InputError : an unknown law or coefficient, a value that is not finite or outside its bounds, or
+        values that make no law of friction.
     """
     kind: type[Law] = find_law(law) if isinstance(law, str) else law
-    known = [item.name for item in kind.coefficients()]
+    known = {item.name: item for item in kind.coefficients()}
     for name, value in coefficients.items():
         if name not in known:
             raise InputError(
@@ -32,7 +44,14 @@ def law_with(law: str | type[Law], coefficients: Mapping[str, float]) -> Law:
             )
         if not math.isfinite(value):
             raise InputError(f"{name} = {value}: expected a finite number")
-    made = kind(**coefficients)
+        item, wider = known[name], known[name].unbounded()
+        if not (wider if unbounded else item).lower <= value <= item.upper:
+            raise InputError(
+                f"{name} = {value:g}: expected {item.lower:g} .. {item.upper:g}, the bounds of law "
+                f"{kind.name}"
+                + ("; `unbounded` lets it be negative" if wider.lower <= value < item.lower else "")
+            )
+    made = kind(**{**(others or {}), **coefficients})
     fault = made.fault()
     if fault is not None:
         raise InputError(f"law {kind.name}: {fault}")
@@ -55,7 +74,8 @@ def synthetic_throw(
 ) -> Throw:
     """A throw from the origin with independent Gaussian noise on x, y (m) and phi (rad).
 
-    The true coefficients go along as the throw's reference.
+    The true coefficients go along as the throw's reference. A note says where the stone gains
+    energy, which no friction gives.
 
     Raises
     ------
@@ -89,6 +109,15 @@ def synthetic_throw(
             f"law {law.name} with {load} load admits no motion from this start"
             + no_motion_because(load)
         )
+    energy = path.vx**2 + path.vy**2 + (stone.rho * path.omega) ** 2
+    rise = np.flatnonzero(np.diff(energy) > _RISE * energy[:-1])
+    notes: tuple[str, ...] = ()
+    if len(rise):
+        first, most = t[rise[0]], t[int(np.argmax(energy))]
+        notes = (
+            f"friction drives the stone: its energy grows from t = {first:g} s on, at t = {most:g} "
+            f"s to {energy.max() / energy[0]:.3g} times that of the start; ice does not do that",
+        )
     random = np.random.default_rng(seed)
     names = [item.name for item in law.coefficients()]
     return Throw(
@@ -97,6 +126,7 @@ def synthetic_throw(
         y=np.asarray(path.y) + noise_xy * random.standard_normal(rows),
         phi=np.asarray(path.phi) + noise_phi * random.standard_normal(rows),
         name="synthetic throw",
+        notes=notes,
         reference=Reference(
             "true value", law.name, {name: float(getattr(law, name)) for name in names}
         ),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -46,6 +49,56 @@ def test_a_moving_end_has_a_speed():
     assert rest.speed == pytest.approx(
         np.hypot(0.5, 0.5 * stone(np.array([15.0]))[0] / 200), rel=0.1
     )
+
+
+def ending(power, until, noise, dt, seed):
+    """A throw whose speed falls as 2 m/s (1 - t/20 s)^power, and its speed at the last row.
+
+    Powers of 2/3, 1 and 2 are those of friction as v^-1/2, constant and as v^1/2.
+    """
+    random = np.random.default_rng(seed)
+    t = np.arange(random.uniform(0, dt), until, dt)
+    left = np.maximum(1 - t / 20, 0)
+    along = SPEED * 20 / (power + 1) * (1 - left ** (power + 1))
+    places = np.stack([0.03 * along, along]) + noise * random.standard_normal((2, len(t)))
+    return Throw.from_arrays(t, *places), np.hypot(1, 0.03) * SPEED * left[-1] ** power
+
+
+def test_a_throw_cut_off_is_not_at_rest():
+    off = []
+    for power, noise, dt, speed in product(
+        (2 / 3, 1, 2), (0.0, 0.001, 0.005, 0.02), (0.02, 0.1, 0.5), (0.05, 0.1, 0.15, 0.3, 0.5)
+    ):
+        until = 20 * (1 - (speed / SPEED) ** (1 / power))
+        for seed in range(10):
+            made, last = ending(power, until, noise, dt, seed)
+            rest = inspected(made).rest
+            assert rest.since is None, (power, noise, dt, speed, seed)
+            off.append((rest.speed - last) / rest.error)
+    # 0.954, were the paths parabolas; the braking of the first grows without limit toward rest
+    assert 0.92 < np.mean(np.abs(off) < 2) < 0.98
+
+
+@pytest.mark.parametrize("power", [2 / 3, 1])
+@pytest.mark.parametrize(
+    ("noise", "dt", "after"),
+    [(0.0, 0.02, 0.5), (0.001, 0.1, 1), (0.005, 0.02, 1), (0.005, 0.1, 2), (0.005, 0.5, 4),
+     (0.02, 0.02, 2), (0.02, 0.1, 4)],
+)  # fmt: skip
+def test_rest_is_seen_where_it_lasted(power, noise, dt, after):
+    for seed in range(20):
+        rest = inspected(ending(power, 20 + after, noise, dt, seed)[0]).rest
+        assert rest.since is not None, seed
+        assert -0.5 - 60 * noise < rest.since - 20 < after, seed
+
+
+def test_what_is_not_certain_is_said():
+    made, _ = ending(1, 20.5, 0.02, 0.1, 3)
+    (line,) = (line for line in facts(made, inspected(made), {}) if line.startswith("rest"))
+    assert re.fullmatch(r"rest       not certain: 0\.\d+\(\d+\) m/s at the last row", line)
+    made, _ = ending(1, 18, 0.002, 0.1, 0)
+    (line,) = (line for line in facts(made, inspected(made), {}) if line.startswith("rest"))
+    assert re.fullmatch(r"rest       not seen: 0\.2\d+\(\d+\) m/s at the last row", line)
 
 
 def test_pauses_and_jumps_are_counted():

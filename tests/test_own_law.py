@@ -13,6 +13,9 @@ from conftest import command as curlfit
 
 from curlfit import LAWS, find_law, load_fit, sample
 from curlfit.errors import DataError, InputError
+from curlfit.friction.base import START_NAMES
+from curlfit.friction.from_file import _try_out
+from curlfit.parameters import START
 
 README = (Path(__file__).parent.parent / "README.md").read_text()
 LAW = re.search(r"<!-- law -->\n```python\n(.*?)```", README, re.S)[1]
@@ -88,7 +91,7 @@ MU = '    mu: float = coefficient(0.01, "mu")\n    def traction(self, point):\n'
         (HEAD + MU + "        return point.nothing, 2\n", "line 5: AttributeError"),
         (HEAD + MU + "        if point.xi > 0: return 1, 2\n", "line 5: ValueError"),
         (HEAD + MU + "        return -self.mu * point.e_xi\n", "expected (to the right, forward)"),
-        (HEAD + MU + "        return float('nan'), 0.0\n", "with its defaults gives"),
+        (HEAD + MU + "        return float('nan'), 0.0\n", "A with its defaults, at 2 m/s"),
         (HEAD + '    mu: float = coefficient(0.01, "mu")\n', "TypeError"),
     ],
 )  # fmt: skip
@@ -100,6 +103,82 @@ def test_what_is_wrong_is_said_with_its_place(text, message, tmp_path):
         find_law(str(file))
     assert str(file) in str(caught.value)
     assert before == LAWS
+
+
+SLIDING = "        return -s * point.e_xi, -s * point.e_eta\n"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right"),
+    [
+        ("np.sqrt(point.speed)", "jnp.sqrt(point.speed)"),
+        ("np.sqrt(self.mu)", "jnp.sqrt(self.mu)"),
+        ("math.sqrt(self.mu)", "jnp.sqrt(self.mu)"),
+        ("np.where(point.xi > 0, 1, 2)", "jnp.where(point.xi > 0, 1, 2)"),
+        ("1 if self.mu > 0 else 2", "jnp.where(self.mu > 0, 1, 2)"),
+        ("float(point.time)", "point.time"),
+        ("[1, 2][int(point.front[0])]", "2 - point.front"),
+    ],
+)
+def test_a_law_that_cannot_be_compiled_is_told_of_jax_numpy(wrong, right, tmp_path):
+    text = "import math\nimport numpy as np\nimport jax.numpy as jnp\n" + HEAD + MU
+    for name, line in (("bad", wrong), ("good", right)):
+        (tmp_path / f"{name}.py").write_text(f"{text}        s = self.mu * ({line})\n{SLIDING}")
+    with pytest.raises(DataError, match=r"line 8: a law is compiled.*jnp\.sqrt for np\.sqrt"):
+        find_law(str(tmp_path / "bad.py"))
+    assert find_law(str(tmp_path / "good.py")).__name__ == "A"
+
+
+def test_a_law_that_drives_is_refused(tmp_path):
+    file = tmp_path / "own.py"
+    file.write_text(HEAD + MU + "        return self.mu * point.e_xi, self.mu * point.e_eta\n")
+    with pytest.raises(DataError, match=r"A with its defaults, at 2 m/s .* drives the stone"):
+        find_law(str(file))
+    file.write_text(
+        "from curlfit import NetLaw, coefficient\nclass A(NetLaw):\n"
+        '    c: float = coefficient(0.1, "c")\n    def accelerations(self, motion, stone):\n'
+        "        return 0.0, self.c, 0.0\n"
+    )
+    with pytest.raises(DataError, match="expected a force against the motion"):
+        find_law(str(file))
+
+
+def test_a_law_that_drives_a_part_of_the_ring_is_warned_of(tmp_path, capsys):
+    file = tmp_path / "own.py"
+    file.write_text(HEAD + MU + "        return self.mu * point.e_xi, -self.mu * point.e_eta\n")
+    find_law(str(file))
+    said = capsys.readouterr().err
+    assert said.startswith(f"curlfit: Warning: {file}: A with its defaults, at ")
+    assert "drives some points of the ring" in said
+    file.write_text(HEAD + MU + "        return -self.mu * point.e_xi, -self.mu * point.e_eta\n\n")
+    find_law(str(file))
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("law", [law for law in LAWS.values() if law.shipped()])
+def test_no_law_of_curlfit_drives(law, capsys):
+    _try_out("", Path(), law)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("name", [*START_NAMES, "source", "traction", "from_vector"])
+def test_a_coefficient_cannot_have_a_name_that_is_taken(name, tmp_path):
+    file = tmp_path / "own.py"
+    file.write_text(f'{HEAD}    {name}: float = coefficient(0.01, "mu")\n')
+    words = "a parameter of the start" if name in START_NAMES else "something else of every law"
+    with pytest.raises(DataError, match=f"line 2: .*A.{name}: this is the name of {words}"):
+        find_law(str(file))
+
+
+def test_the_names_of_the_start_are_those_of_a_fit():
+    assert tuple(item.name for item in START) == START_NAMES
+
+
+def test_a_default_lies_within_its_bounds(tmp_path):
+    file = tmp_path / "own.py"
+    file.write_text(f'{HEAD}    mu: float = coefficient(-0.01, "mu")\n')
+    with pytest.raises(DataError, match=r"A.mu: default -0.01 lies outside its bounds, 0 \.\. 1"):
+        find_law(str(file))
 
 
 def test_a_class_that_is_not_there_is_named_beside_those_that_are(tmp_path):

@@ -1,12 +1,17 @@
-"""Compiled programs in the user's cache folder."""
+"""Compiled programs in the user's cache folder, and JAX's width of numbers."""
 
 from __future__ import annotations
 
+import json
 import os
+import stat
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+
+from curlfit import cache
 
 CODE = """
 import numpy as np
@@ -32,13 +37,16 @@ def traced(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(CODE)
 
-    def run(**settings):
-        cache = {"CURLFIT_CACHE": str(tmp_path / "cache")} | settings
+    def run(stderr=False, **settings):
+        place = {"CURLFIT_CACHE": str(tmp_path / "cache")} | settings
         done = subprocess.run(
-            [sys.executable, "-W", "error", str(script)], env=os.environ | cache,
+            [sys.executable, "-W", "error", str(script)], env=os.environ | place,
             capture_output=True, text=True, check=False,
         )  # fmt: skip
-        assert (done.returncode, done.stderr) == (0, "")
+        assert done.returncode == 0, done.stderr
+        if stderr:
+            return int(done.stdout), done.stderr
+        assert done.stderr == ""
         return int(done.stdout)
 
     run.folder = tmp_path / "cache" / "programs"
@@ -77,3 +85,204 @@ def test_a_program_is_whole_though_jax_has_it_in_its_own_cache(traced):
 def test_the_cache_can_be_switched_off(traced):
     assert traced() == traced(CURLFIT_CACHE="off") == 3
     assert not traced.folder.parent.joinpath("off").exists()
+
+
+HOUSEKEEPING = """
+import os, sys
+from pathlib import Path
+from curlfit import cache
+
+cache.LIMIT = {limit}
+folder = cache.folder({part!r})
+{code}
+"""
+
+
+@pytest.fixture
+def keeping(tmp_path):
+    """Run code in a new process with `cache`, a `limit` and a `folder` of the cache."""
+
+    def run(code, limit=cache.LIMIT, part="programs", place=tmp_path / "cache", **settings):
+        text = HOUSEKEEPING.format(limit=limit, part=part, code=code)
+        return subprocess.run(
+            [sys.executable, "-W", "error", "-c", text], check=True, capture_output=True, text=True,
+            env=os.environ | {"CURLFIT_CACHE": str(place)} | settings,
+        )  # fmt: skip
+
+    return run
+
+
+posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="permissions of POSIX")
+
+
+@posix
+@pytest.mark.parametrize("mask", [0o022, 0o002, 0o000])
+def test_what_is_kept_is_the_users_own_whatever_the_umask(keeping, tmp_path, mask):
+    place = tmp_path / "new" / "cache"
+    done = keeping(
+        f"os.umask({mask}); cache.folder.cache_clear(); folder = cache.folder('jax')\n"
+        "cache.write(folder / 'a', b'one'); print(cache.read(folder / 'a'))", place=place,
+    )  # fmt: skip
+    assert (done.stdout, done.stderr) == ("b'one'\n", "")
+    assert stat.S_IMODE((place / "jax" / "a").stat().st_mode) == 0o600
+    assert stat.S_IMODE((place / "jax").stat().st_mode) == 0o700
+
+
+@posix
+def test_a_file_that_others_may_write_is_not_run(traced, tmp_path):
+    """It would run as the user; a pickle may do anything."""
+    traced()
+    files = sorted(traced.folder.iterdir())
+    planted = b"cos\nmkdir\n(S'%s'\ntR." % str(tmp_path / "planted").encode()
+    for file in files:
+        file.write_bytes(planted)
+        file.chmod(0o620)
+    count, said = traced(stderr=True)
+    assert count == 3
+    assert not (tmp_path / "planted").exists()
+    assert len(said.splitlines()) == 3
+    assert all("others may write to it; it is made again" in line for line in said.splitlines())
+    assert traced() == 0
+    files[0].write_bytes(planted)  # the test's own premise: the user's own file is run
+    assert traced() == 1
+    assert (tmp_path / "planted").exists()
+
+
+@posix
+@pytest.mark.parametrize("which", ["cache", "cache/programs", "."])
+def test_a_folder_that_others_may_write_is_no_cache(traced, which):
+    traced()
+    open_ = traced.folder.parent.parent / which
+    open_.chmod(0o770)
+    count, said = traced(stderr=True)
+    assert count == 3
+    assert said.count("\n") == 1
+    assert "Warning: compiled programs are not kept in" in said
+    assert f"others may write to {open_.resolve()};" in said
+    open_.chmod(0o700)
+    assert traced() == 0
+
+
+@posix
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives away")
+def test_a_file_or_folder_of_another_user_is_not_read(traced):
+    traced()
+    for path in (*traced.folder.iterdir(), traced.folder):
+        os.chown(path, 12345, -1)
+        count, said = traced(stderr=True)
+        assert count > 0
+        assert "others may write to" in said
+        os.chown(path, 0, -1)
+    assert traced() == 0
+
+
+@posix
+def test_the_folder_of_all_temporary_files_may_lie_above(keeping, tmp_path):
+    """As /tmp does: anybody may write to it, and move nothing that is another's."""
+    if os.geteuid() != 0:
+        pytest.skip("only root makes such a folder")
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared").chmod(0o1777)
+    done = keeping("print(folder.name)", place=tmp_path / "shared" / "cache")
+    assert (done.stdout, done.stderr) == ("programs\n", "")
+
+
+@posix
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may change")
+def test_a_user_without_a_home_has_no_cache(keeping, tmp_path):
+    done = keeping(
+        "import platformdirs, platformdirs.unix, pwd\n"
+        "os.setuid(54321); del os.environ['HOME']; os.environ['CURLFIT_CACHE'] = ''\n"
+        "os.environ.pop('XDG_CACHE_HOME', None); cache.folder.cache_clear()\n"
+        "print(cache.folder('jax'))"
+    )
+    assert (done.stdout, done.stderr) == ("None\n", "")
+
+
+def test_jax_reads_its_entries_with_the_same_care(keeping, tmp_path):
+    code = """
+import jax
+from curlfit import backend
+hits = []
+jax.monitoring.register_event_listener(lambda event, **more: hits.append(event))
+jax.jit(lambda a: 3 * a)(1.0)
+print(hits.count("/jax/compilation_cache/cache_hits"))
+"""
+    assert keeping(code, part="jax").stdout == "0\n"
+    (entry,) = (tmp_path / "cache" / "jax").iterdir()
+    assert keeping(code, part="jax").stdout == "1\n"
+    if hasattr(os, "geteuid"):
+        entry.chmod(0o666)
+        done = keeping(code, part="jax")
+        assert done.stdout == "0\n"
+        assert "others may write to it" in done.stderr
+        assert keeping(code, part="jax").stdout == "1\n"  # made again, and the user's own
+
+
+def test_above_the_limit_goes_what_was_not_used_for_longest(keeping, tmp_path):
+    folder = tmp_path / "cache" / "programs"
+    keeping("for name in 'abcd': cache.write(folder / name, bytes(100))")
+    for age, name in enumerate("abcd"):
+        os.utime(folder / name, (1e9 - age, 1e9 - age))
+    (folder.parent / "mine.txt").write_text("not of the cache" * 100)
+    done = keeping("cache.read(folder / 'd'); cache.write(folder / 'e', bytes(100))", limit=350)
+    assert done.stderr == ""
+    assert sorted(file.name for file in folder.iterdir()) == ["a", "d", "e"]
+    keeping("cache.write(folder / 'f', bytes(300))", limit=350, part="jax")
+    assert list(folder.iterdir()) == []  # one limit for both
+    assert (folder.parent / "jax" / "f").exists()
+    assert (folder.parent / "mine.txt").exists()
+
+
+def test_many_processes_write_read_and_drop_at_a_time(keeping, tmp_path):
+    code = """
+import random
+random.seed(os.getpid())
+for _ in range(300):
+    name = random.choice("abcdefghij")
+    content = cache.read(folder / name)
+    assert content in (None, name.encode() * 1000), content
+    cache.write(folder / name, name.encode() * 1000)
+"""
+    with ThreadPoolExecutor(4) as pool:
+        done = list(pool.map(lambda _: keeping(code, limit=4500), range(4)))
+    assert {run.stderr for run in done} == {""}
+    left = [file.stat().st_size for file in (tmp_path / "cache" / "programs").iterdir()]
+    assert sum(left) <= 4500 + 4 * 1000  # what was written while another counted
+    assert all(size == 1000 for size in left)
+
+
+FIRST_USE = """
+{imports}
+law = lambda: curlfit.LAWS["coulomb"](0.01)
+def y(v):
+    start = curlfit.Start(v=v, omega=0.0)
+    return curlfit.simulate(law(), curlfit.Stone(), start, [0.0, 10.0, 30.0]).y
+print({use})
+print(y(2.0).tolist())
+"""
+PLACES = [0.0, 20 - 0.0981 * 10**2 / 2, 2**2 / (2 * 0.0981)]
+"""v t - mu g t^2/2, and v^2/(2 mu g) at rest"""
+
+
+@pytest.mark.parametrize("imports", ["import curlfit, jax", "import jax, curlfit"])
+@pytest.mark.parametrize("wide", [None, "0"])
+@pytest.mark.parametrize(
+    ("use", "expected"),
+    [
+        ("jax.jit(y)(2.0).tolist()", PLACES),
+        ("[jax.grad(lambda v: y(v)[place])(2.0).item() for place in (1, 2)]", [10, 2 / 0.0981]),
+    ],
+)
+def test_the_first_use_may_be_traced(imports, wide, use, expected, tmp_path):
+    env = os.environ | {"CURLFIT_CACHE": str(tmp_path)}
+    env.pop("JAX_ENABLE_X64", None)
+    run = subprocess.run(
+        [sys.executable, "-W", "error", "-c", FIRST_USE.format(imports=imports, use=use)],
+        env=env | ({} if wide is None else {"JAX_ENABLE_X64": wide}),
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    first, second = map(json.loads, run.stdout.splitlines())
+    assert first == pytest.approx(expected, abs=1e-7)
+    assert second == pytest.approx(PLACES, abs=1e-7)

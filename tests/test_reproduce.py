@@ -21,7 +21,7 @@ IDS = [
     "eq13", "eq14x", "eq14y", "prop1", "prop2", "prop3", "prop4", "prop5", "eq15-17", "eq23",
     "eq24-l1", "eq24-l2", "eq24-l3", "eq27", "eq28", "ratio", "split",
 ]  # fmt: skip
-CORRECTED = {"eq14x", "eq14y", "prop5", "eq15-17", "eq28"}
+CORRECTED = {"eq13", "eq14x", "eq14y", "prop5", "eq15-17", "eq28"}
 KEYS = ["id", "claim", "printed", "computed", "verdict", "why"]
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -67,6 +67,16 @@ def test_every_claim_is_there_with_its_verdict(found):
 def test_eq_13(found):
     np.testing.assert_allclose(found.path.start, (-0.00028, 2.062, 1.0052), rtol=1e-3, atol=5e-6)
     np.testing.assert_allclose(found.path.end, (-0.841, 25.0, 2.61), atol=0.005)
+    # by hand: y = 25 (1 - (1 - t/23)^1.897)
+    assert abs(found.path.start[1] - 25 * 1.897 / 23) < 1e-12
+    assert "2.062 m/s, 3 % more" in found.claim("eq13").why
+    # 2 m/s in its place is another coefficient along the motion by a tenth
+    (rounded,) = (
+        row.mu[2]
+        for row in found.eq28.rows
+        if row.how.endswith("start of eq. 13") and row.rho == 0.1
+    )
+    assert rounded < 0.9 * PRINTED[2]
 
 
 def test_eq_14(found):

@@ -128,13 +128,14 @@ def test_a_full_disk_leaves_no_half_of_a_compiled_program(tmp_path):
 COMPILE = """
 import os, resource
 import curlfit.backend, jax
+folder = curlfit.cache.folder("jax")
 before = resource.getrlimit(resource.RLIMIT_FSIZE)
 resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
 jax.jit(lambda a: 2 * a)(1.0)
-left = len(os.listdir(curlfit.backend.cache_folder()))
+left = len(os.listdir(folder))
 resource.setrlimit(resource.RLIMIT_FSIZE, before)
 jax.jit(lambda a: 3 * a)(1.0)
-print(left, len(os.listdir(curlfit.backend.cache_folder())))
+print(left, len(os.listdir(folder)))
 """
 
 

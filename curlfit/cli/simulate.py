@@ -19,6 +19,7 @@ def simulate(
         list[str] | None,
         typer.Option("--set", help="A coefficient; the law's default if not set.", metavar="N=V"),
     ] = None,
+    unbounded: o.Unbounded = False,
     load: Annotated[str, typer.Option(help="`uniform` or `consistent`.")] = "uniform",
     stone: o.StoneValues = None,
     v0: Annotated[float, typer.Option(help="First speed, m/s.")] = 2.0,
@@ -35,11 +36,12 @@ def simulate(
 
     Example: `curlfit simulate --set mu2_xi=0.06 --noise-xy 0.005 --noise-phi 0.01 --out a.csv`
     """
+    from curlfit.errors import warn_once
     from curlfit.stone import Stone
     from curlfit.synthetic import law_with, synthetic_throw, write_table
 
     throw = synthetic_throw(
-        law_with(law, s.pairs("--set", set_ or ())),
+        law_with(law, s.pairs("--set", set_ or ()), unbounded=unbounded),
         Stone().with_values(s.pairs("--stone", stone or ())),
         load=load,
         v0=v0,
@@ -51,6 +53,8 @@ def simulate(
         noise_phi=noise_phi,
         seed=seed,
     )
+    for note in throw.notes:
+        warn_once(note)
     text = write_table(throw)
     if out is None:
         typer.echo(text, nl=False)

@@ -19,6 +19,9 @@ Load = Literal["uniform", "consistent"]
 
 LOADS: tuple[str, ...] = get_args(Load)
 
+START_NAMES = ("x0", "y0", "heading", "v0", "phi0", "omega0")
+"""Parameters of the start (`curlfit.parameters.START`), which a fit has beside the coefficients."""
+
 
 def check_load(load: str) -> Load:
     """The name of a load, if it is one. Raises `InputError`."""
@@ -62,6 +65,12 @@ class Coefficient(Parameter):
     default: float
     optional: bool = False
     signed: bool = False
+
+    def unbounded(self) -> Coefficient:
+        """The same that may be negative; exponents and the like keep their bounds."""
+        if self.signed or self.optional:
+            return self
+        return dataclasses.replace(self, lower=-self.upper)
 
 
 def coefficient(
@@ -210,6 +219,7 @@ class Law:
                     f"{cls.__name__}.{field.name}: declare it as {field.name}: float = "
                     "coefficient(default, meaning)"
                 )
+            _check(cls, field.name, field.metadata["coefficient"])
         if cls.name:
             cls.enter(cls.name)
 
@@ -244,6 +254,23 @@ class Law:
         """The law with its coefficients taken in order from a sequence or array."""
         names = (item.name for item in cls.coefficients())
         return cls(**{name: values[place] for place, name in enumerate(names)})
+
+
+def _check(law: type[Law], name: str, about: dict[str, Any]) -> None:
+    """Raise TypeError where a coefficient cannot have that name or that default."""
+    taken = ""
+    if name in START_NAMES:
+        taken = "a parameter of the start, fitted along with every law"
+    elif any(name in vars(base) for base in law.__mro__ if base.__module__ == __name__):
+        taken = "something else of every law"
+    if taken:
+        raise TypeError(f"{law.__name__}.{name}: this is the name of {taken}; choose another")
+    default, lower, upper = (about[key] for key in ("default", "lower", "upper"))
+    if not lower <= default <= upper:
+        raise TypeError(
+            f"{law.__name__}.{name}: default {default:g} lies outside its bounds, {lower:g} .. "
+            f"{upper:g}; give coefficient(..., lower=, upper=) that hold it"
+        )
 
 
 class LocalLaw(Law, ABC):

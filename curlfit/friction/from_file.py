@@ -7,11 +7,13 @@ from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
-from curlfit.errors import DataError
+from curlfit.errors import DataError, warn_once
 from curlfit.friction.base import Law, LocalLaw, Motion, NetLaw, RingPoint
+from curlfit.stone import Stone
 
 
 def law_from_file(file: str, kind: str = "") -> type[Law]:
@@ -70,59 +72,104 @@ def _chosen(file: str, module: ModuleType, kind: str) -> type[Law]:
     return found[kind or next(iter(found))]
 
 
+_STATES = [
+    Motion(speed=2.0, omega=1.0, turned=0.0, time=0.0),
+    Motion(speed=2.0, omega=-1.0, turned=-0.5, time=1.0),
+    Motion(speed=0.3, omega=2.0, turned=6.0, time=10.0),
+    Motion(speed=0.02, omega=1.0, turned=9.0, time=20.0),
+]
+"""At which a law is tried."""
+
+_ROUNDING = 1e-12  # m/s, of a power per unit load
+
+_USE_JAX = (
+    "a law is compiled, which numpy, math and `if` cannot be; expected functions of jax.numpy "
+    "(`import jax.numpy as jnp`, jnp.sqrt for np.sqrt) and jnp.where(condition, a, b) for `if`"
+)
+
+
 def _try_out(file: str, path: Path, law: type[Law]) -> None:
     """Evaluate the law with its defaults, on numbers and as it will be compiled."""
     import jax  # a user's law needs it here, and only here
 
-    alpha = np.linspace(-3.0, 3.0, 6)
-    one = np.ones_like(alpha)
-    point = RingPoint(
-        xi=np.cos(alpha),
-        eta=np.sin(alpha),
-        angle=alpha,
-        front=1.0 * (alpha > 0),
-        slide_xi=-0.1 * np.sin(alpha),
-        slide_eta=2 + 0.1 * np.cos(alpha),
-        speed=2 * one,
-        e_xi=-0.05 * np.sin(alpha),
-        e_eta=one,
-        load=one,
-        turned=0.5,
-        time=1.0,
+    untraced = (
+        jax.errors.ConcretizationTypeError,
+        jax.errors.TracerArrayConversionError,
+        jax.errors.TracerIntegerConversionError,
     )
+    local = issubclass(law, LocalLaw)
+    expected = (2, "(to the right, forward)") if local else (3, "three numbers")
+    stone = Stone()
+    defaults = np.array([item.default for item in law.coefficients()])
 
-    def called(point: RingPoint) -> object:
-        friction = law()
+    def called(values: Any, place: Any) -> Any:
+        friction = law.from_vector(values)
         if isinstance(friction, LocalLaw):
-            return friction.traction(point)
+            return friction.traction(place)
         assert isinstance(friction, NetLaw)
-        from curlfit.stone import Stone
+        return friction.accelerations(place, stone)
 
-        motion = Motion(speed=point.speed[0], omega=1.0, turned=point.turned, time=point.time)
-        return friction.accelerations(motion, Stone())
+    for state in _STATES:
+        point = _ring(state, stone)
+        place = point if local else state
+        try:
+            jax.eval_shape(called, defaults, place)
+            found = called(defaults, place)
+        except untraced as error:
+            raise DataError(_USE_JAX, file=file, line=_line(path, error)) from None
+        except Exception as error:
+            raise _fault(file, path, error) from None
+        if not (isinstance(found, tuple) and len(found) == expected[0]):
+            raise DataError(f"{law.__name__} gives {found!r}; expected {expected[1]}", file=file)
+        here = f"with its defaults, at {state.speed:g} m/s and {state.omega:g} rad/s"
+        if not all(np.isfinite(np.asarray(part, float)).all() for part in found):
+            raise DataError(f"{law.__name__} {here}, gives {found!r}", file=file)
+        if local:
+            power = found[0] * point.slide_xi + found[1] * point.slide_eta
+        else:
+            power = state.speed * found[1] + stone.rho**2 * state.omega * found[2]
+        if np.sum(power) > _ROUNDING:
+            raise DataError(
+                f"{law.__name__} {here}, drives the stone; expected a force against the "
+                + ("sliding, as -mu * point.e_xi, -mu * point.e_eta" if local else "motion"),
+                file=file,
+            )
+        if np.max(power) > _ROUNDING:
+            warn_once(
+                f"{file}: {law.__name__} {here}, drives some points of the ring; friction opposes "
+                "sliding at each of them"
+            )
 
-    expected = (2, "(to the right, forward)") if issubclass(law, LocalLaw) else (3, "three numbers")
-    try:
-        found = called(point)
-        jax.eval_shape(called, point)
-    except Exception as error:
-        raise _fault(file, path, error) from None
-    if not (isinstance(found, tuple) and len(found) == expected[0]):
-        raise DataError(f"{law.__name__} gives {found!r}; expected {expected[1]}", file=file)
-    if not all(np.isfinite(np.asarray(part, float)).all() for part in found):
-        raise DataError(f"{law.__name__} with its defaults gives {found!r} at 2 m/s", file=file)
+
+def _ring(state: Motion, stone: Stone) -> RingPoint:
+    """Points all round the ring."""
+    alpha = np.linspace(-np.pi, np.pi, 24, endpoint=False) + np.pi / 24
+    xi, eta = np.cos(alpha), np.sin(alpha)
+    spin = stone.R * state.omega
+    slide_xi, slide_eta = -spin * eta, state.speed + spin * xi  # eq. 16
+    speed = np.hypot(slide_xi, slide_eta)
+    return RingPoint(
+        xi=xi, eta=eta, angle=alpha, front=1.0 * (eta > 0), slide_xi=slide_xi, slide_eta=slide_eta,
+        speed=speed, e_xi=slide_xi / speed, e_eta=slide_eta / speed, load=np.ones_like(alpha),
+        turned=state.turned, time=state.time,
+    )  # fmt: skip
 
 
-def _fault(file: str, path: Path, error: Exception) -> DataError:
-    """An error raised by the user's code, with the last line of it that took part."""
+def _line(path: Path, error: Exception) -> int | None:
+    """The last line of the user's file that took part in an error."""
     lines = [
         frame.lineno
         for frame in traceback.extract_tb(error.__traceback__)
         if Path(frame.filename) == path
     ]
+    return lines[-1] if lines else None
+
+
+def _fault(file: str, path: Path, error: Exception) -> DataError:
+    """An error raised by the user's code."""
     text = str(error).strip().splitlines()
     return DataError(
         f"{type(error).__name__}{': ' + text[0] if text else ''}",
         file=file,
-        line=lines[-1] if lines else None,
+        line=_line(path, error),
     )
