@@ -57,19 +57,8 @@ def read_tracker(
     """
     first, comments = first_lines(path, lines)
     settings, reference, notes = defaults_of(path, comments)
-    header = first
-    if _known(_header(lines[first])) < 2:
-        header = next(
-            (k for k in range(first + 1, min(first + 5, len(lines))) if lines[k].strip()), first
-        )
-    if _known(_header(lines[header])) < 2:
-        raise DataError(f"no header below the title; {EXPECTED}", file=path, line=header + 1)
-    separator = separator_of(lines[header])
-    names = header_cells(lines[header], separator)
-    titles = cells(lines[first], separator) if header != first else []
-    if separator is None and titles:
-        titles = [lines[first].strip()]
-    blocks = _blocks(names, titles)
+    header, separator, names, blocks = _layout(path, lines, first)
+    titled = any(title for title, _ in blocks)
     called = [title or f"object {k}" for k, (title, _) in enumerate(blocks, 1)]
     wanted = choice("object", "--stone-index", stone_index, called, 0)
     _, places = blocks[wanted]
@@ -79,7 +68,7 @@ def read_tracker(
             f"{len(blocks)} objects: {listed}; taken: {wanted + 1} {called[wanted]} "
             "(--stone-index takes another)"
         )
-    elif titles:
+    elif titled:
         notes.append(f"object: {called[0]}")
     own = [names[place] for place in places]
     if "t" not in _quantities(own):  # one column of times for all
@@ -107,6 +96,37 @@ def read_tracker(
     reading.series = series
     _leave_out_derived(reading)
     return reading
+
+
+def count_objects(path: Path, lines: list[str]) -> int:
+    """How many objects the file holds. Raises `DataError` where it has no header."""
+    first, _ = first_lines(path, lines)
+    return len(_layout(path, lines, first).blocks)
+
+
+class _Layout(NamedTuple):
+    """Line of the header, what separates its cells, these, and title and places by object."""
+
+    header: int
+    separator: str | None
+    names: list[str]
+    blocks: list[tuple[str, list[int]]]
+
+
+def _layout(path: Path, lines: list[str], first: int) -> _Layout:
+    header = first
+    if _known(_header(lines[first])) < 2:
+        header = next(
+            (k for k in range(first + 1, min(first + 5, len(lines))) if lines[k].strip()), first
+        )
+    if _known(_header(lines[header])) < 2:
+        raise DataError(f"no header below the title; {EXPECTED}", file=path, line=header + 1)
+    separator = separator_of(lines[header])
+    names = header_cells(lines[header], separator)
+    titles = cells(lines[first], separator) if header != first else []
+    if separator is None and titles:
+        titles = [lines[first].strip()]
+    return _Layout(header, separator, names, _blocks(names, titles))
 
 
 def _header(line: str) -> list[str]:
