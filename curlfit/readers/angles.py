@@ -68,9 +68,9 @@ def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> tuple[Floats,
 def jump_in_degrees(angle: Floats) -> tuple[int, int] | None:
     """The row of the first jump, and its size 360 or 180, of numbers that look like an angle in
     degrees that was reduced to that; None where they do not."""
-    seen = np.flatnonzero(np.isfinite(angle))
-    if len(seen) < 3 or np.ptp(angle[seen]) < 90:
+    if not np.fmax.reduce(angle) - np.fmin.reduce(angle) > 90:
         return None
+    seen = np.flatnonzero(np.isfinite(angle))
     degrees = np.radians(angle[seen])
     step = np.diff(degrees)
     period, reduced = _period(degrees, step)
@@ -82,9 +82,12 @@ def jump_in_degrees(angle: Floats) -> tuple[int, int] | None:
 
 def turning_rate(t: Floats, phi: Floats) -> float:
     """The fastest turning in rad/s over some tenth of the rows, which evens out the noise."""
-    seen = np.flatnonzero(np.isfinite(phi) & np.isfinite(t))
-    some = seen[:: max(1, len(seen) // 10)]
-    return float(np.abs(np.diff(phi[some]) / np.diff(t[some])).max(initial=0.0))
+    seen = np.isfinite(phi)
+    if not seen.all():
+        t, phi = t[seen], phi[seen]
+    some = slice(None, None, max(1, len(t) // 10))
+    turned, dt = phi[some], t[some]
+    return float(np.abs((turned[1:] - turned[:-1]) / (dt[1:] - dt[:-1])).max(initial=0.0))
 
 
 def most_of(omega: Floats) -> float:

@@ -48,7 +48,7 @@ def assemble(reading: Reading, *, axes: str | None = None, reference: Path | Non
 
     t, columns, lines = _on_one_clock(reading, notes)
     t, columns, lines = _in_order(reading, t, columns, lines)
-    sorted_reading = replace(reading, lines=lines)
+    sorted_reading = reading if lines is reading.lines else replace(reading, lines=lines)
     if {"u", "v"} & columns.keys():
         _to_metres(sorted_reading, columns, reference, notes)
     elif reference is not None:
@@ -80,6 +80,8 @@ def _without_empty(reading: Reading, notes: list[str]) -> Reading:
         for series in reading.series
         if not series.column.quantity.startswith("t") and not np.isfinite(series.values).any()
     ]
+    if not empty:
+        return reading
     kept = [series for series in reading.series if all(series is not other for other in empty)]
     measured = any(not s.column.quantity.startswith(("t", "sigma_")) for s in kept)
     for series in empty:
