@@ -24,9 +24,9 @@ from curlfit.errors import CurlfitError
 from curlfit.fitting import Job, first_sigma, fit, prepared
 from curlfit.friction import Law, check_load
 from curlfit.lockstep import Places, Tasks, run_of, solve_many
-from curlfit.plan import CHUNK, Plan, columns
+from curlfit.plan import CHUNK, QUANTILES, Plan, columns
 from curlfit.programs import unswept
-from curlfit.readers import load_throw
+from curlfit.readers import Part, load_throws
 from curlfit.results import FitResult
 from curlfit.solving import Solution, poor, residual_sigma
 from curlfit.starting import smooth, start_values
@@ -40,38 +40,47 @@ _ROWS = CHUNK * 256  # of throws that are fitted together, for the sake of memor
 
 
 def fit_files(files: Sequence[str | PathLike[str]], plan: Plan) -> list[dict[str, Any]]:
-    """One row for each file, in their order, with the keys of `columns`.
+    """One row for each throw in the files, in their order, with the keys of `columns`.
 
-    The status is "ok", "not usable" (the data were read, and the fit did not converge) or "failed";
-    `reason` says why. Values of a failed throw are missing.
+    The status is "ok", "not usable" (the data were read, and no usable fit came of them) or
+    "failed" (they could not be read); `reason` says why. Values that there are none of are missing.
 
     Raises
     ------
     InputError : the plan itself cannot be carried out.
     """
-    rows, names, throws = [], columns(plan), _read(files, plan)
+    rows, names, parts = [], columns(plan), _read(files, plan)
+    throws = [
+        str(part.throw) if isinstance(part.throw, CurlfitError) else part.throw for _, part in parts
+    ]
     results = fit_throws(throws, plan, curves=False)
-    for file, throw, result in zip(files, throws, results, strict=True):
+    sums = tuple(plan.sums())
+    for (file, part), throw, result in zip(parts, throws, results, strict=True):
         row: dict[str, Any] = dict.fromkeys(names)
-        row["file"] = str(file)
+        row |= {"file": file, "shot": part.shot, "stone_index": part.stone_index}
         if isinstance(result, str):
-            row |= {"status": "failed", "reason": result.removeprefix(f"{file}: ")}
+            row["status"] = "failed" if isinstance(throw, str) else "not usable"
+            row["reason"] = result.removeprefix(f"{file}: ")
         else:
-            assert isinstance(throw, Throw)
-            row |= _row(result, plan)
+            row |= _row(result, plan, sums)
         rows.append(row)
     return rows
 
 
 @unswept()
-def _read(files: Sequence[str | PathLike[str]], plan: Plan) -> list[Throw | str]:
-    throws: list[Throw | str] = []
-    for file in files:
+def _read(files: Sequence[str | PathLike[str]], plan: Plan) -> list[tuple[str, Part]]:
+    """Every throw in the files, beside the name of its file."""
+    found = []
+    for file in map(str, files):
         try:
-            throws.append(load_throw(file, **plan.how).with_sigma(dict(plan.sigma)))
+            parts = load_throws(file, **plan.how)
         except CurlfitError as error:
-            throws.append(str(error))
-    return throws
+            parts = [Part(None, None, error)]
+        for part in parts:
+            if isinstance(part.throw, Throw):
+                part = part._replace(throw=part.throw.with_sigma(dict(plan.sigma)))
+            found.append((file, part))
+    return found
 
 
 @unswept()
@@ -192,7 +201,7 @@ def _alone(law: type[Law], plan: Plan, entry: _Entry) -> FitResult | str:
         return str(error)
 
 
-def _row(result: FitResult, plan: Plan) -> dict[str, Any]:
+def _row(result: FitResult, plan: Plan, sums: Sequence[str]) -> dict[str, Any]:
     row: dict[str, Any] = {
         "status": "ok" if result.converged else "not usable",
         "reason": None if result.converged else result.status,
@@ -207,11 +216,18 @@ def _row(result: FitResult, plan: Plan) -> dict[str, Any]:
     row |= {f"rms_{name}": result.rms.get(name) for name in ("x", "y", "phi")}
     for name, item in result.parameters.items():
         row |= {name: item.value, f"{name}_stderr": item.stderr, f"{name}_verdict": item.verdict}
+    for combination in result.combinations:
+        name = combination.expression
+        if name in sums:
+            row |= {name: combination.value, f"{name} stderr": combination.stderr}
     if plan.posterior and result.converged:
         from curlfit.sampling import sample
 
         sampled, _ = sample(result, seed=plan.seed)
         assert sampled.posterior is not None
         for name, quantiles in sampled.posterior.quantiles.items():
-            row |= {f"{name}_{q}": quantiles[q] for q in ("16", "50", "84")}
+            if name in sums:
+                row |= {f"{name} {q}": quantiles[q] for q in QUANTILES}
+            elif name in result.parameters:
+                row |= {f"{name}_{q}": quantiles[q] for q in QUANTILES}
     return row

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -294,15 +295,20 @@ class Throw:
 
     def with_sigma(self, sigma: dict[str, float]) -> Throw:
         """The throw with one standard deviation for whole channels (SI units)."""
-        for name, value in sigma.items():
-            if name not in CHANNELS:
-                raise InputError(f"no channel {name!r}; the channels are {', '.join(CHANNELS)}")
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"sigma of {name} = {value:g}: expected a positive number")
+        check_sigma(sigma)
         if not sigma:
             return self
         filled = {name: np.full_like(self.t, value) for name, value in sigma.items()}
         return replace(self, sigma={**self.sigma, **filled})
+
+
+def check_sigma(sigma: Mapping[str, float]) -> None:
+    """Raise `InputError` where a standard deviation is not positive, or of no channel."""
+    for name, value in sigma.items():
+        if name not in CHANNELS:
+            raise InputError(f"no channel {name!r}; the channels are {', '.join(CHANNELS)}")
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"sigma of {name} = {value:g}: expected a positive number")
 
 
 def _first(bad: NDArray[np.bool_]) -> list[tuple[str, int]]:

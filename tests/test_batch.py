@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import signal
 import subprocess
@@ -13,12 +14,16 @@ import numpy as np
 import pytest
 from conftest import command
 from distributed import Client, LocalCluster
+from sample_files import log, shot, two_masses
 
 import curlfit
 from curlfit import FitResult, Stone, Throw
 from curlfit.batch import fit_files, fit_throws
-from curlfit.plan import Plan
+from curlfit.contact import accelerations
+from curlfit.friction import LAWS
+from curlfit.plan import Plan, columns
 from curlfit.synthetic import law_with, synthetic_throw, write_table
+from curlfit.table import Table
 
 STONE = Stone(R=0.054)
 
@@ -52,14 +57,38 @@ def season(tmp_path_factory):
 
 
 def table(file):
-    with file.open() as lines:
-        return list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    with file.open(newline="") as lines:
+        return list(csv.DictReader(lines))
+
+
+@pytest.fixture(scope="module")
+def done(season, tmp_path_factory):
+    """The season's table, and what the command said."""
+    out = tmp_path_factory.mktemp("done") / "season.csv"
+    run = command("batch", str(season), "--out", str(out), "--workers", "1", cwd=out.parent)
+    assert run.returncode == 0, run.stderr
+    return out, run
+
+
+@pytest.fixture
+def logs(tmp_path):
+    """A log of three shots, the second of which never moves, and an export of two objects."""
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    entries = [shot(0, k) for k in range(3)]
+    entries[1]["log"]["trajectory"]["frames"].clear()
+    (folder / "a.jsonl").write_text("".join(json.dumps(entry) + "\n" for entry in entries))
+    (folder / "b.txt").write_text(two_masses())
+    (folder / "c.jsonl").write_text(log(2))
+    return folder
 
 
 def test_each_row_is_the_fit_of_that_throw(season):
     files = sorted(season.glob("*.csv"))
     for row in fit_files(files, Plan()):
-        if row["status"] == "failed":
+        if row["reason"] and row["n_observations"] is None:
+            with pytest.raises(curlfit.CurlfitError):
+                curlfit.fit(curlfit.load_throw(row["file"]))
             continue
         alone = curlfit.fit(curlfit.load_throw(row["file"]))
         assert row["status"] == ("ok" if alone.converged else "not usable")
@@ -120,26 +149,157 @@ def test_company_changes_not_a_digit(season):
 def test_a_useless_file_is_a_row_with_its_reason(season):
     rows = {row["file"]: row for row in fit_files(sorted(season.glob("*.csv")), Plan())}
     broken, still = (rows[str(season / name)] for name in ("broken.csv", "still.csv"))
-    assert broken["status"] == still["status"] == "failed"
+    assert broken["status"] == "failed"
     assert "line 3" in broken["reason"]
+    assert still["status"] == "not usable"  # read, though
     assert "move" in still["reason"]
     assert broken["mu1_xi"] is None
     assert sum(row["status"] == "ok" for row in rows.values()) >= 5
 
 
-def test_a_table_cut_off_anywhere_is_completed_to_the_same_bytes(season, tmp_path):
-    out = tmp_path / "results.csv"
+def test_a_table_cut_off_anywhere_is_completed_to_the_same_bytes(season, done):
+    out, run = done
     words = ["batch", str(season), "--out", str(out), "--workers", "1"]
-    first = command(*words, cwd=tmp_path)
-    assert first.returncode == 0, first.stderr
-    assert "2 failed" in first.stdout
-    whole = out.read_bytes()
+    assert "1 not usable, 1 failed" in run.stdout
+    whole, settings = out.read_bytes(), out.with_name("season.settings.json").read_bytes()
     assert len(table(out)) == 8
-    for size in (10, len(whole) // 2, len(whole) - 3):
+    for size in (0, 10, len(whole) // 2, len(whole) - 3):
         out.write_bytes(whole[:size])
+        assert command(*words, cwd=out.parent).returncode == 0
+        assert out.read_bytes() == whole
+        assert out.with_name("season.settings.json").read_bytes() == settings
+    assert "8 of 8 files" in command(*words, cwd=out.parent).stdout
+
+
+def test_the_table_is_plain_csv(season, done):
+    out, _ = done
+    rows = table(out)
+    assert [row["file"] for row in rows] == [str(f) for f in sorted(season.glob("*.csv"))]
+    pd = pytest.importorskip("pandas")
+    frame = pd.read_csv(out)
+    assert list(frame.columns) == list(rows[0])
+    ok = frame[frame.status == "ok"]
+    numbers = [
+        name for name in frame.columns
+        if not name.endswith("_verdict")
+        and name not in ("file", "status", "combinations", "warnings", "reason")
+    ]  # fmt: skip
+    assert all(frame[name].dtype.kind in "if" for name in numbers)
+    places = [list(frame.columns).index(name) for name in numbers]
+    array = np.genfromtxt(out, delimiter=",", skip_header=1, usecols=places, encoding="utf-8")
+    np.testing.assert_array_equal(array, frame[numbers].to_numpy())
+    assert ok["mu2_xi"].notna().all()
+
+
+def test_what_is_determined_together_has_columns_of_its_own(season, done):
+    name = "mu1_eta + mu2_eta"
+    for row in table(done[0]):
+        if row["status"] != "ok":
+            assert row[name] == row[f"{name} stderr"] == ""
+            continue
+        alone = curlfit.fit(curlfit.load_throw(row["file"]))
+        (combination,) = (c for c in alone.combinations if c.expression == name)
+        assert float(row[name]) == pytest.approx(combination.value, rel=1e-5)
+        assert float(row[f"{name} stderr"]) == pytest.approx(combination.stderr, rel=1e-3)
+        assert f"{name} = {row[name]} +- {row[f'{name} stderr']}" in row["combinations"]
+
+
+def test_columns_of_sums_are_those_of_the_law_and_what_is_free():
+    assert set(Plan().sums()) == {"mu1_eta + mu2_eta"}
+    assert "mu1_eta + mu2_eta stderr" in columns(Plan())
+    assert "mu1_eta + mu2_eta 50" in columns(Plan(posterior=True))
+    for plan in (Plan(load="consistent"), Plan(fix={"mu1_eta": 0.01}), Plan(law="radial")):
+        assert not plan.sums()
+    assert Plan(law="front-back-first-order", load="consistent").sums()  # knows no load
+
+
+@pytest.mark.parametrize("name", [name for name, law in LAWS.items() if law.shipped()])
+def test_the_sums_that_laws_name_are_all_that_uniform_load_hides(name):
+    """Against the null space of forces and moment over many motions and coefficients."""
+    law = LAWS[name]
+    random = np.random.default_rng(1)
+    states = [random.uniform(*ends, 50) for ends in ((0.05, 4), (-20, 20), (0, 12), (0, 20))]
+    names = [item.name for item in law.coefficients()]
+    typical = np.array([item.typical for item in law.coefficients()])
+    default = np.array([item.default for item in law.coefficients()])
+
+    def forces(c):
+        return np.stack(accelerations(law.from_vector(c), Stone(), "uniform", *states)[:3])
+
+    columns = []
+    for k in range(len(names)):
+        around = [default + typical * random.uniform(0.1, 0.5, len(names)) for _ in range(3)]
+        step = 1e-4 * typical[k] * np.eye(len(names))[k]
+        columns.append(np.ravel([forces(c + step) - forces(c - step) for c in around]))
+    _, size, rows = np.linalg.svd(np.stack(columns, 1) / np.abs(columns).max(), full_matrices=False)
+    hidden = rows[size < 1e-6 * size[0]]
+    hidden = hidden[(np.abs(hidden) > 1e-3).sum(1) > 1]  # single ones are no sums
+    assert len(hidden) == len(law.sums)
+    for direction, parts in zip(hidden, law.sums, strict=True):
+        expected = np.zeros(len(names))
+        expected[[names.index(part) for part in parts]] = 1, -1
+        assert abs(direction @ expected) == pytest.approx(np.sqrt(2), abs=1e-6)
+
+
+def test_a_log_has_a_row_for_each_shot_and_an_export_one_for_each_object(logs):
+    files = sorted(logs.iterdir())
+    rows = fit_files(files, Plan())
+    assert [(row["file"][-7:], row["shot"], row["stone_index"]) for row in rows] == [
+        ("a.jsonl", 1, None), ("a.jsonl", 2, None), ("a.jsonl", 3, None),
+        ("s/b.txt", None, 1), ("s/b.txt", None, 2), ("c.jsonl", 1, None), ("c.jsonl", 2, None),
+    ]  # fmt: skip
+    assert rows[1]["status"] == "failed"
+    assert rows[1]["reason"].endswith("no stone moves in end 0 shot 1")
+    for row in rows[:1] + rows[2:]:
+        which = {"shot": row["shot"], "stone_index": row["stone_index"]}
+        alone = curlfit.fit(curlfit.load_throw(row["file"], **which))
+        assert row["n_observations"] == alone.n_observations
+        assert row["rms_y"] == pytest.approx(alone.rms["y"], rel=1e-3)
+    assert fit_files(files[-1:], Plan(how={"shot": 2})) == rows[-1:]
+    assert fit_files(files[1:2], Plan(how={"stone_index": 1})) == rows[3:4]
+
+
+def test_a_log_cut_off_between_its_shots_is_completed(logs, tmp_path):
+    out = tmp_path / "r.csv"
+    words = ["batch", str(logs), "--out", str(out), "--workers", "1"]
+    assert command(*words, cwd=tmp_path).returncode == 0
+    whole = out.read_bytes()
+    lines = whole.splitlines(keepends=True)
+    for rows in (2, 4, 6):  # of the first file, of the second, of the third
+        out.write_bytes(b"".join(lines[: rows + 1]) + lines[rows + 1][:9])
         assert command(*words, cwd=tmp_path).returncode == 0
         assert out.read_bytes() == whole
-    assert "8 of 8 throws" in command(*words, cwd=tmp_path).stdout
+    # Rows of files that are not asked for again stay.
+    other = command("batch", str(logs / "b.txt"), "--out", str(out), cwd=tmp_path)
+    assert other.returncode == 0
+    assert out.read_bytes() == whole
+
+
+@pytest.mark.parametrize(
+    ("names", "status", "said"),
+    [
+        (["throw0.csv", "broken.csv"], 0, ""),
+        (["still.csv", "broken.csv"], 1, "no throw is usable; the column reason of"),
+        (["broken.csv"], 2, "no throw could be read; the column reason of"),
+    ],
+)
+def test_the_exit_status_tells_what_became_of_the_throws(season, tmp_path, names, status, said):
+    out = tmp_path / "r.csv"
+    words = ["batch", *(str(season / name) for name in names), "--out", str(out), "--quiet"]
+    for _ in range(2):  # the second time with everything in the table
+        run = command(*words, cwd=tmp_path)
+        assert run.returncode == status
+        assert said in run.stderr
+        assert bool(run.stderr) == bool(said)
+        assert run.stdout == ""
+    assert len(table(out)) == len(names)
+
+
+def test_the_table_may_lie_among_the_throws(season, tmp_path):
+    (tmp_path / "a.csv").write_bytes((season / "throw0.csv").read_bytes())
+    for _ in range(2):
+        assert command("batch", ".", cwd=tmp_path).returncode == 0
+    assert [row["file"] for row in table(tmp_path / "results.csv")] == ["a.csv"]
 
 
 @pytest.mark.parametrize(
@@ -149,28 +309,59 @@ def test_a_table_cut_off_anywhere_is_completed_to_the_same_bytes(season, tmp_pat
         (["--load", "even"], "even"),
         (["--fix", "mu=1"], "mu"),
         (["--stone", "R=-1"], "R"),
-        (["--law", "coulomb"], "line 1: made with other settings"),
+        (["--sigma", "q=1"], "no channel 'q'"),
+        (["--axes", "x-up"], "unknown word"),
+        (["--units", "x=kg"], "unknown unit"),
+        (["--law", "coulomb"], 'made with other settings (law = "front-back", not "coulomb")'),
     ],
 )
 def test_what_cannot_be_done_is_one_sentence(season, tmp_path, words, said):
     out = tmp_path / "results.csv"
     if "coulomb" in words:
-        out.write_text('# curlfit batch {"law": "front-back"}\nfile,status\n')
-    before = out.read_bytes() if out.exists() else None
+        with Table(out, columns(Plan()), Plan().to_json(), []):
+            pass
+        out.write_text(out.read_text() + "a.csv\n")
+    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
     done = command("batch", str(season), "--out", str(out), *words, cwd=tmp_path)
     assert done.returncode == 2
     assert said in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
-    assert (out.read_bytes() if out.exists() else None) == before
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
-def test_a_table_of_something_else_is_left_alone(season, tmp_path):
-    out = tmp_path / "results.csv"
-    out.write_text("my own notes\n")
-    done = command("batch", str(season), "--out", str(out), cwd=tmp_path)
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [
+        ({"r.csv": "my own notes\n"}, "r.csv, line 1: not a table of `curlfit batch`"),
+        ({"r.csv": '# curlfit batch {"law": "coulomb"}\nfile,status\n'},
+         "r.csv, line 1: a table of an earlier curlfit, with its settings in this line"),
+        ({"r.csv": "file,shot,status\na.csv,,ok\n"}, "r.settings.json is missing"),
+        ({"r.settings.json": '{"mine": 1}'}, "r.settings.json: not the settings of a table"),
+        ({"r.settings.json": "{"}, "r.settings.json: not the settings of a table"),
+    ],
+)  # fmt: skip
+def test_what_is_not_a_table_of_batch_is_left_alone(season, tmp_path, files, said):
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    words = ["batch", str(season / "throw0.csv"), "--out", str(tmp_path / "r.csv")]
+    done = command(*words, cwd=tmp_path)
     assert done.returncode == 2
-    assert "not a table of `curlfit batch`" in done.stderr
-    assert out.read_text() == "my own notes\n"
+    assert said in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert {file.name: file.read_text() for file in tmp_path.iterdir()} == files
+
+
+def test_rows_of_other_settings_are_begun_anew_with_again(season, tmp_path):
+    words = ["batch", str(season / "throw0.csv"), "--out", str(tmp_path / "r.csv"), "--quiet"]
+    (tmp_path / "r.csv").write_text('# curlfit batch {"law": "coulomb"}\nfile,status\n')
+    assert command(*words, "--again", cwd=tmp_path).returncode == 0
+    first = (tmp_path / "r.csv").read_bytes()
+    fixed = command(*words, "--again", "--fix", "mu1_eta=0.009", cwd=tmp_path)
+    assert fixed.returncode == 0, fixed.stderr
+    assert "mu1_eta + mu2_eta" not in table(tmp_path / "r.csv")[0]
+    assert command(*words, cwd=tmp_path).returncode == 2
+    assert command(*words, "--again", cwd=tmp_path).returncode == 0
+    assert (tmp_path / "r.csv").read_bytes() == first
 
 
 def test_nothing_found_is_said(tmp_path):

@@ -83,6 +83,24 @@ def test_gaps_and_missing_angle(write):
     assert throw.n_observations == 4
 
 
+@pytest.mark.parametrize("header", ["v", "phi", "spin", "sigma_x", "speed_kmh"])
+def test_an_empty_column_was_not_measured(write, header):
+    file = write(f"t,x,y,{header}\n0,0.1,0,\n1,0.2,2,\n2,0.4,3,nan\n")
+    throw = load_throw(file)
+    assert throw.seen == ("x", "y")
+    assert not throw.sigma
+    assert any(f"column {header} is empty" in note for note in throw.notes)
+    frame = {"t": [0, 1, 2], "x": [0.1, 0.2, 0.4], "y": [0, 2, 3], header: [None, np.nan, None]}
+    assert Throw.from_frame(frame).seen == ("x", "y")
+
+
+@pytest.mark.parametrize("header", ["t,v", "t,phi,omega", "t_gyro,omega,sigma_omega"])
+def test_a_file_of_empty_columns_is_refused(write, header):
+    blank = "," * header.count(",")
+    with pytest.raises(DataError, match="no value of"):
+        load_throw(write(f"{header}\n0{blank}\n1{blank}\n"))
+
+
 def test_settings_and_other_comments(write):
     throw = load_throw(
         write('# seen from the gallery\n# until = 1.5\n# stone.R = 0.06\n# ice = "new"\n' + PLAIN)

@@ -21,6 +21,7 @@ from sample_files import (
     T,
     X,
     Y,
+    filmed,
     known_points,
     log,
     project,
@@ -100,6 +101,35 @@ def test_an_angle_that_is_not_the_direction_of_the_place_is_kept(write):
     np.testing.assert_allclose(throw.phi - throw.phi[0], PHI - PHI[0], atol=1e-9)
     own = text.replace("θ_{r}", "heat")
     np.testing.assert_allclose(load_throw(write("stone\n" + own)).omega, OMEGA)
+
+
+@pytest.mark.parametrize("digits", [17, 4])
+@pytest.mark.parametrize(
+    ("units", "length", "angle"),
+    [("length=m", 1, 1), ("length=ft", 0.3048, 1), ("length=cm", 0.01, np.pi / 180),
+     ("length=cm,angle=deg", 0.01, np.pi / 180)],
+)  # fmt: skip
+def test_what_tracker_computed_is_seen_in_any_unit(write, digits, units, length, angle):
+    columns = filmed(length, angle, digits)
+    throw = load_throw(write("mass_A\n" + table(columns, "\t")), units=units)
+    assert throw.seen == ("x", "y")
+    for words in ("v left out: computed", "θ_{r} left out: the direction", "ω left out: the turn"):
+        assert said(throw, words)
+    assert not any("converted from" in note and "speed" in note for note in throw.notes)
+
+
+def test_what_tracker_did_not_compute_is_a_measurement_in_the_units_of_the_file(write):
+    columns = filmed(0.3048, np.pi / 180)
+    chance = np.random.default_rng(2)
+    spin = 1.2 - 0.02 * columns["t"]
+    columns["θ_{r}"] = np.degrees(1.2 * columns["t"] - 0.01 * columns["t"] ** 2)
+    columns["ω"] = np.degrees(spin + chance.normal(0, 0.02, len(spin)))
+    speed = columns["v"] * (1 + chance.normal(0, 0.03, len(spin)))
+    file = write("mass_A\n" + table(columns | {"v": speed}, "\t"))
+    throw = load_throw(file, units="length=ft,angle=deg")
+    assert throw.seen == ("x", "y", "phi", "speed", "omega")
+    np.testing.assert_allclose(throw.speed, 0.3048 * speed)
+    np.testing.assert_allclose(throw.omega, np.radians(columns["ω"]))
 
 
 def test_two_objects_side_by_side(write):
@@ -399,7 +429,67 @@ def test_the_homography_is_exact_in_any_units():
     assert plane.rms_m < 1e-9
 
 
+@pytest.mark.parametrize("header", ["u_px,v_px", "u [px],v [px]", "u (pixels),v (pixels)", "u,v"])
+def test_pixels_by_their_unit(write, header):
+    points = write(known_points(), "points.csv")
+    throw = load_throw(write(PIXELS.replace("u,v", header, 1)), reference=points)
+    np.testing.assert_allclose(throw.observed[:3], [X, Y, PHI], atol=1e-9)
+    assert not said(throw, "ignored")
+    marked = write(known_points().replace("u,v", header, 1), "points.csv")
+    np.testing.assert_allclose(load_throw(write(PIXELS), reference=marked).y, Y, atol=1e-9)
+    frame = dict(zip(header.split(","), project(X, Y), strict=True)) | {"t": T}
+    np.testing.assert_allclose(Throw.from_frame(frame, reference=points).y, Y, atol=1e-9)
+    with pytest.raises(DataError, match="places are in pixels"):
+        load_throw(write(PIXELS.replace("u,v", header, 1)))
+
+
 # Angles
+
+
+@pytest.mark.parametrize("header", ["theta", "angle", "θ", "phi"])
+@pytest.mark.parametrize("low", [0.0, -180.0])
+def test_degrees_without_a_unit_are_told_by_their_jumps(write, header, low):
+    degrees = np.remainder(np.degrees(0.1 * PHI) + 340, 360) + low  # as slow as radians
+    columns = {"t": T, "x": X, "y": Y, header: degrees}
+    row = int(np.argmax(np.abs(np.diff(degrees)) > 180)) + 1
+    told = "the numbers jump by 360, as degrees do; give --units angle=deg"
+    with pytest.raises(DataError, match=told) as caught:
+        load_throw(write(table(columns)))
+    assert caught.value.line == row + 2
+    with pytest.raises(DataError, match=told):
+        Throw.from_frame(columns)
+    throw = load_throw(write(table(columns)), units="angle=deg")
+    np.testing.assert_allclose(throw.phi - throw.phi[0], 0.1 * (PHI - PHI[0]), atol=1e-9)
+    load_throw(write(table(columns)), units="angle=rad")
+
+
+def test_the_direction_of_a_line_in_degrees_is_told(write):
+    columns = {"t": T, "x": X, "y": Y, "angle": np.degrees(PHI) % 180}
+    with pytest.raises(DataError, match="jump by 180"):
+        load_throw(write(table(columns)))
+
+
+@pytest.mark.parametrize(
+    ("header", "values", "flag"),
+    [("theta", PHI, "angle=deg"), ("spin", OMEGA, "spin=deg/s"), ("gyro_z", OMEGA, "spin=deg/s")],
+)
+def test_turning_too_fast_for_radians_is_refused(write, header, values, flag):
+    columns = {"t": T, "x": X, "y": Y, header: np.degrees(values)}
+    with pytest.raises(DataError, match="more than two turns a second") as caught:
+        load_throw(write(table(columns)))
+    assert caught.value.column == header
+    assert f"--units {flag}" in str(caught.value)
+    throw = load_throw(write(table(columns)), units=flag)
+    np.testing.assert_allclose(throw.phi if header == "theta" else throw.omega, values)
+    assert not said(load_throw(write(table(columns | {header: values}))), "two turns")
+
+
+def test_the_columns_of_curlfit_itself_are_radians_and_said_where_doubtful(write):
+    hard = load_throw(write(table({"t": T, "x": X, "y": Y, "phi": 30 * T})))
+    np.testing.assert_allclose(hard.phi, 30 * T)
+    assert said(hard, "phi: without a unit, and 30 rad/s would be more than two turns a second")
+    calm = load_throw(write(table({"t": T, "x": X, "y": Y, "phi_rad": 30 * T})))
+    assert not said(calm, "two turns")
 
 
 @pytest.mark.parametrize("low", [0.0, -np.pi, -1.0])

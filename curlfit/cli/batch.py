@@ -22,9 +22,13 @@ def batch(
             show_default=False,
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Table of results, one row a throw.")] = Path(
-        "results.csv"
-    ),
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="Table of results, one row a throw; its settings are kept beside it, as in "
+            "results.settings.json."
+        ),
+    ] = Path("results.csv"),
     law: Annotated[str, typer.Option(help="Friction law, as in `curlfit fit`.")] = "front-back",
     load: Annotated[str, typer.Option(help="`uniform` or `consistent` (eq. 8-9).")] = "uniform",
     until: Annotated[
@@ -53,8 +57,25 @@ def batch(
     axes: r.Axes = None,
     units: r.Units = None,
     reference: r.Reference = None,
-    stone_index: r.StoneIndex = None,
-    shot: r.Shot = None,
+    stone_index: Annotated[
+        int | None,
+        typer.Option(
+            help="Only this object of Tracker exports, or stone of shots, from 1. [default: every "
+            "object; the stone thrown]",
+            metavar="N",
+            min=1,
+            rich_help_panel=r.PANEL,
+        ),
+    ] = None,
+    shot: Annotated[
+        int | None,
+        typer.Option(
+            help="Only this shot of logs, from 1. [default: every shot]",
+            metavar="N",
+            min=1,
+            rich_help_panel=r.PANEL,
+        ),
+    ] = None,
     posterior: Annotated[
         bool,
         typer.Option(
@@ -80,14 +101,19 @@ def batch(
 ) -> None:
     """Fit a friction law to many throws, each by itself, into one table.
 
-    A row has coefficients, standard errors, verdicts, what is determined together, rms and status;
-    a throw that cannot be read or fitted has its reason there and stops nothing. The same command
-    goes on where an earlier run was stopped or killed.
+    A row has status, rms, coefficients, standard errors, verdicts and what is determined together.
+    A log of DigitalCurling 3 has a row for each shot, a Tracker export one for each object (columns
+    shot and stone_index). A throw of no use has its reason in its row and stops nothing: status
+    "not usable" where the data were read and no usable fit came of them, "failed" where they could
+    not be read. The same command goes on where an earlier run was stopped or killed.
+
+    Exit status 0 where a throw in the table is ok; 1 where some were read and none is usable; 2
+    where none could be read, or the command itself cannot be carried out.
 
     Example: `curlfit batch season/ --stone R=0.054 --out season.csv`
     """
     from curlfit.plan import Plan, columns, found_files
-    from curlfit.table import Table
+    from curlfit.table import Table, settings_file
 
     wanted: dict[str, Any] = {
         "law": law,
@@ -109,24 +135,24 @@ def batch(
     # Refused before anything slow is loaded.
     plan = Plan(**wanted)
     names = columns(plan)
-    files = [str(file) for file in found_files(data)]
+    files = [str(file) for file in found_files(data, besides=(out, settings_file(out)))]
 
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Left
 
     console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
-    with Table(out, names, plan.to_json(), again=again) as table:
+    with Table(out, names, plan.to_json(), files, again=again) as table:
         from curlfit.crew import crew
 
-        todo = [file for file in files if file not in table.done]
-        if len(todo) < len(files):
-            console.print(f"{len(files) - len(todo)} of {len(files)} throws are in {out} already.")
+        if len(table.todo) < len(files):
+            console.print(f"{len(files) - len(table.todo)} of {len(files)} files are in {out}.")
         with (
             Progress(
                 TextColumn("Fitting"),
                 BarColumn(),
                 MofNCompleteColumn(),
+                TextColumn("files"),
                 Left(),
                 TextColumn("(a first run on a machine compiles the model)"),
                 console=console,
@@ -135,13 +161,18 @@ def batch(
             ) as progress,
             crew(plan, workers=workers, dask=dask) as fitted,
         ):
-            task = progress.add_task("", total=len(todo))
-            for rows in fitted(todo):
+            task = progress.add_task("", total=len(table.todo))
+            for rows in fitted(table.todo):
                 table.add(rows)
-                progress.advance(task, len(rows))
+                progress.advance(task, len({row["file"] for row in rows}))
     counts = table.counts
     console.print(
         ", ".join(f"{counts[status]} {status}" for status in ("ok", "not usable", "failed"))
-        + f". Written: {out}",
+        + f". Written: {out}, {table.settings}",
         soft_wrap=True,
     )
+    if not counts["ok"]:
+        read = counts["not usable"]
+        fault = "no throw is usable" if read else "no throw could be read"
+        print(f"curlfit: {fault}; the column reason of {out} says why", file=sys.stderr)
+        raise typer.Exit(1 if read else 2)

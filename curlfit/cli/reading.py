@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-_PANEL = "How to read DATA"
+PANEL = "How to read DATA"
 
 Format = Annotated[
     str | None,
@@ -16,7 +16,7 @@ Format = Annotated[
         help="`table`, `tracker` (export of Tracker), `digitalcurling` (log of DigitalCurling 3) "
         "or `timings` (stop-watch). [default: as the file looks]",
         metavar="NAME",
-        rich_help_panel=_PANEL,
+        rich_help_panel=PANEL,
     ),
 ]
 Axes = Annotated[
@@ -28,7 +28,7 @@ Axes = Annotated[
         "its zero lies; `clockwise` or `counter-clockwise` how angles turn, seen from above "
         "(else from +x to +y). [default: x-right,y-along]",
         metavar="WORDS",
-        rich_help_panel=_PANEL,
+        rich_help_panel=PANEL,
     ),
 ]
 Units = Annotated[
@@ -36,7 +36,7 @@ Units = Annotated[
     typer.Option(
         help="Units over those of the header: t, x, y, length, angle, speed, spin.",
         metavar="t=ms,x=cm,angle=deg",
-        rich_help_panel=_PANEL,
+        rich_help_panel=PANEL,
     ),
 ]
 Reference = Annotated[
@@ -44,7 +44,7 @@ Reference = Annotated[
     typer.Option(
         help="Places are pixels: table of four or more known points u,v (pixels), x,y (m).",
         metavar="POINTS.csv",
-        rich_help_panel=_PANEL,
+        rich_help_panel=PANEL,
     ),
 ]
 StoneIndex = Annotated[
@@ -53,13 +53,13 @@ StoneIndex = Annotated[
         help="Which object of a Tracker export or stone of a shot, from 1. [default: the first; "
         "the stone thrown]",
         metavar="N",
-        rich_help_panel=_PANEL,
+        rich_help_panel=PANEL,
     ),
 ]
 Shot = Annotated[
     int | None,
     typer.Option(
-        help="Which shot of a log with several, from 1.", metavar="N", rich_help_panel=_PANEL
+        help="Which shot of a log with several, from 1.", metavar="N", rich_help_panel=PANEL
     ),
 ]
 

@@ -194,6 +194,8 @@ class Law:
     """Name of the law of which this one is an approximation."""
     origin: ClassVar[str] = ""
     """For a law of the user's: FILE.py:CLASS."""
+    sums: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    """Coefficients of which only the sum enters the motion, under uniform load."""
     corners: ClassVar[tuple[float, ...]] = ()
     """Angles turned (rad) at which friction, which follows the turning until the last of them,
     changes its course abruptly."""

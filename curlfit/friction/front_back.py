@@ -8,6 +8,8 @@ from curlfit.stone import GRAVITY
 
 
 class _FrontBackCoefficients(Law):
+    sums = (("mu1_eta", "mu2_eta"),)
+
     mu1_xi: float = coefficient(0.005, "front half, across the motion", symbol=r"\mu_{1\xi}")
     mu2_xi: float = coefficient(0.05, "back half, across the motion", symbol=r"\mu_{2\xi}")
     mu1_eta: float = coefficient(0.009, "front half, along the motion", symbol=r"\mu_{1\eta}")

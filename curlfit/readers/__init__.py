@@ -1,6 +1,8 @@
 """Files become throws here; units, column names and separators end at this door."""
 
-from curlfit.readers.load import FORMATS, load_throw, read
+from curlfit.readers.load import FORMATS, Part, check_how, load_throw, load_throws, read
 from curlfit.readers.objects import from_table
 
-__all__ = ["FORMATS", "from_table", "load_throw", "read"]
+__all__ = [
+    "FORMATS", "Part", "check_how", "from_table", "load_throw", "load_throws", "read",
+]  # fmt: skip

@@ -9,6 +9,8 @@ import numpy as np
 from curlfit.throw import Floats
 
 _TURN = 2 * math.pi
+FASTEST = 2 * _TURN
+"""rad/s; a thrown stone makes two to four turns on its way, some 1 rad/s or 60 degrees/s."""
 
 
 class AmbiguousTurnError(Exception):
@@ -61,6 +63,36 @@ def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> tuple[Floats,
     result = phi.copy()
     result[seen] = angle[0] + np.concatenate([[0.0], np.cumsum(true)])
     return result, jumps, period
+
+
+def jump_in_degrees(angle: Floats) -> tuple[int, int] | None:
+    """The row of the first jump, and its size 360 or 180, of numbers that look like an angle in
+    degrees that was reduced to that; None where they do not."""
+    if not np.fmax.reduce(angle) - np.fmin.reduce(angle) > 90:
+        return None
+    seen = np.flatnonzero(np.isfinite(angle))
+    degrees = np.radians(angle[seen])
+    step = np.diff(degrees)
+    period, reduced = _period(degrees, step)
+    if not reduced:
+        return None
+    row = int(seen[np.argmax(np.abs(step) > 0.5 * period) + 1])
+    return row, round(math.degrees(period))
+
+
+def turning_rate(t: Floats, phi: Floats) -> float:
+    """The fastest turning in rad/s over some tenth of the rows, which evens out the noise."""
+    seen = np.isfinite(phi)
+    if not seen.all():
+        t, phi = t[seen], phi[seen]
+    some = slice(None, None, max(1, len(t) // 10))
+    turned, dt = phi[some], t[some]
+    return float(np.abs((turned[1:] - turned[:-1]) / (dt[1:] - dt[:-1])).max(initial=0.0))
+
+
+def most_of(omega: Floats) -> float:
+    """A spin in rad/s that hardly any row exceeds."""
+    return float(np.nanquantile(np.abs(omega), 0.9))
 
 
 def _period(angle: Floats, step: Floats) -> tuple[float, bool]:

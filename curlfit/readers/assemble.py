@@ -8,7 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from curlfit.errors import DataError, InputError
-from curlfit.readers.angles import AmbiguousTurnError, unwrap
+from curlfit.readers.angles import (
+    FASTEST,
+    AmbiguousTurnError,
+    jump_in_degrees,
+    most_of,
+    turning_rate,
+    unwrap,
+)
 from curlfit.readers.frames import Frame, parse_axes
 from curlfit.readers.pixels import load_homography
 from curlfit.readers.reading import Reading, clock_of
@@ -37,17 +44,11 @@ def assemble(reading: Reading, *, axes: str | None = None, reference: Path | Non
         column = series.column
         if column.factor != 1:
             notes.append(f"{column.quantity} converted from {column.unit}")
-    for series in reading.series:
-        column = series.column
-        if not column.quantity.startswith("t") and not np.isfinite(series.values).any():
-            raise reading.error(
-                f"no value of {column.quantity}: every cell is empty or NaN",
-                quantity=column.quantity,
-            )
+    reading = _without_empty(reading, notes)
 
     t, columns, lines = _on_one_clock(reading, notes)
     t, columns, lines = _in_order(reading, t, columns, lines)
-    sorted_reading = replace(reading, lines=lines)
+    sorted_reading = reading if lines is reading.lines else replace(reading, lines=lines)
     if {"u", "v"} & columns.keys():
         _to_metres(sorted_reading, columns, reference, notes)
     elif reference is not None:
@@ -55,6 +56,7 @@ def assemble(reading: Reading, *, axes: str | None = None, reference: Path | Non
             f"--reference {reference}: {reading.source} has no places in pixels (columns u, v or "
             "x_px, y_px, or x, y without a unit)"
         )
+    _require_radians(sorted_reading, t, columns, notes)
     _unwrap(sorted_reading, t, columns, notes)
     if not frame.plain:
         columns = _turned(columns, frame, len(t))
@@ -69,6 +71,27 @@ def assemble(reading: Reading, *, axes: str | None = None, reference: Path | Non
         notes=tuple(notes),
         lines=lines,
     )
+
+
+def _without_empty(reading: Reading, notes: list[str]) -> Reading:
+    """The reading without columns that hold no value; a throw needs the place, if it has one."""
+    empty = [
+        series
+        for series in reading.series
+        if not series.column.quantity.startswith("t") and not np.isfinite(series.values).any()
+    ]
+    if not empty:
+        return reading
+    kept = [series for series in reading.series if all(series is not other for other in empty)]
+    measured = any(not s.column.quantity.startswith(("t", "sigma_")) for s in kept)
+    for series in empty:
+        quantity = series.column.quantity
+        if quantity in ("x", "y", "u", "v") or not measured:
+            raise reading.error(
+                f"no value of {quantity}: every cell is empty or NaN", quantity=quantity
+            )
+        notes.append(f"column {series.header} is empty: {quantity} counts as not measured")
+    return replace(reading, series=kept)
 
 
 def _on_one_clock(
@@ -187,6 +210,41 @@ def _to_metres(
             "angles were taken as angles on the ice, seen from above; a slanting camera shows "
             "others"
         )
+
+
+def _require_radians(
+    reading: Reading, t: Floats, columns: dict[str, Floats], notes: list[str]
+) -> None:
+    """Refuse an angle or a spin without a unit whose numbers cannot be radians.
+
+    They cannot where they jump by 360 or 180 as degrees do, and hardly where the stone would turn
+    more than twice a second; `phi` and `omega` themselves are rad and rad/s, and are only noted.
+    """
+    for series in reading.series:
+        quantity = series.column.quantity
+        if quantity not in ("phi", "omega") or series.column.stated:
+            continue
+        flag, unit = ("angle", "deg") if quantity == "phi" else ("spin", "deg/s")
+        mend = f"--units {flag}={unit} if so, {flag}=rad{unit[3:]} if not"
+        values = columns[quantity]
+        jump = jump_in_degrees(values) if quantity == "phi" else None
+        if jump is not None:
+            row, size = jump
+            raise reading.error(
+                f"without a unit, and the numbers jump by {size}, as degrees do; give {mend}",
+                row,
+                quantity,
+            )
+        rate = turning_rate(t, values) if quantity == "phi" else most_of(values)
+        if rate <= FASTEST:
+            continue
+        told = (
+            f"without a unit, and {rate:.3g} rad/s would be more than two turns a second; these "
+            f"may be degrees: give {mend}"
+        )
+        if series.header.strip().lower() != quantity:
+            raise reading.error(told, quantity=quantity)
+        notes.append(f"{quantity}: {told}")
 
 
 def _unwrap(reading: Reading, t: Floats, columns: dict[str, Floats], notes: list[str]) -> None:

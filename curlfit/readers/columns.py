@@ -99,9 +99,11 @@ def understand(header: str) -> Column | None:
             return Column(quantity, next(iter(units)), 1.0, stated=False)
         if unit in units:
             return Column(quantity, "/".join(words[len(name) :]), units[unit])
-        if unit in _UNITS["pixel"] and quantity.removeprefix("sigma_") in ("x", "y"):
-            axis = "u" if quantity.endswith("x") else "v"
-            return Column(quantity[:-1] + axis, "px", 1.0)
+        if unit in _UNITS["pixel"]:
+            base = quantity.removeprefix("sigma_")
+            axis = "v" if "v" in name else {"x": "u", "y": "v"}.get(base)
+            if axis:
+                return Column(quantity.removesuffix(base) + axis, "px", 1.0)
     return None
 
 

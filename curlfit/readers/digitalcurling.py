@@ -35,7 +35,9 @@ _MOST_NUMBERS = 20_000_000
 _MOVED = 1e-4  # m; places are 32-bit numbers
 
 
-class _Shot(NamedTuple):
+class Shot(NamedTuple):
+    """One shot of a log: its line, what to call it, and its trajectory as it stands there."""
+
     line: int
     name: str
     trajectory: dict[str, Any]
@@ -51,11 +53,7 @@ def read_digitalcurling(
     DataError : the file is no log of a shot, or holds several and `shot` does not say which.
     InputError : there is no such shot or stone.
     """
-    comments = [(k, line) for k, line in enumerate(lines[:200], 1) if line.lstrip()[:1] == "#"]
-    settings, reference, notes = defaults_of(path, comments)
-    shots = list(_shots(path, lines))
-    if not shots:
-        raise DataError(f"no trajectory in it; {_EXPECTED}", file=path)
+    shots = shots_of(path, lines)
     if len(shots) > 1 and shot is None:
         listed = "; ".join(f"{k} {item.name}" for k, item in enumerate(shots[:20], 1))
         more = f"; and {len(shots) - 20} more" if len(shots) > 20 else ""
@@ -63,6 +61,15 @@ def read_digitalcurling(
             f"{len(shots)} shots in it; choose one with --shot: {listed}{more}", file=path
         )
     taken = shots[choice("shot", "--shot", shot, [item.name for item in shots], 0)]
+    return read_shot(path, lines, taken, stone_index=stone_index)
+
+
+def read_shot(
+    path: Path, lines: list[str], taken: Shot, *, stone_index: int | None = None
+) -> Reading:
+    """The path of one stone of a shot of this file, as `read_digitalcurling` reads it."""
+    comments = [(k, line) for k, line in enumerate(lines[:200], 1) if line.lstrip()[:1] == "#"]
+    settings, reference, notes = defaults_of(path, comments)
     period, places, names = _paths(path, taken)
 
     xy = places[:, :, :2]
@@ -111,8 +118,20 @@ def read_digitalcurling(
     return reading
 
 
-def _shots(path: Path, lines: list[str]) -> Iterator[_Shot]:
-    """Every trajectory in the file: one JSON value, or one a line."""
+def shots_of(path: Path, lines: list[str]) -> list[Shot]:
+    """Every shot in the file: one JSON value, or one a line.
+
+    Raises
+    ------
+    DataError : the file is no log, or holds no shot.
+    """
+    shots = list(_shots(path, lines))
+    if not shots:
+        raise DataError(f"no trajectory in it; {_EXPECTED}", file=path)
+    return shots
+
+
+def _shots(path: Path, lines: list[str]) -> Iterator[Shot]:
     text = "\n".join(line for line in lines if line.lstrip()[:1] != "#").strip()
     try:
         values = [(1, json.loads(text))]
@@ -131,7 +150,7 @@ def _shots(path: Path, lines: list[str]) -> Iterator[_Shot]:
         for item in value if isinstance(value, list) else [value]:
             found = _trajectory(item)
             if found is not None:
-                yield _Shot(number, *found)
+                yield Shot(number, *found)
 
 
 def _trajectory(item: Any) -> tuple[str, dict[str, Any]] | None:
@@ -158,7 +177,7 @@ def _trajectory(item: Any) -> tuple[str, dict[str, Any]] | None:
     return " ".join(parts) or "shot", item
 
 
-def _paths(path: Path, shot: _Shot) -> tuple[float, Floats, list[str]]:
+def _paths(path: Path, shot: Shot) -> tuple[float, Floats, list[str]]:
     """Seconds a frame; x, y, angle of every stone and frame, shape (stones, n, 3); the names."""
 
     def refuse(message: str) -> DataError:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from functools import partial
 from itertools import islice
 from os import PathLike
 from pathlib import Path
+from typing import NamedTuple
 
-from curlfit.errors import InputError
+from curlfit.errors import CurlfitError, InputError
 from curlfit.readers.assemble import assemble
 from curlfit.readers.columns import parse_units
-from curlfit.readers.digitalcurling import read_digitalcurling
+from curlfit.readers.digitalcurling import read_digitalcurling, read_shot, shots_of
 from curlfit.readers.frames import parse_axes
+from curlfit.readers.pixels import load_homography
 from curlfit.readers.reading import Reading
 from curlfit.readers.table import read_table
 from curlfit.readers.text import text_of
 from curlfit.readers.timings import TIMES, read_timings
-from curlfit.readers.tracker import looks_like_tracker, read_tracker
+from curlfit.readers.tracker import count_objects, looks_like_tracker, read_tracker
 from curlfit.throw import Throw
 
 FORMATS = ("table", "tracker", "digitalcurling", "timings")
@@ -66,6 +70,87 @@ def load_throw(
     return assemble(reading, axes=axes, reference=points)
 
 
+class Part(NamedTuple):
+    """One throw of a file that may hold several.
+
+    Attributes
+    ----------
+    shot, stone_index : which one, as `load_throw` takes them; None where the file holds but one.
+    throw : the throw, or why this one cannot be read.
+    """
+
+    shot: int | None
+    stone_index: int | None
+    throw: Throw | CurlfitError
+
+
+def load_throws(
+    file: str | PathLike[str],
+    format: str | None = None,
+    axes: str | None = None,
+    reference: str | PathLike[str] | None = None,
+    stone_index: int | None = None,
+    *,
+    shot: int | None = None,
+    units: str | None = None,
+) -> list[Part]:
+    """Every throw in a file: each shot of a log, or each object of a Tracker export.
+
+    Arguments are those of `load_throw`; `shot` or `stone_index` takes one of them alone.
+
+    Raises
+    ------
+    DataError : the file as a whole cannot be read. InputError : an argument that cannot be used.
+    """
+    points = None if reference is None else Path(reference)
+    source = _opened(file, format, stone_index=stone_index, shot=shot)
+    pixels = points is not None
+    whole = partial(_read, source, stone_index=stone_index, shot=shot, units=units, pixels=pixels)
+    parts: list[tuple[int | None, int | None, Callable[[], Reading]]]
+    parts = [(shot, stone_index, whole)]
+    path, lines, kind = source
+    if kind == "digitalcurling" and shot is None:
+        shots = shots_of(path, lines)
+        if len(shots) > 1:
+            parts = [
+                (k, stone_index, partial(read_shot, path, lines, taken, stone_index=stone_index))
+                for k, taken in enumerate(shots, 1)
+            ]
+    elif kind == "tracker" and stone_index is None:
+        count = count_objects(path, lines)
+        if count > 1:
+            parts = [(None, k, partial(whole, stone_index=k)) for k in range(1, count + 1)]
+    found = []
+    for number, index, reading in parts:
+        throw: Throw | CurlfitError
+        try:
+            throw = assemble(reading(), axes=axes, reference=points)
+        except CurlfitError as error:
+            throw = error
+        found.append(Part(number, index, throw))
+    return found
+
+
+def check_how(
+    format: str | None = None,
+    axes: str | None = None,
+    reference: str | PathLike[str] | None = None,
+    stone_index: int | None = None,
+    *,
+    shot: int | None = None,
+    units: str | None = None,
+) -> None:
+    """Raise `InputError` where no file at all could be read with these arguments."""
+    _check_format(format)
+    for flag, number in (("--shot", shot), ("--stone-index", stone_index)):
+        if number is not None and number < 1:
+            raise InputError(f"{flag} {number}: expected a whole number from 1")
+    parse_units(units)
+    parse_axes(axes)
+    if reference is not None:
+        load_homography(Path(reference))
+
+
 def read(
     file: str | PathLike[str],
     format: str | None = None,
@@ -76,9 +161,27 @@ def read(
     pixels: bool = False,
 ) -> Reading:
     """The columns of a file as they were understood, in SI. Arguments as for `load_throw`."""
+    source = _opened(file, format, stone_index=stone_index, shot=shot)
+    return _read(source, stone_index=stone_index, shot=shot, units=units, pixels=pixels)
+
+
+def _check_format(format: str | None) -> None:
     if format is not None and format not in FORMATS:
         raise InputError(f"format {format!r}: expected one of {', '.join(FORMATS)}")
-    wanted = parse_units(units)
+
+
+class _Opened(NamedTuple):
+    """A file's lines, and the format it has."""
+
+    path: Path
+    lines: list[str]
+    kind: str
+
+
+def _opened(
+    file: str | PathLike[str], format: str | None, *, stone_index: int | None, shot: int | None
+) -> _Opened:
+    _check_format(format)
     path = Path(file)
     lines = text_of(path).split("\n")
     kind = format or guessed(lines)
@@ -86,6 +189,19 @@ def read(
         raise InputError(f"--shot: {path} is a {kind} file and holds no shots")
     if stone_index is not None and kind not in ("digitalcurling", "tracker"):
         raise InputError(f"--stone-index: {path} is a {kind} file and holds one stone")
+    return _Opened(path, lines, kind)
+
+
+def _read(
+    source: _Opened,
+    *,
+    stone_index: int | None,
+    shot: int | None,
+    units: str | None,
+    pixels: bool,
+) -> Reading:
+    path, lines, kind = source
+    wanted = parse_units(units)
     if kind == "digitalcurling":
         return read_digitalcurling(path, lines, stone_index=stone_index, shot=shot)
     if kind == "timings":
@@ -109,4 +225,6 @@ def guessed(lines: list[str]) -> str:
     return "tracker" if looks_like_tracker(head[:3]) else "table"
 
 
-__all__ = ["FORMATS", "guessed", "load_throw", "parse_axes", "read"]
+__all__ = [
+    "FORMATS", "Part", "check_how", "guessed", "load_throw", "load_throws", "parse_axes", "read",
+]  # fmt: skip

@@ -177,7 +177,8 @@ def batch() -> None:
         few = [*command[:4], *map(str, files), "--again", "--out", f"{folder}.out"]
         processes(few, times=1)
         part, whole = processes(few, [*command, f"{folder}.out"], times=3)
-        Path(f"{folder}.out").unlink()
+        for made in (f"{folder}.out", f"{folder}.settings.json"):
+            Path(made).unlink()
     ours = (_SEASON - len(files)) / (whole - part)
     row("curlfit batch, files to table, all cores", f"{ours:.0f} fits/s", ours / script)
 
