@@ -8,6 +8,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from curlfit.console import terminal
 from curlfit.report import STYLE, compact, listed, plain_table
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 def print_comparison(comparison: Comparison, console: Console | None = None) -> None:
     """Print the report of a comparison."""
-    console = console or Console()
+    console = console or terminal()
     console.print(report(comparison))
 
 
@@ -44,7 +45,7 @@ def _heading(comparison: Comparison) -> RenderableType:
 
 
 def _ranks(comparison: Comparison) -> RenderableType:
-    table = plain_table()
+    table = plain_table(keys=3)
     table.add_column("", justify="right", no_wrap=True)
     table.add_column("law", no_wrap=True)
     table.add_column("load", no_wrap=True)

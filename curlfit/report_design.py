@@ -11,6 +11,7 @@ from rich.console import Console, Group, JustifyMethod, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from curlfit.console import terminal
 from curlfit.report import STYLE, listed, plain_table
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ _UNITS = {
 
 def print_design(design: Design, console: Console | None = None) -> None:
     """Print what planned throws would tell."""
-    console = console or Console()
+    console = console or terminal()
     console.print(report(design))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -111,11 +110,12 @@ def batch(
     names = columns(plan)
     files = [str(file) for file in found_files(data)]
 
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Left
 
-    console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
+    from curlfit.console import terminal
+
+    console = terminal(quiet=quiet)
     with Table(out, names, plan.to_json(), again=again) as table:
         from curlfit.crew import crew
 
