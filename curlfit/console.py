@@ -92,7 +92,8 @@ class PlainTable(Table):
             sizes = [console.measure(cell, options=wide) for cell in (column.header, *column.cells)]
             whole = max(size.maximum for size in sizes)
             words = max(size.minimum for size in sizes)
-            found.append(whole if column.no_wrap else min(whole, max(words, _LEAST_TEXT)))
+            least = whole if column.no_wrap else min(whole, max(words, _LEAST_TEXT))
+            found.append(max(least, column.min_width or 0))
         return found
 
     def _blocks(self, widths: list[int], most: int) -> list[list[int]]:

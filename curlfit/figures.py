@@ -56,6 +56,7 @@ _UNIT_SIZES = {
 }
 _LEAST_SHOWN = 0.1  # in a unit, below which the next smaller one is taken
 _LETTER = 0.09  # inches that a letter of a tick's label takes
+_LEFT = 1.3  # inches left of the panels of a corner
 _LONG = 1e4  # steps between ticks in a number, from which a part of it is taken from all
 _SAME = 0.0075  # share of an axis, about a line's width, up to which curves are one
 _MOST_POINTS = 2000  # drawn of a long series
@@ -85,28 +86,27 @@ def unit_for(size: float, channel: str) -> tuple[float, str]:
     return next(found, units[-1])
 
 
-def neat_axis(axis: Any, label: str, unit: str = "") -> None:
-    """Few ticks with short numbers, none near the ends: a power of ten that they have in common,
-    and what they exceed, go into the label."""
+def neat_axis(axis: Any, label: str, unit: str = "", *, neighbours: bool = False) -> None:
+    """Few ticks with short numbers: a power of ten that they have in common, and what they exceed,
+    go into the label. Beside `neighbours` none reaches over the ends."""
     low, high = sorted(map(float, axis.get_view_interval()))
     inches = axis.axes.get_window_extent().width / axis.axes.get_figure().dpi
     letter = _LETTER if axis.axis_name == "x" else 0.0
     unit = "" if unit == "1" else unit.replace("^2", "\N{SUPERSCRIPT TWO}")
-    kept: list[tuple[float, str]] = []
-    for most in (5, 4, 3, 2):
-        at = MaxNLocator(most, steps=[1, 2, 3, 4, 5, 10]).tick_values(low, high)
+    most, steps = (5, [1, 2, 3, 4, 5, 10]) if neighbours else (7, [1, 2, 5, 10])
+    while True:
+        at = MaxNLocator(most, steps=steps).tick_values(low, high)
         step = float(at[1] - at[0])
         at = at[(at >= low) & (at <= high)]
         numbers, start, power = _short(at, step)
         wide = max(0.12, letter * max(map(len, numbers), default=0) / inches) * (high - low)
-        kept = [
-            (value, number)
-            for value, number in zip(at, numbers, strict=True)
-            if low + wide / 2 <= value <= high - wide / 2
-        ]
-        if step > 1.1 * wide:
+        margin = wide / 2 if neighbours else 0.0
+        inside = (at >= low + margin) & (at <= high - margin)
+        if step > 1.1 * wide or most == 2:
             break
-    axis.set_ticks([value for value, _ in kept], labels=[number for _, number in kept])
+        most -= 1
+    labels = [number for number, shown in zip(numbers, inside, strict=True) if shown]
+    axis.set_ticks(at[inside], labels=labels)
     ten = f"$10^{{{power}}}$" if power else ""
     behind = " ".join(part for part in (ten, unit) if part)
     between = "\n" if start else " "
@@ -244,7 +244,7 @@ def corner_figure(fit: FitResult, chain: Chain) -> Figure:
     if len(samples) > most:
         samples = samples[np.linspace(0, len(samples) - 1, most).astype(int)]
     known = {} if fit.reference is None else fit.reference.values
-    size = 2.3 * max(len(names), 3) + 0.6
+    size = 2.3 * max(len(names), 3) + 0.8
     figure = Picture(figsize=(size, size))
     corner.corner(
         samples,
@@ -262,6 +262,7 @@ def corner_figure(fit: FitResult, chain: Chain) -> Figure:
         label_kwargs={"fontsize": 12},
     )
     grid = np.array(figure.axes).reshape(len(names), len(names))
+    figure.subplots_adjust(left=_LEFT / size)
     for place, name in enumerate(names):
         _neat_panels(fit.parameters[name], grid, place)
     _mark_ridges(fit, names, known, samples, grid)
@@ -280,11 +281,13 @@ def _neat_panels(item: Estimate, grid: Any, place: int) -> None:
         if outer.axes is grid[0, 0] and outer.axis_name == "y":
             continue
         outer.set_tick_params(labelrotation=0)
-        neat_axis(outer, f"${item.symbol}$", item.unit)
+        neat_axis(outer, f"${item.symbol}$", item.unit, neighbours=True)
         for axis in inner:
             axis.set_ticks(outer.get_majorticklocs(), labels=[])
-    grid[last, place].xaxis.set_label_coords(0.5, -0.2)
-    grid[place, 0].yaxis.set_label_coords(-0.3, 0.5)
+    box = grid[0, 0].get_window_extent()
+    inch = grid[0, 0].get_figure().dpi
+    grid[last, place].xaxis.set_label_coords(0.5, -0.32 * inch / box.height)
+    grid[place, 0].yaxis.set_label_coords(-0.82 * inch / box.width, 0.5)
 
 
 def _extent(values: Any, mark: float | None) -> tuple[float, float]:
@@ -384,7 +387,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
     some = np.unique(np.linspace(0, len(t) - 1, min(len(t), _MOST_POINTS)).astype(int))
     curves = _curves(shown, x)
     figure = Picture(figsize=(11, 6.4 + 0.24 * len(shown)), layout="constrained")
-    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 0.45 + 0.065 * len(shown)))
+    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 0.6 + 0.06 * len(shown)))
     path = figure.add_subplot(rows[0].subgridspec(1, 1)[0])
     lower = rows[1].subgridspec(1, 2, width_ratios=(1.3, 1.0))
     residual, dots = figure.add_subplot(lower[0]), figure.add_subplot(lower[1])
@@ -406,7 +409,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
         loc="upper left", bbox_to_anchor=(1.01, 1.02), frameon=False, fontsize=8, labelspacing=0.8
     )
     residual.axhline(0, color="0.7", lw=0.8)
-    residual.set(xlabel="t (s)", ylabel="residual of x, measured \N{MINUS SIGN} fitted (mm)")
+    residual.set(xlabel="t (s)", ylabel="residual of x (mm)")
 
     for name, marker in _MARKER.items():
         values = [1000 * item.misfit.get(name, np.nan) for item in shown]
@@ -419,7 +422,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
     dots.set_yticks(range(len(shown)), [item.label for item in shown], fontsize=8)
     for tick, item in zip(dots.get_yticklabels(), shown, strict=True):
         tick.set_fontweight("bold" if item.follows else "normal")
-    dots.invert_yaxis()
+    dots.set_ylim(len(shown) - 0.4, -0.6)
     dots.set_xscale("log")
     dots.set_axisbelow(True)
     size = "rms" if comparison.loss == "linear" else "bulk"

@@ -173,7 +173,7 @@ def _sentences(design: Design) -> list[str]:
 
 
 def _alone(design: Design) -> RenderableType:
-    table = plain_table()
+    table = plain_table(keys=2)
     rates = len({one.rate for one in design.candidates}) > 1
     heads = ["v0\n(m/s)", "omega0\n(rad/s)", *(["rate\n(Hz)"] if rates else []), "rows"]
     for head in (*heads, "at rest\n(s)", "after\n(m)"):
@@ -243,7 +243,7 @@ def _way(design: Design, parted: Separation, way: Way) -> list[RenderableType]:
     if way.throws is None or way.stderr is None:
         return [_paragraph(f"{name}: none of these throws can tell them apart.", "bold red")]
     weak = way.stderr > _WEAK * parted.size
-    table = plain_table()
+    table = plain_table(keys=2)
     for head in (
         "omega0\n(rad/s)", "v0\n(m/s)", "error from\none throw", "relative",
         "noise for what\nis asked", "or throws at\nthis noise",

@@ -26,9 +26,9 @@ def claims_table(claims: tuple[Claim, ...]) -> Table:
     """The claims as a table, readable at 110 columns."""
     table = Table(box=box.SIMPLE_HEAD, show_lines=False, pad_edge=False, padding=(0, 1, 1, 0))
     table.add_column("", no_wrap=True, style="bold")
-    table.add_column("claim, and why", ratio=40)
-    table.add_column("printed", ratio=23)
-    table.add_column("computed", ratio=28)
+    table.add_column("claim, and why", ratio=40, overflow="fold")
+    table.add_column("printed", ratio=23, overflow="fold")
+    table.add_column("computed", ratio=28, overflow="fold")
     table.add_column("verdict", width=12)
     table.expand = True
     for one in claims:
