@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook, RenderResult
+from rich.measure import Measurement
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
@@ -16,6 +17,7 @@ from rich.text import Text
 _PIPED = 110  # columns where the output is no terminal
 _LEAST_TEXT = 24  # columns of a cell that is wrapped
 _NO_LIMIT = 10_000
+_BETWEEN = "   "
 _RUNS = re.compile(r"(?: *[^ \n])+| +|\n")
 
 
@@ -55,6 +57,28 @@ def _trimmed(segments: Iterable[Segment]) -> Iterator[Segment]:
             blanks = []
             yield part
     yield from blanks
+
+
+class Items:
+    """Texts in a row, of which none is broken that fits into a line."""
+
+    def __init__(self, items: Iterable[Text]) -> None:
+        self.items = list(items)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        line = Text()
+        for item in self.items:
+            if line and line.cell_len + len(_BETWEEN) + item.cell_len > options.max_width:
+                yield line
+                line = Text()
+            line.append(_BETWEEN if line else "").append_text(item)
+        yield line
+
+    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
+        whole = sum(item.cell_len + len(_BETWEEN) for item in self.items)
+        words = [Measurement.get(console, options, item).minimum for item in self.items]
+        least = max(words, default=0)
+        return Measurement(min(least, options.max_width), min(whole, options.max_width))
 
 
 class PlainTable(Table):

@@ -71,12 +71,21 @@ class Picture(Figure):
         return file.getvalue()
 
 
-def title(axes: Any, text: str, *, columns: int = 1, loc: str = "left", size: float = 10) -> None:
-    """A title in letters small enough for its share of the figure's width."""
+def title(
+    axes: Any,
+    text: str,
+    *,
+    columns: int = 1,
+    margin: float = 1.0,
+    loc: str = "left",
+    size: float = 10,
+) -> None:
+    """A title in letters small enough for one of so many columns, less a margin in inches."""
     figure = axes.get_figure()
-    room = 0.86 * figure.bbox.width / columns
+    room = figure.bbox.width / columns - margin * figure.dpi
     found = axes.set_title(text, fontsize=size, loc=loc)
-    found.set_fontsize(size * min(1.0, room / found.get_window_extent().width))
+    while found.get_window_extent().width > room:
+        found.set_fontsize(0.95 * found.get_fontsize())
 
 
 def unit_for(size: float, channel: str) -> tuple[float, str]:
@@ -351,7 +360,7 @@ def _point_to_marks(names: list[str], known: dict[str, float], grid: Any) -> Non
 
 def _say_in_corner(fit: FitResult, figure: Figure, grid: Any) -> None:
     """What was fitted, and what is known of it, in the corner that the panels leave free."""
-    title(grid[0, 0], f"{_name(fit)}: {fit.law} law, {fit.load} load", size=12)
+    title(grid[0, 0], f"{_name(fit)}: {fit.law} law, {fit.load} load", margin=_LEFT + 0.2, size=12)
     top, lines = grid[0, 0].get_position().y1, []
     for item in fit.combinations:
         value, stderr = number(item.value, item.stderr)
@@ -375,8 +384,8 @@ def _say_in_corner(fit: FitResult, figure: Figure, grid: Any) -> None:
             0.97, top, "\n".join(said), ha="right", va="top", fontsize=12, color=color,
             linespacing=1.6,
         )  # fmt: skip
-        wide = text.get_window_extent().width / figure.bbox.width
-        text.set_fontsize(12 * min(1.0, (0.97 - free) / wide))
+        while text.get_window_extent().width > (0.97 - free) * figure.bbox.width:
+            text.set_fontsize(0.95 * text.get_fontsize())
         top -= text.get_window_extent().height / figure.bbox.height + 0.03
 
 

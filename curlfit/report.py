@@ -22,6 +22,7 @@ STYLE = {
     "at bound": "yellow",
     "fixed": "dim",
 }
+_HUGE = 1e9  # from which a number is written with a power of ten
 _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
     "Sampling was not finished; the same `curlfit fit` command with --resume goes on with it."
@@ -80,8 +81,8 @@ def _interval(posterior: Posterior, name: str) -> str:
     found = posterior.quantiles.get(name)
     if found is None:
         return ""
-    digits = _digits((found["84"] - found["16"]) / 3)
-    return f"{found['16']:.{digits}f} .. {found['84']:.{digits}f}"
+    size = (found["84"] - found["16"]) / 3
+    return " .. ".join(number(found[end], size)[0] for end in ("16", "84"))
 
 
 def _coefficients(fit: FitResult) -> RenderableType:
@@ -130,6 +131,9 @@ def number(value: float, stderr: float | None) -> tuple[str, str]:
         return f"{value:.6g}", "-"
     if not stderr > 0:
         return f"{value:.10g}", "0"
+    if _HUGE <= max(abs(value), stderr) < math.inf:
+        digits = 1 + max(math.floor(math.log10(max(abs(value), stderr) / stderr)), 0)
+        return f"{value:.{digits}e}", f"{stderr:.1e}"
     digits = _digits(stderr)
     return f"{value:.{digits}f}", f"{stderr:.{digits}f}"
 
@@ -137,6 +141,8 @@ def number(value: float, stderr: float | None) -> tuple[str, str]:
 def compact(value: float, stderr: float | None) -> str:
     """A value with its error in its last two digits, as 0.0556(12); the value alone without one."""
     shown, error = number(value, stderr)
+    if "e" in error:
+        return f"{shown} +- {error}"
     digits = error.replace(".", "").lstrip("0")
     return shown if error == "-" or not digits else f"{shown}({digits})"
 

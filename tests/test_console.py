@@ -1,0 +1,177 @@
+"""What is printed: no blanks at the ends of lines, and nothing cut in a narrow terminal."""
+
+import os
+import pty
+import re
+import subprocess
+import sys
+from io import StringIO
+
+import pytest
+from rich.console import Console
+from rich.text import Text
+from typer.testing import CliRunner
+
+import curlfit
+from curlfit.cli import app
+from curlfit.console import PlainTable, terminal
+from curlfit.report import compact, number
+from curlfit.synthetic import law_with, synthetic_throw, write_table
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, eq12_posterior):
+    """Throws, and a sampled fit of one."""
+    place = tmp_path_factory.mktemp("printed")
+    for name, v0 in (("a", 2.0), ("b", 2.1)):
+        throw = synthetic_throw(
+            law_with("front-back", {}), curlfit.Stone(), v0=v0, until=15, noise_xy=0.005,
+            noise_phi=0.01,
+        )  # fmt: skip
+        (place / f"{name}.csv").write_text(write_table(throw))
+    fit, _ = eq12_posterior
+    (place / "saved").mkdir()
+    fit.save(place / "saved" / "fit.json")
+    return place
+
+
+VERBS = {
+    "fit": ("fit", "a.csv", "--no-sample", "--no-figures"),
+    "joint fit": ("fit", "a.csv", "b.csv", "--no-figures"),
+    "show": ("show", "saved"),
+    "check": ("check", "a.csv"),
+    "laws": ("laws",),
+    "compare": ("compare", "a.csv", "--laws", "coulomb,front-back", "--no-figures"),
+    "profile": ("profile", "a.csv", "--param", "mu1_xi", "--points", "5", "--no-figures"),
+    "profile of two": (
+        "profile", "a.csv", "--param", "mu1_xi", "--param", "mu2_xi", "--points", "5",
+        "--no-figures",
+    ),
+    "predict": ("predict", "saved", "--no-figures"),
+    "design": ("design", "--v0", "1.6,2.2", "--omega0", "1,10", "--no-figures"),
+    "batch": ("batch", "a.csv", "b.csv", "--workers", "1"),
+    "simulate": ("simulate", "--until", "1"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_prints_whole_lines(verb, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    words = VERBS[verb]
+    for width in (None, 80, 60):
+        monkeypatch.delenv("COLUMNS", raising=False)
+        if width is not None:
+            monkeypatch.setenv("COLUMNS", str(width))
+        run = CliRunner().invoke(app, words, catch_exceptions=False)
+        assert run.exit_code == 0, run.output
+        lines = run.output.splitlines()
+        assert len(lines) > (0 if verb == "batch" else 3)
+        assert not [line for line in lines if line != line.rstrip()]
+        assert "\N{HORIZONTAL ELLIPSIS}" not in run.output
+        long = [line for line in lines if len(line) > (width or 110)]
+        # What would not fit stays whole: a list of files to copy, and a table made for a file.
+        assert not [line for line in long if not line.startswith("Written:")] or verb == "simulate"
+        if verb in ("show", "laws", "check", "simulate", "predict") or width is None:
+            continue
+        if verb in ("fit", "joint fit"):  # the rest of the widths from what was saved
+            words = ("show", "a-fit" if verb == "fit" else "joint-fit")
+        elif verb == "compare":
+            words = ("show", "a-compare")
+        elif verb == "design":
+            words = ("show", "design")
+        elif verb.startswith("profile"):
+            words = ("show", "a-profile")
+
+
+def test_a_terminal_gets_no_blanks_either(folder):
+    leader, follower = pty.openpty()
+    run = subprocess.Popen(
+        [sys.executable, "-m", "curlfit", "show", "saved"], cwd=folder, stdout=follower,
+        env={**os.environ, "COLUMNS": "80", "TERM": "xterm-256color"},
+    )  # fmt: skip
+    os.close(follower)
+    written = b""
+    while True:
+        try:
+            part = os.read(leader, 65536)
+        except OSError:  # what Linux says at the end of a terminal
+            break
+        if not part:
+            break
+        written += part
+    os.close(leader)
+    assert run.wait() == 0
+    assert b"\x1b[" in written
+    shown = re.sub(r"\x1b\[[0-9;]*m", "", written.decode())
+    assert "mu1_xi" in shown
+    assert not [line for line in shown.splitlines() if line != line.rstrip()]
+
+
+def printed(table, width):
+    console = Console(width=width, file=StringIO())
+    console.print(table)
+    return console.file.getvalue()
+
+
+def a_table(keys=1):
+    table = PlainTable(keys)
+    heads = ["name", "some estimate", "std. error", "interval of the estimate", "more"]
+    for head in heads:
+        table.add_column(head, no_wrap=head != "more")
+    rows = [
+        [f"row {k}", f"{k}.123456", f"0.{k:06d}", f"{k}.1 .. {k}.2", f"all that is said of {k}" * 2]
+        for k in range(3)
+    ]
+    for row in rows:
+        table.add_row(*row)
+    return table, heads, rows
+
+
+@pytest.mark.parametrize("width", [30, 40, 60, 80, 100, 120])
+def test_a_table_keeps_its_headers_and_numbers(width):
+    table, heads, rows = a_table()
+    text = printed(table, width)
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= width
+    for word in [*heads, *(cell for row in rows for cell in row[:4])]:
+        assert word in text
+    assert "\N{HORIZONTAL ELLIPSIS}" not in text
+    assert text.count("row 1") == len(text.split("\n\n")) or width < 60
+
+
+def test_blocks_repeat_the_keys_and_leave_out_empty_rows():
+    table = PlainTable(2)
+    for head in ("a", "b", "first one", "second one"):
+        table.add_column(head, no_wrap=True)
+    table.add_row("1", "x", "100", "200")
+    table.add_row("2", "y", "300", "")
+    first, second = printed(table, 20).split("\n\n")
+    assert first.split() == ["a", "b", "first", "one", "1", "x", "100", "2", "y", "300"]
+    assert second.split() == ["a", "b", "second", "one", "1", "x", "200"]
+
+
+def test_a_word_wider_than_the_terminal_is_folded():
+    table = PlainTable()
+    table.add_column("file", no_wrap=True)
+    table.add_column("value", no_wrap=True)
+    table.add_row("x" * 50, "1.25")
+    text = printed(table, 30)
+    assert text.count("x") == 50
+    assert "1.25" in text
+
+
+def test_styles_and_blanks_within_a_line_stay():
+    console = terminal()
+    console.file = StringIO()
+    console.print(Text("a  b   "), Text("  c ", style="bold"), "")
+    console.print(Text(" \n d  "))
+    assert console.file.getvalue() == "a  b      c\n\n d\n"
+
+
+def test_numbers_of_extreme_size():
+    assert number(0.0556, 0.0012) == ("0.0556", "0.0012")
+    assert number(123456.7, 12.0) == ("123457", "12")
+    assert number(1e300, 3e298) == ("1.00e+300", "3.0e+298")
+    assert number(-2.5e12, 1.0e9) == ("-2.5000e+12", "1.0e+09")
+    assert number(1000.0, 1e20) == ("1.0e+03", "1.0e+20")
+    assert compact(1e300, 3e298) == "1.00e+300 +- 3.0e+298"
+    assert max(map(len, number(float("inf"), 1.0))) < 12
