@@ -56,6 +56,7 @@ _UNIT_SIZES = {
 }
 _LEAST_SHOWN = 0.1  # in a unit, below which the next smaller one is taken
 _LETTER = 0.09  # inches that a letter of a tick's label takes
+_LEAST_LETTERS = 1.0  # points
 _LEFT = 1.3  # inches left of the panels of a corner
 _LONG = 1e4  # steps between ticks in a number, from which a part of it is taken from all
 _SAME = 0.0075  # share of an axis, about a line's width, up to which curves are one
@@ -82,10 +83,14 @@ def title(
 ) -> None:
     """A title in letters small enough for one of so many columns, less a margin in inches."""
     figure = axes.get_figure()
-    room = figure.bbox.width / columns - margin * figure.dpi
     found = axes.set_title(text, fontsize=size, loc=loc)
-    while found.get_window_extent().width > room:
-        found.set_fontsize(0.95 * found.get_fontsize())
+    _shrink(found, figure.bbox.width / columns - margin * figure.dpi)
+
+
+def _shrink(text: Any, room: float) -> None:
+    """Write a text in letters so small that it takes no more than so many pixels across."""
+    while text.get_window_extent().width > room and text.get_fontsize() > _LEAST_LETTERS:
+        text.set_fontsize(0.95 * text.get_fontsize())
 
 
 def unit_for(size: float, channel: str) -> tuple[float, str]:
@@ -104,7 +109,7 @@ def neat_axis(axis: Any, label: str, unit: str = "", *, neighbours: bool = False
     unit = "" if unit == "1" else unit.replace("^2", "\N{SUPERSCRIPT TWO}")
     most, steps = (5, [1, 2, 3, 4, 5, 10]) if neighbours else (7, [1, 2, 5, 10])
     while True:
-        at = MaxNLocator(most, steps=steps).tick_values(low, high)
+        at = np.asarray(MaxNLocator(most, steps=steps).tick_values(low, high))
         step = float(at[1] - at[0])
         at = at[(at >= low) & (at <= high)]
         numbers, start, power = _short(at, step)
@@ -380,12 +385,9 @@ def _say_in_corner(fit: FitResult, figure: Figure, grid: Any) -> None:
     for color, said in written:
         if not said:
             continue
-        text = figure.text(
-            0.97, top, "\n".join(said), ha="right", va="top", fontsize=12, color=color,
-            linespacing=1.6,
-        )  # fmt: skip
-        while text.get_window_extent().width > (0.97 - free) * figure.bbox.width:
-            text.set_fontsize(0.95 * text.get_fontsize())
+        style: dict[str, Any] = {"ha": "right", "va": "top", "fontsize": 12, "linespacing": 1.6}
+        text = figure.text(0.97, top, "\n".join(said), color=color, **style)
+        _shrink(text, (0.97 - free) * figure.bbox.width)
         top -= text.get_window_extent().height / figure.bbox.height + 0.03
 
 
