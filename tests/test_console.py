@@ -13,6 +13,8 @@ from rich.text import Text
 from typer.testing import CliRunner
 
 import curlfit
+from curlfit.claims.page import claims_table
+from curlfit.claims.record import Claim
 from curlfit.cli import app
 from curlfit.console import PlainTable, terminal
 from curlfit.report import compact, number
@@ -170,3 +172,14 @@ def test_numbers_of_extreme_size():
     assert number(1000.0, 1e20) == ("1.0e+03", "1.0e+20")
     assert compact(1e300, 3e298) == "1.00e+300 +- 3.0e+298"
     assert max(map(len, number(float("inf"), 1.0))) < 12
+
+
+def test_the_claims_keep_their_formulas_at_80_columns():
+    claim = Claim(
+        "eq14y", "d2y/dt2 from eq. 12", "-0.08 (1-t/23)^-0.013 m/s^2",
+        "-0.0804 (1-t/23)^-0.897, then", "holds with a correction", "Two digits change places.",
+    )  # fmt: skip
+    text = printed(claims_table((claim,)), 80)
+    for word in (*claim.printed.split(), *claim.computed.split()):
+        assert word in text
+    assert "\N{HORIZONTAL ELLIPSIS}" not in text
