@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from curlfit.figures import Picture, save_figure
+from curlfit.figures import DASHES, PALETTE, Picture, save_figure
 from curlfit.report_design import noise, rough
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 FILES = ("design-map", "design-errors", "design-separate")
 
-_COLORS = ("#1f77b4", "#d1495b", "#2e8b57", "#7b5ea7", "#b8860b", "#444444")
 _MARK = "#e07a1f"
 _MOST_WRITTEN = 80  # cells of a map with a number in each
 
@@ -105,7 +104,7 @@ def _cells(axes: Any, design: Design, values: Sequence[float | None], *, shares:
     for ticks, numbers, most in ((axes.set_xticks, speeds, 6), (axes.set_yticks, spins, 12)):
         some = range(0, len(numbers), -(-len(numbers) // most))
         ticks(some, [f"{numbers[place]:g}" for place in some])
-    axes.set_xlabel("first speed (m/s)")
+    axes.set_xlabel("initial speed (m/s)")
 
 
 def _number(value: float) -> str:
@@ -142,10 +141,10 @@ def _map(design: Design) -> Figure:
     for axes in panels[len(names) :]:
         axes.set_visible(False)
     for axes in panels[::columns]:
-        axes.set_ylabel("first spin (rad/s)")
+        axes.set_ylabel("initial spin (rad/s)")
     figure.suptitle(
         f"{design.law} law, {design.load} load: standard error from one throw\n"
-        f"noise {noise(design.sigma)}; framed: in the best {design.throws}",
+        f"noise {noise(design.sigma)}; framed: among the best {design.throws} throws",
         fontsize=10,
     )
     return figure
@@ -166,8 +165,8 @@ def _errors(design: Design) -> Figure:
         for place, (quantity, weights) in enumerate(design.quantities.items()):
             values = [np.nan if value is None else value for value in curve[quantity]]
             axes.plot(
-                curve["at"], values, ".", color=_COLORS[place % len(_COLORS)], ms=5, lw=1.4,
-                ls=("-", "--")[place % 2], label=_label(design, quantity) + _unit(design, weights),
+                curve["at"], values, ".", color=PALETTE[place % len(PALETTE)], ms=5, lw=1.4,
+                ls=DASHES[place % 2], label=_label(design, quantity) + _unit(design, weights),
             )  # fmt: skip
         axes.set(xscale="log", yscale="log", xlabel=about[name])
         axes.grid(alpha=0.3, which="major")
@@ -214,21 +213,21 @@ def _separate(design: Design, parted: Separation) -> Figure:
 
     count = design.throws
     if plain is not None:
-        line(plain / np.sqrt(count), f"{count} x ({ordinary})", color=_COLORS[5], lw=1.6)
-    line(way.stderr, f"the best {count} throws, framed", color=_COLORS[0], lw=2.2)
+        line(plain / np.sqrt(count), f"{count} x ({ordinary})", color=PALETTE[6], lw=1.6)
+    line(way.stderr, f"the best {count} throws, framed", color=PALETTE[0], lw=2.2)
     heights = [item for item in parted.changes if item.name == "h" and item.value in _ends(parted)]
     for dash, item in zip(("--", "-.", ":"), heights, strict=False):
         line(
-            item.all, f"the same, h = {1000 * item.value:.3g} mm", color=_COLORS[0], lw=1.1, ls=dash
+            item.all, f"the same, h = {1000 * item.value:.3g} mm", color=PALETTE[0], lw=1.1, ls=dash
         )
     for dash, item in zip(("--", "-.", ":"), heights, strict=False):
         line(
             item.half, f"{count} x ({ordinary}), half with h = {1000 * item.value:.3g} mm",
-            color=_COLORS[1], lw=1.4, ls=dash,
+            color=PALETTE[1], lw=1.4, ls=dash,
         )  # fmt: skip
     left.axhline(100 * parted.wanted, color=_MARK, lw=1.4)
     left.text(
-        6e-3, 115 * parted.wanted, f"asked for: {100 * parted.wanted:g} %", color=_MARK, fontsize=9
+        6e-3, 115 * parted.wanted, f"required: {100 * parted.wanted:g} %", color=_MARK, fontsize=9
     )
     left.axvline(1.0, color="0.5", lw=0.9, ls=":")
     left.set(
@@ -250,10 +249,10 @@ def _separate(design: Design, parted: Separation) -> Figure:
     _cells(right, design, shares, shares=True)
     if way.throws is not None:
         _ring(right, design, way.throws)
-    right.set_ylabel("first spin (rad/s)")
+    right.set_ylabel("initial spin (rad/s)")
     right.set_title(
         f"{difference} from one throw, % of {parted.size:g}\n"
-        f"consistent load; framed: in the best {count}",
+        f"consistent load; framed: among the best {count} throws",
         fontsize=10,
     )
     figure.suptitle(f"{design.law} law: telling {' from '.join(parted.pair)}", fontsize=11)

@@ -7,10 +7,9 @@ from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.patches import Patch
 
-from curlfit.figures import Picture
+from curlfit.figures import DASHES, PALETTE, Picture, neat_axis, title
 from curlfit.profiles import PairProfile, Profile
 
 if TYPE_CHECKING:
@@ -45,7 +44,9 @@ def _of_one(profile: Profile) -> Figure:
     _chi_squared(profile, above)
     _others(profile, below)
     above.tick_params(labelbottom=False)
-    above.set_title(_title(profile), fontsize=10, loc="left")
+    title(above, _title(profile))
+    figure.draw_without_rendering()  # the layout, by which ticks are chosen
+    neat_axis(below.xaxis, *_label(profile.estimate, profile.name))
     return figure
 
 
@@ -89,10 +90,8 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
         lowest = max(-1.0, min(lowest, float(lower.min()) - 0.1))
     axes.set_ylim(lowest, top)
     axes.set_xlim(*_span(profile))
-    axes.ticklabel_format(axis="x", useOffset=False)
-    axes.locator_params(axis="x", nbins=6)
-    axes.set_ylabel(r"$\Delta\chi^2$, all others fitted again")
-    axes.legend(frameon=False, fontsize=9, loc="upper center")
+    axes.set_ylabel(r"$\Delta\chi^2$, all others refitted")
+    axes.legend(frameon=False, fontsize=9, loc="upper center", bbox_to_anchor=(0.62, 1.0))
     if not limited:
         _say(profile, axes)
 
@@ -143,10 +142,11 @@ def _others(profile: Profile, axes: Any) -> None:
     lines = []
     for place, name in enumerate(name for name in moves if name in largest):
         label = f"${profile.parameters[name].symbol}$"
-        color = colormaps["tab10"](place)
-        lines += axes.plot(profile.at[shown], moves[name][shown], color=color, lw=1.4, label=label)
-    axes.set_ylabel("others move, in\ntheir standard errors")
-    axes.set_xlabel(_label(profile.estimate, profile.name))
+        lines += axes.plot(
+            profile.at[shown], moves[name][shown], color=PALETTE[place % len(PALETTE)],
+            ls=DASHES[place // len(PALETTE)], lw=1.4, label=label,
+        )  # fmt: skip
+    axes.set_ylabel("change of the others\n(their standard errors)")
     if values:
         right = axes.twinx()
         for place, (name, series) in enumerate(values.items()):
@@ -163,22 +163,21 @@ def _others(profile: Profile, axes: Any) -> None:
     if not moves:
         axes.set_ylim(-1, 1)
         axes.text(
-            0.02, 0.05, f"none of the {'others' if values else 'parameters'} moves by more than "
+            0.02, 0.05, f"none of the {'others' if values else 'parameters'} changes by more than "
             f"{_MOVES:g} standard errors",
             transform=axes.transAxes, fontsize=9, color="0.4",
         )  # fmt: skip
     if lines:
         axes.get_figure().legend(
             lines, [line.get_label() for line in lines], loc="outside lower center", frameon=False,
-            fontsize=9, ncols=min(len(lines), 9), title="how the others follow",
+            fontsize=9, ncols=min(len(lines), 9), title="the other parameters, refitted",
             title_fontsize=8,
         )  # fmt: skip
 
 
-def _label(item: Estimate, name: str) -> str:
-    unit = "" if item.unit in ("", "1") else f" ({item.unit})"
-    own = f"${item.symbol}$" if item.symbol == name else f"${item.symbol}$, {name}"
-    return own + unit
+def _label(item: Estimate, name: str) -> tuple[str, str]:
+    """What is written at an axis, and the unit."""
+    return (f"${item.symbol}$" if item.symbol == name else f"${item.symbol}$, {name}"), item.unit
 
 
 def _of_two(profile: PairProfile) -> Figure:
@@ -198,15 +197,13 @@ def _of_two(profile: PairProfile) -> Figure:
     for axes, straight in zip(panels, (False, True), strict=False):
         below = level if straight else np.zeros_like
         _regions(profile, axes, below)
-        axes.set_xlabel(labels[0])
-        axes.set_ylabel(f"${other.symbol}$ off the bottom of the valley" if straight else labels[1])
         low, high = profile.first[near].min(), profile.first[near].max()
         _limits(axes.set_xlim, low, high)
         shown = (profile.second - below(profile.first))[near]
         _limits(axes.set_ylim, shown.min(), shown.max())
-    panels[0].set_title(_title(profile.each[0]), fontsize=10, loc="left")
+    title(panels[0], _title(profile.each[0]), columns=len(panels))
     if thin:
-        panels[1].set_title("the same, across the valley", fontsize=10, loc="left")
+        title(panels[1], "the same, less the refitted value", columns=len(panels))
     handles = [
         Patch(facecolor=color, edgecolor=_PROFILE, label=level.name)
         for level, color in zip(profile.levels, _REGIONS, strict=True)
@@ -215,6 +212,11 @@ def _of_two(profile: PairProfile) -> Figure:
         handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9
     )
     _say_in_plane(profile, panels[0])
+    figure.draw_without_rendering()  # the layout, by which ticks are chosen
+    refitted = f"${other.symbol}$ \N{MINUS SIGN} refitted ${other.symbol}$", other.unit
+    for axes, second in zip(panels, (labels[1], refitted), strict=False):
+        neat_axis(axes.xaxis, *labels[0])
+        neat_axis(axes.yaxis, *second)
     return figure
 
 
@@ -239,7 +241,7 @@ def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
     at, valley = profile.each[0].at, profile.valley
     axes.plot(
         at, valley - below(at), color=_PROFILE, lw=1.2, ls="-.", zorder=4,
-        label=f"${profile.parameters[profile.names[1]].symbol}$ fitted again",
+        label=f"${profile.parameters[profile.names[1]].symbol}$ refitted",
     )  # fmt: skip
     if profile.covariance is not None:
         angle = np.linspace(0, 2 * np.pi, 361)
@@ -249,12 +251,10 @@ def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
             a, b = np.array(profile.best)[:, None] + np.sqrt(edge) * (root @ circle)
             axes.plot(
                 a, b - below(a), "--", color=_COVARIANCE, lw=1.3, zorder=5,
-                label=None if place else "covariance, the same",
+                label=None if place else "68 %, 95 % of the covariance",
             )  # fmt: skip
     a, b = np.array(profile.best)
     axes.plot(a, b - below(np.array(a)), "+", color="black", markersize=10, mew=1.6, zorder=6)
-    axes.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useOffset=False)
-    axes.locator_params(nbins=6)
 
 
 def _say_in_plane(profile: PairProfile, axes: Any) -> None:

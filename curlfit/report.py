@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
-from rich.table import Table
 from rich.text import Text
 
+from curlfit.console import PlainTable, terminal
 from curlfit.throw import UNITS
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ STYLE = {
     "at bound": "yellow",
     "fixed": "dim",
 }
+_HUGE = 1e9  # from which a number is written with a power of ten
 _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
     "Sampling was not finished; the same `curlfit fit` command with --resume goes on with it."
@@ -29,23 +30,17 @@ _UNFINISHED = (
 _WORDS = {
     "x": "x", "y": "y", "phi": "the angle", "speed": "the speed", "omega": "the spin",
 }  # fmt: skip
-_WIDE = 92  # columns from which the posterior fits beside the estimates
 
 
 def print_fit(fit: FitResult, console: Console | None = None) -> None:
     """Print the report of a fit."""
-    console = console or Console()
-    console.print(report(fit, console.width))
+    console = console or terminal()
+    console.print(report(fit))
 
 
-def report(fit: FitResult, width: int = 110) -> RenderableType:
-    """The report of a fit, for a rich console of that width."""
-    wide = width >= _WIDE
-    parts: list[RenderableType] = [_heading(fit), _coefficients(fit, with_posterior=wide)]
-    if fit.posterior is not None and not wide:
-        parts.append(_quantiles(fit.posterior))
-    parts += _student(fit)
-    parts.append(_quality(fit))
+def report(fit: FitResult) -> RenderableType:
+    """The report of a fit, for a rich console."""
+    parts: list[RenderableType] = [_heading(fit), _coefficients(fit), *_student(fit), _quality(fit)]
     parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
     if fit.posterior is not None:
         parts.append(Padding(_posterior(fit.posterior), (0, 0, 1, 0)))
@@ -105,35 +100,26 @@ def _student(fit: FitResult) -> list[RenderableType]:
     return [Padding(Group(table, Text(text)), (0, 0, 1, 0))]
 
 
-def plain_table() -> Table:
-    """A table without lines."""
-    return Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_edge=False)
-
-
-def _quantiles(posterior: Posterior) -> RenderableType:
-    table = plain_table()
-    table.add_column("parameter", no_wrap=True)
-    table.add_column("68 % of posterior", no_wrap=True)
-    for name in posterior.quantiles:
-        table.add_row(name, _interval(posterior, name))
-    return Padding(table, (0, 0, 1, 0))
+def plain_table(keys: int = 1) -> PlainTable:
+    """A table without lines; too wide for the terminal, the first `keys` columns are repeated."""
+    return PlainTable(keys)
 
 
 def _interval(posterior: Posterior, name: str) -> str:
     found = posterior.quantiles.get(name)
     if found is None:
         return ""
-    digits = _digits((found["84"] - found["16"]) / 3)
-    return f"{found['16']:.{digits}f} .. {found['84']:.{digits}f}"
+    size = (found["84"] - found["16"]) / 3
+    return " .. ".join(number(found[end], size)[0] for end in ("16", "84"))
 
 
-def _coefficients(fit: FitResult, *, with_posterior: bool) -> RenderableType:
+def _coefficients(fit: FitResult) -> RenderableType:
     table = plain_table()
     table.add_column("parameter", no_wrap=True)
     table.add_column("estimate", justify="right", no_wrap=True)
     table.add_column("std. error", justify="right", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
-    posterior, reference = fit.posterior if with_posterior else None, fit.reference
+    posterior, reference = fit.posterior, fit.reference
     if posterior is not None:
         table.add_column("68 % of posterior", no_wrap=True)
     if reference is not None:
@@ -157,7 +143,6 @@ def _coefficients(fit: FitResult, *, with_posterior: bool) -> RenderableType:
         if name == first_start:
             for one in fit.combinations:
                 row(one.expression, "", *number(one.value, one.stderr), "determined", one.weights)
-            table.add_section()
         row(name, item.unit, *_estimate(item), item.verdict, {name: 1.0})
     return Padding(table, (1, 0))
 
@@ -174,6 +159,9 @@ def number(value: float, stderr: float | None) -> tuple[str, str]:
         return f"{value:.6g}", "-"
     if not stderr > 0:
         return f"{value:.10g}", "0"
+    if _HUGE <= max(abs(value), stderr) < math.inf:
+        digits = 1 + max(math.floor(math.log10(max(abs(value), stderr) / stderr)), 0)
+        return f"{value:.{digits}e}", f"{stderr:.1e}"
     digits = _digits(stderr)
     return f"{value:.{digits}f}", f"{stderr:.{digits}f}"
 
@@ -181,6 +169,8 @@ def number(value: float, stderr: float | None) -> tuple[str, str]:
 def compact(value: float, stderr: float | None) -> str:
     """A value with its error in its last two digits, as 0.0556(12); the value alone without one."""
     shown, error = number(value, stderr)
+    if "e" in error:
+        return f"{shown} +- {error}"
     digits = error.replace(".", "").lstrip("0")
     return shown if error == "-" or not digits else f"{shown}({digits})"
 

@@ -9,6 +9,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from curlfit.console import Items, terminal
 from curlfit.report import STYLE, compact, listed, plain_table
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 def print_comparison(comparison: Comparison, console: Console | None = None) -> None:
     """Print the report of a comparison."""
-    console = console or Console()
+    console = console or terminal()
     console.print(report(comparison))
 
 
@@ -45,7 +46,7 @@ def _heading(comparison: Comparison) -> RenderableType:
 
 
 def _ranks(comparison: Comparison) -> RenderableType:
-    table = plain_table()
+    table = plain_table(keys=3)
     table.add_column("", justify="right", no_wrap=True)
     table.add_column("law", no_wrap=True)
     table.add_column("load", no_wrap=True)
@@ -112,24 +113,20 @@ def _coefficients(comparison: Comparison) -> RenderableType:
         if item.coefficients is None:
             table.add_row(item.label, Text(item.status, style="red"))
             continue
-        line = Text()
+        said = []
         for name, found in item.coefficients.items():
             if found["verdict"] == "not identifiable":
                 continue
-            line.append(f"{name} = {_value(found)}")
+            said.append(Text(f"{name} = {_value(found)}"))
             if found["verdict"] not in ("determined", "fixed"):
-                line.append(f" {found['verdict']}", style=STYLE[found["verdict"]])
-            line.append("   ")
-        for one in item.combinations:
-            line.append(f"{one['expression']} = {_value(one)}   ")
+                said[-1].append(f" {found['verdict']}", style=STYLE[found["verdict"]])
+        said += [Text(f"{one['expression']} = {_value(one)}") for one in item.combinations]
         if item.not_identifiable:
-            line.append(
-                f"{listed(list(item.not_identifiable))} not identifiable",
-                style=STYLE["not identifiable"],
-            )
+            hidden = f"{listed(list(item.not_identifiable))} not identifiable"
+            said.append(Text(hidden, style=STYLE["not identifiable"]))
         if not item.converged:
-            line.append(f" {item.status}", style="red")
-        table.add_row(item.label, line)
+            said.append(Text(item.status, style="red"))
+        table.add_row(item.label, Items(said))
     return Padding(table, (0, 0, 1, 0))
 
 

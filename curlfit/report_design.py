@@ -11,6 +11,7 @@ from rich.console import Console, Group, JustifyMethod, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from curlfit.console import terminal
 from curlfit.report import STYLE, listed, plain_table
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ _UNITS = {
 
 def print_design(design: Design, console: Console | None = None) -> None:
     """Print what planned throws would tell."""
-    console = console or Console()
+    console = console or terminal()
     console.print(report(design))
 
 
@@ -172,7 +173,7 @@ def _sentences(design: Design) -> list[str]:
 
 
 def _alone(design: Design) -> RenderableType:
-    table = plain_table()
+    table = plain_table(keys=2)
     rates = len({one.rate for one in design.candidates}) > 1
     heads = ["v0\n(m/s)", "omega0\n(rad/s)", *(["rate\n(Hz)"] if rates else []), "rows"]
     for head in (*heads, "at rest\n(s)", "after\n(m)"):
@@ -242,7 +243,7 @@ def _way(design: Design, parted: Separation, way: Way) -> list[RenderableType]:
     if way.throws is None or way.stderr is None:
         return [_paragraph(f"{name}: none of these throws can tell them apart.", "bold red")]
     weak = way.stderr > _WEAK * parted.size
-    table = plain_table()
+    table = plain_table(keys=2)
     for head in (
         "omega0\n(rad/s)", "v0\n(m/s)", "error from\none throw", "relative",
         "noise for what\nis asked", "or throws at\nthis noise",

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
+from curlfit.console import PlainTable, terminal
 from curlfit.inspection import Clock, Inspection, Rest
 from curlfit.report import compact
 from curlfit.throw import CHANNELS, UNITS
@@ -33,10 +33,10 @@ def print_inspection(
 
     `settings` are those that a fit of it would begin with.
     """
-    console = console or Console(highlight=False)
+    console = console or terminal(highlight=False)
 
     def say(line: str) -> None:
-        console.print(line, markup=False, soft_wrap=True)
+        console.print(line, markup=False)
 
     say(
         f"{reading.source}: {reading.format}, {len(throw)} rows, "
@@ -59,11 +59,11 @@ def print_inspection(
                 say(line)
 
 
-def _columns(reading: Reading) -> Table:
-    table = Table(box=None, pad_edge=False)
+def _columns(reading: Reading) -> PlainTable:
+    table = PlainTable()
     for name in ("column", "quantity", "unit", "factor", "rows", "gaps", "range in the file"):
         right = name in ("factor", "rows", "gaps")
-        table.add_column(name, justify="right" if right else "left", overflow="fold")
+        table.add_column(name, justify="right" if right else "left", no_wrap=True)
     for header, column, values in reading.series:
         seen = values[np.isfinite(values)] / column.factor
         span = f"{seen.min():.6g} .. {seen.max():.6g}" if len(seen) else "-"

@@ -8,6 +8,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from curlfit.console import terminal
 from curlfit.report import STYLE, compact, number, plain_table
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 def print_joint(result: JointResult, console: Console | None = None) -> None:
     """Print the report of a joint fit."""
-    console = console or Console()
+    console = console or terminal()
     console.print(report(result))
 
 

@@ -9,6 +9,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from curlfit.console import terminal
 from curlfit.profiles import Interval, PairProfile, Profile
 from curlfit.report import STYLE, compact, listed, number, plain_table
 
@@ -23,7 +24,7 @@ _STYLE = {"limited": "", "hardly": STYLE["weak"], "flat": STYLE["not identifiabl
 
 def print_profile(profile: Profile | PairProfile, console: Console | None = None) -> None:
     """Print the report of a profile."""
-    console = console or Console()
+    console = console or terminal()
     console.print(report(profile))
 
 

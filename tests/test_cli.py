@@ -320,7 +320,7 @@ def test_a_tracker_file_is_fitted(tmp_path):
 
 
 def test_laws(tmp_path):
-    text = curlfit("laws", cwd=tmp_path).stdout
+    text = " ".join(curlfit("laws", cwd=tmp_path).stdout.split())
     listed = json.loads(curlfit("laws", "--json", cwd=tmp_path).stdout)
     assert {law["name"] for law in listed} >= {"front-back", "coulomb", "front-back-first-order"}
     for law in listed:

@@ -112,7 +112,7 @@ def test_a_gross_outlier_is_found_in_few_rows(rows, sigmas):
 def test_few_rows_have_their_interval_in_the_report():
     def text(fit):
         console = Console(width=100, file=StringIO())
-        console.print(report(fit, 100))
+        console.print(report(fit))
         return console.file.getvalue()
 
     few, many = curlfit.fit(thrown(1, 12)), curlfit.fit(thrown(1, 150))

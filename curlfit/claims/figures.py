@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from curlfit.figures import Picture
+from curlfit.figures import PALETTE, Picture, neat_axis
 
 if TYPE_CHECKING:
     from curlfit.claims.reproduction import Reproduction
 
 _RIGHT = "#1b2a49"
 _PRINT = "#e07a1f"
-_COLORS = ("#1b2a49", "#1f77b4", "#d1495b", "#2e8b57", "#8e5ea2", "#b8860b")
+_COLORS = (_RIGHT, *PALETTE[:5])
 _FAINT = "0.6"
 
 
@@ -73,10 +73,10 @@ def isotropic_figure(found: Reproduction) -> Figure:
     across.set_yscale("symlog", linthresh=small, linscale=0.5)
     across.set_ylim(-large, large)
     across.set_yticks([-1e-4, -1e-6, 0, 1e-6, 1e-4])
-    across.axhspan(0, large, color="#1f77b4", alpha=0.06, lw=0)
-    across.axhspan(-large, 0, color="#d1495b", alpha=0.07, lw=0)
-    across.text(0.32, 1.2e-4, "deviates to the right", fontsize=10, color="#1f77b4", va="center")
-    across.text(0.32, -1.2e-4, "deviates to the left", fontsize=10, color="#d1495b", va="center")
+    across.axhspan(0, large, color=_COLORS[1], alpha=0.06, lw=0)
+    across.axhspan(-large, 0, color=_COLORS[2], alpha=0.07, lw=0)
+    across.text(0.32, 1.2e-4, "deviates to the right", fontsize=10, color=_COLORS[1], va="center")
+    across.text(0.32, -1.2e-4, "deviates to the left", fontsize=10, color=_COLORS[2], va="center")
     across.set_ylabel(r"force to the right over weight, $T_\xi/mg$")
     across.set_title(
         "Counter-clockwise stone at 2 m/s, load in balance with the friction", fontsize=10,
@@ -128,8 +128,8 @@ def prop_5_figure(found: Reproduction) -> Figure:
     moving.set(xlabel="t (s)", ylabel="force across over force along", xlim=(0, 20), ylim=(0, None))
     moving.set_title("moving frame: Prop. 5 stands", fontsize=10, loc="left")
     ice.axhline(0, color=_FAINT, lw=0.8)
-    ice.axhline(0.1, color=_COLORS[2], lw=1.2)
-    ice.text(0.3, 0.104, "0.1 of the proof", color=_COLORS[2], fontsize=9)
+    ice.axhline(0.1, color=_COLORS[4], lw=1.2)
+    ice.text(0.3, 0.104, "0.1 of the proof", color=_COLORS[4], fontsize=9)
     ice.plot(t, path.ax / path.ay, color=_RIGHT, lw=1.8, label="derivatives of eq. 12")
     ice.plot(
         t, path.ax_printed / path.ay_printed, color=_PRINT, lw=1.5, ls="--",
@@ -208,8 +208,6 @@ def eq_28_figure(found: Reproduction) -> Figure:
             below.axvline(end, color=_RIGHT, lw=1, ls=":")
         below.set_yticks([])
         below.set_xlim(*limits[column])
-        below.locator_params(axis="x", nbins=5)
-        below.set_xlabel(symbols[column], fontsize=11)
     for marker, color, label in (
         ("s", _COLORS[1], "eq. 27 solved at each t"), ("o", _RIGHT, "fit of the trajectory"),
     ):  # fmt: skip
@@ -225,7 +223,9 @@ def eq_28_figure(found: Reproduction) -> Figure:
     first.axvline(0, color="0.4", lw=0.8)
     panels[1, 0].axvline(0, color="0.4", lw=0.8)
     first.set_yticks(places, [_way(row) for row in rows], fontsize=8)
-    panels[1, 0].set_yticks([])
+    figure.draw_without_rendering()  # the layout, by which ticks are chosen
+    for axes, symbol in zip(panels[1], symbols, strict=True):
+        neat_axis(axes.xaxis, symbol)
     return figure
 
 
@@ -268,7 +268,7 @@ def split_figure(found: Reproduction) -> Figure:
     )  # fmt: skip
     seen.set(xlabel="direction in parameter space", ylabel="singular value")
     seen.set_xticks(order)
-    seen.set_title("what the path of eq. 12 sees (front-back law)", fontsize=10, loc="left")
+    seen.set_title("singular values, path of eq. 12 (front-back law)", fontsize=10, loc="left")
     for axes in (change, seen):
         _tidy(axes)
     return figure

@@ -23,12 +23,12 @@ _STYLE = {"holds": "green", "holds with a correction": "yellow", "does not hold"
 
 
 def claims_table(claims: tuple[Claim, ...]) -> Table:
-    """The claims as a table, readable at 110 columns."""
+    """The claims as a table, readable from 80 columns."""
     table = Table(box=box.SIMPLE_HEAD, show_lines=False, pad_edge=False, padding=(0, 1, 1, 0))
     table.add_column("", no_wrap=True, style="bold")
-    table.add_column("claim, and why", ratio=40)
-    table.add_column("printed", ratio=23)
-    table.add_column("computed", ratio=28)
+    table.add_column("claim, and why", ratio=33, overflow="fold")
+    table.add_column("printed", ratio=27, overflow="fold")
+    table.add_column("computed", ratio=30, overflow="fold")
     table.add_column("verdict", width=12)
     table.expand = True
     for one in claims:

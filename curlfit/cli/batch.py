@@ -137,11 +137,12 @@ def batch(
     names = columns(plan)
     files = [str(file) for file in found_files(data, besides=(out, settings_file(out)))]
 
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Left
 
-    console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
+    from curlfit.console import terminal
+
+    console = terminal(quiet=quiet)
     with Table(out, names, plan.to_json(), files, again=again) as table:
         from curlfit.crew import crew
 

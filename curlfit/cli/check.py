@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -54,11 +53,10 @@ def check(
     throw, wanted, _ = s.settled(throw, configured, flags)
     throw.until(wanted.get("until")).require_motion()
 
-    from rich.console import Console
-
+    from curlfit.console import terminal
     from curlfit.report_inspection import print_inspection
 
-    console = Console(width=None if sys.stdout.isatty() else 110, highlight=False)
+    console = terminal(highlight=False)
     settings = {key: value for key, value in wanted.items() if key not in s.HOW}
     print_inspection(reading, throw, inspected(throw), settings, console)
     if out is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -83,10 +82,11 @@ def compare(
         ParameterSet.for_throw(law, cut)
     folder = prepared_folder(out or Path(f"{data.stem}-compare"))
 
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-    console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
+    from curlfit.console import terminal
+
+    console = terminal(quiet=quiet)
     with Progress(
         TextColumn("Fitting {task.description}"),
         BarColumn(),

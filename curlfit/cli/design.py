@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -185,7 +184,9 @@ def design(
 
     from rich.console import Console
 
-    console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
+    from curlfit.console import terminal
+
+    console = terminal(quiet=quiet)
     errors = Console(stderr=True, quiet=quiet)
     with errors.status("Reading") as status:
 

@@ -121,9 +121,9 @@ def fit(
         saved = _saved(folder, seed, asked)
     folder = prepared_folder(folder)
 
-    from rich.console import Console
+    from curlfit.console import terminal
 
-    console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
+    console = terminal(quiet=quiet)
     if resume and saved is None:
         console.print(f"Nothing to resume in {folder}; this is a first run.", soft_wrap=True)
     if saved is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
@@ -32,7 +33,10 @@ def laws(
     if as_json:
         typer.echo(json.dumps([_record(law) for law in chosen], indent=1))
         return
-    typer.echo("\n\n".join(_text(law) for law in chosen))
+    from curlfit.console import terminal
+
+    width = terminal().width
+    typer.echo("\n\n".join(_text(law, width) for law in chosen))
 
 
 def _record(law: type[Law]) -> dict[str, object]:
@@ -52,19 +56,27 @@ def _summary(law: type[Law]) -> str:
     return "" if text.startswith(f"{law.__name__}(") else text.partition("\n\n")[0]
 
 
-def _text(law: type[Law]) -> str:
-    lines = [law.name]
-    lines += [f"  {line.strip()}" for line in _summary(law).splitlines()]
+def _text(law: type[Law], width: int) -> str:
+    lines = [law.name, *_wrapped("  ", _summary(law), width)]
     for label, text in (
         ("", law.formula),
         ("source: ", law.source or law.origin),
         ("a counter-clockwise stone curls ", law.predicts),
     ):
         if text:
-            lines.append(f"  {label}{text}")
-    width = max((len(item.name) for item in law.coefficients()), default=0)
-    lines += [f"    {item.name:<{width}}  {_about(item)}" for item in law.coefficients()]
+            lines += _wrapped("  ", f"{label}{text}", width)
+    longest = max((len(item.name) for item in law.coefficients()), default=0)
+    for item in law.coefficients():
+        lines += _wrapped(f"    {item.name:<{longest}}  ", _about(item), width)
     return "\n".join(lines)
+
+
+def _wrapped(head: str, text: str, width: int) -> list[str]:
+    """Lines of a text after a head, under which they are indented."""
+    return textwrap.wrap(
+        text, width, initial_indent=head, subsequent_indent=" " * len(head),
+        break_long_words=False, break_on_hyphens=False,
+    )  # fmt: skip
 
 
 def _about(item: Coefficient) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -152,9 +151,9 @@ def predict(
         how = s.how_to_read({}, r.how(format, axes, units, reference, stone_index, shot))
         throw = load_throw(check, **how)
 
-    from rich.console import Console
+    from curlfit.console import terminal
 
-    console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
+    console = terminal(quiet=quiet)
     with console.status("Following the draws to rest (a first run on a machine compiles them)"):
         from curlfit.prediction import predict as foretell
 

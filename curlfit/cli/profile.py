@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -140,11 +139,10 @@ def profile(
         written.append(folder / "profile.png")
         save_figure(profile_figure(found), written[1])
 
-    from rich.console import Console
-
+    from curlfit.console import terminal
     from curlfit.report_profile import print_profile
 
-    console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
+    console = terminal(quiet=quiet)
     print_profile(found, console)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
 

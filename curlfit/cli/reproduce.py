@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -34,9 +33,9 @@ def reproduce(
 
     folder = prepared_folder(out)
 
-    from rich.console import Console
+    from curlfit.console import terminal
 
-    console = Console(quiet=quiet or as_json, width=None if sys.stdout.isatty() else 110)
+    console = terminal(quiet=quiet or as_json)
     found = _computed(console)
 
     from curlfit.claims.figures import FIGURES

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -23,9 +22,9 @@ def show(
     as_json: Annotated[bool, typer.Option("--json", help="Print the JSON record.")] = False,
 ) -> None:
     """Print the report again of a saved fit, joint fit, comparison, prediction, profile, design."""
-    from rich.console import Console
+    from curlfit.console import terminal
 
-    console = Console(width=None if sys.stdout.isatty() else 110)
+    console = terminal()
     kind = kind_of(folder)
     record: Callable[[], Any]
     printed: Callable[[], None]

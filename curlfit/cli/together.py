@@ -64,10 +64,11 @@ def fit_several(
         throws.append(cut.with_defaults(stone=job.stone.as_dict()))
     folder = prepared_folder(out or Path("joint-fit"))
 
-    from rich.console import Console
     from rich.progress import Progress, TextColumn
 
-    console = Console(quiet=quiet, width=None if sys.stdout.isatty() else 110)
+    from curlfit.console import terminal
+
+    console = terminal(quiet=quiet)
     with Progress(
         TextColumn(f"Fitting {len(files)} throws (a first run on a machine compiles the model)"),
         TextColumn("{task.fields[more]}"),

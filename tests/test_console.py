@@ -1,0 +1,185 @@
+"""What is printed: no blanks at the ends of lines, and nothing cut in a narrow terminal."""
+
+import os
+import pty
+import re
+import subprocess
+import sys
+from io import StringIO
+
+import pytest
+from rich.console import Console
+from rich.text import Text
+from typer.testing import CliRunner
+
+import curlfit
+from curlfit.claims.page import claims_table
+from curlfit.claims.record import Claim
+from curlfit.cli import app
+from curlfit.console import PlainTable, terminal
+from curlfit.report import compact, number
+from curlfit.synthetic import law_with, synthetic_throw, write_table
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, eq12_fit, eq12_posterior):
+    """Throws, and fits with and without a posterior."""
+    place = tmp_path_factory.mktemp("printed")
+    for name, v0 in (("a", 2.0), ("b", 2.1)):
+        throw = synthetic_throw(
+            law_with("front-back", {}), curlfit.Stone(), v0=v0, until=15, noise_xy=0.005,
+            noise_phi=0.01,
+        )  # fmt: skip
+        (place / f"{name}.csv").write_text(write_table(throw))
+    for name, fit in (("saved", eq12_posterior[0]), ("unsampled", eq12_fit)):
+        (place / name).mkdir()
+        fit.save(place / name / "fit.json")
+    return place
+
+
+VERBS = {
+    "fit": ("fit", "a.csv", "--no-sample", "--no-figures", "--out", "fit"),
+    "joint fit": ("fit", "a.csv", "b.csv", "--no-figures", "--out", "joint"),
+    "show": ("show", "saved"),
+    "check": ("check", "a.csv"),
+    "laws": ("laws",),
+    "compare": ("compare", "a.csv", "--laws", "coulomb,front-back", "--out", "compare"),
+    "profile": ("profile", "a.csv", "--param", "mu1_xi", "--points", "5", "--out", "profile"),
+    "profile of two": (
+        "profile", "a.csv", "--param", "mu1_xi", "--param", "mu2_xi", "--points", "5",
+        "--out", "pair",
+    ),
+    "predict": ("predict", "saved", "--no-figures", "--out", "predict"),
+    "design": ("design", "--v0", "1.6,2.2", "--omega0", "1,10", "--out", "design"),
+    "batch": ("batch", "a.csv", "b.csv", "--workers", "1"),
+    "simulate": ("simulate", "--until", "1"),
+    "plot": ("plot", "unsampled", "--out", "drawn"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_prints_whole_lines(verb, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    words = VERBS[verb]
+    for width in (110, 120, 100, 80, 60):
+        if width == 110:  # what a pipe gets
+            monkeypatch.delenv("COLUMNS", raising=False)
+        else:
+            monkeypatch.setenv("COLUMNS", str(width))
+        run = CliRunner().invoke(app, words, catch_exceptions=False)
+        assert run.exit_code == 0, run.output
+        lines = run.output.splitlines()
+        assert not [line for line in lines if line != line.rstrip()]
+        assert "\N{HORIZONTAL ELLIPSIS}" not in run.output
+        assert "..." not in run.output
+        if verb == "simulate":  # a table for a file
+            return
+        # A list of files stays whole, to be copied.
+        assert not [line for line in lines if len(line) > width and "Written:" not in line]
+        if "--out" in words and verb != "plot":  # at other widths from what was saved
+            words = ("show", words[-1])
+
+
+def test_a_terminal_gets_no_blanks_either(folder):
+    leader, follower = pty.openpty()
+    run = subprocess.Popen(
+        [sys.executable, "-m", "curlfit", "show", "saved"], cwd=folder, stdout=follower,
+        env={**os.environ, "COLUMNS": "80", "TERM": "xterm-256color"},
+    )  # fmt: skip
+    os.close(follower)
+    written = b""
+    while True:
+        try:
+            part = os.read(leader, 65536)
+        except OSError:  # what Linux says at the end of a terminal
+            break
+        if not part:
+            break
+        written += part
+    os.close(leader)
+    assert run.wait() == 0
+    assert b"\x1b[" in written
+    shown = re.sub(r"\x1b\[[0-9;]*m", "", written.decode())
+    assert "mu1_xi" in shown
+    assert not [line for line in shown.splitlines() if line != line.rstrip()]
+
+
+def printed(table, width):
+    console = Console(width=width, file=StringIO())
+    console.print(table)
+    return console.file.getvalue()
+
+
+def a_table(keys=1):
+    table = PlainTable(keys)
+    heads = ["name", "some estimate", "std. error", "interval of the estimate", "more"]
+    for head in heads:
+        table.add_column(head, no_wrap=head != "more")
+    rows = [
+        [f"row {k}", f"{k}.123456", f"0.{k:06d}", f"{k}.1 .. {k}.2", f"all that is said of {k}" * 2]
+        for k in range(3)
+    ]
+    for row in rows:
+        table.add_row(*row)
+    return table, heads, rows
+
+
+@pytest.mark.parametrize("width", [32, 40, 60, 80, 100, 120])
+def test_a_table_keeps_its_headers_and_numbers(width):
+    table, heads, rows = a_table()
+    text = printed(table, width)
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= width
+    for word in [*heads, *(cell for row in rows for cell in row[:4])]:
+        assert word in text
+    assert "\N{HORIZONTAL ELLIPSIS}" not in text
+    assert text.count("row 1") == len(text.split("\n\n")) or width < 60
+
+
+def test_blocks_repeat_the_keys_and_leave_out_empty_rows():
+    table = PlainTable(2)
+    for head in ("a", "b", "first one", "second one"):
+        table.add_column(head, no_wrap=True)
+    table.add_row("1", "x", "100", "200")
+    table.add_row("2", "y", "300", "")
+    first, second = printed(table, 20).split("\n\n")
+    assert first.split() == ["a", "b", "first", "one", "1", "x", "100", "2", "y", "300"]
+    assert second.split() == ["a", "b", "second", "one", "1", "x", "200"]
+
+
+def test_a_word_wider_than_the_terminal_is_folded():
+    table = PlainTable()
+    table.add_column("file", no_wrap=True)
+    table.add_column("value", no_wrap=True)
+    table.add_row("x" * 50, "1.25")
+    text = printed(table, 30)
+    assert text.count("x") == 50
+    assert "1.25" in text
+
+
+def test_styles_and_blanks_within_a_line_stay():
+    console = terminal()
+    console.file = StringIO()
+    console.print(Text("a  b   "), Text("  c ", style="bold"), "")
+    console.print(Text(" \n d  "))
+    assert console.file.getvalue() == "a  b      c\n\n d\n"
+
+
+def test_numbers_of_extreme_size():
+    assert number(0.0556, 0.0012) == ("0.0556", "0.0012")
+    assert number(123456.7, 12.0) == ("123457", "12")
+    assert number(1e300, 3e298) == ("1.00e+300", "3.0e+298")
+    assert number(-2.5e12, 1.0e9) == ("-2.5000e+12", "1.0e+09")
+    assert number(1000.0, 1e20) == ("1.0e+03", "1.0e+20")
+    assert compact(1e300, 3e298) == "1.00e+300 +- 3.0e+298"
+    assert max(map(len, number(float("inf"), 1.0))) < 12
+
+
+def test_the_claims_keep_their_formulas_at_80_columns():
+    claim = Claim(
+        "eq14y", "d2y/dt2 from eq. 12", "-0.08 (1-t/23)^-0.013 m/s^2",
+        "-0.0804 (1-t/23)^-0.897, then", "holds with a correction", "Two digits change places.",
+    )  # fmt: skip
+    text = printed(claims_table((claim,)), 80)
+    for word in (*claim.printed.split(), *claim.computed.split()):
+        assert word in text
+    assert "\N{HORIZONTAL ELLIPSIS}" not in text

@@ -1,0 +1,317 @@
+"""Figures: no text runs into another or out of the picture, and curves that are one are named."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from matplotlib.text import Text
+
+import curlfit
+from curlfit.chain import Chain
+from curlfit.comparison import Candidate, Comparison
+from curlfit.figures import (
+    PALETTE,
+    comparison_figure,
+    corner_figure,
+    fit_figure,
+    joint_figure,
+    neat_axis,
+    unit_for,
+)  # fmt: skip
+from curlfit.joint import Difference, JointResult
+
+
+def texts(figure):
+    """What is written and seen, with its box in pixels."""
+    seen = []
+    draw = Text.draw
+
+    def noted(self, renderer, *args, **kwargs):
+        seen.append(self)
+        return draw(self, renderer, *args, **kwargs)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Text, "draw", noted)
+        figure.canvas.draw()
+    renderer = figure.canvas.get_renderer()
+    return [
+        (text, text.get_window_extent(renderer))
+        for text in dict.fromkeys(seen)
+        if text.get_visible() and text.get_text().strip()
+    ]
+
+
+def tick_labels(figure):
+    """By axis, the labels that are seen, with their boxes."""
+    boxes = dict(texts(figure))
+    return {
+        axis: [(label, boxes[label]) for label in axis.get_ticklabels() if label in boxes]
+        for axes in figure.axes
+        for axis in (axes.xaxis, axes.yaxis)
+    }
+
+
+def agg(figure):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def outside(figure):
+    box = figure.bbox
+    return [
+        text.get_text()
+        for text, where in texts(figure)
+        if where.x0 < box.x0 - 1 or where.x1 > box.x1 + 1
+        or where.y0 < box.y0 - 1 or where.y1 > box.y1 + 1
+    ]  # fmt: skip
+
+
+def ticks_that_meet(figure):
+    boxes = [item for labels in tick_labels(figure).values() for item in labels]
+    return [
+        (a.get_text(), b.get_text())
+        for (a, one), (b, other) in combinations(boxes, 2)
+        if one.overlaps(other)
+    ]
+
+
+def labels_on_ticks(figure):
+    found = []
+    for axis, ticks in tick_labels(figure).items():
+        label = axis.label.get_window_extent()
+        found += [
+            (axis.label.get_text(), tick.get_text())
+            for tick, where in ticks
+            if axis.label.get_text() and label.overlaps(where)
+        ]
+    return found
+
+
+# --- corner --------------------------------------------------------------------------------------
+
+
+def a_chain(fit, chain, centre, spread):
+    """The fit and its chain with coefficients as Gaussians of that place and width."""
+    rng = np.random.default_rng(1)
+    samples = rng.normal(size=(4000, len(fit.coefficients)))
+    return samples * spread + centre
+
+
+CASES = {
+    "as fitted": None,
+    "long numbers": ([0.0556265, 2.0911234, -0.1134567, 0.0287197], 1e-6),
+    "very long numbers": ([0.055626512, 2.091123456, -0.113456789, 1.00643212], 1e-8),
+    "wide": ([0.5, -0.5, 10.0, 300.0], [0.2, 0.2, 3.0, 120.0]),
+    "tiny": ([4e-7, 3e-8, 2e-5, 1e-9], [1e-7, 1e-8, 3e-6, 3e-10]),
+    "huge": ([4e7, 3e8, 2e5, 1e9], [1e7, 1e8, 3e4, 3e8]),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_ticks_of_neighbouring_corner_panels_do_not_meet(eq12_posterior, case, monkeypatch):
+    fit, chain = eq12_posterior
+    if CASES[case] is not None:
+        samples = a_chain(fit, chain, *CASES[case])
+        names = list(fit.coefficients)
+
+        def of(self, weights):
+            (name,) = weights
+            return samples[:, names.index(name)]
+
+        monkeypatch.setattr(Chain, "of", of)
+        fit = replace(fit, combinations=(), null_directions=(), reference=None)
+    figure = agg(corner_figure(fit, chain))
+    assert not ticks_that_meet(figure)
+    assert not labels_on_ticks(figure)
+    assert not outside(figure)
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            assert all(low <= place <= high for place in axis.get_majorticklocs())
+            shown = [label.get_text() for label in axis.get_ticklabels() if label.get_text()]
+            if shown:
+                assert len(shown) >= 2
+                assert len(set(shown)) == len(shown)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_corner_of_few_coefficients_has_room_for_its_words(eq12_posterior, count):
+    fit, chain = eq12_posterior
+    held = list(fit.coefficients)[count:]
+    fit = replace(
+        fit,
+        parameters={
+            name: replace(item, verdict="fixed") if name in held else item
+            for name, item in fit.parameters.items()
+        },
+        data={**fit.data, "file": f"a-{'very-' * 20}long-name-of-a-file.csv"},
+    )
+    figure = agg(corner_figure(fit, chain))
+    assert not ticks_that_meet(figure)
+    assert not outside(figure)
+
+
+def test_ticks_say_what_they_stand_for():
+    from matplotlib.figure import Figure
+
+    axes = agg(Figure()).add_subplot()
+    for low, high in ((0.0555, 0.0557), (2.0911230, 2.0911238), (-3e-9, 5e-9), (1e6, 9e6)):
+        axes.set_xlim(low, high)
+        neat_axis(axes.xaxis, "a", "m/s^2")
+        label = axes.get_xlabel()
+        start, power = 0.0, 0
+        if "{" in label:
+            power = int(label.split("{")[1].split("}")[0])
+        head = label.split("(")[0]
+        if "\N{MINUS SIGN}" in head:
+            start = float(head.split("\N{MINUS SIGN}")[1])
+        places = axes.get_xticks()
+        assert len(places) >= 2
+        for place, number in zip(places, axes.get_xticklabels(), strict=True):
+            value = float(number.get_text().replace("\N{MINUS SIGN}", "-"))
+            assert value * 10.0**power + start == pytest.approx(place, rel=1e-12, abs=1e-15)
+        assert "m/s\N{SUPERSCRIPT TWO})" in label
+
+
+# --- a fit ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("times", [1e-9, 1.0, 1e5, 1e12, 1e200])
+@pytest.mark.parametrize("channels", [("x", "y", "phi"), ("x", "y", "phi", "speed", "omega")])
+def test_texts_of_a_fit_lie_within_the_figure(eq12_fit, times, channels):
+    rng = np.random.default_rng(0)
+    count = len(eq12_fit.observed["t"])
+    observed, fitted = dict(eq12_fit.observed), dict(eq12_fit.fitted)
+    for name in channels:
+        observed[name] = fitted[name] + times * rng.normal(size=count)
+    rms = {name: times * (1 + 0.1 * k) for k, name in enumerate(channels)}
+    odd = {**eq12_fit.data, "file": "x" * 250 + ".csv"}
+    fit = replace(eq12_fit, observed=observed, fitted=fitted, rms=rms, data=odd)
+    figure = agg(fit_figure(fit))
+    assert not outside(figure)
+    assert not ticks_that_meet(figure)
+    titles = [axes.title for axes in figure.axes if axes.get_title()]
+    assert len(titles) == len(channels)
+    renderer = figure.canvas.get_renderer()
+    boxes = [title.get_window_extent(renderer) for title in titles]
+    assert not [1 for a, b in combinations(boxes, 2) if a.overlaps(b)]
+
+
+def test_units_go_by_size():
+    assert unit_for(0.0205, "y") == (1e-3, "mm")
+    assert unit_for(3.0, "x") == (1.0, "m")
+    assert unit_for(2e-6, "x") == (1e-6, "\N{MICRO SIGN}m")
+    assert unit_for(0.00126, "phi") == (1e-3, "mrad")
+    assert unit_for(2.0, "phi") == (1.0, "rad")
+    assert unit_for(109.0, "phi") == (2 * np.pi, "turns")
+    assert unit_for(0.0, "speed")[1] == "\N{MICRO SIGN}m/s"
+
+
+# --- a comparison --------------------------------------------------------------------------------
+
+
+def a_comparison(eq12, paths):
+    """Candidates with the given sideways paths over eq. 12."""
+    found = tuple(
+        Candidate(
+            law=law, load=load, isotropic=False, signs_free=signs_free, status="converged",
+            converged=True, rank=None if signs_free else place + 1,
+            rms={"x": 0.01, "y": 0.02, "phi": 0.03},
+            fitted={"x": list(x), "y": list(eq12.y), "phi": list(eq12.phi)},
+        )
+        for place, (law, load, signs_free, x) in enumerate(paths)
+    )  # fmt: skip
+    observed = {name: list(getattr(eq12, name)) for name in ("t", "x", "y", "phi")}
+    return Comparison(
+        data={"file": "a.csv"}, stone=curlfit.Stone(), curl=0.1, side="left", candidates=found,
+        observed=observed,
+    )  # fmt: skip
+
+
+def test_equal_curves_are_named_together(eq12):
+    bent, straight = eq12.x + 0.001, np.linspace(0, eq12.x[-1], len(eq12))
+    found = a_comparison(
+        eq12,
+        [
+            ("front-back", "uniform", False, bent),
+            ("front-back", "consistent", False, bent + 1e-5),
+            ("coulomb", "uniform", False, straight),
+            ("semi-empirical", "-", False, bent + 0.2),
+            ("radial", "uniform", True, bent),
+        ],
+    )
+    figure = agg(comparison_figure(found))
+    named = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert named == [
+        "data",
+        "1, 2. front-back, uniform and consistent load\nradial, uniform load, any sign (same path)",
+        "3. coulomb, uniform load",
+        "4. semi-empirical",
+    ]
+    # as many lines as names, all of different looks
+    lines = [line for line in figure.axes[0].lines if line.get_linestyle() != "None"]
+    assert len(lines) == 3
+    assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 3
+    assert not outside(figure)
+
+
+def test_a_comparison_fills_its_figure(eq12):
+    """No blank strip: the panels reach the figure's right, and the legend does above."""
+    laws = [f"law-{k}" for k in range(10)]
+    paths = [
+        (law, load, False, eq12.x * (1 + 0.05 * k) + (load == "consistent") * 1e-6)
+        for k, law in enumerate(laws)
+        for load in ("uniform", "consistent")
+    ]
+    figure = agg(comparison_figure(a_comparison(eq12, paths)))
+    assert not outside(figure)
+    figure.canvas.draw()
+    right = max(axes.get_position().x1 for axes in figure.axes[1:])
+    assert right > 0.97
+    legend = figure.axes[0].get_legend().get_window_extent()
+    assert legend.x1 / figure.bbox.width > 0.95
+    path = figure.axes[0].get_window_extent()
+    assert not path.overlaps(legend)
+
+
+def test_colours_are_told_apart_by_the_colour_blind():
+    """Neighbours of the palette differ under simulated deuteranopia (Vienot et al. 1999)."""
+    from matplotlib.colors import to_rgb
+
+    to_lms = np.array(
+        [[17.8824, 43.5161, 4.11935], [3.45565, 27.1554, 3.86714], [0.0299566, 0.184309, 1.46709]]
+    )
+    blind = np.array([[1, 0, 0], [0.494207, 0, 1.24827], [0, 0, 1]])
+    seen = []
+    for color in PALETTE:
+        linear = np.array(to_rgb(color)) ** 2.2
+        seen.append(np.clip(np.linalg.solve(to_lms, blind @ to_lms @ linear), 0, 1) ** (1 / 2.2))
+    gaps = [np.linalg.norm(a - b) for a, b in combinations(seen, 2)]
+    assert min(gaps) > 0.15
+
+
+# --- several throws ------------------------------------------------------------------------------
+
+
+def test_a_joint_figure_has_room_for_all(eq12_fit):
+    throws = tuple(
+        replace(eq12_fit, data={**eq12_fit.data, "file": f"season/throw-{k:02d}.csv"})
+        for k in range(12)
+    )
+    each = tuple((0.0417265 + 1e-6 * k, 2e-6) for k in range(12))
+    differences = tuple(
+        Difference(name, each, 0.3, 0.0, 0.04172, 1e-6)
+        for name in ("mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")
+    )
+    result = JointResult(
+        law="front-back", load="uniform", share=("mu1_xi",), converged=True, status="converged",
+        warnings=(), coefficients={}, combinations=(), rank=1, parameters=1,
+        differences=differences, throws=throws,
+    )  # fmt: skip
+    figure = agg(joint_figure(result))
+    assert not outside(figure)
+    assert not ticks_that_meet(figure)
+    assert max(axes.get_position().x1 for axes in figure.axes) > 0.97
