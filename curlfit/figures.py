@@ -374,13 +374,24 @@ def _say_in_corner(fit: FitResult, figure: Figure, grid: Any) -> None:
         pair = ", ".join(f"${fit.parameters[name].symbol}$" for name in direction)
         lines.append(f"{pair}: not identifiable one by one")
     written = [("black", lines)]
-    if fit.reference is not None:
-        found = [f"{name} = {value:g}" for name, value in fit.reference.values.items()]
+
+    def symbols(text: str) -> str:
         for name, parameter in fit.parameters.items():
             whole = re.compile(rf"(?<![\w\\{{]){name}\b(?!\$)")
-            symbol = f"${parameter.symbol}$".replace("\\", r"\\")
-            found = [whole.sub(symbol, text) for text in found]
+            text = whole.sub(f"${parameter.symbol}$".replace("\\", r"\\"), text)
+        return text
+
+    if fit.reference is not None:
+        found = [symbols(f"{name} = {value:g}") for name, value in fit.reference.values.items()]
         written.append((_MARK, [fit.reference.source, *found]))
+    for other in fit.reference_fits[:1]:
+        constants = ", ".join(f"{name} = {value:g} m" for name, value in other["stone"].items())
+        values = [
+            f"{name} = {other['values'][name]:.4f}"
+            for name in (fit.reference.values if fit.reference else {})
+            if name in other["values"]
+        ]
+        written.append((_FIT, [f"this fit with {constants}", *map(symbols, values)]))
     free = grid[0, 0].get_position().x1 + 0.02
     for color, said in written:
         if not said:

@@ -37,7 +37,7 @@ from curlfit.results import FitResult
 from curlfit.solving import Solution, best_of, descend, residual_sigma, starts
 from curlfit.starting import smooth
 from curlfit.stone import Stone
-from curlfit.throw import CHANNELS, Throw
+from curlfit.throw import CHANNELS, Reference, Throw
 from curlfit.weighing import Optimum, weighed
 
 Floats = NDArray[np.float64]
@@ -88,6 +88,7 @@ def fit(
         never moves.
     UnusableFitError : no start led to a finite fit.
     """
+    whole = throw
     law = find_law(law) if isinstance(law, str) else law
     loss, noise = check_loss(loss), check_noise(noise, loss)
     load = check_load(load or throw.defaults.get("load", "uniform"))
@@ -125,11 +126,27 @@ def fit(
         return weighed(found)
 
     def remedied(result: FitResult, problem: Problem, solution: Solution) -> FitResult:
+        result = replace(result, reference_fits=reference_fits(result))
         open_ = [n for n, i in result.parameters.items() if i.verdict in _OPEN]
         if not open_ or not result.converged:
             return result
         found = remedies(law, load, solution.values, problem, local, len(throw), open_, fix or ())
         return replace(result, remedies=found)
+
+    def reference_fits(result: FitResult) -> tuple[dict[str, Any], ...]:
+        if result.reference is None or not result.converged:
+            return ()
+        values, found = parameters.values_of(result.values), []
+        for constants in _other_stones(result.reference, stone):
+            other = fit(
+                replace(whole, reference=None), law, load=load, stone=stone.with_values(constants),
+                until=until, fix=fix, bounds=bounds, unbounded=unbounded, start=values, loss=loss,
+                noise=noise,
+            )  # fmt: skip
+            each = {name: item.value for name, item in other.coefficients.items()}
+            each |= {item.expression: item.value for item in other.combinations}
+            found.append({"stone": constants, "values": each})
+        return tuple(found)
 
     if noise == "white":
         return remedied(record(problem, sigma, solution), problem, solution)
@@ -153,6 +170,16 @@ def fit(
         )
         result = replace(result, warnings=(*result.warnings, rough))
     return remedied(result, problem, solution)
+
+
+def _other_stones(reference: Reference, stone: Stone) -> list[dict[str, float]]:
+    """Constants to fit with again: those of the reference, and one more by its rounding each."""
+    now = stone.as_dict()
+    own = {name: value for name, value in reference.stone.items() if value != now[name]}
+    if not own:
+        return []
+    off = [{name: round(now[name] + by, 9)} for name, by in reference.rounding.items()]
+    return [own, *(item for item in off if item != own)]
 
 
 class Job(NamedTuple):

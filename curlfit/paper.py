@@ -25,6 +25,9 @@ EQ_28 = {"mu1_xi": 0.0018, "mu2_xi": 0.058, "mu1_eta + mu2_eta": 0.018}
 EQ_28_STONE = Stone(R=0.054, rho=0.1)
 """The ring radius the paper gives for eq. 28 and its radius of gyration."""
 
+SOLID_RHO = 0.1025
+"""Radius of gyration of a solid cylinder of 29 cm diameter, 0.145 m/sqrt(2), m."""
+
 EQ_28_UNTIL = 20.0
 """End of the time window, s, on which the paper uses eq. 12."""
 
@@ -59,7 +62,15 @@ def jensen_shegelski_throw() -> Throw:
         t,
         *jensen_shegelski(t),
         name="eq. 12",
-        reference=Reference("eq. 28", "front-back", EQ_28),
+        reference=Reference(
+            "eq. 28",
+            "front-back",
+            EQ_28,
+            stone={"rho": SOLID_RHO},
+            rounding={"R": 0.0005, "rho": 0.0025},
+            note="rho is printed rounded, as 0.1 m; that of a solid cylinder of the printed "
+            "diameter, 29 cm, is 0.1025 m",
+        ),
         defaults={
             "until": EQ_28_UNTIL,
             "stone": {"R": EQ_28_STONE.R, "rho": EQ_28_STONE.rho},

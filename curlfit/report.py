@@ -10,6 +10,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from curlfit.console import PlainTable, terminal
+from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throw import UNITS
 
 if TYPE_CHECKING:
@@ -40,7 +41,8 @@ def print_fit(fit: FitResult, console: Console | None = None) -> None:
 
 def report(fit: FitResult) -> RenderableType:
     """The report of a fit, for a rich console."""
-    parts: list[RenderableType] = [_heading(fit), _coefficients(fit), *_student(fit), _quality(fit)]
+    parts: list[RenderableType] = [_heading(fit), _coefficients(fit), *_student(fit)]
+    parts += [*_beside_reference(fit), _quality(fit)]
     parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
     if fit.posterior is not None:
         parts.append(Padding(_posterior(fit.posterior), (0, 0, 1, 0)))
@@ -49,7 +51,8 @@ def report(fit: FitResult) -> RenderableType:
     if fit.sampling == "unfinished":
         parts.append(Padding(Text(_UNFINISHED, style="bold yellow"), (0, 0, 1, 0)))
     parts += [
-        Padding(Text(f"Mind: {warning}.", style="yellow"), (0, 0, 1, 0)) for warning in fit.warnings
+        Padding(Text(f"Warning: {warning}.", style="yellow"), (0, 0, 1, 0))
+        for warning in fit.warnings
     ]
     parts += [Text(f"Note: {note}.", style="dim") for note in fit.data["notes"]]
     return Group(*parts)
@@ -70,6 +73,67 @@ def _heading(fit: FitResult) -> RenderableType:
         fit.status[:1].upper() + fit.status[1:], style="green" if fit.converged else "bold red"
     )
     return lines
+
+
+def _beside_reference(fit: FitResult) -> list[RenderableType]:
+    """How the estimates go with the stone's constants, where those of a reference are rounded."""
+    reference, fits = fit.reference, fit.reference_fits
+    if reference is None or not fits:
+        return []
+    now, table = fit.stone.as_dict(), plain_table()
+    table.add_column("shift of the estimate", no_wrap=True)
+    table.add_column("std. error", justify="right", no_wrap=True)
+    for item in fits:
+        table.add_column(f"for {_changes(item['stone'], now)}", justify="right", no_wrap=True)
+    table.add_column(f"with {_constants(fits[0]['stone'])}", justify="right", no_wrap=True)
+    table.add_column(reference.source, justify="right", no_wrap=True)
+    agree, there = True, []
+    for name, (value, stderr) in _reported(fit).items():
+        known = reference.values.get(name)
+        if known is None or any(name not in item["values"] for item in fits):
+            continue
+        again = fits[0]["values"][name]
+        shifts = [item["values"][name] - value for item in fits]
+        agree &= abs(again - known) <= _half_digit(known) + sum(map(abs, shifts[1:]))
+        there.append(f"{again:.4f}")
+        table.add_row(
+            name, number(value, stderr)[1], *(f"{shift:+.5f}" for shift in shifts),
+            f"{again:.4f}", f"{known:g}",
+        )  # fmt: skip
+    if not there:
+        return []
+    flags = ",".join(f"{name}={value:g}" for name, value in fits[0]["stone"].items())
+    verdict = (
+        f"which agree with {reference.source} within the rounding of its digits and of the stone's "
+        "constants"
+        if agree
+        else f"which do not all agree with {reference.source}"
+    )
+    text = f"{reference.source}: {reference.note}. " if reference.note else ""
+    text += f"`--stone {flags}` gives {listed(there)}, {verdict}."
+    return [Padding(Group(table, Text(text)), (0, 0, 1, 0))]
+
+
+def _reported(fit: FitResult) -> dict[str, tuple[float, float | None]]:
+    """Value and standard error of coefficients, and of what is determined in place of some."""
+    found = {name: (item.value, item.stderr) for name, item in fit.coefficients.items()}
+    return found | {item.expression: (item.value, item.stderr) for item in fit.combinations}
+
+
+def _changes(constants: dict[str, float], now: dict[str, Any]) -> str:
+    return ", ".join(
+        f"{name} {value - now[name]:+g} {STONE_UNITS[name]}" for name, value in constants.items()
+    )
+
+
+def _constants(constants: dict[str, float]) -> str:
+    return ", ".join(f"{name} = {value:g} {STONE_UNITS[name]}" for name, value in constants.items())
+
+
+def _half_digit(value: float) -> float:
+    """Half a unit of the last digit of a printed number."""
+    digits = f"{value:g}".partition(".")[2]
+    return 0.5 * 10.0 ** -len(digits)
 
 
 _FEW = 30.0  # degrees of freedom from which Student's t is a Gaussian to 4 %

@@ -39,7 +39,7 @@ def report(result: JointResult) -> RenderableType:
         )
     )
     parts += [
-        Padding(Text(f"Mind: {warning}.", style="yellow"), (0, 0, 1, 0))
+        Padding(Text(f"Warning: {warning}.", style="yellow"), (0, 0, 1, 0))
         for warning in result.warnings
     ]
     return Group(*parts)

@@ -40,7 +40,7 @@ def report(prediction: Prediction) -> RenderableType:
     if prediction.check is not None:
         parts += [_check(prediction.check)]
     parts += [
-        Padding(Text(f"Mind: {warning}.", style="yellow"), (0, 0, 1, 0))
+        Padding(Text(f"Warning: {warning}.", style="yellow"), (0, 0, 1, 0))
         for warning in prediction.warnings
     ]
     parts += [Text(f"Note: {note}.", style="dim") for note in prediction.notes]

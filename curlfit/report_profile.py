@@ -44,7 +44,7 @@ def report(profile: Profile | PairProfile) -> RenderableType:
         parts += [Padding(Text(line, style=style), (0, 0, 1, 0)) for line in said]
     warnings = dict.fromkeys(line for one in each for line in one.warnings)
     parts += [
-        Padding(Text(f"Mind: {warning}.", style="yellow"), (0, 0, 1, 0)) for warning in warnings
+        Padding(Text(f"Warning: {warning}.", style="yellow"), (0, 0, 1, 0)) for warning in warnings
     ]
     parts += [Text(f"Note: {note}.", style="dim") for note in _notes(each)]
     return Group(*parts)

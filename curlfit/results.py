@@ -127,6 +127,8 @@ class FitResult:
     information : the Gauss-Newton information matrix J^T J of all free parameters, the same form,
         with the "gradient" of the log-likelihood, which vanishes but for parameters at a bound.
     reference : published or true values of the same law, if the data file has them.
+    reference_fits : the fit again with other constants of the stone, where the reference names
+        them: {"stone": constants, "values": by name or expression}.
     observed : t, x, y, phi as measured, speed and omega if they were, and given sigmas.
     fitted : x, y, phi, speed, omega of the fit at the same times; empty where nobody wanted them.
     posterior : None until sampled.
@@ -166,6 +168,7 @@ class FitResult:
     outliers: tuple[dict[str, Any], ...] = ()
     remedies: tuple[dict[str, Any], ...] = ()
     sampling: str = "none"
+    reference_fits: tuple[dict[str, Any], ...] = ()
 
     @property
     def law_class(self) -> type[Law]:
@@ -245,6 +248,7 @@ class FitResult:
             "covariance": self.covariance,
             "information": self.information,
             "reference": None if self.reference is None else asdict(self.reference),
+            "reference_fits": list(self.reference_fits),
             "sampling": self.sampling,
             "posterior": None if self.posterior is None else asdict(self.posterior),
             "observed": {name: series.tolist() for name, series in self.observed.items()},
@@ -290,6 +294,7 @@ class FitResult:
             },
             outliers=tuple(found.get("outliers", ())),
             remedies=tuple(found.get("remedies", ())),
+            reference_fits=tuple(found.get("reference_fits", ())),
         )
 
     def save(self, file: str | PathLike[str]) -> None:

@@ -149,6 +149,12 @@ def write_table(throw: Throw) -> str:
         for name, value in throw.reference.values.items():
             key = name if name.isidentifier() else f'"{name}"'
             lines.append(f"# reference.values.{key} = {_toml(value)}")
+        for key, constants in (
+            ("stone", throw.reference.stone), ("rounding", throw.reference.rounding),
+        ):  # fmt: skip
+            lines += [f"# reference.{key}.{n} = {_toml(value)}" for n, value in constants.items()]
+        if throw.reference.note:
+            lines.append(f"# reference.note = {_toml(throw.reference.note)}")
     lines.append("t,x,y,phi")
     for row in zip(throw.t, throw.x, throw.y, throw.phi, strict=True):
         time, *place = row

@@ -26,11 +26,24 @@ UNITS = {"t": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "r
 
 @dataclass(frozen=True)
 class Reference:
-    """Published or true values to show beside a fit, for one law."""
+    """Published or true values to show beside a fit, for one law.
+
+    Attributes
+    ----------
+    source : what to call them, such as "eq. 28". law : whose coefficients they are.
+    values : by name, or by expression such as "mu1_eta + mu2_eta".
+    stone : constants of the stone (R, rho, h in m, m in kg) with which the values follow, where
+        these are not the constants printed beside them.
+    rounding : half of what the printed constants were rounded by, the same units.
+    note : why they differ, a clause.
+    """
 
     source: str
     law: str
     values: dict[str, float]
+    stone: dict[str, float] = field(default_factory=dict)
+    rounding: dict[str, float] = field(default_factory=dict)
+    note: str = ""
 
     def of(self, expression: str, weights: dict[str, float]) -> float | None:
         """The value of a weighted sum, as given or from its parts; None where unknown."""

@@ -15,7 +15,7 @@ from curlfit.claims.record import Claim, Verdict
 from curlfit.claims.ring import SPLIT, RingFindings
 from curlfit.errors import UnusableFitError
 from curlfit.fitting import fit
-from curlfit.paper import EQ_28, EQ_28_STONE, EQ_28_UNTIL, jensen_shegelski_throw
+from curlfit.paper import EQ_28, EQ_28_STONE, EQ_28_UNTIL, SOLID_RHO, jensen_shegelski_throw
 from curlfit.results import FitResult
 from curlfit.stone import GRAVITY, Stone
 from curlfit.throw import Throw
@@ -27,8 +27,6 @@ PRINTED: Floats = np.array([EQ_28[name] for name in NAMES])
 HALF_DIGIT: Floats = np.array([0.00005, 0.0005, 0.0005])
 """Half a unit of the last printed digit of each."""
 
-SOLID = 0.1025
-"""Radius of gyration of a solid cylinder of 29 cm diameter, 0.145 m/sqrt(2), m."""
 
 R_RANGE = (0.0535, 0.0545)
 """Ring radii that print as 0.054 m."""
@@ -160,29 +158,29 @@ def study_eq_28(path: PathFindings) -> Eq28Findings:
 
     mean, least = "eq. 27 at each t, mean", "eq. 27 at each t, least squares"
     at_points(mean, path.motion, radius, rho, whole)
-    at_points(mean, path.motion, radius, SOLID, whole)
-    at_points(mean, path.motion, R_RANGE[0], SOLID, whole)
-    at_points(mean, path.motion, radius, SOLID, 18.0)
+    at_points(mean, path.motion, radius, SOLID_RHO, whole)
+    at_points(mean, path.motion, R_RANGE[0], SOLID_RHO, whole)
+    at_points(mean, path.motion, radius, SOLID_RHO, 18.0)
     for one, until in ((radius, whole), (radius, 18.0), (R_RANGE[0], 18.0)):
-        mu = least_squares(path.motion.until(until), one, SOLID)
-        rows.append(Row(least, one, SOLID, until, mu))
+        mu = least_squares(path.motion.until(until), one, SOLID_RHO)
+        rows.append(Row(least, one, SOLID_RHO, until, mu))
     at_points(mean + ", wrong sign of eq. 14", path.wrong_sign, radius, rho, whole)
     at_points(mean + ", eq. 14 as printed", path.printed, radius, rho, whole)
     trajectory = "trajectory fit"
     printed = by_fit(trajectory, throw, radius, rho, whole)
-    solid = by_fit(trajectory, throw, radius, SOLID, whole)
-    by_fit(trajectory, throw, R_RANGE[0], SOLID, whole)
+    solid = by_fit(trajectory, throw, radius, SOLID_RHO, whole)
+    by_fit(trajectory, throw, R_RANGE[0], SOLID_RHO, whole)
     for until in (10.0, 15.0, 18.0, 22.0):
-        by_fit(trajectory, throw, radius, SOLID, until)
+        by_fit(trajectory, throw, radius, SOLID_RHO, until)
     evenly = "trajectory fit, even weights"  # 1 m like 1 rad
     by_fit(evenly, even, radius, rho, whole)
     from_origin = evenly + ", from the origin"
-    for one in (rho, SOLID):
+    for one in (rho, SOLID_RHO):
         by_fit(from_origin, even, radius, one, whole, fix=origin)
     by_fit(from_origin + " at 2 m/s", even, radius, rho, whole, fix=origin | {"v0": 2.0})
     exactly = origin | {"v0": 2.0, "heading": 0.0, "omega0": 1.0}
     by_fit(evenly + ", start of eq. 13", even, radius, rho, whole, fix=exactly)
-    for one in (rho, SOLID):
+    for one in (rho, SOLID_RHO):
         by_fit(trajectory, throw, 0.065, one, whole)
     return Eq28Findings(tuple(rows), printed, solid, vary_stone(throw, printed))
 
@@ -351,8 +349,8 @@ def eq_28_claims(found: Eq28Findings, ring: RingFindings) -> dict[str, Claim]:
             "eq28",
             "mu1_xi, mu2_xi, mu1_eta + mu2_eta of the front-back law",
             f"{PRINTED[0]:g}, {PRINTED[1]:g}, {PRINTED[2]:g} (R = 0.054 m, rho = 0.1 m)",
-            f"{_text(mu)}; with rho = {SOLID:.4f} m {_text(solid)}; 95 % over the rounding of R "
-            f"and rho: {low[0]:.4f} .. {high[0]:.4f}, {low[1]:.4f} .. {high[1]:.4f}, "
+            f"{_text(mu)}; with rho = {SOLID_RHO:.4f} m {_text(solid)}; 95 % over the rounding of "
+            f"R and rho: {low[0]:.4f} .. {high[0]:.4f}, {low[1]:.4f} .. {high[1]:.4f}, "
             f"{low[2]:.5f} .. {high[2]:.5f}",
             at_once if reached else "does not hold",
             f"{_covered(vary)}; their width comes from R and rho, not from "
@@ -363,7 +361,7 @@ def eq_28_claims(found: Eq28Findings, ring: RingFindings) -> dict[str, Claim]:
             "ratio",
             "transversal over tangential friction",
             "about three",
-            f"{ratio:.2f}; {other:.2f} with rho = {SOLID:.4f} m",
+            f"{ratio:.2f}; {other:.2f} with rho = {SOLID_RHO:.4f} m",
             "holds" if 2.5 <= ratio < 3.5 and 2.5 <= other < 3.5 else "does not hold",
             "Mean of mu1_xi and mu2_xi over mean of mu1_eta and mu2_eta, from the trajectory fit.",
         ),

@@ -10,9 +10,9 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from curlfit.claims.eq28 import PRINTED, R_RANGE, RHO_RANGE, SOLID
+from curlfit.claims.eq28 import PRINTED, R_RANGE, RHO_RANGE
 from curlfit.claims.isotropic import CASES, EXPONENTS, SPEEDS, SPINS
-from curlfit.paper import EQ_28_STONE
+from curlfit.paper import EQ_28_STONE, SOLID_RHO
 
 if TYPE_CHECKING:
     from curlfit.claims.isotropic import Example
@@ -218,7 +218,7 @@ def _eq_28(found: Reproduction) -> list[str]:
         "that satisfy each line of eq. 27 best; a *trajectory fit* is the full ring integrated "
         "and compared with eq. 12 each 0.1 s, start free, channels weighted by their own scatter; "
         "*even weights* count 1 m like 1 rad; *from the origin* fixes x, y and phi at t = 0 to 0. "
-        f"Coefficients may take either sign. rho = {SOLID:g} m is 0.145 m/sqrt(2), the solid "
+        f"Coefficients may take either sign. rho = {SOLID_RHO:g} m is 0.145 m/sqrt(2), the solid "
         "cylinder of the 29 cm diameter that the paper gives.",
         _table(rows),
         _picture("eq28", "Eq. 28 computed in each way, and its posterior over R and rho"),

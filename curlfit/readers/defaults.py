@@ -107,9 +107,17 @@ def _reference(path: Path, found: Any) -> Reference:
             source=str(found.get("source", "reference")),
             law=str(found["law"]),
             values={str(name): float(value) for name, value in found["values"].items()},
+            note=str(found.get("note", "")),
+            **{key: _stone_constants(found.get(key, {})) for key in ("stone", "rounding")},
         )
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
         raise DataError(
-            'a reference needs reference.law = "NAME" and reference.values.NAME = number',
+            'a reference needs reference.law = "NAME" and reference.values.NAME = number, and may '
+            "have reference.stone.NAME and reference.rounding.NAME, NAME being R, rho, h or m",
             file=path,
         ) from None
+
+
+def _stone_constants(found: dict[str, Any]) -> dict[str, float]:
+    Stone().with_values(found)  # names and signs
+    return {str(name): float(value) for name, value in found.items()}
