@@ -22,8 +22,11 @@ BASH = [
     for line in block.splitlines()
     if line.strip()
 ]
-# The first is done by .ci/run, in an environment that has nothing yet; the second is running.
-NOT_HERE = ('pip install ".[test]"', "python -m pytest")
+# These are done by .ci/run, each in an environment that has nothing yet.
+NOT_HERE = tuple(
+    re.search(rf"<!-- {name} -->\n```bash\n(.*)\n```", README)[1] for name in ("fit", "tests")
+)
+MAIN = "curlfit fit data/jensen_shegelski_2004.csv"
 PYTHON = re.findall(r"```python\n(.*?)```", README, re.S)
 FIRST = tuple(f"curlfit {verb} " for verb in ("fit", "simulate", "batch", "predict", "profile"))
 TABLE = re.search(r"A text table with a header:\n\n```text\n(.*?)```", README, re.S)[1]
@@ -57,13 +60,14 @@ def typed(line, folder):
 def test_every_block_of_commands_is_known():
     assert set(NOT_HERE) < set(BASH)
     assert len(BASH) == len(set(BASH)) >= 6
+    assert NOT_HERE[0].endswith(f"/{MAIN}")
     assert all(line.startswith("curlfit ") for line in BASH if line not in NOT_HERE)
 
 
 @pytest.fixture(scope="module")
 def printed(clone):
     """What each command of the blocks prints, in one folder."""
-    lines = [line for line in BASH if line not in NOT_HERE]
+    lines = [MAIN, *(line for line in BASH if line not in NOT_HERE)]
     # a fit may resume another, or read what was simulated before
     first = [line for line in lines if line.startswith(FIRST)]
     jobs = [first, *[[line] for line in lines if line not in first]]
@@ -85,7 +89,7 @@ FLAT = r"(\w+)\s+-\s+-\s+not identifiable\s+([\d.]+) \.\. ([\d.]+)"
 @pytest.mark.parametrize(
     ("command", "after"),
     [
-        ("curlfit fit data/jensen_shegelski_2004.csv", "The first run on a machine"),
+        (MAIN, "The first run on a machine"),
         ("curlfit profile jensen_shegelski_2004-fit --param mu1_xi", "What the path does not"),
         ("curlfit compare data/jensen_shegelski_2004.csv --load both", "That is the paper's"),
         ("curlfit predict jensen_shegelski_2004-fit --to-tee", "![The path on the sheet"),
