@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from io import StringIO
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 import pytest
+from rich.console import Console
 from scipy.optimize import least_squares
 
 import curlfit
 from curlfit import DataError, InputError, Stone, Throw, fit, law_with, synthetic_throw
 from curlfit.box import BoxLevenbergMarquardt
 from curlfit.likelihood import Problem
+from curlfit.report import print_fit
 from curlfit.results import load_fit
 from curlfit.solving import Solution, residual_sigma
 
@@ -292,3 +295,44 @@ def test_what_no_row_shows_pays_for_no_residual():
         problem = Problem(t[None], ones, ones, Stone())
         (found,) = residual_sigma(solution, problem, np.ones((1, 2), bool))
         assert found[0] == pytest.approx(np.sqrt(6 / (6 - paid)), rel=1e-12)
+
+
+def test_a_reference_with_a_rounded_stone_is_reproduced_with_its_own(eq12, eq12_fit):
+    """CHECKED values of rho = 0.1025 m: 0.00184, 0.05705, 0.01757; eq. 28 to its printed digits."""
+    own, rounded = eq12_fit.reference_fits
+    assert (own["stone"], rounded["stone"]) == ({"rho": 0.1025}, {"R": 0.0545})
+    again = curlfit.fit(eq12, stone=eq12_fit.stone.with_values({"rho": 0.1025}))
+    assert again.reference_fits == ()
+    names = ("mu1_xi", "mu2_xi")
+    found = [again.parameters[name].value for name in names]
+    np.testing.assert_allclose([own["values"][name] for name in names], found, rtol=1e-6)
+    total = own["values"]["mu1_eta + mu2_eta"]
+    np.testing.assert_allclose([*found, total], [0.00184, 0.05705, 0.01757], atol=6e-6)
+    # the curl goes with R (mu1_xi - mu2_xi), the torque with R^2 (mu1_xi + mu2_xi)/rho^2 (eq. 27)
+    fit = {name: eq12_fit.parameters[name].value for name in names}
+    for other, scale in ((own, 0.1025 / 0.1), (rounded, 0.054 / 0.0545)):
+        values, radius = other["values"], other["stone"].get("R", 0.054)
+        total = (values["mu1_xi"] + values["mu2_xi"]) / (fit["mu1_xi"] + fit["mu2_xi"])
+        assert total == pytest.approx(scale**2, rel=2e-3)
+        difference = (values["mu1_xi"] - values["mu2_xi"]) / (fit["mu1_xi"] - fit["mu2_xi"])
+        assert difference == pytest.approx(0.054 / radius, rel=2e-3)
+    text = StringIO()
+    print_fit(eq12_fit, Console(width=110, file=text))
+    words = " ".join(text.getvalue().split())
+    assert "`--stone rho=0.1025` gives 0.0018, 0.0570 and 0.0176, which agree with eq. 28" in words
+    away = replace(eq12_fit.reference, values=eq12_fit.reference.values | {"mu2_xi": 0.068})
+    text = StringIO()
+    print_fit(replace(eq12_fit, reference=away), Console(width=110, file=text))
+    assert "do not all agree with eq. 28" in " ".join(text.getvalue().split())
+
+
+def test_a_reference_whose_stone_makes_no_sense_is_refused(tmp_path):
+    for line in ("reference.stone.width = 1", 'reference.rounding.R = "much"'):
+        file = tmp_path / "throw.csv"
+        file.write_text(
+            '# reference.law = "coulomb"\n# reference.values.mu = 0.01\n'
+            f"# {line}\n"
+            "t,x,y\n0,0,0\n1,0,2\n2,0,3.9\n3,0,5.7\n"
+        )
+        with pytest.raises(curlfit.InputError, match=r"throw\.csv: .*reference\.stone\.NAME"):
+            curlfit.load_throw(file)
