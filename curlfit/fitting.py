@@ -74,7 +74,7 @@ def fit(
     unbounded : let coefficients be negative.
     start : start values of some parameters; the rest is found from the data. Not needed.
     loss : "linear" is least squares; "huber", "soft-l1", "cauchy" and "student" (4 degrees of
-        freedom) keep outliers from pulling.
+        freedom) are robust to outliers.
     noise : "white" is independent from row to row; "ar1" forgets itself exponentially; "gp" is
         white on top of a smooth discrepancy, as of a law that is not exact (`curlfit.noise`).
 

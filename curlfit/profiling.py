@@ -2,7 +2,7 @@
 
 At each value all other parameters are fitted again, with the sigma of the fit held. What chi
 squared rises by, against the threshold of Wilks (1938), gives an interval that holds where the
-misfit is no parabola, and shows a parameter that the data do not determine as what it is: flat.
+misfit is not quadratic, and shows a parameter that the data do not determine as what it is: flat.
 """
 
 from __future__ import annotations

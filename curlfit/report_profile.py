@@ -169,8 +169,8 @@ def _limits(profile: Profile) -> list[str]:
             )
         else:
             said.append(
-                f"Profile and covariance differ, by up to {far:.2g} standard errors: the misfit is "
-                "not the parabola that the covariance takes it for. Go by the profile."
+                f"Profile and covariance differ, by up to {far:.2g} standard errors: chi "
+                "squared is not quadratic, as the covariance takes it to be. Use the profile."
             )
     else:
         said.append(

@@ -51,8 +51,8 @@ StoneValues = Annotated[
 Loss = Annotated[
     str | None,
     typer.Option(
-        help="`linear` is least squares; `huber`, `soft-l1`, `cauchy`, `student` keep outliers "
-        "from pulling. [default: linear]"
+        help="`linear` is least squares; `huber`, `soft-l1`, `cauchy`, `student` are robust to "
+        "outliers. [default: linear]"
     ),
 ]
 NoiseModel = Annotated[

@@ -77,10 +77,10 @@ def profile(
     no_figures: o.NoFigures = False,
     quiet: o.Quiet = False,
 ) -> None:
-    """Hold a parameter at many values, fit all others again at each, and see how the misfit rises.
+    """Profile likelihood: a parameter is held at many values, and all others are fitted at each.
 
-    That gives intervals which hold where the misfit is no parabola, and shows plainly what the path
-    does not determine. The noise is that of the fit. A posterior beside a saved fit is drawn too.
+    The rise of chi squared gives intervals that hold where it is not quadratic, and shows plainly
+    what the path does not determine. The noise is that of the fit. A posterior beside a saved fit is drawn too.
     Writes `profile.json` and `profile.png`.
 
     Examples:
