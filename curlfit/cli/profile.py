@@ -80,8 +80,8 @@ def profile(
     """Profile likelihood: a parameter is held at many values, and all others are fitted at each.
 
     The rise of chi squared gives intervals that hold where it is not quadratic, and shows plainly
-    what the path does not determine. The noise is that of the fit. A posterior beside a saved fit is drawn too.
-    Writes `profile.json` and `profile.png`.
+    what the path does not determine. The noise is that of the fit. A posterior beside a saved fit
+    is drawn too. Writes `profile.json` and `profile.png`.
 
     Examples:
 
