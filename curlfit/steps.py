@@ -31,12 +31,12 @@ from curlfit.friction import Law, Load, NetLaw, power
 from curlfit.stone import Stone
 
 STEP = 0.25  # step over the shortest time scale, for a motion with 1 m or 1 rad to go
-_ENDING = 1.3  # how much more the time to rest counts than the others
+_ENDING, _PASSING = 1.3, 1.1  # how much the times to rest and to the kink count over the others
 _LARGEST_STEP = 0.6  # over the time to rest
 _LARGEST_TURN = 1.5  # rad in a step
 _LARGEST_APPROACH = 0.6  # over the time to the kink, in `swing`
 _REST = 1e-10  # a stone with less than this to go (m and rad together) is at rest
-_KINK = 1e-4  # width in `swing` below which the kink at |epsilon| = 1 is not resolved further
+_KINK = 2e-5  # width in `swing` to which the kink at |epsilon| = 1 is resolved, with 1 m to go
 _MOST_TURNING = 5000.0  # rad of turning of the velocity in one time scale of the motion
 _CORNER = 1e-9  # rad before a corner of the law at which it counts as reached
 _LEAST_SPIN = 1e-8  # rad/s below which the end of the spin is not resolved further
@@ -138,13 +138,15 @@ def step_size(law: Law, stone: Stone, span: Array, state: State, rate: State, ti
     _, to_go = _to_go(law, stone, state, rate)
     au, du = jnp.abs(u), stone.R * jnp.sign(u) * rate.omega
     total = jnp.where(v + au > 0, v + au, 1.0)
-    swing_rate, kink = 2 * jnp.abs(au * rate.v - v * du) / total**2, swing(v, u) + _KINK
+    swing_rate = 2 * jnp.abs(au * rate.v - v * du) / total**2
+    # The error of the step over the kink goes as its square, times what is left to go.
+    kink = swing(v, u) + _KINK / jnp.sqrt(jnp.maximum(to_go, _REST))
     # Where dv/dt ~ v^-n, the time to rest is v/|dv/dt| over 1 + n; the kink is steeper, too.
     steepness = law.steepness()
     ending = slowing * (1 + steepness)
     # Friction at a distance d from the kink is like d^(1-n) log d. A step h has an error of h^6
     # times its fifth derivative, the same at any d where h ~ d^((4+n)/6).
-    passing = swing_rate * (1 + 2 * steepness) / power(kink, (4 + steepness) / 6)
+    passing = _PASSING * swing_rate * (1 + 2 * steepness) / power(kink, (4 + steepness) / 6)
     frequency = 1 / span + _ENDING * ending + jnp.abs(rate.heading) + passing + law.quickness(time)
     if isinstance(law, NetLaw):
         frequency += jnp.abs(rate.omega) / (jnp.abs(state.omega) + _LEAST_SPIN)
