@@ -3,6 +3,12 @@
 optimistix has no bounds; `BoxDescent` adds them by projection (Kanzow, Yamashita and Fukushima
 2004). Damping is in proportion to the columns of the Jacobian, which makes the steps independent
 of units.
+
+It has arrived where the residual is orthogonal to all that a step could change, by the relative
+offset of Bates and Watts (1981): the length of what the next step takes from the residual, over the
+residual's own. Near the end such a step gains less than the rounding of the sum of squares, which
+then says neither whether the step was good nor when to stop. There steps are taken for as long as
+they get shorter.
 """
 
 from __future__ import annotations
@@ -21,6 +27,8 @@ import optimistix as optx
 from jaxtyping import Array
 
 _FIRST_DAMPING = 1e-4  # of Marquardt's damping, relative to the squared columns
+_OFFSET = 1e-9  # relative offset at which the optimum is reached
+_UNTOLD = 1e-10  # share of the sum of squares, a change by which may be but rounding
 
 
 class _BoxState(eqx.Module):
@@ -74,8 +82,50 @@ class BoxDescent(optx.AbstractDescent):
         return jnp.clip(state.y + move, self.lower, self.upper) - state.y, optx.RESULTS.successful
 
 
+def _gain(step: Array, f_info: Any) -> Array:
+    """How much a step would take from half the sum of squares, to first order of the residual.
+
+    Not as the difference of two sums, of which rounding leaves nothing near the optimum.
+    """
+    residual, change = f_info.residual, f_info.jac.mv(step)
+    return -(residual * change).sum() - (change**2).sum() / 2
+
+
+class _SearchState(eqx.Module):
+    step_size: Array
+    gain: Array
+    """of the step last tried"""
+
+
+class _TrustRegion(optx.ClassicalTrustRegion):
+    """Takes steps as well of which the sum of squares cannot tell whether they are good."""
+
+    def init(self, y: Array, f_info_struct: Any) -> Any:
+        """Required by optimistix."""
+        return _SearchState(jnp.array(1.0), jnp.array(jnp.inf))
+
+    def predict_reduction(self, y_diff: Array, f_info: Any) -> Array:
+        """Required by optimistix."""
+        return -_gain(y_diff, f_info)
+
+    def step(
+        self, first_step: Array, y: Array, y_eval: Array, f_info: Any, f_eval_info: Any, state: Any
+    ) -> tuple[Array, Array, Any, Any]:
+        """Size of the next step, and whether to take this one."""
+        _, accept, result, judged = super().step(first_step, y, y_eval, f_info, f_eval_info, state)
+        gain, before = _gain(y_eval - y, f_info), f_info.as_min()
+        untold = (jnp.abs(gain) <= _UNTOLD * before) & ~first_step
+        untold &= f_eval_info.as_min() <= (1 + _UNTOLD) * before
+        size = jnp.where(untold, self.high_constant * state.step_size, judged.step_size)
+        gain = jnp.where(first_step, jnp.inf, gain)
+        return size, accept | untold, result, _SearchState(size, gain)
+
+
 class BoxLevenbergMarquardt(optx.AbstractGaussNewton):
-    """Levenberg and Marquardt's method within bounds."""
+    """Levenberg and Marquardt's method within bounds.
+
+    Beside the relative offset optimistix's rule holds (`rtol`, `atol`), for data without noise.
+    """
 
     rtol: float
     atol: float
@@ -88,8 +138,20 @@ class BoxLevenbergMarquardt(optx.AbstractGaussNewton):
         self.rtol, self.atol = rtol, atol
         self.norm = optx.max_norm
         self.descent = BoxDescent(lower, upper)
-        self.search = optx.ClassicalTrustRegion()
+        self.search = _TrustRegion()
         self.verbose = _silent
+
+    def step(
+        self, fn: Any, y: Array, args: Any, options: Any, state: Any, tags: Any
+    ) -> tuple[Array, Any, Any]:
+        """Required by optimistix."""
+        y, state, aux = super().step(fn, y, args, options, state, tags)
+        half_squares = state.f_info.as_min()
+        gain, last = _gain(state.y_eval - y, state.f_info), state.search_state.gain
+        no_shorter = (abs(last) <= _UNTOLD * half_squares) & (abs(gain) >= abs(last))
+        there = (abs(gain) <= _OFFSET**2 * half_squares) | no_shorter
+        there = state.terminate | (there & (state.num_steps_since_acceptance == 0))
+        return y, eqx.tree_at(lambda state: state.terminate, state, there), aux
 
 
 def _silent(**_: Any) -> None:

@@ -7,10 +7,11 @@ The speed `v`, the heading `b` (eq. 24's beta) and the spin `omega` make up the 
 It names its own time scales: the time to rest, the turning of the velocity, and the
 passage of |epsilon| = 1, where one point of the ring stops sliding and friction has a logarithmic
 kink. Each step is a fixed fraction of the shortest of these, so it shrinks geometrically toward
-rest and toward the kink. A law may name angles turned at which its friction has a corner, and how
-fast it changes by itself; steps end at the one and follow the other, and up to the last corner
-they follow the turning too. Between steps the path is the quintic polynomial through
-position, velocity and acceleration at both ends.
+rest. Toward the kink it shrinks more slowly, for the same error at each step, down to one over the
+kink that is short enough to miss little of it. A law may name angles turned at which its friction
+has a corner, and how fast it changes by itself; steps end at the one and follow the other, and up
+to the last corner they follow the turning too. Between steps the path is the quintic polynomial
+through position, velocity and acceleration at both ends.
 
 All is done lane by lane, one throw in each.
 """
@@ -26,14 +27,16 @@ from curlfit.contact import Crowding, accelerations, swing
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from curlfit.friction import Law, Load, NetLaw
+from curlfit.friction import Law, Load, NetLaw, power
 from curlfit.stone import Stone
 
 STEP = 0.25  # step over the shortest time scale, for a motion with 1 m or 1 rad to go
+_ENDING, _PASSING = 1.3, 1.1  # how much the times to rest and to the kink count over the others
 _LARGEST_STEP = 0.6  # over the time to rest
 _LARGEST_TURN = 1.5  # rad in a step
+_LARGEST_APPROACH = 0.6  # over the time to the kink, in `swing`
 _REST = 1e-10  # a stone with less than this to go (m and rad together) is at rest
-_KINK = 3e-3  # width in `swing` below which the kink at |epsilon| = 1 is not resolved further
+_KINK = 2e-5  # width in `swing` to which the kink at |epsilon| = 1 is resolved, with 1 m to go
 _MOST_TURNING = 5000.0  # rad of turning of the velocity in one time scale of the motion
 _CORNER = 1e-9  # rad before a corner of the law at which it counts as reached
 _LEAST_SPIN = 1e-8  # rad/s below which the end of the spin is not resolved further
@@ -135,19 +138,26 @@ def step_size(law: Law, stone: Stone, span: Array, state: State, rate: State, ti
     _, to_go = _to_go(law, stone, state, rate)
     au, du = jnp.abs(u), stone.R * jnp.sign(u) * rate.omega
     total = jnp.where(v + au > 0, v + au, 1.0)
-    swing_rate = 2 * jnp.abs(au * rate.v - v * du) / total**2 / (swing(v, u) + _KINK)
+    swing_rate = 2 * jnp.abs(au * rate.v - v * du) / total**2
+    # The error of the step over the kink goes as its square, times what is left to go.
+    kink = swing(v, u) + _KINK / jnp.sqrt(jnp.maximum(to_go, _REST))
     # Where dv/dt ~ v^-n, the time to rest is v/|dv/dt| over 1 + n; the kink is steeper, too.
     steepness = law.steepness()
-    ending, passing = slowing * (1 + steepness), swing_rate * (1 + 2 * steepness)
-    frequency = 1 / span + ending + jnp.abs(rate.heading) + passing + law.quickness(time)
+    ending = slowing * (1 + steepness)
+    # Friction at a distance d from the kink is like d^(1-n) log d. A step h has an error of h^6
+    # times its fifth derivative, the same at any d where h ~ d^((4+n)/6).
+    passing = _PASSING * swing_rate * (1 + 2 * steepness) / power(kink, (4 + steepness) / 6)
+    frequency = 1 / span + _ENDING * ending + jnp.abs(rate.heading) + passing + law.quickness(time)
     if isinstance(law, NetLaw):
         frequency += jnp.abs(rate.omega) / (jnp.abs(state.omega) + _LEAST_SPIN)
     if law.corners:
         turning = jnp.sqrt(1 / span**2 + state.omega**2 + jnp.abs(rate.omega))
         frequency += turning * (jnp.abs(state.phi) < max(law.corners) - _CORNER)
-    # The error of a step goes as its fraction to the sixth power, times what is left to go.
-    wanted = frequency * to_go ** (1 / 6) / STEP
+    # The error of a step goes as its fraction to the sixth power, times what is left to go. With
+    # the seventh root the same number of steps has the least error.
+    wanted = frequency * to_go ** (1 / 7) / STEP
     needed = jnp.maximum(ending / _LARGEST_STEP, jnp.abs(rate.heading) / _LARGEST_TURN)
+    needed = jnp.maximum(needed, swing_rate / kink / _LARGEST_APPROACH)
     dt = 1 / jnp.maximum(wanted, needed)
     for corner in law.corners:
         left = _time_to_turn(corner, state, rate)

@@ -35,7 +35,9 @@ def pytest_configure(config: pytest.Config) -> None:
     lowered = jax.jit(lambda x: x).lower(0.0)
     with suppress(jax.errors.JaxRuntimeError):
         lowered.compile(compiler_options={"xla_cpu_use_fusion_emitters": False})
-        os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+        # first, for of two that contradict each other XLA takes the last
+        given = os.environ.get("XLA_FLAGS", "")
+        os.environ["XLA_FLAGS"] = f"--xla_cpu_use_fusion_emitters=false {given}".strip()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -135,8 +137,10 @@ def follow(
             return 1.0 if end is None else end(state[5], state[4] - start.phi)
 
         rest.terminal = over.terminal = True  # type: ignore[attr-defined]
+        # With 1e-11 a step over |epsilon| = 1, where friction has a kink, may pass for exact and be
+        # off by 1e-7, this or that way by the rounding of the machine's matrix products.
         part = solve_ivp(
-            rates, (now, times[-1]), state, method="DOP853", rtol=1e-11, atol=1e-13,
+            rates, (now, times[-1]), state, method="DOP853", rtol=1e-13, atol=1e-15,
             events=(rest, over), dense_output=True,
         )  # fmt: skip
         assert part.success

@@ -16,6 +16,8 @@ from curlfit.contact import accelerations
 from curlfit.friction import Edges, RingPoint, power
 from curlfit.friction.base import on_new_law
 
+pytestmark = pytest.mark.numerical
+
 STONE = Stone(R=0.065, rho=0.1, h=0.057)
 MU = (0.004, 0.05, 0.012, 0.006)
 FRONT_BACK = LAWS["front-back"](*MU)

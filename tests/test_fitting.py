@@ -74,6 +74,19 @@ def test_the_split_is_not_identifiable(eq12_fit):
     assert eq12_fit.singular_values[-1] < 1e-9 * eq12_fit.singular_values[0]
 
 
+def test_rounding_decides_neither_where_a_fit_ends_nor_when(eq12):
+    rng = np.random.default_rng(1)
+    scatter = [0.0, 1e-14, 1e-13, 1e-12]  # m, of rows printed to 1e-6
+    fits = [fit(replace(eq12, y=eq12.y + s * rng.normal(size=len(eq12)))) for s in scatter]
+    steps = {int(re.search(r"\((\d+) steps", result.status)[1]) for result in fits}
+    assert len(steps) == 1
+    assert max(steps) < 10
+    for name, item in fits[0].parameters.items():
+        if item.stderr is not None:
+            away = [abs(other.parameters[name].value - item.value) for other in fits]
+            assert max(away) < 1e-8 * item.stderr
+
+
 def test_a_start_ten_times_off_leads_to_the_same_place(eq12, eq12_fit):
     for factor in (10.0, 0.1):
         start = {name: factor * eq12_fit.parameters[name].value for name in eq12_fit.coefficients}

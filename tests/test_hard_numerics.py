@@ -54,6 +54,7 @@ def independent(values, times, law, load):
     return both[:, 0].real.astype(float), (both[:, 1:].imag / program.TINY).astype(float)
 
 
+@pytest.mark.numerical
 @pytest.mark.parametrize("mu", [0.003, 0.012, 0.2])
 @pytest.mark.parametrize("v", [0.05, 1.7, 6.0])
 def test_where_and_when_a_sliding_stone_stops_and_how_that_changes(mu, v):
@@ -74,6 +75,7 @@ def test_where_and_when_a_sliding_stone_stops_and_how_that_changes(mu, v):
     np.testing.assert_allclose(slopes[[1, 3, 6], 3], 0, atol=1e-9 * way / mu)
 
 
+@pytest.mark.numerical
 @pytest.mark.parametrize(
     ("values", "law", "load"),
     [
@@ -114,6 +116,7 @@ def test_rest_and_its_derivatives_agree_with_an_independent_integration(values, 
     assert (gap * largest).max() / (np.abs(exact_slopes[-1]) * largest).max() < 1e-5
 
 
+@pytest.mark.numerical
 @pytest.mark.parametrize("omega", [16.0, -16.0])
 def test_friction_where_one_point_does_not_slide(omega):
     # v = R omega exactly. Coulomb's law there: |e_eta| = |cos b|, mean 2/pi; the moment alike.
