@@ -6,8 +6,9 @@
 
 ranks: posterior and standard errors under every law; noise: noise models, right and wrong laws;
 small: few rows. A run keeps every answer in DIR/calibration.json and writes the tables into
-DIR/README.md and the figure DIR/ranks.png; DIR is the folder of this file unless named. `--tables`
-makes tables and figure from kept answers.
+DIR/README.md as each is done, and at last the figure DIR/ranks.png; DIR is the folder of this file
+unless named, and what it holds of other tables stays. `--tables` makes tables and figure from kept
+answers.
 
 A throw is 15 s at 10 Hz with noise of 5 mm on x and y and 10 mrad on phi; its coefficients and its
 start are drawn evenly from a box, its sense of spin by a coin. Each throw has random numbers of its
@@ -439,7 +440,8 @@ def noise_table(trial: Trial, answers: Answers) -> Table:
             cells.append(
                 f"{np.mean(pulls):.2f} ± {np.std(pulls, ddof=1):.2f}" if len(pulls) > 1 else ""
             )
-        lines.append(row([name, *cells]))
+        if any(cells):  # else no fit gives a standard error, as is said below
+            lines.append(row([name, *cells]))
     lines += ["", *head("warnings", *trial.noises)]
     for title, what in (("residuals correlated", "correlated"), ("memory too long", "lasting")):
         lines.append(
@@ -522,17 +524,17 @@ def ranks_figure(parts: Mapping[str, Answers], file: Path) -> None:
     for axis in axes.flat[len(laws) :]:
         axis.set_axis_off()
     for axis, (law, answers) in zip(axes.flat, laws.items(), strict=False):
-        least = len(answers)
+        least, most = len(answers), 0
         for sense, colour in zip(SENSES, ("C0", "C1"), strict=True):
             mine = [o for o in counted([a for a in answers if a.sense == sense]) if not o.sampler]
-            least = min(least, len(mine))
+            least, most = min(least, len(mine)), most + len(mine)
             for name in names_of(mine):
                 ranks = [o.quantities[name].rank for o in mine if name in o.quantities]
                 below = np.searchsorted(np.sort(ranks), places, side="right") / max(len(ranks), 1)
                 axis.plot(even, below - even, color=colour, linewidth=0.8, alpha=0.8)
         if least:
             axis.fill_between(even, *_band(least), color="0.88", zorder=0)
-        axis.set_title(f"{law}, {len(answers)} throws", fontsize=9)
+        axis.set_title(f"{law}, {most} throws", fontsize=9)
         axis.tick_params(labelsize=8)
     handles = [
         plt.Line2D([], [], color=colour, label=name)
@@ -581,7 +583,6 @@ class Record:
 
     def add(self, name: str, answers: Answers) -> None:
         """Keep the answers of a trial that is done, and write its table."""
-        self.parts = {one: self.parts[one] for one in TRIALS if one in self.parts and one != name}
         self.parts[name] = answers
         self.parts = {one: self.parts[one] for one in TRIALS if one in self.parts}
         text = json.dumps({"curlfit": curlfit.__version__, "parts": self.parts}, allow_nan=False)
