@@ -11,16 +11,15 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import binomtest
+from tables import put, reasons, share
 
 import curlfit
 
-HERE = Path(__file__).parent
 UNTIL = 12.0
 TIMES = (14.0, 17.0, 20.0)
 NOISE_XY, NOISE_PHI = 0.005, 0.01
@@ -56,8 +55,12 @@ class Answer(NamedTuple):
     """whether the law was taken to miss something"""
 
 
-def answers(case: Case, throws: int, seed: int = 0) -> Iterator[Answer]:
-    """One answer a throw; those that come to rest before they can be asked are thrown again."""
+def answers(
+    case: Case, throws: int, seed: int = 0, left: Counter[str] | None = None
+) -> Iterator[Answer]:
+    """One answer a throw. A throw that comes to rest before it can be asked, or whose fit does not
+    converge, is thrown again; `left` counts these by reason."""
+    left = Counter() if left is None else left
     random = np.random.default_rng(seed)
     stone = curlfit.Stone(R=0.065)
     given = 0
@@ -77,6 +80,7 @@ def answers(case: Case, throws: int, seed: int = 0) -> Iterator[Answer]:
             curlfit.Start(heading=start["heading"], v=start["v0"], omega=start["omega0"]), t,
         ).to_numpy()  # fmt: skip
         if not path.speed[200] > 0.05:
+            left["all but at rest at 20 s"] += 1
             continue
         seen = slice(0, 201)
         noise = [_noise(case, random, 201) for _ in range(3)]
@@ -86,6 +90,7 @@ def answers(case: Case, throws: int, seed: int = 0) -> Iterator[Answer]:
         )  # fmt: skip
         fit = curlfit.fit(throw, case.fitted, stone=stone, until=UNTIL)
         if not fit.converged:
+            left["not converged"] += 1
             continue
         given += 1
         foretold = curlfit.predict(fit, line="data", draws=500, seed=given)
@@ -137,13 +142,16 @@ def _time_of_rest(path: curlfit.Path) -> float:
     return float(path.t[k] + left[1] / path.speed[k] * power / (power - 1))
 
 
-def table(case: Case, found: list[Answer]) -> str:
-    """Markdown of the coverage of a case."""
+def table(case: Case, found: list[Answer], left: Counter[str]) -> str:
+    """Markdown of the coverage of a case, `left` being the throws that are not counted."""
     n = len(found)
+    counted = f"{n + left.total()} throws drawn, {n} counted"
+    if left:
+        counted += f"; left out: {reasons(left.elements())}"
     lines = [
         f"### {case.title[0].upper()}{case.title[1:]}",
         "",
-        f"{n} throws; the law was taken to miss something in {sum(a.found for a in found)}.",
+        f"{counted}. The law was taken to miss something in {sum(a.found for a in found)}.",
         "",
         "| | 68 %: both errors | parameters alone | 95 %: both errors | parameters alone |",
         "|---|---|---|---|---|",
@@ -153,8 +161,7 @@ def table(case: Case, found: list[Answer]) -> str:
         for level, (_, _, nominal, _) in LEVELS.items():
             for kind in ("both", "parameters"):
                 inside = sum(getattr(answer, kind)[level][name] for answer in found)
-                off = binomtest(inside, n, nominal).pvalue < 0.01
-                cells.append(f"{100 * inside / n:.0f} %{' (!)' if off else ''}")
+                cells.append(share(inside, n, nominal))
         lines.append(f"| {name.replace('_', ' ')} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
@@ -165,14 +172,12 @@ def write(throws: int, chosen: int | None) -> None:
         if chosen not in (None, number):
             continue
         began, found = time.time(), []
-        for answer in answers(case, throws):
+        left: Counter[str] = Counter()
+        for answer in answers(case, throws, left=left):
             found.append(answer)
             print(f"\r{case.title}: {len(found)} of {throws}", end="", file=sys.stderr)
         print(f", {time.time() - began:.0f} s", file=sys.stderr)
-        file = HERE / "README.md"
-        mark = f"<!-- held-out {number} -->\n"
-        before, _, after = file.read_text().split(mark)
-        file.write_text(mark.join([before, table(case, found), after]))
+        put(f"held-out {number}", table(case, found, left))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from scipy.stats import binomtest
@@ -12,17 +13,38 @@ LEVELS = {"68 %": (0.68, 0.99446), "95 %": (0.95, 1.95996)}
 """Share of the cases that an interval should hold, and its half width in standard errors."""
 
 
-def put(name: str, text: str) -> None:
-    """Replace a table."""
-    file = HERE / "README.md"
+def put(name: str, text: str, folder: Path = HERE) -> None:
+    """Replace a table in the README.md of a folder."""
+    file = folder / "README.md"
     mark = f"<!-- {name} -->\n"
     before, _, after = file.read_text().split(mark)
     file.write_text(mark.join([before, text, after]))
+
+
+def marked(text: str, p: float) -> str:
+    """A cell, marked where chance explains it with a probability below `DOUBTFUL`."""
+    return f"{text}{' (!)' if p < DOUBTFUL else ''}"
 
 
 def share(inside: int, of: int, nominal: float) -> str:
     """A count as a cell, marked where chance does not explain it."""
     if not of:
         return ""
-    off = binomtest(inside, of, nominal).pvalue < DOUBTFUL
-    return f"{100 * inside / of:.1f} %{' (!)' if off else ''}"
+    return marked(f"{100 * inside / of:.1f} %", binomtest(inside, of, nominal).pvalue)
+
+
+def row(cells: Iterable[object]) -> str:
+    """A line of a table in Markdown."""
+    return f"| {' | '.join(str(cell) for cell in cells)} |"
+
+
+def head(*columns: str) -> list[str]:
+    """The first two lines of a table in Markdown."""
+    return [row(columns), f"|{'---|' * len(columns)}"]
+
+
+def reasons(found: Iterable[str]) -> str:
+    """How often each reason occurs, the most frequent first; empty reasons are none."""
+    given = [reason for reason in found if reason]
+    often = sorted(set(given), key=lambda reason: (-given.count(reason), reason))
+    return ", ".join(f"{reason} {given.count(reason)}" for reason in often)

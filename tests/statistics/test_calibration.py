@@ -1,0 +1,168 @@
+"""What the script says of made-up answers; `calibration.py` makes the tables of real ones."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from calibration import (
+    BINS,
+    BOXES,
+    DRAWS,
+    TRIALS,
+    Answer,
+    Outcome,
+    Quantity,
+    Record,
+    answer,
+    counted,
+    noise_table,
+    ranks_table,
+    small_table,
+)
+from tables import HERE, reasons, share
+
+import curlfit
+
+
+def line_of(name, text):
+    (found,) = [line for line in text.splitlines() if line.startswith(f"| {name} |")]
+    return [cell.strip() for cell in found.strip("|").split("|")]
+
+
+def good(rank=50, held=(True, True), pull=0.5):
+    return Quantity(pull, held, "", rank, (True, True))
+
+
+def test_every_shipped_law_is_tried_in_its_own_bounds():
+    shipped = {n for n, law in curlfit.LAWS.items() if law.shipped() and not law.approximates}
+    assert set(BOXES) == shipped
+    for name, box in BOXES.items():
+        own = {item.name: item for item in curlfit.LAWS[name].coefficients()}
+        assert set(box) == {one for one, item in own.items() if not item.optional}
+        for one, (low, high) in box.items():
+            assert own[one].lower <= low < high <= own[one].upper
+
+
+def test_share_marks_what_chance_does_not_explain():
+    assert share(95, 100, 0.95) == "95.0 %"
+    assert share(80, 100, 0.95) == "80.0 % (!)"
+    assert share(8, 10, 0.95) == "80.0 %"
+    assert share(0, 0, 0.95) == ""
+
+
+def test_reasons_are_counted():
+    assert reasons(["", "b", "a", "b"]) == "b 2, a 1"
+    assert reasons(["", ""]) == ""
+
+
+def test_ranks_say_what_left_and_why():
+    bound, unseen = (
+        Quantity(None, (), why, 50, (True, True)) for why in ("at bound", "not identifiable")
+    )
+    answers = [
+        Answer(1 if k % 2 else -1, {"white": Outcome({"mu": good(k), "k": good(k)})})
+        for k in range(DRAWS + 1)
+    ]
+    answers += [Answer(1, {"white": Outcome({"mu": good(), "k": bound})})] * 10
+    answers += [Answer(1, {"white": Outcome({"mu": good(), "k": unseen})})] * 2
+    answers += [Answer(-1, {"white": Outcome({}, left="not converged")})] * 3
+    answers += [Answer(-1, {"white": Outcome({}, left="the fit raised UnusableFitError")})]
+    unsampled = Outcome({"mu": good(), "k": good()}, sampler="not converged")
+    answers += [Answer(-1, {"white": unsampled})] * 4
+    text = ranks_table(TRIALS["ranks pressure"], answers).text
+    assert "120 throws drawn (62 counter-clockwise, 58 clockwise). 116 counted; left out: not "\
+        "converged 3, the fit raised UnusableFitError 1. Consistent load." in text  # fmt: skip
+    assert "No standard error of k in 12 of 116: at bound 10, not identifiable 2." in text
+    assert "No standard error of mu" not in text
+    assert "Not in n of ranks, of 116: sampler not converged 4." in text
+    assert line_of("mu", text)[1] == "112"
+    assert (line_of("k", text)[1], line_of("k", text)[7]) == ("112", "104")
+    assert line_of("k", text)[8:] == ["100.0 % (!)", "100.0 %"]
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_uneven_ranks_of_one_sense_are_seen(sense):
+    """Skewed one way in one sense of spin, and the other way in the other, they add up to even."""
+    random = np.random.default_rng(0)
+    answers = []
+    for k in range(200):
+        mine = 1 if k % 2 else -1
+        rank = int(random.integers(DRAWS + 1))
+        if mine == sense:
+            rank //= 2
+        answers.append(Answer(mine, {"white": Outcome({"mu": good(rank)})}))
+    found = ranks_table(TRIALS["ranks coulomb"], answers)
+    _, _, _, left, right, *_ = line_of("mu", found.text)
+    assert ("(!)" in left, "(!)" in right) == (sense == 1, sense == -1)
+    assert found.cells == 7
+    assert BINS == 10
+
+
+def test_coverage_of_one_sense_is_told_apart():
+    answers = [
+        Answer(sense, {"white": Outcome({"mu": good(k, held=(held, held)), "a + b": good(k)})})
+        for sense in (1, -1)
+        for k, held in enumerate([True] * 68 + [sense == 1] * 27 + [False] * 5)
+    ]
+    text = ranks_table(TRIALS["ranks coulomb"], answers).text
+    assert "counter-clockwise 95.0 % (!) and 95.0 % (100 throws)" in text
+    assert "clockwise 68.0 % and 68.0 % (!) (100 throws)" in text
+
+
+def test_noise_says_pulls_and_warnings():
+    answers = [
+        Answer(1, {
+            "white": Outcome({"v0": good(pull=pull)}, correlated=k < 7),
+            "ar1": Outcome({"v0": good(pull=2 * pull)}, lasting=k < 2),
+            "gp": Outcome({"v0": good()} if k else {}, left="" if k else "not converged"),
+        })
+        for k, pull in enumerate(np.linspace(-1, 3, 9))
+    ]  # fmt: skip
+    text = noise_table(TRIALS["noise white"], answers).text
+    cells = line_of("v0", text)
+    assert (cells[3], cells[6], cells[9]) == ("1.00 ± 1.37", "2.00 ± 2.74", "0.50 ± 0.00")
+    assert line_of("residuals correlated", text)[1:] == ["7 of 9", "0 of 9", "0 of 8"]
+    assert line_of("memory too long", text)[1:] == ["0 of 9", "2 of 9", "0 of 8"]
+    assert "- gp: 8 counted; left out: not converged 1." in text
+
+
+def test_small_samples_count_both_intervals_and_outliers():
+    item = Quantity(2.1, (False, True))
+    answers = [Answer(1, {"white": Outcome({"mu": item}, outliers=int(k == 0))}) for k in range(50)]
+    text = small_table(TRIALS["small coulomb 12"], answers).text
+    assert line_of("mu", text) == ["mu", "50", "0.0 % (!)", "100.0 %"]
+    assert "An outlier was named by chance in 1 of 50." in text
+
+
+def test_answers_survive_their_file_and_make_the_same_tables(tmp_path):
+    answers = [Answer(-1, {"white": Outcome({"mu": good(k)})}) for k in range(5)]
+    first = Record(tmp_path / "first")
+    first.add("ranks coulomb", answers)
+    assert set(json.loads(first.file.read_text())["parts"]) == {"ranks coulomb"}
+    again = Record(tmp_path / "again")
+    again.load(first.file)
+    again.write("ranks coulomb")
+    texts = [(tmp_path / name / "README.md").read_text() for name in ("first", "again")]
+    assert texts[0] == texts[1]
+    assert "5 throws drawn (0 counter-clockwise, 5 clockwise). 5 counted." in texts[0]
+
+
+def test_a_throw_depends_on_its_number_alone(monkeypatch):
+    trial = TRIALS["small coulomb 12"]
+    one = answer(trial, 3)
+    assert one == answer(trial, 3) != answer(trial, 4)
+    assert counted([one])[0].quantities["mu"].held
+
+    def refuse(*_, **__):
+        raise curlfit.UnusableFitError("no")
+
+    monkeypatch.setattr(curlfit, "fit", refuse)
+    assert answer(trial, 3).outcomes["white"].left == "the fit raised UnusableFitError"
+
+
+def test_the_readme_has_a_place_for_every_table():
+    text = (HERE / "README.md").read_text()
+    for name in ("ranks", *TRIALS):
+        assert text.count(f"<!-- {name} -->\n") == 2, name
