@@ -28,7 +28,7 @@ from curlfit.carried import VARIED, Family, Paths
 from curlfit.chain import Chain
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, no_motion_because
-from curlfit.misfit import Misfit, misfit_of
+from curlfit.misfit import Misfit, discrepancy_of
 from curlfit.predictions import QUANTITIES, HeldOut, Prediction, Quantity
 from curlfit.results import FitResult
 from curlfit.sampling import ridge_move
@@ -125,8 +125,10 @@ def predict(
             f"the {fit.law} law as fitted does not bring this stone to rest"
             + no_motion_because(fit.load)
         )
-    misfit = misfit_of(fit)
-    full = family.deviated(values, best, misfit, random) if misfit.found else plain
+    discrepancy = discrepancy_of(fit)
+    misfit = discrepancy.misfit
+    missing = discrepancy.drawn(draws, random)
+    full = missing.on(family.follow(family.begin(discrepancy.moved(values, missing))), family.spin)
     use = plain.good & full.good
     if use.mean() < 0.5:
         raise UnusableFitError(
@@ -250,17 +252,16 @@ def _measured(paths: Paths) -> dict[str, Floats]:
     dx, dy = (last - first)[:, :2].T
     passed = {name: paths.passing(LINES[name]) for name in ("hog", "far-hog", "far-tee")}
     hog, far_hog, tee = (passed[name][0] for name in ("hog", "far-hog", "far-tee"))
-    time = paths.rest + paths.late
     return {
         "rest_x": last[:, 0],
         "rest_y": last[:, 1] - TEE,
         "rest_to_tee": np.hypot(last[:, 0], last[:, 1] - TEE),
         "curl": (dx * vy - dy * vx) / np.hypot(vx, vy),
         "turns": (last - first)[:, 2] / (2 * math.pi),
-        "time": time,
+        "time": paths.rest,
         "hog_to_hog": far_hog - hog,
         "hog_to_tee": tee - hog,
-        "hog_to_rest": time - far_hog,
+        "hog_to_rest": paths.rest - far_hog,
         "speed_at_hog": passed["hog"][1],
         "speed_at_far_hog": passed["far-hog"][1],
         "speed_at_tee": passed["far-tee"][1],
