@@ -68,7 +68,8 @@ class Paths:
     def mean_speeds(self) -> Floats:
         """Of each interval of the grid, shape (paths, times - 1)."""
         speed = np.hypot(self.state[:, 3], self.state[:, 4])
-        return cast(Floats, (speed[:, 1:] + speed[:, :-1]) / 2)
+        found: Floats = (speed[:, 1:] + speed[:, :-1]) / 2
+        return found
 
     def under(self, missing: Floats) -> Paths:
         """The same throws under further accelerations, to rest.

@@ -19,8 +19,10 @@ Journal of the American Statistical Association 112, 1274). Coefficients at a bo
 change. Independent noise by channel is estimated beside it; where residuals still go together from
 row to row, they count as the fewer independent values that would tell as much.
 
+Beyond the fitted speeds the record shows nothing: what is missing there alone, a process of the
+same covariance that is zero at the fitted speeds, has sizes of the prior.
+
 A prediction is the law's own path, not corrected by what is missing: draws have either sign.
-Beyond the speeds that were fitted, the accelerations go over into their prior of the sizes found.
 """
 
 from __future__ import annotations
@@ -47,8 +49,11 @@ from curlfit.throw import CHANNELS
 
 Floats = NDArray[np.float64]
 
-WAYS = ("across", "along", "turning")
-"""Of missing accelerations: to the right of the velocity, along it, and in turning."""
+WORDS = {"across": "across the path", "along": "along the path", "turning": "in the spin"}
+"""Ways of missing accelerations: to the right of the velocity, along it, and angular."""
+WAYS = tuple(WORDS)
+SHOWN = 3.0
+"""Standard deviations from which a missing acceleration counts as detected."""
 CEILING = 1.0
 """Most of the friction that the size of a missing acceleration can be."""
 _ABOVE = 0.05  # share of the prior of the sizes above the ceiling, where it is cut off
@@ -56,7 +61,6 @@ _SIZES = np.geomspace(0.002, 1.0, 12)  # over the ceiling
 _SPEEDS = np.geomspace(0.05, 10.0, 161)  # m/s, at which accelerations are kept
 _SHAPES = 20  # functions of speed that they are made of
 _FEWEST = 20  # values of a channel from which its noise is judged
-_SHOWN = 3.0  # standard deviations from which a missing acceleration counts as found
 _TIMES = 331  # of the fitted path
 _BEYOND = 1.1  # of the duration of the fitted rows that the path is followed
 _ROUNDS = 3  # of telling noise and its memory
@@ -92,7 +96,7 @@ class Misfit:
     @property
     def found(self) -> bool:
         """Whether the residuals show that the law misses something."""
-        return any(excess > _SHOWN for excess in self.excess.values())
+        return any(excess > SHOWN for excess in self.excess.values())
 
 
 class Missing(NamedTuple):
@@ -140,6 +144,9 @@ class Discrepancy:
     _sizes: Floats
     """of a grid, over the ceilings, shape (places, 3)"""
     _chances: Floats
+    """of these places"""
+    _beyond: Floats
+    """functions of speed that are zero at the fitted speeds, shape (functions, speeds)"""
 
     def drawn(self, draws: int, random: np.random.Generator) -> Missing:
         """Draws of missing accelerations."""
@@ -156,7 +163,9 @@ class Discrepancy:
         weights = free @ self._rows.basis.T
         ceilings = np.array([self.misfit.ceilings[way] for way in WAYS])
         made = weights.reshape(draws, len(WAYS), -1) * ceilings[:, None]
-        return Missing(made @ _shapes(), change)
+        beyond = random.choice(_SIZES, (draws, len(WAYS)), p=_chances_of_prior()) * ceilings
+        other = random.standard_normal((draws, len(WAYS), len(self._beyond))) @ self._beyond
+        return Missing(made @ _shapes() + beyond[..., None] * other, change)
 
     def moved(self, values: Floats, missing: Missing) -> Floats:
         """Draws of the parameters with what is missing, and less sure where residuals tell less
@@ -206,7 +215,7 @@ def discrepancy_of(fit: FitResult) -> Discrepancy:
         dict(zip(WAYS, map(float, sizes), strict=True)),
         _span(fit),
         {
-            name: sigma * math.sqrt(square * part)
+            name: float(sigma * math.sqrt(square * part))
             for name, sigma, square, part, use in zip(
                 rows.names, rows.sigmas, noise, share, judged, strict=True
             )
@@ -216,7 +225,7 @@ def discrepancy_of(fit: FitResult) -> Discrepancy:
         dict(zip(WAYS, map(float, ceilings), strict=True)),
         friction,
     )
-    return Discrepancy(misfit, fit, rows, noise, places, chances)
+    return Discrepancy(misfit, fit, rows, noise, places, chances, _beyond(fit.fitted["speed"]))
 
 
 @dataclass(frozen=True)
@@ -263,7 +272,9 @@ class _Rows:
             use = weight[place] > 0
             own = weight[place, use][:, None]
             residual = (fit.observed[name] - fit.fitted[name])[use, None]
-            blocks.append(own * np.hstack([jacobian[place, use][:, movable], response[use], residual]))
+            blocks.append(
+                own * np.hstack([jacobian[place, use][:, movable], response[use], residual])
+            )
             sigmas.append(float(1 / np.sqrt(np.mean(own**2))))
         p = int(movable.sum())
         whole = np.concatenate(blocks)
@@ -298,7 +309,7 @@ class _Rows:
         precision[:, self.seen :, self.seen :] += prior
         lower = np.linalg.cholesky(precision)
         white = np.linalg.solve(lower, whole[:-1, -1:])[..., 0]
-        return lower, white, np.linalg.slogdet(prior)[1]
+        return cast(Floats, lower), white, cast(Floats, np.linalg.slogdet(prior)[1])
 
     def likelihood(self, noise: Floats, share: Floats, sizes: Floats) -> Floats:
         """Logarithm of the restricted likelihood of sizes, shape (places, 3) over ceilings."""
@@ -352,13 +363,36 @@ def _prior(sizes: Floats) -> Floats:
     return cast(Floats, (np.log(sizes) - rate * sizes).sum(-1))
 
 
+def _chances_of_prior() -> Floats:
+    chances = np.exp([_prior(np.array([size])) for size in _SIZES])
+    return cast(Floats, chances / chances.sum())
+
+
+def _covariance() -> Floats:
+    """Of a unit acceleration at `_SPEEDS`."""
+    gap = np.abs(np.log(_SPEEDS[:, None] / _SPEEDS)) * math.sqrt(5)
+    found: Floats = (1 + gap + gap**2 / 3) * np.exp(-gap)
+    return found
+
+
 @cache
 def _shapes() -> Floats:
     """Functions of speed that, with independent unit weights, make a unit acceleration, shape
     (functions, speeds)."""
-    gap = np.abs(np.log(_SPEEDS[:, None] / _SPEEDS)) * math.sqrt(5)
-    squares, vectors = np.linalg.eigh((1 + gap + gap**2 / 3) * np.exp(-gap))
+    squares, vectors = np.linalg.eigh(_covariance())
     return cast(Floats, (np.sqrt(squares) * vectors).T[: -_SHAPES - 1 : -1])
+
+
+def _beyond(speed: Floats) -> Floats:
+    """The same, zero at the fitted speeds, where these lie within `_SPEEDS`."""
+    fitted = np.clip(_SPEEDS, speed.min(), speed.max()) == _SPEEDS
+    whole = _covariance()
+    # the record knows its own speeds to rounding
+    known = whole[fitted][:, fitted] + 1e-6 * np.eye(int(fitted.sum()))
+    left = whole - whole[:, fitted] @ np.linalg.solve(known, whole[fitted])
+    left[fitted] = left[:, fitted] = 0.0
+    squares, vectors = np.linalg.eigh(left)
+    return cast(Floats, (np.sqrt(np.maximum(squares, 0.0)) * vectors).T[: -_SHAPES - 1 : -1])
 
 
 def _response(fit: FitResult, names: tuple[str, ...]) -> Floats:

@@ -40,7 +40,7 @@ def report(prediction: Prediction) -> RenderableType:
     if prediction.check is not None:
         parts += [_check(prediction.check)]
     parts += [
-        Padding(Text(f"Mind: {warning}.", style="yellow"), (0, 0, 1, 0))
+        Padding(Text(f"Warning: {warning}.", style="yellow"), (0, 0, 1, 0))
         for warning in prediction.warnings
     ]
     parts += [Text(f"Note: {note}.", style="dim") for note in prediction.notes]
@@ -126,7 +126,7 @@ def _quantities(prediction: Prediction) -> RenderableType:
     partly = any(item.share < 1 for item in shown.values())
     table = plain_table()
     table.add_column("", no_wrap=True)
-    for head in ("best", "parameters", "law"):
+    for head in ("best", "parameters", "discrepancy"):
         table.add_column(head, justify="right", no_wrap=True)
     for head in ("68 %", "95 %", *(["of draws"] if partly else [])):
         table.add_column(head, no_wrap=True)
