@@ -33,7 +33,7 @@ _FEW = 0.01  # share of paths that may take longer
 _LEAST_SPIN = 1e-3  # rad/s of the fitted throw, below which another's is not compared with it
 _FOLDS = 3.0  # most of the ratio of a missing acceleration to the deceleration
 _ON_LINE = 1e-3  # m; a stone that rests on a line has not passed it
-_AT_START = 0.1  # m past a line within which a throw counts as beginning on it
+_AT_START = 0.5  # m past a line within which a throw counts as beginning on it
 
 
 class Paths:

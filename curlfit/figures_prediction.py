@@ -79,8 +79,8 @@ def _whole(prediction: Prediction, axes: Any) -> None:
     _stone(axes, (series["y"][0], series["x"][0]), hollow=True)
     _stone(axes, (series["y"][-1], series["x"][-1]))
     axes.set_aspect("equal")
-    axes.set_xlim(min(float(series["y"][0]), 0.0) - 0.5, length + 0.5)
-    beyond = max(half, float(np.abs(series["x"][series["y"] < length]).max()) + 0.3)
+    axes.set_xlim(min(float(series["y"][0]), 0.0) - 0.5, max(float(series["y"][-1]), length) + 0.5)
+    beyond = max(half, float(np.abs(series["x"]).max()) + 0.3)
     axes.set_ylim(beyond + 0.1, -beyond - 0.1)
     names = {"hog": "hog line", "far-hog": "hog line", "tee": "tee", "far-tee": "tee"}
     axes.set_xticks([sheet.LINES[name] for name in names], list(names.values()), fontsize=8)
@@ -113,7 +113,7 @@ def _resting(prediction: Prediction, axes: Any) -> None:
     centre, size = _interval(prediction, "2.5", "97.5")
     reach = np.abs(centre - (x, y)) + 1.1 * size + 0.3
     _house(axes, (0.0, 0.0))
-    axes.plot([0, 0], [-40, 20], **_LINE)
+    axes.axvline(0, **_LINE)
     for level in (0.0, -sheet.TEE_TO_HOG, sheet.TEE_TO_BACK):
         axes.plot([-half, half], [level, level], **_LINE)
     axes.plot(series["x"], series["y"] - sheet.TEE, color=_PATH, lw=1.2, zorder=4)
@@ -157,7 +157,7 @@ def _resting(prediction: Prediction, axes: Any) -> None:
     axes.set_aspect("equal", adjustable="box")
     axes.set(
         xlim=(-sides, sides),
-        ylim=(low if away else min(low, y - reach[1]), min(max(-low, y + reach[1]), end)),
+        ylim=(low if away else min(low, y - reach[1]), end if away else max(-low, y + reach[1])),
         xlabel="right of the centre line (m)",
         ylabel="beyond the tee line (m)",
     )
@@ -220,8 +220,7 @@ def _speed(prediction: Prediction, axes: Any) -> None:
     series = prediction.series
     axes.plot(series["t"], series["speed"], color=_PATH)
     axes.set(xlabel="t (s)", ylabel="speed (m/s)")
-    axes.set_ylim(bottom=0)
-    axes.margins(x=0.02)
+    axes.set(ylim=(0, None), xlim=(0, 1.05 * prediction.quantities["time"].value))
     spin = axes.twinx()
     spin.plot(series["t"], series["omega"], color="#2e8b57")
     spin.set_ylabel(r"spin $\omega$ (rad/s)", color="#2e8b57")

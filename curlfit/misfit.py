@@ -8,8 +8,9 @@ throw: the mirror image of a throw is a throw, and proportion is the first order
 
 Sizes. The size of each has an exponential prior, as penalised-complexity priors have it (Simpson
 et al. 2017, Statistical Science 32, 1): 5 % of it lies above the friction, mu g by the mean
-deceleration of the fitted rows (for the turning, its moment at the ring, mu g R/rho^2), and it
-ends there: a missing force of the contact is no larger than the contact's own. Times the
+deceleration of the fitted rows, and it ends there: a missing force of the contact is no larger than
+the contact's own. For the turning, it is the moment of friction at the ring, mu g R/rho^2, times
+the share R omega/v by which sliding differs along the ring (at most 1, mean of the rows). Times the
 likelihood, that makes the sizes of the draws. A record that shows nothing thus leaves the sizes
 that it could not have shown, and one that is silent the prior, whose mean is a third of friction.
 
@@ -57,7 +58,8 @@ SHOWN = 3.0
 CEILING = 1.0
 """Most of the friction that the size of a missing acceleration can be."""
 _ABOVE = 0.05  # share of the prior of the sizes above the ceiling, where it is cut off
-_SIZES = np.geomspace(0.002, 1.0, 12)  # over the ceiling
+_EDGES = np.geomspace(0.002, 1.0, 13)
+_SIZES = np.sqrt(_EDGES[1:] * _EDGES[:-1])  # over the ceiling, in the middle of equal parts
 _SPEEDS = np.geomspace(0.05, 10.0, 161)  # m/s, at which accelerations are kept
 _SHAPES = 20  # functions of speed that they are made of
 _FEWEST = 20  # values of a channel from which its noise is judged
@@ -190,7 +192,7 @@ def misfit_of(fit: FitResult) -> Misfit:
 def discrepancy_of(fit: FitResult) -> Discrepancy:
     """What the law of a fit misses: the posterior of it. See the top of this file."""
     friction = _friction(fit)
-    turning = friction * fit.stone.R / fit.stone.rho**2
+    turning = friction * fit.stone.R / fit.stone.rho**2 * _unevenness(fit)
     ceilings = CEILING * GRAVITY * np.array([friction, friction, turning])
     rows = _Rows.of(fit, ceilings)
     judged = rows.counts > _FEWEST
@@ -432,6 +434,14 @@ def _friction(fit: FitResult) -> float:
     """Coefficient of friction by the mean deceleration of the fitted rows."""
     speed = fit.fitted["speed"]
     return max(float(speed[0] - speed.min()) / (GRAVITY * _span(fit)), 1e-4)
+
+
+def _unevenness(fit: FitResult) -> float:
+    """Mean of R |omega|/v over the moving fitted rows, each at most 1."""
+    speed = fit.fitted["speed"]
+    moving = speed > 0
+    rim = fit.stone.R * np.abs(fit.fitted["omega"][moving])
+    return max(float(np.mean(np.minimum(rim / speed[moving], 1.0))), 0.01)
 
 
 def _slopes(fit: FitResult) -> tuple[Floats, Floats]:
