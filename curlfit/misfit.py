@@ -23,7 +23,8 @@ row to row, they count as the fewer independent values that would tell as much.
 Beyond the fitted speeds the record shows nothing: what is missing there alone, a process of the
 same covariance that is zero at the fitted speeds, has sizes of the prior.
 
-A prediction is the law's own path, not corrected by what is missing: draws have either sign.
+A prediction is the law's own path, not corrected by what is missing: draws have the posterior mean
+with a random factor, even between -sqrt(3) and sqrt(3), whose mean square is 1.
 """
 
 from __future__ import annotations
@@ -156,10 +157,9 @@ class Discrepancy:
             random.choice(len(self._sizes), draws, p=self._chances), return_inverse=True
         )
         lower, white, _ = self._rows.solved(self._noise, self._sizes[places])
-        random_part = random.standard_normal((draws, lower.shape[-1]))
-        found = np.linalg.solve(lower.mT[of], (white[of] + random_part)[..., None])[..., 0]
-        sign = random.choice([-1.0, 1.0], draws)[:, None]
-        free = sign * found[:, self._rows.seen :]
+        factor = random.uniform(-math.sqrt(3), math.sqrt(3), (draws, 1))
+        right = factor * white[of] + random.standard_normal((draws, lower.shape[-1]))
+        free = np.linalg.solve(lower.mT[of], right[..., None])[:, self._rows.seen :, 0]
         change = np.zeros((draws, len(self._fit.parameters)))
         change[:, _movable(self._fit)] = -free @ (self._rows.steps @ self._rows.shared).T
         weights = free @ self._rows.basis.T
