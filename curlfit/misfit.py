@@ -66,6 +66,7 @@ _SHAPES = 20  # functions of speed that they are made of
 _FEWEST = 20  # values of a channel from which its noise is judged
 _TIMES = 331  # of the fitted path
 _BEYOND = 1.1  # of the duration of the fitted rows that the path is followed
+_FINEST = 1e-5  # m, rad, m/s or rad/s: noise is not taken to be smaller
 _ROUNDS = 3  # of telling noise and its memory
 
 
@@ -272,7 +273,7 @@ class _Rows:
         for name, response in zip(names, made, strict=True):
             place = CHANNELS.index(name)
             use = weight[place] > 0
-            own = weight[place, use][:, None]
+            own = np.minimum(weight[place, use], 1 / _FINEST)[:, None]
             residual = (fit.observed[name] - fit.fitted[name])[use, None]
             blocks.append(
                 own * np.hstack([jacobian[place, use][:, movable], response[use], residual])
@@ -295,6 +296,11 @@ class _Rows:
             np.array([part.T @ part for part in parts]), len(singular), steps, measured, basis,
             shared @ basis,
         )  # fmt: skip
+
+    @property
+    def least(self) -> Floats:
+        """Least squares of the noise over the fit's by channel."""
+        return (_FINEST / self.sigmas) ** 2
 
     def solved(self, noise: Floats, sizes: Floats) -> tuple[Floats, Floats, Floats]:
         """The Gaussian posterior of all columns at given sizes, shape (places, 3) over ceilings.
@@ -336,7 +342,8 @@ class _Rows:
             tried, place = unpacked(logs)
             return -float((self.likelihood(tried, share, place) + _prior(place))[0])
 
-        limits = [(math.log(_SIZES[0]), 0.0)] * len(WAYS) + [(-14.0, 14.0)] * int(judged.sum())
+        limits = [(math.log(_SIZES[0]), 0.0)] * len(WAYS)
+        limits += [(math.log(least), 14.0) for least in self.least[judged]]
         start = np.log(np.concatenate([sizes, noise[judged]]))
         found = minimize(implausible, start, method="L-BFGS-B", bounds=limits).x
         tried, place = unpacked(found)
@@ -344,7 +351,8 @@ class _Rows:
 
     def rough(self) -> Floats:
         """Squares of noise over the fit's by channel, from differences of neighbours."""
-        return np.array([np.mean(np.diff(part[:, -1]) ** 2) / 2 for part in self.parts])
+        squares = np.array([np.sum(np.diff(part[:, -1]) ** 2) for part in self.parts])
+        return np.maximum(squares / (2 * self.counts), self.least)
 
     def effective(self, noise: Floats, sizes: Floats) -> Floats:
         """Share of the values that would tell as much if independent, by channel."""
