@@ -31,7 +31,6 @@ _STEPS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # s between tim
 _FILLED = 0.8  # share of the grid of times within which paths come to rest
 _FEW = 0.01  # share of paths that may take longer
 _LEAST_SPIN = 1e-3  # rad/s of the fitted throw, below which another's is not compared with it
-_FOLDS = 3.0  # powers of e below half of the law's that a deceleration can be
 _ON_LINE = 1e-3  # m; a stone that rests on a line has not passed it
 _AT_START = 0.5  # m past a line within which a throw counts as beginning on it
 
@@ -75,8 +74,8 @@ class Paths:
         """The same throws under further accelerations, to rest.
 
         The law is taken to go by speed: a stone loses the same speeds, in other times. A
-        deceleration D becomes D - a as far as D/2, and from there D/2 exp(1 - 2 a/D): friction does
-        not push. The last of the times stands for rest, whenever that is.
+        deceleration D becomes D - a as far as D/2, and from there D^2/(4 a): friction does not
+        push. The last of the times stands for rest, whenever that is.
 
         Parameters
         ----------
@@ -91,8 +90,7 @@ class Paths:
         with np.errstate(all="ignore"):
             ratio = np.where(loss > 0, ahead * step / loss, 0.0)
             veer = np.where(middle > 0, right / middle, 0.0)
-        far = np.clip(2 * ratio - 1, 0.0, _FOLDS)
-        longer = step / np.where(ratio < 0.5, 1 - ratio, np.exp(-far) / 2)
+        longer = step * np.where(ratio < 0.5, 1 / (1 - np.minimum(ratio, 0.5)), 4 * ratio)
         heading = np.unwrap(_held(np.arctan2(vx, vy), speed > 0))
         more = longer / np.where(step > 0, step, 1.0) - 1
         turned = _sum(more * np.diff(heading) + veer * longer)
