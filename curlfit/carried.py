@@ -74,8 +74,8 @@ class Paths:
         """The same throws under further accelerations, to rest.
 
         The law is taken to go by speed: a stone loses the same speeds, in other times. A
-        deceleration D becomes D - a as far as D/2, and from there D^2/(4 a): friction does not
-        push. The last of the times stands for rest, whenever that is.
+        deceleration D becomes D - a as far as D/2, and from there D/(2 sqrt(4 a/D - 1)): friction
+        does not push. The last of the times stands for rest, whenever that is.
 
         Parameters
         ----------
@@ -90,7 +90,8 @@ class Paths:
         with np.errstate(all="ignore"):
             ratio = np.where(loss > 0, ahead * step / loss, 0.0)
             veer = np.where(middle > 0, right / middle, 0.0)
-        longer = step * np.where(ratio < 0.5, 1 / (1 - np.minimum(ratio, 0.5)), 4 * ratio)
+        little, much = np.minimum(ratio, 0.5), np.maximum(ratio, 0.5)
+        longer = step * np.where(ratio < 0.5, 1 / (1 - little), 2 * np.sqrt(4 * much - 1))
         heading = np.unwrap(_held(np.arctan2(vx, vy), speed > 0))
         more = longer / np.where(step > 0, step, 1.0) - 1
         turned = _sum(more * np.diff(heading) + veer * longer)

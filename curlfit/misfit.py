@@ -23,8 +23,8 @@ row to row, they count as the fewer independent values that would tell as much.
 Beyond the fitted speeds the record shows nothing: what is missing there alone, a process of the
 same covariance that is zero at the fitted speeds, has sizes of the prior.
 
-A prediction is the law's own path, not corrected by what is missing: draws have the posterior mean
-with a random factor, even between -sqrt(3) and sqrt(3), whose mean square is 1.
+A prediction is the law's own path, and its bands lie to the side of it that the residuals point
+to: draws have the posterior mean with a random factor, even between 0 and 2.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ class Discrepancy:
             random.choice(len(self._sizes), draws, p=self._chances), return_inverse=True
         )
         lower, white, _ = self._rows.solved(self._noise, self._sizes[places])
-        factor = random.uniform(-math.sqrt(3), math.sqrt(3), (draws, 1))
+        factor = random.uniform(0.0, 2.0, (draws, 1))
         right = factor * white[of] + random.standard_normal((draws, lower.shape[-1]))
         free = np.linalg.solve(lower.mT[of], right[..., None])[:, self._rows.seen :, 0]
         change = np.zeros((draws, len(self._fit.parameters)))

@@ -259,7 +259,7 @@ def _quantities(best: Paths, plain: Paths, full: Paths) -> dict[str, Quantity]:
             value=float(value[0]),
             unit=unit,
             parameter_sd=float(ours[there].std()),
-            model_sd=float((both - ours)[there].std()),
+            model_sd=float(_size((both - ours)[there])),
             quantiles=_quantiles(both[there]),
             share=float(np.isfinite(both).mean()),
         )
@@ -294,6 +294,11 @@ def _quantiles(values: Floats) -> dict[str, float]:
     return dict(zip(LEVELS, map(float, found), strict=True))
 
 
+def _size(values: Floats) -> Floats:
+    """Root mean square over the draws."""
+    return cast(Floats, np.sqrt(np.mean(values**2, axis=0)))
+
+
 def _series(best: Paths, plain: Paths, full: Paths) -> dict[str, Floats]:
     longest = max(float(best.rest[0]), float(np.quantile(full.rest, 0.975)))
     n = min(int(np.searchsorted(best.t, longest)) + 1, len(best.t))
@@ -303,7 +308,7 @@ def _series(best: Paths, plain: Paths, full: Paths) -> dict[str, Floats]:
     for row, name in enumerate(FORETOLD):
         ours, both = plain.state[:, row, :n], full.state[:, row, :n]
         found[f"{name}_parameter_sd"] = ours.std(0)
-        found[f"{name}_model_sd"] = (both - ours).std(0)
+        found[f"{name}_model_sd"] = _size(both - ours)
         levels = np.quantile(both, [float(level) / 100 for level in LEVELS], axis=0)
         for level, values in zip(LEVELS, levels, strict=True):
             if level != "50":
@@ -333,7 +338,7 @@ def _rest(plain: Paths, full: Paths) -> dict[str, Any]:
     return {
         "mean": [float(value) for value in both.mean(0)],
         "parameter": np.cov(ours.T).tolist(),
-        "model": np.cov((both - ours).T).tolist(),
+        "model": ((both - ours).T @ (both - ours) / len(both)).tolist(),
         "both": np.cov(both.T).tolist(),
     }
 
@@ -449,8 +454,9 @@ def _of_the_law(misfit: Misfit) -> tuple[list[str], list[str]]:
     rest = [way for way in WORDS if way not in found]
     warnings = [
         "the law does not describe the fitted rows: their residuals are those of a missing "
-        f"acceleration of about {listed(misfit.sizes, found)}. The bands hold this, but beyond the "
-        "speeds and spins that were fitted the law may fail worse"
+        f"acceleration of about {listed(misfit.sizes, found)}. The bands hold this and lie to the "
+        "side of the law's own path to which the residuals point, but beyond the speeds and spins "
+        "that were fitted the law may fail worse"
     ] if found else []  # fmt: skip
     undetected = (
         f"an acceleration too small to be detected in the fitted rows is in the bands: about "

@@ -53,7 +53,8 @@ class Quantity:
     Attributes
     ----------
     value : for the best estimate; NaN where that throw has none (it never reaches the line).
-    parameter_sd, model_sd : standard deviations from the errors of the parameters and of the law.
+    parameter_sd, model_sd : from the errors of the parameters, standard deviation, and of the law,
+        root mean square of what it makes of the parameters' draws.
     quantiles : of both together, keys "2.5", "16", "50", "84", "97.5".
     share : of the draws that have it.
     """
@@ -67,7 +68,7 @@ class Quantity:
 
     @property
     def sd(self) -> float:
-        """Standard deviation from both errors."""
+        """Size of both errors together."""
         return math.hypot(self.parameter_sd, self.model_sd)
 
 
@@ -108,8 +109,8 @@ class Prediction:
     series : t (s since the start) and x, y, phi, speed, omega of the best estimate; of x, y, phi
         also "x_parameter_sd", "x_model_sd" and the quantiles "x_2.5" ...
     band : x as a function of y: "y", "x" and "x_2.5" ..., where at least half of the draws pass.
-    rest : "mean" of the resting place and "parameter", "model", "both": covariances of its errors
-        from the parameters, from the law, and together (m^2).
+    rest : "mean" of the resting place and "parameter", "model", "both": mean products of its
+        errors from the parameters, from the law (about zero), and together (m^2).
     quantities : by name, see `QUANTITIES`.
     chances : by name, shares of the draws.
     sensitivity : by name of the start, the change of the resting place (m right, m along) by "by".
@@ -202,8 +203,8 @@ class Prediction:
             + ("carried on" if self.of == "fitted" else "another throw"),
             "# t in s since the start, lengths in m, angles in rad; x to the right of the centre "
             f"line, y from the hack thrown from (far tee at {TEE:.3f})",
-            "# _parameter_sd, _model_sd: standard deviations; _2.5 .. _97.5: percentiles, both "
-            "errors together",
+            "# _parameter_sd: standard deviation; _model_sd: root mean square of the law's error; "
+            "_2.5 .. _97.5: percentiles, both errors together",
             ",".join(names),
         ]
         for row in zip(*self.series.values(), strict=True):
