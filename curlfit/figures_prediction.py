@@ -206,7 +206,7 @@ def _across(prediction: Prediction, axes: Any) -> None:
         axes.fill_between(y, band[low], band[high], color=_BAND, alpha=alpha, lw=0, label=label)
     for seen, color, label in _measured(prediction):
         axes.plot(seen["y"] - sheet.TEE, seen["x"], ".", color=color, markersize=3, label=label)
-    axes.plot(y, band["x"], color=_PATH, lw=1.2, label="predicted")
+    axes.plot(y, band["x"], color=_PATH, lw=1.2, label="path of the law")
     axes.invert_yaxis()
     axes.set(
         xlabel="along the sheet, from the far tee (m)",
