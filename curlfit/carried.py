@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, cast
 
 from curlfit.motion import simulate
@@ -13,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from curlfit.asked import Begun
 from curlfit.friction import Law, Load, check_load
 from curlfit.likelihood import split
-from curlfit.misfit import Misfit, bent, drawn, same_speed
 from curlfit.parameters import START
 from curlfit.programs import kept
 from curlfit.results import FitResult
@@ -33,7 +32,7 @@ _FILLED = 0.8  # share of the grid of times within which paths come to rest
 _FEW = 0.01  # share of paths that may take longer
 _LEAST_SPIN = 1e-3  # rad/s of the fitted throw, below which another's is not compared with it
 _ON_LINE = 1e-3  # m; a stone that rests on a line has not passed it
-_AT_START = 0.1  # m past a line within which a throw counts as beginning on it
+_AT_START = 0.5  # m past a line within which a throw counts as beginning on it
 
 
 class Paths:
@@ -44,7 +43,6 @@ class Paths:
     t : the grid in s since the start, shape (times,).
     state : x, y, phi, vx, vy, omega, shape (paths, 6, times). good : whether a path comes to rest.
     rest : time at rest in s, shape (paths,). clock : `t`, stopped there, shape (paths, times).
-    late : what a deviation adds to the time at rest, shape (paths,).
     """
 
     def __init__(self, t: Floats, state: Floats) -> None:
@@ -54,7 +52,6 @@ class Paths:
         self.good = np.isfinite(state).all((1, 2)) & (speed[:, -1] <= 0) & (turning[:, -1] <= 0)
         self.rest = _rest_times(t, state, speed)
         self.clock = np.minimum(t, self.rest[:, None])
-        self.late = np.zeros(len(state))
 
     def __len__(self) -> int:
         return len(self.state)
@@ -63,20 +60,68 @@ class Paths:
         """Some of the paths."""
         found = object.__new__(Paths)
         found.t, found.state = self.t, self.state[which]
-        for name in ("good", "rest", "clock", "late"):
+        for name in ("good", "rest", "clock"):
             setattr(found, name, getattr(self, name)[which])
         return found
 
-    def slowing(self) -> Floats:
-        """Mean deceleration over the last quarter of each path's time, m/s^2."""
+    def mean_speeds(self) -> Floats:
+        """Of each interval of the grid, shape (paths, times - 1)."""
         speed = np.hypot(self.state[:, 3], self.state[:, 4])
-        quarter = np.array(
-            [
-                np.interp(0.75 * rest, self.t, one)
-                for rest, one in zip(self.rest, speed, strict=True)
-            ]
-        )
-        return cast(Floats, np.maximum(quarter / (0.25 * self.rest), 1e-6))
+        found: Floats = (speed[:, 1:] + speed[:, :-1]) / 2
+        return found
+
+    def under(self, missing: Floats) -> Paths:
+        """The same throws under further accelerations, to rest.
+
+        The law is taken to go by speed: a stone loses the same speeds, in other times. A
+        deceleration D becomes D - a as far as D/2, and from there D/(2 sqrt(4 a/D - 1)): friction
+        does not push. The last of the times stands for rest, whenever that is.
+
+        Parameters
+        ----------
+        missing : accelerations to the right of the velocity, along it, and in turning, at the
+            speed that the path has in each interval, shape (paths, 3, times - 1).
+        """
+        right, ahead, turning = missing.swapaxes(0, 1)
+        x, y, phi, vx, vy, omega = self.state.swapaxes(0, 1)
+        speed, middle = np.hypot(vx, vy), self.mean_speeds()
+        step = np.diff(self.clock)
+        loss = -np.diff(speed)
+        with np.errstate(all="ignore"):
+            ratio = np.where(loss > 0, ahead * step / loss, 0.0)
+            veer = np.where(middle > 0, right / middle, 0.0)
+        little, much = np.minimum(ratio, 0.5), np.maximum(ratio, 0.5)
+        longer = step * np.where(ratio < 0.5, 1 / (1 - little), 2 * np.sqrt(4 * much - 1))
+        heading = np.unwrap(_held(np.arctan2(vx, vy), speed > 0))
+        more = longer / np.where(step > 0, step, 1.0) - 1
+        turned = _sum(more * np.diff(heading) + veer * longer)
+        faster = _sum(more * np.diff(omega) + turning * longer)
+        new, spin = heading + turned, omega + faster
+
+        def mean(values: Floats) -> Floats:
+            return (values[:, 1:] + values[:, :-1]) / 2
+
+        def moved(way: Any) -> Floats:
+            """What the same sum over the intervals makes of this path and of the other."""
+            there, here = way(mean(new)) * longer, way(mean(heading)) * step
+            return _sum(middle * (there - here))
+
+        places = np.stack([x + moved(np.sin), y + moved(np.cos),
+                           phi + _sum(mean(spin) * longer - mean(omega) * step)], 1)  # fmt: skip
+        rates = np.stack([speed * np.sin(new), speed * np.cos(new), spin], 1)
+        times = _sum(longer)
+        found = self.of(slice(None))
+        found.state, found.rest = np.full_like(self.state, np.nan), times[:, -1]
+        for one in np.flatnonzero(np.isfinite(self.state).all((1, 2))):
+            clock, place, rate = times[one], places[one], rates[one]
+            kept = np.flatnonzero(np.diff(clock, prepend=-1.0) > 0)
+            at = np.minimum(np.append(self.t[:-1], np.inf), clock[-1])
+            path = CubicHermiteSpline(clock[kept], place[:, kept], rate[:, kept], axis=1)
+            moving = at < clock[-1] if speed[one, -1] <= 0 else True
+            found.state[one, :3] = path(at)
+            found.state[one, 3:] = [np.interp(at, clock, way) * moving for way in rate]
+        found.clock = np.minimum(self.t, found.rest[:, None])
+        return found
 
     def at(self, k: NDArray[np.int64], part: Floats) -> tuple[Floats, Floats]:
         """x, y, phi and their rates in interval k (k - 1 to k), at a part 0..1 of it, by cubics."""
@@ -134,15 +179,19 @@ class Paths:
 
 
 class Family:
-    """The throw asked for, under many parameter vectors."""
+    """The throw asked for, under many parameter vectors.
+
+    Attributes
+    ----------
+    spin : over that of the fitted throw.
+    """
 
     def __init__(self, fit: FitResult, begun: Begun, new: bool) -> None:
         self.fit, self.begun, self.new = fit, begun, new
         self._first = len(fit.parameters) - len(START)
-        self._heading = begun.values["heading"] if new else fit.parameters["heading"].value
         spin = fit.parameters["omega0"].value
         known = new and abs(spin) > _LEAST_SPIN
-        self._spin = begun.values["omega0"] / spin if known else 1.0
+        self.spin = begun.values["omega0"] / spin if known else 1.0
         self._grid: Floats | None = None
         self._size = 0
 
@@ -179,7 +228,7 @@ class Family:
         law, load = self.fit.law_class, check_load(self.fit.load)
 
         def on(t: Floats) -> Paths:
-            return Paths(t, np.asarray(_carried(law, load, every, self.fit.stone, t)))
+            return followed(law, load, every, self.fit.stone, t)
 
         if self._grid is not None:
             return on(self._grid).of(slice(0, len(own)))
@@ -201,41 +250,21 @@ class Family:
         slowing = max((speed[0] - speed[-1]) / (t[-1] - t[0]), 1e-4)
         return min(float(1.2 * self.begun.values["v0"] / slowing), _STEPS[-1] * (_TIMES - 1))
 
-    def deviated(
-        self, values: Floats, best: Paths, misfit: Misfit, random: np.random.Generator
-    ) -> Paths:
-        """Draws with what the law misses: bent estimates, and a deviation of the path."""
-        t, span = np.linspace(0.0, float(best.t[-1]), _TIMES), misfit.span
-        speed = np.interp(t, best.t, np.hypot(best.state[0, 3], best.state[0, 4]))
-        there = same_speed(self.fit, speed) if self.new else t
-        horizon = max(float(there.max()), span)
-        missing = drawn(misfit, float(min(there.min(), 0.0)), horizon, len(values), random)
-        fitted = np.linspace(0.0, span, _TIMES)
-        # The data were the law's path and a deviation, of which the estimates took their part.
-        moved = values - bent(self.fit, fitted, missing.deviation(fitted, fitted))
-        found = self.follow(self.begin(moved))
-        deviation = missing.deviation(t, there)
-        s, c = math.sin(self._heading), math.cos(self._heading)
 
-        def taken(series: Floats, clock: Floats) -> tuple[Floats, ...]:
-            """To the right, along and turning on the clocks of the paths, as the sheet has them."""
-            pairs = [zip(clock, series[:, way], strict=True) for way in range(3)]
-            u, w, turned = (
-                np.array([np.interp(own, t, one) for own, one in pair]) for pair in pairs
-            )
-            u, turned = self._spin * u, self._spin * turned
-            return c * u + s * w, c * w - s * u, turned
+def followed(law: type[Law], load: Load, values: Floats, stone: Stone, t: Floats) -> Paths:
+    """The paths of parameter vectors, at evenly spaced times from 0."""
+    return Paths(t, np.asarray(_carried(law, load, values, stone, t)))
 
-        moving = found.t < found.rest[:, None]
-        state = found.state.copy()
-        for way, there in enumerate(taken(deviation.value, found.clock)):
-            state[:, way] += there
-        for way, there in enumerate(taken(deviation.slope, found.clock)):
-            state[:, 3 + way] += there * moving
-        faster = taken(deviation.slope, found.rest[:, None])[1][:, 0]
-        found.late = np.clip(faster / found.slowing(), -found.rest / 2, found.rest / 2)
-        found.state = state
-        return found
+
+def _sum(steps: Floats) -> Floats:
+    """Running sum along the last axis, from zero."""
+    return np.concatenate([np.zeros_like(steps[:, :1]), np.cumsum(steps, 1)], 1)
+
+
+def _held(values: Floats, known: NDArray[np.bool_]) -> Floats:
+    """Values, each unknown one being the last known before it."""
+    last = np.maximum.accumulate(np.where(known, np.arange(values.shape[1]), 0), 1)
+    return np.take_along_axis(values, last, 1)
 
 
 def _rest_times(t: Floats, state: Floats, speed: Floats) -> Floats:

@@ -1,5 +1,5 @@
-"""The picture of a prediction: the sheet and the house drawn to scale. Nothing is computed here
-but ellipses from covariances."""
+"""The figure of a prediction: the sheet and the house drawn to scale. Nothing is computed here
+but ellipses from the intervals of the table."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 _PATH = "#1b2a49"
 _BAND = "#7b5ea7"
 _AIM = "#e07a1f"
+_MEASURED = "#2e8b57"
 _RINGS = ("#9fc3df", "#ffffff", "#e3a09b", "#ffffff")
 _LINE: dict[str, Any] = {"color": "0.55", "lw": 0.8, "zorder": 1}
 _UNITS = {"x": (100.0, "cm"), "y": (100.0, "cm"), "phi": (1000.0, "mrad")}
+_REST = ("rest_x", "rest_y")
 _LETTERS = {"x": "x", "y": "y", "phi": r"\varphi"}
 
 
@@ -71,15 +73,14 @@ def _whole(prediction: Prediction, axes: Any) -> None:
         axes.fill_between(
             band["y"], band[low], band[high], color=_BAND, alpha=alpha, lw=0, zorder=3
         )
+    for seen, color, _ in _measured(prediction):
+        axes.plot(seen["y"], seen["x"], ".", color=color, markersize=3, zorder=3.5)
     axes.plot(series["y"], series["x"], color=_PATH, lw=1.2, zorder=4)
     _stone(axes, (series["y"][0], series["x"][0]), hollow=True)
     _stone(axes, (series["y"][-1], series["x"][-1]))
-    if prediction.check is not None:
-        seen = prediction.check.observed
-        axes.plot(seen["y"], seen["x"], ".", color=_AIM, markersize=2, zorder=5)
     axes.set_aspect("equal")
-    axes.set_xlim(min(float(series["y"][0]), 0.0) - 0.5, length + 0.5)
-    beyond = max(half, float(np.abs(series["x"][series["y"] < length]).max()) + 0.3)
+    axes.set_xlim(min(float(series["y"][0]), 0.0) - 0.5, max(float(series["y"][-1]), length) + 0.5)
+    beyond = max(half, float(np.abs(series["x"]).max()) + 0.3)
     axes.set_ylim(beyond + 0.1, -beyond - 0.1)
     names = {"hog": "hog line", "far-hog": "hog line", "tee": "tee", "far-tee": "tee"}
     axes.set_xticks([sheet.LINES[name] for name in names], list(names.values()), fontsize=8)
@@ -109,11 +110,10 @@ def _resting(prediction: Prediction, axes: Any) -> None:
     """Where it comes to rest, seen along the throw, in m from the tee."""
     series, half = prediction.series, sheet.WIDTH / 2
     x, y = series["x"][-1], series["y"][-1] - sheet.TEE
-    mean = np.array(prediction.rest["mean"]) - (0.0, sheet.TEE)
-    parameter, model = (np.array(prediction.rest[name]) for name in ("parameter", "model"))
-    reach = 2.6 * np.sqrt(np.diag(parameter + model)) + 0.3
+    centre, size = _interval(prediction, "2.5", "97.5")
+    reach = np.abs(centre - (x, y)) + 1.1 * size + 0.3
     _house(axes, (0.0, 0.0))
-    axes.plot([0, 0], [-40, 20], **_LINE)
+    axes.axvline(0, **_LINE)
     for level in (0.0, -sheet.TEE_TO_HOG, sheet.TEE_TO_BACK):
         axes.plot([-half, half], [level, level], **_LINE)
     axes.plot(series["x"], series["y"] - sheet.TEE, color=_PATH, lw=1.2, zorder=4)
@@ -127,16 +127,29 @@ def _resting(prediction: Prediction, axes: Any) -> None:
         lw=0,
         zorder=2,
     )
-    for chance, alpha in ((0.95, 0.3), (0.68, 0.5)):
-        _ellipse(axes, mean, parameter + model, chance, color=_BAND, alpha=alpha, lw=0, zorder=3)
-    _ellipse(axes, mean, parameter, 0.95, facecolor="none", edgecolor=_PATH, lw=1, zorder=5)
+    rest = prediction.rest
+    both = np.array(rest.get("both", np.add(rest["parameter"], rest["model"])))
+    for first, last, alpha in (("2.5", "97.5", 0.3), ("16", "84", 0.5)):
+        _ellipse(
+            axes,
+            *_interval(prediction, first, last),
+            both,
+            color=_BAND,
+            alpha=alpha,
+            lw=0,
+            zorder=3,
+        )
+    own = 1.96 * np.array([prediction.quantities[name].parameter_sd for name in _REST])
+    _ellipse(
+        axes, np.array([x, y]), own, np.array(rest["parameter"]),
+        facecolor="none", edgecolor=_PATH, lw=1, zorder=5,
+    )  # fmt: skip
     _stone(axes, (x, y), hollow=True)
     if prediction.goal is not None:
         place = prediction.goal["x"] or 0.0, prediction.goal["y"]
         axes.plot(*place, "+", color=_AIM, markersize=13, mew=2, zorder=7)
-    if prediction.check is not None:
-        seen = prediction.check.observed
-        axes.plot(seen["x"], seen["y"] - sheet.TEE, ".", color=_AIM, markersize=3, zorder=7)
+    for seen, color, _ in _measured(prediction):
+        axes.plot(seen["x"], seen["y"] - sheet.TEE, ".", color=color, markersize=3, zorder=3.5)
     end = sheet.TEE_TO_HACK + 0.3
     away = y - reach[1] > end
     sides = half if away else max(half, abs(x) + reach[0])
@@ -144,24 +157,44 @@ def _resting(prediction: Prediction, axes: Any) -> None:
     axes.set_aspect("equal", adjustable="box")
     axes.set(
         xlim=(-sides, sides),
-        ylim=(low if away else min(low, y - reach[1]), min(max(-low, y + reach[1]), end)),
+        ylim=(low if away else min(low, y - reach[1]), end if away else max(-low, y + reach[1])),
         xlabel="right of the centre line (m)",
         ylabel="beyond the tee line (m)",
     )
     axes.set_title(
-        "it goes through; band: 95 % of both errors"
+        "it goes through; band: 95 %, both errors"
         if away
-        else "at rest: 68 %, 95 % of both errors;\nline: 95 % of the parameters' error",
+        else "at rest; ellipses as wide and high as the table's\n68 % and 95 % intervals; "
+        "outline: 95 %, parameters alone",
         fontsize=9,
     )
 
 
-def _ellipse(axes: Any, centre: Any, covariance: Any, chance: float, **style: Any) -> None:
-    """The ellipse that holds a share of a Gaussian."""
-    squares, vectors = np.linalg.eigh(covariance)
-    size = 2 * np.sqrt(-2 * np.log(1 - chance) * np.maximum(squares, 0.0))
+def _interval(prediction: Prediction, low: str, high: str) -> tuple[Any, Any]:
+    """Middle and half width of an interval of the resting place, from the tee, m."""
+    ends = np.array(
+        [[prediction.quantities[name].quantiles[level] for level in (low, high)] for name in _REST]
+    )
+    return ends.mean(1), np.diff(ends)[:, 0] / 2
+
+
+def _ellipse(axes: Any, centre: Any, size: Any, covariance: Any, **style: Any) -> None:
+    """The ellipse of given half width and height, slanted as a covariance."""
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
+    squares, vectors = np.linalg.eigh(covariance / np.outer(sd, sd) * np.outer(size, size))
+    long = 2 * np.sqrt(np.maximum(squares, 0.0))
     angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
-    axes.add_patch(Ellipse(centre, size[1], size[0], angle=angle, **style))
+    axes.add_patch(Ellipse(centre, long[1], long[0], angle=angle, **style))
+
+
+def _measured(prediction: Prediction) -> list[tuple[Any, str, str]]:
+    """Measured places on the sheet: those that were fitted and those that were not."""
+    check = prediction.check
+    later = {} if check is None else check.observed
+    found = [
+        (prediction.measured, _MEASURED, "measured, fitted"), (later, _AIM, "measured, not fitted"),
+    ]  # fmt: skip
+    return [item for item in found if "x" in item[0] and "y" in item[0]]
 
 
 def _across(prediction: Prediction, axes: Any) -> None:
@@ -171,13 +204,9 @@ def _across(prediction: Prediction, axes: Any) -> None:
         ("x_2.5", "x_97.5", 0.25, "95 %"), ("x_16", "x_84", 0.45, "68 %"),
     ):  # fmt: skip
         axes.fill_between(y, band[low], band[high], color=_BAND, alpha=alpha, lw=0, label=label)
-    axes.plot(y, band["x"], color=_PATH, lw=1.2)
-    if prediction.check is not None:
-        seen = prediction.check.observed
-        axes.plot(
-            seen["y"] - sheet.TEE, seen["x"], ".", color=_AIM, markersize=2,
-            label="measured",
-        )  # fmt: skip
+    for seen, color, label in _measured(prediction):
+        axes.plot(seen["y"] - sheet.TEE, seen["x"], ".", color=color, markersize=3, label=label)
+    axes.plot(y, band["x"], color=_PATH, lw=1.2, label="path of the law")
     axes.invert_yaxis()
     axes.set(
         xlabel="along the sheet, from the far tee (m)",
@@ -191,8 +220,7 @@ def _speed(prediction: Prediction, axes: Any) -> None:
     series = prediction.series
     axes.plot(series["t"], series["speed"], color=_PATH)
     axes.set(xlabel="t (s)", ylabel="speed (m/s)")
-    axes.set_ylim(bottom=0)
-    axes.margins(x=0.02)
+    axes.set(ylim=(0, None), xlim=(0, 1.05 * prediction.quantities["time"].value))
     spin = axes.twinx()
     spin.plot(series["t"], series["omega"], color="#2e8b57")
     spin.set_ylabel(r"spin $\omega$ (rad/s)", color="#2e8b57")
@@ -201,7 +229,7 @@ def _speed(prediction: Prediction, axes: Any) -> None:
 
 
 def _checked(prediction: Prediction, axes: Any, name: str) -> None:
-    """Measured minus foretold, with the bands of the path (without the noise of measuring)."""
+    """Measured minus predicted, with the bands of the path (without the noise of measuring)."""
     assert prediction.check is not None
     factor, unit = _UNITS[name]
     series, seen = prediction.series, prediction.check.observed
@@ -216,5 +244,5 @@ def _checked(prediction: Prediction, axes: Any, name: str) -> None:
     off = factor * (seen[name] - np.interp(seen["t"], series["t"], series[name]))
     axes.plot(seen["t"], off, ".", color=_AIM, markersize=3)
     axes.set(xlabel="t (s)", ylabel=unit)
-    axes.set_title(f"${_LETTERS[name]}$ measured - foretold", fontsize=10)
+    axes.set_title(f"${_LETTERS[name]}$ measured - predicted", fontsize=10)
     axes.margins(x=0.02)

@@ -1,30 +1,37 @@
-"""What a law misses, found in the residuals of a fit and carried into predictions.
+"""Model discrepancy: accelerations that a law misses, seen or not, for the bands of predictions.
 
-Residuals that go together from row to row are not noise: the law lacks something. What that does
-to the rest of a path, or to another throw, follows from the plainest picture that grows as it
-should: beside the law's, the stone has an acceleration that drifts (from zero at the first row, at
-a rate that does a random walk), across, along and in its turning, each of one size. It is as smooth
-as what laws miss is found to be. Integrated twice, it is a
-deviation d(t) of the path, which stays as it is once the stone rests. What a law misses, it misses
-again at the same speed: another throw on the same ice meets the same accelerations at other times,
-those across and turning in proportion to its spin (the mirror image of a throw is a throw, so that
-they are odd in the spin; to first order, as in eq. 27, they are proportional to it).
+Beside the law's own, the stone has an acceleration across its velocity, along it, and in its
+turning. What a law misses it misses again at the same speed, so each is a function of speed: a
+Gaussian process in the logarithm of speed (friction laws are powers of it), of Matern covariance
+(order 5/2, length a factor e in speed). Across and turning, it is proportional to the spin of a
+throw: the mirror image of a throw is a throw, and proportion is the first order of what is odd.
 
-Sizes. A fit hides what its parameters can imitate: to first order it leaves the residuals
-M (d + noise), M = 1 - J (J^T W J)^-1 J^T W, and has its estimates bent by (J^T W J)^-1 J^T W d. So
-the sizes are those for which M (d + noise) has, on average, the squares and the slow products
-(neighbours within a twentieth of the throw) of the residuals that are there: moments, matched by
-non-negative least squares; where they cannot all be met, no channel is taken to be missed by less
-than it was. A channel whose slow products are within three standard deviations of those of
-independent noise counts as having none.
+Sizes. The size of each has an exponential prior, as penalised-complexity priors have it (Simpson
+et al. 2017, Statistical Science 32, 1): 5 % of it lies above the friction, mu g by the mean
+deceleration of the fitted rows, and it ends there: a missing force of the contact is no larger than
+the contact's own. For the turning, it is the moment of friction at the ring, mu g R/rho^2, times
+the share R omega/v by which sliding differs along the ring (at most 1, mean of the rows). Times the
+likelihood, that makes the sizes of the draws. A record that shows nothing thus leaves the sizes
+that it could not have shown, and one that is silent the prior, whose mean is a third of friction.
 
-What it does not know: why the law fails, and how the ice differs from throw to throw. Beyond the
-speeds and spins that were fitted, a law may fail worse than it did among them.
+Identification. A law has the coefficients of least squares: the accelerations are those that do not
+change these, to first order, while the start of the fitted throw follows them (as in Plumlee 2017,
+Journal of the American Statistical Association 112, 1274). Coefficients at a bound or fixed cannot
+change. Independent noise by channel is estimated beside it; where residuals still go together from
+row to row, they count as the fewer independent values that would tell as much.
+
+Beyond the fitted speeds the record shows nothing: what is missing there alone, a process of the
+same covariance that is zero at the fitted speeds, has sizes of the prior.
+
+A prediction is the law's own path, and its bands lie to the side of it that the residuals point
+to: draws have the posterior mean with a random factor, even between 0 and 2.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
+from functools import cache
 from typing import NamedTuple, cast
 
 from curlfit import backend  # noqa: F401  (configures JAX before its first use)
@@ -32,27 +39,35 @@ from curlfit import backend  # noqa: F401  (configures JAX before its first use)
 # isort: split
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
+from curlfit.carried import Paths, followed
 from curlfit.friction import check_load
 from curlfit.identifiability import directions
 from curlfit.likelihood import frame_of, linearised, problem_of, stacked
-from curlfit.noise import block_means
+from curlfit.noise import independences
 from curlfit.results import FitResult
+from curlfit.stone import GRAVITY
 from curlfit.throw import CHANNELS
 
 Floats = NDArray[np.float64]
 
-WAYS = ("across", "along", "turning")
-"""The ways in which an acceleration drifts: across the first heading of the fitted throw (to its
-right), along it, and in turning."""
-_ACROSS, _ALONG, _TURNING = range(len(WAYS))
-_MAINLY = {"x": _ACROSS, "y": _ALONG, "speed": _ALONG, "phi": _TURNING, "omega": _TURNING}
-_FEWEST = 20  # values of a channel from which its residuals are judged
-_MOST = 120  # values looked at; more are condensed to means
-_SLOW = 0.05  # share of the throw within which values count as neighbours
-_BELIEVED = 3.0  # standard deviations
-_GRID = 301  # times at which an acceleration is drawn
+WORDS = {"across": "across the path", "along": "along the path", "turning": "in the spin"}
+"""Ways of missing accelerations: to the right of the velocity, along it, and angular."""
+WAYS = tuple(WORDS)
+SHOWN = 3.0
+"""Standard deviations from which a missing acceleration counts as detected."""
+CEILING = 1.0
+"""Most of the friction that the size of a missing acceleration can be."""
+_ABOVE = 0.05  # share of the prior of the sizes above the ceiling, where it is cut off
+_EDGES = np.geomspace(0.002, 1.0, 13)
+_SIZES = np.sqrt(_EDGES[1:] * _EDGES[:-1])  # over the ceiling, in the middle of equal parts
+_SPEEDS = np.geomspace(0.05, 10.0, 161)  # m/s, at which accelerations are kept
+_SHAPES = 20  # functions of speed that they are made of
+_FEWEST = 20  # values of a channel from which its noise is judged
+_TIMES = 331  # of the fitted path
+_BEYOND = 1.1  # of the duration of the fitted rows that the path is followed
+_FINEST = 1e-5  # m, rad, m/s or rad/s: noise is not taken to be smaller
+_ROUNDS = 3  # of telling noise and its memory
 
 
 @dataclass(frozen=True)
@@ -61,18 +76,21 @@ class Misfit:
 
     Attributes
     ----------
-    sizes : by way, standard deviation that the acceleration has reached at the end of the fitted
-        rows, in m/s^2 (rad/s^2 for "turning"); 0 where the residuals look like noise.
-    span : duration of the fitted rows up to rest, in s.
-    noise : independent noise beside it by channel, SI; only channels that could be judged.
-    excess : by channel, how far the slow products of the residuals are above those of independent
-        noise, in standard deviations.
+    sizes : by way, posterior root mean square of the size, m/s^2 (rad/s^2 for "turning").
+    span : duration of the fitted rows up to rest, s.
+    noise : independent noise beside them by channel, SI; only channels that could be judged.
+    excess : by way, how far the data ask for a missing acceleration, in standard deviations (root
+        of twice the logarithm of the likelihood ratio); empty where no channel could be judged.
+    ceilings : by way, the size that the prior does not exceed, in the unit of `sizes`.
+    friction : coefficient of friction mu by the mean deceleration of the fitted rows.
     """
 
     sizes: dict[str, float]
     span: float
     noise: dict[str, float]
     excess: dict[str, float]
+    ceilings: dict[str, float] = field(default_factory=dict)
+    friction: float = math.nan
 
     @property
     def known(self) -> bool:
@@ -81,184 +99,362 @@ class Misfit:
 
     @property
     def found(self) -> bool:
-        """Whether the law misses something."""
-        return any(size > 0 for size in self.sizes.values())
-
-
-class Deviation(NamedTuple):
-    """Draws of what missing accelerations make of a path, across, along and in turning."""
-
-    value: Floats
-    """m (rad), shape (draws, 3, times)"""
-    slope: Floats
-    """its time derivative, m/s (rad/s)"""
-
-
-def misfit_of(fit: FitResult) -> Misfit:
-    """What the law of a fit misses, from the residuals. See the top of this file."""
-    rows = _condensed(fit)
-    judged = [row for row in rows if len(row.t) > _FEWEST // 2 and row.values > _FEWEST]
-    span = _span(fit)
-    sizes = dict.fromkeys(WAYS, 0.0)
-    if not judged:
-        return Misfit(sizes, span, {}, {})
-    whole = np.concatenate([row.jacobian for row in rows])
-    left = _left_over(whole)
-    residual = np.concatenate([row.residual for row in rows])
-    ends = np.cumsum([0, *(len(row.t) for row in rows)])
-    places = {row.name: slice(a, b) for row, a, b in zip(rows, ends, ends[1:], strict=False)}
-
-    # Covariance of what the fit leaves of each channel's noise, and of each way's deviation.
-    noises = [left[:, places[row.name]] @ left[places[row.name]] for row in judged]
-    forms, counts, excess = [], [], {}
-    for row, noise in zip(judged, noises, strict=True):
-        here = places[row.name]
-        gap = np.abs(row.t[:, None] - row.t)
-        near = max(_SLOW * span, 1.01 * float(np.diff(row.t).min()))
-        slow = ((gap > 0) & (gap <= near)).astype(float)
-        own, total = noise[here, here], float(residual[here] @ residual[here])
-        own = own * (total / np.trace(own))
-        mixed = slow @ own
-        above = residual[here] @ slow @ residual[here] - np.trace(mixed)
-        excess[row.name] = float(above / np.sqrt(2 * np.sum(mixed * mixed.T)))
-        forms += [(here, np.eye(len(row.t))), (here, slow)]
-        counts += [total, total]
-    ways = [
-        way for way in range(len(WAYS))
-        if any(excess.get(name, 0.0) > _BELIEVED for name, main in _MAINLY.items() if main == way)
-    ]  # fmt: skip
-    heading = fit.parameters["heading"].value
-    wanderings = [_covariance(left @ _response(rows, way, span, heading)) for way in ways]
-    # Each moment in units of what is there, each unknown so that it makes at most about one.
-    matrix = np.array(
-        [[np.sum(form * part[here, here]) for part in (*noises, *wanderings)]
-         for here, form in forms]
-    ) / np.array(counts)[:, None]  # fmt: skip
-    right = np.array([residual[here] @ form @ residual[here] for here, form in forms])
-    scale = np.abs(matrix).max(0)
-    right /= np.array(counts)
-    found = nnls(matrix / scale, right)[0] / scale
-    made = (matrix @ found)[::2]
-    for place, way in enumerate(ways, len(judged)):
-        shown = [part for row, part in zip(judged, made, strict=True) if _MAINLY[row.name] == way]
-        found[place] *= max(1.0, *(1 / part for part in shown))
-    for way, square in zip(ways, found[len(judged) :], strict=True):
-        sizes[WAYS[way]] = float(np.sqrt(square))
-    noise_by = {
-        row.name: float(np.sqrt(found[place])) * row.sigma for place, row in enumerate(judged)
-    }
-    return Misfit(sizes, span, noise_by, excess)
+        """Whether the residuals show that the law misses something."""
+        return any(excess > SHOWN for excess in self.excess.values())
 
 
 class Missing(NamedTuple):
-    """Draws of missing accelerations, as a function of the time in the fitted throw."""
+    """Draws of missing accelerations."""
 
-    times: Floats
-    """s since its first row, shape (times,); negative for speeds before it"""
     acceleration: Floats
-    """m/s^2 (rad/s^2), shape (draws, 3, times)"""
+    """at `_SPEEDS`, m/s^2 (rad/s^2), shape (draws, 3, speeds)"""
+    change: Floats
+    """how far the estimates are off because of it, to first order: what to add to the parameters,
+    shape (draws, parameters)"""
 
-    def deviation(self, t: Floats, times: Floats) -> Deviation:
-        """What it makes of a path.
+    def on(self, paths: Paths, spin: float = 1.0) -> Paths:
+        """Each path with a draw.
 
         Parameters
         ----------
-        t : evenly spaced times since the start of the path, s.
-        times : the times in the fitted throw that they correspond to.
+        spin : of the throw over that of the fitted one.
         """
-        draws = len(self.acceleration)
-        flat = self.acceleration.reshape(draws * len(WAYS), -1)
-        met = np.array([np.interp(times, self.times, one) for one in flat]).T
-        slope = _integral(met, t[1] - t[0])
-        value = _integral(slope, t[1] - t[0])
-        shape = (draws, len(WAYS), len(t))
-        return Deviation(value.T.reshape(shape), slope.T.reshape(shape))
+        middle = np.log(np.clip(paths.mean_speeds(), _SPEEDS[0], _SPEEDS[-1]))
+        known = np.log(_SPEEDS)
+        met = np.array(
+            [
+                [np.interp(at, known, way) for way in one]
+                for at, one in zip(middle, self.acceleration, strict=True)
+            ]
+        )
+        return paths.under(met * np.array([spin, 1.0, spin])[:, None])
 
 
-def drawn(
-    misfit: Misfit, first: float, last: float, draws: int, random: np.random.Generator
-) -> Missing:
-    """Draws of what the law misses, between two times of the fitted throw (first <= 0 < last)."""
-    after = np.linspace(0.0, last, _GRID)
-    before = np.linspace(first, 0.0, _GRID // 4)[:-1] if first < 0 else np.zeros(0)
-    sizes = np.array([misfit.sizes[way] for way in WAYS])[:, None]
-    sizes = sizes * np.sqrt(3 / misfit.span**3)  # an integrated walk has variance t^3/3
+@dataclass(frozen=True)
+class Discrepancy:
+    """The posterior of what a law misses.
 
-    def drift(times: Floats) -> Floats:
-        """The integral of a random walk, both from zero at the first of the times."""
-        gaps = np.diff(times)
-        steps = random.standard_normal((draws, len(WAYS), len(gaps))) * np.sqrt(np.abs(gaps))
-        walk = np.concatenate([np.zeros((draws, len(WAYS), 1)), np.cumsum(steps, 2)], 2)
-        return _integral(walk.T, gaps[0]).T * sizes
-
-    there = drift(after)
-    if len(before):
-        back = drift(np.append(before, 0.0)[::-1])[:, :, :0:-1]
-        there = np.concatenate([back, there], 2)
-    return Missing(np.concatenate([before, after]), there)
-
-
-def same_speed(fit: FitResult, speed: Floats) -> Floats:
-    """When the fitted throw had given speeds: s since its first row.
-
-    Beyond the fitted rows it is taken to slow down as at their ends.
-    """
-    t, known = fit.observed["t"] - fit.observed["t"][0], fit.fitted["speed"]
-    moving = known > 0
-    t, known = t[moving], np.minimum.accumulate(known[moving])
-    tenth = max(len(t) // 10, 1)
-    slowing = [
-        max((known[a] - known[b]) / (t[b] - t[a]), 1e-4) for a, b in ((0, tenth), (-1 - tenth, -1))
-    ]
-    within = np.interp(-speed, -known, t)
-    sooner = np.maximum(speed - known[0], 0.0) / slowing[0]
-    later = np.maximum(known[-1] - speed, 0.0) / slowing[1]
-    return cast(Floats, within - sooner + later)
-
-
-def bent(fit: FitResult, times: Floats, deviation: Deviation) -> Floats:
-    """What deviations in the fitted rows do to the estimates, to first order.
-
-    Parameters
+    Attributes
     ----------
-    times, deviation : s since the first row, over the fitted rows at least, and the deviation then.
-
-    Returns
-    -------
-    changes of the parameters, shape (draws, parameters).
+    misfit : the same in numbers.
     """
-    slopes = _slopes(fit)
-    verdicts = [item.verdict for item in fit.parameters.values()]
-    movable = np.array([verdict not in ("fixed", "at bound") for verdict in verdicts])
-    names = [name for name, take in zip(fit.parameters, movable, strict=True) if take]
-    order = [fit.information["names"].index(name) for name in names]
-    information = np.array(fit.information["matrix"])[np.ix_(order, order)]
-    typical = fit.parameter_set.typical[movable]
-    seen, singular, _ = directions(information, typical)
-    inverse = (seen.T * typical[:, None]) / singular
-    since = np.minimum(fit.observed["t"] - fit.observed["t"][0], _span(fit))
-    heading = fit.parameters["heading"].value
-    pull = np.zeros((len(deviation.value), int(movable.sum())))
-    for row, name in enumerate(CHANNELS[: len(slopes.weight)]):
-        series = np.zeros_like(deviation.value[:, 0])
-        for way, integrals, share in _shares(name, heading):
-            series += share * (deviation.slope if integrals == 1 else deviation.value)[:, way]
-        there = np.stack([np.interp(since, times, one) for one in series])
-        weighted = slopes.weight[row][:, None] ** 2 * slopes.jacobian[row][:, movable]
-        pull += there @ weighted
-    change = np.zeros((len(pull), len(movable)))
-    change[:, movable] = pull @ inverse @ inverse.T
-    return change
+
+    misfit: Misfit
+    _fit: FitResult
+    _rows: _Rows
+    """the fitted rows"""
+    _noise: Floats
+    """squares by channel, over the fit's"""
+    _sizes: Floats
+    """of a grid, over the ceilings, shape (places, 3)"""
+    _chances: Floats
+    """of these places"""
+    _beyond: Floats
+    """functions of speed that are zero at the fitted speeds, shape (functions, speeds)"""
+
+    def drawn(self, draws: int, random: np.random.Generator) -> Missing:
+        """Draws of missing accelerations."""
+        places, of = np.unique(
+            random.choice(len(self._sizes), draws, p=self._chances), return_inverse=True
+        )
+        lower, white, _ = self._rows.solved(self._noise, self._sizes[places])
+        factor = random.uniform(0.0, 2.0, (draws, 1))
+        right = factor * white[of] + random.standard_normal((draws, lower.shape[-1]))
+        free = np.linalg.solve(lower.mT[of], right[..., None])[:, self._rows.seen :, 0]
+        change = np.zeros((draws, len(self._fit.parameters)))
+        change[:, _movable(self._fit)] = -free @ (self._rows.steps @ self._rows.shared).T
+        weights = free @ self._rows.basis.T
+        ceilings = np.array([self.misfit.ceilings[way] for way in WAYS])
+        made = weights.reshape(draws, len(WAYS), -1) * ceilings[:, None]
+        beyond = random.choice(_SIZES, (draws, len(WAYS)), p=_chances_of_prior()) * ceilings
+        other = random.standard_normal((draws, len(WAYS), len(self._beyond))) @ self._beyond
+        return Missing(made @ _shapes() + beyond[..., None] * other, change)
+
+    def moved(self, values: Floats, missing: Missing) -> Floats:
+        """Draws of the parameters with what is missing, and less sure where residuals tell less
+        than independent ones would."""
+        movable, rows = _movable(self._fit), self._rows
+        seen = rows.seen
+        less = np.maximum(self._noise, 1.0)
+        lower = np.linalg.cholesky(np.tensordot(1 / less, rows.grams[:, :seen, :seen], 1))
+        offset = (values - self._fit.values)[:, movable] @ rows.measured.T
+        change = np.linalg.solve(lower.T, offset.T).T - offset
+        found = values + missing.change
+        found[:, movable] += change @ rows.steps.T
+        bounds = self._fit.parameter_set
+        return cast(Floats, np.clip(found, bounds.lower, bounds.upper))
 
 
-class _Slopes(NamedTuple):
-    jacobian: Floats
-    """derivative of the path by the parameters, shape (channels, rows, parameters)"""
-    weight: Floats
-    """1/sigma, 0 where nothing was seen, shape (channels, rows)"""
+def misfit_of(fit: FitResult) -> Misfit:
+    """What the law of a fit misses, in numbers. See the top of this file."""
+    return discrepancy_of(fit).misfit
 
 
-def _slopes(fit: FitResult) -> _Slopes:
+def discrepancy_of(fit: FitResult) -> Discrepancy:
+    """What the law of a fit misses: the posterior of it. See the top of this file."""
+    friction = _friction(fit)
+    turning = friction * fit.stone.R / fit.stone.rho**2 * _unevenness(fit)
+    ceilings = CEILING * GRAVITY * np.array([friction, friction, turning])
+    rows = _Rows.of(fit, ceilings)
+    judged = rows.counts > _FEWEST
+    noise, share = np.where(judged, rows.rough(), 1.0), np.ones(len(rows.counts))
+    best = np.full(len(WAYS), 0.1)
+    for _ in range(_ROUNDS):
+        noise, best = rows.likeliest(noise, share, best, judged)
+        before, share = share, np.where(judged, rows.effective(noise / share, best), 1.0)
+        if np.allclose(share, before, rtol=0.1):
+            break
+    places = np.stack(np.meshgrid(*[_SIZES] * len(WAYS), indexing="ij"), -1).reshape(-1, len(WAYS))
+    fitting = rows.likelihood(noise, share, places)
+    plausible = fitting + _prior(places)
+    chances = np.exp(plausible - plausible.max())
+    chances /= chances.sum()
+    sizes = ceilings * np.sqrt(chances @ places**2)
+    excess = {
+        way: float(np.sqrt(2 * (fitting.max() - fitting[places[:, place] == _SIZES[0]].max())))
+        for place, way in enumerate(WAYS)
+    }
+    misfit = Misfit(
+        dict(zip(WAYS, map(float, sizes), strict=True)),
+        _span(fit),
+        {
+            name: float(sigma * math.sqrt(square * part))
+            for name, sigma, square, part, use in zip(
+                rows.names, rows.sigmas, noise, share, judged, strict=True
+            )
+            if use
+        },
+        excess if judged.any() else {},
+        dict(zip(WAYS, map(float, ceilings), strict=True)),
+        friction,
+    )
+    return Discrepancy(misfit, fit, rows, noise, places, chances, _beyond(fit.fitted["speed"]))
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """The fitted rows, and what parameters and missing accelerations make of them.
+
+    Attributes
+    ----------
+    names, sigmas, counts : of the channels: sigma of a value as the fit weights it, and how many.
+    parts : by channel, over sigma: what unit parameters, unit accelerations and, last, the data
+        (their residuals) are in each row.
+    grams : of these columns by channel. seen : number of parameters' columns, which are those that
+        the fit sees, in units of their errors.
+    steps, measured : changes of the movable parameters by these, and back.
+    basis : accelerations of which the others' columns are: over the ceilings, way by way, functions
+        of speed of unit variance together; all that do not change the coefficients.
+    shared : parameters' columns by these.
+    """
+
+    names: tuple[str, ...]
+    sigmas: Floats
+    counts: NDArray[np.int64]
+    parts: tuple[Floats, ...]
+    grams: Floats
+    seen: int
+    steps: Floats
+    measured: Floats
+    basis: Floats
+    shared: Floats
+
+    @classmethod
+    def of(cls, fit: FitResult, ceilings: Floats) -> _Rows:
+        """Of a fit, and unit accelerations in m/s^2 (rad/s^2)."""
+        jacobian, weight = _slopes(fit)
+        names = tuple(
+            name for name, own in zip(CHANNELS, weight, strict=False)
+            if name in fit.observed and (own > 0).any()
+        )  # fmt: skip
+        made = _response(fit, names) * np.repeat(ceilings, _SHAPES)
+        movable = _movable(fit)
+        blocks, sigmas = [], []
+        for name, response in zip(names, made, strict=True):
+            place = CHANNELS.index(name)
+            use = weight[place] > 0
+            own = np.minimum(weight[place, use], 1 / _FINEST)[:, None]
+            residual = (fit.observed[name] - fit.fitted[name])[use, None]
+            blocks.append(
+                own * np.hstack([jacobian[place, use][:, movable], response[use], residual])
+            )
+            sigmas.append(float(1 / np.sqrt(np.mean(own**2))))
+        p = int(movable.sum())
+        whole = np.concatenate(blocks)
+        typical = fit.parameter_set.typical[movable]
+        along, singular, _ = directions(whole[:, :p].T @ whole[:, :p], typical)
+        steps = typical[:, None] * along.T / singular
+        measured = singular[:, None] * along / typical
+        shared = (whole[:, :p] @ steps).T @ whole[:, p:-1]
+        own = slice(0, int(movable[: len(fit.coefficients)].sum()))
+        basis = _null_space((steps @ shared)[own] / typical[own, None])
+        parts = tuple(
+            np.hstack([one[:, :p] @ steps, one[:, p:-1] @ basis, one[:, -1:]]) for one in blocks
+        )
+        return cls(
+            names, np.array(sigmas), np.array([len(part) for part in parts]), parts,
+            np.array([part.T @ part for part in parts]), len(singular), steps, measured, basis,
+            shared @ basis,
+        )  # fmt: skip
+
+    @property
+    def least(self) -> Floats:
+        """Least squares of the noise over the fit's by channel."""
+        return (_FINEST / self.sigmas) ** 2
+
+    def solved(self, noise: Floats, sizes: Floats) -> tuple[Floats, Floats, Floats]:
+        """The Gaussian posterior of all columns at given sizes, shape (places, 3) over ceilings.
+
+        Returns
+        -------
+        Cholesky factors L of its precision, L^T times its mean, and the logarithm of the
+        determinant of the prior's precision.
+        """
+        loose = np.repeat(1 / sizes**2, _SHAPES, axis=1)
+        prior = (self.basis.T * loose[:, None]) @ self.basis
+        whole = np.tensordot(1 / noise, self.grams, 1)
+        precision = np.tile(whole[:-1, :-1], (len(sizes), 1, 1))
+        precision[:, self.seen :, self.seen :] += prior
+        lower = np.linalg.cholesky(precision)
+        white = np.linalg.solve(lower, whole[:-1, -1:])[..., 0]
+        return cast(Floats, lower), white, cast(Floats, np.linalg.slogdet(prior)[1])
+
+    def likelihood(self, noise: Floats, share: Floats, sizes: Floats) -> Floats:
+        """Logarithm of the restricted likelihood of sizes, shape (places, 3) over ceilings."""
+        lower, white, prior = self.solved(noise, sizes)
+        spread = 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(1) - prior
+        left = self.grams[:, -1, -1] @ (1 / noise) - (white**2).sum(1)
+        fixed = (self.counts * share) @ np.log(noise)
+        return cast(Floats, -(spread + left + fixed) / 2)
+
+    def likeliest(
+        self, noise: Floats, share: Floats, sizes: Floats, judged: NDArray[np.bool_]
+    ) -> tuple[Floats, Floats]:
+        """The most plausible noise (squares, over the fit's) of judged channels, and sizes."""
+        from scipy.optimize import minimize
+
+        def unpacked(logs: Floats) -> tuple[Floats, Floats]:
+            tried = np.ones(len(noise))
+            tried[judged] = np.exp(logs[len(WAYS) :])
+            return tried, np.exp(logs[None, : len(WAYS)])
+
+        def implausible(logs: Floats) -> float:
+            tried, place = unpacked(logs)
+            return -float((self.likelihood(tried, share, place) + _prior(place))[0])
+
+        limits = [(math.log(_SIZES[0]), 0.0)] * len(WAYS)
+        limits += [(math.log(least), 14.0) for least in self.least[judged]]
+        start = np.log(np.concatenate([sizes, noise[judged]]))
+        found = minimize(implausible, start, method="L-BFGS-B", bounds=limits).x
+        tried, place = unpacked(found)
+        return tried, place[0]
+
+    def rough(self) -> Floats:
+        """Squares of noise over the fit's by channel, from differences of neighbours."""
+        squares = np.array([np.sum(np.diff(part[:, -1]) ** 2) for part in self.parts])
+        return np.maximum(squares / (2 * self.counts), self.least)
+
+    def effective(self, noise: Floats, sizes: Floats) -> Floats:
+        """Share of the values that would tell as much if independent, by channel."""
+        lower, white, _ = self.solved(noise, sizes[None])
+        known = np.linalg.solve(lower[0].T, white[0])
+        found = np.ones(len(self.parts))
+        for place, part in enumerate(self.parts):
+            left = (part[:, -1] - part[:, :-1] @ known)[None, None]
+            judged = independences(left, np.array([[left.size]]))[0][0]
+            if judged.doubtful:
+                found[place] = judged.effective / left.size
+        return found
+
+
+def _prior(sizes: Floats) -> Floats:
+    """Logarithm of the prior density of the logarithms of sizes over their ceilings."""
+    rate = -math.log(_ABOVE)
+    return cast(Floats, (np.log(sizes) - rate * sizes).sum(-1))
+
+
+def _chances_of_prior() -> Floats:
+    chances = np.exp([_prior(np.array([size])) for size in _SIZES])
+    return cast(Floats, chances / chances.sum())
+
+
+def _covariance() -> Floats:
+    """Of a unit acceleration at `_SPEEDS`."""
+    gap = np.abs(np.log(_SPEEDS[:, None] / _SPEEDS)) * math.sqrt(5)
+    found: Floats = (1 + gap + gap**2 / 3) * np.exp(-gap)
+    return found
+
+
+@cache
+def _shapes() -> Floats:
+    """Functions of speed that, with independent unit weights, make a unit acceleration, shape
+    (functions, speeds)."""
+    squares, vectors = np.linalg.eigh(_covariance())
+    return cast(Floats, (np.sqrt(squares) * vectors).T[: -_SHAPES - 1 : -1])
+
+
+def _beyond(speed: Floats) -> Floats:
+    """The same, zero at the fitted speeds, where these lie within `_SPEEDS`."""
+    fitted = np.clip(_SPEEDS, speed.min(), speed.max()) == _SPEEDS
+    whole = _covariance()
+    # the record knows its own speeds to rounding
+    known = whole[fitted][:, fitted] + 1e-6 * np.eye(int(fitted.sum()))
+    left = whole - whole[:, fitted] @ np.linalg.solve(known, whole[fitted])
+    left[fitted] = left[:, fitted] = 0.0
+    squares, vectors = np.linalg.eigh(left)
+    return cast(Floats, (np.sqrt(np.maximum(squares, 0.0)) * vectors).T[: -_SHAPES - 1 : -1])
+
+
+def _response(fit: FitResult, names: tuple[str, ...]) -> Floats:
+    """What accelerations of each way and shape make of the rows, per unit, by central differences,
+    shape (channels, rows, 3 * _SHAPES)."""
+    since = fit.observed["t"] - fit.observed["t"][0]
+    t = np.linspace(0.0, _BEYOND * since[-1], _TIMES)
+    path = followed(fit.law_class, check_load(fit.load), fit.values[None], fit.stone, t)
+    small = 1e-3 * GRAVITY * _friction(fit) * np.array([1.0, -1.0])
+    unit = np.einsum("e,wv,ks->wkevs", small, np.eye(len(WAYS)), _shapes())
+    each = Missing(unit.reshape(-1, len(WAYS), len(_SPEEDS)), np.zeros(0))
+    state = each.on(path.of(np.zeros(len(each.acceleration), int))).state
+    x, y, phi, vx, vy, omega = state.swapaxes(0, 1)
+    values = {"x": x, "y": y, "phi": phi, "speed": np.hypot(vx, vy), "omega": omega}
+    found = []
+    for name in names:
+        pairs = values[name].reshape(-1, 2, len(t))
+        slopes = (pairs[:, 0] - pairs[:, 1]) / (small[0] - small[1])
+        found.append(np.array([np.interp(since, t, slope) for slope in slopes]).T)
+    return np.array(found)
+
+
+def _movable(fit: FitResult) -> NDArray[np.bool_]:
+    """Which parameters the data could move."""
+    stay = ("fixed", "at bound")
+    return np.array([item.verdict not in stay for item in fit.parameters.values()])
+
+
+def _null_space(matrix: Floats) -> Floats:
+    """Orthonormal columns that a matrix takes to nothing."""
+    _, singular, rows = np.linalg.svd(matrix)
+    rank = int((singular > 1e-9 * singular.max(initial=0.0)).sum())
+    return cast(Floats, rows[rank:].T)
+
+
+def _friction(fit: FitResult) -> float:
+    """Coefficient of friction by the mean deceleration of the fitted rows."""
+    speed = fit.fitted["speed"]
+    return max(float(speed[0] - speed.min()) / (GRAVITY * _span(fit)), 1e-4)
+
+
+def _unevenness(fit: FitResult) -> float:
+    """Mean of R |omega|/v over the moving fitted rows, each at most 1."""
+    speed = fit.fitted["speed"]
+    moving = speed > 0
+    rim = fit.stone.R * np.abs(fit.fitted["omega"][moving])
+    return max(float(np.mean(np.minimum(rim / speed[moving], 1.0))), 0.01)
+
+
+def _slopes(fit: FitResult) -> tuple[Floats, Floats]:
+    """Derivative of the path by the parameters, shape (channels, rows, parameters), and 1/sigma, 0
+    where nothing was seen."""
     throw = fit.throw
     frame = frame_of(throw)
     problem = problem_of(throw, fit.stone, frame, fit.sigma)
@@ -268,95 +464,7 @@ def _slopes(fit: FitResult) -> _Slopes:
     jacobian = linearised(fit.law_class, check_load(fit.load), values[None], one)[1]
     weighted = np.asarray(jacobian)[0, :, :n]
     weight = np.asarray(problem.weight)[:, :n]
-    return _Slopes(weighted / np.where(weight > 0, weight, 1.0)[..., None], weight)
-
-
-class _Row(NamedTuple):
-    """A channel's residuals over their sigma, condensed to means over blocks."""
-
-    name: str
-    t: Floats
-    """s since the first row, not beyond rest"""
-    residual: Floats
-    jacobian: Floats
-    scale: Floats
-    """1 over the sigma of each mean"""
-    sigma: float
-    """typical sigma of one value"""
-    values: int
-
-
-def _condensed(fit: FitResult) -> list[_Row]:
-    slopes, span = _slopes(fit), _span(fit)
-    free = fit.parameter_set.free
-    found = []
-    for row, name in enumerate(CHANNELS[: len(slopes.weight)]):
-        seen = slopes.weight[row] > 0
-        if not seen.any():
-            continue
-        count = int(seen.sum())
-        block = -(-count // _MOST)
-        t = np.minimum(fit.observed["t"] - fit.observed["t"][0], span)[seen]
-        weight = slopes.weight[row, seen]
-        residual = (fit.observed[name] - fit.fitted[name])[seen]
-        scale = np.sqrt(block_means(weight**2, block) * block)
-        found.append(
-            _Row(
-                name,
-                block_means(t, block),
-                block_means(residual, block) * scale,
-                block_means(slopes.jacobian[row, seen][:, free], block) * scale[:, None],
-                scale,
-                float(1 / np.sqrt(np.mean(weight**2))),
-                count,
-            )
-        )
-    return found
-
-
-def _left_over(jacobian: Floats) -> Floats:
-    """The projection onto what no parameter can make."""
-    size = np.linalg.norm(jacobian, axis=0)
-    left, singular, _ = np.linalg.svd(jacobian / np.where(size > 0, size, 1.0), full_matrices=False)
-    own = left[:, singular > 1e-7 * singular[0]]
-    return cast(Floats, np.eye(len(jacobian)) - own @ own.T)
-
-
-def _response(rows: list[_Row], way: int, span: float, heading: float) -> Floats:
-    """What an acceleration at each time of a grid does to the rows, over sigma."""
-    grid = np.linspace(0.0, span, _GRID)
-    once = _integral(np.eye(_GRID), grid[1])
-    weights = {1: once, 2: _integral(once, grid[1])}
-    blocks = []
-    for row in rows:
-        at = np.zeros((len(row.t), _GRID))
-        for shown, order, share in _shares(row.name, heading):
-            if shown == way:
-                columns = weights[order].T
-                at = share * np.array([np.interp(row.t, grid, column) for column in columns]).T
-        blocks.append(at * row.scale[:, None])
-    return np.concatenate(blocks)
-
-
-def _covariance(response: Floats) -> Floats:
-    """Covariance of the rows, for accelerations that drift to unit size within the span."""
-    grid = np.linspace(0.0, 1.0, _GRID)
-    sooner, later = np.minimum(grid[:, None], grid), np.maximum(grid[:, None], grid)
-    found: Floats = response @ (sooner**2 * (3 * later - sooner) / 2) @ response.T
-    return found
-
-
-def _shares(channel: str, heading: float) -> tuple[tuple[int, int, float], ...]:
-    """The ways that show in a channel, how often the acceleration is integrated, and by how much
-    it counts."""
-    s, c = float(np.sin(heading)), float(np.cos(heading))
-    return {
-        "x": ((_ACROSS, 2, c), (_ALONG, 2, s)),
-        "y": ((_ALONG, 2, c), (_ACROSS, 2, -s)),
-        "speed": ((_ALONG, 1, 1.0),),
-        "phi": ((_TURNING, 2, 1.0),),
-        "omega": ((_TURNING, 1, 1.0),),
-    }[channel]
+    return weighted / np.where(weight > 0, weight, 1.0)[..., None], weight
 
 
 def _span(fit: FitResult) -> float:
@@ -365,9 +473,3 @@ def _span(fit: FitResult) -> float:
     resting = np.flatnonzero(speed <= 0)
     last = int(resting[0]) if len(resting) and resting[0] > 0 else len(t) - 1
     return float(t[last] - t[0])
-
-
-def _integral(values: Floats, step: float) -> Floats:
-    """Running integral along the first axis, by the trapezoid rule."""
-    middle = (values[1:] + values[:-1]) / 2 * step
-    return np.concatenate([np.zeros_like(values[:1]), np.cumsum(middle, 0)])

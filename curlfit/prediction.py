@@ -1,10 +1,10 @@
-"""A throw foretold: one fit carried to rest, or another throw on the same ice, with its errors.
+"""Prediction of a throw: the fitted one carried to rest, or another one on the same ice.
 
 Two errors are kept apart. That of the parameters: draws from the posterior (the chain, or else the
 fit's covariance: Gaussian along what the data determine, even within the bounds along what they do
-not) are each followed to rest. That of the law: what it misses (see `curlfit.misfit`) bends the
-estimates and makes the path deviate; each draw is followed once more with both. Noise of a
-measurement is in neither; it is added where a prediction is held against measured rows.
+not) are each followed to rest. That of the law, the model discrepancy (see `curlfit.misfit`): each
+draw is followed once more with missing accelerations. Noise of a measurement is in neither; it is
+added where a prediction is compared with measured rows.
 
 What is given of a throw is taken as exact. Without any start the throw is the fitted one, whose
 start is as uncertain as the fit has it.
@@ -17,7 +17,7 @@ sheet, the near hog line if nothing else is said.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -28,7 +28,7 @@ from curlfit.carried import VARIED, Family, Paths
 from curlfit.chain import Chain
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, no_motion_because
-from curlfit.misfit import Misfit, misfit_of
+from curlfit.misfit import SHOWN, WORDS, Misfit, discrepancy_of
 from curlfit.predictions import QUANTITIES, HeldOut, Prediction, Quantity
 from curlfit.results import FitResult
 from curlfit.sampling import ridge_move
@@ -61,7 +61,7 @@ def predict(
     seed: int = 0,
     check: Throw | None = None,
 ) -> Prediction:
-    """Foretell a throw, from a fit of one on the same ice.
+    """Predict a throw, from a fit of one on the same ice.
 
     With no `start`, `target` or `weight` it is the fitted throw, carried to rest. Otherwise it is
     another one: straight along the centre line from `line`, with speed and spin of the fitted one,
@@ -99,7 +99,7 @@ def predict(
         wanted = wanted._replace(line="data")
     wanted.require(fit, check)
     if not fit.converged:
-        raise UnusableFitError(f"nothing can be foretold from this fit: {fit.status}")
+        raise UnusableFitError(f"nothing can be predicted from this fit: {fit.status}")
     if fit.noise.kind != "white":
         raise InputError(
             f"noise {fit.noise.kind}: a prediction carries what the law misses by itself; make it "
@@ -125,8 +125,10 @@ def predict(
             f"the {fit.law} law as fitted does not bring this stone to rest"
             + no_motion_because(fit.load)
         )
-    misfit = misfit_of(fit)
-    full = family.deviated(values, best, misfit, random) if misfit.found else plain
+    discrepancy = discrepancy_of(fit)
+    misfit = discrepancy.misfit
+    missing = discrepancy.drawn(draws, random)
+    full = missing.on(family.follow(family.begin(discrepancy.moved(values, missing))), family.spin)
     use = plain.good & full.good
     if use.mean() < 0.5:
         raise UnusableFitError(
@@ -136,13 +138,14 @@ def predict(
     plain, full = plain.of(use), full.of(use)
     quantities = _quantities(best, plain, full)
     matter, rest = _unknowns(fit, probed, best)
+    lacking, limits = _of_the_law(misfit)
     warnings = [
         *_extrapolation(fit, best, wanted.new),
         *matter,
-        *_of_the_law(misfit),
+        *lacking,
         *_off_the_sheet(best),
     ]
-    notes = [*rest]
+    notes = [*rest, *limits]
     if wanted.new:
         notes.append("how much the ice differs from throw to throw, the fit of one cannot tell")
     if not use.all():
@@ -164,6 +167,7 @@ def predict(
         series=_series(best, plain, full),
         band=_band(best, full),
         rest=_rest(plain, full),
+        measured={} if wanted.new else _measured_path(fit, begun),
         quantities=quantities,
         chances=_chances(full),
         sensitivity=_sensitivity(probed, best),
@@ -182,7 +186,7 @@ def held_out(
     seed: int = 0,
     **options: Any,
 ) -> Prediction:
-    """Fit the first rows of a throw, foretell the rest, and compare: the result's `check`.
+    """Fit the first rows of a throw, predict the rest, and compare: the result's `check`.
 
     Parameters
     ----------
@@ -224,6 +228,25 @@ def _drawn_values(
     return values, "covariance"
 
 
+def _measured_path(fit: FitResult, begun: Begun) -> dict[str, Floats]:
+    """The fitted rows on the sheet, where x and y were measured."""
+    seen = fit.observed
+    if "x" not in seen or "y" not in seen:
+        return {}
+    rows = _thinned(np.arange(len(seen["t"])))
+    return {
+        "t": seen["t"][rows] - seen["t"][0],
+        "x": seen["x"][rows] + begun.shift[0],
+        "y": seen["y"][rows] + begun.shift[1],
+    }
+
+
+def _thinned(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """At most `_MOST_CHECKED` of some rows, evenly."""
+    places = np.linspace(0, len(rows) - 1, min(len(rows), _MOST_CHECKED)).astype(int)
+    return cast(NDArray[np.int64], rows[np.unique(places)])
+
+
 def _quantities(best: Paths, plain: Paths, full: Paths) -> dict[str, Quantity]:
     each = [_measured(paths) for paths in (best, plain, full)]
     found = {}
@@ -236,7 +259,7 @@ def _quantities(best: Paths, plain: Paths, full: Paths) -> dict[str, Quantity]:
             value=float(value[0]),
             unit=unit,
             parameter_sd=float(ours[there].std()),
-            model_sd=float((both - ours)[there].std()),
+            model_sd=float(_size((both - ours)[there])),
             quantiles=_quantiles(both[there]),
             share=float(np.isfinite(both).mean()),
         )
@@ -250,17 +273,16 @@ def _measured(paths: Paths) -> dict[str, Floats]:
     dx, dy = (last - first)[:, :2].T
     passed = {name: paths.passing(LINES[name]) for name in ("hog", "far-hog", "far-tee")}
     hog, far_hog, tee = (passed[name][0] for name in ("hog", "far-hog", "far-tee"))
-    time = paths.rest + paths.late
     return {
         "rest_x": last[:, 0],
         "rest_y": last[:, 1] - TEE,
         "rest_to_tee": np.hypot(last[:, 0], last[:, 1] - TEE),
         "curl": (dx * vy - dy * vx) / np.hypot(vx, vy),
         "turns": (last - first)[:, 2] / (2 * math.pi),
-        "time": time,
+        "time": paths.rest,
         "hog_to_hog": far_hog - hog,
         "hog_to_tee": tee - hog,
-        "hog_to_rest": time - far_hog,
+        "hog_to_rest": paths.rest - far_hog,
         "speed_at_hog": passed["hog"][1],
         "speed_at_far_hog": passed["far-hog"][1],
         "speed_at_tee": passed["far-tee"][1],
@@ -272,6 +294,11 @@ def _quantiles(values: Floats) -> dict[str, float]:
     return dict(zip(LEVELS, map(float, found), strict=True))
 
 
+def _size(values: Floats) -> Floats:
+    """Root mean square over the draws."""
+    return cast(Floats, np.sqrt(np.mean(values**2, axis=0)))
+
+
 def _series(best: Paths, plain: Paths, full: Paths) -> dict[str, Floats]:
     longest = max(float(best.rest[0]), float(np.quantile(full.rest, 0.975)))
     n = min(int(np.searchsorted(best.t, longest)) + 1, len(best.t))
@@ -281,7 +308,7 @@ def _series(best: Paths, plain: Paths, full: Paths) -> dict[str, Floats]:
     for row, name in enumerate(FORETOLD):
         ours, both = plain.state[:, row, :n], full.state[:, row, :n]
         found[f"{name}_parameter_sd"] = ours.std(0)
-        found[f"{name}_model_sd"] = (both - ours).std(0)
+        found[f"{name}_model_sd"] = _size(both - ours)
         levels = np.quantile(both, [float(level) / 100 for level in LEVELS], axis=0)
         for level, values in zip(LEVELS, levels, strict=True):
             if level != "50":
@@ -311,7 +338,8 @@ def _rest(plain: Paths, full: Paths) -> dict[str, Any]:
     return {
         "mean": [float(value) for value in both.mean(0)],
         "parameter": np.cov(ours.T).tolist(),
-        "model": np.cov((both - ours).T).tolist(),
+        "model": ((both - ours).T @ (both - ours) / len(both)).tolist(),
+        "both": np.cov(both.T).tolist(),
     }
 
 
@@ -403,24 +431,39 @@ def _unknowns(fit: FitResult, probed: dict[str, Paths], best: Paths) -> tuple[li
     return matter, rest
 
 
-def _of_the_law(misfit: Misfit) -> list[str]:
+def _of_the_law(misfit: Misfit) -> tuple[list[str], list[str]]:
+    """Of the model discrepancy: warnings and notes."""
+
+    def listed(sizes: Mapping[str, float], shown: Collection[str]) -> str:
+        return ", ".join(
+            f"{size:.2g} {'rad' if way == 'turning' else 'm'}/s^2 {WORDS[way]}"
+            for way, size in sizes.items()
+            if way in shown
+        )
+
+    limit = (
+        f"its prior lies below the friction itself (mu = {misfit.friction:.2g}, mu g = "
+        f"{misfit.ceilings['along']:.2g} m/s^2; 5 % of it would be above, a third is its mean)"
+    )
     if not misfit.known:
         return [
-            "too few rows were fitted to tell what the law misses; the bands hold the errors of "
-            "the parameters alone"
-        ]
-    if not misfit.found:
-        return []
-    where = [name for name, size in misfit.sizes.items() if size > 0]
-    sizes = ", ".join(
-        f"{size:.2g} {'rad' if way == 'turning' else 'm'}/s^2 {way}"
-        for way, size in misfit.sizes.items()
-        if size > 0
+            "too few rows were fitted to estimate the model discrepancy; the bands take it from "
+            f"its prior alone: {listed(misfit.sizes, WORDS)}"
+        ], [f"the size of a missing acceleration is limited: {limit}"]
+    found = [way for way, excess in misfit.excess.items() if excess > SHOWN]
+    rest = [way for way in WORDS if way not in found]
+    warnings = [
+        "the law does not describe the fitted rows: their residuals are those of a missing "
+        f"acceleration of about {listed(misfit.sizes, found)}. The bands hold this and lie to the "
+        "side of the law's own path to which the residuals point, but beyond the speeds and spins "
+        "that were fitted the law may fail worse"
+    ] if found else []  # fmt: skip
+    undetected = (
+        f"an acceleration too small to be detected in the fitted rows is in the bands: about "
+        f"{listed(misfit.sizes, rest)}; "
     )
-    return [
-        f"the law misses something: its residuals are as of a missing acceleration that drifts "
-        f"to {sizes} within {misfit.span:.3g} s. The bands hold this ({len(where)} of 3 ways), but "
-        "beyond the speeds and spins that were fitted the law may fail worse"
+    return warnings, [
+        (undetected if rest else "the size of a missing acceleration is limited: ") + limit
     ]
 
 
@@ -444,7 +487,7 @@ def _held_out(
     full: Paths,
     random: np.random.Generator,
 ) -> HeldOut:
-    """Measured rows after the fitted ones beside what was foretold. Raises `InputError`."""
+    """Measured rows after the fitted ones beside what was predicted. Raises `InputError`."""
     first, last = fit.data["from"], fit.data["to"]
     _require_same(throw, fit)
     later = np.flatnonzero(throw.t > last)
@@ -453,9 +496,7 @@ def _held_out(
             f"{throw.name}: no rows after t = {last:g} s, the last that was fitted; fit with a "
             "smaller --until"
         )
-    later = later[
-        np.unique(np.linspace(0, len(later) - 1, min(len(later), _MOST_CHECKED)).astype(int))
-    ]
+    later = _thinned(later)
     t = throw.t[later] - first
     at, middle = full.when(t), best.when(t)[0]
     shift = (*begun.shift, 0.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ Floats = NDArray[np.float64]
 
 SCHEMA = 1
 MIGRATIONS: dict[int, Migration] = {}
+_SERIES = ("series", "band", "measured")
 QUANTITIES = {
     "rest_x": ("rests right of centre line", "m"),
     "rest_y": ("rests beyond tee line", "m"),
@@ -36,7 +37,7 @@ QUANTITIES = {
     "speed_at_far_hog": ("speed at far hog line", "m/s"),
     "speed_at_tee": ("speed at tee line", "m/s"),
 }
-"""What is foretold besides the path: meaning and unit by name. Curl is the distance of the resting
+"""What is predicted besides the path: meaning and unit by name. Curl is the distance of the resting
 place from the line of delivery, the straight line along the first velocity."""
 CHANCES = {
     "in the house": "rests in the house or touches it",
@@ -47,12 +48,13 @@ CHANCES = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number foretold.
+    """A predicted number.
 
     Attributes
     ----------
     value : for the best estimate; NaN where that throw has none (it never reaches the line).
-    parameter_sd, model_sd : standard deviations from the errors of the parameters and of the law.
+    parameter_sd, model_sd : from the errors of the parameters, standard deviation, and of the law,
+        root mean square of what it makes of the parameters' draws.
     quantiles : of both together, keys "2.5", "16", "50", "84", "97.5".
     share : of the draws that have it.
     """
@@ -66,7 +68,7 @@ class Quantity:
 
     @property
     def sd(self) -> float:
-        """Standard deviation from both errors."""
+        """Size of both errors together."""
         return math.hypot(self.parameter_sd, self.model_sd)
 
 
@@ -77,9 +79,9 @@ class HeldOut:
     Attributes
     ----------
     file, first, last : where the rows came from, first and last time (s, the clock of the data).
-    channels : by channel "rows", "rms" of measured - foretold, "inside_68" and "inside_95" (share
-        of rows within the bands, noise included), "end" (measured - foretold at its last row) and
-        "end_sd" (what was foretold for that difference).
+    channels : by channel "rows", "rms" of measured - predicted, "inside_68" and "inside_95" (share
+        of rows within the bands, noise included), "end" (measured - predicted at its last row) and
+        "end_sd" (what was predicted for that difference).
     observed : t (s since the start) and the channels, on the sheet.
     """
 
@@ -92,7 +94,7 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Prediction:
-    """A throw foretold. `save` writes it, `load_prediction` reads it.
+    """A predicted throw. `save` writes it, `load_prediction` reads it.
 
     Attributes
     ----------
@@ -103,16 +105,18 @@ class Prediction:
     line : the line on which it starts, "data" for where the data do, "" for a place given.
     goal : None, or "words", "x", "y" (m from the tee; x None where not aimed at), "speed".
     draws : "number", "used", "source" ("chain" or "covariance"), "seed".
-    misfit : accelerations that the law misses.
+    misfit : accelerations that the law misses (model discrepancy).
     series : t (s since the start) and x, y, phi, speed, omega of the best estimate; of x, y, phi
         also "x_parameter_sd", "x_model_sd" and the quantiles "x_2.5" ...
     band : x as a function of y: "y", "x" and "x_2.5" ..., where at least half of the draws pass.
-    rest : "mean" of the resting place and "parameter", "model": covariances of both errors (m^2).
+    rest : "mean" of the resting place and "parameter", "model", "both": mean products of its
+        errors from the parameters, from the law (about zero), and together (m^2).
     quantities : by name, see `QUANTITIES`.
     chances : by name, shares of the draws.
     sensitivity : by name of the start, the change of the resting place (m right, m along) by "by".
     warnings : what the reader has to mind. notes : what else there is to say.
     check : None, or how measured rows compare.
+    measured : t (s since the start), x, y of the fitted rows on the sheet; empty for another throw.
     """
 
     law: str
@@ -134,6 +138,7 @@ class Prediction:
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     check: HeldOut | None = None
+    measured: dict[str, Floats] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """The record as written to `predict.json`; see the README for its fields."""
@@ -152,6 +157,7 @@ class Prediction:
             "check": check,
             "series": listed,
             "band": {name: values.tolist() for name, values in self.band.items()},
+            "measured": {name: values.tolist() for name, values in self.measured.items()},
         }  # fmt: skip
 
     def summary(self) -> dict[str, Any]:
@@ -159,7 +165,7 @@ class Prediction:
         record = strict(self.to_json())
         if record["check"] is not None:
             record["check"].pop("observed")
-        return {key: value for key, value in record.items() if key not in ("series", "band")}
+        return {key: value for key, value in record.items() if key not in _SERIES}
 
     @classmethod
     def from_json(cls, found: dict[str, Any]) -> Prediction:
@@ -172,6 +178,7 @@ class Prediction:
                 "misfit": Misfit(**known(Misfit, found["misfit"])),
                 "series": _arrays(found["series"]),
                 "band": _arrays(found["band"]),
+                "measured": _arrays(found.get("measured", {})),
                 "quantities": {
                     name: Quantity(**known(Quantity, item) | {"value": _number(item["value"])})
                     for name, item in found["quantities"].items()
@@ -196,8 +203,8 @@ class Prediction:
             + ("carried on" if self.of == "fitted" else "another throw"),
             "# t in s since the start, lengths in m, angles in rad; x to the right of the centre "
             f"line, y from the hack thrown from (far tee at {TEE:.3f})",
-            "# _parameter_sd, _model_sd: standard deviations; _2.5 .. _97.5: percentiles, both "
-            "errors together",
+            "# _parameter_sd: standard deviation; _model_sd: root mean square of the law's error; "
+            "_2.5 .. _97.5: percentiles, both errors together",
             ",".join(names),
         ]
         for row in zip(*self.series.values(), strict=True):

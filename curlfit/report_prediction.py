@@ -126,7 +126,7 @@ def _quantities(prediction: Prediction) -> RenderableType:
     partly = any(item.share < 1 for item in shown.values())
     table = plain_table()
     table.add_column("", no_wrap=True)
-    for head in ("best", "parameters", "law"):
+    for head in ("best", "parameters", "model"):
         table.add_column(head, justify="right", no_wrap=True)
     for head in ("68 %", "95 %", *(["of draws"] if partly else [])):
         table.add_column(head, no_wrap=True)

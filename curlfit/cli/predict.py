@@ -1,4 +1,4 @@
-"""`curlfit predict`: a throw foretold."""
+"""`curlfit predict`: prediction of a throw."""
 
 from __future__ import annotations
 
@@ -112,11 +112,11 @@ def predict(
     no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
-    """Foretell a throw: where the stone goes and comes to rest, and how sure that is.
+    """Predict a throw: where the stone goes and comes to rest, and how sure that is.
 
     Without options: the fitted throw, carried to rest. With a start or a goal: another throw on the
     same ice, taken to start on the near hog line with the spin of the fitted one. Bands hold the
-    errors of the parameters and, apart from these, what the law misses.
+    errors of the parameters and, apart from these, the model discrepancy: what the law misses.
     Writes `predict.json`, `predict.csv` (the path with its bands) and `predict.png`.
 
     Examples:
@@ -155,9 +155,9 @@ def predict(
 
     console = terminal(quiet=quiet)
     with console.status("Following the draws to rest (a first run on a machine compiles them)"):
-        from curlfit.prediction import predict as foretell
+        from curlfit.prediction import predict as prediction_of
 
-        found = foretell(
+        found = prediction_of(
             result, chain, start=start, line=line, target=place, weight=weight,
             tee_speed=tee_speed, draws=draws, seed=seed, check=throw,
         )  # fmt: skip

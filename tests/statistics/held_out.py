@@ -1,9 +1,9 @@
-"""Coverage of predictions: the first 12 s of synthetic throws are fitted, the rest is foretold.
+"""Coverage of predictions: the first 12 s of synthetic throws are fitted, the rest is predicted.
 
     python tests/statistics/held_out.py THROWS [CASE]
 
 runs all cases, or one by its number, and writes their tables into README.md beside this file. What
-is foretold is the true path, so that no measuring noise is in the comparison, and each throw gives
+is compared is the true path, so that no measuring noise is in the comparison, and each throw gives
 one answer to each question, so that counts are binomial.
 """
 
