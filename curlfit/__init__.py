@@ -20,37 +20,41 @@ from typing import TYPE_CHECKING, Any
 from curlfit.version import __version__
 
 if TYPE_CHECKING:
-    from curlfit.aiming import Aim, aim
-    from curlfit.chain import Chain, load_chain
-    from curlfit.claims import Claim, Reproduction, reproduce
-    from curlfit.comparison import Comparison, compare, load_comparison
+    from curlfit.comparison.compare import compare
+    from curlfit.comparison.figures import comparison_figure
+    from curlfit.comparison.report import print_comparison
+    from curlfit.comparison.result import Comparison, load_comparison
+    from curlfit.dynamics.aim import Aim, aim
+    from curlfit.dynamics.trajectory import Path, Start, simulate
     from curlfit.errors import CurlfitError, DataError, InputError, UnusableFitError
-    from curlfit.figures import comparison_figure, corner_figure, fit_figure, joint_figure
-    from curlfit.figures_design import design_figures
-    from curlfit.figures_prediction import prediction_figure
-    from curlfit.figures_profile import profile_figure
-    from curlfit.fitting import fit
     from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, coefficient, find_law
-    from curlfit.joint import JointResult, load_joint
-    from curlfit.motion import Path, Start, simulate
-    from curlfit.planning import Design, design, load_design
-    from curlfit.prediction import held_out, predict
-    from curlfit.predictions import Prediction, load_prediction
-    from curlfit.profiles import PairProfile, Profile, load_profile
-    from curlfit.profiling import profile
-    from curlfit.readers import load_throw
-    from curlfit.report import print_fit
-    from curlfit.report_comparison import print_comparison
-    from curlfit.report_design import print_design
-    from curlfit.report_joint import print_joint
-    from curlfit.report_prediction import print_prediction
-    from curlfit.report_profile import print_profile
-    from curlfit.results import FitResult, Posterior, load_fit
-    from curlfit.sampling import sample
+    from curlfit.inference.figures import corner_figure, fit_figure, joint_figure
+    from curlfit.inference.fit.fit import fit
+    from curlfit.inference.fit.result import FitResult, Posterior, load_fit
+    from curlfit.inference.joint.fit import fit_together
+    from curlfit.inference.joint.report import print_joint
+    from curlfit.inference.joint.result import JointResult, load_joint
+    from curlfit.inference.mcmc.chain import Chain, load_chain
+    from curlfit.inference.mcmc.sampler import sample
+    from curlfit.inference.report import print_fit
+    from curlfit.optimal_design.design import design
+    from curlfit.optimal_design.figures import design_figures
+    from curlfit.optimal_design.report import print_design
+    from curlfit.optimal_design.result import Design, load_design
+    from curlfit.paper.claim import Claim
+    from curlfit.paper.reproduce import Reproduction, reproduce
+    from curlfit.prediction.figures import prediction_figure
+    from curlfit.prediction.predict import held_out, predict
+    from curlfit.prediction.report import print_prediction
+    from curlfit.prediction.result import Prediction, load_prediction
+    from curlfit.profile_likelihood.figures import profile_figure
+    from curlfit.profile_likelihood.profile import profile
+    from curlfit.profile_likelihood.report import print_profile
+    from curlfit.profile_likelihood.result import PairProfile, Profile, load_profile
     from curlfit.stone import Stone
-    from curlfit.synthetic import law_with, synthetic_throw
-    from curlfit.throw import Throw
-    from curlfit.together import fit_together
+    from curlfit.throws.readers import load_throw
+    from curlfit.throws.synthetic import law_with, synthetic_throw
+    from curlfit.throws.throw import Throw
 
 # A function of the user's may be traced before any name of curlfit is used, and the width of
 # numbers cannot change while it is. JAX reads the variable when it is loaded.
@@ -62,37 +66,41 @@ else:
 # Where each public name lives. They are imported on first use, so that `import curlfit` and the
 # command line's help need neither JAX nor matplotlib.
 _HOMES = {
-    "aiming": ("Aim", "aim"),
-    "chain": ("Chain", "load_chain"),
-    "claims": ("Claim", "Reproduction", "reproduce"),
-    "comparison": ("Comparison", "compare", "load_comparison"),
+    "dynamics.aim": ("Aim", "aim"),
+    "inference.mcmc.chain": ("Chain", "load_chain"),
+    "paper.claim": ("Claim",),
+    "paper.reproduce": ("Reproduction", "reproduce"),
+    "comparison.compare": ("compare",),
+    "comparison.result": ("Comparison", "load_comparison"),
     "errors": ("CurlfitError", "DataError", "InputError", "UnusableFitError"),
-    "figures": ("comparison_figure", "corner_figure", "fit_figure", "joint_figure"),
-    "figures_design": ("design_figures",),
-    "figures_prediction": ("prediction_figure",),
-    "figures_profile": ("profile_figure",),
-    "fitting": ("fit",),
+    "comparison.figures": ("comparison_figure",),
+    "inference.figures": ("corner_figure", "fit_figure", "joint_figure"),
+    "optimal_design.figures": ("design_figures",),
+    "prediction.figures": ("prediction_figure",),
+    "profile_likelihood.figures": ("profile_figure",),
+    "inference.fit.fit": ("fit",),
     "friction": ("LAWS", "Law", "LocalLaw", "NetLaw", "coefficient", "find_law"),
-    "joint": ("JointResult", "load_joint"),
-    "motion": ("Path", "Start", "simulate"),
-    "planning": ("Design", "design", "load_design"),
-    "prediction": ("held_out", "predict"),
-    "predictions": ("Prediction", "load_prediction"),
-    "profiles": ("PairProfile", "Profile", "load_profile"),
-    "profiling": ("profile",),
-    "readers": ("load_throw",),
-    "report": ("print_fit",),
-    "report_comparison": ("print_comparison",),
-    "report_design": ("print_design",),
-    "report_joint": ("print_joint",),
-    "report_prediction": ("print_prediction",),
-    "report_profile": ("print_profile",),
-    "results": ("FitResult", "Posterior", "load_fit"),
-    "sampling": ("sample",),
+    "inference.joint.result": ("JointResult", "load_joint"),
+    "dynamics.trajectory": ("Path", "Start", "simulate"),
+    "optimal_design.design": ("design",),
+    "optimal_design.result": ("Design", "load_design"),
+    "prediction.predict": ("held_out", "predict"),
+    "prediction.result": ("Prediction", "load_prediction"),
+    "profile_likelihood.result": ("PairProfile", "Profile", "load_profile"),
+    "profile_likelihood.profile": ("profile",),
+    "throws.readers": ("load_throw",),
+    "inference.report": ("print_fit",),
+    "comparison.report": ("print_comparison",),
+    "optimal_design.report": ("print_design",),
+    "inference.joint.report": ("print_joint",),
+    "prediction.report": ("print_prediction",),
+    "profile_likelihood.report": ("print_profile",),
+    "inference.fit.result": ("FitResult", "Posterior", "load_fit"),
+    "inference.mcmc.sampler": ("sample",),
     "stone": ("Stone",),
-    "synthetic": ("law_with", "synthetic_throw"),
-    "throw": ("Throw",),
-    "together": ("fit_together",),
+    "throws.synthetic": ("law_with", "synthetic_throw"),
+    "throws.throw": ("Throw",),
+    "inference.joint.fit": ("fit_together",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

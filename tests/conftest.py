@@ -27,8 +27,8 @@ LONG = ("test_readme", "test_laws", "test_motion", "test_prediction", "test_hard
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Have the tests' own programs compile as curlfit's do (see `curlfit.programs`), in half the
-    time, where this JAX knows how: set for the workers, before they start."""
+    """Have the tests' own programs compile as curlfit's do (see `curlfit.numerics.compiled`), in
+    half the time, where this JAX knows how: set for the workers, before they start."""
     os.environ.pop("COLUMNS", None)  # reports are as wide as anywhere else
     if hasattr(config, "workerinput"):
         return

@@ -18,12 +18,12 @@ from sample_files import log, shot, two_masses
 
 import curlfit
 from curlfit import FitResult, Stone, Throw
-from curlfit.batch import fit_files, fit_throws
-from curlfit.contact import accelerations
+from curlfit.batch.fit_many import fit_files, fit_throws
+from curlfit.batch.settings import Plan, columns
+from curlfit.batch.table import Table
+from curlfit.dynamics.contact import accelerations
 from curlfit.friction import LAWS
-from curlfit.plan import Plan, columns
-from curlfit.synthetic import law_with, synthetic_throw, write_table
-from curlfit.table import Table
+from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
 STONE = Stone(R=0.054)
 

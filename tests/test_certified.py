@@ -128,7 +128,7 @@ def test_certified_values_come_out_again(name):
 @pytest.mark.parametrize("name", [name for name in FEWER if "split" not in name])
 def test_a_shorter_step_gives_the_missing_digits(name):
     script = (
-        "from curlfit import steps; steps.STEP /= 4\n"
+        "from curlfit.dynamics import equations; equations.STEP /= 4\n"
         "import test_certified as t\n"
         f"values, _, sigmas = t.compared({name!r}, t.fitted({name!r}))\n"
         "print(values.max(), sigmas.max())"

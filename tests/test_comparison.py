@@ -12,10 +12,12 @@ from rich.console import Console
 from scipy.stats import t
 
 import curlfit
-from curlfit import LAWS, comparison
-from curlfit.comparison import compare, load_comparison, plan
+from curlfit import LAWS
+from curlfit.comparison import compare as comparison
+from curlfit.comparison.compare import compare, plan
+from curlfit.comparison.report import conclusions, print_comparison
+from curlfit.comparison.result import load_comparison
 from curlfit.errors import DataError
-from curlfit.report_comparison import conclusions, print_comparison
 
 COMPARED = [name for name, law in LAWS.items() if law.shipped() and not law.approximates]
 ISOTROPIC = {"coulomb", "power", "pressure", "angular", "stribeck", "debris"}

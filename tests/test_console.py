@@ -13,12 +13,12 @@ from rich.text import Text
 from typer.testing import CliRunner
 
 import curlfit
-from curlfit.claims.page import claims_table
-from curlfit.claims.record import Claim
 from curlfit.cli import app
-from curlfit.console import PlainTable, terminal
-from curlfit.report import compact, number
-from curlfit.synthetic import law_with, synthetic_throw, write_table
+from curlfit.output.console import PlainTable, terminal
+from curlfit.output.text import compact, number
+from curlfit.paper.claim import Claim
+from curlfit.paper.page import claims_table
+from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
 
 @pytest.fixture(scope="module")

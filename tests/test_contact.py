@@ -12,7 +12,7 @@ from conftest import G, Reference, front_back
 from scipy.special import ellipe, ellipk
 
 from curlfit import LAWS, LocalLaw, Stone, coefficient
-from curlfit.contact import accelerations
+from curlfit.dynamics.contact import accelerations
 from curlfit.friction import Edges, RingPoint, power
 from curlfit.friction.base import on_new_law
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import DATA
 
-from curlfit import paper
+from curlfit.paper import printed as paper
 
 
 def test_the_shipped_file_is_eq_12(tmp_path):

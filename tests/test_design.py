@@ -12,15 +12,15 @@ from typer.testing import CliRunner
 
 import curlfit
 from curlfit import LAWS, Start, Stone
-from curlfit.batch import fit_throws
-from curlfit.choosing import by_error, by_mean_error, by_volume, chosen, field_of
+from curlfit.batch.fit_many import fit_throws
+from curlfit.batch.settings import Plan
 from curlfit.cli import app
-from curlfit.contact import accelerations
+from curlfit.dynamics.contact import accelerations
 from curlfit.errors import InputError
-from curlfit.information import Trial, about_coefficients, error_of, joined, told
-from curlfit.plan import Plan
-from curlfit.planning import design
-from curlfit.separating import Split, proof
+from curlfit.optimal_design.design import design
+from curlfit.optimal_design.information import Trial, about_coefficients, error_of, joined, told
+from curlfit.optimal_design.selection import by_error, by_mean_error, by_volume, chosen, field_of
+from curlfit.optimal_design.separability import Split, proof
 
 LAW = LAWS["front-back"]
 STONE = Stone()

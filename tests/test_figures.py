@@ -8,18 +8,12 @@ import pytest
 from matplotlib.text import Text
 
 import curlfit
-from curlfit.chain import Chain
-from curlfit.comparison import Candidate, Comparison
-from curlfit.figures import (
-    PALETTE,
-    comparison_figure,
-    corner_figure,
-    fit_figure,
-    joint_figure,
-    neat_axis,
-    unit_for,
-)  # fmt: skip
-from curlfit.joint import Difference, JointResult
+from curlfit.comparison.figures import comparison_figure
+from curlfit.comparison.result import Candidate, Comparison
+from curlfit.inference.figures import corner_figure, fit_figure, joint_figure
+from curlfit.inference.joint.result import Difference, JointResult
+from curlfit.inference.mcmc.chain import Chain
+from curlfit.output.figures import PALETTE, neat_axis, unit_for
 
 
 def texts(figure):

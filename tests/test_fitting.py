@@ -16,11 +16,11 @@ from scipy.optimize import least_squares
 
 import curlfit
 from curlfit import DataError, InputError, Stone, Throw, fit, law_with, synthetic_throw
-from curlfit.box import BoxLevenbergMarquardt
-from curlfit.likelihood import Problem
-from curlfit.report import print_fit
-from curlfit.results import load_fit
-from curlfit.solving import Solution, residual_sigma
+from curlfit.inference.fit.result import load_fit
+from curlfit.inference.least_squares import Solution, residual_sigma
+from curlfit.inference.likelihood import Problem
+from curlfit.inference.report import print_fit
+from curlfit.numerics.levenberg_marquardt import BoxLevenbergMarquardt
 
 NAMES = ("mu1_xi", "mu2_xi")
 

@@ -12,7 +12,7 @@ import pytest
 from test_certified import certify
 
 from curlfit import LAWS, DataError, Start, Stone, Throw, fit, law_with, simulate, synthetic_throw
-from curlfit.contact import accelerations
+from curlfit.dynamics.contact import accelerations
 
 G = 9.81
 STONE = Stone(R=0.0625, rho=0.1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from curlfit.identifiability import analyse, analyse_many, expression
+from curlfit.inference.identifiability import analyse, analyse_many, expression
 
 
 def _analysed(jacobian, names, typical=None):

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from curlfit import Throw
-from curlfit.inspection import inspected
-from curlfit.report_inspection import braille, facts
-from curlfit.throw import scatter
+from curlfit.throws.inspection import inspected
+from curlfit.throws.report import braille, facts
+from curlfit.throws.throw import scatter
 
 SLOWING, SPEED = 0.1, 2.0  # m/s^2, m/s: at rest after 20 s and 20 m
 

@@ -161,7 +161,7 @@ def test_what_cannot_be_fitted_together_is_refused(three):
 
 
 def test_on_the_command_line(three, tmp_path):
-    from curlfit.synthetic import write_table
+    from curlfit.throws.synthetic import write_table
 
     for place, throw in enumerate(three):
         (tmp_path / f"throw{place}.csv").write_text(write_table(throw))

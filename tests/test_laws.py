@@ -13,7 +13,7 @@ import pytest
 from conftest import G, Reference, follow, front_back
 
 from curlfit import LAWS, Start, Stone, simulate
-from curlfit.contact import accelerations, consistent_load
+from curlfit.dynamics.contact import accelerations, consistent_load
 from curlfit.friction import LOADS
 
 STONE = Stone(R=0.065, rho=0.1, h=0.057)

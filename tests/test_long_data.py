@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import curlfit
-import curlfit.throw
 from curlfit import LAWS, Stone
+from curlfit.throws.throw import last_motion
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def test_means_over_blocks_keep_time_place_and_noise(long):
     short = long.condensed(3000)
     assert 2200 < len(short) <= 3000
     assert (np.diff(short.t) > 0).all()
-    rest = curlfit.throw.last_motion(long.t, long.x, long.y)
+    rest = last_motion(long.t, long.x, long.y)
     assert 22 < rest < 24
     moving = short.t < rest - 0.1
     step = np.diff(short.t[moving])

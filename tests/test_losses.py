@@ -13,7 +13,7 @@ from scipy.stats import norm, t
 
 import curlfit
 from curlfit.errors import InputError
-from curlfit.losses import (
+from curlfit.inference.noise.losses import (
     influence,
     likeliest_sigma,
     log_density,
@@ -22,8 +22,8 @@ from curlfit.losses import (
     signed_root,
     steepness,
 )
-from curlfit.parameters import LOSSES
-from curlfit.report import outliers
+from curlfit.inference.parameters import LOSSES
+from curlfit.inference.report import outliers
 
 ROBUST = LOSSES[1:]
 R = np.concatenate([-np.logspace(3, -9, 60), [0.0], np.logspace(-9, 3, 60)])

@@ -12,10 +12,11 @@ import pytest
 from conftest import Reference, front_back
 
 import curlfit
-from curlfit import LAWS, Start, Stone, Throw, simulate, steps
-from curlfit.contact import accelerations
-from curlfit.likelihood import frame_of, log_likelihood, problem_of, trace
-from curlfit.paper import first_order_motion
+from curlfit import LAWS, Start, Stone, Throw, simulate
+from curlfit.dynamics import equations as steps
+from curlfit.dynamics.contact import accelerations
+from curlfit.inference.likelihood import frame_of, log_likelihood, problem_of, trace
+from curlfit.paper.printed import first_order_motion
 
 STONE = Stone(R=0.054, rho=0.1)
 PAPER = (0.0004, 0.0555, 0.009, 0.0083)

@@ -11,9 +11,9 @@ from conftest import command as curlfit_command
 from scipy.linalg import toeplitz
 
 import curlfit
-from curlfit.noise import Noise, independences
-from curlfit.results import load_fit
-from curlfit.whitening import colour_of, whitened
+from curlfit.inference.fit.result import load_fit
+from curlfit.inference.noise.correlated import colour_of, whitened
+from curlfit.inference.noise.models import Noise, independences
 
 T = np.arange(0.0, 15.05, 0.1)
 SIGMA = {"x": 0.005, "y": 0.005, "phi": 0.01}

@@ -14,8 +14,8 @@ from conftest import command as curlfit
 from curlfit import LAWS, find_law, load_fit, sample
 from curlfit.errors import DataError, InputError
 from curlfit.friction.base import START_NAMES
-from curlfit.friction.from_file import _try_out
-from curlfit.parameters import START
+from curlfit.friction.registry import _try_out
+from curlfit.inference.parameters import START
 
 README = (Path(__file__).parent.parent / "README.md").read_text()
 LAW = re.search(r"<!-- law -->\n```python\n(.*?)```", README, re.S)[1]

@@ -18,11 +18,12 @@ from typer.testing import CliRunner
 
 import curlfit
 from curlfit import InputError, UnusableFitError, sheet
-from curlfit.asked import GUARD, TAKEOUT
-from curlfit.carried import followed
 from curlfit.cli import app
-from curlfit.figures_prediction import prediction_figure
-from curlfit.misfit import WAYS, discrepancy_of, misfit_of
+from curlfit.prediction.discrepancy import discrepancy_of, misfit_of
+from curlfit.prediction.ensemble import followed
+from curlfit.prediction.figures import prediction_figure
+from curlfit.prediction.request import GUARD, TAKEOUT
+from curlfit.prediction.result import WAYS
 
 STONE = curlfit.Stone(R=0.065)
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}

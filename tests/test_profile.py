@@ -16,9 +16,9 @@ from typer.testing import CliRunner
 import curlfit
 from curlfit import DataError, InputError, UnusableFitError
 from curlfit.cli import app
-from curlfit.likelihood import frame_of, problem_of, raw_residuals
-from curlfit.results import Estimate
-from curlfit.sampling import sample
+from curlfit.inference.fit.result import Estimate
+from curlfit.inference.likelihood import frame_of, problem_of, raw_residuals
+from curlfit.inference.mcmc.sampler import sample
 
 STONE = curlfit.Stone(R=0.065)
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}

@@ -11,11 +11,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from curlfit import cache
+from curlfit.numerics import program_cache as cache
 
 CODE = """
 import numpy as np
-from curlfit import programs
+from curlfit.numerics import compiled as programs
 
 calls = []
 
@@ -90,7 +90,7 @@ def test_the_cache_can_be_switched_off(traced):
 HOUSEKEEPING = """
 import os, sys
 from pathlib import Path
-from curlfit import cache
+from curlfit.numerics import program_cache as cache
 
 cache.LIMIT = {limit}
 folder = cache.folder({part!r})
@@ -202,7 +202,7 @@ def test_a_user_without_a_home_has_no_cache(keeping, tmp_path):
 def test_jax_reads_its_entries_with_the_same_care(keeping, tmp_path):
     code = """
 import jax
-from curlfit import backend
+from curlfit.numerics import jax_setup as backend
 hits = []
 jax.monitoring.register_event_listener(lambda event, **more: hits.append(event))
 jax.jit(lambda a: 3 * a)(1.0)

@@ -9,7 +9,7 @@ import pytest
 from conftest import DATA
 
 from curlfit import DataError, Throw, load_throw
-from curlfit.readers.columns import understand
+from curlfit.throws.readers.columns import understand
 
 PLAIN = "t,x,y,phi\n0,0.1,0,0\n1,0.2,2,1\n2,0.4,3,1.5\n"
 

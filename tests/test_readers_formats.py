@@ -33,11 +33,11 @@ from sample_files import (
 
 import curlfit
 from curlfit import DataError, InputError, Throw, load_throw
-from curlfit.readers.angles import AmbiguousTurnError, unwrap
-from curlfit.readers.columns import understand
-from curlfit.readers.frames import LINES, parse_axes
-from curlfit.readers.load import guessed
-from curlfit.readers.pixels import homography
+from curlfit.throws.readers.angles import AmbiguousTurnError, unwrap
+from curlfit.throws.readers.axes import LINES, parse_axes
+from curlfit.throws.readers.columns import understand
+from curlfit.throws.readers.homography import homography
+from curlfit.throws.readers.load import guessed
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ import pytest
 
 import curlfit
 from curlfit import LAWS, Start, Stone, simulate
-from curlfit.remedies import NOISE
-from curlfit.report import identifiability
-from curlfit.results import load_fit
+from curlfit.inference.fit.missing_channels import NOISE
+from curlfit.inference.fit.result import load_fit
+from curlfit.inference.report import identifiability
 
 T = np.arange(0.0, 15.05, 0.1)
 

@@ -11,11 +11,11 @@ import pytest
 from conftest import DATA, Reference, front_back
 
 import curlfit
-from curlfit.claims import ORDER
-from curlfit.claims.eq28 import PRINTED, coefficients_of, rounds_to_print
-from curlfit.claims.isotropic import STONE, SpeedMixture, ring_states
-from curlfit.claims.ring import EPSILONS
 from curlfit.friction.isotropic import Power
+from curlfit.paper.eq28 import PRINTED, coefficients_of, rounds_to_print
+from curlfit.paper.isotropic import STONE, SpeedMixture, ring_states
+from curlfit.paper.reproduce import ORDER
+from curlfit.paper.ring import EPSILONS
 
 IDS = [
     "eq13", "eq14x", "eq14y", "prop1", "prop2", "prop3", "prop4", "prop5", "eq15-17", "eq23",
@@ -39,12 +39,12 @@ def written(found, tmp_path_factory):
     """The command in this process, with the computation replaced by the one at hand."""
     from typer.testing import CliRunner
 
-    from curlfit import claims
     from curlfit.cli import app
+    from curlfit.paper import reproduce as reproduction
 
     folder = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(claims, "reproduce", lambda progress: found)
+        patch.setattr(reproduction, "reproduce", lambda progress: found)
         run = CliRunner().invoke(app, ["reproduce", "--out", str(folder)])
         as_json = CliRunner().invoke(app, ["reproduce", "--out", str(folder), "--json"])
         silent = CliRunner().invoke(app, ["reproduce", "--out", str(folder), "--quiet"])

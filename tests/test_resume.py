@@ -15,8 +15,10 @@ import numpy as np
 import pytest
 from conftest import DATA
 
-from curlfit import DataError, InputError, chain, load_chain, load_fit, sample, sampling
+from curlfit import DataError, InputError, load_chain, load_fit, sample
 from curlfit.cli import app
+from curlfit.inference.mcmc import chain
+from curlfit.inference.mcmc import sampler as sampling
 
 ENDLESS = ("--effective", "100000000", "--max-steps", "1000000")
 

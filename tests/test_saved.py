@@ -17,9 +17,12 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 import curlfit
-from curlfit import DataError, InputError, comparison, load_comparison, load_fit, paper, results
+from curlfit import DataError, InputError, load_comparison, load_fit
 from curlfit.cli import app
-from curlfit.figures import save_figure
+from curlfit.comparison import result as comparison
+from curlfit.inference.fit import result as results
+from curlfit.output.figures import save_figure
+from curlfit.paper import printed as paper
 
 
 @pytest.fixture(scope="module")
@@ -65,9 +68,9 @@ def writers(fit, chain, compared, folder):
         with pytest.MonkeyPatch.context() as patch:
             # the page and its figures are not made where the first file cannot be written
             found = type("Found", (), {"claims": ()})
-            patch.setattr("curlfit.claims.reproduce", lambda progress: found)
-            patch.setattr("curlfit.claims.page.page", lambda found: "claims")
-            patch.setattr("curlfit.claims.figures.FIGURES", {"eq14": lambda found: figure})
+            patch.setattr("curlfit.paper.reproduce.reproduce", lambda progress: found)
+            patch.setattr("curlfit.paper.page.page", lambda found: "claims")
+            patch.setattr("curlfit.paper.figures.FIGURES", {"eq14": lambda found: figure})
             run("reproduce", "--out", folder)
 
     fit.save(folder / "saved" / "fit.json")
@@ -127,7 +130,7 @@ def test_a_full_disk_leaves_no_half_of_a_compiled_program(tmp_path):
 
 COMPILE = """
 import os, resource
-import curlfit.backend, jax
+import curlfit.numerics.jax_setup, jax
 folder = curlfit.cache.folder("jax")
 before = resource.getrlimit(resource.RLIMIT_FSIZE)
 resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
@@ -151,7 +154,7 @@ def test_what_cannot_be_printed_is_said(eq12_fit, tmp_path, words):
 
 
 def test_what_a_killed_run_left_half_written_is_cleared(tmp_path):
-    from curlfit.files import prepared_folder
+    from curlfit.output.files import prepared_folder
 
     old, new = tmp_path / ".curlfit-abc-chain.h5", tmp_path / ".curlfit-def-chain.h5"
     for file in (old, new):

@@ -12,10 +12,10 @@ from rich.console import Console
 from scipy.stats import binomtest, chi2, f, t
 
 import curlfit
-from curlfit.likelihood import SIGMA_FLOOR
-from curlfit.profiles import levels_of
-from curlfit.report import identifiability, report
-from curlfit.weighing import _Draft
+from curlfit.inference.fit.summary import _Draft
+from curlfit.inference.likelihood import SIGMA_FLOOR
+from curlfit.inference.report import identifiability, report
+from curlfit.profile_likelihood.result import levels_of
 
 SIGMA = {"x": 0.005, "y": 0.005, "phi": 0.01}
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05}

@@ -8,19 +8,19 @@ from typing import Annotated
 
 import typer
 
-from curlfit.cli.batch import batch
+from curlfit.batch.command import batch
 from curlfit.cli.check import check
-from curlfit.cli.compare import compare
-from curlfit.cli.design import design
 from curlfit.cli.fit import fit
 from curlfit.cli.laws import laws
 from curlfit.cli.plot import plot
-from curlfit.cli.predict import predict
-from curlfit.cli.profile import profile
-from curlfit.cli.reproduce import reproduce
 from curlfit.cli.show import show
 from curlfit.cli.simulate import simulate
+from curlfit.comparison.command import compare
 from curlfit.errors import CurlfitError
+from curlfit.optimal_design.command import design
+from curlfit.paper.command import reproduce
+from curlfit.prediction.command import predict
+from curlfit.profile_likelihood.command import profile
 from curlfit.version import __version__
 
 app = typer.Typer(

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from curlfit.cli import options as o
-from curlfit.cli import reading as r
-from curlfit.cli import settings as s
+from curlfit.options import flags as o
+from curlfit.options import reading as r
+from curlfit.options import settings as s
 
 
 def check(
@@ -35,9 +35,9 @@ def check(
     Example: `curlfit check data/jensen_shegelski_2004.csv`
     """
     from curlfit.errors import InputError
-    from curlfit.inspection import inspected
-    from curlfit.readers import read
-    from curlfit.readers.assemble import assemble
+    from curlfit.throws.inspection import inspected
+    from curlfit.throws.readers import read
+    from curlfit.throws.readers.assemble import assemble
 
     if out is not None:
         if out.suffix.lower() not in (".png", ".pdf", ".svg"):
@@ -53,14 +53,15 @@ def check(
     throw, wanted, _ = s.settled(throw, configured, flags)
     throw.until(wanted.get("until")).require_motion()
 
-    from curlfit.console import terminal
-    from curlfit.report_inspection import print_inspection
+    from curlfit.output.console import terminal
+    from curlfit.throws.report import print_inspection
 
     console = terminal(highlight=False)
     settings = {key: value for key, value in wanted.items() if key not in s.HOW}
     print_inspection(reading, throw, inspected(throw), settings, console)
     if out is not None:
-        from curlfit.figures import save_figure, throw_figure
+        from curlfit.output.figures import save_figure
+        from curlfit.throws.figures import throw_figure
 
         save_figure(throw_figure(throw), out, dpi=130)
         console.print(f"Written: {out}", soft_wrap=True)

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from curlfit.cli import options as o
-from curlfit.cli import reading as r
-from curlfit.cli.together import fit_several
-from curlfit.cli.wanted import FitWanted, fit_flags, fit_wanted
+from curlfit.cli.joint_fit import fit_several
+from curlfit.options import flags as o
+from curlfit.options import reading as r
+from curlfit.options.fit_settings import FitWanted, fit_flags, fit_wanted
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from curlfit.chain import Chain
-    from curlfit.results import FitResult
+    from curlfit.inference.fit.result import FitResult
+    from curlfit.inference.mcmc.chain import Chain
 
 
 def fit(
@@ -96,7 +96,7 @@ def fit(
     Example: `curlfit fit data/jensen_shegelski_2004.csv --stone rho=0.1025`
     """
     from curlfit.errors import InputError
-    from curlfit.files import prepared_folder
+    from curlfit.output.files import prepared_folder
 
     if resume and no_sample:
         raise InputError("--resume goes on with sampling, and --no-sample does without it")
@@ -121,7 +121,7 @@ def fit(
         saved = _saved(folder, seed, asked)
     folder = prepared_folder(folder)
 
-    from curlfit.console import terminal
+    from curlfit.output.console import terminal
 
     console = terminal(quiet=quiet)
     if resume and saved is None:
@@ -139,7 +139,8 @@ def fit(
         for name in ("corner.png", "chain.h5"):  # of another fit
             (folder / name).unlink(missing_ok=True)
     if not no_figures:
-        from curlfit.figures import fit_figure, save_figure
+        from curlfit.inference.figures import fit_figure
+        from curlfit.output.figures import save_figure
 
         save_figure(fit_figure(result), folder / "fit.png")
         written.append(folder / "fit.png")
@@ -157,13 +158,13 @@ def fit(
         result.save(folder / "fit.json")
         written.append(chain_file)
         if not no_figures:
-            from curlfit.figures import corner_figure
+            from curlfit.inference.figures import corner_figure
 
             save_figure(corner_figure(result, chain), folder / "corner.png")
             written.append(folder / "corner.png")
     _remove_stale(folder, written)
 
-    from curlfit.report import print_fit
+    from curlfit.inference.report import print_fit
 
     print_fit(result, console)
     console.print("Written: " + ", ".join(str(file) for file in written), soft_wrap=True)
@@ -174,8 +175,14 @@ def _saved(folder: Path, seed: int, asked: FitWanted) -> FitResult | None:
     """The fit that lies in the folder, if any; it and its chain must be of what is asked for."""
     if not (folder / "fit.json").exists():
         return None
-    from curlfit.chain import load_chain, require_same, subject_of, subject_of_fit, subject_of_saved
-    from curlfit.results import load_fit
+    from curlfit.inference.fit.result import load_fit
+    from curlfit.inference.mcmc.chain import (
+        load_chain,
+        require_same,
+        subject_of,
+        subject_of_fit,
+        subject_of_saved,
+    )
 
     found = load_fit(folder)
     now = subject_of_fit(
@@ -219,7 +226,7 @@ def _sampled(
 ) -> tuple[FitResult, Chain]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from curlfit.sampling import sample
+    from curlfit.inference.mcmc.sampler import sample
 
     with Progress(
         TextColumn("Sampling the posterior"),

@@ -33,7 +33,7 @@ def laws(
     if as_json:
         typer.echo(json.dumps([_record(law) for law in chosen], indent=1))
         return
-    from curlfit.console import terminal
+    from curlfit.output.console import terminal
 
     width = terminal().width
     typer.echo("\n\n".join(_text(law, width) for law in chosen))

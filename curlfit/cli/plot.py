@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from curlfit.cli.settings import chain_beside, kind_of
+from curlfit.options.settings import chain_beside, kind_of
 
 
 def plot(
@@ -17,15 +17,15 @@ def plot(
 ) -> None:
     """Draw the figures again of a saved fit, joint fit, comparison, prediction, profile, design."""
     from curlfit.errors import InputError
-    from curlfit.files import prepared_folder
-    from curlfit.results import load_fit
+    from curlfit.inference.fit.result import load_fit
+    from curlfit.output.files import prepared_folder
 
     if format not in ("png", "pdf", "svg"):
         raise InputError(f"--format {format}: expected png, pdf or svg")
     kind = kind_of(folder)
     if kind == "design":
-        from curlfit.figures_design import save_figures
-        from curlfit.planning import load_design
+        from curlfit.optimal_design.figures import save_figures
+        from curlfit.optimal_design.result import load_design
 
         own = folder if folder.is_dir() else folder.parent
         design = load_design(folder)
@@ -34,7 +34,7 @@ def plot(
         return
     if kind != "fit":
         import curlfit
-        from curlfit.figures import save_figure
+        from curlfit.output.figures import save_figure
 
         if kind == "compare":
             figure = curlfit.comparison_figure(curlfit.load_comparison(folder))
@@ -52,16 +52,17 @@ def plot(
     result = load_fit(folder)
     chain = None
     if result.sampling == "unfinished":
-        from curlfit.sampling import so_far
+        from curlfit.inference.mcmc.sampler import so_far
 
         result, chain = so_far(result, chain_beside(folder)) or (result, None)
     elif result.posterior is not None:
-        from curlfit.chain import load_chain
+        from curlfit.inference.mcmc.chain import load_chain
 
         chain = load_chain(chain_beside(folder))
     target = prepared_folder(out or (folder if folder.is_dir() else folder.parent))
 
-    from curlfit.figures import corner_figure, fit_figure, save_figure
+    from curlfit.inference.figures import corner_figure, fit_figure
+    from curlfit.output.figures import save_figure
 
     written = [target / f"fit.{format}"]
     save_figure(fit_figure(result), written[0])

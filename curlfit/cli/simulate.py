@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from curlfit.cli import options as o
-from curlfit.cli import settings as s
+from curlfit.options import flags as o
+from curlfit.options import settings as s
 
 
 def simulate(
@@ -38,7 +38,7 @@ def simulate(
     """
     from curlfit.errors import warn_once
     from curlfit.stone import Stone
-    from curlfit.synthetic import law_with, synthetic_throw, write_table
+    from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
     throw = synthetic_throw(
         law_with(law, s.pairs("--set", set_ or ()), unbounded=unbounded),
@@ -60,7 +60,7 @@ def simulate(
         typer.echo(text, nl=False)
         return
     from curlfit.errors import InputError
-    from curlfit.files import replaced
+    from curlfit.output.files import replaced
 
     if not out.parent.is_dir():
         raise InputError(f"{out}: the folder {out.parent} does not exist")

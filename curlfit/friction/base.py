@@ -20,7 +20,7 @@ Load = Literal["uniform", "consistent"]
 LOADS: tuple[str, ...] = get_args(Load)
 
 START_NAMES = ("x0", "y0", "heading", "v0", "phi0", "omega0")
-"""Parameters of the start (`curlfit.parameters.START`), which a fit has beside the coefficients."""
+"""Parameters of the start, which a fit has beside the coefficients (`curlfit.inference`)."""
 
 
 def check_load(load: str) -> Load:
@@ -314,7 +314,7 @@ def find_law(name: str, *, from_files: bool = True) -> type[Law]:
         return LAWS[name]
     file, colon, kind = name.rpartition(":")
     if from_files and (file.endswith(".py") or name.endswith(".py")):
-        from curlfit.friction.from_file import law_from_file
+        from curlfit.friction.registry import law_from_file
 
         return law_from_file(*((file, kind) if colon and not kind.endswith(".py") else (name, "")))
     raise InputError(

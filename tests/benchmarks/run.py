@@ -88,7 +88,7 @@ def forward() -> None:
     import peer_scipy
 
     from curlfit import LAWS, Start, Stone, simulate
-    from curlfit.programs import WIDE
+    from curlfit.numerics.compiled import WIDE
 
     t = np.linspace(0, 20, 201)
     random = np.random.default_rng(0)
@@ -121,8 +121,8 @@ def _by_diffrax(v: Any, omega: Any, t: Any) -> float:
     import jax.numpy as jnp
 
     from curlfit import LAWS, Stone
-    from curlfit.contact import accelerations
-    from curlfit.programs import WIDE
+    from curlfit.dynamics.contact import accelerations
+    from curlfit.numerics.compiled import WIDE
 
     law, stone = LAWS["front-back"](), Stone(R=0.054)
 
@@ -149,9 +149,9 @@ def batch() -> None:
     import peer_scipy
 
     from curlfit import Stone
-    from curlfit.batch import fit_throws
-    from curlfit.plan import Plan
-    from curlfit.synthetic import law_with, synthetic_throw, write_table
+    from curlfit.batch.fit_many import fit_throws
+    from curlfit.batch.settings import Plan
+    from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
     random = np.random.default_rng(0)
     law = law_with("front-back", {"mu1_xi": 6e-4, "mu2_xi": 0.055, "mu1_eta": 0.0087})
@@ -186,7 +186,7 @@ def batch() -> None:
 def posterior() -> None:
     """Least effective samples a second over the parameters: peers on the same likelihood."""
     from curlfit import Stone, load_throw
-    from curlfit.synthetic import law_with, synthetic_throw
+    from curlfit.throws.synthetic import law_with, synthetic_throw
 
     law = law_with("front-back", {"mu1_xi": 6e-4, "mu2_xi": 0.055, "mu1_eta": 0.0087})
     short = synthetic_throw(
@@ -201,8 +201,8 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     from emcee.autocorr import integrated_time
 
     from curlfit import fit, sample
-    from curlfit.fitting import prepared, shifted
-    from curlfit.likelihood import log_posterior, problem_of
+    from curlfit.inference.fit.fit import prepared, shifted
+    from curlfit.inference.likelihood import log_posterior, problem_of
 
     result = fit(throw)
     sample(result, effective=500)
@@ -256,7 +256,7 @@ def _nuts(law: Any, problem: Any, local: Any, centre: Any) -> float:
     from numpyro.diagnostics import effective_sample_size
     from numpyro.infer import MCMC, NUTS, init_to_value
 
-    from curlfit.likelihood import log_likelihood
+    from curlfit.inference.likelihood import log_likelihood
 
     scale = local.typical * 1e-3
     low, high = (local.lower - centre) / scale, (local.upper - centre) / scale
@@ -294,8 +294,9 @@ def roof() -> None:
     import jax
     import jax.numpy as jnp
 
-    from curlfit import LAWS, Start, Stone, following, simulate
-    from curlfit.contact import accelerations, crowding
+    from curlfit import LAWS, Start, Stone, simulate
+    from curlfit.dynamics import integrator as following
+    from curlfit.dynamics.contact import accelerations, crowding
 
     t, lanes = np.linspace(0, 20, 201), 1024 if jax.default_backend() == "cpu" else 65536
     random = np.random.default_rng(0)

@@ -1,0 +1,1 @@
+"""`curlfit batch`: many throws, each by itself, into one table."""

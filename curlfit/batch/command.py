@@ -1,0 +1,179 @@
+"""`curlfit batch`: many throws, one law, one table."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from curlfit.options import reading as r
+from curlfit.options import settings as s
+
+
+def batch(
+    data: Annotated[
+        list[str],
+        typer.Argument(
+            help="Folders, files or patterns like `'season/*.csv'`; each file as for `curlfit "
+            "fit`. A folder stands for its .csv, .tsv, .txt, .json and .jsonl files.",
+            metavar="DIR_OR_GLOB...",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="Table of results, one row a throw; its settings are kept beside it, as in "
+            "results.settings.json."
+        ),
+    ] = Path("results.csv"),
+    law: Annotated[str, typer.Option(help="Friction law, as in `curlfit fit`.")] = "front-back",
+    load: Annotated[str, typer.Option(help="`uniform` or `consistent` (eq. 8-9).")] = "uniform",
+    until: Annotated[
+        float | None, typer.Option(help="Use the rows with t up to this, in s.", metavar="S")
+    ] = None,
+    fix: Annotated[
+        list[str] | None, typer.Option(help="Hold a parameter at a value.", metavar="NAME=V")
+    ] = None,
+    bound: Annotated[
+        list[str] | None, typer.Option(help="Bounds of a parameter.", metavar="NAME=LO:HI")
+    ] = None,
+    unbounded: Annotated[
+        bool, typer.Option("--unbounded", help="Let coefficients be negative.")
+    ] = False,
+    sigma: Annotated[
+        list[str] | None,
+        typer.Option(help="Noise of a channel, as in `curlfit fit`.", metavar="NAME=V"),
+    ] = None,
+    stone: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="The stone, as in `curlfit fit`, over what the files say.", metavar="R=V,rho=V"
+        ),
+    ] = None,
+    format: r.Format = None,
+    axes: r.Axes = None,
+    units: r.Units = None,
+    reference: r.Reference = None,
+    stone_index: Annotated[
+        int | None,
+        typer.Option(
+            help="Only this object of Tracker exports, or stone of shots, from 1. [default: every "
+            "object; the stone thrown]",
+            metavar="N",
+            min=1,
+            rich_help_panel=r.PANEL,
+        ),
+    ] = None,
+    shot: Annotated[
+        int | None,
+        typer.Option(
+            help="Only this shot of logs, from 1. [default: every shot]",
+            metavar="N",
+            min=1,
+            rich_help_panel=r.PANEL,
+        ),
+    ] = None,
+    posterior: Annotated[
+        bool,
+        typer.Option(
+            "--posterior", help="Quantiles of each throw's posterior as well; far slower."
+        ),
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Of the posterior's random numbers.", min=0)] = 0,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes. [default: one a core]", min=1)
+    ] = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            help="Use the workers of a Dask scheduler, which see the same files; `local` starts "
+            "some here. Needs `pip install 'curlfit[dask]'`.",
+            metavar="tcp://...",
+        ),
+    ] = None,
+    again: Annotated[
+        bool, typer.Option("--again", help="Begin anew, over what lies in the table.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Fit a friction law to many throws, each by itself, into one table.
+
+    A row has status, rms, coefficients, standard errors, verdicts and what is determined together.
+    A log of DigitalCurling 3 has a row for each shot, a Tracker export one for each object (columns
+    shot and stone_index). A throw of no use has its reason in its row and stops nothing: status
+    "not usable" where the data were read and no usable fit came of them, "failed" where they could
+    not be read. The same command goes on where an earlier run was stopped or killed.
+
+    Exit status 0 where a throw in the table is ok; 1 where some were read and none is usable; 2
+    where none could be read, or the command itself cannot be carried out.
+
+    Example: `curlfit batch season/ --stone R=0.054 --out season.csv`
+    """
+    from curlfit.batch.settings import Plan, columns, found_files
+    from curlfit.batch.table import Table, settings_file
+
+    wanted: dict[str, Any] = {
+        "law": law,
+        "load": load,
+        "until": until,
+        "fix": s.pairs("--fix", fix or ()),
+        "bounds": s.intervals("--bound", bound or ()),
+        "unbounded": unbounded,
+        "sigma": s.pairs("--sigma", sigma or ()),
+        "stone": s.pairs("--stone", stone or ()),
+        "how": {
+            name: value
+            for name, value in r.how(format, axes, units, reference, stone_index, shot).items()
+            if value is not None
+        },
+        "posterior": posterior,
+        "seed": seed,
+    }
+    # Refused before anything slow is loaded.
+    plan = Plan(**wanted)
+    names = columns(plan)
+    files = [str(file) for file in found_files(data, besides=(out, settings_file(out)))]
+
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeRemainingColumn as Left
+
+    from curlfit.output.console import terminal
+
+    console = terminal(quiet=quiet)
+    with Table(out, names, plan.to_json(), files, again=again) as table:
+        from curlfit.batch.executor import crew
+
+        if len(table.todo) < len(files):
+            console.print(f"{len(files) - len(table.todo)} of {len(files)} files are in {out}.")
+        with (
+            Progress(
+                TextColumn("Fitting"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TextColumn("files"),
+                Left(),
+                TextColumn("(a first run on a machine compiles the model)"),
+                console=console,
+                disable=quiet or not console.is_terminal,
+                transient=True,
+            ) as progress,
+            crew(plan, workers=workers, dask=dask) as fitted,
+        ):
+            task = progress.add_task("", total=len(table.todo))
+            for rows in fitted(table.todo):
+                table.add(rows)
+                progress.advance(task, len({row["file"] for row in rows}))
+    counts = table.counts
+    console.print(
+        ", ".join(f"{counts[status]} {status}" for status in ("ok", "not usable", "failed"))
+        + f". Written: {out}, {table.settings}",
+        soft_wrap=True,
+    )
+    if not counts["ok"]:
+        read = counts["not usable"]
+        fault = "no throw is usable" if read else "no throw could be read"
+        print(f"curlfit: {fault}; the column reason of {out} says why", file=sys.stderr)
+        raise typer.Exit(1 if read else 2)

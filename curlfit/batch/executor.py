@@ -1,0 +1,142 @@
+"""Who does the work of a batch: processes on this machine, or the workers of a Dask scheduler.
+
+Throws go out in chunks, and answers come back in the order of the chunks, so that a table is the
+same whoever made it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from curlfit.batch.settings import CHUNK, Plan
+from curlfit.errors import InputError
+
+Rows = list[dict[str, Any]]
+Fitted = Callable[[Sequence[str]], Iterator[Rows]]
+
+_MEGABYTE = 1 << 20
+_OF_WORKERS = {
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    # The C library gives large arrays back to the system, which clears each page of the next ones:
+    # an eighth of the time. These have it keep them (glibc; nobody else reads them).
+    "MALLOC_MMAP_THRESHOLD_": str(32 * _MEGABYTE),
+    "MALLOC_TRIM_THRESHOLD_": str(256 * _MEGABYTE),
+    "MALLOC_TOP_PAD_": str(64 * _MEGABYTE),
+}
+_FEWEST = 64  # throws that are not worth to be parted between two processes
+_SAMPLED = 16  # throws in a chunk where each is sampled, which takes seconds
+_AHEAD = 3  # chunks that wait for each worker
+
+
+@contextmanager
+def crew(plan: Plan, *, workers: int | None = None, dask: str | None = None) -> Iterator[Fitted]:
+    """A function that fits files, and gives rows in their order, chunk by chunk.
+
+    Parameters
+    ----------
+    workers : processes; by default one for each core.
+    dask : address of a scheduler, or "local".
+
+    Raises
+    ------
+    InputError : Dask is not installed, or its scheduler does not answer.
+    """
+    if dask is not None:
+        with _dask_crew(plan, dask, workers) as fitted:
+            yield fitted
+        return
+    count = workers or os.cpu_count() or 1
+    if count == 1:
+        yield lambda files: (_fit(chunk, plan) for chunk in _chunks(files, plan, 1))
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    with (
+        _settings(_OF_WORKERS),
+        ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool,
+    ):
+        yield lambda files: _in_order(
+            lambda chunk: pool.submit(_fit, chunk, plan),
+            _chunks(files, plan, count),
+            count * _AHEAD,
+        )
+
+
+@contextmanager
+def _dask_crew(plan: Plan, address: str, workers: int | None) -> Iterator[Fitted]:
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise InputError("--dask needs Dask: pip install 'curlfit[dask]'") from None
+    cluster = None
+    try:
+        with _settings(_OF_WORKERS):
+            if address == "local":
+                count = workers or os.cpu_count() or 1
+                cluster = LocalCluster(
+                    n_workers=count, threads_per_worker=1, dashboard_address=None
+                )
+            client = Client(cluster or address, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise InputError(f"--dask {address}: no scheduler answers there ({error})") from None
+    try:
+        count = max(len(client.scheduler_info()["workers"]), 1)
+        # A worker that dies takes its chunk with it; the scheduler gives it to another.
+        yield lambda files: _in_order(
+            lambda chunk: client.submit(_fit, list(chunk), plan, pure=False, retries=5),
+            _chunks(files, plan, count),
+            count * _AHEAD,
+        )
+    finally:
+        client.close()
+        if cluster is not None:
+            cluster.close()
+
+
+def _fit(files: Sequence[str], plan: Plan) -> Rows:
+    from curlfit.batch.fit_many import fit_files  # loads JAX: for those who do the work
+
+    return fit_files(files, plan)
+
+
+def _chunks(files: Sequence[str], plan: Plan, workers: int) -> Iterator[Sequence[str]]:
+    """The files in chunks, as many for one worker as for another."""
+    most = _SAMPLED if plan.posterior else CHUNK
+    count = -(-len(files) // (most * workers)) * workers
+    size = max(-(-len(files) // max(count, 1)), min(most, _FEWEST))
+    return (files[at : at + size] for at in range(0, len(files), size))
+
+
+def _in_order(
+    submit: Callable[[Sequence[str]], Any], chunks: Iterable[Sequence[str]], ahead: int
+) -> Iterator[Rows]:
+    """Results in the order of the chunks, with no more than `ahead` of them in hand."""
+    waiting: deque[Any] = deque()
+    for chunk in chunks:
+        waiting.append(submit(chunk))
+        if len(waiting) >= ahead:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()
+
+
+@contextmanager
+def _settings(values: dict[str, str]) -> Iterator[None]:
+    """Environment of processes that are started within."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update({name: value for name, value in values.items() if name not in os.environ})
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

@@ -1,0 +1,105 @@
+"""What is done with each throw of a batch, and what its table holds."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from glob import glob
+from pathlib import Path
+from typing import Any
+
+from curlfit.errors import InputError
+from curlfit.friction import Law, NetLaw, check_load, find_law
+from curlfit.inference.parameters import START, ParameterSet
+from curlfit.stone import Stone
+from curlfit.throws.readers import check_how
+from curlfit.throws.throw import check_sigma
+
+CHUNK = 128
+"""Throws that are read and fitted together."""
+QUANTILES = ("16", "50", "84")
+"""Of the posterior, in percent."""
+_SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is done with each throw; `load` and the rest as in `fit`.
+
+    Attributes
+    ----------
+    stone : values (m, kg) over those of the throw's own file.
+    sigma : noise by channel, over that of the file.
+    how : how to read a file, as the arguments of `load_throw`.
+    posterior : sample the posterior of each throw as well; hundreds of times slower.
+    """
+
+    law: str = "front-back"
+    load: str = "uniform"
+    until: float | None = None
+    stone: Mapping[str, float] = field(default_factory=dict)
+    sigma: Mapping[str, float] = field(default_factory=dict)
+    fix: Mapping[str, float] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    unbounded: bool = False
+    how: Mapping[str, Any] = field(default_factory=dict)
+    posterior: bool = False
+    seed: int = 0
+
+    def checked(self) -> type[Law]:
+        """The law. Raises InputError where the plan cannot be carried out for any throw."""
+        law = find_law(self.law)
+        check_load(self.load)
+        Stone().with_values(dict(self.stone))
+        check_sigma(self.sigma)
+        check_how(**self.how)
+        ParameterSet.build(
+            law, fix=dict(self.fix), bounds=dict(self.bounds), unbounded=self.unbounded
+        )
+        return law
+
+    def sums(self) -> dict[str, tuple[str, ...]]:
+        """Sums of free coefficients that alone enter the motion, by how they are written."""
+        law = self.checked()
+        if self.load != "uniform" and not issubclass(law, NetLaw):
+            return {}
+        return {" + ".join(names): names for names in law.sums if not set(names) & set(self.fix)}
+
+    def to_json(self) -> dict[str, Any]:
+        """The plan as plain values."""
+        return asdict(self)
+
+
+def columns(plan: Plan) -> list[str]:
+    """Columns of the table of results; those of text, which may have commas, come last."""
+    names = [item.name for item in (*plan.checked().coefficients(), *START)]
+    found = ["file", "shot", "stone_index", "status", "n_observations", "rms_x", "rms_y", "rms_phi"]
+    quantiles = QUANTILES if plan.posterior else ()
+    for name in names:
+        found += [name, f"{name}_stderr", f"{name}_verdict", *(f"{name}_{q}" for q in quantiles)]
+    for name in plan.sums():
+        found += [name, f"{name} stderr", *(f"{name} {q}" for q in quantiles)]
+    return [*found, "combinations", "warnings", "reason"]
+
+
+def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[Path]:
+    """Data files of folders, patterns and names, each once, sorted, but for those `besides`.
+
+    Raises
+    ------
+    InputError : a folder, pattern or name leads to no file.
+    """
+    found: set[Path] = set()
+    left_out = {file.resolve() for file in besides}
+    for text in wanted:
+        place = Path(text)
+        if place.is_dir():
+            here = {file for file in place.iterdir() if file.suffix.lower() in _SUFFIXES}
+        else:
+            here = {Path(name) for name in glob(text, recursive=True) if Path(name).is_file()}
+        here = {file for file in here if file.resolve() not in left_out}
+        if not here:
+            what = f"no file that ends in {', '.join(_SUFFIXES)}" if place.is_dir() else "no file"
+            raise InputError(f"{text}: {what} found")
+        found |= here
+    return sorted(found)

@@ -1,0 +1,192 @@
+"""A table of results that grows row by row and survives a kill at any moment.
+
+It is plain CSV. What its rows were made by stands in a file beside it (`season.settings.json` for
+`season.csv`); rows of other settings are never mixed in.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import takewhile
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from curlfit.errors import DataError, InputError
+from curlfit.output.files import strict, write_json
+from curlfit.version import __version__
+
+_MAKER = "curlfit batch"
+_OLD_MARK = b"# curlfit batch "
+_OTHERWISE = "name another table with --out, or write over it with --again"
+
+
+def settings_file(table: Path) -> Path:
+    """Where the settings of a table are kept."""
+    return table.parent / f"{table.stem}.settings.json"
+
+
+class Table:
+    """A CSV file with one row for each throw, opened to be added to.
+
+    Parameters
+    ----------
+    file : the table. columns : its columns, with `file`, `shot`, `stone_index` and `status`.
+    plan : what the rows are made by. files : those that shall be in the table.
+    again : begin anew.
+
+    Attributes
+    ----------
+    todo : the files whose rows are not all there. counts : number of rows by status.
+
+    Raises
+    ------
+    InputError : the file holds something else, or rows of another plan, or cannot be written.
+    """
+
+    def __init__(
+        self,
+        file: Path,
+        columns: Sequence[str],
+        plan: Mapping[str, Any],
+        files: Sequence[str],
+        *,
+        again: bool = False,
+    ) -> None:
+        self.file, self.columns = file, list(columns)
+        self.counts: Counter[str] = Counter()
+        self.settings = settings_file(file)
+        self._place = {name: place for place, name in enumerate(self.columns)}
+        head = _lines([self.columns])
+        settings = json.loads(json.dumps(strict(dict(plan))))
+        done: set[str] = set()
+        size = 0
+        try:
+            before = self._settings()
+            if file.exists() and not again:
+                size, done = self._read(head, before, settings, files)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            self.stream = file.open("r+b" if size else "wb")
+            self.stream.truncate(size)
+            self.stream.seek(size)
+            if not size:
+                # The table is empty by now: no kill leaves rows beside other settings.
+                write_json({"made_by": f"{_MAKER} {__version__}", "plan": settings}, self.settings)
+                self.stream.write(head)
+                self._settle()
+        except OSError as error:
+            raise InputError(f"{file}: {error.strerror or error}") from None
+        self.todo = [name for name in files if name not in done]
+
+    def _settings(self) -> dict[str, Any] | None:
+        """What the rows that are there were made by; None where nothing says so."""
+        try:
+            found = json.loads(self.settings.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+        except ValueError:
+            found = None
+        made_by = found.get("made_by") if isinstance(found, dict) else None
+        if not str(made_by).startswith(_MAKER) or not isinstance(found.get("plan"), dict):
+            raise InputError(
+                f"{self.settings}: not the settings of a table of `{_MAKER}`; name another table "
+                "with --out"
+            )
+        plan: dict[str, Any] = found["plan"]
+        return plan
+
+    def _read(
+        self,
+        head: bytes,
+        before: dict[str, Any] | None,
+        settings: dict[str, Any],
+        files: Sequence[str],
+    ) -> tuple[int, set[str]]:
+        """Take note of whole rows: the length of the table up to the last of them, in bytes, and
+        the files that are done."""
+        whole = self.file.read_bytes()
+        if head.startswith(whole):
+            return 0, set()  # killed while it was begun
+        if whole.startswith(_OLD_MARK):
+            raise InputError(
+                f"{self.file}, line 1: a table of an earlier curlfit, with its settings in this "
+                f"line; {_OTHERWISE}"
+            )
+        if not whole.startswith(b"file,"):
+            raise InputError(f"{self.file}, line 1: not a table of `{_MAKER}`; {_OTHERWISE}")
+        if before is None:
+            raise InputError(
+                f"{self.file}: nothing tells what its rows were made by, as {self.settings} is "
+                f"missing; {_OTHERWISE}"
+            )
+        for key in settings:
+            if before.get(key) != settings[key]:
+                raise InputError(
+                    f"{self.file}: made with other settings ({key} = {_shown(before.get(key))}, "
+                    f"not {_shown(settings[key])}); {_OTHERWISE}"
+                )
+        if not whole.startswith(head):
+            raise InputError(
+                f"{self.file}, line 1: other columns than this version of curlfit writes; "
+                f"{_OTHERWISE}"
+            )
+        size = whole.rfind(b"\n") + 1  # what follows was cut off by a kill
+        lines = whole[len(head) : size].decode(errors="surrogateescape").split("\n")[:-1]
+        rows = list(csv.reader(lines))
+        for number, row in enumerate(rows, start=2):
+            if len(row) != len(self.columns):
+                raise DataError(
+                    f"expected {len(self.columns)} columns", file=self.file, line=number
+                )
+        # Of a file with several throws, rows may be missing where they are the last.
+        file, shot, stone = (self._place[name] for name in ("file", "shot", "stone_index"))
+        if rows and (rows[-1][shot] or rows[-1][stone]) and rows[-1][file] in files:
+            last = len(list(takewhile(lambda row: row[file] == rows[-1][file], reversed(rows))))
+            size -= sum(len(line.encode(errors="surrogateescape")) + 1 for line in lines[-last:])
+            del rows[-last:]
+        self.counts.update(row[self._place["status"]] for row in rows)
+        return size, {row[file] for row in rows}
+
+    def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Write rows, in one piece and to the disk."""
+        self.stream.write(_lines([row[name] for name in self.columns] for row in rows))
+        self._settle()
+        self.counts.update(row["status"] for row in rows)
+
+    def _settle(self) -> None:
+        self.stream.flush()
+        os.fsync(self.stream.fileno())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stream.close()
+
+
+def _shown(value: Any) -> str:
+    return "none" if value in (None, {}) else json.dumps(value)
+
+
+def _lines(rows: Iterable[Sequence[Any]]) -> bytes:
+    """Lines of CSV: numbers in full precision, nothing for what is missing, no line breaks."""
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows(map(_cell, row) for row in rows)
+    return out.getvalue().encode(errors="surrogateescape")
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, str):
+        return " ".join(value.split()) if "\n" in value else value
+    return None if isinstance(value, float) and math.isnan(value) else value

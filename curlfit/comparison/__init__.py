@@ -1,0 +1,1 @@
+"""`curlfit compare`: many laws on one throw."""

@@ -1,0 +1,129 @@
+"""`curlfit compare`: many laws, one throw."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from curlfit.options import flags as o
+from curlfit.options import reading as r
+from curlfit.options import settings as s
+
+
+def compare(
+    data: Annotated[
+        Path,
+        typer.Argument(help="Data as for `curlfit fit`.", metavar="DATA", show_default=False),
+    ],
+    laws: Annotated[
+        str | None,
+        typer.Option(
+            help="Laws to compare, with commas between; FILE.py:CLASS for your own. [default: all]",
+            metavar="A,B,...",
+        ),
+    ] = None,
+    load: Annotated[
+        str | None,
+        typer.Option(help="`uniform`, `consistent` (eq. 8-9) or `both`. [default: uniform]"),
+    ] = None,
+    until: o.Until = None,
+    sigma: o.Sigma = None,
+    loss: o.Loss = None,
+    stone: o.StoneValues = None,
+    format: r.Format = None,
+    axes: r.Axes = None,
+    units: r.Units = None,
+    reference: r.Reference = None,
+    stone_index: r.StoneIndex = None,
+    shot: r.Shot = None,
+    config: o.Config = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the results. [default: DATA's name with -compare]"),
+    ] = None,
+    no_figures: o.NoFigures = False,
+    quiet: o.Quiet = False,
+) -> None:
+    """Fit many friction laws to one throw and rank them.
+
+    Each law is fitted within its own bounds; one that fails with a coefficient at zero is fitted
+    again with either sign allowed, which is shown and not ranked. The rank is by BIC; under a
+    robust `--loss` that of the noise which the loss stands for.
+    Writes `compare.json` and `compare.png`.
+
+    Example: `curlfit compare data/jensen_shegelski_2004.csv --load both`
+    """
+    from curlfit.errors import InputError
+    from curlfit.friction import LAWS, check_load, find_law
+    from curlfit.inference.parameters import ParameterSet, check_loss
+    from curlfit.output.files import prepared_folder
+
+    flags = {
+        **r.how(format, axes, units, reference, stone_index, shot),
+        "load": None if load == "both" else load,
+        "until": until,
+        "stone": s.pairs("--stone", stone or ()),
+        "sigma": s.pairs("--sigma", sigma or ()),
+        "loss": loss,
+    }
+    throw, wanted, the_stone = s.prepared(data, config, flags)
+    check_load(wanted.get("load", "uniform"))
+    check_loss(wanted.get("loss", "linear"))
+    s.require_white(wanted, "laws are compared")
+    names = [name.strip() for name in laws.split(",") if name.strip()] if laws else None
+    if names == []:
+        raise InputError("--laws: expected names with commas between")
+    chosen = [find_law(name) for name in names] if names else None
+    cut = throw.until(wanted.get("until"))
+    cut.require_motion()
+    for law in chosen or LAWS.values():
+        ParameterSet.for_throw(law, cut)
+    folder = prepared_folder(out or Path(f"{data.stem}-compare"))
+
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    from curlfit.output.console import terminal
+
+    console = terminal(quiet=quiet)
+    with Progress(
+        TextColumn("Fitting {task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("(a first run on a machine compiles each law)"),
+        console=console,
+        disable=quiet or not console.is_terminal,
+        transient=True,
+    ) as progress:
+        task = progress.add_task("", total=None)
+
+        def told(name: str, done: int, total: int) -> None:
+            progress.update(task, description=name, completed=done, total=total)
+
+        from curlfit.comparison.compare import compare as compare_laws
+
+        found = compare_laws(
+            throw,
+            chosen,
+            load="both" if load == "both" else wanted.get("load", "uniform"),
+            stone=the_stone,
+            until=wanted.get("until"),
+            loss=wanted.get("loss", "linear"),
+            progress=told,
+        )
+    written = [folder / "compare.json"]
+    found.save(written[0])
+    if no_figures:
+        (folder / "compare.png").unlink(missing_ok=True)
+    else:
+        from curlfit.comparison.figures import comparison_figure
+        from curlfit.output.figures import save_figure
+
+        written.append(folder / "compare.png")
+        save_figure(comparison_figure(found), written[1])
+
+    from curlfit.comparison.report import print_comparison
+
+    print_comparison(found, console)
+    console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)

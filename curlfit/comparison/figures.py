@@ -1,0 +1,118 @@
+"""Figure of a comparison, from its record."""
+
+from __future__ import annotations
+
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from curlfit.output.figures import (
+    CHANNEL_COLOR,
+    CHANNEL_LABEL,
+    CHANNEL_MARKER,
+    DATA_STYLE,
+    MOST_POINTS,
+    Picture,
+    line_styles,
+    note_stretch,
+    title,
+)
+from curlfit.output.text import listed
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from curlfit.comparison.result import Candidate, Comparison
+
+    Floats = NDArray[np.float64]
+
+_SAME = 0.0075  # share of an axis, about a line's width, up to which curves are one
+
+
+def comparison_figure(comparison: Comparison) -> Figure:
+    """All fitted paths over the data, their residuals sideways, and the residuals by channel."""
+    shown = [item for item in comparison.candidates if item.fitted is not None]
+    t, x, y = (np.array(comparison.observed[name], float) for name in ("t", "x", "y"))
+    some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MOST_POINTS)).astype(int))
+    curves = _curves(shown, x)
+    figure = Picture(figsize=(11, 6.4 + 0.24 * len(shown)), layout="constrained")
+    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 0.6 + 0.06 * len(shown)))
+    path = figure.add_subplot(rows[0].subgridspec(1, 1)[0])
+    lower = rows[1].subgridspec(1, 2, width_ratios=(1.3, 1.0))
+    residual, dots = figure.add_subplot(lower[0]), figure.add_subplot(lower[1])
+
+    path.plot(y[some], x[some], **DATA_STYLE, label="data")
+    for place, (same, style) in enumerate(zip(curves, line_styles(len(curves)), strict=True)):
+        fitted = {name: np.array(values) for name, values in (same[0].fitted or {}).items()}
+        drawn: dict[str, Any] = {
+            **style,
+            "lw": 1.8 if same[0].follows else 1.1,
+            "zorder": 3 + len(curves) - place,
+        }
+        path.plot(fitted["y"], fitted["x"], **drawn, label=_names_of(same))
+        residual.plot(t, 1000 * (x - fitted["x"]), **drawn)
+    path.set(xlabel="along the sheet, y (m)", ylabel="to the right, x (m)")
+    title(path, f"{FilePath(comparison.data['file']).name}: {len(shown)} fits")
+    path.margins(x=0.02, y=0.1)
+    path.legend(
+        loc="upper left", bbox_to_anchor=(1.01, 1.02), frameon=False, fontsize=8, labelspacing=0.8
+    )
+    residual.axhline(0, color="0.7", lw=0.8)
+    residual.set(xlabel="t (s)", ylabel="residual of x (mm)")
+
+    for name, marker in CHANNEL_MARKER.items():
+        values = [1000 * item.misfit.get(name, np.nan) for item in shown]
+        unit = "mrad" if name == "phi" else "mm"
+        dots.plot(
+            values, range(len(shown)), marker, color=CHANNEL_COLOR[name], markerfacecolor="none",
+            markeredgewidth=1.6, label=f"${CHANNEL_LABEL[name]}$ ({unit})",
+        )  # fmt: skip
+    dots.grid(axis="y", color="0.9", lw=0.7)
+    dots.set_yticks(range(len(shown)), [item.label for item in shown], fontsize=8)
+    for tick, item in zip(dots.get_yticklabels(), shown, strict=True):
+        tick.set_fontweight("bold" if item.follows else "normal")
+    dots.set_ylim(len(shown) - 0.4, -0.6)
+    dots.set_xscale("log")
+    dots.set_axisbelow(True)
+    size = "rms" if comparison.loss == "linear" else "bulk"
+    dots.set_xlabel(f"{size} of the residuals; bold: follows the path")
+    dots.legend(frameon=False, fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    figure.draw_without_rendering()
+    note_stretch(path)
+    return figure
+
+
+def _curves(shown: list[Candidate], x: Floats) -> list[list[Candidate]]:
+    """The candidates by curve: together where no line of the figure would tell them apart."""
+    if not shown:
+        return []
+    paths = [np.array([item.fitted["x"], item.fitted["y"]]) for item in shown if item.fitted]
+    all_of_them = np.array(paths)
+    reach = _SAME * np.array([np.ptp(all_of_them[:, 0] - x), np.ptp(all_of_them[:, 1])])
+    found: list[list[int]] = []
+    for place, path in enumerate(paths):
+        for same in found:
+            if (np.abs(path - paths[same[0]]).max(axis=1) <= reach).all():
+                same.append(place)
+                break
+        else:
+            found.append([place])
+    return [[shown[place] for place in same] for same in found]
+
+
+def _names_of(same: list[Candidate]) -> str:
+    """Ranks, laws and loads of candidates with one path, a line a law."""
+    loads: dict[tuple[str, str], list[str]] = {}
+    ranks: dict[tuple[str, str], list[str]] = {}
+    for item in same:
+        law = item.law, ", any sign" if item.signs_free else ""
+        loads.setdefault(law, []).append(item.load)
+        ranks.setdefault(law, []).extend([] if item.rank is None else [str(item.rank)])
+    lines = []
+    for law, names in loads.items():
+        rank = f"{', '.join(ranks[law])}. " if ranks[law] else ""
+        load = "" if names == ["-"] else f", {listed(names)} load"
+        lines.append(f"{rank}{law[0]}{load}{law[1]}")
+    return "\n".join(lines) + (" (same path)" if len(same) > 1 else "")

@@ -1,0 +1,201 @@
+"""What a comparison of laws says, as text. Nothing is computed here."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
+from rich.text import Text
+
+from curlfit.output.console import Items, terminal
+from curlfit.output.text import STYLE, compact, listed, plain_table
+
+if TYPE_CHECKING:
+    from curlfit.comparison.result import Candidate, Comparison
+
+
+def print_comparison(comparison: Comparison, console: Console | None = None) -> None:
+    """Print the report of a comparison."""
+    console = console or terminal()
+    console.print(report(comparison))
+
+
+def report(comparison: Comparison) -> RenderableType:
+    """The report of a comparison: ranks, coefficients, and what follows from them."""
+    parts = [_heading(comparison), _ranks(comparison), _coefficients(comparison)]
+    parts += [Padding(Text(line), (0, 0, 1, 0)) for line in conclusions(comparison)]
+    return Group(*parts)
+
+
+def _heading(comparison: Comparison) -> RenderableType:
+    data, stone = comparison.data, comparison.stone
+    text = Text()
+    loss = "" if comparison.loss == "linear" else f", {comparison.loss} loss"
+    text.append(f"{len(comparison.candidates)} fits to {data['file']}{loss}\n", style="bold")
+    text.append(
+        f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s; stone R = {stone.R:g} m, "
+        f"rho = {stone.rho:g} m, h = {stone.h:g} m\n"
+    )
+    bend = (
+        f"bends to the {comparison.side}" if comparison.side else "bends no more than its scatter"
+    )
+    text.append(f"The path {bend}: {comparison.curl:.3g} m (rms) off a straight line")
+    return text
+
+
+def _ranks(comparison: Comparison) -> RenderableType:
+    table = plain_table(keys=3)
+    table.add_column("", justify="right", no_wrap=True)
+    table.add_column("law", no_wrap=True)
+    table.add_column("load", no_wrap=True)
+    right = ("k", "dBIC", "dAICc", "x (mm)", "y (mm)", "phi (mrad)", "curl")
+    for head in right:
+        table.add_column(head, justify="right", no_wrap=True)
+    table.add_column("follows", no_wrap=True)
+    table.add_column("ccw curls", no_wrap=True)
+    for item in comparison.candidates:
+        rank = "-" if item.rank is None else str(item.rank)
+        name = Text(item.law)
+        if item.signs_free:
+            name.append(" any sign", style="dim")
+        if item.rms is None:
+            table.add_row(rank, name, item.load, *[""] * len(right), Text("no fit", style="red"))
+            continue
+        size = item.misfit
+        table.add_row(
+            rank,
+            name,
+            item.load,
+            str(item.n_parameters),
+            _difference(item.delta_bic),
+            _difference(item.delta_aicc),
+            *(f"{1000 * size[c]:.3g}" if c in size else "" for c in ("x", "y", "phi")),
+            "" if item.curl_explained is None else _share(item.curl_explained),
+            _FOLLOWS[item.follows],
+            " or ".join(item.sides) or "neither way",
+        )
+    measure, by = "rms", ""
+    if comparison.loss != "linear":
+        measure = "size of the bulk"
+        by = f" BIC and AICc are of noise as the {comparison.loss} loss has it."
+    note = Text(
+        f"k: what is determined, with noises; x, y, phi: {measure} of the residuals; curl: share "
+        "of the bend explained; ccw curls: ways the law can bend a counter-clockwise throw. A law "
+        "follows the path where no residual is above a tenth of the departure from straight, even "
+        f"motion, or above the noise.{by}",
+        style="dim",
+    )
+    return Padding(Group(table, note), (1, 0))
+
+
+_FOLLOWS = {
+    True: Text("yes", style="green"), None: Text("unclear"), False: Text("no", style="yellow"),
+}  # fmt: skip
+
+
+def _difference(value: float | None) -> str:
+    return "" if value is None else f"{value:.1f}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def _share(value: float) -> str:
+    """A share in %, never rounded up to the whole."""
+    percent = 100 * max(value, 0.0)
+    return f"{percent:.0f} %" if percent < 99 else f"{min(percent, 99.99):.2f} %"
+
+
+def _coefficients(comparison: Comparison) -> RenderableType:
+    table = plain_table()
+    table.add_column("law, load", no_wrap=True)
+    table.add_column("coefficients")
+    for item in comparison.candidates:
+        if item.coefficients is None:
+            table.add_row(item.label, Text(item.status, style="red"))
+            continue
+        said = []
+        for name, found in item.coefficients.items():
+            if found["verdict"] == "not identifiable":
+                continue
+            said.append(Text(f"{name} = {_value(found)}"))
+            if found["verdict"] not in ("determined", "fixed"):
+                said[-1].append(f" {found['verdict']}", style=STYLE[found["verdict"]])
+        said += [Text(f"{one['expression']} = {_value(one)}") for one in item.combinations]
+        if item.not_identifiable:
+            hidden = f"{listed(list(item.not_identifiable))} not identifiable"
+            said.append(Text(hidden, style=STYLE["not identifiable"]))
+        if not item.converged:
+            said.append(Text(item.status, style="red"))
+        table.add_row(item.label, Items(said))
+    return Padding(table, (0, 0, 1, 0))
+
+
+def _value(found: dict[str, Any]) -> str:
+    unit = found.get("unit", "1")
+    return compact(found["value"], found["stderr"]) + ("" if unit == "1" else f" {unit}")
+
+
+def conclusions(comparison: Comparison) -> list[str]:
+    """What follows from the comparison, in sentences."""
+    fitted = [item for item in comparison.candidates if item.rms is not None]
+    within = [item for item in fitted if not item.signs_free]
+    lines = []
+    following = [item.label for item in within if item.follows and not item.negative]
+    unclear = [item.label for item in within if item.follows is None and not item.negative]
+    if following:
+        lines.append(f"Within their bounds follow the path: {'; '.join(following)}.")
+    if unclear:
+        lines.append(
+            f"Unclear, for the residuals may be correlated noise: whether {'; '.join(unclear)} "
+            f"follow{'s' if len(unclear) == 1 else ''} the path."
+        )
+    if not following and not unclear:
+        lines.append("No law follows the path within its bounds.")
+    isotropic = [item for item in within if item.isotropic]
+    if isotropic:
+        lines.append(_about_isotropic(isotropic))
+    for item in fitted:
+        if item.negative and item.follows:
+            lines.append(
+                f"{item.label}: follows the path only with negative {listed(list(item.negative))}."
+            )
+    if comparison.effective:
+        lines.append(_about_correlation(comparison))
+    return lines
+
+
+def _about_correlation(comparison: Comparison) -> str:
+    """That a ranking by correlated residuals is not reliable, and what it counts."""
+    observed = {name: comparison.observed.get(name, []) for name in comparison.effective}
+    rows = {
+        name: sum(v is not None and math.isfinite(v) for v in values)
+        for name, values in observed.items()
+    }
+    worth = ", ".join(
+        f"{count:.0f}" + (f" of {rows[name]}" if rows[name] else "") + f" in {name}"
+        for name, count in comparison.effective.items()
+    )
+    return (
+        "Warning: the ranking is not reliable. Even the law that fits best leaves residuals that "
+        f"are correlated from row to row. dBIC and dAICc count effective values ({worth}) and are "
+        "approximate; correlated noise alone can put a wrong law first."
+    )
+
+
+def _about_isotropic(isotropic: list[Candidate]) -> str:
+    positive = [item for item in isotropic if not item.negative]
+    following = [item.label for item in positive if item.follows]
+    if following:
+        return f"Isotropic friction, opposite to sliding at every point, is enough: {following[0]}."
+    if any(item.follows is None for item in positive):
+        return (
+            "Whether isotropic friction, opposite to sliding at every point, is enough is unclear."
+        )
+    text = (
+        "No isotropic law (friction opposite to sliding at every point) with non-negative "
+        "coefficients follows it"
+    )
+    best = max(positive, key=lambda item: item.curl_explained or 0.0, default=None)
+    if best is None or best.curl_explained is None:
+        return f"{text}."
+    return f"{text}; the nearest gives {_share(best.curl_explained)} of the curl ({best.label})."

@@ -1,0 +1,171 @@
+"""The record of a comparison, and its one versioned form in JSON."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from curlfit.errors import DataError
+from curlfit.inference.fit.result import FitResult
+from curlfit.output.files import Migration, known, read_json, write_json
+from curlfit.stone import Stone
+
+SCHEMA = 1
+MIGRATIONS: dict[int, Migration] = {}  # see `curlfit.inference.fit.result`
+PLACE = ("x", "y", "phi")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One law under one load, as fitted.
+
+    Attributes
+    ----------
+    law, load : the law's name, and how the weight rests on the ring ("-" for a law without ring).
+    isotropic : whether friction opposes sliding at every point of the ring (eq. 3-4).
+    signs_free : fitted with coefficients of either sign, against the law's own bounds.
+    status, converged : of the fit; all that follows is None or empty where there is none.
+    coefficients : by name, {"value", "stderr", "verdict", "unit"}; see `FitResult`.
+    combinations : expression and value, where single coefficients are not identifiable.
+    n_parameters : effective number: rank of the Jacobian plus noises estimated.
+    rms : by channel, m, m, rad. bulk : the same of the bulk of the residuals (1.4826 times their
+        median size), under a robust loss.
+    curl_explained : share of the path's curl that the law gives, 1 at best; None where the path
+        has no curl beyond its scatter.
+    follows : whether each channel's residual is within a tenth of its departure from straight and
+        even motion, or within its noise; None where correlated noise may explain the residual.
+    log_likelihood : noise independent from row to row, Gaussian or as the loss has it.
+    aicc, bic : the same, by the effective number of values (see `Comparison.effective`).
+    delta_aicc, delta_bic : above the best of the ranked candidates.
+    rank : place by BIC among the candidates within their laws' bounds, from 1; None if not ranked.
+    sides : to which sides the law can curl a slowing counter-clockwise stone on this path, within
+        its bounds: a part of ("left", "right").
+    negative : coefficients fitted below zero, except exponents and the like.
+    at_bound, not_identifiable : names.
+    warnings : of the fit.
+    """
+
+    law: str
+    load: str
+    isotropic: bool
+    signs_free: bool
+    status: str
+    converged: bool = False
+    coefficients: dict[str, dict[str, Any]] | None = None
+    combinations: tuple[dict[str, Any], ...] = ()
+    n_parameters: int | None = None
+    rms: dict[str, float] | None = None
+    bulk: dict[str, float] | None = None
+    curl_explained: float | None = None
+    follows: bool | None = False
+    log_likelihood: float | None = None
+    aicc: float | None = None
+    bic: float | None = None
+    delta_aicc: float | None = None
+    delta_bic: float | None = None
+    rank: int | None = None
+    sides: tuple[str, ...] = ()
+    negative: tuple[str, ...] = ()
+    at_bound: tuple[str, ...] = ()
+    not_identifiable: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    fitted: dict[str, list[float]] | None = None
+
+    @property
+    def label(self) -> str:
+        """Law and load in a few words."""
+        load = "" if self.load == "-" else f", {self.load} load"
+        return f"{self.law}{load}{', any sign' if self.signs_free else ''}"
+
+    @property
+    def misfit(self) -> dict[str, float]:
+        """Size of the residuals by channel: of their bulk where outliers do not count."""
+        return self.bulk or self.rms or {}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Candidates, best first: those ranked, then those beyond their bounds, then failures.
+
+    `data` says what was fitted; `curl` is the path's sideways departure from a straight line in m
+    (rms), with the `side` to which it bends seen along the motion. `observed` holds t, x, y, phi.
+    `loss` is how large residuals counted. `effective` is the effective number of values by channel
+    where the residuals of the law that fits best are correlated from row to row; else empty.
+    `fits` are the full results in the order of the candidates, and empty when read from a file.
+    """
+
+    data: dict[str, Any]
+    stone: Stone
+    curl: float
+    side: str | None
+    candidates: tuple[Candidate, ...]
+    observed: dict[str, list[float]]
+    fits: tuple[FitResult | None, ...] = ()
+    loss: str = "linear"
+    effective: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def best(self) -> Candidate:
+        """The first in rank."""
+        return self.candidates[0]
+
+    def of(self, law: str, load: str = "uniform", *, signs_free: bool = False) -> Candidate:
+        """The candidate of a law. Raises KeyError if there is none."""
+        for item in self.candidates:
+            if (item.law, item.signs_free) == (law, signs_free) and item.load in (load, "-"):
+                return item
+        raise KeyError(f"{law}, {load}")
+
+    def to_json(self) -> dict[str, Any]:
+        """The record as written to `compare.json`."""
+        return {
+            "schema": SCHEMA,
+            "data": self.data,
+            "stone": self.stone.as_dict(),
+            "curl": self.curl,
+            "side": self.side,
+            "loss": self.loss,
+            "effective": self.effective,
+            "candidates": [asdict(item) for item in self.candidates],
+            "observed": self.observed,
+        }
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write the record as JSON, whole or not at all."""
+        write_json(self.to_json(), Path(file))
+
+
+def load_comparison(file: str | PathLike[str]) -> Comparison:
+    """Read a saved `compare.json`, or the one in a folder.
+
+    Raises
+    ------
+    DataError : it is not there, or is not a record that this version can read.
+    """
+    path = Path(file)
+    if path.is_dir():
+        path = path / "compare.json"
+    found = read_json(path, SCHEMA, MIGRATIONS)
+    try:
+        tuples = ("combinations", "sides", "negative", "at_bound", "not_identifiable", "warnings")
+        return Comparison(
+            data=found["data"],
+            stone=Stone(**known(Stone, found["stone"])),
+            curl=found["curl"],
+            side=found["side"],
+            candidates=tuple(
+                Candidate(
+                    **known(Candidate, item) | {name: tuple(item.get(name, ())) for name in tuples}
+                )
+                for item in found["candidates"]
+            ),
+            observed=found["observed"],
+            loss=found.get("loss", "linear"),
+            effective=found.get("effective", {}),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DataError(
+            f"not a complete compare.json of curlfit ({type(error).__name__}: {error})", file=path
+        ) from None

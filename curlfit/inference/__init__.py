@@ -1,0 +1,1 @@
+"""From a throw to parameters: likelihood, least squares, identifiability, posterior."""

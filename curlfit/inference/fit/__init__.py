@@ -1,0 +1,1 @@
+"""The fit of one throw: its record, its steps, what it says."""

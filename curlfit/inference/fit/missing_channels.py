@@ -1,0 +1,109 @@
+"""What else would have to be measured to determine what a throw leaves open.
+
+Beside the channels that were measured, those that were not are imagined at the same times, with the
+noise of an ordinary tracker and gyroscope. If one of them, or all together, makes a parameter
+determined, that is the answer; if not, nothing measured along this path can, and it takes another
+throw or another stone (`curlfit design`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.friction import Law, Load
+from curlfit.inference.identifiability import analyse
+from curlfit.inference.likelihood import Problem, trace
+from curlfit.inference.parameters import ParameterSet
+from curlfit.throws.throw import CHANNELS
+
+Floats = NDArray[np.float64]
+
+NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01, "speed": 0.02, "omega": 0.02}
+"""Of a channel that is imagined: m, m, rad, m/s, rad/s."""
+_STEP = 1e-4  # of a typical size, for differences: the path is accurate to 1e-8 of it
+
+
+def remedies(
+    law: type[Law],
+    load: Load,
+    values: Floats,
+    problem: Problem,
+    parameters: ParameterSet,
+    rows: int,
+    open_: Sequence[str],
+    held: Collection[str],
+) -> tuple[dict[str, Any], ...]:
+    """What would determine some parameters, as {"parameters": names, "measure": channels}.
+
+    Parameters
+    ----------
+    values, parameters : in the frame of the problem.
+    rows : of the data; the rest of the problem is padding.
+    open_ : parameters that the data do not determine.
+    held : parameters that stay fixed whatever is measured.
+
+    Returns
+    -------
+    Parameters with the same remedy are together. Of several channels in "measure" each would do,
+    unless "all" is true, when none can be left out; it is empty where nothing would.
+    """
+    weight = np.zeros((len(CHANNELS), rows))
+    weight[: len(problem.weight)] = problem.weight[:, :rows]
+    missing = [name for row, name in enumerate(CHANNELS) if not weight[row].any()]
+    free = np.array([place for place, name in enumerate(parameters.names) if name not in held])
+    jacobian = _slopes(law, load, values, problem, parameters, free)[:, :rows]
+    names = [parameters.names[place] for place in free]
+
+    def determined(channels: Sequence[str]) -> set[str]:
+        full = weight.copy()
+        for name in channels:
+            full[CHANNELS.index(name)] = 1 / NOISE[name]
+        matrix = (full[..., None] * jacobian).reshape(-1, len(free))
+        known = analyse(matrix, names, values[free], parameters.typical[free])
+        spread = np.sqrt(np.diag(known.covariance))
+        sharp = (spread < parameters.typical[free]) & ~known.unseen
+        return {name for name, take in zip(names, sharp, strict=True) if take}
+
+    alone = {name: determined([name]) for name in missing}
+    together = determined(missing) if len(missing) > 1 else set()
+    found: dict[tuple[tuple[str, ...], bool], list[str]] = {}
+    for name in open_:
+        enough = [channel for channel, sees in alone.items() if name in sees]
+        all_ = not enough and name in together
+        if all_:
+            enough = list(missing)
+            for channel in reversed(missing):  # speed and spin are the least usual
+                fewer = [other for other in enough if other != channel]
+                if name in determined(fewer):
+                    enough = fewer
+        found.setdefault((tuple(enough), all_), []).append(name)
+    return tuple(
+        {"parameters": named, "measure": list(channels), "all": all_}
+        for (channels, all_), named in found.items()
+    )
+
+
+def _slopes(
+    law: type[Law],
+    load: Load,
+    values: Floats,
+    problem: Problem,
+    parameters: ParameterSet,
+    free: NDArray[np.intp],
+) -> Floats:
+    """Derivative of all channels by the free parameters, shape (channels, n, parameters)."""
+    columns = []
+    fixed = parameters.lower >= parameters.upper  # for want of a channel that shows them
+    lower = np.where(fixed, -np.inf, parameters.lower)
+    upper = np.where(fixed, np.inf, parameters.upper)
+    for place in free:
+        ends = np.tile(values, (2, 1))
+        ends[:, place] += np.array([1, -1]) * _STEP * parameters.typical[place]
+        ends = np.clip(ends, lower, upper)
+        up, down = (np.asarray(trace(law, load, end, problem)) for end in ends)
+        columns.append((up - down) / (ends[0, place] - ends[1, place]))
+    return np.stack(columns, -1)

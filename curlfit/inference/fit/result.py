@@ -1,0 +1,328 @@
+"""Results as frozen records, and their one versioned form in JSON.
+
+Whatever is drawn or printed is made from these alone, so a saved `fit.json` can be printed,
+drawn and sampled again without the data file and without fitting.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field, fields, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.errors import DataError
+from curlfit.friction import LAWS, Law, Parameter, find_law
+from curlfit.inference.identifiability import Combination, student_interval
+from curlfit.inference.noise.models import WHITE, Independence, Noise
+from curlfit.inference.parameters import START, ParameterSet
+from curlfit.output.files import Migration, known, read_json, strict, write_json
+from curlfit.stone import Stone
+from curlfit.throws.throw import CHANNELS, Reference, Throw
+
+Floats = NDArray[np.float64]
+
+SCHEMA = 1
+_LATER = ("law_file",)  # entries of `data` that the first records of schema 1 lack
+MIGRATIONS: dict[int, Migration] = {}
+"""By schema, what makes a record of it into one of the next. Entries that were added within a
+schema have defaults in `FitResult.from_json`."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter as fitted.
+
+    Attributes
+    ----------
+    stderr : standard error; None where the data do not determine the parameter, where it sits at a
+        bound, or where it was fixed.
+    verdict : "determined", "weak", "not identifiable", "at bound" or "fixed".
+    reason : of a weak parameter: its standard error is no smaller than its typical size, or chi
+        squared is so far from quadratic that the standard error is wrong by a factor of two or
+        more. Else empty.
+    dof : degrees of freedom of the standard error; None where it has none or sigma was given.
+    """
+
+    value: float
+    stderr: float | None
+    verdict: str
+    unit: str
+    symbol: str
+    meaning: str
+    lower: float
+    upper: float
+    typical: float
+    reason: str = ""
+    dof: float | None = None
+
+    def interval(self, level: float = 0.95) -> tuple[float, float] | None:
+        """Confidence interval by Student's t; None where there is no standard error."""
+        return student_interval(self.value, self.stderr, self.dof, level)
+
+    @classmethod
+    def from_json(cls, found: dict[str, Any]) -> Estimate:
+        """The record from JSON, which has infinite bounds as text."""
+        bounds = {key: float(found[key]) for key in ("lower", "upper")}
+        return cls(**known(cls, found) | bounds)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Summary of a posterior sample; the sample itself is in `chain.h5`.
+
+    Attributes
+    ----------
+    samples : number kept, over all walkers, after the first `discarded` steps.
+    steps, walkers, ensembles : of the run; the walkers are divided among the ensembles.
+    ess : effective sample size by parameter. r_hat : across the ensembles, by parameter.
+    autocorrelation_time : in steps, by parameter. acceptance : of proposals.
+    quantiles : by parameter and by determined combination, keys "2.5", "16", "50", "84", "97.5".
+    mean, sd : the same.
+    correlation : between parameters.
+    converged, status : whether the targets were met, and in words.
+    """
+
+    samples: int
+    steps: int
+    discarded: int
+    walkers: int
+    ensembles: int
+    seed: int
+    acceptance: float
+    ess: dict[str, float]
+    r_hat: dict[str, float]
+    autocorrelation_time: dict[str, float]
+    quantiles: dict[str, dict[str, float]]
+    mean: dict[str, float]
+    sd: dict[str, float]
+    correlation: dict[str, dict[str, float]]
+    converged: bool
+    status: str
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A fitted throw. `save` writes it, `load_fit` reads it.
+
+    Attributes
+    ----------
+    law, load, stone : what was fitted.
+    data : where the data came from and how many there are.
+    converged, status, warnings : whether the fit may be used, and what to mind.
+    n_observations : finite values of all channels. rms : of the residuals by channel (SI, rad).
+    sigma : noise by channel as estimated; empty for channels whose sigma was given.
+    lag1 : correlation of neighbouring residuals by channel.
+    independence : by channel, how far the residuals are from independent noise, after what the
+        noise model foretells of them.
+    parameters : by name, coefficients first, then x0 y0 heading v0 phi0 omega0.
+    combinations : what is determined where single parameters are not.
+    rank, singular_values, null_directions : see `curlfit.inference.identifiability`.
+    covariance : {"names": [...], "matrix": [[...]]} of the free parameters away from their bounds,
+        along the directions that the data see.
+    information : the Gauss-Newton information matrix J^T J of all free parameters, the same form,
+        with the "gradient" of the log-likelihood, which vanishes but for parameters at a bound.
+    reference : published or true values of the same law, if the data file has them.
+    reference_fits : the fit again with other constants of the stone, where the reference names
+        them: {"stone": constants, "values": by name or expression}.
+    observed : t, x, y, phi as measured, speed and omega if they were, and given sigmas.
+    fitted : x, y, phi, speed, omega of the fit at the same times; empty where nobody wanted them.
+    posterior : None until sampled.
+    loss : how large residuals count, see `curlfit.inference.noise.losses`.
+    noise : how noise goes together from row to row, see `curlfit.inference.noise.models`.
+    outliers : values far off the fit: {"channel", "t", "line" (of the file, or None), "off" (SI),
+        "sigmas"}, the farthest first.
+    remedies : what else would have to be measured, see `curlfit.inference.fit.missing_channels`.
+    sampling : "none", "unfinished" (begun, or to be begun) or "ended".
+    """
+
+    law: str
+    load: str
+    stone: Stone
+    data: dict[str, Any]
+    converged: bool
+    status: str
+    warnings: tuple[str, ...]
+    n_observations: int
+    rms: dict[str, float]
+    sigma: dict[str, float]
+    lag1: dict[str, float]
+    parameters: dict[str, Estimate]
+    combinations: tuple[Combination, ...]
+    rank: int
+    singular_values: tuple[float, ...]
+    null_directions: tuple[dict[str, float], ...]
+    covariance: dict[str, Any]
+    information: dict[str, Any]
+    reference: Reference | None
+    observed: dict[str, Floats] = field(repr=False)
+    fitted: dict[str, Floats] = field(repr=False)
+    posterior: Posterior | None = None
+    loss: str = "linear"
+    noise: Noise = WHITE
+    independence: dict[str, Independence] = field(default_factory=dict)
+    outliers: tuple[dict[str, Any], ...] = ()
+    remedies: tuple[dict[str, Any], ...] = ()
+    sampling: str = "none"
+    reference_fits: tuple[dict[str, Any], ...] = ()
+
+    @property
+    def law_class(self) -> type[Law]:
+        """The class of the law; a user's own is read again from its file."""
+        return find_law(self.law if self.law in LAWS else self.data.get("law_file") or self.law)
+
+    @property
+    def values(self) -> Floats:
+        """The fitted parameter vector."""
+        return np.array([item.value for item in self.parameters.values()])
+
+    @property
+    def coefficients(self) -> dict[str, Estimate]:
+        """The law's own parameters."""
+        start = {item.name for item in START}
+        return {name: item for name, item in self.parameters.items() if name not in start}
+
+    @property
+    def parameter_set(self) -> ParameterSet:
+        """Names, bounds and fixed values of the fit."""
+        own = {item.name for item in fields(Parameter)} - {"name"}
+        return ParameterSet(
+            tuple(
+                Parameter(name=name, **{key: getattr(item, key) for key in own})
+                for name, item in self.parameters.items()
+            ),
+            {name: item.value for name, item in self.parameters.items() if item.verdict == "fixed"},
+        )
+
+    @property
+    def throw(self) -> Throw:
+        """The data that were fitted."""
+        series = self.observed
+        return Throw.from_arrays(
+            series["t"],
+            **{name: series.get(name) for name in CHANNELS},
+            sigma={name: series[f"sigma_{name}"] for name in CHANNELS if f"sigma_{name}" in series},
+            name=self.data["file"],
+            reference=self.reference,
+        )
+
+    def with_posterior(self, posterior: Posterior) -> FitResult:
+        """The same with a posterior."""
+        return replace(self, posterior=posterior, sampling="ended")
+
+    def before_sampling(self) -> FitResult:
+        """The same as it is kept on disk while the posterior is being sampled."""
+        return replace(self, posterior=None, sampling="unfinished")
+
+    def to_json(self) -> dict[str, Any]:
+        """The record as written to `fit.json`; see the README for its fields."""
+        return {
+            "schema": SCHEMA,
+            "law": self.law,
+            "load": self.load,
+            "stone": self.stone.as_dict(),
+            "data": self.data,
+            "converged": self.converged,
+            "status": self.status,
+            "warnings": list(self.warnings),
+            "n_observations": self.n_observations,
+            "rms": self.rms,
+            "sigma": self.sigma,
+            "lag1": self.lag1,
+            "loss": self.loss,
+            "noise": self.noise.as_dict(),
+            "independence": {name: asdict(item) for name, item in self.independence.items()},
+            "outliers": list(self.outliers),
+            "remedies": list(self.remedies),
+            "parameters": {name: asdict(item) for name, item in self.parameters.items()},
+            "combinations": [asdict(item) for item in self.combinations],
+            "identifiability": {
+                "rank": self.rank,
+                "singular_values": list(self.singular_values),
+                "null_directions": list(self.null_directions),
+            },
+            "covariance": self.covariance,
+            "information": self.information,
+            "reference": None if self.reference is None else asdict(self.reference),
+            "reference_fits": list(self.reference_fits),
+            "sampling": self.sampling,
+            "posterior": None if self.posterior is None else asdict(self.posterior),
+            "observed": {name: series.tolist() for name, series in self.observed.items()},
+            "fitted": {name: series.tolist() for name, series in self.fitted.items()},
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """The JSON record without the series of data and fit."""
+        record = strict(self.to_json())
+        return {key: value for key, value in record.items() if key not in ("observed", "fitted")}
+
+    @classmethod
+    def from_json(cls, found: dict[str, Any]) -> FitResult:
+        """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
+        seen = found["identifiability"]
+        reference, posterior = found.get("reference"), found.get("posterior")
+        same = ("law", "load", "converged", "status", "n_observations", "rms", "sigma")
+        return cls(
+            **{name: found[name] for name in (*same, "covariance", "information")},
+            data=found["data"] | {key: None for key in _LATER if key not in found["data"]},
+            lag1=found.get("lag1", {}),
+            stone=Stone(**known(Stone, found["stone"])),
+            warnings=tuple(found.get("warnings", ())),
+            parameters={
+                name: Estimate.from_json(item) for name, item in found["parameters"].items()
+            },
+            combinations=tuple(
+                Combination(**known(Combination, item)) for item in found["combinations"]
+            ),
+            rank=seen["rank"],
+            singular_values=tuple(seen["singular_values"]),
+            null_directions=tuple(seen["null_directions"]),
+            reference=None if reference is None else Reference(**known(Reference, reference)),
+            observed=_series(found["observed"]),
+            fitted=_series(found["fitted"]),
+            posterior=None if posterior is None else Posterior(**known(Posterior, posterior)),
+            sampling=found.get("sampling", "none" if posterior is None else "ended"),
+            loss=found.get("loss", "linear"),
+            noise=Noise(**known(Noise, found.get("noise", {}))),
+            independence={
+                name: Independence(**known(Independence, item))
+                for name, item in found.get("independence", {}).items()
+            },
+            outliers=tuple(found.get("outliers", ())),
+            remedies=tuple(found.get("remedies", ())),
+            reference_fits=tuple(found.get("reference_fits", ())),
+        )
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write the record as JSON, whole or not at all."""
+        write_json(self.to_json(), Path(file))
+
+
+def load_fit(file: str | PathLike[str]) -> FitResult:
+    """Read a saved `fit.json`, or the one in a folder.
+
+    Raises
+    ------
+    DataError : it is not there, is not a curlfit result, or has a schema this version cannot read.
+    """
+    path = Path(file)
+    if path.is_dir():
+        path = path / "fit.json"
+    found = read_json(path, SCHEMA, MIGRATIONS)
+    try:
+        return FitResult.from_json(found)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DataError(
+            f"not a complete fit.json of curlfit ({type(error).__name__}: {error})", file=path
+        ) from None
+
+
+def _series(found: dict[str, list[float | None]]) -> dict[str, Floats]:
+    return {
+        name: np.array([math.nan if value is None else value for value in values], float)
+        for name, values in found.items()
+    }

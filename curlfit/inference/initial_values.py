@@ -1,0 +1,315 @@
+"""Start values from the data, so that nobody has to guess.
+
+A polynomial through each channel gives speed, direction and spin well enough to evaluate the
+law's forces along the path. In these the law's coefficients are linear, or are made so; their
+forces are integrated twice over time and fitted to the measured places and angles, condensed to
+means over blocks of rows, by linear least squares. Nothing is differentiated but the polynomial,
+and that only once.
+"""
+
+from __future__ import annotations
+
+from functools import cache, partial
+from typing import Any, NamedTuple
+
+from curlfit.dynamics.contact import accelerations
+
+# isort: split
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from numpy.polynomial.chebyshev import chebder, chebint, chebval, chebvander
+from numpy.typing import NDArray
+
+from curlfit.friction import Coefficient, Law, Load
+from curlfit.inference.identifiability import inverted, triangle
+from curlfit.inference.likelihood import LANES, Problem, by_lanes
+from curlfit.inference.parameters import START
+from curlfit.numerics.compiled import kept
+from curlfit.stone import Stone
+from curlfit.throws.throw import last_motion
+
+Floats = NDArray[np.float64]
+
+_GRID = 128
+_BLOCKS = 64  # of rows that a throw is condensed to
+_DEGREE = 5
+_USUAL_SPEED = 2.0  # m/s, where nothing tells it
+
+
+def usual(item: Coefficient) -> float:
+    """A value to start from: an optional coefficient that is asked for is not at its default."""
+    return item.typical if item.optional else item.default
+
+
+class Smooth(NamedTuple):
+    """Polynomials through the moving part of many paths, throws along the first axis."""
+
+    span: Floats
+    """s from the first row to the last in which the stone moved, shape (throws,)"""
+    curves: Floats
+    """Chebyshev coefficients over 0..span of x, y, phi, shape (throws, 3, coefficients). Where only
+    the speed or the spin was measured, y or phi is its integral"""
+    known: NDArray[np.bool_]
+    """whether anything is known of x, y, phi, shape (throws, 3)"""
+    rms: Floats
+    """of the data about the polynomials, floored, inf where not seen; shape (throws, channels)"""
+
+
+def smooth(problems: Problem) -> Smooth:
+    """Polynomials of degree 5 or less through each channel, up to where the stone came to rest.
+
+    Parameters
+    ----------
+    problems : of many throws, as `stacked` makes them.
+    """
+    t, seen, observed = problems.times, problems.weight > 0, problems.observed
+    shown = np.where(seen[:, :2], observed[:, :2], np.nan)
+    last = np.array([last_motion(*one) for one in zip(t, shown[:, 0], shown[:, 1], strict=True)])
+    span = np.maximum(np.where(last < 0.9 * t[:, -1], last, t[:, -1]), 1e-9)
+    use = seen & (t <= span[:, None])[:, None]
+    n = use.sum(-1)
+    degree = np.minimum(_DEGREE, np.maximum(np.minimum(2, n - 1), (n - 1) // 3))
+    part = (np.arange(_DEGREE + 1) <= degree[..., None]) & (n >= 2)[..., None]
+    basis = chebvander(2 * t / span[:, None] - 1, _DEGREE)
+    few = triangle(
+        np.concatenate([basis[:, None] * part[:, :, None], observed[..., None]], -1)
+        * use[..., None]
+    )
+    matrix = few[..., :-1, :-1] + np.eye(_DEGREE + 1) * ~part[..., None, :]
+    found = np.linalg.solve(matrix, few[..., :-1, -1:])[..., 0] * part
+    rms = np.maximum(np.abs(few[..., -1, -1]) / np.sqrt(np.maximum(n, 1)), 1e-6)
+    known = n >= 2
+    curves = np.pad(found, ((0, 0), (0, 0), (0, 1)))  # an integral has one term more
+    if len(found[0]) > 3:
+        risen = chebint(found[:, 3:], lbnd=-1, axis=-1) * span[:, None, None] / 2
+        placeless = ~known[:, 0] & ~known[:, 1] & known[:, 3]
+        angleless = ~known[:, 2] & known[:, 4]
+        curves[placeless, 1], curves[angleless, 2] = risen[placeless, 0], risen[angleless, 1]
+        known[:, 1] |= placeless
+        known[:, 2] |= angleless
+    return Smooth(span, curves[:, :3], known[:, :3], np.where(n >= 2, rms, np.inf))
+
+
+@kept("law", "load")
+def _forces(
+    law: type[Law], load: Load, coefficients: Array, stones: Stone, paths: Array
+) -> tuple[Array, Array]:
+    """Accelerations (xi, eta, angular) along many paths and their derivatives by coefficient.
+
+    Parameters
+    ----------
+    coefficients : shape (throws, coefficients). stones : each field of shape (throws,).
+    paths : speed, spin, angle and time, shape (throws, 4, n).
+    """
+
+    def of_one(coefficients: Array, stone: Stone, path: Array) -> tuple[Array, Array]:
+        def along(coefficients: Array) -> Array:
+            friction = law.from_vector(coefficients)
+            one = partial(accelerations, friction, stone, load)
+            return jnp.stack(jax.vmap(one)(*path))
+
+        return along(coefficients), jax.jacfwd(along)(coefficients)
+
+    return jax.vmap(of_one)(coefficients, stones, paths)
+
+
+def start_values(
+    law: type[Law],
+    load: Load,
+    problems: Problem,
+    path: Smooth,
+    lower: Floats,
+    upper: Floats,
+    *,
+    spin: float = 1.0,
+    lanes: int = LANES,
+) -> Floats:
+    """Parameter vectors near the optima, shape (throws, parameters), inside the bounds.
+
+    Parameters
+    ----------
+    problems : of many throws, as `stacked` makes them; `path` is what `smooth` makes of them.
+    lower, upper : bounds, shape (throws, parameters).
+    spin : in rad/s, where the angle was never seen.
+    lanes : how many are computed together.
+    """
+    k = len(law.coefficients())
+    moving = _moving(path, spin)
+    use = (problems.weight > 0) & (problems.times <= path.span[:, None])[:, None]
+    if use.shape[1] > 3:
+        use[:, 3] &= ~use[:, :2].any((1, 2))[:, None]  # the places tell it already
+    free = np.full((len(lower), len(START)), np.inf)
+    low, high = np.hstack([lower[:, :k], -free]), np.hstack([upper[:, :k], free])
+    found = np.zeros_like(low)
+    found[:, :k] = np.clip([usual(item) for item in law.coefficients()], low[:, :k], high[:, :k])
+    going = np.arange(len(found))
+    for _ in range(3):
+        here: Any = jax.tree.map(lambda leaf, going=going: leaf[going], (problems, path, moving))
+        nominal = found[going, :k]
+        a, by_coefficient = by_lanes(
+            partial(_forces, law, load), (nominal, here[0].stone, here[2].measured), lanes
+        )
+        linear = (by_coefficient @ nominal[:, None, :, None])[..., 0]
+        slopes = np.concatenate([by_coefficient, (a - linear)[..., None]], -1)
+        matrix, right = _design(np.nan_to_num(slopes), use[going], *here)
+        found[going] = _bounded_least_squares(matrix, right, low[going], high[going])
+        bent = np.abs(linear - a) > 1e-12 + 1e-9 * np.abs(a)
+        going = going[(bent | np.isnan(a)).any((1, 2))]
+        if not len(going):
+            break
+
+    x0, vx0, y0, vy0, phi0, omega0 = found[:, k:].T
+    turning = path.known[:, 2]
+    phi0, omega0 = np.where(turning, phi0, 0.0), np.where(turning, omega0, spin)
+    v, first = moving.measured[:, 0, 0], moving.velocity[:, :, 0].T
+    slow = (v > 0.02) & (np.hypot(vx0, vy0) < 0.2 * v)
+    vx0, vy0 = np.where(slow, first, (vx0, vy0))
+    begin = np.stack([x0, y0, np.arctan2(vx0, vy0), np.hypot(vx0, vy0), phi0, omega0], -1)
+    return np.clip(np.hstack([found[:, :k], begin]), lower, upper)
+
+
+class _Moving(NamedTuple):
+    """Motions along the polynomials, on a grid from first to last."""
+
+    velocity: Floats
+    """vx, vy, shape (throws, 2, n)"""
+    measured: Floats
+    """speed, spin, angle and time, shape (throws, 4, n)"""
+
+
+def _moving(path: Smooth, spin: float) -> _Moving:
+    values, slopes = _bases(path.curves.shape[-1])
+    pace = path.curves @ slopes.T * (2 / path.span[:, None, None])
+    grid = path.span[:, None] * np.linspace(0, 1, _GRID)
+    unplaced, turning = ~path.known[:, :2].any(1), path.known[:, 2, None]
+    pace[unplaced, 1] = _USUAL_SPEED * (1 - 0.9 * np.linspace(0, 1, _GRID))
+    omega = np.where(turning, pace[:, 2], spin)
+    turned = np.where(turning, path.curves[:, 2] @ (values - values[0]).T, spin * grid)
+    velocity = pace[:, :2]
+    return _Moving(velocity, np.stack([np.hypot(*velocity.swapaxes(0, 1)), omega, turned, grid], 1))
+
+
+def _design(
+    slopes: Floats, use: NDArray[np.bool_], problems: Problem, path: Smooth, moving: _Moving
+) -> tuple[Floats, Floats]:
+    """Linear least squares for coefficients, x0, vx0, y0, vy0, phi0 and omega0, in few rows.
+
+    Parameters
+    ----------
+    slopes : accelerations (xi, eta, angular) for one of each coefficient, and those that go with
+        none, shape (throws, 3, n, coefficients + 1).
+
+    Returns
+    -------
+    Matrices, of shape (throws, rows, coefficients + 6), and right sides.
+    """
+    heading = np.arctan2(moving.velocity[:, 0], moving.velocity[:, 1])[..., None]
+    s, c = np.sin(heading), np.cos(heading)
+    in_ice = np.stack(  # from the moving frame to x, y, phi
+        [
+            slopes[:, 0] * c + slopes[:, 1] * s,
+            -slopes[:, 0] * s + slopes[:, 1] * c,
+            slopes[:, 2],
+        ],
+        1,
+    )
+    step = path.span / (_GRID - 1)
+    once = _cumulative(in_ice, step)
+    twice = _cumulative(once, step)
+
+    channels, k = use.shape[1], slopes.shape[-1] - 1
+    count, times, observed = _condensed(use, problems, path)
+    t = times / step[:, None, None]
+    below = np.minimum(t.astype(int), _GRID - 2)
+    share = (t - below)[..., None]
+    throw = np.arange(len(t))[:, None]
+    scale = np.sqrt(count) / path.rms[..., None]
+    design = np.zeros((len(t), channels, k + 3, k + len(START) + 1))
+    own = np.zeros((len(t), t.shape[-1], k + 3))
+    for row in range(channels):
+        # Place and angle are integrated twice, speed (along the first direction) and spin once.
+        series, axis = (twice, row) if row < 3 else (once, row - 2)
+        early, late = (series[throw, axis, below[:, row] + here] for here in (0, 1))
+        own[..., : k + 1] = early + share[:, row] * (late - early)
+        own[..., k + 2] = observed[:, row] - own[..., k]
+        own[..., k] = 1.0 if row < 3 else 0.0
+        own[..., k + 1] = times[:, row] if row < 3 else 1.0
+        columns = [*range(k), k + 2 * axis, k + 2 * axis + 1, -1]
+        few = triangle(own * scale[:, row, :, None])
+        few = np.where(np.isfinite(few).all((1, 2), keepdims=True), few, 0.0)
+        design[:, row, :, columns] = np.moveaxis(few, -1, 0)
+    design = design.reshape(len(t), channels * (k + 3), -1)
+    return design[..., :-1], design[..., -1]
+
+
+def _condensed(
+    use: NDArray[np.bool_], problems: Problem, path: Smooth
+) -> tuple[Floats, Floats, Floats]:
+    """Blocks of rows of each throw: how many rows are used, the means of their times, and values at
+    these times, each of shape (throws, channels, blocks).
+
+    The bend of a path within a block is that of its polynomial.
+    """
+    rows: Any = use.any(1)
+    n = np.where(rows.any(1), rows.shape[1] - np.argmax(rows[:, ::-1], 1), 0)
+    ends = n[:, None] * np.arange(_BLOCKS + 1) // np.minimum(np.maximum(n, 1), _BLOCKS)[:, None]
+    ends = np.minimum(ends, n[:, None])[:, None]
+
+    def sums(values: Floats) -> Floats:
+        running = np.pad(np.cumsum(values, -1), ((0, 0), (0, 0), (1, 0)))
+        return np.diff(np.take_along_axis(running, ends, -1))
+
+    count = np.round(sums(use.astype(float)))
+    some = np.maximum(count, 1.0)
+    times = sums(use * problems.times[:, None]) / some
+    observed = problems.observed.copy()
+    observed[:, :3] -= _along(path, np.broadcast_to(problems.times[:, None], observed[:, :3].shape))
+    means = sums(use * observed) / some
+    means[:, :3] += _along(path, times[:, :3])
+    return count, times, means
+
+
+def _along(path: Smooth, times: Floats) -> Floats:
+    """The polynomials at times, each of shape (throws, 3, n)."""
+    places = 2 * times / path.span[:, None, None] - 1
+    values: Any = chebval(places, np.moveaxis(path.curves, -1, 0)[..., None], tensor=False)
+    return values
+
+
+@cache
+def _bases(size: int) -> tuple[Any, Any]:
+    """Chebyshev polynomials on the grid, and their slopes, by -1 to 1."""
+    places = np.linspace(-1, 1, _GRID)
+    slopes = np.asarray(chebval(places, chebder(np.eye(size))), float)
+    return chebvander(places, size - 1), slopes.T
+
+
+def _cumulative(values: Floats, step: Floats) -> Floats:
+    """Running integral over the third axis, by the trapezoidal rule."""
+    middle = (values[:, :, 1:] + values[:, :, :-1]) / 2 * step[:, None, None, None]
+    return np.concatenate([np.zeros_like(values[:, :, :1]), np.cumsum(middle, 2)], 2)
+
+
+def _bounded_least_squares(matrix: Floats, right: Floats, low: Floats, high: Floats) -> Floats:
+    """Linear least squares of many throws, the smallest solution where several fit, held within
+    bounds."""
+    size = np.linalg.norm(matrix, axis=1)
+    size[size == 0] = 1.0
+    held = np.full_like(low, np.nan)
+    solution = np.zeros_like(low)
+    for _ in range(low.shape[1]):
+        free = np.isnan(held)
+        known = (matrix @ np.where(free, 0.0, held)[..., None])[..., 0]
+        left, singular, rows = np.linalg.svd(
+            matrix * np.where(free, 1 / size, 0.0)[:, None], full_matrices=False
+        )
+        inverse = inverted(singular, singular > 1e-9 * singular[:, :1])[..., None]
+        found = rows.mT @ (inverse * (left.mT @ (right - known)[..., None]))
+        solution = np.where(free, found[..., 0] / size, held)
+        outside = free & ((solution < low) | (solution > high))
+        if not outside.any():
+            break
+        held = np.where(outside, np.clip(solution, low, high), held)
+    return np.clip(solution, low, high)

@@ -1,0 +1,1 @@
+"""The fit of several throws with coefficients in common."""

@@ -1,0 +1,86 @@
+"""How much throws that were fitted together differ among themselves.
+
+Judged to first order about the joint optimum: the estimate that each throw would give alone,
+against the shared one (Cochran 1954; the spread between throws by DerSimonian and Laird 1986).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from curlfit.inference.fit.result import Estimate
+from curlfit.inference.identifiability import Combination, visible
+from curlfit.inference.joint.result import Difference
+from curlfit.inference.joint.solver import Layout, Search, State
+
+Floats = NDArray[np.float64]
+
+
+def differences_of(
+    best: State,
+    layout: Layout,
+    search: Search,
+    coefficients: Mapping[str, Estimate],
+    combinations: Sequence[Combination],
+    shared: tuple[str, ...],
+) -> tuple[Difference, ...]:
+    """What each throw alone would say of the shared coefficients, to first order."""
+    wanted = {
+        name: ({name: 1.0}, item.value)
+        for name, item in coefficients.items()
+        if item.verdict in ("determined", "weak")
+    } | {
+        item.expression: (item.weights, item.value)
+        for item in combinations
+        if set(item.weights) <= set(shared)
+    }
+    found = []
+    for expression, (weights, value) in wanted.items():
+        each: list[tuple[float, float] | None] = []
+        for throw, places in enumerate(layout.places):
+            vector = np.array([weights.get(layout.names[place], 0.0) for place in places])
+            each.append(_alone(best, search, throw, vector, value))
+        usable = np.array([item for item in each if item is not None])
+        if len(usable) > 1:
+            found.append(_difference(expression, each, usable))
+    return tuple(found)
+
+
+def _alone(
+    best: State, search: Search, throw: int, vector: Floats, value: float
+) -> tuple[float, float] | None:
+    places = search.layout.places[throw]
+    free, typical = search.free[places], search.typical[places]
+    jacobian = best.jacobian[throw].reshape(-1, len(places))[:, free] * typical[free]
+    left, singular, right = np.linalg.svd(jacobian, full_matrices=False)
+    seen = visible(singular)
+    weights = (vector * typical)[free]
+    along = right[seen] @ weights
+    if np.linalg.norm(weights - right[seen].T @ along) > 1e-3 * np.linalg.norm(weights):
+        return None  # this throw does not see it
+    step = -(left[:, seen].T @ best.residual[throw].reshape(-1)) / singular[seen]
+    return value + float(along @ step), float(np.linalg.norm(along / singular[seen]))
+
+
+def _difference(
+    expression: str, each: Sequence[tuple[float, float] | None], usable: Floats
+) -> Difference:
+    estimate, variance = usable[:, 0], usable[:, 1] ** 2
+    weight = 1 / variance
+    mean = float(weight @ estimate / weight.sum())
+    q = float(weight @ (estimate - mean) ** 2)
+    degrees = len(usable) - 1
+    between = max(0.0, (q - degrees) / (weight.sum() - (weight**2).sum() / weight.sum()))
+    total = 1 / (variance + between)
+    return Difference(
+        expression=expression,
+        each=tuple(each),
+        p_value=float(chdtrc(degrees, q)),
+        spread=float(np.sqrt(between)),
+        mean=float(total @ estimate / total.sum()),
+        stderr=float(1 / np.sqrt(total.sum())),
+    )

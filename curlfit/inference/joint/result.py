@@ -1,0 +1,151 @@
+"""What several throws say together: the record of a joint fit."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from curlfit.errors import DataError
+from curlfit.inference.fit.result import Estimate, FitResult, load_fit
+from curlfit.inference.identifiability import Combination
+from curlfit.output.files import known, read_json, write_json
+
+SCHEMA = 1
+
+_SIGNIFICANT = 0.01
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How a coefficient, or a combination of coefficients, differs from throw to throw.
+
+    Attributes
+    ----------
+    expression : what it is about.
+    each : estimate and standard error that each throw gives alone, None where it gives none.
+    p_value : chance of differences as large as these if there are none (chi squared).
+    spread : standard deviation between throws beyond what the errors explain.
+    mean, stderr : of the mean over such throws, the spread between them included.
+    significant : p_value below 0.01.
+    """
+
+    expression: str
+    each: tuple[tuple[float, float] | None, ...]
+    p_value: float
+    spread: float
+    mean: float
+    stderr: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether chance hardly explains the differences."""
+        return self.p_value < _SIGNIFICANT
+
+
+@dataclass(frozen=True)
+class JointResult:
+    """Several throws fitted together.
+
+    Attributes
+    ----------
+    law, load, share : what was fitted; names of the shared coefficients.
+    converged, status, warnings : whether it may be used, and what to mind.
+    coefficients : the shared ones, by name.
+    combinations : what is determined where single shared coefficients are not.
+    rank, parameters : directions that the throws see together, of how many free parameters.
+    differences : of each determined shared coefficient or combination.
+    throws : a `FitResult` for each throw; its standard errors are those of the joint fit.
+    """
+
+    law: str
+    load: str
+    share: tuple[str, ...]
+    converged: bool
+    status: str
+    warnings: tuple[str, ...]
+    coefficients: dict[str, Estimate]
+    combinations: tuple[Combination, ...]
+    rank: int
+    parameters: int
+    differences: tuple[Difference, ...]
+    throws: tuple[FitResult, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """The record as written to `joint.json`, without the single throws."""
+        return {
+            "schema": SCHEMA,
+            "law": self.law,
+            "load": self.load,
+            "share": list(self.share),
+            "converged": self.converged,
+            "status": self.status,
+            "warnings": list(self.warnings),
+            "coefficients": {name: asdict(item) for name, item in self.coefficients.items()},
+            "combinations": [asdict(item) for item in self.combinations],
+            "identifiability": {"rank": self.rank, "parameters": self.parameters},
+            "differences": [
+                asdict(item) | {"significant": item.significant} for item in self.differences
+            ],
+            "throws": [
+                {
+                    "file": item.data["file"],
+                    "rows": item.data["rows"],
+                    "rms": item.rms,
+                    "sigma": item.sigma,
+                    "parameters": {name: asdict(one) for name, one in item.parameters.items()},
+                }
+                for item in self.throws
+            ],
+        }
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write the record as JSON, whole or not at all."""
+        write_json(self.to_json(), Path(file))
+
+
+def load_joint(file: str | PathLike[str]) -> JointResult:
+    """Read a saved joint fit, by its folder or its `joint.json`, with the single throws beside it.
+
+    Raises
+    ------
+    DataError : a file is not there, or is not a record that this version can read.
+    """
+    path = Path(file)
+    if path.is_dir():
+        path = path / "joint.json"
+    found = read_json(path, SCHEMA, {})
+    try:
+        return JointResult(
+            law=found["law"],
+            load=found["load"],
+            share=tuple(found["share"]),
+            converged=found["converged"],
+            status=found["status"],
+            warnings=tuple(found["warnings"]),
+            coefficients={
+                name: Estimate.from_json(item) for name, item in found["coefficients"].items()
+            },
+            combinations=tuple(
+                Combination(**known(Combination, item)) for item in found["combinations"]
+            ),
+            rank=found["identifiability"]["rank"],
+            parameters=found["identifiability"]["parameters"],
+            differences=tuple(
+                Difference(
+                    **known(Difference, item)
+                    | {"each": tuple(None if one is None else tuple(one) for one in item["each"])}
+                )
+                for item in found["differences"]
+            ),
+            throws=tuple(
+                load_fit(path.parent / Path(item["file"]).stem) for item in found["throws"]
+            ),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, DataError):
+            raise
+        raise DataError(
+            f"not a complete joint.json of curlfit ({type(error).__name__}: {error})", file=path
+        ) from None

@@ -1,0 +1,1 @@
+"""Noise: its models, how it is made independent, robust losses."""

@@ -1,0 +1,138 @@
+"""Robust losses: how much a residual counts, once it is too large to be noise.
+
+Each replaces the square of a residual r (in units of its sigma) by rho(r), which grows slower.
+Least squares minimises the sum of rho as the square of `sqrt(rho)` with the sign of r, so that one
+solver serves all. Constants are those of 95 % efficiency for Gaussian noise (Huber 1981; Holland
+and Welsch 1977); Student's t has 4 degrees of freedom.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
+
+# isort: split
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import beta, erf, kv
+
+from curlfit.inference.parameters import LOSSES
+
+Floats = NDArray[np.float64]
+_HUBER = 1.345
+_CAUCHY = 2.385
+_DEGREES = 4.0
+
+
+def _log_ratio(q: Array) -> Array:
+    """log(1 + q)/q, also at 0."""
+    small = q < 1e-8
+    return jnp.where(small, 1 - q / 2, jnp.log1p(q) / jnp.where(small, 1.0, q))
+
+
+def _huber(r: Array) -> Array:
+    size = jnp.abs(r)
+    outer = jnp.sqrt(jnp.maximum(2 * _HUBER * size - _HUBER**2, _HUBER**2))
+    return jnp.where(size <= _HUBER, r, jnp.sign(r) * outer)
+
+
+_ROOTS: tuple[Callable[[Array], Array], ...] = (
+    lambda r: r,
+    _huber,
+    lambda r: r * jnp.sqrt(2 / (jnp.sqrt(1 + r**2) + 1)),
+    lambda r: r * jnp.sqrt(_log_ratio(r**2 / _CAUCHY**2)),
+    lambda r: r * jnp.sqrt((1 + 1 / _DEGREES) * _log_ratio(r**2 / _DEGREES)),
+)
+
+
+def signed_root(r: ArrayLike, loss: ArrayLike) -> Array:
+    """sqrt(rho) with the sign of r; `loss` is a place in `LOSSES`, a scalar."""
+    return jax.lax.switch(loss, _ROOTS, jnp.asarray(r))
+
+
+class Influence(NamedTuple):
+    """What a residual does to the optimum: psi = rho'/2, and its slope."""
+
+    psi: Floats
+    slope: Floats
+
+
+def influence(r: Floats, loss: str) -> Influence:
+    """psi and its slope at residuals in units of their sigma."""
+    z = r**2
+    if loss == "huber":
+        return Influence(np.clip(r, -_HUBER, _HUBER), (np.abs(r) <= _HUBER).astype(float))
+    if loss == "soft-l1":
+        return Influence(r / np.sqrt(1 + z), (1 + z) ** -1.5)
+    if loss == "cauchy":
+        q = 1 + z / _CAUCHY**2
+        return Influence(r / q, (2 - q) / q**2)
+    if loss == "student":
+        n = _DEGREES
+        return Influence(r * (n + 1) / (n + z), (n + 1) * (n - z) / (n + z) ** 2)
+    return Influence(r, np.ones_like(r))
+
+
+def log_density(r: Floats, loss: str) -> Floats:
+    """Log of the density exp(-rho/2) of noise of unit sigma, which integrates to 1.
+
+    Every loss is the likelihood of some noise: Gauss's; Gauss's with exponential tails (huber);
+    hyperbolic (soft-l1); Student's t, of 4 degrees of freedom (student) or, widened, of 4.7
+    (cauchy).
+    """
+    return -(np.asarray(signed_root(r, LOSSES.index(loss))) ** 2) / 2 - np.log(_NORMS[loss])
+
+
+_NORMS = {
+    "linear": np.sqrt(2 * np.pi),
+    "huber": np.sqrt(2 * np.pi) * erf(_HUBER / np.sqrt(2)) + 2 * np.exp(-(_HUBER**2) / 2) / _HUBER,
+    "soft-l1": 2 * np.exp(1.0) * kv(1, 1.0),
+    "cauchy": _CAUCHY * beta(0.5, (_CAUCHY**2 - 1) / 2),
+    "student": np.sqrt(_DEGREES) * beta(0.5, _DEGREES / 2),
+}
+
+
+def likeliest_sigma(residual: Floats, loss: str, floor: float = 1e-12) -> float:
+    """The sigma under which residuals are most likely: their rms, where the loss is linear."""
+    largest = float(np.abs(residual).max(initial=0.0))
+    if loss == "linear" or largest <= floor:
+        return max(float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0, floor)
+
+    def slope(log_sigma: float) -> float:  # of the log-likelihood by log sigma, per value
+        r = residual / np.exp(log_sigma)
+        return float(np.mean(r * influence(r, loss).psi)) - 1
+
+    low, high = np.log(floor), np.log(largest)
+    return float(np.exp(brentq(slope, low, high))) if slope(low) > 0 else floor
+
+
+def precision(r: Floats, loss: str) -> float:
+    """Information of a residual over that of a Gaussian one of the same sigma (Huber 1981)."""
+    if loss == "linear" or not len(r):
+        return 1.0
+    found = influence(r, loss)
+    slope = max(float(found.slope.mean()), 0.05)
+    return slope**2 / max(float((found.psi**2).mean()), 1e-300)
+
+
+BULK = 1.4826
+"""Standard deviation of a Gaussian over its median size."""
+
+
+def robust_sigma(values: Floats) -> float:
+    """Standard deviation of the bulk: 1.4826 times the median size."""
+    return BULK * float(np.median(np.abs(values))) if len(values) else 0.0
+
+
+def steepness(r: Floats, loss: str) -> Floats:
+    """Derivative of `signed_root` by r."""
+    if loss == "linear":
+        return np.ones_like(r)
+    size = np.maximum(np.abs(r), 1e-6)  # even in r, and flat at 0
+    return influence(size, loss).psi / np.asarray(signed_root(size, LOSSES.index(loss)))

@@ -1,0 +1,215 @@
+"""The parameters of a fit: the law's coefficients and the start, with bounds and what is fixed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.errors import DataError, InputError
+from curlfit.friction import Law, Parameter
+from curlfit.throws.throw import Throw
+
+Floats = NDArray[np.float64]
+
+
+LOSSES = ("linear", "huber", "soft-l1", "cauchy", "student")
+"""How large residuals may count; `curlfit.inference.noise.losses` has the formulas."""
+
+
+NOISES = ("white", "ar1", "gp")
+"""How noise goes together from row to row; `curlfit.inference.noise.models` has the formulas."""
+
+
+def check_loss(loss: str) -> str:
+    """The name of a loss, if it is one. Raises `InputError`."""
+    if loss not in LOSSES:
+        raise InputError(f"unknown loss {loss!r}; expected one of {', '.join(LOSSES)}")
+    return loss
+
+
+START = (
+    Parameter("x0", "m", -math.inf, math.inf, 1.0, "x_0", "place at the first time, to the right"),
+    Parameter("y0", "m", -math.inf, math.inf, 1.0, "y_0", "place at the first time, along"),
+    Parameter(
+        "heading", "rad", -math.inf, math.inf, 1.0, r"\beta_0", "first direction, from +y toward +x"
+    ),
+    Parameter("v0", "m/s", 0.0, 10.0, 1.0, "v_0", "first speed"),
+    Parameter("phi0", "rad", -math.inf, math.inf, 1.0, r"\varphi_0", "angle at the first time"),
+    Parameter("omega0", "rad/s", -100.0, 100.0, 1.0, r"\omega_0", "first spin, counter-clockwise"),
+)
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """All parameters of a fit in their order, coefficients first, and the values of fixed ones."""
+
+    parameters: tuple[Parameter, ...]
+    fixed: dict[str, float]
+
+    @classmethod
+    def build(
+        cls,
+        law: type[Law],
+        *,
+        fix: Mapping[str, float] | None = None,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        unbounded: bool = False,
+    ) -> ParameterSet:
+        """Parameters of a fit of `law`.
+
+        Parameters
+        ----------
+        fix : parameters held at a value. Optional coefficients are held at their default unless
+            named here or in `bounds`.
+        bounds : (lower, upper) by name, in place of the law's own.
+        unbounded : let coefficients be negative, within [-upper, upper]; exponents and the like
+            keep their bounds.
+
+        Raises
+        ------
+        InputError : an unknown name, an empty interval, a fixed value outside its bounds, or
+            nothing left to fit.
+        """
+        fixed, limits = (tuple((choice or {}).items()) for choice in (fix, bounds))
+        key: Any = law
+        return cls._built(key, fixed, limits, unbounded)
+
+    @classmethod
+    @lru_cache(64)
+    def _built(
+        cls,
+        law: Any,
+        fixed: tuple[tuple[str, float], ...],
+        limits: tuple[tuple[str, tuple[float, float]], ...],
+        unbounded: bool,
+    ) -> ParameterSet:
+        fix, bounds = dict(fixed), dict(limits)
+        coefficients: tuple[Parameter, ...] = law.coefficients()
+        if unbounded:
+            coefficients = tuple(item.unbounded() for item in law.coefficients())
+        for one in law.coefficients():
+            if one.optional and one.name not in bounds:
+                fix.setdefault(one.name, one.default)
+        parameters = []
+        known = {item.name for item in (*coefficients, *START)}
+        for name in (*fix, *bounds):
+            if name not in known:
+                raise InputError(
+                    f"law {law.name} has no parameter {name!r}; it has "
+                    + ", ".join(item.name for item in (*coefficients, *START))
+                )
+        for item in (*coefficients, *START):
+            lower, upper = bounds.get(item.name, (item.lower, item.upper))
+            if not lower < upper:
+                raise InputError(
+                    f"bound of {item.name}: {lower:g}:{upper:g} is empty; expected LOW:HIGH"
+                )
+            if item.name in fix:
+                value = fix[item.name]
+                if not math.isfinite(value):
+                    raise InputError(f"{item.name} cannot be fixed at {value}")
+                if item.name in bounds and not lower <= value <= upper:
+                    raise InputError(
+                        f"{item.name} is fixed at {value:g}, outside its bounds {lower:g}:{upper:g}"
+                    )
+                lower = upper = value
+            parameters.append(replace(item, lower=lower, upper=upper))
+        if len(fix) == len(parameters):
+            raise InputError("every parameter is fixed; nothing is left to fit")
+        return cls(tuple(parameters), fix)
+
+    @classmethod
+    def for_throw(cls, law: type[Law], throw: Throw, **choices: Any) -> ParameterSet:
+        """Parameters of a fit of `law` to a throw; `choices` as in `build`.
+
+        Of the start, that is fixed at zero for which no channel could tell: the place and the first
+        direction where no position was seen, the angle where no angle was.
+
+        Raises
+        ------
+        InputError : as in `build`. DataError : fewer rows than parameters.
+        """
+        parameters = cls.build(law, **choices)
+        unseen = [f"{name}0" for name in ("x", "y", "phi") if name not in throw.seen]
+        if "x" not in throw.seen or "y" not in throw.seen:
+            unseen.append("heading")
+        for name in unseen:
+            if name not in parameters.fixed:
+                parameters = parameters.with_fixed(name, 0.0)
+        free = int(parameters.free.sum())
+        rows = int(throw.finite.any(0).sum())
+        if rows < max(free, 3) and not set(throw.seen) <= throw.sigma.keys():
+            raise DataError(
+                f"{rows} rows for {free} parameters; give more rows, or sigmas, or fix parameters",
+                file=throw.name,
+            )
+        return parameters
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names in order."""
+        return tuple(item.name for item in self.parameters)
+
+    def _array(self, attribute: str) -> Floats:
+        values = np.array([getattr(item, attribute) for item in self.parameters])
+        values.flags.writeable = False  # one array for all who ask
+        return values
+
+    @cached_property
+    def lower(self) -> Floats:
+        """Lower bounds; a fixed parameter's value."""
+        return self._array("lower")
+
+    @cached_property
+    def upper(self) -> Floats:
+        """Upper bounds; a fixed parameter's value."""
+        return self._array("upper")
+
+    @cached_property
+    def typical(self) -> Floats:
+        """Typical sizes."""
+        return self._array("typical")
+
+    @cached_property
+    def free(self) -> NDArray[np.bool_]:
+        """True for the parameters to be determined."""
+        free = np.array([name not in self.fixed for name in self.names])
+        free.flags.writeable = False
+        return free
+
+    def names_where(self, mask: NDArray[np.bool_]) -> list[str]:
+        """Names of the parameters that a mask picks out."""
+        return [name for name, take in zip(self.names, mask, strict=True) if take]
+
+    def require(self, option: str, names: Iterable[str]) -> None:
+        """Raise `InputError` where one of the names is no parameter's."""
+        for name in names:
+            if name not in self.names:
+                raise InputError(
+                    f"{option}: no parameter {name!r}; there are {', '.join(self.names)}"
+                )
+
+    def index(self, name: str) -> int:
+        """Place of a parameter in a vector."""
+        return self.names.index(name)
+
+    def values_of(self, values: Floats) -> dict[str, float]:
+        """A vector in the order of the parameters as a dictionary by name."""
+        return dict(zip(self.names, map(float, values), strict=True))
+
+    def with_fixed(self, name: str, value: float) -> ParameterSet:
+        """The same with one more parameter fixed."""
+        parameters = tuple(
+            replace(item, lower=value, upper=value) if item.name == name else item
+            for item in self.parameters
+        )
+        return ParameterSet(parameters, {**self.fixed, name: value})

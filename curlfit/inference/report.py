@@ -1,0 +1,326 @@
+"""What a fit says, as text. Made from a `FitResult` alone; nothing is computed here."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
+from rich.text import Text
+
+from curlfit.output.console import terminal
+from curlfit.output.text import STYLE, decimals, listed, number, plain_table
+from curlfit.stone import UNITS as STONE_UNITS
+from curlfit.throws.throw import UNITS
+
+if TYPE_CHECKING:
+    from curlfit.inference.fit.result import Estimate, FitResult, Posterior
+
+_MOST_NAMED = 6  # outliers that the report lists
+_UNFINISHED = (
+    "Sampling was not finished; the same `curlfit fit` command with --resume goes on with it."
+)
+_WORDS = {
+    "x": "x", "y": "y", "phi": "the angle", "speed": "the speed", "omega": "the spin",
+}  # fmt: skip
+
+
+def print_fit(fit: FitResult, console: Console | None = None) -> None:
+    """Print the report of a fit."""
+    console = console or terminal()
+    console.print(report(fit))
+
+
+def report(fit: FitResult) -> RenderableType:
+    """The report of a fit, for a rich console."""
+    parts: list[RenderableType] = [_heading(fit), _coefficients(fit), *_student(fit)]
+    parts += [*_beside_reference(fit), _quality(fit)]
+    parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
+    if fit.posterior is not None:
+        parts.append(Padding(_posterior(fit.posterior), (0, 0, 1, 0)))
+    if fit.outliers:
+        parts.append(Padding(Text(outliers(fit)), (0, 0, 1, 0)))
+    if fit.sampling == "unfinished":
+        parts.append(Padding(Text(_UNFINISHED, style="bold yellow"), (0, 0, 1, 0)))
+    parts += [
+        Padding(Text(f"Warning: {warning}.", style="yellow"), (0, 0, 1, 0))
+        for warning in fit.warnings
+    ]
+    parts += [Text(f"Note: {note}.", style="dim") for note in fit.data["notes"]]
+    return Group(*parts)
+
+
+def _heading(fit: FitResult) -> RenderableType:
+    data, stone = fit.data, fit.stone
+    lines = Text()
+    lines.append(f"{fit.law} law", style="bold")
+    loss = "" if fit.loss == "linear" else f", {fit.loss} loss"
+    noise = "" if fit.noise.kind == "white" else f", {fit.noise.kind} noise"
+    lines.append(f", {fit.load} load{loss}{noise}, fitted to {data['file']}\n")
+    lines.append(
+        f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s; "
+        f"stone R = {stone.R:g} m, rho = {stone.rho:g} m, h = {stone.h:g} m, m = {stone.m:g} kg\n"
+    )
+    lines.append(
+        fit.status[:1].upper() + fit.status[1:], style="green" if fit.converged else "bold red"
+    )
+    return lines
+
+
+def _beside_reference(fit: FitResult) -> list[RenderableType]:
+    """How the estimates go with the stone's constants, where those of a reference are rounded."""
+    reference, fits = fit.reference, fit.reference_fits
+    if reference is None or not fits:
+        return []
+    now, table = fit.stone.as_dict(), plain_table()
+    table.add_column("shift of the estimate", no_wrap=True)
+    table.add_column("std. error", justify="right", no_wrap=True)
+    for item in fits:
+        table.add_column(f"for {_changes(item['stone'], now)}", justify="right", no_wrap=True)
+    table.add_column(f"with {_constants(fits[0]['stone'])}", justify="right", no_wrap=True)
+    table.add_column(reference.source, justify="right", no_wrap=True)
+    agree, there = True, []
+    for name, (value, stderr) in _reported(fit).items():
+        known = reference.values.get(name)
+        if known is None or any(name not in item["values"] for item in fits):
+            continue
+        again = fits[0]["values"][name]
+        shifts = [item["values"][name] - value for item in fits]
+        agree &= abs(again - known) <= _half_digit(known) + sum(map(abs, shifts[1:]))
+        there.append(f"{again:.4f}")
+        table.add_row(
+            name, number(value, stderr)[1], *(f"{shift:+.5f}" for shift in shifts),
+            f"{again:.4f}", f"{known:g}",
+        )  # fmt: skip
+    if not there:
+        return []
+    flags = ",".join(f"{name}={value:g}" for name, value in fits[0]["stone"].items())
+    verdict = (
+        f"which agree with {reference.source} within the rounding of its digits and of the stone's "
+        "constants"
+        if agree
+        else f"which do not all agree with {reference.source}"
+    )
+    text = f"{reference.source}: {reference.note}. " if reference.note else ""
+    text += f"`--stone {flags}` gives {listed(there)}, {verdict}."
+    return [Padding(Group(table, Text(text)), (0, 0, 1, 0))]
+
+
+def _reported(fit: FitResult) -> dict[str, tuple[float, float | None]]:
+    """Value and standard error of coefficients, and of what is determined in place of some."""
+    found = {name: (item.value, item.stderr) for name, item in fit.coefficients.items()}
+    return found | {item.expression: (item.value, item.stderr) for item in fit.combinations}
+
+
+def _changes(constants: dict[str, float], now: dict[str, Any]) -> str:
+    return ", ".join(
+        f"{name} {value - now[name]:+g} {STONE_UNITS[name]}" for name, value in constants.items()
+    )
+
+
+def _constants(constants: dict[str, float]) -> str:
+    return ", ".join(f"{name} = {value:g} {STONE_UNITS[name]}" for name, value in constants.items())
+
+
+def _half_digit(value: float) -> float:
+    """Half a unit of the last digit of a printed number."""
+    digits = f"{value:g}".partition(".")[2]
+    return 0.5 * 10.0 ** -len(digits)
+
+
+_FEW = 30.0  # degrees of freedom from which Student's t is a Gaussian to 4 %
+
+
+def _student(fit: FitResult) -> list[RenderableType]:
+    """95 % intervals where sigma was estimated from few values."""
+    items = {name: item for name, item in fit.coefficients.items() if item.stderr is not None}
+    both = items | {item.expression: item for item in fit.combinations}
+    if min((item.dof or math.inf for item in both.values()), default=math.inf) >= _FEW:
+        return []
+    table = plain_table()
+    table.add_column("", no_wrap=True)
+    table.add_column("95 % interval (Student's t)", no_wrap=True)
+    table.add_column("degrees of freedom", justify="right", no_wrap=True)
+    for name, item in both.items():
+        interval = item.interval()
+        if interval is None:
+            continue
+        digits = decimals(item.stderr or 0.0)
+        low, high = (f"{end:.{digits}f}" for end in interval)
+        table.add_row(name, f"{low} .. {high}", "-" if item.dof is None else f"{item.dof:.0f}")
+    text = (
+        "Few values: sigma is itself estimated, and intervals are wider than 1.96 standard errors."
+    )
+    if fit.posterior is not None:
+        text += " The posterior holds sigma fixed; its intervals are too narrow by as much."
+    return [Padding(Group(table, Text(text)), (0, 0, 1, 0))]
+
+
+def _interval(posterior: Posterior, name: str) -> str:
+    found = posterior.quantiles.get(name)
+    if found is None:
+        return ""
+    size = (found["84"] - found["16"]) / 3
+    return " .. ".join(number(found[end], size)[0] for end in ("16", "84"))
+
+
+def _coefficients(fit: FitResult) -> RenderableType:
+    table = plain_table()
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("estimate", justify="right", no_wrap=True)
+    table.add_column("std. error", justify="right", no_wrap=True)
+    table.add_column("verdict", no_wrap=True)
+    posterior, reference = fit.posterior, fit.reference
+    if posterior is not None:
+        table.add_column("68 % of posterior", no_wrap=True)
+    if reference is not None:
+        table.add_column(reference.source, justify="right", no_wrap=True)
+
+    def row(
+        name: str, unit: str, value: str, stderr: str, verdict: str, weights: dict[str, float]
+    ) -> None:
+        label = f"{name} ({unit})" if unit not in ("", "1") else name
+        cells: list[str | Text] = [label, value, stderr, Text(verdict, style=STYLE[verdict])]
+        if posterior is not None:
+            cells.append(_interval(posterior, name))
+        if reference is not None:
+            known = reference.of(name, weights)
+            cells.append("" if known is None else f"{known:g}")
+        table.add_row(*cells)
+
+    names = list(fit.parameters)
+    first_start = names[len(fit.coefficients)]
+    for name, item in fit.parameters.items():
+        if name == first_start:
+            for one in fit.combinations:
+                row(one.expression, "", *number(one.value, one.stderr), "determined", one.weights)
+        row(name, item.unit, *_estimate(item), item.verdict, {name: 1.0})
+    return Padding(table, (1, 0))
+
+
+def _estimate(item: Estimate) -> tuple[str, str]:
+    if item.verdict == "not identifiable":
+        return "-", "-"
+    return number(item.value, item.stderr)
+
+
+def _quality(fit: FitResult) -> RenderableType:
+    table = plain_table()
+    white = fit.noise.kind == "white"
+    heads = ["channel", "rms", "unit", "noise assumed", "", "lag-1 correlation"]
+    for head in heads if white else [*heads, "noise model", "lag-1 after it"]:
+        table.add_column(head, justify="right" if head == "rms" else "left", no_wrap=True)
+    for name, rms in fit.rms.items():
+        origin = fit.data["sigma"][name]
+        noise = f"{fit.sigma[name]:.3g} {UNITS[name]}" if origin == "estimated" else "by row"
+        lag1 = fit.lag1.get(name)
+        cells = [name, f"{rms:.3g}", UNITS[name], noise, origin, _two(lag1)]
+        if not white:
+            after = fit.independence.get(name)
+            cells += [_memory(fit, name), _two(None if after is None else after.lag1)]
+        table.add_row(*cells)
+    return Padding(table, (0, 0, 1, 0))
+
+
+def _two(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"
+
+
+def _memory(fit: FitResult, channel: str) -> str:
+    """How noise of a channel goes together, in a few words."""
+    if channel in fit.noise.memory:
+        return f"memory {fit.noise.memory[channel]:.2g} s"
+    if channel in fit.noise.sizes:
+        return f"smooth, {fit.noise.sizes[channel]:.2g} {UNITS[channel]}"
+    return "independent"
+
+
+def identifiability(fit: FitResult) -> str:
+    """What the path determines and what it does not, in sentences."""
+    free = [name for name, item in fit.parameters.items() if item.verdict != "fixed"]
+    held = [name for name in free if name not in fit.covariance["names"]]
+    text = f"The path determines {fit.rank} of {len(free) - len(held)} parameters"
+    text += f" ({', '.join(held)} at a bound not counted)." if held else "."
+    unseen = [name for name in free if fit.parameters[name].verdict == "not identifiable"]
+    if unseen:
+        text += (
+            f" {listed(unseen)} {'are' if len(unseen) > 1 else 'is'} not identifiable: "
+            "the path stays the same when "
+            + "; or when ".join(_change(item) for item in fit.null_directions)
+            + "."
+        )
+        text += _instead(fit, unseen)
+    weak = [name for name in free if fit.parameters[name].verdict == "weak"]
+    for reason in dict.fromkeys(fit.parameters[name].reason for name in weak):
+        alike = [name for name in weak if fit.parameters[name].reason == reason]
+        text += f" {listed(alike)} {'are' if len(alike) > 1 else 'is'} weakly determined"
+        text += f": {reason}." if reason else "."
+    if weak and not unseen:
+        text += _instead(fit, weak)
+    return text + "".join(f" {_remedy(fit, item)}" for item in fit.remedies)
+
+
+def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:
+    """What would determine some parameters, as a sentence."""
+    names, channels = remedy["parameters"], [_WORDS[name] for name in remedy["measure"]]
+    if channels:
+        also = listed(channels) if remedy["all"] else _either(channels)
+        return f"Measuring {also} as well would determine {listed(names)}."
+    text = f"Nothing else measured along this path would determine {listed(names)}"
+    own = [name for name in names if name in fit.coefficients]
+    if fit.law_class.origin or len(own) != 2:
+        return text + "."
+    return text + f"; `curlfit design --separate {own[0]},{own[1]}` looks for throws that would."
+
+
+def _either(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def _instead(fit: FitResult, names: list[str]) -> str:
+    """The combinations of some parameters that are determined, as a sentence."""
+    what = [item.expression for item in fit.combinations if set(item.weights) & set(names)]
+    return f" Only {listed(what)} {'are' if len(what) > 1 else 'is'} determined." if what else ""
+
+
+def outliers(fit: FitResult) -> str:
+    """The values far off the fit, by name, the farthest first."""
+    named = []
+    for item in fit.outliers[:_MOST_NAMED]:
+        line = "" if item["line"] is None else f" (line {item['line']})"
+        named.append(
+            f"{item['channel']} at {item['t']:g} s{line} by {item['off']:.3g} "
+            f"{UNITS[item['channel']]} ({item['sigmas']:.2g} sigma)"
+        )
+    more = len(fit.outliers) - len(named)
+    text = f"Outliers: {'; '.join(named)}"
+    return text + (f"; and {more} more (all in fit.json)." if more else ".")
+
+
+def _change(direction: dict[str, float]) -> str:
+    """A null direction as a change that goes unnoticed."""
+    parts = []
+    for name, weight in direction.items():
+        verb = "grows" if weight > 0 else "falls"
+        size = abs(weight)
+        by = "" if size == max(map(abs, direction.values())) else f" {size:.3g} times as much"
+        parts.append(f"{name} {verb}{by}")
+    if len(parts) == 2 and " times " not in "".join(parts):
+        return f"{parts[0]} and {parts[1]} by the same amount"
+    return listed(parts)
+
+
+def _posterior(found: Posterior) -> Text:
+    least = min(found.ess, key=found.ess.__getitem__)
+    worst = max(found.r_hat, key=found.r_hat.__getitem__)
+    slowest = max(found.autocorrelation_time.values())
+    text = Text("Posterior: ")
+    text.append(found.status, style="green" if found.converged else "bold yellow")
+    text.append(
+        f"; {found.samples} samples ({found.ensembles} ensembles, {found.walkers} walkers, "
+        f"{found.steps} steps), effective at least {found.ess[least]:.0f} ({least}), "
+        f"R-hat at most {found.r_hat[worst]:.4f} ({worst}), "
+        f"autocorrelation time {slowest:.1f} steps, acceptance {found.acceptance:.0%}."
+    )
+    return text

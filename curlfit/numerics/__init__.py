@@ -1,0 +1,1 @@
+"""JAX and what is computed with it whatever the subject: set-up, compiled programs, a solver."""

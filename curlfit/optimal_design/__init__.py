@@ -1,0 +1,1 @@
+"""`curlfit design`: throws that would tell most."""

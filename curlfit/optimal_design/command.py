@@ -1,0 +1,226 @@
+"""`curlfit design`: what a measurement would tell, before it is made."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from curlfit.options import flags as o
+from curlfit.options import settings as s
+
+_TRUTH = "What is taken to be true"
+_THROWS = "The throws"
+_RECORD = "The record"
+_UNMEASURED = "`none`: not measured."
+
+
+def design(
+    law: Annotated[
+        str | None,
+        typer.Option(
+            help="Friction law; `curlfit laws` lists them. [default: front-back]",
+            rich_help_panel=_TRUTH,
+        ),
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="A coefficient; the law's default if not set.",
+            metavar="N=V",
+            rich_help_panel=_TRUTH,
+        ),
+    ] = None,
+    fit: Annotated[
+        Path | None,
+        typer.Option(
+            help="A saved fit, whose law, coefficients, load and stone are taken instead.",
+            metavar="DIR",
+            rich_help_panel=_TRUTH,
+        ),
+    ] = None,
+    load: Annotated[
+        str | None,
+        typer.Option(
+            help="`uniform` or `consistent` (eq. 8-9). [default: uniform]", rich_help_panel=_TRUTH
+        ),
+    ] = None,
+    stone: o.StoneValues = None,
+    v0: Annotated[
+        str | None,
+        typer.Option(
+            help="Speeds to choose from, m/s. [default: 1.6,1.9,2.2]",
+            metavar="V,V",
+            rich_help_panel=_THROWS,
+        ),
+    ] = None,
+    omega0: Annotated[
+        str | None,
+        typer.Option(
+            help="Spins to choose from, rad/s, counter-clockwise positive. "
+            "[default: 0.5,1,2,5,10, from a draw to a hard spinner]",
+            metavar="V,V",
+            rich_help_panel=_THROWS,
+        ),
+    ] = None,
+    throws: Annotated[
+        int,
+        typer.Option(
+            help="How many throws are made: the best of those, each as often as is best.",
+            rich_help_panel=_THROWS,
+        ),
+    ] = 3,
+    rate: Annotated[
+        str,
+        typer.Option(help="Rows a second, Hz; or several.", metavar="V,V", rich_help_panel=_RECORD),
+    ] = "30",
+    until: Annotated[
+        float | None,
+        typer.Option(
+            help="Length of the record, s. [default: until the stone is at rest]",
+            metavar="S",
+            rich_help_panel=_RECORD,
+        ),
+    ] = None,
+    sigma_xy: Annotated[
+        str,
+        typer.Option(
+            help=f"Noise of x and y: 0.005, 5mm, 0.2in. {_UNMEASURED}",
+            metavar="V",
+            rich_help_panel=_RECORD,
+        ),
+    ] = "5mm",
+    sigma_phi: Annotated[
+        str,
+        typer.Option(
+            help=f"Noise of the angle: 0.01, 10mrad, 0.5deg. {_UNMEASURED}",
+            metavar="V",
+            rich_help_panel=_RECORD,
+        ),
+    ] = "10mrad",
+    sigma_speed: Annotated[
+        str,
+        typer.Option(
+            help="Noise of a speed that is measured itself.", metavar="V", rich_help_panel=_RECORD
+        ),
+    ] = "none",
+    sigma_omega: Annotated[
+        str,
+        typer.Option(
+            help="Noise of a spin that is measured itself.", metavar="V", rich_help_panel=_RECORD
+        ),
+    ] = "none",
+    separate: Annotated[
+        str | None,
+        typer.Option(
+            help="Two coefficients that are to be told apart. [default: two of which uniform load "
+            "shows only the sum]",
+            metavar="A,B",
+        ),
+    ] = None,
+    relative_error: Annotated[
+        float,
+        typer.Option(
+            help="That is wanted of their difference, or of their mean where they are equal.",
+            metavar="V",
+        ),
+    ] = 0.2,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("design"),
+    no_figures: o.NoFigures = False,
+    quiet: o.Quiet = False,
+) -> None:
+    """Before measuring: what would throws tell of a law's coefficients, and which tell most?
+
+    Every combination of speed, spin and rate is a throw to choose from. Each has a start of its
+    own, which is not known beforehand; the coefficients are common to all. Errors are those of
+    least squares (from the exact derivatives of the path), for noise that is independent from row
+    to row. Where two coefficients go together, it is said what precision, which throws or which
+    change to the stone would tell them apart.
+    Writes `design.json`, `design-map.png`, `design-errors.png` and, where two coefficients are to
+    be told apart and can be, `design-separate.png`.
+
+    Examples:
+
+    `curlfit design`: the front-back law, a camera over the ice, throws from draws to hard spinners
+
+    `curlfit design --rate 60 --sigma-xy 2mm --sigma-phi 0.2deg --v0 2.0,2.2 --omega0=-1.5,1.5`
+
+    `curlfit design --load consistent --separate mu1_eta,mu2_eta --stone h=0.1`
+
+    `curlfit design --fit throw-fit --until 12`: about the ice of a fitted throw
+    """  # fmt: skip
+    from curlfit.errors import InputError
+    from curlfit.output.files import prepared_folder
+
+    if fit is not None and law is not None:
+        raise InputError("--law and --fit: expected one of them")
+    kind = s.kind_of(fit) if fit is not None else "fit"
+    if kind != "fit":
+        raise InputError(f"{fit}: a result of curlfit {kind}; expected the fit of one throw")
+    sigma = {
+        name: s.with_unit(option, name, text)
+        for option, text, names in (
+            ("--sigma-xy", sigma_xy, ("x", "y")), ("--sigma-phi", sigma_phi, ("phi",)),
+            ("--sigma-speed", sigma_speed, ("speed",)), ("--sigma-omega", sigma_omega, ("omega",)),
+        )
+        if text.strip().lower() != "none"
+        for name in names
+    }  # fmt: skip
+    grid = {
+        name: s.numbers(f"--{name}", text)
+        for name, text in (("v0", v0), ("omega0", omega0), ("rate", rate))
+        if text is not None
+    }
+    pair = [name.strip() for name in separate.split(",")] if separate is not None else None
+    given = s.pairs("--set", set_ or ())
+    body = s.pairs("--stone", stone or ())
+
+    from curlfit.inference.fit.result import load_fit
+    from curlfit.stone import Stone
+
+    known = load_fit(fit) if fit is not None else None
+
+    from rich.console import Console
+
+    from curlfit.output.console import terminal
+
+    console = terminal(quiet=quiet)
+    errors = Console(stderr=True, quiet=quiet)
+    with errors.status("Reading") as status:
+
+        def told(text: str) -> None:
+            status.update(f"Computing {text} (a first run on a machine compiles the model)")
+
+        told("what each throw would tell")
+        from curlfit.optimal_design.design import design as planned
+
+        found = planned(
+            known or law or "front-back",
+            coefficients=given,
+            load=load,
+            stone=(known.stone if known else Stone()).with_values(body),
+            until=until,
+            sigma=sigma,
+            throws=throws,
+            separate=pair,
+            relative_error=relative_error,
+            progress=told,
+            **grid,
+        )
+    folder = prepared_folder(out)
+    written = [folder / "design.json"]
+    found.save(written[0])
+
+    from curlfit.optimal_design.figures import FILES, save_figures
+
+    for name in FILES:
+        (folder / f"{name}.png").unlink(missing_ok=True)
+    if not no_figures:
+        written += save_figures(found, folder)
+
+    from curlfit.optimal_design.report import print_design
+
+    print_design(found, console)
+    console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)

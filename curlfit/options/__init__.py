@@ -1,0 +1,1 @@
+"""Options that verbs share: flags, files of settings, what they ask for."""

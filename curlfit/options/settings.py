@@ -1,0 +1,247 @@
+"""What the user asked for: the data file's defaults, the configuration file, then the flags."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from curlfit.errors import DataError, InputError
+
+if TYPE_CHECKING:
+    from curlfit.inference.fit.result import FitResult
+    from curlfit.inference.mcmc.chain import Chain
+    from curlfit.stone import Stone
+    from curlfit.throws.throw import Throw
+
+HOW = ("format", "axes", "units", "reference", "stone_index", "shot")
+"""Settings that say how to read a file."""
+_KEYS = (
+    "law", "load", "until", "stone", "sigma", "fix", "bound", "start", "unbounded", "loss", "noise",
+    "seed", *HOW,
+)  # fmt: skip
+
+
+def pairs(option: str, items: Sequence[str]) -> dict[str, float]:
+    """`NAME=V[,NAME=V...]`, any number of times, as a dictionary."""
+    found: dict[str, float] = {}
+    for item in items:
+        for part in item.split(","):
+            name, equals, text = part.partition("=")
+            if not equals or not name.strip():
+                raise InputError(f"{option} {item}: expected NAME=VALUE")
+            if name.strip() in found:
+                raise InputError(f"{option}: {name.strip()} is given twice")
+            found[name.strip()] = number(option, name.strip(), text)
+    return found
+
+
+def intervals(option: str, items: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """`NAME=LO:HI`, any number of times; an empty end is infinite."""
+    found = {}
+    for item in items:
+        name, equals, text = item.partition("=")
+        low, colon, high = text.partition(":")
+        if not equals or not colon:
+            raise InputError(f"{option} {item}: expected NAME=LOW:HIGH")
+        found[name.strip()] = (
+            number(option, name, low) if low.strip() else -math.inf,
+            number(option, name, high) if high.strip() else math.inf,
+        )
+    return found
+
+
+def numbers(option: str, text: str) -> tuple[float, ...]:
+    """Finite numbers with commas between."""
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = (math.nan,)
+    if not all(map(math.isfinite, found)):
+        raise InputError(f"{option} {text.strip()}: expected numbers with commas between")
+    return found
+
+
+def with_unit(option: str, quantity: str, text: str) -> float:
+    """A number with a unit behind it, `5mm`, in SI; without one it is SI. `quantity` as "x"."""
+    size = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
+    if size is None:
+        raise InputError(
+            f"{option} {text.strip()}: expected a number, with a unit behind it if it is not SI"
+        )
+    from curlfit.throws.readers.columns import in_unit
+
+    unit = text[size.end() :].strip()
+    try:
+        return float(size[0]) * (in_unit(quantity, unit).factor if unit else 1.0)
+    except InputError as error:
+        raise InputError(f"{option} {text.strip()}: {error}") from None
+
+
+def number(option: str, name: str, text: str) -> float:
+    """A finite number from an option's text."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{option} {name}={text.strip()}: expected a number after '='")
+    return value
+
+
+def read_config(file: Path | None) -> dict[str, Any]:
+    """Settings from a TOML file; none without a file."""
+    if file is None:
+        return {}
+    try:
+        found = tomllib.loads(file.read_text())
+    except FileNotFoundError:
+        raise DataError("no such file", file=file) from None
+    except OSError as error:
+        raise DataError(f"cannot be read ({error.strerror})", file=file) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DataError(f"not a TOML file: {error}", file=file) from None
+    for key in found:
+        if key not in _KEYS:
+            raise DataError(
+                f"unknown setting {key!r}; the settings are {', '.join(_KEYS)}", file=file
+            )
+    if "bound" in found:
+        found["bound"] = {
+            name: _interval(file, name, value) for name, value in found["bound"].items()
+        }
+    return found
+
+
+def _interval(file: Path, name: str, value: Any) -> tuple[float, float]:
+    if isinstance(value, list) and len(value) == 2:
+        return float(value[0]), float(value[1])
+    raise DataError(f"bound.{name} = {value!r}; expected [low, high]", file=file)
+
+
+def merged(*layers: Mapping[str, Any]) -> dict[str, Any]:
+    """Later layers override earlier ones, tables entry by entry; None and {} say nothing."""
+    result: dict[str, Any] = {}
+    for layer in layers:
+        for key, value in layer.items():
+            if value is None:
+                continue
+            if isinstance(value, Mapping):
+                result[key] = {**result.get(key, {}), **value}
+            else:
+                result[key] = value
+    return result
+
+
+def checked(settings: dict[str, Any], origin: str) -> dict[str, Any]:
+    """Settings with their types made sure of, in words a user can act on."""
+    from curlfit.throws.readers.defaults import check_seed
+
+    for key in ("stone", "sigma", "fix", "start"):
+        for name, value in settings.get(key, {}).items():
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise InputError(f"{origin}: {key}.{name} = {value!r}; expected a number")
+    until = settings.get("until")
+    if until is not None and (
+        isinstance(until, bool) or not isinstance(until, int | float) or not math.isfinite(until)
+    ):
+        raise InputError(f"{origin}: until = {until!r}; expected a time in s")
+    for key in ("law", "load", "loss", "noise", "format", "axes", "units", "reference"):
+        if not isinstance(settings.get(key, ""), str):
+            raise InputError(f"{origin}: {key} = {settings[key]!r}; expected a text in quotes")
+    for key in ("stone_index", "shot"):
+        value = settings.get(key, 1)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise InputError(f"{origin}: {key} = {value!r}; expected a whole number from 1")
+    try:
+        check_seed(settings.get("seed", 0))
+    except InputError as error:
+        raise InputError(f"{origin}: {error}") from None
+    return settings
+
+
+def require_white(wanted: Mapping[str, Any], what: str) -> None:
+    """Raise `InputError` where noise is asked for that goes together from row to row."""
+    from curlfit.inference.noise.models import check_noise
+
+    if check_noise(wanted.get("noise", "white")) != "white":
+        raise InputError(f"noise {wanted['noise']}: {what} with white noise only")
+
+
+class Prepared(NamedTuple):
+    """A data file and what to do with it."""
+
+    throw: Throw
+    wanted: dict[str, Any]
+    stone: Stone
+
+
+def how_to_read(configured: Mapping[str, Any], flags: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of `load_throw` from the configuration and the flags."""
+    wanted = merged(configured, flags)
+    return {key: wanted[key] for key in HOW if key in wanted}
+
+
+def prepared(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Prepared:
+    """The throw and its settings: its own, then those of the configuration, then the flags.
+
+    Raises
+    ------
+    InputError : the data, a setting or a value cannot be used.
+    """
+    from curlfit.throws.readers import load_throw
+
+    configured = checked(read_config(config), str(config))
+    return settled(load_throw(data, **how_to_read(configured, flags)), configured, flags)
+
+
+def settled(throw: Throw, configured: Mapping[str, Any], flags: Mapping[str, Any]) -> Prepared:
+    """`prepared`, of a throw that was read."""
+    from curlfit.stone import Stone
+
+    wanted = merged(checked(throw.defaults, throw.name), configured, flags)
+    stone = Stone().with_values(wanted.get("stone", {}))
+    return Prepared(throw.with_sigma(wanted.get("sigma", {})), wanted, stone)
+
+
+def kind_of(folder: Path) -> str:
+    """What results a folder, or a file of them, holds, by the name of its JSON file."""
+    for kind in ("fit", "compare", "joint", "predict", "profile", "design"):
+        if folder.name == f"{kind}.json" or (folder / f"{kind}.json").is_file():
+            return kind
+    return "fit"
+
+
+def chain_beside(folder: Path) -> Path:
+    """The `chain.h5` in the folder of a fit, or beside its file."""
+    return (folder if folder.is_dir() else folder.parent) / "chain.h5"
+
+
+def fitted(folder: Path) -> tuple[FitResult, Chain | None]:
+    """The fit, and its chain where it was sampled to the end."""
+    from curlfit.inference.fit.result import load_fit
+
+    kind = kind_of(folder)
+    if kind != "fit":
+        what = {"joint": "several throws fitted together", "compare": "a comparison of laws"}
+        raise InputError(
+            f"{folder}: {what.get(kind, f'a result of curlfit {kind}')}; expected the fit of one "
+            "throw" + (f", such as {folder}/NAME" if kind == "joint" else "")
+        )
+    result = load_fit(folder)
+    file = chain_beside(folder)
+    if result.posterior is None or not file.is_file():
+        return result, None
+
+    from curlfit.inference.mcmc.chain import load_chain
+
+    return result, load_chain(file)
+
+
+def name_of(fit: Path) -> str:
+    """The name of a saved fit, for results made from it."""
+    own = fit.resolve()
+    return (own.parent if own.suffix == ".json" else own).name.removesuffix("-fit")

@@ -1,0 +1,56 @@
+"""Numbers, lists and tables as text."""
+
+from __future__ import annotations
+
+import math
+
+from curlfit.output.console import PlainTable
+
+STYLE = {
+    "determined": "green",
+    "weak": "yellow",
+    "not identifiable": "bold red",
+    "at bound": "yellow",
+    "fixed": "dim",
+}
+
+_HUGE = 1e9  # from which a number is written with a power of ten
+
+
+def plain_table(keys: int = 1) -> PlainTable:
+    """A table without lines; too wide for the terminal, the first `keys` columns are repeated."""
+    return PlainTable(keys)
+
+
+def number(value: float, stderr: float | None) -> tuple[str, str]:
+    """A value and its error as text, to two digits of the error."""
+    if stderr is None:
+        return f"{value:.6g}", "-"
+    if not stderr > 0:
+        return f"{value:.10g}", "0"
+    if _HUGE <= max(abs(value), stderr) < math.inf:
+        digits = 1 + max(math.floor(math.log10(max(abs(value), stderr) / stderr)), 0)
+        return f"{value:.{digits}e}", f"{stderr:.1e}"
+    digits = decimals(stderr)
+    return f"{value:.{digits}f}", f"{stderr:.{digits}f}"
+
+
+def compact(value: float, stderr: float | None) -> str:
+    """A value with its error in its last two digits, as 0.0556(12); the value alone without one."""
+    shown, error = number(value, stderr)
+    if "e" in error:
+        return f"{shown} +- {error}"
+    digits = error.replace(".", "").lstrip("0")
+    return shown if error == "-" or not digits else f"{shown}({digits})"
+
+
+def decimals(size: float) -> int:
+    """Decimal places that show two digits of `size`."""
+    if not (size > 0 and math.isfinite(size)):
+        return 6
+    return min(max(1 - math.floor(math.log10(size)), 0), 12)
+
+
+def listed(words: list[str]) -> str:
+    """Words as in "a, b and c"."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -1,0 +1,80 @@
+"""`curlfit reproduce`: the paper's claims, recomputed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from curlfit.paper.reproduce import Reproduction
+
+
+def reproduce(
+    out: Annotated[
+        Path, typer.Option(help="Folder for claims.json, claims.md and its figures.")
+    ] = Path("reproduction"),
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print claims.json in place of the table.")
+    ] = False,
+) -> None:
+    """Recompute every numbered claim of Ivanov and Shuvalov (2012) and say which hold.
+
+    Nothing is looked up: eq. 12 is differentiated, the ring is summed, the laws are fitted.
+    Takes about a minute on the first run of a machine.
+    """
+    from curlfit.output.files import prepared_folder, replaced
+
+    folder = prepared_folder(out)
+
+    from curlfit.output.console import terminal
+
+    console = terminal(quiet=quiet or as_json)
+    found = _computed(console)
+
+    from curlfit.output.figures import save_figure
+    from curlfit.paper.figures import FIGURES
+    from curlfit.paper.page import claims_table, page, verdicts
+
+    claims = json.dumps([claim.as_dict() for claim in found.claims], indent=1)
+    written = [folder / "claims.json", folder / "claims.md"]
+    for file, text in zip(written, (claims + "\n", page(found)), strict=True):
+        with replaced(file) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    for name, figure in FIGURES.items():
+        written.append(folder / f"{name}.png")
+        save_figure(figure(found), written[-1])
+    if as_json and not quiet:
+        typer.echo(claims)
+    console.print(claims_table(found.claims))
+    console.print(verdicts(found.claims))
+    console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+
+
+def _computed(console: Console) -> Reproduction:
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        disable=console.quiet or not console.is_terminal,
+        transient=True,
+    ) as progress:
+        task = progress.add_task("compiling", total=None)
+
+        def told(part: str, done: int, total: int) -> None:
+            progress.update(task, description=part, completed=done, total=total)
+
+        report: Callable[[str, int, int], None] = told
+
+        from curlfit.paper.reproduce import reproduce
+
+        return reproduce(progress=report)

@@ -1,0 +1,454 @@
+"""Claims about friction at a point and the load it brings about: Prop. 1-4.
+
+Each is examined over a grid of speeds, spins of both senses and coefficients, under the dynamically
+consistent load. A state where no load with n >= 0 balances the friction (the stone would tip) is
+no state of the model and is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from curlfit.dynamics.contact import accelerations, consistent_load, panels
+
+# isort: split
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+from curlfit.friction import LAWS, LocalLaw, RingPoint, coefficient
+from curlfit.friction.isotropic import Coulomb, Power, Stribeck
+from curlfit.paper.claim import Claim
+from curlfit.stone import GRAVITY, Stone
+
+Floats = NDArray[np.float64]
+
+STONE = Stone(R=0.065, h=0.057)
+_EVEN = 2 * np.pi * np.arange(16) / 16  # rad; a linear load is summed exactly there
+_BATCH = 4096  # states in one call of the compiled program
+
+
+class SpeedMixture(LocalLaw):
+    """A function of the sliding speed that may rise, fall, or do one after the other.
+
+    It has no name, so it is no law of the program's list; it serves Prop. 3's "any function".
+    """
+
+    level: float = coefficient(0.01, "constant part")
+    rise: float = coefficient(0.0, "growth with the speed", unit="s/m")
+    drop: float = coefficient(0.0, "part that decays with the speed")
+    hump: float = coefficient(0.0, "part that rises and then decays")
+    scale: float = coefficient(0.5, "speed of the decay", unit="m/s")
+
+    def traction(self, point: RingPoint) -> tuple[Any, Any]:
+        """Friction against sliding, with mu a function of the speed."""
+        s = point.speed / self.scale
+        decay = jnp.exp(-s)
+        mu = self.level + self.rise * point.speed + (self.drop + self.hump * s**2) * decay
+        return -mu * point.e_xi, -mu * point.e_eta
+
+
+jax.tree_util.register_dataclass(
+    SpeedMixture, data_fields=[item.name for item in SpeedMixture.coefficients()], meta_fields=[]
+)
+
+
+class States(NamedTuple):
+    """The ring under consistent load, in many states of motion; NaN where there is no such load."""
+
+    v: Any
+    """speed of the centre, m/s"""
+    omega: Any
+    """spin, 1/s"""
+    t_xi: Any
+    """force to the right over the weight"""
+    t_eta: Any
+    """force along the motion over the weight"""
+    spin_up: Any
+    """angular acceleration, rad/s^2"""
+    n1: Any
+    """load slope to the right times R over n0 (eq. 9)"""
+    n2: Any
+    """load slope forward times R over n0"""
+    m_xi: Any
+    """moment M_N of the load about the axis to the right, over the weight, m"""
+    m_eta: Any
+    """the same about the axis along the motion"""
+    least: Any
+    """least coefficient of friction on the ring, against the sliding"""
+
+    @property
+    def exists(self) -> NDArray[np.bool_]:
+        """Where a consistent load exists."""
+        return np.isfinite(self.t_xi)
+
+    @property
+    def right(self) -> Floats:
+        """Force to the right of a counter-clockwise stone; mirrored for a clockwise one."""
+        return self.t_xi * np.sign(self.omega)
+
+    @property
+    def epsilon(self) -> Floats:
+        """`R |omega|/v`."""
+        return STONE.R * np.abs(self.omega) / self.v
+
+
+@jax.jit
+def _ring(law: Any, v: Array, omega: Array) -> States:
+    def one(law: Any, v: Array, omega: Array) -> States:
+        moved = accelerations(law, STONE, "consistent", v, omega)
+        n1, n2 = consistent_load(law, STONE, v, omega)
+        least = jnp.asarray(jnp.inf)
+        for points, _ in panels(law, v, STONE.R * omega, jnp.zeros(()), jnp.zeros(())):
+            load = 1 + n1 * points.xi + n2 * points.eta
+            along_xi, along_eta = law.traction(points._replace(load=load))
+            mu = -(along_xi * points.e_xi + along_eta * points.e_eta)
+            least = jnp.minimum(least, mu.min())
+        load = 1 + n1 * np.cos(_EVEN) + n2 * np.sin(_EVEN)
+        m_xi = STONE.R * (load * np.sin(_EVEN)).mean()  # eq. 2: r x k n
+        m_eta = -STONE.R * (load * np.cos(_EVEN)).mean()
+        return States(
+            v, omega, moved.xi / GRAVITY, moved.eta / GRAVITY, moved.angular, n1, n2,
+            m_xi, m_eta, least,
+        )  # fmt: skip
+
+    return jax.vmap(one)(law, v, omega)
+
+
+def ring_states(law: type[LocalLaw], values: Floats, v: Floats, omega: Floats) -> States:
+    """The ring in many states.
+
+    Parameters
+    ----------
+    law : a local law. values : its coefficients, shape (n, coefficients).
+    v, omega : speed (m/s) and spin (1/s), shape (n,).
+    """
+    n = len(v)
+    found = []
+    for begin in range(0, n, _BATCH):
+        rows = np.minimum(np.arange(begin, begin + _BATCH), n - 1)  # one shape, one program
+        columns = [jnp.asarray(values[rows, place]) for place in range(values.shape[1])]
+        states = _ring(law.from_vector(columns), jnp.asarray(v[rows]), jnp.asarray(omega[rows]))
+        found.append([np.asarray(item) for item in states])
+    return States(*(np.concatenate(parts)[:n] for parts in zip(*found, strict=True)))
+
+
+def over_grid(
+    law: type[LocalLaw], coefficients: Sequence[Sequence[float]], v: Floats, omega: Floats
+) -> tuple[States, Floats]:
+    """States for every set of coefficients, speed and spin; and the coefficients of each."""
+    rows = len(v) * len(omega)
+    speeds = np.tile(np.repeat(v, len(omega)), len(coefficients))
+    spins = np.tile(omega, len(v) * len(coefficients))
+    values = np.repeat(np.array(coefficients, float), rows, axis=0)
+    return ring_states(law, values, speeds, spins), values
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What a set of states did.
+
+    Attributes
+    ----------
+    states : with a consistent load. left : of these, deviating to the left for counter-clockwise
+    spin. slow, slow_left : the same for |epsilon| < 1, where the instant centre of velocities lies
+    outside the base. speeds_up : states with T_eta > 0. remark : deviating to the left with
+    n1 > 0, n2 < 0 (n1 mirrored for clockwise spin), T_eta > 0 and the rotation slowing.
+    range : least and greatest force to the right over the weight.
+    """
+
+    states: int
+    left: int
+    slow: int
+    slow_left: int
+    speeds_up: int
+    remark: int
+    range: tuple[float, float]
+
+    @classmethod
+    def of(cls, states: States, where: NDArray[np.bool_] | None = None) -> Tally:
+        """Count the states that exist, or those of them in `where`."""
+        use = states.exists if where is None else states.exists & where
+        left, slow = use & (states.right < 0), use & (states.epsilon < 1)
+        speeds_up = use & (states.t_eta > 0)
+        tilted = (states.n1 * np.sign(states.omega) > 0) & (states.n2 < 0)
+        remark = left & speeds_up & tilted & (states.spin_up * states.omega < 0)
+        return cls(
+            states=int(use.sum()),
+            left=int(left.sum()),
+            slow=int(slow.sum()),
+            slow_left=int((slow & left).sum()),
+            speeds_up=int(speeds_up.sum()),
+            remark=int(remark.sum()),
+            range=(float(states.right[use].min()), float(states.right[use].max())),
+        )
+
+
+@dataclass(frozen=True)
+class Example:
+    """One state in which the excepted deviation to the left was found.
+
+    Coefficients by name; v in m/s, omega in 1/s; forces to the right and forward over the weight;
+    least is the least coefficient of friction on the ring.
+    """
+
+    coefficients: dict[str, float]
+    v: float
+    omega: float
+    t_xi: float
+    t_eta: float
+    least: float
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Force over weight against spin at 2 m/s: omega in 1/s, t_xi, t_eta, and least mu.
+
+    The label is LaTeX but for the word mu.
+    """
+
+    label: str
+    omega: Floats
+    t_xi: Floats
+    t_eta: Floats
+    least: Floats
+
+
+@dataclass(frozen=True)
+class IsotropicFindings:
+    """What the grids showed.
+
+    Attributes
+    ----------
+    laws : number of local laws behind the next three. triple_states : states examined.
+    orthogonality : largest |cos| of the angle between T and M_N. handedness : least
+    (T x M_N).k/(|T| |M_N|), 1 for a right triple. arm : largest relative gap between |M_N| and
+    h |T|.
+    coulomb : Prop. 2. power : Prop. 3 for powers of the speed, by exponent. mixture : Prop. 3 for
+    functions that rise and fall. mixture_example, power_example : deviations to the left.
+    stribeck : Prop. 4, by case, where mu > 0 on the whole ring. negative : the same where mu < 0
+    somewhere. stribeck_example : of case (ii), mu > 0.
+    curves : for the figure.
+    """
+
+    laws: int
+    triple_states: int
+    orthogonality: float
+    handedness: float
+    arm: float
+    coulomb: Tally
+    power: dict[float, Tally]
+    power_example: Example
+    mixture: Tally
+    mixture_example: Example
+    stribeck: dict[str, Tally]
+    negative: dict[str, Tally]
+    stribeck_example: Example
+    curves: tuple[Curve, ...]
+
+    @property
+    def power_total(self) -> tuple[int, int, int]:
+        """States, states with |epsilon| < 1, and deviations to the left, over all exponents."""
+        tallies = self.power.values()
+        return (
+            sum(one.states for one in tallies),
+            sum(one.slow for one in tallies),
+            sum(one.left for one in tallies),
+        )
+
+
+SPEEDS = np.geomspace(0.05, 4.0, 16)
+"""m/s"""
+SPINS = np.concatenate([-np.geomspace(0.02, 200.0, 28)[::-1], np.geomspace(0.02, 200.0, 28)])
+"""1/s"""
+EXPONENTS = (-3.0, -2.0, -1.5, -1.1, -0.9, -0.5, -0.25, 0.5, 1.0, 2.0)
+CASES = {
+    "i": [(a, b) for a in (0.002, 0.01, 0.03) for b in (0.0005, 0.002, 0.01)],
+    "ii": [(a, -b) for a in (0.005, 0.01, 0.02, 0.05) for b in (0.0002, 0.001, 0.004)],
+    "iii": [(-a, b) for a in (0.001, 0.005, 0.01) for b in (0.002, 0.01, 0.03)],
+}
+"""(mu0, mu1) of the cases of Prop. 4, mu1 in s/m."""
+
+
+def study_isotropic() -> IsotropicFindings:
+    """Examine Prop. 1-4 over their grids."""
+    laws = [law for law in LAWS.values() if issubclass(law, LocalLaw) and law.shipped()]
+    triples = []
+    for law in laws:
+        defaults = tuple(item.default for item in law.coefficients())
+        triples.append(over_grid(law, [defaults], SPEEDS, SPINS)[0])
+    cosine, handed, arm = zip(*map(_triple, triples), strict=True)
+
+    coulomb, _ = over_grid(Coulomb, [(mu,) for mu in (0.002, 0.01, 0.05, 0.2)], SPEEDS, SPINS)
+    powers = {
+        k: over_grid(Power, [(mu, k) for mu in (0.002, 0.01, 0.03)], SPEEDS, SPINS)
+        for k in EXPONENTS
+    }
+    gentlest = max(k for k, (states, _) in powers.items() if (states.right < 0).any())
+    mixture, drawn = _mixtures(2 * _BATCH)
+    cases = {name: over_grid(Stribeck, sets, SPEEDS, SPINS) for name, sets in CASES.items()}
+    positive = {name: states.least > 0 for name, (states, _) in cases.items()}
+    return IsotropicFindings(
+        laws=len(laws),
+        triple_states=sum(int(states.exists.sum()) for states in triples),
+        orthogonality=max(cosine),
+        handedness=min(handed),
+        arm=max(arm),
+        coulomb=Tally.of(coulomb),
+        power={k: Tally.of(states) for k, (states, _) in powers.items()},
+        power_example=_leftmost(Power, *powers[gentlest]),
+        mixture=Tally.of(mixture),
+        mixture_example=_leftmost(SpeedMixture, mixture, drawn),
+        stribeck={name: Tally.of(states, positive[name]) for name, (states, _) in cases.items()},
+        negative={
+            name: Tally.of(states, ~positive[name])
+            for name, (states, _) in cases.items()
+            if (states.exists & ~positive[name]).any()
+        },
+        stribeck_example=_leftmost(Stribeck, *cases["ii"], where=positive["ii"]),
+        curves=_curves(),
+    )
+
+
+def _triple(states: States) -> tuple[float, float, float]:
+    """Largest |cos(T, M_N)|, least sine of the turn from T to M_N, largest gap of |M_N| = h |T|."""
+    use = states.exists
+    t = np.stack([states.t_xi, states.t_eta])[:, use]
+    m = np.stack([states.m_xi, states.m_eta])[:, use]
+    size, moment = np.hypot(*t), np.hypot(*m)
+    cosine = np.abs((t * m).sum(0)) / (size * moment)
+    turn = (t[0] * m[1] - t[1] * m[0]) / (size * moment)
+    arm = np.abs(moment / (STONE.h * size) - 1)
+    return float(cosine.max()), float(turn.min()), float(arm.max())
+
+
+def _mixtures(n: int) -> tuple[States, Floats]:
+    """Random functions of the speed at random speeds and spins of both senses."""
+    random = np.random.default_rng(1)
+    level = 10 ** random.uniform(-4, -2, n)
+    others = 10 ** random.uniform(-4, -1.5, (3, n)) * (random.random((3, n)) < 0.6)
+    values = np.stack([level, *others, 10 ** random.uniform(-1, 0.5, n)], 1)
+    v = 10 ** random.uniform(-1, 0.6, n)
+    omega = 10 ** random.uniform(-1, 2.3, n) * random.choice([-1.0, 1.0], n)
+    return ring_states(SpeedMixture, values, v, omega), values
+
+
+def _leftmost(
+    law: type[LocalLaw],
+    states: States,
+    values: Floats,
+    where: NDArray[np.bool_] | None = None,
+) -> Example:
+    """The state of a counter-clockwise stone that is pushed furthest to the left."""
+    use = states.exists & (states.omega > 0) if where is None else states.exists & where
+    row = int(np.argmin(np.where(use & (states.omega > 0), states.t_xi, np.inf)))
+    names = [item.name for item in law.coefficients()]
+    return Example(
+        dict(zip(names, map(float, values[row]), strict=True)),
+        *(
+            float(item[row])
+            for item in (states.v, states.omega, states.t_xi, states.t_eta, states.least)
+        ),
+    )
+
+
+def _curves() -> tuple[Curve, ...]:
+    near = np.linspace(29, 50, 211)  # where signs change
+    omega = np.union1d(np.geomspace(0.3, 200, 120), [1.0, 10.0, *near, 100.0])
+    wanted: list[tuple[str, type[LocalLaw], tuple[float, ...]]] = [
+        ("mu = 0.01", Coulomb, (0.01,)),
+        ("mu = 0.008 |v|^{-0.5} (Penner)", Power, (0.008, -0.5)),
+        ("mu = 0.008 |v|^{-1.5}", Power, (0.008, -1.5)),
+        ("(i) mu = 0.01 + 0.002 |v| n0/n", Stribeck, (0.01, 0.002)),
+        ("(ii) mu = 0.02 - 0.004 |v| n0/n", Stribeck, (0.02, -0.004)),
+        ("(iii) mu = -0.01 + 0.01 |v| n0/n", Stribeck, (-0.01, 0.01)),
+    ]
+    found = []
+    for label, law, values in wanted:
+        states, _ = over_grid(law, [values], np.array([2.0]), omega)
+        found.append(Curve(label, omega, states.t_xi, states.t_eta, states.least))
+    return tuple(found)
+
+
+def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
+    """Prop. 1-4, by id."""
+    exact = found.orthogonality < 1e-8 and found.handedness > 1 - 1e-8 and found.arm < 1e-8
+    c = found.coulomb
+    n_power, n_slow, n_left = found.power_total
+    lefts = [k for k, tally in found.power.items() if tally.left]
+    rights = [k for k, tally in found.power.items() if not tally.left]
+    mixed = found.mixture
+    slow_left = sum(tally.slow_left for tally in found.power.values()) + mixed.slow_left
+    remark = sum(tally.remark for tally in found.power.values()) + mixed.remark
+    left = n_left + mixed.left
+    example, other = found.power_example, found.stribeck_example
+    one, two, three = (found.stribeck[name] for name in ("i", "ii", "iii"))
+    below = found.negative["iii"]
+    fine = (
+        one.left == 0
+        and two.slow_left == 0
+        and 0 < two.left == two.remark == two.speeds_up
+        and three.left == three.states
+        and three.speeds_up == 0
+    )
+    claims = [
+        Claim(
+            "prop1",
+            "T, M_N, k are a right triple; |M_N| = h |T|",
+            "for any friction law",
+            f"|cos(T, M_N)| <= {found.orthogonality:.0e}, right-handed in all of "
+            f"{found.triple_states} states of {found.laws} laws; |M_N|/(h |T|) = 1 within "
+            f"{found.arm:.0e}",
+            "holds" if exact else "does not hold",
+            "The balance of moments (eq. 8) leaves the load no other choice; what is left is the "
+            "precision of the solution.",
+        ),
+        Claim(
+            "prop2",
+            "constant mu",
+            "deviates to the right",
+            f"right in {c.states - c.left} of {c.states} states, T_xi = {c.range[0]:.1e} .. "
+            f"{c.range[1]:.1e} of the weight",
+            "holds" if c.left == 0 and c.range[0] > 0 else "does not hold",
+            "Friction loads the front more (n2 > 0), where a counter-clockwise ring slides to "
+            "the left and is pushed right; mu from 0.002 to 0.2, spins to 200 1/s of both senses.",
+        ),
+        Claim(
+            "prop3",
+            "mu any function of v(A)",
+            "right while |eps| < 1; left possible for fast spin, then n1 > 0, n2 < 0, sliding "
+            "speeds up",
+            f"right in all {n_slow + mixed.slow} states with |eps| < 1; of "
+            f"{n_power + mixed.states - n_slow - mixed.slow} faster ones {left} left, all with "
+            "n1 > 0, n2 < 0, speeding up",
+            "holds" if slow_left == 0 and 0 < left == remark else "does not hold",
+            f"Among powers of v, exponents {_listed(lefts)} deviate to the left beyond |eps| = 1 "
+            f"and {_listed(rights)} never do; so at v^{example.coefficients['k']:g}, "
+            f"v = {example.v:.2g} m/s, omega = {example.omega:.2g} 1/s: "
+            f"T_xi = {example.t_xi:.1e}, T_eta = {example.t_eta:+.1e} of the weight.",
+        ),
+        Claim(
+            "prop4",
+            "mu = mu0 + mu1 v/n, eq. 11",
+            "(i) right; (ii) right, or left with speeding up if fast; (iii) left, slowing down",
+            f"(i) right in {one.states - one.left} of {one.states}; (ii) right in "
+            f"{two.slow - two.slow_left} of {two.slow} with |eps| < 1, left in {two.left} faster "
+            f"ones, {two.speeds_up} speed up; (iii) left and slowing in {three.left} of "
+            f"{three.states}",
+            "holds" if fine else "does not hold",
+            "It needs mu > 0 on the whole ring, as in the states counted; where (iii) makes mu "
+            f"negative somewhere, {below.states - below.left} of {below.states} states deviate to "
+            f"the right; a case of (ii): mu0 = {other.coefficients['mu0']:g}, "
+            f"mu1 = {other.coefficients['mu1']:g} s/m, v = {other.v:.2g} m/s, "
+            f"omega = {other.omega:.0f} 1/s.",
+        ),
+    ]
+    return {claim.id: claim for claim in claims}
+
+
+def _listed(numbers: list[float]) -> str:
+    return ", ".join(f"{number:g}" for number in numbers)

@@ -1,0 +1,63 @@
+"""All claims in their order, with what they rest on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from curlfit.paper.claim import Claim
+from curlfit.paper.eq28 import Eq28Findings, eq_28_claims, study_eq_28
+from curlfit.paper.isotropic import IsotropicFindings, isotropic_claims, study_isotropic
+from curlfit.paper.kinematics import PathFindings, path_claims, study_path
+from curlfit.paper.ring import RingFindings, ring_claims, study_ring
+
+ORDER = (
+    "eq13", "eq14x", "eq14y", "prop1", "prop2", "prop3", "prop4", "prop5", "eq15-17",
+    "eq23", "eq24-l1", "eq24-l2", "eq24-l3", "eq27", "eq28", "ratio", "split",
+)  # fmt: skip
+"""Ids of the claims, in the order of the table."""
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """The paper's claims recomputed, and the numbers and series behind them."""
+
+    claims: tuple[Claim, ...]
+    path: PathFindings
+    isotropic: IsotropicFindings
+    ring: RingFindings
+    eq28: Eq28Findings
+
+    def claim(self, name: str) -> Claim:
+        """The claim of that id."""
+        return {claim.id: claim for claim in self.claims}[name]
+
+
+def reproduce(progress: Callable[[str, int, int], None] | None = None) -> Reproduction:
+    """Recompute every numbered claim of Ivanov and Shuvalov (2012) from the model.
+
+    Parameters
+    ----------
+    progress : called before each part with what it is about, and how many of how many are done.
+    """
+
+    def now(part: str, done: int) -> None:
+        if progress is not None:
+            progress(part, done, 4)
+
+    now("eq. 12 and its derivatives", 0)
+    path = study_path()
+    now("isotropic friction (Prop. 1-4)", 1)
+    isotropic = study_isotropic()
+    now("anisotropic friction (eq. 23-27)", 2)
+    ring = study_ring(path.motion)
+    now("eq. 28", 3)
+    eq28 = study_eq_28(path)
+    now("done", 4)
+    claims = (
+        path_claims(path)
+        | isotropic_claims(isotropic)
+        | ring_claims(ring)
+        | eq_28_claims(eq28, ring)
+    )
+    return Reproduction(tuple(claims[name] for name in ORDER), path, isotropic, ring, eq28)

@@ -1,0 +1,1 @@
+"""`curlfit predict`: a fit carried on to rest, or to another throw."""

@@ -1,0 +1,191 @@
+"""`curlfit predict`: prediction of a throw."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from curlfit.options import reading as r
+from curlfit.options import settings as s
+
+_START = "Another throw: how it starts (what is not given is as in the fitted throw)"
+_GOAL = "Another throw: where it is to go (speed and heading are found)"
+_CHECK = "Comparing with measured rows"
+
+
+def predict(
+    fit: Annotated[
+        Path,
+        typer.Argument(
+            help="A saved fit: its folder, or the fit.json in it.",
+            metavar="FIT",
+            show_default=False,
+        ),
+    ],
+    v0: Annotated[float | None, typer.Option(help="Speed, m/s.", rich_help_panel=_START)] = None,
+    omega0: Annotated[
+        float | None,
+        typer.Option(help="Spin, rad/s, counter-clockwise positive.", rich_help_panel=_START),
+    ] = None,
+    heading: Annotated[
+        float | None,
+        typer.Option(
+            help="Direction, rad, from +y toward +x. [default: 0, along the sheet]",
+            rich_help_panel=_START,
+        ),
+    ] = None,
+    x0: Annotated[
+        float | None,
+        typer.Option(
+            help="Place, m right of the centre line. [default: 0]", rich_help_panel=_START
+        ),
+    ] = None,
+    y0: Annotated[
+        float | None,
+        typer.Option(
+            help="Place, m from the hack thrown from. [default: that of --from]",
+            rich_help_panel=_START,
+        ),
+    ] = None,
+    phi0: Annotated[
+        float | None,
+        typer.Option(help="Angle of the stone, rad. [default: 0]", rich_help_panel=_START),
+    ] = None,
+    line: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            help="Line on which the throw starts: `hack`, `back`, `tee`, `hog` (the near ones), "
+            "`centre` or `far-hog`; or `data`: where the data do, which count from the hack. "
+            "[default: hog; data for the fitted throw where its file says what it counts from]",
+            metavar="LINE",
+        ),
+    ] = None,
+    to_tee: Annotated[
+        bool, typer.Option("--to-tee", help="To rest on the tee.", rich_help_panel=_GOAL)
+    ] = False,
+    weight: Annotated[
+        str | None,
+        typer.Option(
+            help="`draw`: rests on the tee line; `guard`: rests halfway between hog line and "
+            "house, 4.115 m before the tee line; `takeout`: passes the tee line at 1.5 m/s. On the "
+            "centre line, or with --heading wherever that leads.",
+            metavar="NAME",
+            rich_help_panel=_GOAL,
+        ),
+    ] = None,
+    tee_speed: Annotated[
+        float | None,
+        typer.Option(help="Of a takeout, m/s. [default: 1.5]", rich_help_panel=_GOAL),
+    ] = None,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            help="To rest at this place, m from the tee: right, beyond. Write --target=-0.5,1 "
+            "where the first number is negative.",
+            metavar="X,Y",
+            rich_help_panel=_GOAL,
+        ),
+    ] = None,
+    check: Annotated[
+        Path | None,
+        typer.Option(
+            help="The data of the fitted throw: rows later than those fitted are compared.",
+            metavar="DATA",
+            rich_help_panel=_CHECK,
+        ),
+    ] = None,
+    format: r.Format = None,
+    axes: r.Axes = None,
+    units: r.Units = None,
+    reference: r.Reference = None,
+    stone_index: r.StoneIndex = None,
+    shot: r.Shot = None,
+    draws: Annotated[int, typer.Option(help="Number of draws from the posterior.")] = 1000,
+    seed: Annotated[int, typer.Option(help="Of the draws.", min=0)] = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the results. [default: the fit's name with -predict]"),
+    ] = None,
+    no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Predict a throw: where the stone goes and comes to rest, and how sure that is.
+
+    Without options: the fitted throw, carried to rest. With a start or a goal: another throw on the
+    same ice, taken to start on the near hog line with the spin of the fitted one. Bands hold the
+    errors of the parameters and, apart from these, the model discrepancy: what the law misses.
+    Writes `predict.json`, `predict.csv` (the path with its bands) and `predict.png`.
+
+    Examples:
+
+    `curlfit predict throw-fit --v0 2.2 --omega0 -1.5`: the path of another throw
+
+    `curlfit predict throw-fit --to-tee`: how to throw a draw to the button
+
+    `curlfit predict throw-fit --target=-0.6,0.3`: to rest left of the tee and behind it
+
+    `curlfit fit a.csv --until 12`, then `curlfit predict a-fit --check a.csv`: was it right?
+    """
+    from curlfit.errors import InputError
+    from curlfit.output.files import prepared_folder, replaced
+
+    start = {
+        name: value
+        for name, value in {
+            "x0": x0, "y0": y0, "heading": heading, "v0": v0, "phi0": phi0, "omega0": omega0,
+        }.items()
+        if value is not None
+    }  # fmt: skip
+    goals = [bool(to_tee), weight is not None, target is not None]
+    if sum(goals) > 1:
+        raise InputError("--to-tee, --weight and --target: expected one of them")
+    place = (0.0, 0.0) if to_tee else None if target is None else _place(target)
+    result, chain = s.fitted(fit)
+    throw = None
+    if check is not None:
+        from curlfit.throws.readers import load_throw
+
+        how = s.how_to_read({}, r.how(format, axes, units, reference, stone_index, shot))
+        throw = load_throw(check, **how)
+
+    from curlfit.output.console import terminal
+
+    console = terminal(quiet=quiet)
+    with console.status("Following the draws to rest (a first run on a machine compiles them)"):
+        from curlfit.prediction.predict import predict as prediction_of
+
+        found = prediction_of(
+            result, chain, start=start, line=line, target=place, weight=weight,
+            tee_speed=tee_speed, draws=draws, seed=seed, check=throw,
+        )  # fmt: skip
+    folder = prepared_folder(out or Path(f"{s.name_of(fit)}-predict"))
+    written = [folder / "predict.json", folder / "predict.csv"]
+    found.save(written[0])
+    with replaced(written[1]) as temporary:
+        temporary.write_text(found.table())
+    if no_figures:
+        (folder / "predict.png").unlink(missing_ok=True)
+    else:
+        from curlfit.output.figures import save_figure
+        from curlfit.prediction.figures import prediction_figure
+
+        written.append(folder / "predict.png")
+        save_figure(prediction_figure(found), written[2])
+
+    from curlfit.prediction.report import print_prediction
+
+    print_prediction(found, console)
+    console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+
+
+def _place(text: str) -> tuple[float, float]:
+    from curlfit.errors import InputError
+
+    parts = text.split(",")
+    if len(parts) != 2:
+        raise InputError(f"--target {text}: expected X,Y in m from the tee")
+    x, y = (s.number("--target", name, part) for name, part in zip("XY", parts, strict=True))
+    return x, y

@@ -1,0 +1,282 @@
+"""Predictions as frozen records, and their versioned form in JSON and CSV."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.errors import DataError
+from curlfit.output.files import Migration, known, read_json, strict, write_json
+from curlfit.sheet import TEE
+from curlfit.stone import Stone
+
+Floats = NDArray[np.float64]
+
+SCHEMA = 1
+MIGRATIONS: dict[int, Migration] = {}
+_SERIES = ("series", "band", "measured")
+QUANTITIES = {
+    "rest_x": ("rests right of centre line", "m"),
+    "rest_y": ("rests beyond tee line", "m"),
+    "rest_to_tee": ("rests from the tee", "m"),
+    "curl": ("curls to the right", "m"),
+    "turns": ("turns counter-clockwise", ""),
+    "time": ("time to rest", "s"),
+    "hog_to_hog": ("hog line to hog line", "s"),
+    "hog_to_tee": ("near hog line to tee line", "s"),
+    "hog_to_rest": ("far hog line to rest", "s"),
+    "speed_at_hog": ("speed at near hog line", "m/s"),
+    "speed_at_far_hog": ("speed at far hog line", "m/s"),
+    "speed_at_tee": ("speed at tee line", "m/s"),
+}
+"""What is predicted besides the path: meaning and unit by name. Curl is the distance of the resting
+place from the line of delivery, the straight line along the first velocity."""
+CHANCES = {
+    "in the house": "rests in the house or touches it",
+    "short of the hog line": "does not get over the far hog line and is removed",
+    "through the house": "passes the back line and is out of play",
+}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A predicted number.
+
+    Attributes
+    ----------
+    value : for the best estimate; NaN where that throw has none (it never reaches the line).
+    parameter_sd, model_sd : from the errors of the parameters, standard deviation, and of the law,
+        root mean square of what it makes of the parameters' draws.
+    quantiles : of both together, keys "2.5", "16", "50", "84", "97.5".
+    share : of the draws that have it.
+    """
+
+    value: float
+    unit: str
+    parameter_sd: float
+    model_sd: float
+    quantiles: dict[str, float]
+    share: float
+
+    @property
+    def sd(self) -> float:
+        """Size of both errors together."""
+        return math.hypot(self.parameter_sd, self.model_sd)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A prediction beside measured rows that the fit had not seen.
+
+    Attributes
+    ----------
+    file, first, last : where the rows came from, first and last time (s, the clock of the data).
+    channels : by channel "rows", "rms" of measured - predicted, "inside_68" and "inside_95" (share
+        of rows within the bands, noise included), "end" (measured - predicted at its last row) and
+        "end_sd" (what was predicted for that difference).
+    observed : t (s since the start) and the channels, on the sheet.
+    """
+
+    file: str
+    first: float
+    last: float
+    channels: dict[str, dict[str, float]]
+    observed: dict[str, Floats]
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A predicted throw. `save` writes it, `load_prediction` reads it.
+
+    Attributes
+    ----------
+    law, load, stone, fit : what was fitted to what; `fit` has "file", "rows", "from", "to".
+    start : by name (x0 y0 heading v0 phi0 omega0) "value", "unit" and "origin" ("given", "fitted",
+        "default", "found").
+    of : "fitted" for the fitted throw carried on, "new" for another one.
+    line : the line on which it starts, "data" for where the data do, "" for a place given.
+    goal : None, or "words", "x", "y" (m from the tee; x None where not aimed at), "speed".
+    draws : "number", "used", "source" ("chain" or "covariance"), "seed".
+    misfit : accelerations that the law misses (model discrepancy).
+    series : t (s since the start) and x, y, phi, speed, omega of the best estimate; of x, y, phi
+        also "x_parameter_sd", "x_model_sd" and the quantiles "x_2.5" ...
+    band : x as a function of y: "y", "x" and "x_2.5" ..., where at least half of the draws pass.
+    rest : "mean" of the resting place and "parameter", "model", "both": mean products of its
+        errors from the parameters, from the law (about zero), and together (m^2).
+    quantities : by name, see `QUANTITIES`.
+    chances : by name, shares of the draws.
+    sensitivity : by name of the start, the change of the resting place (m right, m along) by "by".
+    warnings : what the reader has to mind. notes : what else there is to say.
+    check : None, or how measured rows compare.
+    measured : t (s since the start), x, y of the fitted rows on the sheet; empty for another throw.
+    """
+
+    law: str
+    load: str
+    stone: Stone
+    fit: dict[str, Any]
+    start: dict[str, dict[str, Any]]
+    of: str
+    line: str
+    goal: dict[str, Any] | None
+    draws: dict[str, Any]
+    misfit: Misfit
+    series: dict[str, Floats]
+    band: dict[str, Floats]
+    rest: dict[str, Any]
+    quantities: dict[str, Quantity]
+    chances: dict[str, float]
+    sensitivity: dict[str, dict[str, Any]]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    check: HeldOut | None = None
+    measured: dict[str, Floats] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """The record as written to `predict.json`; see the README for its fields."""
+        found = {item.name: getattr(self, item.name) for item in fields(self)}
+        listed = {name: values.tolist() for name, values in self.series.items()}
+        check = None
+        if self.check is not None:
+            observed = {name: values.tolist() for name, values in self.check.observed.items()}
+            check = asdict(self.check) | {"observed": observed}
+        return {"schema": SCHEMA} | found | {
+            "stone": self.stone.as_dict(),
+            "misfit": asdict(self.misfit),
+            "quantities": {name: asdict(item) for name, item in self.quantities.items()},
+            "warnings": list(self.warnings),
+            "notes": list(self.notes),
+            "check": check,
+            "series": listed,
+            "band": {name: values.tolist() for name, values in self.band.items()},
+            "measured": {name: values.tolist() for name, values in self.measured.items()},
+        }  # fmt: skip
+
+    def summary(self) -> dict[str, Any]:
+        """The JSON record without the series."""
+        record = strict(self.to_json())
+        if record["check"] is not None:
+            record["check"].pop("observed")
+        return {key: value for key, value in record.items() if key not in _SERIES}
+
+    @classmethod
+    def from_json(cls, found: dict[str, Any]) -> Prediction:
+        """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
+        check = found["check"]
+        return cls(
+            **known(cls, found)
+            | {
+                "stone": Stone(**known(Stone, found["stone"])),
+                "misfit": Misfit(**known(Misfit, found["misfit"])),
+                "series": _arrays(found["series"]),
+                "band": _arrays(found["band"]),
+                "measured": _arrays(found.get("measured", {})),
+                "quantities": {
+                    name: Quantity(**known(Quantity, item) | {"value": _number(item["value"])})
+                    for name, item in found["quantities"].items()
+                },
+                "warnings": tuple(found["warnings"]),
+                "notes": tuple(found["notes"]),
+                "check": None
+                if check is None
+                else HeldOut(**known(HeldOut, check) | {"observed": _arrays(check["observed"])}),
+            }
+        )
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write the record as JSON, whole or not at all."""
+        write_json(self.to_json(), Path(file))
+
+    def table(self) -> str:
+        """The path with its bands as CSV text, a row for each time."""
+        names = list(self.series)
+        lines = [
+            f"# {self.law} law fitted to {self.fit['file']}, "
+            + ("carried on" if self.of == "fitted" else "another throw"),
+            "# t in s since the start, lengths in m, angles in rad; x to the right of the centre "
+            f"line, y from the hack thrown from (far tee at {TEE:.3f})",
+            "# _parameter_sd: standard deviation; _model_sd: root mean square of the law's error; "
+            "_2.5 .. _97.5: percentiles, both errors together",
+            ",".join(names),
+        ]
+        for row in zip(*self.series.values(), strict=True):
+            lines.append(",".join(f"{value:.9g}" for value in row))
+        return "\n".join(lines) + "\n"
+
+
+def load_prediction(file: str | PathLike[str]) -> Prediction:
+    """Read a saved `predict.json`, or the one in a folder.
+
+    Raises
+    ------
+    DataError : it is not there, is not a prediction, or has a schema this version cannot read.
+    """
+    path = Path(file)
+    if path.is_dir():
+        path = path / "predict.json"
+    found = read_json(path, SCHEMA, MIGRATIONS)
+    try:
+        return Prediction.from_json(found)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DataError(
+            f"not a complete predict.json of curlfit ({type(error).__name__}: {error})", file=path
+        ) from None
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _arrays(found: Mapping[str, list[float | None]]) -> dict[str, Floats]:
+    return {name: np.array([_number(value) for value in values]) for name, values in found.items()}
+
+
+WORDS = {"across": "across the path", "along": "along the path", "turning": "in the spin"}
+"""Ways of missing accelerations: to the right of the velocity, along it, and angular."""
+
+WAYS = tuple(WORDS)
+SHOWN = 3.0
+"""Standard deviations from which a missing acceleration counts as detected."""
+
+CEILING = 1.0
+"""Most of the friction that the size of a missing acceleration can be."""
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Accelerations that a law misses.
+
+    Attributes
+    ----------
+    sizes : by way, posterior root mean square of the size, m/s^2 (rad/s^2 for "turning").
+    span : duration of the fitted rows up to rest, s.
+    noise : independent noise beside them by channel, SI; only channels that could be judged.
+    excess : by way, how far the data ask for a missing acceleration, in standard deviations (root
+        of twice the logarithm of the likelihood ratio); empty where no channel could be judged.
+    ceilings : by way, the size that the prior does not exceed, in the unit of `sizes`.
+    friction : coefficient of friction mu by the mean deceleration of the fitted rows.
+    """
+
+    sizes: dict[str, float]
+    span: float
+    noise: dict[str, float]
+    excess: dict[str, float]
+    ceilings: dict[str, float] = field(default_factory=dict)
+    friction: float = math.nan
+
+    @property
+    def known(self) -> bool:
+        """Whether there were enough rows to judge any channel."""
+        return bool(self.excess)
+
+    @property
+    def found(self) -> bool:
+        """Whether the residuals show that the law misses something."""
+        return any(excess > SHOWN for excess in self.excess.values())

@@ -1,0 +1,1 @@
+"""`curlfit profile`: chi squared along one parameter or two, all others refitted."""

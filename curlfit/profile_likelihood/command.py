@@ -1,0 +1,172 @@
+"""`curlfit profile`: how the misfit rises along a parameter, or two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from curlfit.options import flags as o
+from curlfit.options import reading as r
+from curlfit.options import settings as s
+from curlfit.options.fit_settings import fit_flags, fit_wanted
+
+if TYPE_CHECKING:
+    from curlfit.inference.fit.result import FitResult
+    from curlfit.inference.mcmc.chain import Chain
+
+
+def profile(
+    data: Annotated[
+        Path,
+        typer.Argument(
+            help="Data as for `curlfit fit`; or a saved fit: its folder, or the fit.json in it.",
+            metavar="DATA|FIT",
+            show_default=False,
+        ),
+    ],
+    param: Annotated[
+        list[str],
+        typer.Option(
+            help="A fitted parameter: a coefficient, or one of x0 y0 heading v0 phi0 omega0. Given "
+            "twice: two parameters together.",
+            metavar="NAME",
+            show_default=False,
+        ),
+    ],
+    points: Annotated[
+        int | None,
+        typer.Option(
+            help="Values of each parameter. [default: 41; 25 of each of two]", metavar="N"
+        ),
+    ] = None,
+    span: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--range",
+            help="Where to look; given twice, of the first and the second parameter. [default: 4 "
+            "standard errors to either side; as far as it takes where there are none]",
+            metavar="LO,HI",
+        ),
+    ] = None,
+    law: o.Law = None,
+    load: o.LoadName = None,
+    until: o.Until = None,
+    fix: o.Fix = None,
+    bound: o.Bound = None,
+    unbounded: o.Unbounded = False,
+    start: o.Start = None,
+    sigma: o.Sigma = None,
+    loss: o.Loss = None,
+    noise: o.NoiseModel = None,
+    stone: o.StoneValues = None,
+    format: r.Format = None,
+    axes: r.Axes = None,
+    units: r.Units = None,
+    reference: r.Reference = None,
+    stone_index: r.StoneIndex = None,
+    shot: r.Shot = None,
+    config: o.Config = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the results. [default: DATA's name with -profile-NAME]"),
+    ] = None,
+    no_figures: o.NoFigures = False,
+    quiet: o.Quiet = False,
+) -> None:
+    """Profile likelihood: a parameter is held at many values, and all others are fitted at each.
+
+    The rise of chi squared gives intervals that hold where it is not quadratic, and shows plainly
+    what the path does not determine. The noise is that of the fit. A posterior beside a saved fit
+    is drawn too. Writes `profile.json` and `profile.png`.
+
+    Examples:
+
+    `curlfit profile throw.csv --param mu1_xi`
+
+    `curlfit profile throw-fit --param mu1_eta --param mu2_eta`: two of a saved fit
+    """
+    from curlfit.errors import InputError
+    from curlfit.output.files import prepared_folder
+
+    flags = fit_flags(
+        r.how(format, axes, units, reference, stone_index, shot),
+        law=law, load=load, until=until, stone=stone, sigma=sigma, fix=fix, bound=bound,
+        start=start, unbounded=unbounded, loss=loss, noise=noise,
+    )  # fmt: skip
+    if len(span or ()) > len(param):
+        raise InputError(f"--range is given {len(span or ())} times; expected one of each --param")
+    ranges = {name: _range(text) for name, text in zip(param, span or (), strict=False)}
+    saved = data.is_dir() or data.name == "fit.json"
+    fitted: Callable[[], tuple[FitResult, Chain | None]]
+    if saved:
+        given = [name for name, value in {**flags, "config": config}.items() if value]
+        if given:
+            option = given[0].replace("_", "-")
+            raise InputError(f"--{option}: a saved fit has its own; give the data to fit anew")
+        result, chain = s.fitted(data)
+        parameters = result.parameter_set
+        fitted = lambda: (result, chain)  # noqa: E731
+    else:
+        asked = fit_wanted(data, config, flags)
+        parameters = asked.parameters
+        fitted = lambda: (asked.fit(), None)  # noqa: E731
+
+    from curlfit.profile_likelihood.result import require_usable
+
+    require_usable(parameters, param, points, ranges)
+    name = s.name_of(data) if saved else data.stem
+
+    with _progress(quiet) as told:
+        fit, chain = fitted()
+        require_usable(parameters, param, points, ranges, parameters.values_of(fit.values))
+        folder = prepared_folder(out or Path(f"{name}-profile-{'-'.join(param)}"))
+
+        from curlfit.profile_likelihood.profile import profile as profiled
+
+        found = profiled(fit, param, chain=chain, points=points, ranges=ranges, progress=told)
+    written = [folder / "profile.json"]
+    found.save(written[0])
+    if no_figures:
+        (folder / "profile.png").unlink(missing_ok=True)
+    else:
+        from curlfit.output.figures import save_figure
+        from curlfit.profile_likelihood.figures import profile_figure
+
+        written.append(folder / "profile.png")
+        save_figure(profile_figure(found), written[1])
+
+    from curlfit.output.console import terminal
+    from curlfit.profile_likelihood.report import print_profile
+
+    console = terminal(quiet=quiet)
+    print_profile(found, console)
+    console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+
+
+def _range(text: str) -> tuple[float, float]:
+    from curlfit.errors import InputError
+
+    parts = text.split(",")
+    if len(parts) != 2:
+        raise InputError(f"--range {text}: expected LOW,HIGH")
+    low, high = (
+        s.number("--range", end, part) for end, part in zip(("low", "high"), parts, strict=True)
+    )
+    return low, high
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[int], None]]:
+    """A line on a terminal that says how many fits are done."""
+    from rich.console import Console
+
+    console = Console(stderr=True, quiet=quiet)
+    if not console.is_terminal or quiet:
+        yield lambda done: None
+        return
+    with console.status("Fitting (a first run on a machine compiles the model)") as status:
+        yield lambda done: status.update(f"Fitting the other parameters again: {done} fits")

@@ -1,0 +1,277 @@
+"""The picture of a profile likelihood: profile, covariance and posterior to one scale. Nothing is
+computed here but parabolas and ellipses from covariances."""
+
+from __future__ import annotations
+
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.patches import Patch
+
+from curlfit.output.figures import DASHES, PALETTE, Picture, neat_axis, title
+from curlfit.profile_likelihood.result import PairProfile, Profile
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from curlfit.inference.fit.result import Estimate
+
+    Floats = NDArray[np.float64]
+
+_PROFILE = "#1b2a49"
+_COVARIANCE = "#e07a1f"
+_POSTERIOR = "#7b5ea7"
+_SAMPLES = "#3d0c45"
+_REGIONS = ("#5f8fc4", "#bcd3ea")
+_HIGH, _LOW = 10.0, 5.5  # tops of the axis: of a profile that is limited, and of one that is not
+_MOVES = 0.05  # standard errors, below which another parameter does not follow
+_MOST = 8  # of these
+_THIN = 0.4  # share of the plane that a valley takes up, below which it is drawn straightened too
+
+
+def profile_figure(profile: Profile | PairProfile) -> Figure:
+    """Chi squared along one parameter and how the others follow, or the regions of two."""
+    return _of_one(profile) if isinstance(profile, Profile) else _of_two(profile)
+
+
+def _of_one(profile: Profile) -> Figure:
+    figure = Picture(figsize=(8.5, 7.2), layout="constrained")
+    rows = figure.add_gridspec(2, 1, height_ratios=(1.6, 1.0))
+    above = figure.add_subplot(rows[0])
+    below = figure.add_subplot(rows[1], sharex=above)
+    _chi_squared(profile, above)
+    _others(profile, below)
+    above.tick_params(labelbottom=False)
+    title(above, _title(profile))
+    figure.draw_without_rendering()  # the layout, by which ticks are chosen
+    neat_axis(below.xaxis, *_label(profile.estimate, profile.name))
+    return figure
+
+
+def _title(profile: Profile) -> str:
+    return f"{FilePath(profile.data['file']).name}: {profile.law} law, {profile.load} load"
+
+
+def _chi_squared(profile: Profile, axes: Any) -> None:
+    limited = profile.verdict == "limited"
+    top = _HIGH if limited else _LOW
+    at, item = profile.at, profile.estimate
+    for level in profile.levels:
+        axes.axhline(level.rise, color="0.6", lw=0.8, ls=":")
+        axes.annotate(
+            level.name, (1.0, level.rise), xycoords=("axes fraction", "data"), xytext=(4, 0),
+            textcoords="offset points", va="center", fontsize=8, color="0.4",
+        )  # fmt: skip
+    if limited:
+        for interval, alpha in zip(profile.intervals, (0.16, 0.08), strict=True):
+            axes.axvspan(interval.low, interval.high, color=_PROFILE, alpha=alpha, lw=0)
+    if item.stderr is not None:
+        fine = np.linspace(at[0], at[-1], 400)
+        axes.plot(
+            fine, ((fine - item.value) / item.stderr) ** 2, "--", color=_COVARIANCE, lw=1.6,
+            label="covariance", zorder=4,
+        )  # fmt: skip
+    axes.plot(at, profile.delta, color=_PROFILE, lw=1.5, label="profile", zorder=3)
+    axes.plot(at, profile.delta, ".", color=_PROFILE, markersize=4, zorder=3)
+    if profile.posterior is not None:
+        found = profile.posterior
+        axes.errorbar(
+            found["at"], found["height"], found["error"], fmt="o", color=_POSTERIOR, markersize=3.5,
+            lw=0.9, capsize=0, label=r"posterior, $-2\,\ln$ density", zorder=2,
+        )  # fmt: skip
+    axes.plot(
+        profile.best, 0, "v", color=_PROFILE, markersize=7, zorder=5, clip_on=False, mec="white"
+    )
+    lowest = -0.04 * top
+    if profile.posterior is not None:
+        lower = profile.posterior["height"] - profile.posterior["error"]
+        lowest = max(-1.0, min(lowest, float(lower.min()) - 0.1))
+    axes.set_ylim(lowest, top)
+    axes.set_xlim(*_span(profile))
+    axes.set_ylabel(r"$\Delta\chi^2$, all others refitted")
+    axes.legend(frameon=False, fontsize=9, loc="upper center", bbox_to_anchor=(0.62, 1.0))
+    if not limited:
+        _say(profile, axes)
+
+
+def _span(profile: Profile) -> tuple[float, float]:
+    """Limits of the axis, a little beyond what was looked at."""
+    low, high = float(profile.at[0]), float(profile.at[-1])
+    margin = 0.02 * (high - low)
+    return low - margin, high + margin
+
+
+def _say(profile: Profile, axes: Any) -> None:
+    """How flat a flat profile is, and the slope of one that is nearly so, magnified."""
+    low, high = profile.free
+    rise = f"{profile.rise:.1g}" if profile.rise < 1e-3 else f"{profile.rise:.2g}"
+    axes.text(
+        0.04, 0.93, rf"$\Delta\chi^2 \leq$ {rise} over {low:.5g} .. {high:.5g}",
+        transform=axes.transAxes, fontsize=10, va="top", color=_PROFILE,
+    )  # fmt: skip
+    if profile.verdict != "hardly" or profile.rise > 0.5:
+        return
+    inside = (profile.at >= low) & (profile.at <= high)
+    inset = axes.inset_axes((0.12, 0.46, 0.33, 0.3))
+    inset.plot(profile.at[inside], profile.delta[inside], color=_PROFILE, lw=1.3)
+    inset.set_title(r"the same $\Delta\chi^2$, magnified", fontsize=8)
+    inset.tick_params(labelsize=7)
+    inset.locator_params(nbins=4)
+    inset.margins(x=0.02)
+
+
+def _others(profile: Profile, axes: Any) -> None:
+    """How the others follow: in standard errors; those without one, by their values."""
+    shown = np.isfinite(profile.delta) & (profile.delta < _HIGH + 2)
+    if profile.verdict != "limited":  # beyond, it is a bound that moves them
+        shown &= (profile.at >= profile.free[0]) & (profile.at <= profile.free[1])
+    moves, values = {}, {}
+    partners = {name for item in profile.combinations for name in item.weights}
+    for name, series in profile.others.items():
+        item = profile.parameters[name]
+        if item.stderr:
+            move = (series - item.value) / item.stderr
+            if np.abs(move[shown]).max() > _MOVES:
+                moves[name] = move
+        elif name in partners:
+            values[name] = series
+    largest = sorted(moves, key=lambda name: -float(np.abs(moves[name][shown]).max()))[:_MOST]
+    axes.axhline(0, color="0.7", lw=0.8)
+    lines = []
+    for place, name in enumerate(name for name in moves if name in largest):
+        label = f"${profile.parameters[name].symbol}$"
+        lines += axes.plot(
+            profile.at[shown], moves[name][shown], color=PALETTE[place % len(PALETTE)],
+            ls=DASHES[place // len(PALETTE)], lw=1.4, label=label,
+        )  # fmt: skip
+    axes.set_ylabel("change of the others\n(their standard errors)")
+    if values:
+        right = axes.twinx()
+        for place, (name, series) in enumerate(values.items()):
+            item = profile.parameters[name]
+            lines += right.plot(
+                profile.at[shown], series[shown], ls=("-", "--", ":")[place % 3], color="0.15",
+                lw=1.8, label=f"${item.symbol}$ (right)",
+            )  # fmt: skip
+        units = {profile.parameters[name].unit for name in values} - {"", "1"}
+        unit = f" ({', '.join(sorted(units))})" if units else ""
+        named = ", ".join(f"${profile.parameters[name].symbol}$" for name in values)
+        right.set_ylabel(named + unit)
+        right.margins(y=0.1)
+    if not moves:
+        axes.set_ylim(-1, 1)
+        axes.text(
+            0.02, 0.05, f"none of the {'others' if values else 'parameters'} changes by more than "
+            f"{_MOVES:g} standard errors",
+            transform=axes.transAxes, fontsize=9, color="0.4",
+        )  # fmt: skip
+    if lines:
+        axes.get_figure().legend(
+            lines, [line.get_label() for line in lines], loc="outside lower center", frameon=False,
+            fontsize=9, ncols=min(len(lines), 9), title="the other parameters, refitted",
+            title_fontsize=8,
+        )  # fmt: skip
+
+
+def _label(item: Estimate, name: str) -> tuple[str, str]:
+    """What is written at an axis, and the unit."""
+    return (f"${item.symbol}$" if item.symbol == name else f"${item.symbol}$, {name}"), item.unit
+
+
+def _of_two(profile: PairProfile) -> Figure:
+    near = np.isfinite(profile.delta) & (profile.delta < _HIGH)
+    height = float(np.ptp(profile.second[near]))
+    thin = profile.across is not None and 8 * profile.across < _THIN * height
+    figure = Picture(figsize=(11.5 if thin else 7, 5.8), layout="constrained")
+    panels = figure.subplots(1, 2 if thin else 1, squeeze=False)[0]
+    one, other = (profile.parameters[name] for name in profile.names)
+    labels = [_label(item, name) for item, name in zip((one, other), profile.names, strict=True)]
+    at, valley = profile.each[0].at, profile.valley
+    some = np.isfinite(valley)
+
+    def level(first: Floats) -> Floats:
+        return np.interp(first, at[some], valley[some])
+
+    for axes, straight in zip(panels, (False, True), strict=False):
+        below = level if straight else np.zeros_like
+        _regions(profile, axes, below)
+        low, high = profile.first[near].min(), profile.first[near].max()
+        _limits(axes.set_xlim, low, high)
+        shown = (profile.second - below(profile.first))[near]
+        _limits(axes.set_ylim, shown.min(), shown.max())
+    title(panels[0], _title(profile.each[0]), columns=len(panels))
+    if thin:
+        title(panels[1], "the same, less the refitted value", columns=len(panels))
+    handles = [
+        Patch(facecolor=color, edgecolor=_PROFILE, label=level.name)
+        for level, color in zip(profile.levels, _REGIONS, strict=True)
+    ] + panels[-1].get_legend_handles_labels()[0]
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9
+    )
+    _say_in_plane(profile, panels[0])
+    figure.draw_without_rendering()  # the layout, by which ticks are chosen
+    refitted = f"${other.symbol}$ \N{MINUS SIGN} refitted ${other.symbol}$", other.unit
+    for axes, second in zip(panels, (labels[1], refitted), strict=False):
+        neat_axis(axes.xaxis, *labels[0])
+        neat_axis(axes.yaxis, *second)
+    return figure
+
+
+def _limits(setter: Any, low: float, high: float) -> None:
+    margin = 0.04 * (high - low)
+    setter(low - margin, high + margin)
+
+
+def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
+    """Regions, ellipse, samples and valley; `below` is what the second counts from."""
+    first, second = profile.first, profile.second - below(profile.first)
+    delta = np.ma.masked_invalid(profile.delta)
+    edges = [level.rise_of_two for level in profile.levels]
+    axes.contourf(first, second, delta, levels=[-1, *edges], colors=_REGIONS, zorder=1)
+    axes.contour(first, second, delta, levels=edges, colors=_PROFILE, linewidths=0.9, zorder=3)
+    if len(profile.samples):
+        a, b = profile.samples.T
+        axes.plot(
+            a, b - below(a), ".", color=_SAMPLES, markersize=2.2, alpha=0.45, zorder=2,
+            label="posterior",
+        )  # fmt: skip
+    at, valley = profile.each[0].at, profile.valley
+    axes.plot(
+        at, valley - below(at), color=_PROFILE, lw=1.2, ls="-.", zorder=4,
+        label=f"${profile.parameters[profile.names[1]].symbol}$ refitted",
+    )  # fmt: skip
+    if profile.covariance is not None:
+        angle = np.linspace(0, 2 * np.pi, 361)
+        circle = np.stack([np.cos(angle), np.sin(angle)])
+        root = np.linalg.cholesky(profile.covariance)
+        for place, edge in enumerate(edges):
+            a, b = np.array(profile.best)[:, None] + np.sqrt(edge) * (root @ circle)
+            axes.plot(
+                a, b - below(a), "--", color=_COVARIANCE, lw=1.3, zorder=5,
+                label=None if place else "68 %, 95 % of the covariance",
+            )  # fmt: skip
+    a, b = np.array(profile.best)
+    axes.plot(a, b - below(np.array(a)), "+", color="black", markersize=10, mew=1.6, zorder=6)
+
+
+def _say_in_plane(profile: PairProfile, axes: Any) -> None:
+    """What the valley is, where one is drawn."""
+    along = profile.each[0]
+    if along.verdict not in ("flat", "hardly"):
+        return
+    rise = f"{along.rise:.1g}" if along.rise < 1e-3 else f"{along.rise:.2g}"
+    lines = [rf"along the valley $\Delta\chi^2 \leq$ {rise}"]
+    for item in along.combinations:
+        parts = [
+            f"{'' if weight == 1 else f'{weight:.4g} '}${profile.parameters[name].symbol}$"
+            for name, weight in item.weights.items()
+        ]
+        lines.append("only " + " + ".join(parts) + " is determined")
+    falling = profile.valley[-1] < profile.valley[0]
+    axes.text(
+        0.95 if falling else 0.05, 0.95, "\n".join(lines), transform=axes.transAxes,
+        ha="right" if falling else "left", va="top", fontsize=10,
+    )  # fmt: skip

@@ -1,0 +1,246 @@
+"""Fits with parameters held: the same throw, law and noise, all other parameters fitted again.
+
+The fits are lanes of one run (see `lockstep.py`), each begun at the nearest one that is known and
+led on along the linear response of the other parameters. Whether neighbours belong to one valley is
+checked by the envelope theorem: the slope of the least misfit is the partial slope of chi squared,
+which is known at each place, and has to lead from one to the next.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.errors import UnusableFitError
+from curlfit.friction import check_load
+from curlfit.inference.batched_least_squares import Tasks, solve_many
+from curlfit.inference.fit.fit import shifted
+from curlfit.inference.fit.result import FitResult
+from curlfit.inference.least_squares import Solution
+from curlfit.inference.likelihood import frame_of, problem_of, unstacked
+from curlfit.inference.parameters import ParameterSet
+from curlfit.profile_likelihood.result import levels_for
+
+# isort: split
+import jax
+
+Floats = NDArray[np.float64]
+Progress = Callable[[int], None]
+Point = tuple[float, ...]
+
+_ROUNDS = 8
+_LESS = 1e-3  # fall of chi squared that counts
+_NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
+_ROUNDING = 1e-9  # of the largest singular value
+
+
+class Place(NamedTuple):
+    """An optimum with some parameters held."""
+
+    held: Floats
+    chi_squared: float
+    values: Floats
+    """all parameters"""
+    slope: Floats
+    """of chi squared by the held ones"""
+    finished: bool
+
+
+class Refit:
+    """A fit that is fitted again with parameters held. Values count in the frame of its problem."""
+
+    def __init__(self, fit: FitResult, progress: Progress | None) -> None:
+        self.fit, self._progress, self.done = fit, progress, 0
+        whole = fit.parameter_set
+        frame = frame_of(fit.throw)
+        self.offset = frame.offset(len(whole))
+        self.parameters = shifted(whole, -self.offset)
+        self.law, self.load = fit.law_class, check_load(fit.load)
+        self.problem = problem_of(fit.throw, fit.stone, frame, fit.sigma, fit.loss, fit.noise)
+        (solution,) = self._solved([(self.parameters, fit.values - self.offset)])
+        if solution is None:
+            raise UnusableFitError("the fit has no path")
+        self.solution: Solution = solution
+        self.first = self.chi_squared  # of the fit as it was given
+        self.lowest: Place | None = None
+
+    @property
+    def chi_squared(self) -> float:
+        """Of the best fit."""
+        return float((self.solution.residual**2).sum())
+
+    @property
+    def values(self) -> Floats:
+        """Of the best fit."""
+        return np.asarray(self.solution.values)
+
+    def _solved(self, tasks: Iterable[tuple[ParameterSet, Floats]]) -> list[Solution | None]:
+        sets, starts = zip(*tasks, strict=True)
+        everywhere = jax.tree.map(
+            lambda leaf: np.broadcast_to(leaf, (len(sets), *np.shape(leaf))), self.problem
+        )
+        lower, upper = (np.stack([getattr(one, end) for one in sets]) for end in ("lower", "upper"))
+        work = Tasks(everywhere, np.stack(starts), lower, upper, self.parameters.typical)
+        before = self.done
+
+        def arrived(count: int) -> None:
+            self.done = before + count
+            if self._progress is not None:
+                self._progress(self.done)
+
+        found = solve_many(self.law, self.load, work, arrived=arrived)
+        whole = np.isfinite(found.residual).all((1, 2))
+        each = unstacked(found)
+        return [one if there else None for one, there in zip(each, whole, strict=True)]
+
+    def places(
+        self, names: Sequence[str], points: Floats, starts: Sequence[Floats]
+    ) -> list[Place | None]:
+        """The optima with `names` held at each of the points; None where there is no path."""
+        tasks = []
+        for point, start in zip(points, starts, strict=True):
+            parameters = self.parameters
+            for name, value in zip(names, point, strict=True):
+                parameters = parameters.with_fixed(name, float(value))
+            tasks.append((parameters, start))
+        return [
+            None if solution is None else self.place(names, solution)
+            for solution in self._solved(tasks)
+        ]
+
+    def place(self, names: Sequence[str], solution: Solution) -> Place:
+        """An optimum as a place."""
+        index = [self.parameters.index(name) for name in names]
+        slope = 2 * np.einsum("cn,cni->i", solution.residual, solution.jacobian)
+        values = np.asarray(solution.values)
+        place = Place(
+            values[index], float((solution.residual**2).sum()), values, slope[index],
+            bool(solution.finished),
+        )  # fmt: skip
+        if self.lowest is None or place.chi_squared < self.lowest.chi_squared:
+            self.lowest = place
+        return place
+
+    def improved(self) -> bool:
+        """Whether a better fit was met on the way, which is then the one to count from."""
+        if self.lowest is None or self.lowest.chi_squared > self.chi_squared - _LESS:
+            return False
+        (solution,) = self._solved([(self.parameters, self.lowest.values)])
+        if solution is None or (solution.residual**2).sum() > self.chi_squared - _LESS:
+            return False
+        self.solution, self.lowest = solution, None
+        return True
+
+    def at_bound(self, values: Floats) -> NDArray[np.bool_]:
+        """Which free parameters are at a bound."""
+        near = _NEAR * self.parameters.typical
+        low, high = self.parameters.lower, self.parameters.upper
+        return self.parameters.free & ((values <= low + near) | (values >= high - near))
+
+    def response(self, names: Sequence[str]) -> tuple[Floats, Floats]:
+        """How the others follow held parameters, shape (parameters, held), and what is left.
+
+        The second is the slope of the residuals by each held one, the others following: its
+        inverse is the standard error with the other held ones fixed.
+        """
+        index = [self.parameters.index(name) for name in names]
+        moving = self.parameters.free & ~self.at_bound(self.values)
+        moving[index] = False
+        jacobian = np.asarray(self.solution.jacobian).reshape(-1, len(self.parameters))
+        others, own = jacobian[:, moving], jacobian[:, index]
+        size = np.linalg.norm(others, axis=0)
+        size[size == 0] = 1.0
+        follow = -np.linalg.lstsq(others / size, own, rcond=_ROUNDING)[0] / size[:, None]
+        rows = np.zeros((len(self.parameters), len(index)))
+        rows[moving], rows[index] = follow, np.eye(len(index))
+        return rows, np.linalg.norm(own + others @ follow, axis=0)
+
+
+class Held:
+    """The optima with some parameters held, as far as they are known, by the held values."""
+
+    def __init__(self, refit: Refit, names: Sequence[str]) -> None:
+        self.refit, self.names = refit, tuple(names)
+        self._response = refit.response(names)[0]
+        best = refit.place(names, refit.solution)
+        self.best = best
+        self.known: dict[Point, Place | None] = {tuple(map(float, best.held)): best}
+        self._tried: set[tuple[Point, Point, float]] = set()
+        self._scale = np.array([refit.fit.parameters[name].typical for name in names])
+        self.levels = levels_for(names, refit.fit.parameters)
+
+    def reach(self, points: Floats) -> None:
+        """Fit at those of the points, shape (n, held), that are not known, from the nearest."""
+        new = [
+            np.array(point)
+            for point in dict.fromkeys(tuple(map(float, point)) for point in np.atleast_2d(points))
+            if point not in self.known
+        ]
+        if not new:
+            return
+        good = [place for place in self.known.values() if place is not None and place.finished]
+        good = good or [self.best]
+        held = np.stack([place.held for place in good]) / self._scale
+        starts = []
+        for point in new:
+            nearest = int(np.argmin(((held - point / self._scale) ** 2).sum(1)))
+            starts.append(self._from(good[nearest], point))
+        found = self.refit.places(self.names, np.stack(new), starts)
+        self.known |= {tuple(point): place for point, place in zip(new, found, strict=True)}
+
+    def _from(self, place: Place, point: Floats) -> Floats:
+        low, high = self.refit.parameters.lower, self.refit.parameters.upper
+        return np.clip(place.values + self._response @ (point - place.held), low, high)
+
+    def at(self, point: Sequence[float] | Floats) -> Place | None:
+        """What is known of a point."""
+        return self.known[tuple(point)]
+
+    def delta(self, point: Sequence[float] | Floats) -> float:
+        """By how much chi squared is above the fit's at a known point; NaN without a path."""
+        place = self.known[tuple(point)]
+        return math.nan if place is None else place.chi_squared - self.refit.chi_squared
+
+    def settle(self, neighbours: Sequence[tuple[Point, Point]]) -> None:
+        """Try again where neighbours are not of one valley, each from where the other is."""
+        for _ in range(_ROUNDS):
+            tries = []
+            for first, second in neighbours:
+                one, other = self.known[first], self.known[second]
+                if one is not None and (other is None or not self._agree(one, other)):
+                    tries.append((second, one))
+                if other is not None and (one is None or not self._agree(one, other)):
+                    tries.append((first, other))
+            # not twice from the same place
+            tries = [
+                (point, place)
+                for point, place in tries
+                if (point, tuple(place.held), place.chi_squared) not in self._tried
+            ]
+            if not tries:
+                return
+            self._tried |= {(point, tuple(place.held), place.chi_squared) for point, place in tries}
+            points = np.array([point for point, _ in tries])
+            starts = [self._from(place, np.array(point)) for point, place in tries]
+            better = False
+            found = self.refit.places(self.names, points, starts)
+            for (point, _), place in zip(tries, found, strict=True):
+                known = self.known[point]
+                if place is not None and (
+                    known is None or place.chi_squared < known.chi_squared - _LESS
+                ):
+                    self.known[point] = place
+                    better = True
+            if not better:
+                return
+
+    def _agree(self, one: Place, other: Place) -> bool:
+        """Whether the slopes of the misfit lead from one place to the other (trapezoid rule)."""
+        rise = other.chi_squared - one.chi_squared
+        led = (one.slope + other.slope) @ (other.held - one.held) / 2
+        large = max(one.chi_squared, other.chi_squared) - self.refit.chi_squared
+        return one.finished and other.finished and bool(abs(rise - led) <= 0.1 + 0.1 * large)

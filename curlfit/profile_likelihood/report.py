@@ -1,0 +1,285 @@
+"""What a profile likelihood says, as text. Nothing is computed here."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
+from rich.text import Text
+
+from curlfit.output.console import terminal
+from curlfit.output.text import STYLE, compact, listed, number, plain_table
+from curlfit.profile_likelihood.result import Interval, PairProfile, Profile
+
+if TYPE_CHECKING:
+    from curlfit.inference.fit.result import Estimate
+    from curlfit.profile_likelihood.result import Level
+
+_AGREE = 0.1  # standard errors between limits that are called the same
+_AGREE_OF_TWO = 0.5  # the same of chi squared within the ellipse
+_STYLE = {"limited": "", "hardly": STYLE["weak"], "flat": STYLE["not identifiable"]}
+
+
+def print_profile(profile: Profile | PairProfile, console: Console | None = None) -> None:
+    """Print the report of a profile."""
+    console = console or terminal()
+    console.print(report(profile))
+
+
+def report(profile: Profile | PairProfile) -> RenderableType:
+    """The report of a profile, for a rich console."""
+    each = [profile] if isinstance(profile, Profile) else list(profile.each)
+    parts: list[RenderableType] = [_heading(profile)]
+    if isinstance(profile, PairProfile):
+        parts.append(_region(profile))
+        parts.append(Padding(Text(about_two(profile)), (0, 0, 1, 0)))
+    else:
+        parts.append(_intervals(profile))
+    for one in each:
+        said = _limits(one) if isinstance(profile, Profile) else []
+        said = said if one.verdict == "limited" else [about(one)]
+        style = _STYLE.get(one.verdict, STYLE["weak"])
+        parts += [Padding(Text(line, style=style), (0, 0, 1, 0)) for line in said]
+    warnings = dict.fromkeys(line for one in each for line in one.warnings)
+    parts += [
+        Padding(Text(f"Warning: {warning}.", style="yellow"), (0, 0, 1, 0)) for warning in warnings
+    ]
+    parts += [Text(f"Note: {note}.", style="dim") for note in _notes(each)]
+    return Group(*parts)
+
+
+def about(profile: Profile) -> str:
+    """That a parameter is not determined, in words, and what it would take."""
+    span = _span(profile, *profile.free)
+    name = profile.name
+    if profile.verdict == "narrow":
+        return (
+            f"The range is too narrow: within {span} chi squared rises by no more than "
+            f"{profile.rise:.2g}."
+        )
+    if profile.verdict == "flat":
+        same = f"the same to {profile.rise:.0e}" if profile.rise > 0 else "exactly the same"
+        text = (
+            f"{name} is not determined, its profile is flat: chi squared is {same} over the whole "
+            f"range {span}."
+        )
+    else:
+        times, all_of_it = profile.quieter(1.0), profile.quieter(profile.levels[-1].rise)
+        text = (
+            f"{name} is hardly determined: chi squared changes by no more than {profile.rise:.2g} "
+            f"over {span}. For a limit at 68 % the noise would have to be "
+            f"{_times(times)} smaller, or such rows {_times(times**2)} as many; at 95 %, "
+            f"{_times(all_of_it)} and {_times(all_of_it**2)}."
+        )
+    if profile.combinations:
+        known = [
+            f"{item.expression} = {compact(item.value, item.stderr)}"
+            for item in profile.combinations
+        ]
+        text += f" Only {listed(known)} {'are' if len(known) > 1 else 'is'} determined."
+    for end, names in zip(profile.free, profile.stops, strict=True):
+        if names:
+            come = "comes to its bound" if len(names) == 1 else "come to their bounds"
+            text += f" It ends at {_short(end)}, where {listed(list(names))} {come}."
+    return text + _open_ends(profile)
+
+
+def about_two(profile: PairProfile) -> str:
+    """The region of two parameters beside the ellipse, in words."""
+    one, other = profile.names
+    if profile.ellipse is None:
+        text = "There is no ellipse of the covariance to compare with."
+    elif profile.ellipse <= _AGREE_OF_TWO:
+        text = (
+            "The covariance's ellipse holds: within its 95 % chi squared differs by no more than "
+            f"{profile.ellipse:.1g}."
+        )
+    else:
+        size = f"up to {profile.ellipse:.2g}" if profile.ellipse < 100 else "more than 100"
+        text = (
+            "The covariance's ellipse does not hold: within its 95 % chi squared differs by "
+            f"{size}; the contours tell."
+        )
+    if profile.across is None:
+        text += f" {other} is not determined even where {one} is held."
+    elif profile.each[0].verdict in ("flat", "hardly"):
+        text += (
+            f" Both lie in a valley, drawn as a line: where {one} is held, {other} is known to "
+            f"{profile.across:.2g}."
+        )
+    return text
+
+
+def _heading(profile: Profile | PairProfile) -> RenderableType:
+    one = profile if isinstance(profile, Profile) else profile.each[0]
+    text = Text()
+    text.append(f"Profile of {' and '.join(profile.names)}", style="bold")
+    loss = "" if one.loss == "linear" else f", {one.loss} loss"
+    text.append(f": {one.law} law, {one.load} load{loss}, fitted to {one.data['file']}\n")
+    text.append(
+        f"{one.data['rows']} rows, t = {one.data['from']:g} .. {one.data['to']:g} s; chi squared "
+        f"of the best fit {one.chi_squared:.4g}, of {one.n_observations} values\n"
+    )
+    places = one.at.size if isinstance(profile, Profile) else int(profile.delta.size)
+    text.append(f"All other parameters fitted again at {places} values")
+    if isinstance(profile, Profile):
+        text.append(f", {_span(one, one.at[0], one.at[-1])}")
+    return text
+
+
+def _intervals(profile: Profile) -> RenderableType:
+    item = profile.estimate
+    if profile.verdict != "limited":
+        return Text("")
+    unit = "" if item.unit in ("", "1") else f" ({item.unit})"
+    table = plain_table()
+    table.add_column(f"{profile.name}{unit}", no_wrap=True)
+    for level in profile.levels:
+        table.add_column(level.name, no_wrap=True)
+    digits = _scale(profile)
+    table.add_row("profile", *(_ends(interval, digits) for interval in profile.intervals))
+    table.add_row("covariance", *(_gaussian(item, level, digits) for level in profile.levels))
+    if profile.quantiles:
+        found = profile.quantiles
+        rows = [
+            (found[low], found[high]) for low, high in (item.quantiles for item in profile.levels)
+        ]
+        table.add_row("posterior", *(_from_to(low, high, digits) for low, high in rows))
+    return Padding(table, (1, 0, 1, 0))
+
+
+def _limits(profile: Profile) -> list[str]:
+    """What the intervals of a parameter that the data limit have to be read with."""
+    said = []
+    apart = profile.departure
+    if apart:
+        far = max(apart.values())
+        if profile.loss != "linear":
+            said.append(
+                f"Profile and covariance differ by up to {far:.2g} standard errors: the covariance "
+                "goes by the scatter that was found, the profile by the noise that the loss stands "
+                "for."
+            )
+        elif far <= _AGREE:
+            said.append(
+                "Profile and covariance agree: no limit differs by more than "
+                f"{max(far, 0.001):.1g} standard errors."
+            )
+        else:
+            said.append(
+                f"Profile and covariance differ, by up to {far:.2g} standard errors: chi "
+                "squared is not quadratic, as the covariance takes it to be. Use the profile."
+            )
+    else:
+        said.append(
+            f"The covariance has no standard error for it ({profile.estimate.verdict}); the "
+            "profile needs none."
+        )
+    widest = profile.intervals[-1]
+    for side, end, by in (
+        ("lower", widest.low, widest.low_by), ("upper", widest.high, widest.high_by),
+    ):  # fmt: skip
+        if by == "bound":
+            said.append(
+                f"No {side} limit from these data: its {side} bound, {_short(end)}, is within 95 %."
+            )
+        elif by == "range":
+            said.append(f"No {side} limit from these data, as far as {_short(end)}.")
+    for names, end, side in zip(profile.stops, profile.free, ("Below", "Above"), strict=True):
+        if names and profile.free[0] < profile.free[1] and widest.low <= end <= widest.high:
+            held = "is at its bound" if len(names) == 1 else "are at their bounds"
+            said.append(
+                f"{side} {_short(end)} {listed(list(names))} {held}, which makes the profile "
+                "steeper there."
+            )
+    return said
+
+
+def _open_ends(profile: Profile) -> str:
+    """Of a parameter that is not determined: what ends the range where nothing else does."""
+    low, high = profile.estimate.lower, profile.estimate.upper
+    ends = [
+        (side, end)
+        for side, end, bound, names in zip(
+            ("lower", "upper"), profile.free, (low, high), profile.stops, strict=True
+        )
+        if not names and end != bound and end in (profile.at[0], profile.at[-1])
+    ]
+    return "".join(f" No {side} limit, as far as {_short(end)}." for side, end in ends)
+
+
+def _region(profile: PairProfile) -> RenderableType:
+    table = plain_table()
+    table.add_column("region spans", no_wrap=True)
+    for level in profile.levels:
+        table.add_column(level.name, no_wrap=True)
+    for place, one in enumerate(profile.each):
+        unit = "" if one.estimate.unit in ("", "1") else f" ({one.estimate.unit})"
+        cells = ["-", "-"]
+        if one.verdict == "limited":
+            digits = _scale(one)
+            cells = [_ends(profile.extent[level.name][place], digits) for level in profile.levels]
+        table.add_row(f"{one.name}{unit}", *cells)
+    return Padding(table, (1, 0, 1, 0))
+
+
+def _notes(each: list[Profile]) -> list[str]:
+    found = []
+    if any(one.estimate.verdict == "at bound" for one in each):
+        found.append(
+            "at a bound the thresholds of chi squared are too high, and the limits hold with more "
+            "confidence than is said"
+        )
+    if each[0].loss != "linear":
+        found.append(
+            f"chi squared stands for minus twice the log-likelihood of the {each[0].loss} loss"
+        )
+    return found
+
+
+def _scale(profile: Profile) -> float:
+    """The size that limits are rounded by: some standard error."""
+    first = profile.intervals[0]
+    return (first.high - first.low) / 2 or abs(first.high) / 100
+
+
+def _ends(interval: Interval, scale: float) -> str:
+    low, high = number(interval.low, scale)[0], number(interval.high, scale)[0]
+    if interval.low_by in ("bound", "range") and interval.high_by in ("bound", "range"):
+        return "no limit"
+    if interval.low_by in ("bound", "range"):
+        return f"below {high}"
+    if interval.high_by in ("bound", "range"):
+        return f"above {low}"
+    return f"{low} .. {high}"
+
+
+def _gaussian(item: Estimate, level: Level, scale: float) -> str:
+    if item.stderr is None:
+        return "-"
+    reach = level.sigmas * item.stderr
+    return _from_to(item.value - reach, item.value + reach, scale)
+
+
+def _from_to(low: float, high: float, scale: float) -> str:
+    return f"{number(low, scale)[0]} .. {number(high, scale)[0]}"
+
+
+def _span(profile: Profile, low: float, high: float) -> str:
+    """Part of the range, to some thousandths of it."""
+    scale = (profile.at[-1] - profile.at[0]) / 50
+    return " .. ".join(number(end, scale)[0] if end else "0" for end in (float(low), float(high)))
+
+
+def _short(value: float) -> str:
+    return f"{value:.4g}"
+
+
+def _times(factor: float) -> str:
+    """A factor in words, to two digits."""
+    if not math.isfinite(factor):
+        return "infinitely"
+    size = f"{factor:.2g}" if factor < 100 else f"{factor:.0f}" if factor < 1e6 else f"{factor:.1e}"
+    return f"{size} times"

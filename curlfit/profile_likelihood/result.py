@@ -1,0 +1,411 @@
+"""Profile likelihoods as frozen records, and their one versioned form in JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.errors import DataError, InputError
+from curlfit.inference.fit.result import Estimate
+from curlfit.inference.identifiability import Combination, student_quantile
+from curlfit.inference.parameters import ParameterSet
+from curlfit.output.files import Migration, known, read_json, strict, write_json
+
+Floats = NDArray[np.float64]
+
+SCHEMA = 1
+MIGRATIONS: dict[int, Migration] = {}
+
+
+_FEWEST, _MOST = 5, 2001  # places along a parameter
+
+
+class Level(NamedTuple):
+    """A level of confidence, and what chi squared rises by at its limits.
+
+    These are the quantiles of Wilks (1938) where sigma was given; where it was estimated, those of
+    Student's t and Fisher's F (Bates and Watts 1988, sect. 6.1).
+    """
+
+    name: str
+    rise: float
+    """for one parameter: 1 or 3.84 where sigma was given"""
+    rise_of_two: float
+    """for two parameters together: 2.30 or 5.99 where sigma was given"""
+    sigmas: float
+    """half the width of the covariance's interval, in standard errors"""
+    quantiles: tuple[str, str]
+    """of a posterior"""
+
+
+def levels_of(dof: float | None) -> tuple[Level, ...]:
+    """68 % and 95 % for a standard error of so many degrees of freedom; None: sigma was given."""
+    found = []
+    for name, level, quantiles in (
+        ("68 %", math.erf(math.sqrt(0.5)), ("16", "84")), ("95 %", 0.95, ("2.5", "97.5")),
+    ):  # fmt: skip
+        sigmas = student_quantile(level, dof)
+        beyond = math.log(1 - level)
+        # twice the quantile of F with 2 and dof degrees of freedom; of chi squared with 2
+        two = -2 * beyond if dof is None else dof * math.expm1(-2 * beyond / dof)
+        found.append(Level(name, sigmas**2, two, sigmas, quantiles))
+    return tuple(found)
+
+
+def levels_for(names: Sequence[str], parameters: Mapping[str, Estimate]) -> tuple[Level, ...]:
+    """Those for some parameters of a fit: by the fewest degrees of freedom of their standard
+    errors, or of all where none of them has one."""
+    known = [item.dof for name, item in parameters.items() if name in names and item.dof]
+    known = known or [item.dof for item in parameters.values() if item.dof]
+    return levels_of(min(known, default=None))
+
+
+@dataclass(frozen=True)
+class Interval:
+    """The values of a parameter that the misfit allows at a level of confidence.
+
+    Attributes
+    ----------
+    level : "68 %" or "95 %".
+    low, high : its ends.
+    low_by, high_by : what ends it: "data" (the misfit rises), "others" (it rises beyond a place
+        where other parameters reach their bounds), "bound" (the parameter's own), "range" (nothing
+        did, up to the end of what was looked at).
+    """
+
+    level: str
+    low: float
+    high: float
+    low_by: str
+    high_by: str
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The least misfit at fixed values of one parameter, all others fitted again at each.
+
+    Attributes
+    ----------
+    name : of the parameter. best : its value in the fit.
+    law, load, loss, data : what was fitted to what; `data` has "file", "rows", "from", "to".
+    parameters : of the fit, by name.
+    chi_squared : of the fit, of `n_observations` values. Under a robust loss it is minus twice the
+        logarithm of the likelihood that the loss stands for.
+    at : values of the parameter, growing, shape (n,). More of them where the misfit is steep.
+    delta : by how much chi squared is above the fit's there; NaN where the law admits no motion.
+    others : by name, the other free parameters there.
+    intervals : at its `levels`, 68 % and 95 %.
+    free : (low, high), the part of the range along which no other parameter is stopped by a bound
+        that it is off elsewhere. stops : the names of those that are, beyond either end of it.
+    rise : the most that chi squared rises within that part.
+    verdict : "limited" (the data set limits), "hardly" (chi squared rises by less than 1 within the
+        free part, which is most of the interval: the data do not tell), "flat" (the same, and it
+        does not rise at all), "narrow" (the range that was asked for is too narrow to tell).
+    combinations : of the fit, those that the parameter takes part in.
+    posterior : None, or "at", "height" (-2 log of the marginal density, laid on the profile),
+        "error" (its standard deviation), by bin of the chain.
+    quantiles : of the posterior by level, keys "2.5", "16", "50", "84", "97.5"; empty without one.
+    warnings : what the reader has to mind.
+    """
+
+    name: str
+    best: float
+    law: str
+    load: str
+    loss: str
+    data: dict[str, Any]
+    parameters: dict[str, Estimate]
+    chi_squared: float
+    n_observations: int
+    at: Floats
+    delta: Floats
+    others: dict[str, Floats] = field(repr=False)
+    intervals: tuple[Interval, ...]
+    free: tuple[float, float]
+    stops: tuple[tuple[str, ...], tuple[str, ...]]
+    rise: float
+    verdict: str
+    combinations: tuple[Combination, ...]
+    posterior: dict[str, Floats] | None
+    quantiles: dict[str, float]
+    warnings: tuple[str, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of what is held."""
+        return (self.name,)
+
+    @property
+    def estimate(self) -> Estimate:
+        """The parameter as the fit has it."""
+        return self.parameters[self.name]
+
+    @property
+    def levels(self) -> tuple[Level, ...]:
+        """What chi squared rises by at the limits of its intervals."""
+        return levels_for([self.name], self.parameters)
+
+    @property
+    def departure(self) -> dict[str, float]:
+        """By level, the farthest that a limit set by the misfit is from the covariance's.
+
+        In standard errors; empty where the fit has none.
+        """
+        stderr = self.estimate.stderr
+        if not stderr:
+            return {}
+        found = {}
+        for interval, level in zip(self.intervals, self.levels, strict=True):
+            reach = level.sigmas * stderr
+            apart = [
+                abs(end - self.estimate.value - sign * reach) / stderr
+                for end, sign, by in (
+                    (interval.low, -1, interval.low_by), (interval.high, 1, interval.high_by),
+                )
+                if by in ("data", "others")
+            ]  # fmt: skip
+            if apart:
+                found[level.name] = max(apart)
+        return found
+
+    def quieter(self, rise: float) -> float:
+        """How many times smaller the noise would have to be for chi squared to rise so much.
+
+        Chi squared goes with the inverse square of sigma.
+        """
+        return math.sqrt(rise / self.rise) if self.rise > 0 else math.inf
+
+    def to_json(self) -> dict[str, Any]:
+        """The record as written to `profile.json`."""
+        return {"schema": SCHEMA, "kind": "one"} | _plain(self)
+
+    def summary(self) -> dict[str, Any]:
+        """The JSON record without the series."""
+        return _without(strict(self.to_json()), "at", "delta", "others", "posterior")
+
+    @classmethod
+    def from_json(cls, found: dict[str, Any]) -> Profile:
+        """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
+        posterior = found["posterior"]
+        return cls(
+            **known(cls, found)
+            | _common(found)
+            | {
+                "at": array(found["at"]),
+                "delta": array(found["delta"]),
+                "others": arrays(found["others"]),
+                "intervals": tuple(
+                    Interval(**known(Interval, item)) for item in found["intervals"]
+                ),
+                "free": tuple(found["free"]),
+                "stops": tuple(tuple(names) for names in found["stops"]),
+                "posterior": None if posterior is None else arrays(posterior),
+            }
+        )
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write the record as JSON, whole or not at all."""
+        write_json(self.to_json(), Path(file))
+
+
+@dataclass(frozen=True)
+class PairProfile:
+    """The least misfit at fixed values of two parameters, all others fitted again at each.
+
+    The places follow the valley: in each column the first parameter is fixed, and the second counts
+    from where the profile of the first alone puts it.
+
+    Attributes
+    ----------
+    names : of the two.
+    each : the profiles of either alone. That of the first is the misfit along the bottom of the
+        valley, with the way of the second in its `others`.
+    first, second : values of both, shape (n, m). Places beyond a bound of the second lie on it.
+    delta : by how much chi squared is above the fit's there; NaN where the law admits no motion.
+    across : standard error of the second while the first is held, at the best fit; None where the
+        data do not tell.
+    extent : by level, for each of the two, the interval that the region of that confidence spans.
+    covariance : of both, shape (2, 2); None where one of them has no standard error.
+    ellipse : the most that `delta` differs from the covariance's ellipse within its 95 %; None
+        without one.
+    samples : of the posterior, shape (samples, 2); empty without a chain.
+    warnings : what the reader has to mind.
+    """
+
+    names: tuple[str, str]
+    each: tuple[Profile, Profile]
+    first: Floats
+    second: Floats
+    delta: Floats
+    across: float | None
+    extent: dict[str, tuple[Interval, Interval]]
+    covariance: Floats | None
+    ellipse: float | None
+    samples: Floats = field(repr=False)
+    warnings: tuple[str, ...]
+
+    @property
+    def parameters(self) -> dict[str, Estimate]:
+        """Of the fit, by name."""
+        return self.each[0].parameters
+
+    @property
+    def levels(self) -> tuple[Level, ...]:
+        """What chi squared rises by on the edges of its regions."""
+        return levels_for(self.names, self.parameters)
+
+    @property
+    def best(self) -> tuple[float, float]:
+        """Values of both in the fit."""
+        return self.each[0].best, self.each[1].best
+
+    @property
+    def valley(self) -> Floats:
+        """The second parameter along the profile of the first, at `each[0].at`."""
+        return self.each[0].others[self.names[1]]
+
+    def to_json(self) -> dict[str, Any]:
+        """The record as written to `profile.json`."""
+        each = [profile.to_json() for profile in self.each]
+        return {"schema": SCHEMA, "kind": "two"} | _plain(self) | {"each": each}
+
+    def summary(self) -> dict[str, Any]:
+        """The JSON record without the series."""
+        found = _without(strict(self.to_json()), "first", "second", "delta", "samples")
+        return found | {"each": [profile.summary() for profile in self.each]}
+
+    @classmethod
+    def from_json(cls, found: dict[str, Any]) -> PairProfile:
+        """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
+        covariance = found["covariance"]
+        extent = {
+            level: tuple(Interval(**known(Interval, item)) for item in items)
+            for level, items in found["extent"].items()
+        }
+        return cls(
+            **known(cls, found)
+            | {name: array(found[name]) for name in ("first", "second", "delta")}
+            | {
+                "names": tuple(found["names"]),
+                "each": tuple(Profile.from_json(item) for item in found["each"]),
+                "extent": extent,
+                "covariance": None if covariance is None else array(covariance),
+                "samples": array(found["samples"]).reshape(-1, 2),
+                "warnings": tuple(found["warnings"]),
+            }
+        )
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write the record as JSON, whole or not at all."""
+        write_json(self.to_json(), Path(file))
+
+
+def load_profile(file: str | PathLike[str]) -> Profile | PairProfile:
+    """Read a saved `profile.json`, or the one in a folder.
+
+    Raises
+    ------
+    DataError : it is not there, is not a profile, or has a schema this version cannot read.
+    """
+    path = Path(file)
+    if path.is_dir():
+        path = path / "profile.json"
+    found = read_json(path, SCHEMA, MIGRATIONS)
+    try:
+        return (PairProfile if found["kind"] == "two" else Profile).from_json(found)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise DataError(
+            f"not a complete profile.json of curlfit ({type(error).__name__}: {error})", file=path
+        ) from None
+
+
+def require_usable(
+    parameters: ParameterSet,
+    names: Sequence[str],
+    points: int | None,
+    ranges: Mapping[str, tuple[float, float]],
+    best: Mapping[str, float] | None = None,
+) -> None:
+    """Raise `InputError` where names, points and ranges cannot be had of these parameters.
+
+    `best` are the fitted values, where they are known; a range has to hold them.
+    """
+    if not 1 <= len(names) <= 2:
+        raise InputError(f"--param: {len(names)} names; expected one or two")
+    parameters.require("--param", names)
+    for name in names:
+        if name in parameters.fixed:
+            raise InputError(
+                f"--param {name}: it is fixed at {parameters.fixed[name]:g}; expected one that is "
+                "fitted"
+            )
+    if len(set(names)) < len(names):
+        raise InputError(f"--param {names[0]} is given twice")
+    if points is not None and not _FEWEST <= points <= _MOST:
+        raise InputError(f"--points {points}: expected {_FEWEST} to {_MOST}")
+    if len(parameters.fixed) + len(names) == len(parameters):
+        raise InputError("nothing else is left to fit; free another parameter")
+    for name, (low, high) in ranges.items():
+        if name not in names:
+            raise InputError(f"--range of {name}: expected one of {', '.join(names)}")
+        item = parameters.parameters[parameters.index(name)]
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise InputError(f"--range {low:g},{high:g} of {name} is empty; expected LOW,HIGH")
+        if low < item.lower or high > item.upper:
+            raise InputError(
+                f"--range {low:g},{high:g} of {name} leaves its bounds "
+                f"{item.lower:g}:{item.upper:g}; --bound moves them"
+            )
+        if best is not None and not low <= best[name] <= high:
+            raise InputError(
+                f"--range {low:g},{high:g} of {name} leaves out the best estimate, {best[name]:.6g}"
+            )
+
+
+def array(found: Any) -> Floats:
+    """Numbers from JSON, which has NaN as null and infinities as text, as an array."""
+    return np.array(found, dtype=object).astype(float)
+
+
+def arrays(found: Mapping[str, Any]) -> dict[str, Floats]:
+    """The same of several series."""
+    return {name: array(values) for name, values in found.items()}
+
+
+def _common(found: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "parameters": {
+            name: Estimate.from_json(item) for name, item in found["parameters"].items()
+        },
+        "combinations": tuple(
+            Combination(**known(Combination, item)) for item in found["combinations"]
+        ),
+        "warnings": tuple(found["warnings"]),
+    }
+
+
+def _plain(record: Any) -> dict[str, Any]:
+    """The fields of a record with arrays as lists."""
+    found = {item.name: getattr(record, item.name) for item in fields(record)}
+    return {name: _listed(value) for name, value in found.items()}
+
+
+def _listed(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, dict):
+        return {name: _listed(item) for name, item in value.items()}
+    if isinstance(value, tuple):
+        return [_listed(item) for item in value]
+    return asdict(value) if isinstance(value, Estimate | Combination | Interval) else value
+
+
+def _without(record: dict[str, Any], *names: str) -> dict[str, Any]:
+    return {key: value for key, value in record.items() if key not in names}

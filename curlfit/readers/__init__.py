@@ -1,8 +1,0 @@
-"""Files become throws here; units, column names and separators end at this door."""
-
-from curlfit.readers.load import FORMATS, Part, check_how, load_throw, load_throws, read
-from curlfit.readers.objects import from_table
-
-__all__ = [
-    "FORMATS", "Part", "check_how", "from_table", "load_throw", "load_throws", "read",
-]  # fmt: skip

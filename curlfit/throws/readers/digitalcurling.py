@@ -1,0 +1,241 @@
+"""Logs of the DigitalCurling 3 server: the path of every stone of a shot, frame by frame.
+
+The format is that of github.com/digitalcurling/DigitalCurling3-Server (src/log.cpp, src/game.cpp,
+src/trajectory_compressor.cpp, commit 02e51c3). A shot's file `shot_eEEEsSS.json`, or a line of
+`server.log`, is {"tag": "sht", "log": {"end", "shot", "trajectory": ...}}; a trajectory holds
+`seconds_per_frame`, the stones at the `start` and the `finish` by `team0` and `team1` (each
+{"position": {"x", "y"}, "angle"} or null), and `frames`, each a list of what changed:
+{"team", "index", "value"}. A client sees the same in `last_move.trajectory`. Places are in m from
+the hack that is thrown from, y along the throw and x to the right, angles in rad and
+counter-clockwise: curlfit's own axes (coordinate.hpp of digitalcurling/DigitalCurling). The log of
+a game, `game.dcl2`, holds no trajectories. A last frame is added when every stone has stopped, so
+that its time is right to one frame only.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from curlfit.errors import DataError
+from curlfit.throws.readers.columns import Column
+from curlfit.throws.readers.defaults import defaults_of
+from curlfit.throws.readers.parsed_file import Reading, choice, in_si
+from curlfit.throws.throw import Floats
+
+_EXPECTED = (
+    'expected a log of a DigitalCurling 3 shot with a "trajectory" (shot_*.json or server.log)'
+)
+_MOST_NUMBERS = 20_000_000
+_MOVED = 1e-4  # m; places are 32-bit numbers
+
+
+class Shot(NamedTuple):
+    """One shot of a log: its line, what to call it, and its trajectory as it stands there."""
+
+    line: int
+    name: str
+    trajectory: dict[str, Any]
+
+
+def read_digitalcurling(
+    path: Path, lines: list[str], *, stone_index: int | None = None, shot: int | None = None
+) -> Reading:
+    """The path of one stone of one shot; of the stone that was thrown unless another is wanted.
+
+    Raises
+    ------
+    DataError : the file is no log of a shot, or holds several and `shot` does not say which.
+    InputError : there is no such shot or stone.
+    """
+    shots = shots_of(path, lines)
+    if len(shots) > 1 and shot is None:
+        listed = "; ".join(f"{k} {item.name}" for k, item in enumerate(shots[:20], 1))
+        more = f"; and {len(shots) - 20} more" if len(shots) > 20 else ""
+        raise DataError(
+            f"{len(shots)} shots in it; choose one with --shot: {listed}{more}", file=path
+        )
+    taken = shots[choice("shot", "--shot", shot, [item.name for item in shots], 0)]
+    return read_shot(path, lines, taken, stone_index=stone_index)
+
+
+def read_shot(
+    path: Path, lines: list[str], taken: Shot, *, stone_index: int | None = None
+) -> Reading:
+    """The path of one stone of a shot of this file, as `read_digitalcurling` reads it."""
+    comments = [(k, line) for k, line in enumerate(lines[:200], 1) if line.lstrip()[:1] == "#"]
+    settings, reference, notes = defaults_of(path, comments)
+    period, places, names = _paths(path, taken)
+
+    xy = places[:, :, :2]
+    far = np.hypot(*(np.fmax.reduce(xy, axis=1) - np.fmin.reduce(xy, axis=1)).T)
+    moved = np.flatnonzero(far > _MOVED)
+    if not len(moved):
+        raise DataError(f"no stone moves in {taken.name}", file=path, line=taken.line)
+    began = {int(k): _first_change(places[k]) for k in moved}
+    first = min(began.values())
+    thrown = max((k for k in began if began[k] == first), key=lambda k: far[k])
+    stone = choice("stone", "--stone-index", stone_index, names, thrown)
+    if stone not in began:
+        movers = ", ".join(f"{k + 1} ({names[k]})" for k in began)
+        raise DataError(
+            f"stone {stone + 1} ({names[stone]}) does not move; those that do are {movers}",
+            file=path,
+            line=taken.line,
+        )
+    # It is a free throw until another stone moves, and from when it was pushed.
+    seen = np.isfinite(places[stone, :, 0])
+    others = [row for k, row in began.items() if k != stone and row > began[stone]]
+    time = period * np.arange(places.shape[1])
+    from_row = max(began[stone] - 1, 0)
+    keep = seen & (np.arange(len(time)) >= from_row)
+    if others:
+        settings.setdefault("until", float(time[min(others) - 1]))
+        notes.append(
+            f"another stone moves after t = {time[min(others) - 1]:g} s; until is set to that"
+        )
+    notes.insert(
+        0,
+        f"{taken.name}: stone {stone + 1} of {len(names)} ({names[stone]}"
+        + (", the one thrown)" if stone == thrown else ")")
+        + f", {int(keep.sum())} frames of {period:g} s",
+    )
+    notes.append("a simulated throw: places are exact to the 32 bits of the log")
+    reading = Reading(path, "digitalcurling", [], [], settings, reference, notes=notes)
+    reading.lines = np.full(int(keep.sum()), taken.line, np.int64)
+    for header, column, values in (
+        ("seconds_per_frame", Column("t", "s", 1.0), time),
+        ("position.x", Column("x", "m", 1.0), places[stone, :, 0]),
+        ("position.y", Column("y", "m", 1.0), places[stone, :, 1]),
+        ("angle", Column("phi", "rad", 1.0), places[stone, :, 2]),
+    ):
+        reading.series.append(in_si(reading, header, column, np.asarray(values[keep])))
+    return reading
+
+
+def shots_of(path: Path, lines: list[str]) -> list[Shot]:
+    """Every shot in the file: one JSON value, or one a line.
+
+    Raises
+    ------
+    DataError : the file is no log, or holds no shot.
+    """
+    shots = list(_shots(path, lines))
+    if not shots:
+        raise DataError(f"no trajectory in it; {_EXPECTED}", file=path)
+    return shots
+
+
+def _shots(path: Path, lines: list[str]) -> Iterator[Shot]:
+    text = "\n".join(line for line in lines if line.lstrip()[:1] != "#").strip()
+    try:
+        values = [(1, json.loads(text))]
+    except (ValueError, RecursionError):
+        values = []
+        for number, line in enumerate(lines, 1):
+            if not line.strip() or line.lstrip().startswith("#"):
+                continue
+            try:
+                values.append((number, json.loads(line)))
+            except (ValueError, RecursionError):
+                raise DataError(
+                    f"not a line of JSON; {_EXPECTED}", file=path, line=number
+                ) from None
+    for number, value in values:
+        for item in value if isinstance(value, list) else [value]:
+            found = _trajectory(item)
+            if found is not None:
+                yield Shot(number, *found)
+
+
+def _trajectory(item: Any) -> tuple[str, dict[str, Any]] | None:
+    """A trajectory and what to call it, however deep in the entry it lies."""
+    label: dict[str, Any] = {}
+    for _ in range(6):
+        if not isinstance(item, dict):
+            return None
+        if isinstance(item.get("state"), dict):  # a client's update, after the shot
+            label |= {key: item["state"].get(key) for key in ("end", "shot")}
+        label |= {key: item[key] for key in ("end", "shot") if isinstance(item.get(key), int)}
+        if isinstance(item.get("trajectory"), dict):
+            item = item["trajectory"]
+            break
+        if "frames" in item and "seconds_per_frame" in item:
+            break
+        item = next(
+            (item[key] for key in ("log", "last_move", "msg") if isinstance(item.get(key), dict)),
+            None,
+        )
+    else:
+        return None
+    parts = [f"{key} {label[key]}" for key in ("end", "shot") if isinstance(label.get(key), int)]
+    return " ".join(parts) or "shot", item
+
+
+def _paths(path: Path, shot: Shot) -> tuple[float, Floats, list[str]]:
+    """Seconds a frame; x, y, angle of every stone and frame, shape (stones, n, 3); the names."""
+
+    def refuse(message: str) -> DataError:
+        return DataError(f"{shot.name}: {message}", file=path, line=shot.line)
+
+    period: Any = shot.trajectory.get("seconds_per_frame")
+    if not _is_number(period) or not 1e-6 <= period <= 60:
+        raise refuse(f"seconds_per_frame = {period!r}; expected a positive number")
+    start, frames = shot.trajectory.get("start"), shot.trajectory.get("frames")
+    if not isinstance(start, dict) or not isinstance(frames, list):
+        raise refuse("a trajectory needs a start and frames")
+    teams = [team for team in sorted(start) if isinstance(start[team], list)]
+    slots = [(team, k) for team in teams for k in range(len(start[team]))]
+    if not slots or len(slots) > 64 or len(slots) * (len(frames) + 1) > _MOST_NUMBERS:
+        raise refuse("the start needs some stones by team")
+    index = {slot: k for k, slot in enumerate(slots)}
+    now = np.full((len(slots), 3), math.nan)
+    for (team, k), row in index.items():
+        now[row] = _stone(start[team][k], refuse)
+    places = np.empty((len(slots), len(frames) + 1, 3))
+    places[:, 0] = now
+    for count, changes in enumerate(frames, 1):
+        if not isinstance(changes, list):
+            raise refuse(f"frame {count}: expected a list of changes")
+        for change in changes:
+            if not isinstance(change, dict):
+                raise refuse(f"frame {count}: a change needs team, index and value")
+            side: Any = change.get("team")
+            place: Any = change.get("index")
+            if isinstance(side, int) and not isinstance(side, bool):
+                side = f"team{side}"
+            slot = (side, place) if isinstance(side, str) and isinstance(place, int) else None
+            if slot not in index:
+                raise refuse(f"frame {count}: no stone {place!r:.20} of team {side!r:.20}")
+            now[index[slot]] = _stone(change.get("value"), refuse)
+        places[:, count] = now
+    return float(period), places, [f"{team} stone {k + 1}" for team, k in slots]
+
+
+def _stone(value: Any, refuse: Any) -> list[float]:
+    if value is None:
+        return [math.nan] * 3
+    place = value.get("position") if isinstance(value, dict) else None
+    numbers = (
+        [place.get("x"), place.get("y"), value.get("angle")] if isinstance(place, dict) else []
+    )
+    if not numbers or not all(_is_number(item) for item in numbers):
+        raise refuse("a stone needs a position x, y and an angle, all finite numbers")
+    return [float(item) for item in numbers]
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) < 1e12  # false for NaN too
+
+
+def _first_change(stone: Floats) -> int:
+    """First frame in which a stone is not where it was."""
+    step = np.abs(np.diff(stone[:, :2], axis=0)).max(axis=1)
+    return int(np.argmax(step > 0)) + 1

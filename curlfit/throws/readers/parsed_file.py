@@ -1,0 +1,175 @@
+"""What a reader found in a file, before axes, pixels, clocks and wraps are dealt with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from curlfit.errors import DataError, InputError
+from curlfit.throws.readers.columns import Column, understand, with_units
+from curlfit.throws.readers.text import EXPECTED
+from curlfit.throws.throw import Floats, Reference
+
+
+class Series(NamedTuple):
+    """One column that was understood; `values` in SI (pixels for u and v), shape (n,)."""
+
+    header: str
+    column: Column
+    values: Floats
+
+
+@dataclass
+class Reading:
+    """Columns of one file, as they stand there but in SI.
+
+    Attributes
+    ----------
+    source : the file, or a name. format : which reader it was.
+    series : the columns, all of one length.
+    ignored : headers that mean nothing here.
+    settings : defaults that the file carries. notes : what the reader has to say.
+    lines : line of each row, None where there are none.
+    """
+
+    source: Path | str
+    format: str
+    series: list[Series]
+    ignored: list[str] = field(default_factory=list)
+    settings: dict[str, Any] = field(default_factory=dict)
+    reference: Reference | None = None
+    notes: list[str] = field(default_factory=list)
+    lines: np.ndarray | None = None
+
+    def error(self, message: str, row: int | None = None, quantity: str | None = None) -> DataError:
+        """An error with its place in the file."""
+        header = next((s.header for s in self.series if s.column.quantity == quantity), quantity)
+        line = None if row is None or self.lines is None else int(self.lines[row])
+        if row is not None and line is None:
+            message = f"row {row}: {message}"
+        return DataError(message, file=self.source, line=line, column=header)
+
+
+def columns_of(
+    source: Path | str,
+    names: Sequence[str],
+    units: Mapping[str, str],
+    *,
+    line: int | None = None,
+    pixels: bool = False,
+) -> tuple[dict[int, Column], list[str]]:
+    """Columns to read by their place, and the names of the others.
+
+    `pixels` says that a homography will be used: x and y without a unit are then pixels, and v is
+    no speed.
+
+    Raises
+    ------
+    DataError : two columns mean the same, or a needed one is missing.
+    """
+    columns: dict[int, Column] = {}
+    ignored: list[str] = []
+    taken: dict[str, str] = {}
+    bare = [str(name).strip().lower() for name in names]
+    meant = {column.quantity for name in names if (column := understand(name)) is not None}
+    velocities = not pixels and {"x", "y"} <= meant and "u" in bare
+    pixels = pixels or ("u" in bare and "v" in bare and not velocities)
+    for place, name in enumerate(names):
+        column = understand(name)
+        if column is None or (velocities and bare[place] in ("u", "v")):
+            if name:
+                ignored.append(name)
+            continue
+        if pixels and bare[place] in ("v", "sigma_v"):
+            column = Column(bare[place], "px", 1.0)
+        column = with_units(column, units)
+        if pixels and not column.stated and column.quantity.removeprefix("sigma_") in ("x", "y"):
+            axis = "u" if column.quantity.endswith("x") else "v"
+            column = Column(column.quantity[:-1] + axis, "px", 1.0)
+        if column.quantity in taken:
+            raise DataError(
+                f"columns {taken[column.quantity]!r} and {name!r} both mean {column.quantity}; "
+                "rename or remove one",
+                file=source,
+                line=line,
+            )
+        taken[column.quantity] = name
+        columns[place] = column
+    missing = missing_from(taken)
+    if missing:
+        raise DataError(
+            f"no column for {' and '.join(missing)} among {_listed(names)}; {EXPECTED}",
+            file=source,
+            line=line,
+        )
+    return columns, ignored
+
+
+def missing_from(quantities: Any) -> list[str]:
+    """What a throw needs and these quantities do not give."""
+    found = set(quantities)
+    if {"u", "v"} & found:
+        missing = [axis for axis in ("u", "v") if axis not in found]
+        need = {"u", "v"}
+    else:
+        missing = [axis for axis in ("x", "y") if axis not in found]
+        if missing == ["x", "y"] and found & {"phi", "speed", "omega"}:
+            missing = []  # a gyroscope or a radar alone
+        need = {"x", "y"}
+    need = (need | {"phi", "speed", "omega"}) & found
+    if "t" not in found and (
+        not need or any(clock_of(quantity, found) == "t" for quantity in need)
+    ):
+        missing.insert(0, "t")
+    return missing
+
+
+def clock_of(quantity: str, quantities: Any) -> str:
+    """The column that holds the times of a quantity: its own clock, or t."""
+    base = quantity.removeprefix("sigma_")
+    place = {"u": "t_x", "v": "t_y"}.get(base, f"t_{base}")
+    if place in quantities:
+        return place
+    return "t_xy" if base in ("x", "y", "u", "v") and "t_xy" in quantities else "t"
+
+
+def in_si(reading: Reading, header: str, column: Column, values: Floats) -> Series:
+    """A column with its values in SI; refuses what is out of all range."""
+    scaled = values
+    if column.factor != 1:
+        with np.errstate(over="ignore", invalid="ignore"):
+            scaled = values * column.factor
+    bad = np.abs(scaled) > 1e12
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise DataError(
+            f"{values[row]:g} {column.unit} found, expected a number of the size of a throw",
+            file=reading.source,
+            line=None if reading.lines is None else int(reading.lines[row]),
+            column=header,
+        )
+    return Series(header, column, scaled)
+
+
+def choice(what: str, flag: str, wanted: int | None, options: Sequence[str], default: int) -> int:
+    """Index of the option that was wanted (counting from 1), or the default.
+
+    Raises
+    ------
+    InputError : there is no such option; the message lists them.
+    """
+    if wanted is None:
+        return default
+    if not 1 <= wanted <= len(options):
+        listed = "; ".join(f"{place} {name}" for place, name in enumerate(options, 1))
+        raise InputError(f"{flag} {wanted}: there is no such {what}; expected one of {listed}")
+    return wanted - 1
+
+
+def _listed(names: Sequence[str]) -> str:
+    short = [str(name)[:40] for name in names[:20]]
+    return ", ".join([*short, f"and {len(names) - 20} more"] if len(names) > 20 else short)

@@ -1,0 +1,225 @@
+"""Text of a file, its lines and cells, and numbers as people write them."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from curlfit.errors import DataError
+from curlfit.throws.throw import Floats
+
+GAPS = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
+EXPECTED = "expected a header such as t,x,y,phi (time in s, position in m, angle in rad)"
+_MOST_BYTES = 1_000_000_000
+_CHUNK = 20_000
+# A line that is blank or may be a comment: one that begins with a space, say
+_ODD_LINE = re.compile(r"\n[\s#]")
+# "t (s)" in a table that spaces separate
+_UNIT_APART = re.compile(r"[ \t]+([(\[][^()\[\]]*[)\]])")
+
+
+def text_of(path: Path) -> str:
+    """The file's text with "\\n" ends of line: UTF-8, UTF-16 with its mark, or Windows' cp1252.
+
+    Raises
+    ------
+    DataError : no such file, a folder, not readable, too large, or not text.
+    """
+    try:
+        with path.open("rb") as stream:
+            if os.fstat(stream.fileno()).st_size > _MOST_BYTES:
+                raise DataError("the file is larger than 1 GB; expected one throw", file=path)
+            raw = stream.read()
+    except FileNotFoundError:
+        raise DataError("no such file", file=path) from None
+    except IsADirectoryError:
+        raise DataError("this is a folder, expected a file", file=path) from None
+    except OSError as error:
+        raise DataError(f"cannot be read ({error.strerror})", file=path) from None
+    except ValueError:
+        raise DataError("this is not a file name", file=repr(str(path))) from None
+    encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    marked = encoding == "utf-16" or raw[:3] == b"\xef\xbb\xbf"
+    try:
+        text = raw.decode(encoding)
+    except UnicodeDecodeError:
+        text = raw.decode(encoding if marked else "cp1252", errors="replace")
+    if "\x00" in text:
+        raise DataError(f"this is not a text file; {EXPECTED}", file=path)
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    return text
+
+
+def separator_of(line: str) -> str | None:
+    """What separates the cells of a header line; None for spaces."""
+    bare = re.sub(r"\([^()]*\)|\[[^\[\]]*\]", "", line)
+    return next((mark for mark in ("\t", ";", ",") if mark in bare), None)
+
+
+def header_cells(line: str, separator: str | None) -> list[str]:
+    """Cells of a header; where spaces separate, `t (s)` is one cell."""
+    return cells(_UNIT_APART.sub(r"\1", line) if separator is None else line, separator)
+
+
+def cells(line: str, separator: str | None) -> list[str]:
+    """Cells of a line, without the spaces and quotation marks around them."""
+    if separator is None:
+        return [cell.strip('"') for cell in line.split()]
+    if '"' in line:
+        try:
+            return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+        except csv.Error:
+            pass
+    return [cell.strip() for cell in line.split(separator)]
+
+
+def number(cell: str, *, decimal_comma: bool) -> float | None:
+    """A cell as a number, None where it is none."""
+    text = cell.replace(",", ".") if decimal_comma and "." not in cell else cell
+    if "_" in text:
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number, with a decimal point or a decimal comma."""
+    return number(cell, decimal_comma=True) is not None
+
+
+def read_rows(
+    path: Path,
+    lines: Sequence[str],
+    first: int,
+    names: Sequence[str],
+    places: Sequence[int],
+    separator: str | None,
+) -> tuple[np.ndarray, list[Floats]]:
+    """Numbers in some columns of a table's rows, as written; gaps are NaN.
+
+    Parameters
+    ----------
+    lines : all lines of the file. first : index of the first line below the header; blank lines
+        and comments there are passed over.
+    names : all cells of the header. places : which of them to read.
+
+    Returns
+    -------
+    Line numbers, shape (n,), and one array of shape (n,) a place.
+
+    Raises
+    ------
+    DataError : a row with another number of cells, or a cell that is no finite number.
+    """
+    last = len(lines)
+    while last > first and not lines[last - 1]:
+        last -= 1
+    kept: Sequence[int] = range(first, last)
+    if _ODD_LINE.search("\n".join(["", *lines[first:last]])):
+        kept = [
+            index for index in kept
+            if (line := lines[index]) and not line.isspace() and line.lstrip()[0] != "#"
+        ]  # fmt: skip
+    decimal_comma = separator != "," and any("," in lines[index] for index in kept)
+    parts = []
+    for start in range(0, len(kept), _CHUNK):
+        chunk = kept[start : start + _CHUNK]
+        rows = [lines[index] for index in chunk]
+        found = _clean(rows, len(names), places, separator, decimal_comma)
+        if found is None:
+            found = _careful(path, rows, chunk, names, places, separator, decimal_comma)
+        parts.append(found)
+    numbers = np.asarray(kept, np.int64) + 1
+    if not parts:
+        return numbers, [np.zeros(0) for _ in places]
+    return numbers, list(np.concatenate(parts, axis=1))
+
+
+def _clean(
+    rows: list[str], width: int, places: Sequence[int], separator: str | None, decimal_comma: bool
+) -> Floats | None:
+    """The fast way: numbers and empty cells only. None where anything else is met."""
+    text = "\n".join(rows)
+    if '"' in text or "_" in text:
+        return None
+    if decimal_comma:
+        if "." in text:
+            return None
+        rows = text.replace(",", ".").split("\n")
+    found: Floats | None
+    try:
+        every = np.loadtxt(rows, delimiter=separator, comments=None, ndmin=2)
+    except ValueError:
+        found = _with_gaps(rows, width, places, separator)
+    else:
+        found = every[:, list(places)].T if every.shape[1] == width else None
+    return None if found is None or np.isinf(found).any() else found
+
+
+def _with_gaps(
+    rows: list[str], width: int, places: Sequence[int], separator: str | None
+) -> Floats | None:
+    """The same where some cells are empty, or columns that are not wanted hold words."""
+    split = [row.split(separator) for row in rows]
+    if any(len(row) != width for row in split):
+        return None
+    columns = list(zip(*split, strict=True))
+    try:
+        return np.array([[float(c or "nan") for c in columns[place]] for place in places])
+    except ValueError:
+        return None
+
+
+def _careful(
+    path: Path,
+    rows: list[str],
+    indices: Sequence[int],
+    names: Sequence[str],
+    places: Sequence[int],
+    separator: str | None,
+    decimal_comma: bool,
+) -> Floats:
+    """The way that takes every spelling, and knows the place of a fault."""
+    found = np.full((len(places), len(rows)), math.nan)
+    for row, (index, line) in enumerate(zip(indices, rows, strict=True)):
+        row_cells = cells(line, separator)
+        if len(row_cells) > len(names) and not any(row_cells[len(names) :]):
+            row_cells = row_cells[: len(names)]
+        if len(row_cells) != len(names):
+            hint = (
+                "; where numbers have decimal commas, separate the columns by semicolons"
+                if separator == "," and len(names) < len(row_cells) <= 2 * len(names)
+                else ""
+            )
+            raise DataError(
+                f"{len(row_cells)} cells where the header has {len(names)} columns{hint}",
+                file=path,
+                line=index + 1,
+            )
+        for slot, place in enumerate(places):
+            cell = row_cells[place]
+            if cell.lower() in GAPS:
+                continue
+            value = number(cell, decimal_comma=decimal_comma)
+            if value is None or not math.isfinite(value):
+                raise DataError(
+                    f"{_shown(cell)} found, expected a finite number",
+                    file=path,
+                    line=index + 1,
+                    column=names[place],
+                )
+            found[slot, row] = value
+    return found
+
+
+def _shown(cell: str) -> str:
+    return repr(cell if len(cell) <= 40 else cell[:37] + "...")

@@ -1,0 +1,311 @@
+"""Text exports of Tracker, the video tool of Open Source Physics.
+
+Above the header stands a row with the name of the object, such as `mass_A`; several objects lie
+side by side. Tracker itself computes `v`, `ω` and the angles `θ_{r}`, `θ` of a point mass from its
+places, so these say nothing new of a stone, and nothing of how it turns: where a column agrees with
+the places it is left out, and otherwise it is taken for a measurement.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from curlfit.errors import DataError
+from curlfit.throws.readers.columns import Column, understand
+from curlfit.throws.readers.defaults import defaults_of
+from curlfit.throws.readers.parsed_file import Reading, Series, choice, columns_of, in_si
+from curlfit.throws.readers.table import first_lines
+from curlfit.throws.readers.text import (
+    EXPECTED,
+    cells,
+    header_cells,
+    is_number,
+    read_rows,
+    separator_of,
+)
+from curlfit.throws.throw import Floats
+
+_FEW_VALUES = 5
+_MOST_DIGITS = 13
+_POLAR = re.compile(r"(θ|theta)_?\{?r\}?(?![a-z])", re.I)
+
+
+def looks_like_tracker(head: Sequence[str]) -> bool:
+    """Whether the first lines are a title and a header, or a header with two objects."""
+    if not head:
+        return False
+    first = _header(head[0])
+    if _known(first) >= 2:
+        names = [name.lower() for name in first if name]
+        return names.count("x") > 1 and names.count("y") > 1
+    return len(head) > 1 and _known(_header(head[1])) >= 2 and not any(map(is_number, first))
+
+
+def read_tracker(
+    path: Path,
+    lines: list[str],
+    units: Mapping[str, str],
+    *,
+    stone_index: int | None = None,
+    pixels: bool = False,
+) -> Reading:
+    """Columns of one object of a Tracker export, the first unless another is wanted.
+
+    Raises
+    ------
+    DataError : naming the line and column of the fault, and what was expected.
+    InputError : there is no such object.
+    """
+    first, comments = first_lines(path, lines)
+    settings, reference, notes = defaults_of(path, comments)
+    header, separator, names, blocks = _layout(path, lines, first)
+    titled = any(title for title, _ in blocks)
+    called = [title or f"object {k}" for k, (title, _) in enumerate(blocks, 1)]
+    wanted = choice("object", "--stone-index", stone_index, called, 0)
+    _, places = blocks[wanted]
+    if len(blocks) > 1:
+        listed = ", ".join(f"{k} {name}" for k, name in enumerate(called, 1))
+        notes.append(
+            f"{len(blocks)} objects: {listed}; taken: {wanted + 1} {called[wanted]} "
+            "(--stone-index takes another)"
+        )
+    elif titled:
+        notes.append(f"object: {called[0]}")
+    own = [names[place] for place in places]
+    if "t" not in _quantities(own):  # one column of times for all
+        shared = next((p for p in range(len(names)) if _quantities([names[p]]) == ["t"]), None)
+        if shared is not None:
+            places, own = [shared, *places], [names[shared], *own]
+    has_angle = "phi" in _quantities(own)
+    readable = own if has_angle else [_POLAR.sub("θ", name) for name in own]
+    columns, ignored = columns_of(path, readable, units, line=header + 1, pixels=pixels)
+    numbers, values = read_rows(
+        path, lines, header + 1, names, [places[k] for k in columns], separator
+    )
+    if not len(numbers):
+        raise DataError("a header but no rows of numbers", file=path, line=header + 1)
+    reading = Reading(path, "tracker", [], ignored, settings, reference, notes, numbers)
+    series = [
+        in_si(reading, own[k], column, values[slot])
+        for slot, (k, column) in enumerate(_in_units_of_the_file(columns).items())
+    ]
+    blank = ~np.any([np.isfinite(s.values) for s in series if s.column.quantity != "t"], axis=0)
+    if blank.any() and not blank.all():  # frames in which this object was not marked
+        notes.append(f"{int(blank.sum())} rows without {called[wanted]} left out")
+        series = [s._replace(values=s.values[~blank]) for s in series]
+        reading.lines = numbers[~blank]
+    reading.series = series
+    _leave_out_derived(reading)
+    return reading
+
+
+def count_objects(path: Path, lines: list[str]) -> int:
+    """How many objects the file holds. Raises `DataError` where it has no header."""
+    first, _ = first_lines(path, lines)
+    return len(_layout(path, lines, first).blocks)
+
+
+class _Layout(NamedTuple):
+    """Line of the header, what separates its cells, these, and title and places by object."""
+
+    header: int
+    separator: str | None
+    names: list[str]
+    blocks: list[tuple[str, list[int]]]
+
+
+def _layout(path: Path, lines: list[str], first: int) -> _Layout:
+    header = first
+    if _known(_header(lines[first])) < 2:
+        header = next(
+            (k for k in range(first + 1, min(first + 5, len(lines))) if lines[k].strip()), first
+        )
+    if _known(_header(lines[header])) < 2:
+        raise DataError(f"no header below the title; {EXPECTED}", file=path, line=header + 1)
+    separator = separator_of(lines[header])
+    names = header_cells(lines[header], separator)
+    titles = cells(lines[first], separator) if header != first else []
+    if separator is None and titles:
+        titles = [lines[first].strip()]
+    return _Layout(header, separator, names, _blocks(names, titles))
+
+
+def _header(line: str) -> list[str]:
+    return header_cells(line, separator_of(line))
+
+
+def _known(names: Sequence[str]) -> int:
+    return len({"t", "x", "y", "phi", "u", "v"} & set(_quantities(names)))
+
+
+def _quantities(names: Sequence[str]) -> list[str]:
+    found = [understand(name) for name in names]
+    return [column.quantity for column in found if column is not None]
+
+
+def _blocks(names: list[str], titles: list[str]) -> list[tuple[str, list[int]]]:
+    """Title and places of the columns of each object."""
+    starts = [k for k, title in enumerate(titles[: len(names)]) if title]
+    if len(starts) < 2:
+        # a repeated quantity begins the next object
+        starts = [0]
+        seen: set[str] = set()
+        for place, name in enumerate(names):
+            quantity = name.strip().lower()
+            if quantity and quantity in seen:
+                starts.append(place)
+                seen = set()
+            seen.add(quantity)
+    given = [title for title in titles if title]
+    if len(given) != len(starts):
+        given = given[:1] if len(starts) == 1 else []
+    starts[0] = 0
+    ends = [*starts[1:], len(names)]
+    called = [*given, *[""] * (len(starts) - len(given))]
+    return [
+        (title, list(range(start, end)))
+        for title, start, end in zip(called, starts, ends, strict=True)
+    ]
+
+
+def _in_units_of_the_file(columns: Mapping[int, Column]) -> dict[int, Column]:
+    """The same, `v` and `ω` without a unit being in the file's lengths and angles a time."""
+    found = {column.quantity: column for column in columns.values()}
+    lengths = {found[axis].factor for axis in ("x", "y") if axis in found}
+    result = dict(columns)
+    for place, column in columns.items():
+        base = found.get({"speed": "x", "omega": "phi"}.get(column.quantity, ""))
+        if column.stated or base is None or "t" not in found:
+            continue
+        if column.quantity == "omega" or len(lengths) == 1:
+            unit, factor = f"{base.unit}/{found['t'].unit}", base.factor / found["t"].factor
+            result[place] = Column(column.quantity, unit, factor, base.stated)
+    return result
+
+
+def _leave_out_derived(reading: Reading) -> None:
+    """Take away what Tracker computed from the places, whatever unit it is in.
+
+    Tracker computes from more digits than it prints, so the places allow for their rounding.
+    """
+    series = {s.column.quantity: s for s in reading.series}
+    if not {"t", "x", "y"} <= series.keys() or len(series["t"].values) < 5:
+        return
+    x, y = (_Rounded(series[axis].values, _rounding(series[axis])) for axis in ("x", "y"))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        direction = _Rounded(
+            np.arctan2(y.values, x.values), np.hypot(x.half, y.half) / np.hypot(x.values, y.values)
+        )
+        drop: dict[str, str] = {}
+        if "phi" in series and _is_direction(series["phi"], direction):
+            drop["phi"] = "the direction from the origin to the stone, not how the stone turns"
+        if "speed" in series:
+            (vx, off_x), (vy, off_y) = _rate(series["t"], x), _rate(series["t"], y)
+            speed = _Rounded(np.hypot(vx, vy), np.hypot(off_x, off_y))
+            if _proportional(series["speed"], speed):
+                drop["speed"] = "computed from the places"
+        if "omega" in series:
+            if _proportional(series["omega"], _rate(series["t"], direction.unwrapped())):
+                drop["omega"] = "the turning of the direction from the origin to the stone"
+            elif "phi" in series:
+                phi = _Rounded(series["phi"].values, _rounding(series["phi"]))
+                if _proportional(series["omega"], _rate(series["t"], phi.unwrapped())):
+                    drop["omega"] = "computed from the angle"
+    for quantity, why in drop.items():
+        reading.notes.append(f"{series[quantity].header} left out: {why}")
+    reading.series = [s for s in reading.series if s.column.quantity not in drop]
+
+
+class _Rounded(NamedTuple):
+    """Numbers in SI, and how far each may be off as its digits end; both of shape (n,)."""
+
+    values: Floats
+    half: Floats
+
+    def unwrapped(self) -> _Rounded:
+        """An angle without its jumps by whole turns."""
+        seen = np.isfinite(self.values)
+        values = self.values.copy()
+        values[seen] = np.unwrap(values[seen])
+        return _Rounded(values, self.half)
+
+
+def _rate(time: Series, of: _Rounded) -> _Rounded:
+    """Central differences, as Tracker takes them; NaN at the ends."""
+    t, half = time.values, _rounding(time)
+    step = np.diff(t)
+    if np.ptp(step) < 1e-6 * np.abs(step).max():
+        half = np.zeros_like(t)  # even steps show no rounding
+    rate, off = np.full((2, len(t)), np.nan)
+    span = t[2:] - t[:-2]
+    rate[1:-1] = (of.values[2:] - of.values[:-2]) / span
+    off[1:-1] = (of.half[2:] + of.half[:-2]) / span
+    off[1:-1] += np.abs(rate[1:-1]) * (half[2:] + half[:-2]) / span
+    return _Rounded(rate, off)
+
+
+def _proportional(series: Series, computed: _Rounded) -> bool:
+    """Whether a column says what was computed, in some unit."""
+    values, size = series.values, np.abs(computed.values)
+    seen = np.isfinite(values) & np.isfinite(size)
+    if not seen.any():
+        return False
+    scale = float(np.quantile(size[seen], 0.95))
+    large = seen & (size > 0.3 * scale)
+    unit = float(np.median(values[large] / computed.values[large])) if large.any() else 0.0
+    if unit <= 0:
+        return False
+    limit = unit * (2e-3 * scale + computed.half) + _rounding(series)
+    return _small(values - unit * computed.values, limit)
+
+
+def _is_direction(series: Series, direction: _Rounded) -> bool:
+    """Whether an angle is that of the place seen from the origin, in radians or in degrees."""
+    units = (1.0,) if series.column.stated else (1.0, math.pi / 180)
+    half = _rounding(series)
+    for unit in units:
+        off = unit * series.values - direction.values
+        limit = 1e-3 + direction.half + unit * half
+        seen = np.isfinite(off) & np.isfinite(limit)
+        if not seen.any():
+            continue
+        best = np.argmin(np.where(seen, limit, np.inf))
+        off = np.remainder(off - off[best] + np.pi, 2 * np.pi) - np.pi
+        if _small(off, limit + limit[best]):
+            return True
+    return False
+
+
+def _small(off: Floats, limit: Floats) -> bool:
+    seen = np.isfinite(off) & np.isfinite(limit)
+    return bool(seen.sum() > 2 and np.mean(np.abs(off[seen]) < limit[seen]) > 0.9)
+
+
+def _rounding(series: Series) -> Floats:
+    """Half a unit of the last digit printed of each number, in SI.
+
+    Tracker prints a fixed number of decimals or of significant digits: both are found from the
+    numbers, and the coarser counts. A column of few different numbers does not show it.
+    """
+    factor = series.column.factor
+    values = np.nan_to_num(series.values / factor)
+    if len(np.unique(values[values != 0])) < _FEW_VALUES:
+        return np.zeros_like(values)
+    size = 10.0 ** np.floor(np.log10(np.abs(np.where(values == 0, 1.0, values))))
+    half: Floats = 0.5 * factor * np.maximum(_last_place(values), size * _last_place(values / size))
+    return half
+
+
+def _last_place(values: Floats) -> float:
+    """The largest power of ten, 1 or below, of which all are multiples."""
+    for digits in range(_MOST_DIGITS):
+        whole = values * 10.0**digits
+        if (np.abs(whole - np.round(whole)) <= 1e-9 * np.maximum(np.abs(whole), 1.0)).all():
+            return 10.0**-digits
+    return 0.0

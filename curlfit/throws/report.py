@@ -1,0 +1,143 @@
+"""What `curlfit check` says of a file, as text. Nothing is computed here but dots."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Console
+from rich.text import Text
+
+from curlfit.output.console import PlainTable, terminal
+from curlfit.output.text import compact
+from curlfit.throws.inspection import Clock, Inspection, Rest
+from curlfit.throws.throw import CHANNELS, UNITS
+
+if TYPE_CHECKING:
+    from curlfit.throws.readers.parsed_file import Reading
+    from curlfit.throws.throw import Floats, Throw
+
+_DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
+_CURVES = ("y", "x", "phi", "speed", "omega")  # in the order in which they are drawn
+
+
+def print_inspection(
+    reading: Reading,
+    throw: Throw,
+    inspection: Inspection,
+    settings: Mapping[str, Any],
+    console: Console | None = None,
+) -> None:
+    """Print how a file was understood: its columns, the facts, the reader's notes, small curves.
+
+    `settings` are those that a fit of it would begin with.
+    """
+    console = console or terminal(highlight=False)
+
+    def say(line: str) -> None:
+        console.print(line, markup=False)
+
+    say(
+        f"{reading.source}: {reading.format}, {len(throw)} rows, "
+        f"t = {throw.t[0]:.6g} .. {throw.t[-1]:.6g} s"
+    )
+    console.print(_columns(reading))
+    console.print()
+    for line in facts(throw, inspection, settings):
+        say(line)
+    if throw.notes:
+        console.print("\nNotes")
+        for note in throw.notes:
+            say(f"- {note}")
+    for channel in _CURVES:
+        values = getattr(throw, channel)
+        if np.isfinite(values).any():
+            span = f"{np.nanmin(values):.4g} .. {np.nanmax(values):.4g}"
+            say(f"\n{channel} ({UNITS[channel]}): {span}")
+            for line in braille(throw.t, values):
+                say(line)
+
+
+def _columns(reading: Reading) -> PlainTable:
+    table = PlainTable()
+    for name in ("column", "quantity", "unit", "factor", "rows", "gaps", "range in the file"):
+        right = name in ("factor", "rows", "gaps")
+        table.add_column(name, justify="right" if right else "left", no_wrap=True)
+    for header, column, values in reading.series:
+        seen = values[np.isfinite(values)] / column.factor
+        span = f"{seen.min():.6g} .. {seen.max():.6g}" if len(seen) else "-"
+        cells = (
+            header, column.quantity, column.unit, f"{column.factor:.6g}", str(len(values)),
+            str(int((~np.isfinite(values)).sum())), span,
+        )  # fmt: skip
+        table.add_row(*map(Text, cells))
+    return table
+
+
+def facts(throw: Throw, inspection: Inspection, settings: Mapping[str, Any]) -> Iterator[str]:
+    """What there is to know of a throw before a fit, a line each."""
+    if inspection.clock is not None:
+        yield from _clock(inspection.clock)
+    for name, row in (("first row", 0), ("last row", -1)):
+        values = (
+            f"{c} {getattr(throw, c)[row] + 0.0:.6g} {UNITS[c]}"
+            for c in throw.seen
+            if np.isfinite(getattr(throw, c)[row])
+        )
+        yield ", ".join([f"{name:<10} t {throw.t[row]:.6g} s", *values])
+    for channel, count in inspection.jumps.items():
+        yield f"jumps      {count} in {channel}: steps far from those around them"
+    if inspection.noise:
+        listed = (f"{c} {noise:.2g} {UNITS[c]}" for c, noise in inspection.noise.items())
+        yield "scatter    " + ", ".join(listed) + " (from row to row)"
+    if throw.sigma:
+        yield "sigma      given for " + ", ".join(c for c in CHANNELS if c in throw.sigma)
+    yield "rest       " + _rest(inspection.rest)
+    if settings:
+        listed = (f"{key} = {value}" for key, value in settings.items() if value)
+        yield "settings   " + ", ".join(listed)
+
+
+def _clock(clock: Clock) -> Iterator[str]:
+    spread = "" if clock.even else f" ({clock.least:.4g} .. {clock.most:.4g} s)"
+    yield f"interval   {clock.usual:.6g} s{spread}, {1 / clock.usual:.6g} rows a second"
+    if clock.longest is not None:
+        yield (
+            f"pauses     {clock.pauses}, the longest {clock.longest:.4g} s "
+            f"after t = {clock.after:.6g} s"
+        )
+
+
+def _rest(rest: Rest) -> str:
+    if rest.since is not None:
+        return f"reached at t = {rest.since:.5g} s, within {1000 * rest.within:.2g} mm"
+    if rest.speed is None:
+        return "not known: the place is hardly seen"
+    if rest.measured and rest.speed == 0:
+        return "at the last row"
+    if rest.measured:
+        return f"not reached: {rest.speed:.3g} m/s at the end"
+    speed = f"{compact(rest.speed, rest.error)} m/s at the last row"
+    if rest.speed < 2 * rest.error:
+        return f"not certain: {speed}"
+    return f"not seen: {speed}"
+
+
+def braille(t: Floats, values: Floats, width: int = 60, height: int = 4) -> list[str]:
+    """A curve over time in Braille dots, `height` lines of `width` signs."""
+    seen = np.isfinite(values)
+    t, values = t[seen], values[seen]
+    if 8 <= len(t) < 8 * width:  # a line, broken where rows are missing
+        dense = np.linspace(t[0], t[-1], 8 * width)
+        pause = np.append(np.diff(t), 0.0)[np.searchsorted(t, dense, "right") - 1]
+        near = pause <= 2.5 * np.median(np.diff(t))
+        between = np.interp(dense, t, values)
+        t, values = np.append(t, dense[near]), np.append(values, between[near])
+    span, rise = max(float(np.ptp(t)), 1e-300), max(float(np.ptp(values)), 1e-300)
+    columns = np.minimum(((t - t[0]) / span * (2 * width - 1)).round().astype(int), 2 * width - 1)
+    rows = ((values.max() - values) / rise * (4 * height - 1)).round().astype(int)
+    grid = np.zeros((height, width), int)
+    for column, row in set(zip(columns.tolist(), rows.tolist(), strict=True)):
+        grid[row // 4, column // 2] |= _DOTS[column % 2][row % 4]
+    return ["".join(chr(0x2800 + int(cell)) for cell in line).rstrip("⠀") for line in grid]

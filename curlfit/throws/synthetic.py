@@ -1,0 +1,168 @@
+"""Synthetic throws: a law's own path with noise on it, as arrays or as a data file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from curlfit.errors import InputError
+from curlfit.friction import Law, check_load, find_law, no_motion_because
+from curlfit.stone import Stone
+from curlfit.throws.throw import Floats, Reference, Throw
+
+_MOST_ROWS = 2_000_000
+_RISE = 1e-6  # of the energy from row to row; velocities are good to less
+
+
+def law_with(
+    law: str | type[Law],
+    coefficients: Mapping[str, float],
+    *,
+    unbounded: bool = False,
+    others: Mapping[str, float] | None = None,
+) -> Law:
+    """A law with some coefficients set and the rest at their defaults.
+
+    Parameters
+    ----------
+    unbounded : let coefficients be negative, as in a fit.
+    others : in place of defaults; of a fit, which may have had other bounds.
+
+    Raises
+    ------
+    InputError : an unknown law or coefficient, a value that is not finite or outside its bounds, or
+        values that make no law of friction.
+    """
+    kind: type[Law] = find_law(law) if isinstance(law, str) else law
+    known = {item.name: item for item in kind.coefficients()}
+    for name, value in coefficients.items():
+        if name not in known:
+            raise InputError(
+                f"law {kind.name} has no coefficient {name!r}; it has {', '.join(known)}"
+            )
+        if not math.isfinite(value):
+            raise InputError(f"{name} = {value}: expected a finite number")
+        item, wider = known[name], known[name].unbounded()
+        if not (wider if unbounded else item).lower <= value <= item.upper:
+            raise InputError(
+                f"{name} = {value:g}: expected {item.lower:g} .. {item.upper:g}, the bounds of law "
+                f"{kind.name}"
+                + ("; `unbounded` lets it be negative" if wider.lower <= value < item.lower else "")
+            )
+    made = kind(**{**(others or {}), **coefficients})
+    fault = made.fault()
+    if fault is not None:
+        raise InputError(f"law {kind.name}: {fault}")
+    return made
+
+
+def synthetic_throw(
+    law: Law,
+    stone: Stone,
+    *,
+    load: str = "uniform",
+    v0: float = 2.0,
+    omega0: float = 1.0,
+    heading: float = 0.0,
+    until: float = 20.0,
+    dt: float = 0.1,
+    noise_xy: float = 0.0,
+    noise_phi: float = 0.0,
+    seed: int = 0,
+) -> Throw:
+    """A throw from the origin with independent Gaussian noise on x, y (m) and phi (rad).
+
+    The true coefficients go along as the throw's reference. A note says where the stone gains
+    energy, which no friction gives.
+
+    Raises
+    ------
+    InputError : a value that makes no throw, or a law that admits no motion there.
+    """
+    for name, value, least in (
+        ("v0", v0, 0.0), ("until", until, None), ("dt", dt, None),
+        ("noise-xy", noise_xy, 0.0), ("noise-phi", noise_phi, 0.0),
+    ):  # fmt: skip
+        if not math.isfinite(value) or (value <= 0 if least is None else value < least):
+            raise InputError(
+                f"{name} = {value:g}: expected a {'positive' if least is None else 'non-negative'} "
+                "number"
+            )
+    for name, value in (("omega0", omega0), ("heading", heading)):
+        if not math.isfinite(value):
+            raise InputError(f"{name} = {value}: expected a finite number")
+    rows = math.floor(until / dt + 1e-9) + 1
+    if not 2 <= rows <= _MOST_ROWS:
+        raise InputError(f"until = {until:g} s in steps of {dt:g} s makes {rows} rows")
+    checked = check_load(load)
+
+    from curlfit.dynamics.trajectory import Start, simulate
+
+    t: Floats = np.arange(rows, dtype=np.float64) * dt
+    path = simulate(
+        law, stone, Start(heading=heading, v=v0, omega=omega0), t, load=checked
+    ).to_numpy()
+    if not np.isfinite(path.x).all():
+        raise InputError(
+            f"law {law.name} with {load} load admits no motion from this start"
+            + no_motion_because(load)
+        )
+    energy = path.vx**2 + path.vy**2 + (stone.rho * path.omega) ** 2
+    rise = np.flatnonzero(np.diff(energy) > _RISE * energy[:-1])
+    notes: tuple[str, ...] = ()
+    if len(rise):
+        first, most = t[rise[0]], t[int(np.argmax(energy))]
+        notes = (
+            f"friction drives the stone: its energy grows from t = {first:g} s on, at t = {most:g} "
+            f"s to {energy.max() / energy[0]:.3g} times that of the start; ice does not do that",
+        )
+    random = np.random.default_rng(seed)
+    names = [item.name for item in law.coefficients()]
+    return Throw(
+        t=t,
+        x=np.asarray(path.x) + noise_xy * random.standard_normal(rows),
+        y=np.asarray(path.y) + noise_xy * random.standard_normal(rows),
+        phi=np.asarray(path.phi) + noise_phi * random.standard_normal(rows),
+        name="synthetic throw",
+        notes=notes,
+        reference=Reference(
+            "true value", law.name, {name: float(getattr(law, name)) for name in names}
+        ),
+        defaults={"stone": stone.as_dict(), "load": checked}
+        | ({} if law.origin else {"law": law.name}),
+    )
+
+
+def write_table(throw: Throw) -> str:
+    """A throw as text in curlfit's own format, its defaults and reference in `#` lines."""
+    lines = []
+    for key, value in throw.defaults.items():
+        if isinstance(value, Mapping):
+            lines += [f"# {key}.{name} = {_toml(item)}" for name, item in value.items()]
+        else:
+            lines.append(f"# {key} = {_toml(value)}")
+    if throw.reference is not None:
+        lines.append(f"# reference.source = {_toml(throw.reference.source)}")
+        lines.append(f"# reference.law = {_toml(throw.reference.law)}")
+        for name, value in throw.reference.values.items():
+            key = name if name.isidentifier() else f'"{name}"'
+            lines.append(f"# reference.values.{key} = {_toml(value)}")
+        for key, constants in (
+            ("stone", throw.reference.stone), ("rounding", throw.reference.rounding),
+        ):  # fmt: skip
+            lines += [f"# reference.{key}.{n} = {_toml(value)}" for n, value in constants.items()]
+        if throw.reference.note:
+            lines.append(f"# reference.note = {_toml(throw.reference.note)}")
+    lines.append("t,x,y,phi")
+    for row in zip(throw.t, throw.x, throw.y, throw.phi, strict=True):
+        time, *place = row
+        lines.append(
+            ",".join([f"{time:.9g}", *("" if math.isnan(v) else f"{v:.9f}" for v in place)])
+        )
+    return "\n".join(lines).replace("-0.000000000", "0.000000000") + "\n"
+
+
+def _toml(value: object) -> str:
+    return f'"{value}"' if isinstance(value, str) else f"{value:g}"

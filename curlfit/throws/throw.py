@@ -1,0 +1,363 @@
+"""A throw: what was measured of one stone, in SI units and radians."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from curlfit.errors import DataError, InputError
+
+Floats = NDArray[np.float64]
+
+CHANNELS = ("x", "y", "phi", "speed", "omega")
+MOST_ROWS = 6000
+"""Rows from which a fit condenses its data."""
+_REST_ROWS = 200
+_FEW_ROWS = 10  # below which a series does not show its noise
+_STILL = 0.003  # m from where it ends within which a stone counts as at rest
+UNITS = {"t": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Published or true values to show beside a fit, for one law.
+
+    Attributes
+    ----------
+    source : what to call them, such as "eq. 28". law : whose coefficients they are.
+    values : by name, or by expression such as "mu1_eta + mu2_eta".
+    stone : constants of the stone (R, rho, h in m, m in kg) with which the values follow, where
+        these are not the constants printed beside them.
+    rounding : half of what the printed constants were rounded by, the same units.
+    note : why they differ, a clause.
+    """
+
+    source: str
+    law: str
+    values: dict[str, float]
+    stone: dict[str, float] = field(default_factory=dict)
+    rounding: dict[str, float] = field(default_factory=dict)
+    note: str = ""
+
+    def of(self, expression: str, weights: dict[str, float]) -> float | None:
+        """The value of a weighted sum, as given or from its parts; None where unknown."""
+        if expression in self.values:
+            return self.values[expression]
+        if not weights.keys() <= self.values.keys():
+            return None
+        return sum(weight * self.values[name] for name, weight in weights.items())
+
+
+@dataclass(frozen=True)
+class Throw:
+    """Measured path of one stone.
+
+    Axes and signs: y along the sheet, x to the right of it, phi counter-clockwise.
+
+    Attributes
+    ----------
+    t : times in s, shape (n,), strictly increasing; the origin does not matter.
+    x, y : place of the stone's centre in m, shape (n,); NaN where it was not seen.
+    phi : angle of the stone in rad, not wrapped, shape (n,); NaN where not seen.
+    speed, omega : speed of the centre in m/s (>= 0) and spin in rad/s where they were measured
+        themselves (a radar, a gyroscope), shape (n,); NaN where not. All NaN where not given.
+    sigma : standard deviation of the noise by channel, each of shape (n,); a channel that is
+        missing here has an unknown one, which a fit estimates.
+    name : what to call the throw, a file name for instance.
+    reference : values to show beside a fit.
+    defaults : settings the data file carries (`until`, `stone`, `law`, `load`).
+    notes : what the reader has to say (ignored columns and the like).
+    lines : line of the file each row came from, for messages.
+
+    Raises
+    ------
+    DataError : shapes differ, a value is infinite, a time is missing, or times do not increase.
+    """
+
+    t: Floats
+    x: Floats
+    y: Floats
+    phi: Floats
+    speed: Floats = field(default_factory=lambda: np.zeros(0))
+    omega: Floats = field(default_factory=lambda: np.zeros(0))
+    sigma: dict[str, Floats] = field(default_factory=dict)
+    name: str = "throw"
+    reference: Reference | None = None
+    defaults: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    lines: NDArray[np.int64] | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.t)
+        for name in ("t", *CHANNELS):
+            values = np.asarray(getattr(self, name), float)
+            if name in ("speed", "omega") and not len(values):
+                values = np.full(n, np.nan)
+            object.__setattr__(self, name, values)
+            if values.shape != (n,):
+                raise self._error(f"{name} has shape {values.shape}, t has {(n,)}")
+        for name, row in (*_first(~np.isfinite(self.t)), *_first(np.isinf(self.observed))):
+            expected = "a finite number" if name == "t" else "a finite number or an empty cell"
+            raise self._error(f"{getattr(self, name)[row]} found, expected {expected}", row, name)
+        for name, values in self.sigma.items():
+            bad = ~(np.isfinite(values) & (values > 0)) & np.isfinite(getattr(self, name))
+            if bad.any():
+                row = int(np.argmax(bad))
+                raise self._error(
+                    f"{values[row]} found, expected a positive standard deviation",
+                    row,
+                    f"sigma_{name}",
+                )
+        late = self.t[1:] <= self.t[:-1]
+        if late.any():
+            row = int(np.argmax(late)) + 1
+            fault = (
+                "is repeated"
+                if self.t[row] == self.t[row - 1]
+                else f"follows {self.t[row - 1]:g} s"
+            )
+            raise self._error(
+                f"time {self.t[row]:g} s {fault}; times must increase from row to row", row, "t"
+            )
+        if not self.finite.any():
+            raise self._error(f"no value is given; expected some of {', '.join(CHANNELS)}")
+
+    def _error(self, message: str, row: int | None = None, column: str | None = None) -> DataError:
+        line = None if row is None or self.lines is None else int(self.lines[row])
+        if row is not None and line is None:
+            message = f"row {row}: {message}"
+        return DataError(message, file=self.name, line=line, column=column)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        t: ArrayLike,
+        x: ArrayLike | None = None,
+        y: ArrayLike | None = None,
+        phi: ArrayLike | None = None,
+        *,
+        speed: ArrayLike | None = None,
+        omega: ArrayLike | None = None,
+        sigma: dict[str, ArrayLike] | None = None,
+        **more: Any,
+    ) -> Throw:
+        """A throw from arrays or lists; what was not measured is left out.
+
+        `sigma` values may be single numbers. `more` are other attributes, `name` for instance.
+        """
+        t = np.asarray(t, float)
+        given = {
+            channel: np.broadcast_to(np.asarray(values, float), t.shape)
+            for channel, values in (sigma or {}).items()
+        }
+        channels = {"x": x, "y": y, "phi": phi, "speed": speed, "omega": omega}
+        arrays: dict[str, Any] = {
+            name: np.full_like(t, np.nan) if values is None else np.asarray(values, float)
+            for name, values in channels.items()
+        }
+        return cls(t=t, **arrays, sigma=given, **more)
+
+    @classmethod
+    def from_frame(cls, table: Any, **options: Any) -> Throw:
+        """A throw from a pandas or polars DataFrame, an xarray Dataset or a mapping of arrays.
+
+        Columns are named as in files (`t`, `y_ft`, `angle_deg` ...); an index named `time` serves
+        too. `options` are `axes`, `units`, `reference` and `name`, as for
+        `curlfit.throws.readers.from_table`.
+        """
+        from curlfit.throws.readers import from_table
+
+        return from_table(table, **options)
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @cached_property
+    def observed(self) -> Floats:
+        """All channels as one array of shape (5, n), in the order of `CHANNELS`; not to be
+        written to."""
+        whole = np.stack([getattr(self, name) for name in CHANNELS])
+        whole.flags.writeable = False
+        return whole
+
+    @cached_property
+    def finite(self) -> NDArray[np.bool_]:
+        """Where there is a value, shape (5, n); not to be written to."""
+        found = np.isfinite(self.observed)
+        found.flags.writeable = False
+        return found
+
+    @cached_property
+    def seen(self) -> tuple[str, ...]:
+        """Channels of which there is a value."""
+        there: Any = self.finite.any(1)
+        return tuple(name for name, some in zip(CHANNELS, there, strict=True) if some)
+
+    @cached_property
+    def n_observations(self) -> int:
+        """Numbers measured: finite values of all channels."""
+        return int(np.count_nonzero(self.finite))
+
+    @property
+    def stops(self) -> bool:
+        """Whether the last row says when the stone came to rest.
+
+        So it does where its speed is 0, with a sigma, and no other speed was measured.
+        """
+        if "speed" not in self.sigma or self.speed[-1] != 0:
+            return False
+        return int(np.isfinite(self.speed).sum()) == 1
+
+    def require_motion(self) -> None:
+        """Raise `DataError` where the place never changes by more than the data's own scatter."""
+        if not {"x", "y"} & set(self.seen):
+            return
+        for row, values in enumerate((self.x, self.y)):
+            seen = values[self.finite[row]]
+            if len(seen) < 2:
+                continue
+            # Independent noise spreads as much over the whole throw as from row to row.
+            if np.ptp(seen) > 1e-6 and seen.std() > 3 * scatter(seen):
+                return
+        raise self._error(
+            "the stone never moves by more than the scatter of the data; nothing can be fitted"
+        )
+
+    def condensed(self, most: int = MOST_ROWS) -> Throw:
+        """At most about `most` rows: means over blocks of rows, with a note on what was done.
+
+        A block's mean time, place and angle lie on the path but for its bend within the block.
+        Noise falls as in any mean, and given sigmas with it. Rows after the stone came to rest,
+        which say the same over and over, make long blocks.
+        """
+        n = len(self)
+        if n <= most:
+            return self
+        rest = int(np.searchsorted(self.t, last_motion(self.t, self.x, self.y), side="right"))
+        block = max(1, -(-rest // (most - _REST_ROWS)))
+        still = max(block, -(-(n - rest) // _REST_ROWS))  # not noisier than the others
+        pieces = [(0, rest, -(-rest // block)), (rest, n, -(-(n - rest) // still))]
+        starts = np.concatenate(
+            [
+                np.linspace(low, high, count, endpoint=False).astype(int)
+                for low, high, count in pieces
+            ]
+        )
+
+        def mean(values: Floats) -> Floats:
+            seen = np.isfinite(values)
+            count = np.add.reduceat(seen.astype(float), starts)
+            total = np.add.reduceat(np.where(seen, values, 0.0), starts)
+            return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+        sigma = {}
+        for name, values in self.sigma.items():
+            seen = np.add.reduceat(np.isfinite(getattr(self, name)).astype(float), starts)
+            sigma[name] = np.sqrt(mean(values**2) / np.maximum(seen, 1))
+        step = float(np.median(np.diff(self.t)))
+        note = (
+            f"{n} rows made into {len(starts)}: means over {block} rows "
+            f"({1000 * block * step:.3g} ms) up to t = {self.t[min(rest, n - 1)]:.6g} s"
+        )
+        if rest < n:
+            note += (
+                f", over {still} rows after that, when the stone was at rest and every row repeats "
+                f"one measurement, which counts as {pieces[1][2]}"
+            )
+        # A deceleration of 0.2 m/s^2, twice the usual, bends the path by a T^2/24 within a block.
+        bend = 0.2 * (block * step) ** 2 / 24
+        note += f"; within a moving block the path bends by some {bend:.1g} m, too little to matter"
+        return replace(
+            self,
+            t=mean(self.t),
+            x=mean(self.x),
+            y=mean(self.y),
+            phi=mean(self.phi),
+            speed=mean(self.speed),
+            omega=mean(self.omega),
+            sigma=sigma,
+            lines=None if self.lines is None else self.lines[starts],
+            notes=(*self.notes, note),
+        )
+
+    def until(self, time: float | None) -> Throw:
+        """The rows with t <= `time`. Raises `InputError` where none is left."""
+        if time is None:
+            return self
+        keep = self.t <= time + 1e-9
+        if not keep.any():
+            raise InputError(
+                f"until = {time:g} s lies before the first row of {self.name} ({self.t[0]:g} s)"
+            )
+        return replace(
+            self,
+            **{name: getattr(self, name)[keep] for name in ("t", *CHANNELS)},
+            sigma={name: values[keep] for name, values in self.sigma.items()},
+            lines=None if self.lines is None else self.lines[keep],
+        )
+
+    def with_defaults(self, **defaults: Any) -> Throw:
+        """The throw with other defaults in place of some of its own."""
+        return replace(self, defaults={**self.defaults, **defaults})
+
+    def with_sigma(self, sigma: dict[str, float]) -> Throw:
+        """The throw with one standard deviation for whole channels (SI units)."""
+        check_sigma(sigma)
+        if not sigma:
+            return self
+        filled = {name: np.full_like(self.t, value) for name, value in sigma.items()}
+        return replace(self, sigma={**self.sigma, **filled})
+
+
+def check_sigma(sigma: Mapping[str, float]) -> None:
+    """Raise `InputError` where a standard deviation is not positive, or of no channel."""
+    for name, value in sigma.items():
+        if name not in CHANNELS:
+            raise InputError(f"no channel {name!r}; the channels are {', '.join(CHANNELS)}")
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"sigma of {name} = {value:g}: expected a positive number")
+
+
+def _first(bad: NDArray[np.bool_]) -> list[tuple[str, int]]:
+    """Name and row of the first fault in the times, or in the channels; none where all is well."""
+    if not bad.any():
+        return []
+    channel, row = np.argwhere(np.atleast_2d(bad))[0]
+    return [("t" if bad.ndim == 1 else CHANNELS[channel], int(row))]
+
+
+def scatter(values: Floats) -> Any:
+    """Standard deviation of the noise on smooth series along the last axis, from third differences.
+
+    These see little of the path's own bend, which second differences take for noise. 0 where there
+    are too few rows to tell.
+    """
+    if values.shape[-1] < _FEW_ROWS:
+        return np.zeros(values.shape[:-1])[()]
+    bend = values[..., 3:] - values[..., :-3] + 3 * (values[..., 1:-2] - values[..., 2:-1])
+    return _median(np.abs(bend)) / (0.6745 * math.sqrt(20))
+
+
+def _median(values: Floats) -> Any:
+    """Along the last axis, several times as fast as numpy's for a few hundred values."""
+    ordered, n = np.sort(values, -1), values.shape[-1]
+    return (ordered[..., (n - 1) // 2] + ordered[..., n // 2]) / 2
+
+
+def last_motion(t: Floats, x: Floats, y: Floats) -> float:
+    """Time of the last row in which the place still changed; the last time if that is unknown."""
+    both = np.isfinite(x) & np.isfinite(y)
+    if both.sum() <= 8:
+        return float(t[-1])
+    places, t = np.stack([x, y])[:, both], t[both]
+    tail = slice(-max(3, len(t) // 50), None)
+    left = np.hypot(*(places - _median(places[:, tail])[:, None]))
+    near = max(_STILL, 5 * math.hypot(*scatter(places)))
+    moving = np.flatnonzero(left > near)
+    return float(t[moving[-1]]) if len(moving) else float(t[-1])
