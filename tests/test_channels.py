@@ -68,7 +68,8 @@ def test_a_gyroscope_alone_knows_no_speed_and_says_so(seen):
     # v0 and all coefficients may grow together: a valley that is long, bent and without an end
     result = fitted(seen, "omega")
     v0 = result.parameters["v0"]
-    assert v0.value == pytest.approx(10)
+    # the last of the way gains less than rounding
+    assert v0.value == pytest.approx(10, rel=1e-4)
     # which of both depends on how much of the push is left over rounding
     assert v0.verdict in ("at bound", "not identifiable")
     if v0.verdict == "at bound":

@@ -186,7 +186,7 @@ def test_a_refused_fit_leaves_earlier_results_alone(done, tmp_path):
     bad.write_text(DATA.read_text().replace("0.205793511", "hello"))
     run = curlfit("fit", bad, "--out", folder / "fit", cwd=folder)
     assert run.returncode == 2
-    assert run.stderr.startswith(f"curlfit: {bad}, line 13, column y: 'hello' found")
+    assert run.stderr.startswith(f"curlfit: {bad}, line 17, column y: 'hello' found")
     assert {file.name: file.read_bytes() for file in (folder / "fit").iterdir()} == before
 
 

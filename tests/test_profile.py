@@ -129,7 +129,7 @@ def test_limits_far_from_those_of_the_covariance_are_right(blind):
     assert found.delta[-2] == pytest.approx(least - found.chi_squared, abs=0.01)
     assert found.delta[-2] > 3
     assert max(found.departure.values()) > 0.5
-    assert "Go by the profile" in printed(found)
+    assert "Use the profile" in printed(found)
 
 
 @pytest.mark.slow
