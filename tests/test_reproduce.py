@@ -14,6 +14,7 @@ import curlfit
 from curlfit.friction.isotropic import Power
 from curlfit.paper.eq28 import PRINTED, coefficients_of, rounds_to_print
 from curlfit.paper.isotropic import STONE, SpeedMixture, ring_states
+from curlfit.paper.printed import jensen_shegelski
 from curlfit.paper.reproduce import ORDER
 from curlfit.paper.ring import EPSILONS
 
@@ -86,7 +87,7 @@ def test_eq_14(found):
     assert found.path.by_hand < 1e-14
     # by second differences of eq. 12, which shares no code with either derivative
     t, d = found.path.motion.t[1:], 1e-3
-    low, here, high = (curlfit.paper.jensen_shegelski(t + k * d) for k in (-1, 0, 1))
+    low, here, high = (jensen_shegelski(t + k * d) for k in (-1, 0, 1))
     for name, series in (("x", found.path.ax), ("y", found.path.ay)):
         second = (getattr(low, name) - 2 * getattr(here, name) + getattr(high, name)) / d**2
         np.testing.assert_allclose(second, series[1:], atol=3e-8)

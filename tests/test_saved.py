@@ -130,8 +130,9 @@ def test_a_full_disk_leaves_no_half_of_a_compiled_program(tmp_path):
 
 COMPILE = """
 import os, resource
-import curlfit.numerics.jax_setup, jax
-folder = curlfit.cache.folder("jax")
+from curlfit.numerics import jax_setup, program_cache
+import jax
+folder = program_cache.folder("jax")
 before = resource.getrlimit(resource.RLIMIT_FSIZE)
 resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
 jax.jit(lambda a: 2 * a)(1.0)

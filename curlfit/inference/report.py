@@ -81,17 +81,18 @@ def _beside_reference(fit: FitResult) -> list[RenderableType]:
     table.add_column(f"with {_constants(fits[0]['stone'])}", justify="right", no_wrap=True)
     table.add_column(reference.source, justify="right", no_wrap=True)
     agree, there = True, []
+    places = max(map(_places, reference.values.values()))
     for name, (value, stderr) in _reported(fit).items():
         known = reference.values.get(name)
         if known is None or any(name not in item["values"] for item in fits):
             continue
         again = fits[0]["values"][name]
         shifts = [item["values"][name] - value for item in fits]
-        agree &= abs(again - known) <= _half_digit(known) + sum(map(abs, shifts[1:]))
-        there.append(f"{again:.4f}")
+        agree &= abs(again - known) <= 0.5 * 10.0 ** -_places(known) + sum(map(abs, shifts[1:]))
+        there.append(f"{again:.{places}f}")
         table.add_row(
-            name, number(value, stderr)[1], *(f"{shift:+.5f}" for shift in shifts),
-            f"{again:.4f}", f"{known:g}",
+            name, number(value, stderr)[1], *(f"{shift:+.{places + 1}f}" for shift in shifts),
+            there[-1], f"{known:g}",
         )  # fmt: skip
     if not there:
         return []
@@ -123,10 +124,9 @@ def _constants(constants: dict[str, float]) -> str:
     return ", ".join(f"{name} = {value:g} {STONE_UNITS[name]}" for name, value in constants.items())
 
 
-def _half_digit(value: float) -> float:
-    """Half a unit of the last digit of a printed number."""
-    digits = f"{value:g}".partition(".")[2]
-    return 0.5 * 10.0 ** -len(digits)
+def _places(value: float) -> int:
+    """Decimal places of a printed number."""
+    return len(f"{value:g}".partition(".")[2])
 
 
 _FEW = 30.0  # degrees of freedom from which Student's t is a Gaussian to 4 %

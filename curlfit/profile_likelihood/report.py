@@ -165,7 +165,7 @@ def _limits(profile: Profile) -> list[str]:
         elif far <= _AGREE:
             said.append(
                 "Profile and covariance agree: no limit differs by more than "
-                f"{max(far, 0.001):.1g} standard errors."
+                f"{max(far, 0.01):.1g} standard errors."
             )
         else:
             said.append(
