@@ -1,4 +1,4 @@
-"""Throws foretold: against an integration that shares no code, brute force, refits and symmetry."""
+"""Predictions: against an integration that shares no code, brute force, refits and symmetry."""
 
 from __future__ import annotations
 

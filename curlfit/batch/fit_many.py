@@ -26,7 +26,7 @@ from curlfit.friction import Law, check_load
 from curlfit.inference.batched_least_squares import Places, Tasks, run_of, solve_many
 from curlfit.inference.fit.fit import Job, first_sigma, fit, prepared
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.fit.summary import Optimum, weighed_together
+from curlfit.inference.fit.summary import Optimum, summarize_many
 from curlfit.inference.initial_values import smooth, start_values
 from curlfit.inference.least_squares import Solution, poor, residual_sigma
 from curlfit.numerics.compiled import unswept
@@ -186,7 +186,7 @@ def _fitted(
             job.throw, law, load, job.stone, job.until, job.parameters, job.frame, problem, used,
             solution, 1, "linear",
         )  # fmt: skip
-    found = dict(zip(optima, weighed_together(list(optima.values()), curves=curves), strict=True))
+    found = dict(zip(optima, summarize_many(list(optima.values()), curves=curves), strict=True))
     return [found.get(place) or _alone(law, plan, entry) for place, entry in enumerate(entries)]
 
 

@@ -22,9 +22,11 @@ def simulate(
     unbounded: o.Unbounded = False,
     load: Annotated[str, typer.Option(help="`uniform` or `consistent`.")] = "uniform",
     stone: o.StoneValues = None,
-    v0: Annotated[float, typer.Option(help="First speed, m/s.")] = 2.0,
-    omega0: Annotated[float, typer.Option(help="First spin, rad/s, counter-clockwise.")] = 1.0,
-    heading: Annotated[float, typer.Option(help="First direction, rad, from +y toward +x.")] = 0.0,
+    v0: Annotated[float, typer.Option(help="Initial speed, m/s.")] = 2.0,
+    omega0: Annotated[float, typer.Option(help="Initial spin, rad/s, counter-clockwise.")] = 1.0,
+    heading: Annotated[
+        float, typer.Option(help="Initial direction, rad, from +y toward +x.")
+    ] = 0.0,
     until: Annotated[float, typer.Option(help="Last time, s.")] = 20.0,
     dt: Annotated[float, typer.Option(help="Time between rows, s.")] = 0.1,
     noise_xy: Annotated[float, typer.Option(help="Standard deviation on x and y, m.")] = 0.0,

@@ -1,4 +1,4 @@
-"""Many laws on one throw: each is fitted, weighed and ranked.
+"""Many laws on one throw: each is fitted, and they are ranked.
 
 Every law is fitted with its own bounds. Where a coefficient then sits at zero and the law does not
 follow the path, it is fitted once more with either sign allowed, to show what it would need; such
@@ -11,7 +11,7 @@ values over the number of its rows (the variance inflation of QAICc: Burnham and
 sect. 2.5), for all laws alike. That is an approximation, and the report says so.
 
 Under a robust loss the likelihood is that of the noise which the loss stands for, at its likeliest
-sigma (see `losses.log_density`); all laws are fitted and weighed under the same. Then how large
+sigma (see `losses.log_density`); all laws are fitted and ranked under the same. Then how large
 residuals are is said by their bulk, and the path to be explained is seen through a running median:
 outliers are no law's fault.
 """

@@ -53,7 +53,7 @@ class _Reach(NamedTuple):
     place: Floats
     """(x, y) in m"""
     slope: Floats
-    """its derivative by the first speed"""
+    """its derivative by the initial speed"""
 
 
 def aim(
@@ -201,7 +201,7 @@ def _traced(
 def _followed(
     law: Law, stone: Stone, load: Load, v: float, omega: float, times: Floats
 ) -> tuple[Floats, Floats]:
-    """x, y, speed, vx, vy at times, shape (5, n), and their derivatives by the first speed."""
+    """x, y, speed, vx, vy at times, shape (5, n), and their derivatives by the initial speed."""
     coefficients = np.array([float(getattr(law, item.name)) for item in law.coefficients()])
     path, slopes = _traced(type(law), load, coefficients, stone, float(v), float(omega), times)
     return np.asarray(path), np.asarray(slopes)

@@ -161,7 +161,7 @@ def step_size(law: Law, stone: Stone, span: Array, state: State, rate: State, ti
     dt = 1 / jnp.maximum(wanted, needed)
     for corner in law.corners:
         left = _time_to_turn(corner, state, rate)
-        # In two steps, for the time is foretold the better the shorter it is.
+        # In two steps, for the time is predicted the better the shorter it is.
         dt = jnp.where(left < dt / 8, left, jnp.minimum(dt, 7 / 8 * left))
     return dt
 

@@ -229,7 +229,7 @@ def _design(
     design = np.zeros((len(t), channels, k + 3, k + len(START) + 1))
     own = np.zeros((len(t), t.shape[-1], k + 3))
     for row in range(channels):
-        # Place and angle are integrated twice, speed (along the first direction) and spin once.
+        # Place and angle are integrated twice, speed (along the initial direction) and spin once.
         series, axis = (twice, row) if row < 3 else (once, row - 2)
         early, late = (series[throw, axis, below[:, row] + here] for here in (0, 1))
         own[..., : k + 1] = early + share[:, row] * (late - early)

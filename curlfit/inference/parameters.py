@@ -37,11 +37,19 @@ START = (
     Parameter("x0", "m", -math.inf, math.inf, 1.0, "x_0", "place at the first time, to the right"),
     Parameter("y0", "m", -math.inf, math.inf, 1.0, "y_0", "place at the first time, along"),
     Parameter(
-        "heading", "rad", -math.inf, math.inf, 1.0, r"\beta_0", "first direction, from +y toward +x"
+        "heading",
+        "rad",
+        -math.inf,
+        math.inf,
+        1.0,
+        r"\beta_0",
+        "initial direction, from +y toward +x",
     ),
-    Parameter("v0", "m/s", 0.0, 10.0, 1.0, "v_0", "first speed"),
+    Parameter("v0", "m/s", 0.0, 10.0, 1.0, "v_0", "initial speed"),
     Parameter("phi0", "rad", -math.inf, math.inf, 1.0, r"\varphi_0", "angle at the first time"),
-    Parameter("omega0", "rad/s", -100.0, 100.0, 1.0, r"\omega_0", "first spin, counter-clockwise"),
+    Parameter(
+        "omega0", "rad/s", -100.0, 100.0, 1.0, r"\omega_0", "initial spin, counter-clockwise"
+    ),
 )
 
 

@@ -46,9 +46,9 @@ class Trial(NamedTuple):
     """A throw that could be made."""
 
     v0: float
-    """first speed, m/s, > 0"""
+    """initial speed, m/s, > 0"""
     omega0: float
-    """first spin, rad/s, counter-clockwise positive"""
+    """initial spin, rad/s, counter-clockwise positive"""
     rate: float
     """rows a second"""
     stone: Stone

@@ -23,7 +23,7 @@ class Candidate:
 
     Attributes
     ----------
-    v0, omega0 : first speed (m/s) and spin (rad/s).
+    v0, omega0 : initial speed (m/s) and spin (rad/s).
     rate : rows a second.
     rows, last, rest : length of the record, time of its last row and of coming to rest (s).
     distance : from the start to where it comes to rest (m).

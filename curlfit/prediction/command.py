@@ -116,7 +116,7 @@ def predict(
 
     Without options: the fitted throw, carried to rest. With a start or a goal: another throw on the
     same ice, taken to start on the near hog line with the spin of the fitted one. Bands hold the
-    errors of the parameters and, apart from these, the model discrepancy: what the law misses.
+    errors of the parameters and, apart from these, the model discrepancy.
     Writes `predict.json`, `predict.csv` (the path with its bands) and `predict.png`.
 
     Examples:

@@ -110,7 +110,7 @@ def predict(
         raise UnusableFitError(f"nothing can be predicted from this fit: {fit.status}")
     if fit.noise.kind != "white":
         raise InputError(
-            f"noise {fit.noise.kind}: a prediction carries what the law misses by itself; make it "
+            f"noise {fit.noise.kind}: a prediction has a model discrepancy of its own; make it "
             "from a fit with white noise"
         )
     if draws < 100:

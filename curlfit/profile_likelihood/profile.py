@@ -472,7 +472,7 @@ def _across(
             rise = held.delta([first[row], value]) - held.delta([first[row], valley[row]])
             if away > _LEAST_STEP and math.isfinite(rise):
                 wide[row, column] *= away / math.sqrt(max(rise, (away / _WIDEST) ** 2))
-    for _ in range(_ROUNDS):  # where it is no parabola either
+    for _ in range(_ROUNDS):  # where it is not quadratic either
         ends = np.clip(valley[:, None] + _REACH * np.array([-1, 1]) * wide, *bounds)
         held.reach(np.stack([np.broadcast_to(first[:, None], ends.shape), ends], -1).reshape(-1, 2))
         above = np.array(

@@ -93,8 +93,8 @@ def answers(
             left["not converged"] += 1
             continue
         given += 1
-        foretold = curlfit.predict(fit, line="data", draws=500, seed=given)
-        yield _judged(foretold, path)
+        predicted = curlfit.predict(fit, line="data", draws=500, seed=given)
+        yield _judged(predicted, path)
 
 
 def _noise(case: Case, random: np.random.Generator, rows: int) -> np.ndarray:
@@ -104,8 +104,8 @@ def _noise(case: Case, random: np.random.Generator, rows: int) -> np.ndarray:
     return white
 
 
-def _judged(foretold: curlfit.Prediction, path: curlfit.Path) -> Answer:
-    series = foretold.series
+def _judged(predicted: curlfit.Prediction, path: curlfit.Path) -> Answer:
+    series = predicted.series
     resting = path.t[np.flatnonzero(path.speed > 0)[-1]]
     truth, best, own = {}, {}, {}
     quantiles: dict[str, dict[str, float]] = {}
@@ -121,7 +121,7 @@ def _judged(foretold: curlfit.Prediction, path: curlfit.Path) -> Answer:
             quantiles[key] = {level: at(f"{name}_{level}") for level in ("2.5", "16", "84", "97.5")}
     shift = {"rest_x": path.x[-1], "rest_y": path.y[-1] - 38.405, "time": None}
     for name, value in shift.items():
-        item = foretold.quantities[name]
+        item = predicted.quantities[name]
         # the time of rest is known to the rows' 0.1 s only; two more rows tell it
         truth[name] = _time_of_rest(path) if value is None else float(value)
         best[name], own[name], quantiles[name] = item.value, item.parameter_sd, item.quantiles
@@ -131,7 +131,7 @@ def _judged(foretold: curlfit.Prediction, path: curlfit.Path) -> Answer:
     for level, (low, high, _, sigmas) in LEVELS.items():
         both[level] = {k: quantiles[k][low] <= truth[k] <= quantiles[k][high] for k in ASKED}
         parameters[level] = {k: abs(truth[k] - best[k]) <= sigmas * own[k] for k in ASKED}
-    return Answer(both, parameters, foretold.misfit.found)
+    return Answer(both, parameters, predicted.misfit.found)
 
 
 def _time_of_rest(path: curlfit.Path) -> float:

@@ -21,7 +21,7 @@ from curlfit.errors import UnusableFitError
 from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.inference.fit.missing_channels import remedies
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.fit.summary import Optimum, weighed
+from curlfit.inference.fit.summary import Optimum, summarize
 from curlfit.inference.initial_values import smooth
 from curlfit.inference.least_squares import Solution, best_of, descend, residual_sigma, starts
 from curlfit.inference.likelihood import (
@@ -124,7 +124,7 @@ def fit(
         found = Optimum(
             throw, law, load, stone, until, parameters, frame, problem, sigma, solution, tried, loss
         )
-        return weighed(found)
+        return summarize(found)
 
     def remedied(result: FitResult, problem: Problem, solution: Solution) -> FitResult:
         result = replace(result, reference_fits=reference_fits(result))

@@ -1,4 +1,4 @@
-"""The answer weighed: what an optimum determines, and what the reader has to mind."""
+"""From an optimum to the record of a fit: what it determines, and what to be warned of."""
 
 from __future__ import annotations
 
@@ -68,13 +68,13 @@ class Optimum(NamedTuple):
     loss: str
 
 
-def weighed(optimum: Optimum) -> FitResult:
+def summarize(optimum: Optimum) -> FitResult:
     """The record of a fit from its optimum."""
-    (found,) = weighed_together([optimum], lanes=1)
+    (found,) = summarize_many([optimum], lanes=1)
     return found
 
 
-def weighed_together(
+def summarize_many(
     optima: Sequence[Optimum], lanes: int = 4 * LANES, *, curves: bool = True
 ) -> list[FitResult]:
     """The same for fits of one law under one load, to problems of one shape.
@@ -513,7 +513,7 @@ def _judge(
                 + (
                     f"the data hardly tell this from other values within {within}"
                     if item.name in open_names
-                    else f"the data would rather have it outside {within}"
+                    else f"the data favour values outside {within}"
                 )
             )
     together = {

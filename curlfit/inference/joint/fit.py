@@ -15,7 +15,7 @@ from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
 from curlfit.inference.fit.fit import bulk_sigma, estimated_sigma, first_sigma, prepared, shifted
 from curlfit.inference.fit.result import Estimate
-from curlfit.inference.fit.summary import Optimum, weighed
+from curlfit.inference.fit.summary import Optimum, summarize
 from curlfit.inference.identifiability import analyse
 from curlfit.inference.initial_values import smooth, start_values
 from curlfit.inference.joint.heterogeneity import differences_of
@@ -142,7 +142,7 @@ def _result(
     )
     solutions = [search.solution(best, place) for place in range(len(jobs))]
     single = [
-        weighed(
+        summarize(
             Optimum(
                 job.throw, law, load, job.stone, job.until, job.parameters, job.frame,
                 padded(problem, *solution.residual.shape), sigma, solution, 1, loss,

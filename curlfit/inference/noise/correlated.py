@@ -55,8 +55,8 @@ def whitened(residual: Array, colour: Colour) -> Array:
     if colour is None:
         return residual
     if isinstance(colour, Memory):
-        foretold = colour.carry * jnp.take_along_axis(residual, colour.before, axis=1)
-        return (residual - foretold) * colour.scale
+        predicted = colour.carry * jnp.take_along_axis(residual, colour.before, axis=1)
+        return (residual - predicted) * colour.scale
     along = jnp.einsum("cnk,cn->ck", colour.directions, residual) * colour.shrink
     return residual - jnp.einsum("cnk,ck->cn", colour.directions, along)
 
