@@ -534,7 +534,7 @@ def _about_correlation(
         return (
             f"noise gp does not describe these residuals, which stay correlated from row to row "
             f"(lag-1 correlation {listed}); it takes noise of short memory for a discrepancy of "
-            "the law, and standard errors are then up to four times too large; fit with --noise ar1"
+            "the law, and standard errors are then several times too large; fit with --noise ar1"
         )
     if colour is not None:
         return (
