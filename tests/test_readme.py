@@ -87,13 +87,14 @@ NUMBER = r"-?\d+\.\d+"
 
 
 def alike(line, text):
-    """Whether the text has the line, but for five units of the last digits of numbers: quantiles
-    of samples have an error, and hang on the processor's rounding."""
+    """Whether the text has the line, but for five units of the last digits of numbers, or 5 %:
+    quantiles of samples have an error, and hang on the processor's rounding."""
     pattern = f"({NUMBER})".join(map(re.escape, re.split(NUMBER, line)))
     for match in re.finditer(pattern, text):
         pairs = zip(re.findall(NUMBER, line), match.groups(), strict=True)
         if all(
-            abs(float(one) - float(other)) <= 5.5 * 10.0 ** -len(one.partition(".")[2])
+            abs(float(one) - float(other))
+            <= max(5.5 * 10.0 ** -len(one.partition(".")[2]), 0.05 * abs(float(one)))
             for one, other in pairs
         ):
             return True
