@@ -126,7 +126,7 @@ def fit(
         )
         return summarize(found)
 
-    def remedied(result: FitResult, problem: Problem, solution: Solution) -> FitResult:
+    def completed(result: FitResult, problem: Problem, solution: Solution) -> FitResult:
         result = replace(result, reference_fits=reference_fits(result))
         open_ = [n for n, i in result.parameters.items() if i.verdict in _OPEN]
         if not open_ or not result.converged:
@@ -150,7 +150,7 @@ def fit(
         return tuple(found)
 
     if noise == "white":
-        return remedied(record(problem, sigma, solution), problem, solution)
+        return completed(record(problem, sigma, solution), problem, solution)
     n = len(throw)
     speed = np.asarray(trace(law, load, solution.values, problem))[CHANNELS.index("speed"), :n]
     moving = np.flatnonzero(speed > 0)
@@ -170,7 +170,7 @@ def fit(
             "well: its standard errors may be too small by half"
         )
         result = replace(result, warnings=(*result.warnings, rough))
-    return remedied(result, problem, solution)
+    return completed(result, problem, solution)
 
 
 def _other_stones(reference: Reference, stone: Stone) -> list[dict[str, float]]:
