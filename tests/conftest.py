@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 
 import curlfit
 
-DATA = Path(__file__).parent.parent / "data" / "jensen_shegelski_2004.csv"
+DATA = Path(__file__).parents[1] / "data" / "jensen_shegelski_2004.csv"
 G = 9.81
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import damaged_files
 import pytest
 from damaged_files import Outcome, started, tally
 
@@ -15,7 +16,7 @@ from damaged_files import Outcome, started, tally
 def worker(folder: Path, seed: int, count: int) -> dict:
     """The tally of many files, forked from a process without the tests' own imports."""
     run = subprocess.run(
-        [sys.executable, "-W", "error", Path(__file__).with_name("damaged_files.py"), folder,
+        [sys.executable, "-W", "error", damaged_files.__file__, folder,
          str(seed), str(count)],
         capture_output=True, text=True, check=False,
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_certified import certify
+from certified import certify
 
 from curlfit import LAWS, DataError, Start, Stone, Throw, fit, law_with, simulate, synthetic_throw
 from curlfit.dynamics.contact import accelerations
@@ -36,7 +36,7 @@ _slopes = jax.jit(jax.jacfwd(_everything), static_argnames=("law", "load"))
 
 def independent(values, times, law, load):
     """The same and its Jacobian by complex steps, without any code of the program."""
-    program = certify()
+    program = certify
     case = program.Case(
         law, dict.fromkeys("abcd"[: len(values) - 3], 0.0), (), 1, 1, {}, load=load,
         stone={"R": STONE.R, "rho": STONE.rho, "h": STONE.h},

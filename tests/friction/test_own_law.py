@@ -17,7 +17,7 @@ from curlfit.friction.base import START_NAMES
 from curlfit.friction.registry import _try_out
 from curlfit.inference.parameters import START
 
-README = (Path(__file__).parent.parent / "README.md").read_text()
+README = (Path(__file__).parents[2] / "README.md").read_text()
 LAW = re.search(r"<!-- law -->\n```python\n(.*?)```", README, re.S)[1]
 
 
