@@ -10,10 +10,11 @@ from typing import Any
 
 from curlfit.errors import InputError
 from curlfit.friction import Law, NetLaw, check_load, find_law
-from curlfit.inference.parameters import START, ParameterSet
+from curlfit.inference.noise.models import check_noise
+from curlfit.inference.parameters import START, ParameterSet, check_loss
 from curlfit.stone import Stone
 from curlfit.throws.readers import check_how
-from curlfit.throws.throw import check_sigma
+from curlfit.throws.throw import Throw, check_sigma
 
 CHUNK = 128
 """Throws that are read and fitted together."""
@@ -42,6 +43,9 @@ class Plan:
     fix: Mapping[str, float] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     unbounded: bool = False
+    start: Mapping[str, float] = field(default_factory=dict)
+    loss: str = "linear"
+    noise: str = "white"
     how: Mapping[str, Any] = field(default_factory=dict)
     posterior: bool = False
     seed: int = 0
@@ -53,10 +57,22 @@ class Plan:
         Stone().with_values(dict(self.stone))
         check_sigma(self.sigma)
         check_how(**self.how)
-        ParameterSet.build(
+        check_noise(self.noise, check_loss(self.loss))
+        parameters = ParameterSet.build(
             law, fix=dict(self.fix), bounds=dict(self.bounds), unbounded=self.unbounded
         )
+        parameters.require("start", self.start)
         return law
+
+    def choices(self) -> dict[str, Any]:
+        """As arguments of `fit_throws`."""
+        names = ("law", "load", "until", "fix", "bounds", "unbounded", "start", "loss", "noise")
+        return {name: getattr(self, name) for name in names}
+
+    def stones(self, throws: Sequence[Throw]) -> list[Stone]:
+        """The stone of each throw."""
+        own = (Stone().with_values(throw.defaults.get("stone", {})) for throw in throws)
+        return [stone.with_values(dict(self.stone)) for stone in own]
 
     def sums(self) -> dict[str, tuple[str, ...]]:
         """Sums of free coefficients that alone enter the motion, by how they are written."""

@@ -125,7 +125,7 @@ def triangle(matrix: Floats) -> Floats:
     return found
 
 
-def few_rows(jacobians: Floats, residuals: Floats) -> Floats:
+def r_factors(jacobians: Floats, residuals: Floats) -> Floats:
     """Jacobians of many throws with the residuals as the last column, in as few rows as columns.
 
     Parameters

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from curlfit.friction import Coefficient, Law, Load
 from curlfit.inference.identifiability import inverted, triangle
-from curlfit.inference.likelihood import LANES, Problem, by_lanes
 from curlfit.inference.parameters import START
-from curlfit.numerics.compiled import kept
+from curlfit.inference.problem import Problem
+from curlfit.numerics.compiled import BATCH, in_batches, kept
 from curlfit.stone import Stone
 from curlfit.throws.throw import last_motion
 
@@ -124,7 +124,7 @@ def start_values(
     upper: Floats,
     *,
     spin: float = 1.0,
-    lanes: int = LANES,
+    batch: int = BATCH,
 ) -> Floats:
     """Parameter vectors near the optima, shape (throws, parameters), inside the bounds.
 
@@ -133,7 +133,7 @@ def start_values(
     problems : of many throws, as `stacked` makes them; `path` is what `smooth` makes of them.
     lower, upper : bounds, shape (throws, parameters).
     spin : in rad/s, where the angle was never seen.
-    lanes : how many are computed together.
+    batch : how many are computed together.
     """
     k = len(law.coefficients())
     moving = _moving(path, spin)
@@ -148,8 +148,8 @@ def start_values(
     for _ in range(3):
         here: Any = jax.tree.map(lambda leaf, going=going: leaf[going], (problems, path, moving))
         nominal = found[going, :k]
-        a, by_coefficient = by_lanes(
-            partial(_forces, law, load), (nominal, here[0].stone, here[2].measured), lanes
+        a, by_coefficient = in_batches(
+            partial(_forces, law, load), (nominal, here[0].stone, here[2].measured), batch
         )
         linear = (by_coefficient @ nominal[:, None, :, None])[..., 0]
         slopes = np.concatenate([by_coefficient, (a - linear)[..., None]], -1)

@@ -1,10 +1,19 @@
-"""The optimum: start values tried in turn, optimistix within bounds."""
+"""The optimum of one throw or of many, by Levenberg and Marquardt's method within bounds.
+
+One throw is a single program of optimistix; many go through the same `advance` side by side: each
+pass asks the model for the residuals and Jacobians of some throws that are on their way, which
+costs far less than one throw after the other. A throw that is done leaves and the next takes its
+place in the batch, so none waits for another.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from operator import itemgetter
 from typing import Any, NamedTuple
 
-from curlfit.numerics import jax_setup  # noqa: F401  (before equinox)
+from curlfit.inference.likelihood import linearize
 
 # isort: split
 import jax
@@ -15,21 +24,27 @@ from numpy.typing import NDArray
 from curlfit.friction import Law, Load
 from curlfit.inference.identifiability import inverted
 from curlfit.inference.initial_values import Smooth, start_values, usual
-from curlfit.inference.likelihood import Problem, stacked, weighted_residuals
+from curlfit.inference.likelihood import weighted_residuals
 from curlfit.inference.parameters import ParameterSet
-from curlfit.numerics.compiled import kept
+from curlfit.inference.problem import Problem
+from curlfit.numerics import levenberg_marquardt as lm
+from curlfit.numerics.compiled import BATCH, in_batches, kept, stacked
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
-_TOLERANCE = 1e-10
-_MOST_STEPS = 200
+_PRECISE = lm.Tolerance(1e-14, 1e-18)  # for one throw
+_QUICK = lm.Tolerance(1e-8, 1e-10)  # for many: within 1e-5 standard errors
 _NOTHING = 1e-7  # of the longest column of a Jacobian, below which another is but rounding
 _ROUNDING = 1e-12  # squares of columns of length 1 that may be but rounding
 _POOR = (3.0, 0.02)  # rms over a polynomial's, and over the range: both, and more starts are tried
 
 
 class Solution(NamedTuple):
-    """An optimum, in the coordinates of its problem."""
+    """An optimum, in the coordinates of its problem; or many, along the first axis of each field.
+
+    Residuals that are not finite say that there was no path even at the start.
+    """
 
     values: Any
     residual: Any
@@ -37,55 +52,66 @@ class Solution(NamedTuple):
     jacobian: Any
     """of the weighted residual by parameter, shape (channels, n, parameters)"""
     steps: Any
-    finished: Any
+    success: Any
+
+    @property
+    def chi_squared(self) -> Any:
+        """Sum of the squared residuals."""
+        return (self.residual**2).sum((-1, -2))
 
 
 @kept("law", "load")
-def _solve(
-    law: type[Law], load: Load, start: Array, lower: Array, upper: Array, scale: Array,
+def _minimize(
+    law: type[Law], load: Load, start: Array, lower: Array, upper: Array, typical: Array,
     problem: Problem,
 ) -> Solution:  # fmt: skip
     # Loaded only where the program is made: that takes as long as all else there is to load.
     import optimistix as optx
 
-    from curlfit.numerics.levenberg_marquardt import BoxLevenbergMarquardt
+    from curlfit.numerics.bounded_solver import BoundedLevenbergMarquardt
 
-    def residual(z: Array, problem: Problem) -> Array:
-        return weighted_residuals(law, load, z * scale, problem)
+    def residual(values: Array, problem: Problem) -> Array:
+        return weighted_residuals(law, load, values, problem)
 
-    solver = BoxLevenbergMarquardt(lower / scale, upper / scale, _TOLERANCE, _TOLERANCE)
     found: Any = optx.least_squares(
         residual,
-        solver,
-        start / scale,
+        BoundedLevenbergMarquardt(lm.Bounds(lower, upper, typical), _PRECISE),
+        start,
         args=problem,
-        options={"jac": "fwd"},
-        max_steps=_MOST_STEPS,
+        max_steps=lm.MOST_EVALUATIONS,
         throw=False,
     )
-    f_info = found.state.f_info
+    shape = problem.observed.shape
     return Solution(
-        values=found.value * scale,
-        residual=f_info.residual,
-        jacobian=f_info.jac.as_matrix().reshape(*f_info.residual.shape, -1) / scale,
+        values=found.value,
+        residual=found.state.residual.reshape(shape),
+        jacobian=found.state.jacobian.reshape(*shape, -1),
         steps=found.stats["num_steps"],
-        finished=found.result == optx.RESULTS.successful,
+        success=found.result == optx.RESULTS.successful,
     )
 
 
-def chi_squared(solution: Solution) -> float:
-    """Sum of the squared residuals."""
-    return float((solution.residual**2).sum())
+def minimize(
+    law: type[Law], load: Load, start: Floats, parameters: ParameterSet, problem: Problem
+) -> Solution | None:
+    """The optimum reached from one start; None where that start leads nowhere."""
+    solution: Solution = jax.tree.map(
+        np.asarray,
+        _minimize(
+            law, load, start, parameters.lower, parameters.upper, parameters.typical, problem
+        ),
+    )
+    return solution if np.isfinite(solution.chi_squared) else None
 
 
 def starts(
     law: type[Law], load: Load, problem: Problem, path: Smooth, parameters: ParameterSet
 ) -> list[Floats]:
-    """Start values in the order in which to try them; `path` is that of the problem alone."""
+    """Initial values in the order in which to try them; `path` is that of the problem alone."""
     spins = (1.0,) if path.known[0, 2] else (1.0, -1.0)
     bounds = parameters.lower[None], parameters.upper[None]
     one = stacked([problem])
-    first = [start_values(law, load, one, path, *bounds, spin=s, lanes=1)[0] for s in spins]
+    first = [start_values(law, load, one, path, *bounds, spin=s, batch=1)[0] for s in spins]
     others = []
     k = len(law.coefficients())
     defaults = np.array([usual(item) for item in law.coefficients()])
@@ -96,18 +122,7 @@ def starts(
     return [*first, *others]
 
 
-def descend(
-    law: type[Law], load: Load, start: Floats, parameters: ParameterSet, problem: Problem
-) -> Solution | None:
-    """The optimum reached from one start; None where that start leads nowhere."""
-    solution = jax.tree.map(
-        np.asarray,
-        _solve(law, load, start, parameters.lower, parameters.upper, parameters.typical, problem),
-    )
-    return solution if np.isfinite(chi_squared(solution)) else None
-
-
-def best_of(
+def multistart(
     law: type[Law],
     load: Load,
     tries: list[Floats],
@@ -116,32 +131,32 @@ def best_of(
     path: Smooth,
 ) -> tuple[Solution | None, int]:
     """The best optimum, and how many starts it took."""
-    found: Solution | None = None
+    best: Solution | None = None
     tried = 0
     for values in tries:
-        if found is not None and not poor(stacked([found]), path, stacked([problem]))[0]:
+        if best is not None and not needs_restart(stacked([best]), path, stacked([problem]))[0]:
             break
         tried += 1
-        other = descend(law, load, values, parameters, problem)
+        other = minimize(law, load, values, parameters, problem)
         if other is not None and (
-            found is None or chi_squared(other) < (1 - 1e-9) * chi_squared(found)
+            best is None or other.chi_squared < (1 - 1e-9) * best.chi_squared
         ):
-            found = other
-    return found, tried
+            best = other
+    return best, tried
 
 
-def poor(solutions: Solution, paths: Smooth, problems: Problem) -> NDArray[np.bool_]:
+def needs_restart(solutions: Solution, paths: Smooth, problems: Problem) -> NDArray[np.bool_]:
     """Which of many optima are so bad that another start is worth trying."""
-    seen = problems.weight[:, :3] > 0
-    n = seen.sum(-1)
-    residual = solutions.residual[:, :3] / np.where(seen, problems.weight[:, :3], np.inf)
+    observed, weight = problems.observed[:, :3], problems.weight[:, :3]
+    there = weight > 0
+    n = there.sum(-1)
+    residual = solutions.residual[:, :3] / np.where(there, weight, np.inf)
     rms = np.sqrt((residual**2).sum(-1) / np.maximum(n, 1))
-    observed = problems.observed[:, :3]
-    highest = np.where(seen, observed, -np.inf).max(-1)
-    lowest = np.where(seen, observed, np.inf).min(-1)
+    highest = np.where(there, observed, -np.inf).max(-1)
+    lowest = np.where(there, observed, np.inf).min(-1)
     over_polynomial, over_range = _POOR
     off = (rms > over_polynomial * paths.rms[:, :3]) & (rms > over_range * (highest - lowest))
-    return ~np.asarray(solutions.finished) | (off & (n >= 3)).any(-1)
+    return ~np.asarray(solutions.success) | (off & (n >= 3)).any(-1)
 
 
 def residual_sigma(
@@ -155,7 +170,7 @@ def residual_sigma(
 
     Returns
     -------
-    In the channels' units, shape (throws, channels); 0 where nothing was seen.
+    In the channels' units, shape (throws, channels); 0 where nothing was observed.
     """
     jacobian = np.asarray(solutions.jacobian)
     normal = jacobian.mT @ jacobian * (free[:, None, :, None] & free[:, None, None, :])
@@ -166,7 +181,149 @@ def residual_sigma(
     axes = axes * scale[..., None]
     inverse = axes * inverted(squares, squares > _ROUNDING)[:, None] @ axes.mT
     paid = (normal * inverse[:, None]).sum((-1, -2))
-    room = np.maximum((problems.weight > 0).sum(-1) - paid, 1.0)
+    dof = np.maximum((problems.weight > 0).sum(-1) - paid, 1.0)
     largest = problems.weight.max(-1)
-    rms = np.sqrt((solutions.residual**2).sum(-1) / room)
+    rms = np.sqrt((solutions.residual**2).sum(-1) / dof)
     return np.where(largest > 0, rms / np.where(largest > 0, largest, 1.0), 0.0)
+
+
+class Tasks(NamedTuple):
+    """Problems of one shape, where to begin each, and within what; throws along the first axis."""
+
+    problems: Problem
+    start: Floats
+    """shape (throws, parameters), as the next two"""
+    lower: Floats
+    upper: Floats
+    typical: Floats
+    """shape (parameters,)"""
+
+
+class Revision(NamedTuple):
+    """Throws to be fitted again, under other weights or another noise."""
+
+    throws: Indices
+    problems: Problem
+    """their new ones, along the first axis"""
+    scale: Floats | None
+    """new weight over old, (throws, channels, n), where nothing else has changed"""
+
+
+Revise = Callable[[Indices, Solution], list[Revision]]
+"""From throws that are done, and their optima."""
+
+
+def minimize_many(
+    law: type[Law],
+    load: Load,
+    tasks: Tasks,
+    revise: Revise | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Solution:
+    """The optima of many problems.
+
+    Parameters
+    ----------
+    revise : asked of throws that are done which of them to fit again, and how.
+    progress : called with the number of throws that are done for good.
+    """
+    searches = _Searches(tasks)
+    going = np.ones(len(tasks.start), bool)
+    while going.any():
+        now = np.flatnonzero(going)[:BATCH]
+        trial, problems = searches.trials(now)
+        found = in_batches(partial(linearize, law, load), (trial, problems))
+        done = now[searches.advance(now, *found)]
+        while revise is not None and len(done):
+            going[done] = False
+            revisions = revise(done, searches.solution(done))
+            again = [revision.throws[searches.revise(revision)] for revision in revisions]
+            for revision in revisions:
+                going[revision.throws] = True
+            done = np.sort(np.concatenate(again)) if again else done[:0]
+        going[done] = False
+        if progress is not None:
+            progress(int((~going).sum()))
+    return searches.solution(np.arange(len(going)))
+
+
+def run_of(indices: Indices) -> Indices | slice:
+    """Indices in rising order; as a slice where none is left out, which copies nothing."""
+    if len(indices) and indices[-1] - indices[0] == len(indices) - 1:
+        return slice(indices[0], indices[-1] + 1)
+    return indices
+
+
+class _Searches:
+    """Searches side by side, with residuals and Jacobians at their best values."""
+
+    def __init__(self, tasks: Tasks) -> None:
+        self.problems: Problem = jax.tree.map(np.array, tasks.problems)
+        self.bounds = lm.Bounds(tasks.lower, tasks.upper, tasks.typical)
+        self.state = lm.begin(tasks.start, self.bounds)
+        shape = self.problems.observed.shape
+        self.residual = np.full(shape, np.nan)
+        self.jacobian = np.full((*shape, len(tasks.typical)), np.nan)
+
+    def trials(self, now: Indices) -> tuple[Floats, Problem]:
+        """Where to evaluate, and what."""
+        return self.state.trial[now], jax.tree.map(itemgetter(run_of(now)), self.problems)
+
+    def advance(self, now: Indices, residual: Floats, jacobian: Floats) -> NDArray[np.bool_]:
+        """Take the answers of a pass; which of the searches are done."""
+        state, bounds = self._of(run_of(now))
+        with np.errstate(invalid="ignore", over="ignore"):  # where there is no path
+            model = self._model(residual, jacobian)
+            state, outcome = lm.advance(state, model, bounds, _QUICK)
+        better = outcome.accepted
+        if not better.all():
+            residual, jacobian = residual[better], jacobian[better]
+        run = run_of(now[better])
+        self.residual[run], self.jacobian[run] = residual, jacobian
+        return self._put(now, state, outcome)
+
+    def revise(self, revision: Revision) -> NDArray[np.bool_]:
+        """Begin again from the best values, as a revision has it; which are done at once."""
+        now, problems, scale = revision
+        run = run_of(now)
+        state, bounds = self._of(run)
+        if scale is None:
+            for leaf, new in zip(*map(jax.tree.leaves, (self.problems, problems)), strict=True):
+                leaf[run] = new
+            return self._put(now, lm.begin(state.values, bounds), None)
+        self.problems.weight[run] = problems.weight
+        self.residual[run] *= scale
+        self.jacobian[run] *= scale[..., None]
+        model = self._model(self.residual[run], self.jacobian[run])
+        return self._put(now, *lm.reweighted(state, model, bounds, _QUICK))
+
+    def solution(self, which: Indices) -> Solution:
+        """Where searches are, for as long as they stay there."""
+        run = run_of(which)
+        return Solution(
+            self.state.values[run], self.residual[run], self.jacobian[run],
+            self.state.evaluations[run], self.state.success[run],
+        )  # fmt: skip
+
+    def _of(self, run: Indices | slice) -> tuple[lm.Search, lm.Bounds]:
+        lower, upper, typical = self.bounds
+        state: lm.Search = jax.tree.map(itemgetter(run), self.state)
+        return state, lm.Bounds(lower[run], upper[run], typical)
+
+    def _model(self, residual: Floats, jacobian: Floats) -> lm.QuadraticModel:
+        count, channels, rows, size = jacobian.shape
+        return lm.quadratic_model(
+            residual.reshape(count, channels * rows),
+            jacobian.reshape(count, channels * rows, size),
+            self.bounds.typical,
+        )
+
+    def _put(self, now: Indices, state: lm.Search, outcome: lm.Outcome | None) -> NDArray[np.bool_]:
+        run = run_of(now)
+        for leaf, new in zip(*map(jax.tree.leaves, (self.state, state)), strict=True):
+            leaf[run] = new
+        if outcome is not None and (last := outcome.extrapolation.any(1)).any():
+            move = outcome.extrapolation[last][:, None, :, None]
+            run = run_of(now[last])
+            self.residual[run] += (self.jacobian[run] @ move)[..., 0]
+        return np.asarray(state.done)

@@ -17,7 +17,7 @@ _PUSHED = 10.0  # times the slope along those inside that a parameter at a bound
 _LEAST_PUSH, _CLEAR_PUSH = 1e-6, 1e-3  # ... within these limits, half chi squared a typical size
 
 
-class Slopes(NamedTuple):
+class LinearizedProblem(NamedTuple):
     """An optimum of one throw or of several, as the linear problem it is close by.
 
     Or many such optima, along the first axis of each field.
@@ -82,7 +82,7 @@ class Slopes(NamedTuple):
             held[held] = ~loose
         return open_, found.columns
 
-    def distance(self, where: NDArray[np.bool_]) -> Floats:
+    def newton_decrement(self, where: NDArray[np.bool_]) -> Floats:
         """Length of the Gauss-Newton step that is left, in sigmas, along what is seen.
 
         A direction that counts as unseen would have to be followed over a thousand typical sizes.
@@ -93,7 +93,7 @@ class Slopes(NamedTuple):
         return np.linalg.norm(along * visible(singular), axis=-1)
 
 
-def judged(
+def classify(
     typical: float, at_bound: bool, known: Identifiability, place: int
 ) -> tuple[float | None, str]:
     """Standard error, where there is one, and verdict of a free parameter; its place in `known`.

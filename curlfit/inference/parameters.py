@@ -214,6 +214,15 @@ class ParameterSet:
         """A vector in the order of the parameters as a dictionary by name."""
         return dict(zip(self.names, map(float, values), strict=True))
 
+    def shifted(self, by: Floats) -> ParameterSet:
+        """The same with values and bounds moved, as to the coordinates of a problem."""
+        moved = tuple(
+            replace(item, lower=item.lower + shift, upper=item.upper + shift)
+            for item, shift in zip(self.parameters, by, strict=True)
+        )
+        fixed = {name: value + by[self.index(name)] for name, value in self.fixed.items()}
+        return ParameterSet(moved, fixed)
+
     def with_fixed(self, name: str, value: float) -> ParameterSet:
         """The same with one more parameter fixed."""
         parameters = tuple(

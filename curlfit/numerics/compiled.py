@@ -16,10 +16,10 @@ import inspect
 import os
 import pickle
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
 
@@ -30,6 +30,12 @@ from jax.experimental.serialize_executable import deserialize_and_load, serializ
 from jaxlib import version as jaxlib_version
 
 from curlfit.numerics import program_cache as cache
+
+BATCH = 64
+"""Throws or vectors that are followed side by side: few enough for a processor's cache, enough to
+share the cost of a pass."""
+
+Record = TypeVar("Record")
 
 WIDE: dict[str, Any] = {"xla_cpu_prefer_vector_width": "512"}
 """Options of `jax.jit` for a program that runs often: XLA leaves half of AVX-512's vectors unused
@@ -176,3 +182,29 @@ def _loaded(whole: bytes) -> Any:
 
     lapack.prepare_lapack_call("geqrf_ffi", np.dtype(float))  # makes LAPACK known to programs
     return deserialize_and_load(*pickle.loads(whole))
+
+
+def stacked(each: Sequence[Record]) -> Record:
+    """Records of one shape as one, along the first axis of each array."""
+    found: Record = jax.tree.map(lambda *leaves: np.stack(leaves), *each)
+    return found
+
+
+def unstacked(stack: Any) -> list[Any]:
+    """What was stacked, one by one."""
+    leaves, tree = jax.tree.flatten(stack)
+    return [jax.tree.unflatten(tree, parts) for parts in zip(*leaves, strict=True)]
+
+
+def in_batches(program: Callable[..., Any], stacks: tuple[Any, ...], batch: int = BATCH) -> Any:
+    """What a program of `batch` records makes of the arrays of any number of records."""
+    count = len(jax.tree.leaves(stacks)[0])
+    fill = np.minimum(np.arange(-(-count // batch) * batch), count - 1)
+    parts = [
+        program(*jax.tree.map(lambda leaf, here=fill[k : k + batch]: leaf[here], stacks))
+        for k in range(0, count, batch)
+    ]
+    return jax.tree.map(
+        lambda *leaves: (np.concatenate(leaves) if parts[1:] else np.asarray(leaves[0]))[:count],
+        *parts,
+    )

@@ -1,158 +1,239 @@
-"""Levenberg and Marquardt's method within bounds, for optimistix.
+"""Levenberg and Marquardt's method within bounds: one step, for one problem and for many.
 
-optimistix has no bounds; `BoxDescent` adds them by projection (Kanzow, Yamashita and Fukushima
-2004). Damping is in proportion to the columns of the Jacobian, which makes the steps independent
-of units.
+`advance` is the whole of the method: whether a trial is accepted, the damping, the next trial and
+when to stop. It takes NumPy arrays, with many problems along the leading axes, and traced JAX
+arrays alike. optimistix has no bounds; `bounded_solver` has this method as one of its solvers.
 
-It has arrived where the residual is orthogonal to all that a step could change, by the relative
-offset of Bates and Watts (1981): the length of what the next step takes from the residual, over the
-residual's own. Near the end such a step gains less than the rounding of the sum of squares, which
-then says neither whether the step was good nor when to stop. There steps are taken for as long as
-they get shorter.
+Bounds are kept by projection (Kanzow, Yamashita and Fukushima 2004). Damping is in proportion to
+the columns of the Jacobian (Marquardt 1963), which makes the steps independent of units.
+
+A search has converged where the residual is orthogonal to all that a step could change, by the
+relative offset of Bates and Watts (1981): the length of what the next step takes from the residual,
+over the residual's own. The reductions of the last two steps tell that of the next, so the last
+step needs no evaluation of its own. Near the end steps gain less than the rounding of chi squared,
+which then says neither whether a step was good nor when to stop. There steps are taken for as long
+as they get shorter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
-from curlfit.numerics import jax_setup  # noqa: F401  (before equinox)
+from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
 
 # isort: split
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
-import optimistix as optx
-from jaxtyping import Array
+import numpy as np
 
-_FIRST_DAMPING = 1e-4  # of Marquardt's damping, relative to the squared columns
-_OFFSET = 1e-9  # relative offset at which the optimum is reached
-_UNTOLD = 1e-10  # share of the sum of squares, a change by which may be but rounding
-
-
-class _BoxState(eqx.Module):
-    y: Array
-    f_info: Any
+MOST_EVALUATIONS = 100
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e8
+"""Of Marquardt's damping, relative to the squared columns."""
+_LESS, _MORE = 0.1, 30.0  # factors of the damping after an accepted and a rejected trial
+_ROUNDING = 1e-10  # share of chi squared by which a change may be rounding
+_UPHILL = 1e-8  # share of chi squared that a projected step may lose
+_SMALL = 1e-10  # step by which nothing changes, over the size of the values
+_REGULAR = 1e-14  # damping that keeps the normal matrix of an exact ridge regular
 
 
-class BoxDescent(optx.AbstractDescent):
-    """Damped Newton step within bounds, for use in an optimistix Gauss-Newton solver.
+class Tolerance(NamedTuple):
+    """When a search has converged, as shares of chi squared."""
 
-    A variable that sits at a bound and is pushed against it takes no part in the step; the others
-    take the damped step, cut off at their bounds.
+    extrapolated: float
+    """that the last step, which is not evaluated, may gain"""
+    remaining: float
+    """that the step after it might gain"""
+
+
+class Bounds(NamedTuple):
+    """Bounds of the parameters, and the typical sizes in which their steps count."""
+
+    lower: Any
+    upper: Any
+    typical: Any
+
+
+class QuadraticModel(NamedTuple):
+    """Chi squared about some values, by parameters in typical sizes (Gauss and Newton)."""
+
+    chi_squared: Any
+    """shape (...)"""
+    gradient: Any
+    """half of it, shape (..., parameters)"""
+    hessian: Any
+    """half of it, J^T J, shape (..., parameters, parameters)"""
+
+
+class Search(NamedTuple):
+    """The state of one search, or of many along the leading axes."""
+
+    values: Any
+    """the best so far, shape (..., parameters)"""
+    trial: Any
+    """where to evaluate next"""
+    model: QuadraticModel
+    """at the best values"""
+    damping: Any
+    reduction: Any
+    """of chi squared that the step to the trial promises; inf before the first"""
+    evaluations: Any
+    done: Any
+    success: Any
+
+
+class Outcome(NamedTuple):
+    """What `advance` did."""
+
+    accepted: Any
+    """whether the trial became the best values"""
+    extrapolation: Any
+    """the last step, taken without an evaluation; 0 where there was none"""
+
+
+def _namespace(array: Any) -> Any:
+    return jnp if isinstance(array, jax.Array) else np
+
+
+def quadratic_model(residual: Any, jacobian: Any, typical: Any) -> QuadraticModel:
+    """The model from residuals (..., n) and their Jacobian (..., n, parameters)."""
+    column = residual[..., None]
+    return QuadraticModel(
+        chi_squared=(column.mT @ column)[..., 0, 0],
+        gradient=(jacobian.mT @ column)[..., 0] * typical,
+        hessian=jacobian.mT @ jacobian * (typical[..., :, None] * typical[..., None, :]),
+    )
+
+
+def begin(values: Any, bounds: Bounds) -> Search:
+    """A search from values of shape (..., parameters)."""
+    xp = _namespace(values)
+    start = xp.clip(values, bounds.lower, bounds.upper)
+    each = start.shape[:-1]
+    return Search(
+        values=start,
+        trial=xp.array(start),
+        model=QuadraticModel(
+            xp.full(each, xp.inf), xp.zeros(start.shape), xp.zeros((*start.shape, start.shape[-1]))
+        ),
+        damping=xp.full(each, _FIRST_DAMPING),
+        reduction=xp.full(each, xp.inf),
+        evaluations=xp.zeros(each, int),
+        done=xp.zeros(each, bool),
+        success=xp.zeros(each, bool),
+    )
+
+
+def advance(
+    search: Search, at_trial: QuadraticModel, bounds: Bounds, tolerance: Tolerance
+) -> tuple[Search, Outcome]:
+    """Judge the trial by the model there, and choose the next."""
+    xp = _namespace(search.values)
+    before = search.model.chi_squared
+    rounding = (search.reduction <= _ROUNDING * before) & (
+        at_trial.chi_squared <= (1 + _ROUNDING) * before
+    )
+    accepted = (at_trial.chi_squared <= before) | rounding
+    accepted &= xp.isfinite(at_trial.chi_squared) & xp.isfinite(at_trial.hessian).all((-1, -2))
+    values = xp.where(accepted[..., None], search.trial, search.values)
+    model = QuadraticModel(
+        xp.where(accepted, at_trial.chi_squared, before),
+        xp.where(accepted[..., None], at_trial.gradient, search.model.gradient),
+        xp.where(accepted[..., None, None], at_trial.hessian, search.model.hessian),
+    )
+    damping = xp.where(
+        accepted, xp.maximum(search.damping * _LESS, _LEAST_DAMPING), search.damping * _MORE
+    )
+    last_reduction = xp.where(accepted, search.reduction, xp.inf)
+    return _proposed(
+        search._replace(
+            values=values, model=model, damping=damping, reduction=last_reduction,
+            evaluations=search.evaluations + 1,
+        ),
+        bounds, tolerance, accepted,
+    )  # fmt: skip
+
+
+def reweighted(
+    search: Search, model: QuadraticModel, bounds: Bounds, tolerance: Tolerance
+) -> tuple[Search, Outcome]:
+    """Go on from the best values under other weights, by the model there."""
+    xp = _namespace(search.values)
+    first = xp.full(search.damping.shape, _FIRST_DAMPING * _LESS)
+    anew = search._replace(
+        model=model, damping=first, reduction=xp.full(first.shape, xp.inf),
+        evaluations=xp.ones(first.shape, int),
+    )  # fmt: skip
+    return _proposed(anew, bounds, tolerance, xp.ones(first.shape, bool))
+
+
+def _proposed(
+    search: Search, bounds: Bounds, tolerance: Tolerance, accepted: Any
+) -> tuple[Search, Outcome]:
+    """The search with its next trial, or done; its `reduction` is that of the step before."""
+    xp = _namespace(search.values)
+    values, model, before = search.values, search.model, search.reduction
+    chi_squared = model.chi_squared
+    lost = ~xp.isfinite(chi_squared) | (search.evaluations >= MOST_EVALUATIONS)
+
+    def uphill(carry: tuple[Any, Any, Any]) -> Any:
+        damping, _, reduction = carry
+        return ~lost & (reduction < -_UPHILL * chi_squared) & (damping <= _MOST_DAMPING)
+
+    def shorter(carry: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
+        damping = xp.where(uphill(carry), carry[0] * _MORE, carry[0])
+        return damping, *_bounded_step(values, model, damping, bounds)
+
+    # Cut off at a bound a step may lead uphill; a shorter one does not.
+    carry = (search.damping, *_bounded_step(values, model, search.damping, bounds))
+    damping, trial, reduction = _repeat(lambda carry: uphill(carry).any(), shorter, carry)
+    lost |= damping > _MOST_DAMPING
+
+    ratio = reduction / xp.maximum(before, 1e-300)
+    after = reduction * xp.where(ratio < 1, ratio, 1.0)
+    last = reduction <= tolerance.extrapolated * chi_squared
+    last &= (after <= tolerance.remaining * chi_squared) & ~lost
+    no_shorter = (before <= _ROUNDING * chi_squared) & (reduction >= before)
+    step = xp.abs(trial - values) / bounds.typical
+    small = (step <= _SMALL * (1 + xp.abs(values) / bounds.typical)).all(-1)
+    small &= damping <= _FIRST_DAMPING
+    success = ~lost & (last | no_shorter | small)
+    extrapolation = xp.where(last[..., None], trial - values, 0.0)
+    found = search._replace(
+        values=values + extrapolation, trial=trial, damping=damping, reduction=reduction,
+        done=lost | success, success=success,
+    )  # fmt: skip
+    return found, Outcome(accepted, extrapolation)
+
+
+def _bounded_step(values: Any, model: QuadraticModel, damping: Any, bounds: Bounds) -> Any:
+    """The damped step cut off at the bounds: where it leads, and how far down chi squared.
+
+    A parameter at a bound that is pushed against it takes no part.
     """
-
-    lower: Array
-    upper: Array
-
-    def init(self, y: Array, f_info_struct: Any) -> _BoxState:
-        """Required by optimistix."""
-        blank = jax.tree.map(
-            lambda leaf: (
-                jnp.zeros(leaf.shape, leaf.dtype)
-                if isinstance(leaf, jax.ShapeDtypeStruct)
-                else leaf
-            ),
-            f_info_struct,
-        )
-        return _BoxState(y, blank)
-
-    def query(self, y: Array, f_info: Any, state: _BoxState) -> _BoxState:
-        """Required by optimistix."""
-        return _BoxState(y, f_info)
-
-    def step(self, step_size: Array, state: _BoxState) -> tuple[Array, Any]:
-        """The step at damping `_FIRST_DAMPING / step_size`."""
-        jacobian = state.f_info.jac.as_matrix()
-        residual = state.f_info.residual.reshape(-1)
-        gradient = residual @ jacobian
-        held = (state.y <= self.lower) & (gradient >= 0) | (state.y >= self.upper) & (gradient <= 0)
-        held |= self.lower >= self.upper
-        jacobian = jnp.where(held, 0.0, jacobian)
-        size = jnp.sqrt((jacobian**2).sum(0))
-        size = jnp.maximum(size, 1e-12 * size.max() + 1e-300)
-        damping = jnp.sqrt(_FIRST_DAMPING / step_size)
-        stacked = jnp.concatenate([jacobian / size, damping * jnp.eye(len(size))])
-        right = jnp.concatenate([residual, jnp.zeros_like(size)])
-        solution = lx.linear_solve(
-            lx.MatrixLinearOperator(stacked), right, lx.QR(), throw=False
-        ).value
-        move = jnp.where(held, 0.0, -solution / size)
-        return jnp.clip(state.y + move, self.lower, self.upper) - state.y, optx.RESULTS.successful
+    xp = _namespace(values)
+    lower, upper, typical = bounds
+    gradient, hessian = model.gradient, model.hessian
+    held = (values <= lower) & (gradient >= 0) | (values >= upper) & (gradient <= 0)
+    held |= lower >= upper
+    square = xp.where(held, 0.0, xp.diagonal(hessian, axis1=-2, axis2=-1))
+    size = xp.sqrt(xp.maximum(square, 1e-24 * square.max(-1, keepdims=True) + 1e-300))
+    free = xp.where(held, 0.0, 1 / size)
+    # Of unit diagonal, so that what damps it keeps it regular.
+    matrix = hessian * free[..., :, None] * free[..., None, :]
+    diagonal = xp.where(held, 1.0, damping[..., None] + _REGULAR)
+    matrix = matrix + xp.eye(values.shape[-1]) * diagonal[..., None]
+    move = xp.linalg.solve(matrix, -(gradient * free)[..., None])[..., 0] * free
+    trial = xp.clip(values + move * typical, lower, upper)
+    step = (trial - values) / typical
+    change = (hessian @ step[..., None])[..., 0]
+    # Not as the difference of two chi squared, of which rounding leaves nothing near the optimum.
+    return trial, -2 * (gradient * step).sum(-1) - (step * change).sum(-1)
 
 
-def _gain(step: Array, f_info: Any) -> Array:
-    """How much a step would take from half the sum of squares, to first order of the residual.
-
-    Not as the difference of two sums, of which rounding leaves nothing near the optimum.
-    """
-    residual, change = f_info.residual, f_info.jac.mv(step)
-    return -(residual * change).sum() - (change**2).sum() / 2
-
-
-class _SearchState(eqx.Module):
-    step_size: Array
-    gain: Array
-    """of the step last tried"""
-
-
-class _TrustRegion(optx.ClassicalTrustRegion):
-    """Takes steps as well of which the sum of squares cannot tell whether they are good."""
-
-    def init(self, y: Array, f_info_struct: Any) -> Any:
-        """Required by optimistix."""
-        return _SearchState(jnp.array(1.0), jnp.array(jnp.inf))
-
-    def predict_reduction(self, y_diff: Array, f_info: Any) -> Array:
-        """Required by optimistix."""
-        return -_gain(y_diff, f_info)
-
-    def step(
-        self, first_step: Array, y: Array, y_eval: Array, f_info: Any, f_eval_info: Any, state: Any
-    ) -> tuple[Array, Array, Any, Any]:
-        """Size of the next step, and whether to take this one."""
-        _, accept, result, judged = super().step(first_step, y, y_eval, f_info, f_eval_info, state)
-        gain, before = _gain(y_eval - y, f_info), f_info.as_min()
-        untold = (jnp.abs(gain) <= _UNTOLD * before) & ~first_step
-        untold &= f_eval_info.as_min() <= (1 + _UNTOLD) * before
-        size = jnp.where(untold, self.high_constant * state.step_size, judged.step_size)
-        gain = jnp.where(first_step, jnp.inf, gain)
-        return size, accept | untold, result, _SearchState(size, gain)
-
-
-class BoxLevenbergMarquardt(optx.AbstractGaussNewton):
-    """Levenberg and Marquardt's method within bounds.
-
-    Beside the relative offset optimistix's rule holds (`rtol`, `atol`), for data without noise.
-    """
-
-    rtol: float
-    atol: float
-    norm: Callable[..., Any]
-    descent: BoxDescent
-    search: optx.ClassicalTrustRegion
-    verbose: Callable[..., None]
-
-    def __init__(self, lower: Array, upper: Array, rtol: float, atol: float) -> None:
-        self.rtol, self.atol = rtol, atol
-        self.norm = optx.max_norm
-        self.descent = BoxDescent(lower, upper)
-        self.search = _TrustRegion()
-        self.verbose = _silent
-
-    def step(
-        self, fn: Any, y: Array, args: Any, options: Any, state: Any, tags: Any
-    ) -> tuple[Array, Any, Any]:
-        """Required by optimistix."""
-        y, state, aux = super().step(fn, y, args, options, state, tags)
-        half_squares = state.f_info.as_min()
-        gain, last = _gain(state.y_eval - y, state.f_info), state.search_state.gain
-        no_shorter = (abs(last) <= _UNTOLD * half_squares) & (abs(gain) >= abs(last))
-        there = (abs(gain) <= _OFFSET**2 * half_squares) | no_shorter
-        there = state.terminate | (there & (state.num_steps_since_acceptance == 0))
-        return y, eqx.tree_at(lambda state: state.terminate, state, there), aux
-
-
-def _silent(**_: Any) -> None:
-    return None
+def _repeat(condition: Callable[..., Any], body: Callable[..., Any], carry: tuple[Any, ...]) -> Any:
+    if isinstance(carry[0], jax.core.Tracer):
+        return jax.lax.while_loop(condition, body, carry)
+    while condition(carry):
+        carry = body(carry)
+    return carry

@@ -24,7 +24,7 @@ from curlfit.errors import InputError
 from curlfit.friction import Law, Load, check_load
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import Identifiability, analyse
-from curlfit.inference.linearized_problem import judged
+from curlfit.inference.linearized_problem import classify
 from curlfit.inference.parameters import ParameterSet
 from curlfit.optimal_design.information import (
     Told,
@@ -221,7 +221,7 @@ class _Planned:
         stderr: dict[str, float | None] = dict.fromkeys(self.all)
         verdicts = dict.fromkeys(self.all, "fixed")
         for place, name in enumerate(self.names):
-            stderr[name], verdicts[name] = judged(float(self.typical[place]), False, found, place)
+            stderr[name], verdicts[name] = classify(float(self.typical[place]), False, found, place)
         return Expected(
             throws=tuple(places),
             stderr=stderr | {item.expression: item.stderr for item in found.combinations},

@@ -25,8 +25,10 @@ from numpy.typing import NDArray
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.identifiability import visible
-from curlfit.inference.likelihood import LANES, Problem, linearised, trace
+from curlfit.inference.likelihood import linearize, predict_channels
 from curlfit.inference.parameters import START
+from curlfit.inference.problem import Problem
+from curlfit.numerics.compiled import BATCH
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
 
@@ -110,12 +112,12 @@ def told(
         for first in range(0, len(clock), _ROWS)
     ]
     triangles: list[list[Floats]] = [[] for _ in trials]
-    for first in range(0, len(parts), LANES):
-        some = parts[first : first + LANES]
-        lanes = some + [some[-1]] * (LANES - len(some))
+    for first in range(0, len(parts), BATCH):
+        some = parts[first : first + BATCH]
+        lanes = some + [some[-1]] * (BATCH - len(some))
         own = [trials[place] for place, _ in lanes]
         values = np.stack([_vector(coefficients, trial) for trial in own])
-        _, found = linearised(law, load, values, _problems(lanes, own, channels))
+        _, found = linearize(law, load, values, _problems(lanes, own, channels))
         jacobian = np.asarray(found) * typical
         for lane, (place, _) in enumerate(some):
             if not np.isfinite(jacobian[lane]).all():
@@ -162,7 +164,9 @@ def _rest(
         jax.tree.map(lambda value: np.asarray(float(value)), trial.stone),
         np.asarray(0), np.asarray(0),
     )  # fmt: skip
-    x, y, _, early, _ = np.asarray(trace(law, load, _vector(coefficients, trial), problem))[:, 0]
+    x, y, _, early, _ = np.asarray(
+        predict_channels(law, load, _vector(coefficients, trial), problem)
+    )[:, 0]
     rest = times[0] * trial.v0 / (trial.v0 - early)
     if math.isnan(rest):
         raise _no_motion(law, load, trial)

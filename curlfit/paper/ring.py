@@ -19,7 +19,8 @@ from curlfit.friction.anisotropic import Radial
 from curlfit.friction.front_back import FrontBack, FrontBackFirstOrder
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import Problem, trace
+from curlfit.inference.likelihood import predict_channels
+from curlfit.inference.problem import Problem
 from curlfit.paper.claim import Claim
 from curlfit.paper.kinematics import RADIUS, Kinematics
 from curlfit.paper.printed import first_order_motion, jensen_shegelski_throw
@@ -217,7 +218,7 @@ def _paths() -> tuple[tuple[float, float], tuple[float, float]]:
     start = np.array([*mu, 0.0, 0.0, 0.0, SPEED, 0.0, 1.0])
     closed = first_order_motion(FrontBackFirstOrder(*mu), stone, SPEED, 1.0, t)
     stepped, ring = (
-        np.asarray(trace(law, "uniform", start, problem))[:, : len(t)]
+        np.asarray(predict_channels(law, "uniform", start, problem))[:, : len(t)]
         for law in (FrontBackFirstOrder, FrontBack)
     )
 

@@ -44,8 +44,10 @@ from numpy.typing import NDArray
 from curlfit.friction import check_load
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import directions
-from curlfit.inference.likelihood import frame_of, linearised, problem_of, stacked
+from curlfit.inference.likelihood import linearize
 from curlfit.inference.noise.models import independences
+from curlfit.inference.problem import Origin, build_problem
+from curlfit.numerics.compiled import stacked
 from curlfit.prediction.ensemble import Paths, followed
 from curlfit.stone import GRAVITY
 from curlfit.throws.throw import CHANNELS
@@ -417,12 +419,12 @@ def _slopes(fit: FitResult) -> tuple[Floats, Floats]:
     """Derivative of the path by the parameters, shape (channels, rows, parameters), and 1/sigma, 0
     where nothing was seen."""
     throw = fit.throw
-    frame = frame_of(throw)
-    problem = problem_of(throw, fit.stone, frame, fit.sigma)
-    values = fit.values - frame.offset(len(fit.values))
+    origin = Origin.of(throw)
+    problem = build_problem(throw, fit.stone, origin, fit.sigma)
+    values = fit.values - origin.offset(len(fit.values))
     n = len(throw)
     one = stacked([problem])
-    jacobian = linearised(fit.law_class, check_load(fit.load), values[None], one)[1]
+    jacobian = linearize(fit.law_class, check_load(fit.load), values[None], one)[1]
     weighted = np.asarray(jacobian)[0, :, :n]
     weight = np.asarray(problem.weight)[:, :n]
     return weighted / np.where(weight > 0, weight, 1.0)[..., None], weight

@@ -1,8 +1,8 @@
 """Fits with parameters held: the same throw, law and noise, all other parameters fitted again.
 
-The fits are lanes of one run (see `lockstep.py`), each begun at the nearest one that is known and
-led on along the linear response of the other parameters. Whether neighbours belong to one valley is
-checked by the envelope theorem: the slope of the least misfit is the partial slope of chi squared,
+The fits run side by side (see `curlfit.inference.least_squares`), each begun at the nearest one
+that is known, along the linear response of the other parameters. Whether neighbours belong to one
+valley is checked by the envelope theorem: the slope of the least chi squared is its partial slope,
 which is known at each place, and has to lead from one to the next.
 """
 
@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 
 from curlfit.errors import UnusableFitError
 from curlfit.friction import check_load
-from curlfit.inference.batched_least_squares import Tasks, solve_many
-from curlfit.inference.fit.fit import shifted
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.least_squares import Solution
-from curlfit.inference.likelihood import frame_of, problem_of, unstacked
+from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.parameters import ParameterSet
+from curlfit.inference.problem import Origin, build_problem
+from curlfit.numerics.compiled import unstacked
 from curlfit.profile_likelihood.result import levels_for
 
 # isort: split
@@ -56,11 +55,11 @@ class Refit:
     def __init__(self, fit: FitResult, progress: Progress | None) -> None:
         self.fit, self._progress, self.done = fit, progress, 0
         whole = fit.parameter_set
-        frame = frame_of(fit.throw)
-        self.offset = frame.offset(len(whole))
-        self.parameters = shifted(whole, -self.offset)
+        origin = Origin.of(fit.throw)
+        self.offset = origin.offset(len(whole))
+        self.parameters = whole.shifted(-self.offset)
         self.law, self.load = fit.law_class, check_load(fit.load)
-        self.problem = problem_of(fit.throw, fit.stone, frame, fit.sigma, fit.loss, fit.noise)
+        self.problem = build_problem(fit.throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise)
         (solution,) = self._solved([(self.parameters, fit.values - self.offset)])
         if solution is None:
             raise UnusableFitError("the fit has no path")
@@ -71,7 +70,7 @@ class Refit:
     @property
     def chi_squared(self) -> float:
         """Of the best fit."""
-        return float((self.solution.residual**2).sum())
+        return float(self.solution.chi_squared)
 
     @property
     def values(self) -> Floats:
@@ -92,7 +91,7 @@ class Refit:
             if self._progress is not None:
                 self._progress(self.done)
 
-        found = solve_many(self.law, self.load, work, arrived=arrived)
+        found = minimize_many(self.law, self.load, work, progress=arrived)
         whole = np.isfinite(found.residual).all((1, 2))
         each = unstacked(found)
         return [one if there else None for one, there in zip(each, whole, strict=True)]
@@ -118,8 +117,8 @@ class Refit:
         slope = 2 * np.einsum("cn,cni->i", solution.residual, solution.jacobian)
         values = np.asarray(solution.values)
         place = Place(
-            values[index], float((solution.residual**2).sum()), values, slope[index],
-            bool(solution.finished),
+            values[index], float(solution.chi_squared), values, slope[index],
+            bool(solution.success),
         )  # fmt: skip
         if self.lowest is None or place.chi_squared < self.lowest.chi_squared:
             self.lowest = place
@@ -130,7 +129,7 @@ class Refit:
         if self.lowest is None or self.lowest.chi_squared > self.chi_squared - _LESS:
             return False
         (solution,) = self._solved([(self.parameters, self.lowest.values)])
-        if solution is None or (solution.residual**2).sum() > self.chi_squared - _LESS:
+        if solution is None or solution.chi_squared > self.chi_squared - _LESS:
             return False
         self.solution, self.lowest = solution, None
         return True

@@ -201,8 +201,9 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     from emcee.autocorr import integrated_time
 
     from curlfit import fit, sample
-    from curlfit.inference.fit.fit import prepared, shifted
-    from curlfit.inference.likelihood import log_posterior, problem_of
+    from curlfit.inference.fit.prepared import PreparedThrow
+    from curlfit.inference.likelihood import log_posterior
+    from curlfit.inference.problem import build_problem
 
     result = fit(throw)
     sample(result, effective=500)
@@ -214,10 +215,9 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     ours = effective / taken
 
     law = result.law_class
-    job = prepared(throw, law, None, None)
-    local = shifted(job.parameters, -job.frame.offset(len(job.parameters)))
-    problem = problem_of(job.throw, job.stone, job.frame, result.sigma)
-    offset = job.frame.offset(len(local))
+    ready = PreparedThrow.of(throw, law)
+    local, offset = ready.local_parameters, ready.offset
+    problem = build_problem(ready.throw, ready.stone, ready.origin, result.sigma)
     walkers, steps = 64, 8000
     random = np.random.default_rng(0)
     # It begins among our draws, so that no time is lost on finding them.

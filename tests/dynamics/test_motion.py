@@ -15,7 +15,8 @@ import curlfit
 from curlfit import LAWS, Start, Stone, Throw, simulate
 from curlfit.dynamics import equations as steps
 from curlfit.dynamics.contact import accelerations
-from curlfit.inference.likelihood import frame_of, log_likelihood, problem_of, trace
+from curlfit.inference.likelihood import log_likelihood, predict_channels
+from curlfit.inference.problem import Origin, build_problem
 from curlfit.paper.printed import first_order_motion
 
 STONE = Stone(R=0.054, rho=0.1)
@@ -281,13 +282,13 @@ def test_unknown_load_is_refused():
 
 
 def test_padded_rows_cost_and_change_nothing():
-    """A problem repeats its last time up to its length; neither path nor slopes heed that."""
+    """A problem repeats its last time up to its length; neither path nor slopes depend on that."""
     law, load = LAWS["front-back"], "uniform"
     t = np.linspace(0.0, 30.0, 37)  # at rest from 25 s on
     throw = Throw.from_arrays(t, *np.random.default_rng(1).normal(size=(3, 37)))
-    frame = frame_of(throw)
+    origin = Origin.of(throw)
     sigma = {"x": 0.1, "y": 0.2, "phi": 0.3}
-    padded = problem_of(throw, Stone(), frame, sigma)
+    padded = build_problem(throw, Stone(), origin, sigma)
     bare = padded._replace(
         times=padded.times[:37], observed=padded.observed[:, :37], weight=padded.weight[:, :37]
     )
@@ -299,8 +300,8 @@ def test_padded_rows_cost_and_change_nothing():
         ]
         assert np.isfinite(both).all()
         np.testing.assert_allclose(*both, rtol=1e-9)
-    path = np.asarray(trace(law, load, values, padded))
-    np.testing.assert_allclose(path[:, :37], trace(law, load, values, bare), rtol=1e-12, atol=1e-14)
+    long, short = (np.asarray(predict_channels(law, load, values, one)) for one in (padded, bare))
+    np.testing.assert_allclose(long[:, :37], short, rtol=1e-12, atol=1e-14)
 
 
 def test_at_infinity_a_stone_is_where_it_comes_to_rest_and_nowhere_without_a_time():

@@ -18,9 +18,10 @@ import curlfit
 from curlfit import DataError, InputError, Stone, Throw, fit, law_with, synthetic_throw
 from curlfit.inference.fit.result import load_fit
 from curlfit.inference.least_squares import Solution, residual_sigma
-from curlfit.inference.likelihood import Problem
+from curlfit.inference.problem import Problem
 from curlfit.inference.report import print_fit
-from curlfit.numerics.levenberg_marquardt import BoxLevenbergMarquardt
+from curlfit.numerics.bounded_solver import BoundedLevenbergMarquardt
+from curlfit.numerics.levenberg_marquardt import Bounds, Tolerance
 
 NAMES = ("mu1_xi", "mu2_xi")
 
@@ -263,7 +264,8 @@ def test_bounded_solver_agrees_with_scipy(seed):
         linear = matrix @ z - right
         return xp.concatenate([linear, 0.1 * (z[:1] ** 3 - z[2:3])])
 
-    solver = BoxLevenbergMarquardt(jnp.array(lower), jnp.array(upper), 1e-10, 1e-10)
+    bounds = Bounds(jnp.array(lower), jnp.array(upper), jnp.ones(4))
+    solver = BoundedLevenbergMarquardt(bounds, Tolerance(1e-14, 1e-18))
     start = np.clip(np.zeros(4), lower, upper)
     found = optx.least_squares(
         lambda z, _: residual(z, jnp), solver, jnp.array(start), max_steps=500, throw=False

@@ -17,8 +17,10 @@ import curlfit
 from curlfit import DataError, InputError, UnusableFitError
 from curlfit.cli import app
 from curlfit.inference.fit.result import Estimate
-from curlfit.inference.likelihood import frame_of, problem_of, raw_residuals
+from curlfit.inference.likelihood import raw_residuals
 from curlfit.inference.mcmc.sampler import sample
+from curlfit.inference.problem import Origin, build_problem
+from curlfit.numerics.compiled import stacked
 
 STONE = curlfit.Stone(R=0.065)
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}
@@ -64,9 +66,9 @@ def printed(profile):
 def scipy_minimum(fit, held):
     """Least chi squared with some parameters held, by scipy on the residuals of the model."""
     throw, parameters = fit.throw, fit.parameter_set
-    frame = frame_of(throw)
-    problem = problem_of(throw, fit.stone, frame, fit.sigma, fit.loss)
-    offset = frame.offset(len(parameters))
+    origin = Origin.of(throw)
+    problem = build_problem(throw, fit.stone, origin, fit.sigma, fit.loss)
+    offset = origin.offset(len(parameters))
     values = fit.values - offset
     for name, value in held.items():
         values[parameters.index(name)] = value - offset[parameters.index(name)]
@@ -76,7 +78,8 @@ def scipy_minimum(fit, held):
     def residual(some):
         whole = values.copy()
         whole[free] = some
-        return np.asarray(raw_residuals(fit.law_class, fit.load, whole, problem)).ravel()
+        one = whole[None], stacked([problem])
+        return raw_residuals(fit.law_class, fit.load, *one, batch=1).ravel()
 
     found = least_squares(
         residual, values[free], bounds=(low, high), x_scale=parameters.typical[free] / 100,

@@ -1,50 +1,47 @@
-"""Least squares: a fit from data to result.
-
-Where no sigma is given, a first fit weights the channels evenly, 1 m like 1 rad. The scatter of
-its residuals, corrected for the parameters spent, is the sigma of the second and last fit (two-step
-generalised least squares). It is not repeated until both agree: where a law is not exact, that
-ends with one channel fitted perfectly at the expense of the others. A robust loss takes its sigma
-from the bulk of the residuals, and repeats that. Noise that goes together from row to row is told
-from the residuals of a fit with white noise, and a last fit heeds it.
-"""
+"""Least squares: a fit from data to result, of one throw or of many side by side."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from itertools import islice
+from typing import Any
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.errors import UnusableFitError
-from curlfit.friction import Law, check_load, find_law, no_motion_because
+from curlfit.errors import CurlfitError, UnusableFitError
+from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
 from curlfit.inference.fit.missing_channels import remedies
+from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.fit.summary import Optimum, summarize
-from curlfit.inference.initial_values import smooth
-from curlfit.inference.least_squares import Solution, best_of, descend, residual_sigma, starts
-from curlfit.inference.likelihood import (
-    SIGMA_FLOOR,
-    Frame,
-    Problem,
-    frame_of,
-    problem_of,
-    raw_residuals,
-    stacked,
-    trace,
+from curlfit.inference.fit.rounds import Rounds
+from curlfit.inference.fit.summary import LeastSquaresFit, summarize, summarize_many
+from curlfit.inference.initial_values import smooth, start_values
+from curlfit.inference.least_squares import (
+    Indices,
+    Revision,
+    Solution,
+    Tasks,
+    minimize,
+    minimize_many,
+    multistart,
+    needs_restart,
+    run_of,
+    starts,
 )
-from curlfit.inference.noise.losses import robust_sigma
-from curlfit.inference.noise.models import check_noise, fitted_noise
-from curlfit.inference.parameters import ParameterSet, check_loss
+from curlfit.inference.noise.models import check_noise
+from curlfit.inference.parameters import check_loss
+from curlfit.inference.problem import problem_shape
+from curlfit.numerics.compiled import BATCH, stacked, unstacked, unswept
 from curlfit.stone import Stone
-from curlfit.throws.throw import CHANNELS, Reference, Throw
+from curlfit.throws.throw import Reference, Throw
 
 Floats = NDArray[np.float64]
 
-_LASTING = 0.03  # memory over the time of motion, above which `tests/statistics` finds errors small
-_OPEN = ("not identifiable", "weak")  # verdicts that something else might mend
-_ROUNDS = 4  # of a robust fit: sigma from the bulk, then the fit
+_OPEN = ("not identifiable", "weak")  # verdicts that another measurement might change
+_ROWS = 2 * BATCH * 256  # of throws that are fitted together, for the sake of memory
 
 
 def fit(
@@ -72,16 +69,17 @@ def fit(
     until : use rows with t <= `until` (s).
     fix, bounds : parameters held at a value, and (lower, upper) in place of the law's own.
     unbounded : let coefficients be negative.
-    start : start values of some parameters; the rest is found from the data. Not needed.
+    start : initial values of some parameters; the rest is found from the data. Not needed.
     loss : "linear" is least squares; "huber", "soft-l1", "cauchy" and "student" (4 degrees of
         freedom) are robust to outliers.
-    noise : "white" is independent from row to row; "ar1" forgets itself exponentially; "gp" is
-        white on top of a smooth discrepancy, as of a law that is not exact (see
-        `curlfit.inference.noise.models`).
+    noise : "white" is independent from row to row; "ar1" has a correlation that decays
+        exponentially; "gp" is white on top of a smooth discrepancy, as of a law that is not exact
+        (see `curlfit.inference.noise.models`).
 
     Returns
     -------
-    FitResult, whose `status` says in words whether the fit converged and what to mind.
+    FitResult, whose `status` says in words whether the fit converged, and its `warnings` why it may
+    mislead.
 
     Raises
     ------
@@ -89,88 +87,68 @@ def fit(
         never moves.
     UnusableFitError : no start led to a finite fit.
     """
-    whole = throw
     law = find_law(law) if isinstance(law, str) else law
     loss, noise = check_loss(loss), check_noise(noise, loss)
     load = check_load(load or throw.defaults.get("load", "uniform"))
-    throw, stone, until, parameters, frame = prepared(
+    prepared = PreparedThrow.of(
         throw, law, stone, until, fix=fix, bounds=bounds, unbounded=unbounded
     )
-    local = shifted(parameters, -frame.offset(len(parameters)))
-    sigma = first_sigma(throw)
-    problem = problem_of(throw, stone, frame, sigma)
-    path = smooth(stacked([problem]))
-    tries = starts(law, load, problem, path, local)
+    rounds = Rounds(law, load, [prepared], loss=loss, noise=noise)
+    found = _fitted_alone(rounds, start)
+    result = summarize(found)
+    if not result.converged:
+        return result
+    if result.reference is not None:
+        choices: dict[str, Any] = {
+            "until": until, "fix": fix, "bounds": bounds, "unbounded": unbounded, "loss": loss,
+            "noise": noise, "start": prepared.parameters.values_of(result.values),
+        }  # fmt: skip
+        result = replace(result, reference_fits=_reference_fits(throw, law, load, result, choices))
+    open_ = [name for name, item in result.parameters.items() if item.verdict in _OPEN]
+    if open_:
+        local = prepared.local_parameters
+        values, n = found.solution.values, len(prepared.throw)
+        remedy = remedies(law, load, values, found.problem, local, n, open_, fix or ())
+        result = replace(result, remedies=remedy)
+    return result
+
+
+def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSquaresFit:
+    """The only throw of some rounds, with all the starts there are."""
+    (prepared,), law, load = rounds.throws, rounds.law, rounds.load
+    parameters = prepared.local_parameters
+    (problem,) = unstacked(rounds.problems)
+    path = smooth(rounds.problems)
+    tries = starts(law, load, problem, path, parameters)
     if start:
-        tries.insert(0, _user_start(tries[0], start, parameters, frame))
-    solution, tried = best_of(law, load, tries, local, problem, path)
+        tries.insert(0, prepared.with_start(tries[0], start))
+    solution, tried = multistart(law, load, tries, parameters, problem, path)
     if solution is None:
         raise UnusableFitError(
-            f"{throw.name}: law {law.name} with {load} load gives no finite path from any start"
-            + no_motion_because(load)
+            f"{prepared.throw.name}: law {law.name} with {load} load gives no finite path from any "
+            "start" + no_motion_because(load)
         )
-    if sigma:
-        sigma = estimated_sigma(solution, problem, local, sigma)
-        problem = problem_of(throw, stone, frame, sigma)
-        solution = descend(law, load, solution.values, local, problem) or solution
-    if loss != "linear":
-        for _ in range(_ROUNDS):
-            residual = raw_residuals(law, load, solution.values, problem)
-            sigma |= bulk_sigma(throw, residual, problem, sigma)
-            problem = problem_of(throw, stone, frame, sigma, loss)
-            solution = descend(law, load, solution.values, local, problem) or solution
+    only = np.zeros(1, int)
+    while rounds.revise(only, stacked([solution])):
+        (problem,) = unstacked(rounds.problems)
+        solution = minimize(law, load, solution.values, parameters, problem) or solution
+    for failure in rounds.failures.values():
+        raise failure
+    return rounds.record(0, solution, tried)
 
-    def record(problem: Problem, sigma: dict[str, float], solution: Solution) -> FitResult:
-        found = Optimum(
-            throw, law, load, stone, until, parameters, frame, problem, sigma, solution, tried, loss
-        )
-        return summarize(found)
 
-    def completed(result: FitResult, problem: Problem, solution: Solution) -> FitResult:
-        result = replace(result, reference_fits=reference_fits(result))
-        open_ = [n for n, i in result.parameters.items() if i.verdict in _OPEN]
-        if not open_ or not result.converged:
-            return result
-        found = remedies(law, load, solution.values, problem, local, len(throw), open_, fix or ())
-        return replace(result, remedies=found)
-
-    def reference_fits(result: FitResult) -> tuple[dict[str, Any], ...]:
-        if result.reference is None or not result.converged:
-            return ()
-        values, found = parameters.values_of(result.values), []
-        for constants in _other_stones(result.reference, stone):
-            other = fit(
-                replace(whole, reference=None), law, load=load, stone=stone.with_values(constants),
-                until=until, fix=fix, bounds=bounds, unbounded=unbounded, start=values, loss=loss,
-                noise=noise,
-            )  # fmt: skip
-            each = {name: item.value for name, item in other.coefficients.items()}
-            each |= {item.expression: item.value for item in other.combinations}
-            found.append({"stone": constants, "values": each})
-        return tuple(found)
-
-    if noise == "white":
-        return completed(record(problem, sigma, solution), problem, solution)
-    n = len(throw)
-    speed = np.asarray(trace(law, load, solution.values, problem))[CHANNELS.index("speed"), :n]
-    moving = np.flatnonzero(speed > 0)
-    span = float(throw.t[moving[-1]] - throw.t[0]) if len(moving) else 0.0
-    shown, sizes = fitted_noise(
-        noise, throw, solution.residual[:, :n], solution.jacobian[:, :n, parameters.free],
-        problem.weight[:, :n], span,
-    )  # fmt: skip
-    sigma = {name: sizes.get(name, value) + SIGMA_FLOOR for name, value in sigma.items()}
-    problem = problem_of(throw, stone, frame, sigma, noise=shown)
-    solution = descend(law, load, solution.values, local, problem) or solution
-    result = replace(record(problem, sigma, solution), noise=shown)
-    lasting = max(shown.memory.values(), default=0.0)
-    if lasting > _LASTING * span:
-        rough = (
-            f"the noise remembers {lasting:.2g} s of a throw of {span:.3g} s, too long to be told "
-            "well: its standard errors may be too small by half"
-        )
-        result = replace(result, warnings=(*result.warnings, rough))
-    return completed(result, problem, solution)
+def _reference_fits(
+    throw: Throw, law: type[Law], load: Load, result: FitResult, choices: Mapping[str, Any]
+) -> tuple[dict[str, Any], ...]:
+    """The same fit with other constants of the stone: what the values then are."""
+    assert result.reference is not None
+    throw, found = replace(throw, reference=None), []
+    for constants in _other_stones(result.reference, result.stone):
+        other = fit(throw, law, load=load, stone=result.stone.with_values(constants), **choices)
+        each = {name: item.value for name, item in other.coefficients.items()}
+        each |= {item.expression: item.value for item in other.combinations}
+        found.append({"stone": constants, "values": each})
+    return tuple(found)
 
 
 def _other_stones(reference: Reference, stone: Stone) -> list[dict[str, float]]:
@@ -183,82 +161,117 @@ def _other_stones(reference: Reference, stone: Stone) -> list[dict[str, float]]:
     return [own, *(item for item in off if item != own)]
 
 
-class Job(NamedTuple):
-    """A throw ready to be fitted: cut, with its stone, its parameters and its frame."""
+@unswept()
+def fit_throws(
+    throws: Sequence[Throw],
+    law: str | type[Law] = "front-back",
+    *,
+    load: str = "uniform",
+    stones: Sequence[Stone | None] | None = None,
+    start: Mapping[str, float] | None = None,
+    loss: str = "linear",
+    noise: str = "white",
+    curves: bool = True,
+    **choices: Any,
+) -> list[FitResult | CurlfitError]:
+    """The fit of each throw by itself, many at a time, or why there is none.
 
-    throw: Throw
-    stone: Stone
-    until: float | None
-    parameters: ParameterSet
-    frame: Frame
+    Throws go through the rounds of `fit` side by side. One whose first start leads nowhere good is
+    fitted again alone, with all the starts that `fit` would try, so that it delays no other.
 
-
-def prepared(
-    throw: Throw, law: type[Law], stone: Stone | None, until: float | None, **choices: Any
-) -> Job:
-    """The throw with its own defaults filled in, and condensed where it is very long.
-
-    `choices` are those of `ParameterSet.build`.
+    Parameters
+    ----------
+    throws, law, load, start, loss, noise : as in `fit`; load holds for all.
+    stones : one for each throw; its own where not given.
+    curves : whether the fits shall hold the fitted curves; they always do under a robust loss or
+        correlated noise.
+    choices : `until`, `fix`, `bounds` and `unbounded` as in `fit`.
 
     Raises
     ------
-    InputError : as in `fit`.
+    InputError : as in `fit`, of what holds for all throws.
     """
-    if stone is None:
-        stone = Stone().with_values(throw.defaults.get("stone", {}))
-    until = throw.defaults.get("until") if until is None else until
-    if not throw.sigma and throw.defaults.get("sigma"):
-        throw = throw.with_sigma(throw.defaults["sigma"])
-    throw = throw.until(until)
-    throw.require_motion()
-    throw = throw.condensed()
-    return Job(throw, stone, until, ParameterSet.for_throw(law, throw, **choices), frame_of(throw))
+    law = find_law(law) if isinstance(law, str) else law
+    checked, loss = check_load(load), check_loss(loss)
+    noise = check_noise(noise, loss)
+    curves = curves or loss != "linear" or noise != "white"
+    found: dict[int, FitResult | CurlfitError] = {}
+    by_shape: dict[tuple[int, int], dict[int, PreparedThrow]] = {}
+    for index, (throw, stone) in enumerate(
+        zip(throws, stones or [None] * len(throws), strict=True)
+    ):
+        try:
+            prepared = PreparedThrow.of(throw, law, stone, **choices)
+        except CurlfitError as error:
+            found[index] = error
+        else:
+            by_shape.setdefault(problem_shape(prepared.throw), {})[index] = prepared
+    for (_, rows), alike in by_shape.items():
+        rest = iter(alike.items())
+        while part := dict(islice(rest, max(BATCH, _ROWS // rows))):
+            rounds = Rounds(law, checked, list(part.values()), loss=loss, noise=noise, batch=BATCH)
+            solved = _fitted_together(rounds, start)
+            results = summarize_many(list(solved.values()), curves=curves)
+            found |= zip((list(part)[row] for row in solved), results, strict=True)
+            for row, (index, prepared) in enumerate(part.items()):
+                if row not in solved:
+                    found[index] = rounds.failures.get(row) or _alone(
+                        prepared, law, checked, start=start, loss=loss, noise=noise, **choices
+                    )
+    return [found[index] for index in range(len(throws))]
 
 
-def bulk_sigma(
-    throw: Throw, residual: Floats, problem: Problem, sigma: dict[str, float]
-) -> dict[str, float]:
-    """Sigma by channel from the bulk of the residuals (in units of the sigma so far)."""
-    n = len(throw)
+def _fitted_together(
+    rounds: Rounds, start: Mapping[str, float] | None
+) -> dict[int, LeastSquaresFit]:
+    """Throws of one shape, side by side, by index; those are left out that have to be fitted
+    alone."""
+    law, load, throws = rounds.law, rounds.load, rounds.throws
+    sets = [one.parameters for one in throws]
+    offset = np.stack([one.offset for one in throws])
+    lower, upper = (
+        np.stack([getattr(item, name) for item in sets]) - offset for name in ("lower", "upper")
+    )
+    paths = smooth(rounds.problems)
+    begin = start_values(law, load, rounds.problems, paths, lower, upper)
+    if start:
+        begin = np.stack(
+            [one.with_start(values, start) for one, values in zip(throws, begin, strict=True)]
+        )
+    poor, judged = np.zeros(len(throws), bool), np.zeros(len(throws), bool)
+
+    def revise(which: Indices, solutions: Solution) -> list[Revision]:
+        if not judged[which].all():
+            here: Callable[[Any], Any] = _rows(which)
+            bad = needs_restart(
+                solutions, jax.tree.map(here, paths), jax.tree.map(here, rounds.problems)
+            )
+            poor[which] |= bad & ~judged[which]
+            judged[which] = True
+        if poor[which].any():
+            good = ~poor[which]
+            which, solutions = which[good], jax.tree.map(lambda leaf: leaf[good], solutions)
+        return rounds.revise(which, solutions) if len(which) else []
+
+    tasks = Tasks(rounds.problems, begin, lower, upper, sets[0].typical)
+    solutions = minimize_many(law, load, tasks, revise)
+    each = unstacked(solutions)
+    usable = np.flatnonzero(solutions.success & ~poor)
     return {
-        name: robust_sigma(residual[row, :n][problem.weight[row, :n] > 0]) * sigma[name]
-        + SIGMA_FLOOR
-        for row, name in enumerate(CHANNELS[: len(residual)])
-        if name in sigma
+        int(index): rounds.record(int(index), each[index])
+        for index in usable
+        if index not in rounds.failures
     }
 
 
-def first_sigma(throw: Throw) -> dict[str, float]:
-    """Sigma of the first fit for the channels whose own is unknown: even weights."""
-    given = [float(np.nanmedian(series)) for series in throw.sigma.values()]
-    even = float(np.exp(np.mean(np.log(given)))) if given else 1.0
-    return {name: even for name in throw.seen if name not in throw.sigma}
+def _rows(which: Indices) -> Callable[[Any], Any]:
+    run = run_of(which)
+    return lambda leaf: leaf[run]
 
 
-def estimated_sigma(
-    solution: Solution, problem: Problem, parameters: ParameterSet, names: Iterable[str]
-) -> dict[str, float]:
-    """Sigma of some channels from the scatter about an optimum (see `residual_sigma`)."""
-    (found,) = residual_sigma(stacked([solution]), stacked([problem]), parameters.free[None])
-    return {name: float(found[CHANNELS.index(name)]) + SIGMA_FLOOR for name in names}
-
-
-def shifted(parameters: ParameterSet, by: Floats) -> ParameterSet:
-    """The set with values and bounds moved, from the data's coordinates to the problem's."""
-    moved_parameters = tuple(
-        replace(item, lower=item.lower + shift, upper=item.upper + shift)
-        for item, shift in zip(parameters.parameters, by, strict=True)
-    )
-    fixed = {name: value + by[parameters.index(name)] for name, value in parameters.fixed.items()}
-    return ParameterSet(moved_parameters, fixed)
-
-
-def _user_start(
-    values: Floats, start: Mapping[str, float], parameters: ParameterSet, frame: Frame
-) -> Floats:
-    offset = frame.offset(len(parameters))
-    absolute = values + offset
-    parameters.require("start", start)
-    for name, value in start.items():
-        absolute[parameters.index(name)] = value
-    return np.clip(absolute, parameters.lower, parameters.upper) - offset
+def _alone(prepared: PreparedThrow, law: type[Law], load: Load, **choices: Any) -> Any:
+    """The fit of one throw with all the starts that `fit` would try, or why there is none."""
+    try:
+        return fit(prepared.given, law, load=load, stone=prepared.stone, **choices)
+    except CurlfitError as error:
+        return error

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
 from curlfit.inference.identifiability import analyse
-from curlfit.inference.likelihood import Problem, trace
+from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.parameters import ParameterSet
+from curlfit.inference.problem import Problem
 from curlfit.throws.throw import CHANNELS
 
 Floats = NDArray[np.float64]
@@ -104,6 +105,6 @@ def _slopes(
         ends = np.tile(values, (2, 1))
         ends[:, place] += np.array([1, -1]) * _STEP * parameters.typical[place]
         ends = np.clip(ends, lower, upper)
-        up, down = (np.asarray(trace(law, load, end, problem)) for end in ends)
+        up, down = (np.asarray(predict_channels(law, load, end, problem)) for end in ends)
         columns.append((up - down) / (ends[0, place] - ends[1, place]))
     return np.stack(columns, -1)

@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
-from curlfit.inference.joint.solver import Bench, Layout, Search, State, layout_of, padded
+from curlfit.inference.joint.solver import JointSolution, Layout, Progress, minimize_jointly
+from curlfit.numerics.compiled import stacked, unstacked
 
 # isort: split
 import numpy as np
 
 from curlfit.errors import InputError, UnusableFitError
-from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
-from curlfit.inference.fit.fit import bulk_sigma, estimated_sigma, first_sigma, prepared, shifted
+from curlfit.friction import Law, check_load, find_law, no_motion_because
+from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.result import Estimate
-from curlfit.inference.fit.summary import Optimum, summarize
+from curlfit.inference.fit.rounds import Rounds
+from curlfit.inference.fit.summary import summarize
 from curlfit.inference.identifiability import analyse
 from curlfit.inference.initial_values import smooth, start_values
 from curlfit.inference.joint.heterogeneity import differences_of
 from curlfit.inference.joint.result import JointResult
-from curlfit.inference.likelihood import Problem, problem_of, raw_residuals, stacked
-from curlfit.inference.linearized_problem import Slopes, judged
-from curlfit.inference.parameters import ParameterSet, check_loss
+from curlfit.inference.linearized_problem import LinearizedProblem, classify
+from curlfit.inference.noise.models import check_noise
+from curlfit.inference.parameters import check_loss
+from curlfit.inference.problem import problem_shape
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
-
-_ROUNDS = 4  # of a robust fit: sigma from the bulk, then the fit
 
 
 def fit_together(
@@ -40,15 +40,18 @@ def fit_together(
     fix: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     unbounded: bool = False,
+    start: Mapping[str, float] | None = None,
     loss: str = "linear",
-    progress: Callable[[int, float], None] | None = None,
+    noise: str = "white",
+    progress: Progress | None = None,
 ) -> JointResult:
     """Fit one law to several throws, with some or all of its coefficients in common.
 
     Parameters
     ----------
     throws : at least two; each has its own start, noise and, where its file says so, stone.
-    law, load, stone, until, fix, bounds, unbounded, loss : as in `fit`, for all throws.
+    law, load, stone, until, fix, bounds, unbounded, start, loss, noise : as in `fit`, for all
+        throws.
     share : "all" coefficients, or the names of those that the throws have in common; the others
         are each throw's own.
     progress : called with the number of steps done and chi squared.
@@ -60,120 +63,99 @@ def fit_together(
     """
     law = find_law(law) if isinstance(law, str) else law
     checked, loss = check_load(load), check_loss(loss)
+    noise = check_noise(noise, loss)
     if len(throws) < 2:
         raise InputError(f"{len(throws)} throw to fit together; expected two or more")
-    own = [item.name for item in law.coefficients()]
-    shared = own if share == "all" else [share] if isinstance(share, str) else list(share)
-    for name in shared:
-        if name not in own:
-            raise InputError(f"share: law {law.name} has no coefficient {name!r}; it has "
-                             + ", ".join(own))  # fmt: skip
-    jobs = [
-        prepared(throw, law, stone, until, fix=fix, bounds=bounds, unbounded=unbounded)
+    shared = _shared(law, share)
+    prepared = [
+        PreparedThrow.of(throw, law, stone, until, fix=fix, bounds=bounds, unbounded=unbounded)
         for throw in throws
     ]
-    sigmas = [first_sigma(job.throw) for job in jobs]
-    local = [shifted(job.parameters, -job.frame.offset(len(job.parameters))) for job in jobs]
-    layout = layout_of(jobs[0].parameters.names, shared, len(jobs))
-    problems = [
-        problem_of(job.throw, job.stone, job.frame, sigma)
-        for job, sigma in zip(jobs, sigmas, strict=True)
-    ]
-    values = np.concatenate(
-        [
-            start_values(
-                law, checked, one, smooth(one), parameters.lower[None], parameters.upper[None],
-                lanes=1,
-            )
-            for one, parameters in zip(map(stacked, zip(problems)), local, strict=True)
-        ]
-    )  # fmt: skip
-    search = Search(local, layout, progress)
-    joint = search.gather(values)
-    best = search.run(Bench(law, checked, problems), joint)
-    for kind in ("linear", *[loss] * (_ROUNDS if loss != "linear" else 0)):
-        for place, (job, problem) in enumerate(zip(jobs, problems, strict=True)):
-            solution, sigma = search.solution(best, place), sigmas[place]
-            if kind == "linear":
-                shown = padded(problem, *solution.residual.shape)
-                found = estimated_sigma(solution, shown, local[place], sigma)
-            else:
-                residual = raw_residuals(law, checked, solution.values, problem)
-                found = bulk_sigma(job.throw, residual, problem, sigma)
-            sigmas[place] = sigma | found
-        problems = [
-            problem_of(job.throw, job.stone, job.frame, sigma, kind)
-            for job, sigma in zip(jobs, sigmas, strict=True)
-        ]
-        best = search.run(Bench(law, checked, problems), best.values)
-    if not np.isfinite(best.cost):
+    channels, rows = zip(*(problem_shape(one.throw) for one in prepared), strict=True)
+    shape = max(channels), max(rows)
+    rounds = Rounds(law, checked, prepared, loss=loss, noise=noise, shape=shape)
+    local = [one.local_parameters for one in prepared]
+    layout = Layout(local, shared)
+    initial = []
+    for one, parameters, problem in zip(prepared, local, unstacked(rounds.problems), strict=True):
+        alone = stacked([problem])
+        ends = parameters.lower[None], parameters.upper[None]
+        (values,) = start_values(law, checked, alone, smooth(alone), *ends, batch=1)
+        initial.append(one.with_start(values, start))
+    best = layout.joined(np.stack(initial))
+    solution = minimize_jointly(law, checked, rounds.problems, layout, best, progress)
+    every = np.arange(len(prepared))
+    while np.isfinite(solution.chi_squared) and rounds.revise(every, solution.each):
+        best = solution.values
+        solution = minimize_jointly(law, checked, rounds.problems, layout, best, progress)
+    for failure in rounds.failures.values():
+        raise failure
+    if not np.isfinite(solution.chi_squared):
         raise UnusableFitError(
             f"law {law.name} with {load} load gives no finite path for these throws"
-            + no_motion_because(load)
+            + no_motion_because(checked)
         )
-    return _result(law, checked, tuple(shared), jobs, local, layout, problems, sigmas, search, best,
-                   loss)  # fmt: skip
+    return _result(rounds, layout, shared, solution)
+
+
+def _shared(law: type[Law], share: str | Sequence[str]) -> tuple[str, ...]:
+    """Names of the shared coefficients. Raises `InputError` for one that the law does not have."""
+    own = tuple(item.name for item in law.coefficients())
+    shared = own if share == "all" else (share,) if isinstance(share, str) else tuple(share)
+    for name in shared:
+        if name not in own:
+            raise InputError(
+                f"share: law {law.name} has no coefficient {name!r}; it has {', '.join(own)}"
+            )
+    return shared
 
 
 def _result(
-    law: type[Law],
-    load: Load,
-    shared: tuple[str, ...],
-    jobs: Sequence[Any],
-    local: Sequence[ParameterSet],
-    layout: Layout,
-    problems: Sequence[Problem],
-    sigmas: Sequence[dict[str, float]],
-    search: Search,
-    best: State,
-    loss: str,
+    rounds: Rounds, layout: Layout, shared: tuple[str, ...], solution: JointSolution
 ) -> JointResult:
-    free = search.free
-    matrix, right = search.compressed(best)
-    offsets = [job.frame.offset(len(job.parameters)) for job in jobs]
-    offset = search.gather(np.stack(offsets))
-    slopes = Slopes(right, matrix, best.values, search.lower, search.upper, search.typical, free)
-    at_bound = slopes.at_bound()
-    open_, slack_columns = slopes.open(at_bound)
-    names = np.array(layout.names)
-    values = best.values + offset
-    sees = analyse(
-        matrix[:, open_], list(names[open_]), values[open_], search.typical[open_], slack_columns
+    bounds, free = layout.bounds, layout.free
+    matrix, right = solution.r_factor(layout)
+    offset = layout.joined(np.stack([one.offset for one in rounds.throws]))
+    linearized = LinearizedProblem(
+        right, matrix, solution.values, bounds.lower, bounds.upper, bounds.typical, free
     )
-    solutions = [search.solution(best, place) for place in range(len(jobs))]
+    at_bound = linearized.at_bound()
+    open_, slack = linearized.open(at_bound)
+    names = np.array(layout.names)
+    values = solution.values + offset
+    known = analyse(
+        matrix[:, open_], list(names[open_]), values[open_], bounds.typical[open_], slack
+    )
     single = [
-        summarize(
-            Optimum(
-                job.throw, law, load, job.stone, job.until, job.parameters, job.frame,
-                padded(problem, *solution.residual.shape), sigma, solution, 1, loss,
-            )
-        )
-        for job, problem, sigma, solution in zip(jobs, problems, sigmas, solutions, strict=True)
-    ]  # fmt: skip
-    place_of = {name: place for place, name in enumerate(sees.names)}
+        summarize(rounds.record(throw, one)) for throw, one in enumerate(unstacked(solution.each))
+    ]
+    index_of = {name: index for index, name in enumerate(known.names)}
 
     def estimate(item: Estimate, joint: int) -> Estimate:
         if item.verdict == "fixed":
             return item
-        place = place_of.get(layout.names[joint], -1)
-        stderr, verdict = judged(item.typical, bool(at_bound[joint]), sees, place)
-        return replace(item, value=float(values[joint]), stderr=stderr, verdict=verdict)
+        index = index_of.get(layout.names[joint], -1)
+        stderr, verdict = classify(item.typical, bool(at_bound[joint]), known, index)
+        reason = item.reason if verdict == item.verdict else ""
+        value = float(values[joint])
+        return replace(item, value=value, stderr=stderr, verdict=verdict, reason=reason)
 
     throws = []
     for throw, result in enumerate(single):
         estimates = {
-            name: estimate(item, int(layout.places[throw, column]))
+            name: estimate(item, int(layout.index[throw, column]))
             for column, (name, item) in enumerate(result.parameters.items())
         }
-        throws.append(replace(result, parameters=estimates, combinations=sees.combinations))
+        throws.append(replace(result, parameters=estimates, combinations=known.combinations))
     coefficients = {name: throws[0].parameters[name] for name in shared}
-    left = slopes.distance(slopes.movable())
-    converged = best.finished and left < 0.01 * max(1.0, np.sqrt(best.cost / best.residual.size))
+    decrement = linearized.newton_decrement(linearized.movable())
+    reduced = solution.chi_squared / solution.each.residual.size
+    converged = solution.success and decrement < 0.01 * max(1.0, np.sqrt(reduced))
     warnings = [
         f"{item.data['file']}: {warning}" for item in single for warning in item.warnings
         if "bound" not in warning
     ]  # fmt: skip
-    differences = differences_of(best, layout, search, coefficients, sees.combinations, shared)
+    differences = differences_of(solution, layout, coefficients, known.combinations, shared)
     for item in differences:
         if item.significant:
             warnings.insert(
@@ -183,15 +165,15 @@ def _result(
                 f"{item.stderr:.2g}, not the one of the shared fit",
             )
     return JointResult(
-        law=law.name,
-        load=load,
+        law=rounds.law.name,
+        load=rounds.load,
         share=shared,
         converged=bool(converged),
-        status=f"{'converged' if converged else 'not converged'} ({best.steps} steps)",
+        status=f"{'converged' if converged else 'not converged'} ({solution.steps} steps)",
         warnings=tuple(warnings),
         coefficients=coefficients,
-        combinations=tuple(item for item in sees.combinations if set(item.weights) <= set(shared)),
-        rank=sees.rank,
+        combinations=tuple(item for item in known.combinations if set(item.weights) <= set(shared)),
+        rank=known.rank,
         parameters=int(open_.sum()),
         differences=differences,
         throws=tuple(throws),

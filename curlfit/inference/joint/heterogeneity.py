@@ -15,15 +15,14 @@ from scipy.special import chdtrc
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.identifiability import Combination, visible
 from curlfit.inference.joint.result import Difference
-from curlfit.inference.joint.solver import Layout, Search, State
+from curlfit.inference.joint.solver import JointSolution, Layout
 
 Floats = NDArray[np.float64]
 
 
 def differences_of(
-    best: State,
+    solution: JointSolution,
     layout: Layout,
-    search: Search,
     coefficients: Mapping[str, Estimate],
     combinations: Sequence[Combination],
     shared: tuple[str, ...],
@@ -41,9 +40,9 @@ def differences_of(
     found = []
     for expression, (weights, value) in wanted.items():
         each: list[tuple[float, float] | None] = []
-        for throw, places in enumerate(layout.places):
-            vector = np.array([weights.get(layout.names[place], 0.0) for place in places])
-            each.append(_alone(best, search, throw, vector, value))
+        for throw, index in enumerate(layout.index):
+            vector = np.array([weights.get(layout.names[joint], 0.0) for joint in index])
+            each.append(_alone(solution, layout, throw, vector, value))
         usable = np.array([item for item in each if item is not None])
         if len(usable) > 1:
             found.append(_difference(expression, each, usable))
@@ -51,18 +50,18 @@ def differences_of(
 
 
 def _alone(
-    best: State, search: Search, throw: int, vector: Floats, value: float
+    solution: JointSolution, layout: Layout, throw: int, vector: Floats, value: float
 ) -> tuple[float, float] | None:
-    places = search.layout.places[throw]
-    free, typical = search.free[places], search.typical[places]
-    jacobian = best.jacobian[throw].reshape(-1, len(places))[:, free] * typical[free]
+    index, each = layout.index[throw], solution.each
+    free, typical = layout.free[index], layout.bounds.typical[index]
+    jacobian = each.jacobian[throw].reshape(-1, len(index))[:, free] * typical[free]
     left, singular, right = np.linalg.svd(jacobian, full_matrices=False)
     seen = visible(singular)
     weights = (vector * typical)[free]
     along = right[seen] @ weights
     if np.linalg.norm(weights - right[seen].T @ along) > 1e-3 * np.linalg.norm(weights):
         return None  # this throw does not see it
-    step = -(left[:, seen].T @ best.residual[throw].reshape(-1)) / singular[seen]
+    step = -(left[:, seen].T @ each.residual[throw].reshape(-1)) / singular[seen]
     return value + float(along @ step), float(np.linalg.norm(along / singular[seen]))
 
 

@@ -1,9 +1,9 @@
 """The optimum of several throws that have parameters in common.
 
 The Jacobian has the shape of an arrow: each throw knows the shared coefficients and its own
-parameters. Each throw's rows are reduced to a small triangle by QR before anything is put together,
-so that a step for a dozen throws costs little more than their paths. Levenberg and Marquardt's
-damping, bounds by `scipy.optimize.lsq_linear`.
+parameters. Each throw's normal equations are formed by themselves and added up, so that a step for
+a dozen throws costs little more than their paths. The search is that of single throws, see
+`curlfit.numerics.levenberg_marquardt`.
 """
 
 from __future__ import annotations
@@ -12,189 +12,149 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from curlfit.inference.likelihood import Problem, by_lanes, linearised, stacked
+from curlfit.inference.likelihood import linearize
 
 # isort: split
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from curlfit.friction import Law, Load
-from curlfit.inference.identifiability import few_rows
+from curlfit.inference.identifiability import r_factors
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.parameters import ParameterSet
+from curlfit.inference.problem import Problem
+from curlfit.numerics import levenberg_marquardt as lm
+from curlfit.numerics.compiled import in_batches
 
 Floats = NDArray[np.float64]
+Progress = Callable[[int, float], None]
 
 _TOGETHER = 4  # throws are computed in multiples of this many, so that few shapes are compiled
-_MOST_STEPS = 60
-_FIRST_DAMPING = 1e-3
-_LEAST_DAMPING = 1e-12
-_TOLERANCE = 1e-9  # relative gain of a step, below which the search ends
+_TOLERANCE = lm.Tolerance(1e-12, 1e-16)
 
 
-class Layout(NamedTuple):
-    """Where the parameters of each throw lie in the joint vector."""
+class Layout:
+    """Where the parameters of each throw lie in the joint vector.
 
-    places: NDArray[np.int64]
-    """shape (throws, parameters of a throw)"""
-    names: tuple[str, ...]
+    Attributes
+    ----------
+    index : shape (throws, parameters of a throw).
+    names : of the joint vector, the shared parameters first.
+    bounds : of the joint vector; of shared parameters where all throws admit them.
+    """
 
-
-def layout_of(names: Sequence[str], shared: Sequence[str], count: int) -> Layout:
-    """The layout for some throws, from the names of one throw's parameters and the shared ones."""
-    joint = list(shared)
-    places = np.zeros((count, len(names)), int)
-    for throw in range(count):
-        for column, name in enumerate(names):
-            if name in shared:
-                places[throw, column] = shared.index(name)
-            else:
-                places[throw, column] = len(joint)
-                joint.append(f"{name}[{throw + 1}]")
-    return Layout(places, tuple(joint))
-
-
-class Bench:
-    """Throws side by side: residuals and Jacobians of all of them at once."""
-
-    def __init__(self, law: type[Law], load: Load, problems: Sequence[Problem]) -> None:
-        self.law, self.load, self.count = law, load, len(problems)
-        rows = max(problem.observed.shape[0] for problem in problems)
-        size = max(problem.observed.shape[1] for problem in problems)
-        self.stacked = stacked([padded(problem, rows, size) for problem in problems])
-
-    def at(self, values: Floats) -> tuple[Floats, Floats]:
-        """Residual and Jacobian for values of shape (throws, parameters)."""
-        lanes = -(-self.count // _TOGETHER) * _TOGETHER
-        program = partial(linearised, self.law, self.load)
-        residual, jacobian = by_lanes(program, (values, self.stacked), lanes)
-        return residual, jacobian
-
-
-def padded(problem: Problem, rows: int, size: int) -> Problem:
-    """The same problem with so many channels and rows; the new ones are not seen."""
-    c, n = problem.observed.shape
-    pad = ((0, rows - c), (0, size - n))
-    return problem._replace(
-        times=np.pad(problem.times, (0, size - n), mode="edge"),
-        observed=np.pad(problem.observed, pad),
-        weight=np.pad(problem.weight, pad),
-    )
-
-
-class State(NamedTuple):
-    """Where the search is."""
-
-    values: Floats
-    """joint vector, in the coordinates of the problems"""
-    residual: Floats
-    """shape (throws, channels, n)"""
-    jacobian: Floats
-    """by each throw's own parameters, shape (throws, channels, n, parameters of a throw)"""
-    cost: float
-    steps: int
-    finished: bool
-
-
-class Search:
-    """Levenberg and Marquardt on the arrow."""
-
-    def __init__(
-        self,
-        local: Sequence[ParameterSet],
-        layout: Layout,
-        progress: Callable[[int, float], None] | None,
-    ) -> None:
-        self.layout, self.progress = layout, progress
-        self.lower = self._intersected([item.lower for item in local], np.maximum)
-        self.upper = self._intersected([item.upper for item in local], np.minimum)
-        self.typical = self.gather(np.stack([item.typical for item in local]))
-        self.free = self.upper > self.lower
-
-    def _intersected(self, ends: Sequence[Floats], choose: Any) -> Floats:
-        found = self.gather(np.stack(ends))
-        for throw, own in enumerate(ends):
-            places = self.layout.places[throw]
-            found[places] = choose(found[places], own)
-        return found
-
-    def gather(self, values: Floats) -> Floats:
-        """The joint vector from each throw's own; shared parameters are averaged."""
-        total = np.zeros(len(self.layout.names))
-        count = np.zeros(len(self.layout.names))
-        np.add.at(total, self.layout.places, np.where(np.isfinite(values), values, 0.0))
-        np.add.at(count, self.layout.places, 1.0)
-        found = total / count
-        infinite = ~np.isfinite(values)
-        found[self.layout.places[infinite]] = values[infinite]
-        return found
-
-    def solution(self, state: State, throw: int) -> Solution:
-        """One throw's part of a state."""
-        return Solution(
-            values=state.values[self.layout.places[throw]],
-            residual=state.residual[throw],
-            jacobian=state.jacobian[throw],
-            steps=state.steps,
-            finished=state.finished,
+    def __init__(self, sets: Sequence[ParameterSet], shared: Sequence[str]) -> None:
+        """`sets` are the parameters of each throw, in the coordinates of its problem."""
+        names = list(shared)
+        self.index = np.zeros((len(sets), len(sets[0])), int)
+        for throw, parameters in enumerate(sets):
+            for column, name in enumerate(parameters.names):
+                if name in shared:
+                    self.index[throw, column] = shared.index(name)
+                else:
+                    self.index[throw, column] = len(names)
+                    names.append(f"{name}[{throw + 1}]")
+        self.names = tuple(names)
+        self.bounds = lm.Bounds(
+            self._intersection([item.lower for item in sets], np.maximum),
+            self._intersection([item.upper for item in sets], np.minimum),
+            self.joined(np.stack([item.typical for item in sets])),
         )
 
-    def compressed(self, state: State) -> tuple[Floats, Floats]:
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """Which parameters are to be determined."""
+        return np.asarray(self.bounds.upper > self.bounds.lower)
+
+    def joined(self, values: Floats) -> Floats:
+        """The joint vector from each throw's own; shared parameters are averaged."""
+        total, count = np.zeros((2, len(self.names)))
+        np.add.at(total, self.index, np.where(np.isfinite(values), values, 0.0))
+        np.add.at(count, self.index, 1.0)
+        found = total / count
+        infinite = ~np.isfinite(values)
+        found[self.index[infinite]] = values[infinite]
+        return found
+
+    def _intersection(self, ends: Sequence[Floats], choose: Any) -> Floats:
+        found = self.joined(np.stack(ends))
+        for index, own in zip(self.index, ends, strict=True):
+            found[index] = choose(found[index], own)
+        return found
+
+
+class JointSolution(NamedTuple):
+    """The optimum of several throws together, in the coordinates of their problems."""
+
+    values: Floats
+    """joint vector"""
+    each: Solution
+    """of the throws, along the first axis of each field"""
+    steps: int
+    success: bool
+
+    @property
+    def chi_squared(self) -> float:
+        """Of all throws."""
+        return float(self.each.chi_squared.sum())
+
+    def r_factor(self, layout: Layout) -> tuple[Floats, Floats]:
         """A small matrix and right side with the same normal equations."""
-        count, p = self.layout.places.shape
-        matrix = np.zeros((count * (p + 1), len(self.layout.names)))
+        count, p = layout.index.shape
+        matrix = np.zeros((count * (p + 1), len(layout.names)))
         right = np.zeros(count * (p + 1))
-        for throw, few in enumerate(few_rows(state.jacobian, state.residual)):
-            here = slice(throw * (p + 1), throw * (p + 1) + len(few))
-            matrix[here, self.layout.places[throw]] = few[:, :p]
-            right[here] = few[:, p]
+        for throw, factor in enumerate(r_factors(self.each.jacobian, self.each.residual)):
+            rows = slice(throw * (p + 1), throw * (p + 1) + len(factor))
+            matrix[rows, layout.index[throw]] = factor[:, :p]
+            right[rows] = factor[:, p]
         return matrix, right
 
-    def _at(self, bench: Bench, values: Floats, steps: int) -> State:
-        residual, jacobian = bench.at(values[self.layout.places])
-        cost = float((residual**2).sum())
-        if not np.isfinite(jacobian).all():
-            cost = np.inf
-        return State(values, residual, jacobian, cost, steps, False)
 
-    def run(self, bench: Bench, values: Floats) -> State:
-        """The optimum reached from a joint vector."""
-        now = self._at(bench, np.clip(values, self.lower, self.upper), 0)
-        damping = _FIRST_DAMPING
-        for step in range(1, _MOST_STEPS + 1):
-            if not np.isfinite(now.cost):
-                return now
-            trial = self._at(bench, now.values + self._move(now, damping), step)
-            if self.progress is not None:
-                self.progress(step, min(now.cost, trial.cost))
-            gain = now.cost - trial.cost
-            small = abs(gain) <= _TOLERANCE * now.cost
-            now = trial if gain >= 0 else now
-            if small and damping <= _LEAST_DAMPING:
-                return now._replace(finished=True)
-            if small:
-                damping = _LEAST_DAMPING  # damping may be what kept it from going on
-            elif gain > 0:
-                damping = max(damping / 10, _LEAST_DAMPING)
-            else:
-                damping *= 10
-                if damping > 1e8:
-                    return now._replace(finished=True)
-        return now
+def minimize_jointly(
+    law: type[Law],
+    load: Load,
+    problems: Problem,
+    layout: Layout,
+    start: Floats,
+    progress: Progress | None = None,
+) -> JointSolution:
+    """The optimum reached from a joint vector.
 
-    def _move(self, state: State, damping: float) -> Floats:
-        matrix, right = self.compressed(state)
-        matrix = matrix[:, self.free]
-        size = np.linalg.norm(matrix, axis=0)
-        size = np.maximum(size, 1e-12 * size.max())
-        stacked = np.concatenate([matrix / size, np.sqrt(damping) * np.eye(matrix.shape[1])])
-        goal = -np.concatenate([right, np.zeros(matrix.shape[1])])
-        low = (self.lower - state.values)[self.free] * size
-        high = (self.upper - state.values)[self.free] * size
-        found = np.linalg.lstsq(stacked, goal, rcond=None)[0]
-        if (found < low).any() or (found > high).any():
-            found = lsq_linear(stacked, goal, (low, np.maximum(high, low + 1e-300))).x
-        move = np.zeros(len(self.lower))
-        move[self.free] = np.clip(found, low, high) / size
-        return move
+    Parameters
+    ----------
+    problems : throws along the first axis.
+    progress : called with the number of steps done and chi squared.
+    """
+    count, p = layout.index.shape
+    batch = -(-count // _TOGETHER) * _TOGETHER
+    rows, columns = layout.index[:, :, None], layout.index[:, None, :]
+    typical = layout.bounds.typical
+    search = lm.begin(start, layout.bounds)
+    residual = np.full(problems.observed.shape, np.nan)
+    jacobian = np.full((*residual.shape, p), np.nan)
+    while not search.done:
+        here: tuple[Floats, Floats] = in_batches(
+            partial(linearize, law, load), (search.trial[layout.index], problems), batch
+        )
+        with np.errstate(invalid="ignore", over="ignore"):  # where there is no path
+            each = lm.quadratic_model(
+                here[0].reshape(count, -1), here[1].reshape(count, -1, p), typical[layout.index]
+            )
+            gradient, hessian = np.zeros(len(typical)), np.zeros((len(typical), len(typical)))
+            np.add.at(gradient, layout.index, each.gradient)
+            np.add.at(hessian, (rows, columns), each.hessian)
+            model = lm.QuadraticModel(each.chi_squared.sum(), gradient, hessian)
+            search, outcome = lm.advance(search, model, layout.bounds, _TOLERANCE)
+        if outcome.accepted:
+            residual, jacobian = here
+        if outcome.extrapolation.any():
+            move = outcome.extrapolation[layout.index]
+            residual = residual + (jacobian @ move[:, None, :, None])[..., 0]
+        if progress is not None:
+            progress(int(search.evaluations), float(search.model.chi_squared))
+    steps, success = int(search.evaluations), bool(search.success)
+    each_values = search.values[layout.index]
+    solutions = Solution(
+        each_values, residual, jacobian, np.full(count, steps), np.full(count, success)
+    )
+    return JointSolution(search.values, solutions, steps, success)

@@ -18,9 +18,10 @@ from curlfit.errors import DataError, InputError, UnusableFitError
 from curlfit.friction import check_load
 from curlfit.inference.fit.result import FitResult, Posterior
 from curlfit.inference.identifiability import directions
-from curlfit.inference.likelihood import frame_of, log_posterior, problem_of
+from curlfit.inference.likelihood import log_posterior
 from curlfit.inference.mcmc.chain import Chain, SamplerState, load_chain, require_same, subject_of
 from curlfit.inference.mcmc.proposals import EnsembleMove, Floats, Indices, RidgeMove
+from curlfit.inference.problem import Origin, build_problem
 
 ENSEMBLES = 4
 R_HAT = 1.01
@@ -112,7 +113,7 @@ def sample(
 
 def so_far(fit: FitResult, file: str | PathLike[str]) -> tuple[FitResult, Chain] | None:
     """An unfinished sample that was left on disk: the fit with a posterior that says so, and the
-    chain. None where `file` is missing, too short to be judged, or of another fit or version."""
+    chain. None where `file` is missing, too short to be classify, or of another fit or version."""
     if not Path(file).is_file():
         return None
     chain = load_chain(file)
@@ -157,9 +158,9 @@ class _Run:
         self.seed, self.subject = seed, subject_of(fit, seed)
         self._law, self._load = fit.law_class, check_load(fit.load)
         throw, parameters = fit.throw, fit.parameter_set
-        frame = frame_of(throw)
-        self._problem = problem_of(throw, fit.stone, frame, fit.sigma, fit.loss, fit.noise)
-        self._offset = frame.offset(len(parameters))
+        origin = Origin.of(throw)
+        self._problem = build_problem(throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise)
+        self._offset = origin.offset(len(parameters))
         self._base = fit.values - self._offset
         self._lower, self._upper = parameters.lower - self._offset, parameters.upper - self._offset
         self.names, self.free = parameters.names, parameters.free

@@ -121,16 +121,16 @@ def precision(r: Floats, loss: str) -> float:
     return slope**2 / max(float((found.psi**2).mean()), 1e-300)
 
 
-BULK = 1.4826
+MAD_TO_SIGMA = 1.4826
 """Standard deviation of a Gaussian over its median size."""
 
 
 def robust_sigma(values: Floats) -> float:
     """Standard deviation of the bulk: 1.4826 times the median size."""
-    return BULK * float(np.median(np.abs(values))) if len(values) else 0.0
+    return MAD_TO_SIGMA * float(np.median(np.abs(values))) if len(values) else 0.0
 
 
-def steepness(r: Floats, loss: str) -> Floats:
+def root_slope(r: Floats, loss: str) -> Floats:
     """Derivative of `signed_root` by r."""
     if loss == "linear":
         return np.ones_like(r)

@@ -1,0 +1,195 @@
+"""Covariance of the estimates of a fit, and how far chi squared is from quadratic within it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.inference.fit.residuals import ResidualStatistics
+from curlfit.inference.identifiability import Identifiability, analyse_many, grouped
+from curlfit.inference.least_squares import Solution
+from curlfit.inference.linearized_problem import LinearizedProblem
+from curlfit.inference.noise.losses import precision, root_slope
+from curlfit.inference.parameters import ParameterSet
+from curlfit.inference.problem import Problem
+
+Floats = NDArray[np.float64]
+
+_CURVED = 0.003  # typical sizes of a standard error, below which chi squared is quadratic
+_UNKNOWN = 3.0  # the same, above which nothing is known anyway
+_QUADRATIC = 0.5  # how far the rise of chi squared at one standard error may be from one
+_MEDIAN_EFFICIENCY = 0.37  # of a sigma from the median size, for Gaussian noise (Huber 1981)
+
+
+class Covariance(NamedTuple):
+    """What the optimum of a throw says of its parameters, to first order."""
+
+    values: Floats
+    """in the data's coordinates"""
+    identifiability: Identifiability
+    at_bound: NDArray[np.bool_]
+    open: NDArray[np.bool_]
+    slack: Floats
+    """what parameters at a bound add to the spread of the open ones (`LinearizedProblem.open`)"""
+    newton_decrement: float
+    """standard errors to the optimum"""
+    variance: Floats
+    """the covariance's part from each channel's noise, shape (channels, open, open)"""
+    dof: Floats
+    """degrees of freedom of each channel's sigma; infinite where it was given"""
+    leverage: Floats
+    """of each value on its own fitted one, 0 to 1, shape (channels, n)"""
+
+    def degrees_of_freedom(self, weights: Floats) -> float | None:
+        """Of the variance of a weighted sum of the open parameters (Satterthwaite 1946, eq. 17);
+        None where all sigmas were given."""
+        parts = np.einsum("i,cij,j->c", weights, self.variance, weights)
+        inverse = float((parts**2 / self.dof).sum())
+        return float(parts.sum()) ** 2 / inverse if inverse > 0 else None
+
+
+def covariances(
+    sets: Sequence[ParameterSet],
+    values: Floats,
+    problems: Sequence[Problem],
+    solutions: Sequence[Solution],
+    statistics: ResidualStatistics,
+    estimated: NDArray[np.bool_],
+    loss: str,
+) -> list[Covariance]:
+    """Those of many throws of one law; those of one set of open parameters are found together.
+
+    Parameters
+    ----------
+    sets, values : in the data's coordinates. estimated : channels whose sigma was not given.
+    """
+    linearized = LinearizedProblem(
+        statistics.r_factor[..., -1], statistics.r_factor[..., :-1], values,
+        *(np.stack([getattr(item, name) for item in sets])
+          for name in ("lower", "upper", "typical", "free")),
+    )  # fmt: skip
+    at_bound = linearized.at_bound()
+    count = np.maximum(statistics.number.sum(-1), 1)
+    reduced = (linearized.residual**2).sum(-1) / count
+    decrement = linearized.newton_decrement(linearized.movable())
+    decrement = decrement / np.sqrt(np.maximum(reduced, 1.0))
+    open_and_slack = [
+        LinearizedProblem(*one).open(stuck)
+        for one, stuck in zip(zip(*linearized, strict=True), at_bound, strict=True)
+    ]
+    efficiency = 1.0 if loss == "linear" else _MEDIAN_EFFICIENCY
+    found: dict[int, Covariance] = {}
+    keys = ((stuck, open_) for stuck, (open_, _) in zip(at_bound, open_and_slack, strict=True))
+    for throws in grouped(keys):
+        first, (open_, _) = sets[throws[0]], open_and_slack[throws[0]]
+        jacobians = np.stack(
+            [
+                statistics.r_factor[throw, :, :-1] if loss == "linear"
+                else _robust_jacobian(
+                    problems[throw], solutions[throw], statistics.residual[throw], loss
+                )
+                for throw in throws
+            ]
+        )  # fmt: skip
+        slack = np.stack([open_and_slack[throw][1] for throw in throws])
+        known = analyse_many(
+            jacobians[..., open_], first.names_where(open_), values[throws][:, open_],
+            first.typical[open_], slack,
+        )  # fmt: skip
+        by_channel = np.stack([solutions[throw].jacobian[..., open_] for throw in throws])
+        matrix = np.stack([item.covariance for item in known])[:, None]
+        matrix = matrix - (slack @ slack.mT)[:, None]
+        part = matrix @ (by_channel.mT @ by_channel)
+        leverage = ((by_channel @ matrix) * by_channel).sum(-1)
+        # n - p by channel, p the parameters that it pays for itself
+        dof = np.maximum(statistics.number[throws] - leverage.sum(-1), 1.0)
+        dof = np.where(estimated[throws], efficiency * dof, np.inf)
+        for row, throw in enumerate(throws):
+            found[throw] = Covariance(
+                values=values[throw],
+                identifiability=known[row],
+                at_bound=at_bound[throw],
+                open=open_,
+                slack=slack[row],
+                newton_decrement=float(decrement[throw]),
+                variance=part[row] @ matrix[row],
+                dof=dof[row],
+                leverage=leverage[row],
+            )
+    return [found[throw] for throw in range(len(sets))]
+
+
+def _robust_jacobian(problem: Problem, solution: Solution, residual: Floats, loss: str) -> Floats:
+    """Jacobian of the residuals over their sigma, each channel by what a robust loss makes of it.
+
+    The covariance of an M-estimator is that of least squares over `precision` (Huber 1981).
+    """
+    jacobian = solution.jacobian.copy()
+    for row, weight in enumerate(problem.weight):
+        r = -residual[row] * weight
+        jacobian[row] /= root_slope(r, loss)[:, None]
+        jacobian[row] *= np.sqrt(precision(r[weight > 0], loss))
+    return np.asarray(jacobian.reshape(-1, jacobian.shape[-1]))
+
+
+class OneSigmaPoints(NamedTuple):
+    """Points one standard error off along the axes of the covariances, along the first axis."""
+
+    owner: NDArray[np.intp]
+    """index of the throw"""
+    point: Floats
+    """shape (points, parameters)"""
+    axis: Floats
+    """in typical sizes; 0 for parameters that are not open"""
+
+
+def one_sigma_points(
+    found: Sequence[Covariance], values: Floats, lower: Floats, upper: Floats, typical: Floats
+) -> OneSigmaPoints:
+    """Those within bounds, where the standard error is neither tiny nor beyond all meaning.
+
+    Parameters
+    ----------
+    values, lower, upper : of each throw, in the problems' coordinates. typical : of all.
+    """
+    parts = []
+    for throws in grouped((one.open,) for one in found):
+        open_ = np.flatnonzero(found[throws[0]].open)
+        # That of the open parameters alone: those at a bound stay where they are.
+        covariance = np.stack(
+            [found[k].identifiability.covariance - found[k].slack @ found[k].slack.T
+             for k in throws]
+        )  # fmt: skip
+        squares, axes = np.linalg.eigh(covariance / np.outer(typical[open_], typical[open_]))
+        some = (squares > _CURVED**2) & (squares < _UNKNOWN**2)
+        along = np.zeros((*squares.shape, 2, len(typical)))
+        along[..., open_] = axes.mT[:, :, None]
+        size = np.sqrt(np.where(some, squares, 0.0))[..., None, None] * [[1.0], [-1.0]]
+        points = values[throws][:, None, None] + size * along * typical
+        low, high = lower[throws][:, None, None], upper[throws][:, None, None]
+        inside = some[..., None] & ((points >= low) & (points <= high)).all(-1)
+        owner = np.array(throws)[np.nonzero(inside)[0]]
+        parts.append(OneSigmaPoints(owner, points[inside], along[inside]))
+    return OneSigmaPoints(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+
+
+def nonquadratic_parameters(
+    found: Sequence[Covariance], around: OneSigmaPoints, delta_chi2: Floats
+) -> list[dict[str, float]]:
+    """Parameters along which one standard error does not raise chi squared by about one, and the
+    largest factor by which it is more or less."""
+    off = ~(np.abs(delta_chi2 - 1) < _QUADRATIC)
+    rise = np.maximum(np.nan_to_num(delta_chi2, nan=np.inf), 1e-300)
+    factor = np.maximum(rise, 1 / rise)
+    named: list[dict[str, float]] = [{} for _ in found]
+    for owner in np.unique(around.owner[off]):
+        mine = off & (around.owner == owner)
+        size = np.abs(around.axis[mine])
+        large = (size > 0.3 * size.max(1, keepdims=True))[:, found[owner].open]
+        most = np.where(large, factor[mine, None], 0.0).max(0)
+        names = found[owner].identifiability.names
+        named[owner] = {name: float(f) for name, f in zip(names, most, strict=True) if f > 0}
+    return named

@@ -1,0 +1,83 @@
+"""A throw ready to be fitted: cut, with its stone, its parameters and its origin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.friction import Law
+from curlfit.inference.parameters import ParameterSet
+from curlfit.inference.problem import Origin
+from curlfit.stone import Stone
+from curlfit.throws.throw import Throw
+
+Floats = NDArray[np.float64]
+
+
+class PreparedThrow(NamedTuple):
+    """A throw ready to be fitted: cut, with its stone, its parameters and its origin."""
+
+    given: Throw
+    throw: Throw
+    stone: Stone
+    until: float | None
+    parameters: ParameterSet
+    origin: Origin
+
+    @classmethod
+    def of(
+        cls,
+        throw: Throw,
+        law: type[Law],
+        stone: Stone | None = None,
+        until: float | None = None,
+        **choices: Any,
+    ) -> PreparedThrow:
+        """The throw with its own defaults filled in, and condensed where it is very long.
+
+        `choices` are those of `ParameterSet.build`.
+
+        Raises
+        ------
+        InputError : as in `fit`.
+        """
+        given = throw
+        if stone is None:
+            stone = Stone().with_values(throw.defaults.get("stone", {}))
+        until = throw.defaults.get("until") if until is None else until
+        if not throw.sigma and throw.defaults.get("sigma"):
+            throw = throw.with_sigma(throw.defaults["sigma"])
+        throw = throw.until(until)
+        throw.require_motion()
+        throw = throw.condensed()
+        parameters = ParameterSet.for_throw(law, throw, **choices)
+        return cls(given, throw, stone, until, parameters, Origin.of(throw))
+
+    @property
+    def offset(self) -> Floats:
+        """From the problem's coordinates to the data's."""
+        return self.origin.offset(len(self.parameters))
+
+    @property
+    def local_parameters(self) -> ParameterSet:
+        """The parameters in the problem's coordinates."""
+        return self.parameters.shifted(-self.offset)
+
+    def even_sigma(self) -> dict[str, float]:
+        """Sigma of the first fit for the channels whose own is unknown: even weights."""
+        given = [float(np.nanmedian(series)) for series in self.throw.sigma.values()]
+        even = float(np.exp(np.mean(np.log(given)))) if given else 1.0
+        return {name: even for name in self.throw.seen if name not in self.throw.sigma}
+
+    def with_start(self, values: Floats, start: Mapping[str, float] | None) -> Floats:
+        """Initial values, of the problem, with those that the user gives."""
+        if not start:
+            return values
+        self.parameters.require("start", start)
+        absolute = values + self.offset
+        for name, value in start.items():
+            absolute[self.parameters.index(name)] = value
+        return np.clip(absolute, self.parameters.lower, self.parameters.upper) - self.offset

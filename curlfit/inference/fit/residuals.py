@@ -1,0 +1,206 @@
+"""Residuals of a fit: their size, their correlation from row to row, and outliers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from curlfit.inference.identifiability import r_factors
+from curlfit.inference.least_squares import Solution
+from curlfit.inference.likelihood import SIGMA_FLOOR
+from curlfit.inference.noise.losses import MAD_TO_SIGMA, robust_sigma
+from curlfit.inference.noise.models import Independence, independences, lag1_of
+from curlfit.inference.problem import Problem
+from curlfit.throws.throw import CHANNELS, Throw
+
+Floats = NDArray[np.float64]
+
+_FEWEST = 10  # values of a channel in which outliers are looked for
+_FEW = 50  # values that one of them pulls the fit of
+_BY_CHANCE = 1e-3  # share of throws that may have one by chance
+_MUCH = 1.5  # times the sigma given, above which residuals are called too large ...
+_NOT_BY_CHANCE = 5.0  # ... where chi squared is so many of its own standard deviations too high
+_SMOOTH = 0.5  # lag-1 correlation of residuals from which they are called smooth
+
+
+class ResidualStatistics(NamedTuple):
+    """Residuals of a throw at its optimum, or of many, along the first axis of each field."""
+
+    path: Floats | None
+    """in the problem's coordinates, shape (5, n); None where the record shall not have it"""
+    residual: Floats
+    """data less path, 0 where nothing was observed, shape (channels, n)"""
+    r_factor: Floats
+    """of the Jacobian and, last column, the residual over its sigma: as few rows as columns"""
+    number: NDArray[np.int64]
+    """of the values of each channel, shape (channels,)"""
+    rms: Floats
+    lag1: Floats
+    independence: Any
+    """how far the residuals over their sigma are from independent, an `Independence` a channel"""
+
+    def each(self, throws: int) -> list[ResidualStatistics]:
+        """Those of single throws."""
+        paths = [None] * throws if self.path is None else self.path
+        return list(map(ResidualStatistics, paths, *self[1:]))
+
+    def by_channel(self, series: Any, more_than: int = 0) -> dict[str, Any]:
+        """Values of one throw by name, of the channels of more than so many values."""
+        rows = zip(CHANNELS, series, self.number, strict=False)
+        return {name: value for name, value, number in rows if number > more_than}
+
+
+def residual_statistics(
+    problems: Problem, solutions: Solution, paths: Floats | None
+) -> ResidualStatistics:
+    """Those of many throws."""
+    there = problems.weight > 0
+    count = there.sum(-1)
+    if paths is None:
+        residual = -solutions.residual / np.where(there, problems.weight, 1.0)
+    else:
+        residual = np.where(there, problems.observed - paths[:, : there.shape[1]], 0.0)
+    rms = np.sqrt((residual**2).sum(-1) / np.maximum(count, 1))
+    # What was observed, without the gaps.
+    order = np.argsort(~there, -1, kind="stable")
+    return ResidualStatistics(
+        path=paths,
+        residual=residual,
+        r_factor=r_factors(solutions.jacobian, solutions.residual),
+        number=count,
+        rms=rms,
+        lag1=lag1_of(np.take_along_axis(residual, order, -1), count),
+        independence=independences(np.take_along_axis(solutions.residual, order, -1), count),
+    )
+
+
+def outliers_of(
+    throw: Throw,
+    residual: Floats,
+    lag1: Mapping[str, float],
+    dof: Floats,
+    leverage: Floats,
+    loss: str,
+) -> tuple[dict[str, Any], ...]:
+    """Values too far off for noise, in channels whose residuals look like noise.
+
+    Either more than 5 + 30/(n - 6) sigmas of the bulk, a limit that Gaussian noise in three
+    channels of n values passes in one of 1,000 throws, for n from 12 to 400 (Hampel's identifier,
+    its constants simulated as by Davies and Gather 1993); or, since a value pulls the fit of few
+    rows toward itself, an externally studentized residual beyond the same chance (Cook and
+    Weisberg 1982, sect. 2.2).
+
+    Parameters
+    ----------
+    dof : degrees of freedom of each channel's sigma.
+    leverage : of each value on its own fitted one, shape (channels, n).
+    """
+    found = []
+    for row, name in enumerate(CHANNELS[: len(residual)]):
+        there = np.flatnonzero(throw.finite[row])
+        if len(there) < _FEWEST or lag1.get(name, 1.0) > _SMOOTH:
+            continue
+        limit = 5 + 30 / (len(there) - 6)
+        series = throw.sigma.get(name)
+        size = np.abs(residual[row, there])
+        studentized = len(there) < _FEW and loss == "linear" and series is None and dof[row] > 2
+        if not studentized and 2 * (size > size.max() / (limit * MAD_TO_SIGMA)).sum() > len(there):
+            continue  # the median size is so large that none is far
+        bulk = max(robust_sigma(residual[row, there]), SIGMA_FLOOR)
+        sigma = np.full(len(throw), bulk) if series is None else np.maximum(series, bulk)
+        far = size > limit * sigma[there]
+        if studentized:
+            free = np.maximum(1 - leverage[row, there], 1e-6)
+            others = np.maximum((size**2).sum() - size**2 / free, SIGMA_FLOOR**2) / (dof[row] - 1)
+            chance = _BY_CHANCE / (2 * residual.shape[0] * len(there))
+            far |= size > -stdtrit(dof[row] - 1, chance) * np.sqrt(free * others)
+        for index in there[far]:
+            found.append(
+                {
+                    "channel": name,
+                    "t": float(throw.t[index]),
+                    "line": None if throw.lines is None else int(throw.lines[index]),
+                    "off": float(residual[row, index]),
+                    "sigmas": float(abs(residual[row, index]) / sigma[index]),
+                }
+            )
+    return tuple(sorted(found, key=lambda item: -item["sigmas"]))
+
+
+def outlier_warning(outliers: tuple[dict[str, Any], ...]) -> str:
+    """How many there are, and the farthest."""
+    first = outliers[0]
+    line = f" (line {first['line']})" if first["line"] is not None else ""
+    many = "one outlier" if len(outliers) == 1 else f"{len(outliers)} outliers, the farthest"
+    return (
+        f"{many}: {first['channel']} at t = {first['t']:g} s{line}, {first['sigmas']:.2g} sigma "
+        "off; --loss student is robust to outliers"
+    )
+
+
+def given_sigma_warnings(
+    throw: Throw, residual: Floats, outliers: tuple[dict[str, Any], ...]
+) -> list[str]:
+    """Channels whose residuals, outliers apart, are far larger than the sigma they were given.
+
+    `residual` is over that sigma.
+    """
+    excluded = {(item["channel"], item["t"]) for item in outliers}
+    found = {}
+    for row, name in enumerate(CHANNELS):
+        if name not in throw.sigma:
+            continue
+        there = np.flatnonzero(np.isfinite(throw.observed[row]))
+        rest = [index for index in there if (name, float(throw.t[index])) not in excluded]
+        if not rest:
+            continue
+        square = float(np.mean(residual[row, rest] ** 2))
+        by_chance = 1 + _NOT_BY_CHANCE * np.sqrt(2 / len(rest))  # chi squared over its number
+        if square > max(by_chance, _MUCH**2):
+            found[name] = float(np.sqrt(square))
+    if not found:
+        return []
+    listed = ", ".join(f"{times:.2g} times in {name}" for name, times in found.items())
+    return [
+        f"the residuals are far larger than the sigma given ({listed}): that is too small, or the "
+        "law or a fixed value is wrong; standard errors are too small by as much or more"
+    ]
+
+
+def correlation_warnings(statistics: ResidualStatistics, noise: str) -> list[str]:
+    """Channels of a throw whose residuals are not independent, though the noise model says so."""
+    rms, count = (statistics.by_channel(series) for series in (statistics.rms, statistics.number))
+    doubtful: dict[str, Independence] = {
+        name: item
+        for name, item in statistics.by_channel(statistics.independence, 20).items()
+        if item.doubtful and rms[name] > 10 * SIGMA_FLOOR
+    }
+    if not doubtful:
+        return []
+    listed = ", ".join(f"{item.lag1:.2f} in {name}" for name, item in doubtful.items())
+    if noise == "gp":
+        return [
+            f"noise gp does not describe these residuals, which stay correlated from row to row "
+            f"(lag-1 correlation {listed}); it takes noise of short memory for a discrepancy of "
+            "the law, and standard errors are then several times too large; fit with --noise ar1"
+        ]
+    if noise == "ar1":
+        return [
+            f"noise ar1 does not describe these residuals, which stay correlated from row to row "
+            f"(lag-1 correlation {listed}); standard errors are too small; fit with --noise gp"
+        ]
+    effective = ", ".join(
+        f"{item.effective:.0f} of {count[name]} in {name}" for name, item in doubtful.items()
+    )
+    smooth = max(item.lag1 for item in doubtful.values()) > _SMOOTH
+    kind = "are smooth" if smooth else "are correlated from row to row"
+    cause = ", as a model discrepancy or slow noise leaves them" if smooth else ""
+    return [
+        f"the residuals {kind} (lag-1 correlation {listed}){cause}; standard errors, which assume "
+        f"independent noise, are too small (effective number of values: {effective}); fit with "
+        f"--noise {'gp' if smooth else 'ar1'}, or compare both models"
+    ]

@@ -1,0 +1,182 @@
+"""Rounds of a fit: which noise the next one assumes, from the residuals of the last.
+
+Where no sigma is given, a first fit weights the channels evenly, 1 m like 1 rad. The scatter of
+its residuals, corrected for the parameters spent, is the sigma of the second fit (two-step
+generalised least squares). It is not repeated until both agree: where a law is not exact, that
+ends with one channel fitted perfectly at the expense of the others. A robust loss takes its sigma
+from the bulk of the residuals, and repeats that. Correlated noise is estimated from the residuals
+of a fit with white noise, and a last fit accounts for it.
+
+One throw, many side by side and several with coefficients in common all go through these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from operator import itemgetter
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.errors import InputError
+from curlfit.friction import Law, Load
+from curlfit.inference.fit.prepared import PreparedThrow
+from curlfit.inference.fit.summary import LeastSquaresFit
+from curlfit.inference.least_squares import (
+    Indices,
+    Revision,
+    Solution,
+    residual_sigma,
+    run_of,
+)
+from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, raw_residuals
+from curlfit.inference.noise.correlated import whitener_of
+from curlfit.inference.noise.losses import robust_sigma
+from curlfit.inference.noise.models import Noise, fitted_noise
+from curlfit.inference.parameters import LOSSES
+from curlfit.inference.problem import Problem, build_problem
+from curlfit.numerics.compiled import stacked
+from curlfit.throws.throw import CHANNELS
+
+Floats = NDArray[np.float64]
+
+_ROBUST_FITS = 4  # sigma from the bulk, then the fit
+
+
+class Rounds:
+    """The problems of throws of one law, as the rounds of their fits revise them.
+
+    Attributes
+    ----------
+    problems : throws along the first axis.
+    sigma : of each throw and channel; 0 where the throw gives its own.
+    failures : by index, why there is no further round.
+    """
+
+    def __init__(
+        self,
+        law: type[Law],
+        load: Load,
+        throws: Sequence[PreparedThrow],
+        *,
+        loss: str = "linear",
+        noise: str = "white",
+        shape: tuple[int, int] | None = None,
+        batch: int = 1,
+    ) -> None:
+        """`shape` is that of all problems; `batch` the number of paths followed side by side."""
+        self.law, self.load, self.throws, self.batch = law, load, throws, batch
+        self.loss = loss
+        even = [throw.even_sigma() for throw in throws]
+        blank = None if noise == "white" else Noise(noise)
+        self.problems: Problem = stacked(
+            [
+                build_problem(one.throw, one.stone, one.origin, sigma, noise=blank, shape=shape)
+                for one, sigma in zip(throws, even, strict=True)
+            ]
+        )
+        self.channels = CHANNELS[: self.problems.observed.shape[1]]
+        self.unknown = np.array([[name in sigma for name in self.channels] for sigma in even])
+        self.sigma = np.array([[sigma.get(name, 0.0) for name in self.channels] for sigma in even])
+        self.free = np.stack([throw.parameters.free for throw in throws])
+        self.noises = [Noise(noise)] * len(throws)
+        self.failures: dict[int, InputError] = {}
+        robust = _ROBUST_FITS if loss != "linear" else 0
+        self._rounds: list[Callable[[Indices, Solution], Revision]] = [
+            self._scatter, *[self._bulk] * robust, *[self._correlated] * (noise != "white")
+        ]  # fmt: skip
+        self._next = np.where(self.unknown.any(1), 0, 1)
+
+    def revise(self, which: Indices, solutions: Solution) -> list[Revision]:
+        """The throws to fit again, and how; nothing where the fits are done."""
+        revisions = []
+        for number in np.unique(self._next[which]):
+            if number < len(self._rounds):
+                here = self._next[which] == number
+                self._next[which[here]] += 1
+                found = jax.tree.map(itemgetter(here), solutions)
+                revisions.append(self._rounds[number](which[here], found))
+        return revisions
+
+    def record(self, index: int, solution: Solution, tried: int = 1) -> LeastSquaresFit:
+        """What the fit of a throw ended with."""
+        return LeastSquaresFit(
+            prepared=self.throws[index],
+            law=self.law,
+            load=self.load,
+            loss=self.loss,
+            noise=self.noises[index],
+            problem=jax.tree.map(itemgetter(index), self.problems),
+            sigma={
+                name: float(self.sigma[index, row])
+                for row, name in enumerate(self.channels)
+                if self.unknown[index, row]
+            },
+            solution=solution,
+            tried=tried,
+        )
+
+    def _scatter(self, now: Indices, solutions: Solution) -> Revision:
+        sigma = residual_sigma(solutions, self._problems_of(now), self.free[now])
+        self.sigma[now] = np.where(self.unknown[now], sigma + SIGMA_FLOOR, 0.0)
+        return self._reweighted(now, rescaled=True)
+
+    def _bulk(self, now: Indices, solutions: Solution) -> Revision:
+        problems = self._problems_of(now)
+        residual = raw_residuals(self.law, self.load, solutions.values, problems, self.batch)
+        for place, throw in enumerate(now):
+            for row in np.flatnonzero(self.unknown[throw]):
+                there = problems.weight[place, row] > 0
+                bulk = robust_sigma(residual[place, row, there])
+                self.sigma[throw, row] = bulk * self.sigma[throw, row] + SIGMA_FLOOR
+        self.problems.loss[now] = LOSSES.index(self.loss)
+        self._next[now[~self.unknown[now].any(1)]] = 1 + _ROBUST_FITS  # no sigma to repeat it for
+        return self._reweighted(now)
+
+    def _correlated(self, now: Indices, solutions: Solution) -> Revision:
+        problems = self._problems_of(now)
+        paths = predict_many(self.law, self.load, solutions.values, problems, self.batch)
+        estimated = []
+        for place, index in enumerate(now):
+            throw = self.throws[index].throw
+            n = len(throw)
+            moving = np.flatnonzero(paths[place, CHANNELS.index("speed"), :n] > 0)
+            span = float(throw.t[moving[-1]] - throw.t[0]) if len(moving) else 0.0
+            try:
+                noise, sigma = fitted_noise(
+                    self.noises[index].kind, throw, solutions.residual[place, :, :n],
+                    solutions.jacobian[place, :, :n][..., self.free[index]],
+                    problems.weight[place, :, :n], span,
+                )  # fmt: skip
+            except InputError as error:
+                self.failures[int(index)] = error
+                continue
+            estimated.append(index)
+            self.noises[index] = noise
+            for row in np.flatnonzero(self.unknown[index]):
+                name = self.channels[row]
+                self.sigma[index, row] = sigma.get(name, self.sigma[index, row]) + SIGMA_FLOOR
+        now = np.array(estimated, int)
+        self._reweighted(now)
+        for index in now:
+            whitener = whitener_of(
+                self.noises[index], self.problems.times[index], self.problems.weight[index]
+            )
+            pairs = zip(*map(jax.tree.leaves, (self.problems.whitener, whitener)), strict=True)
+            for leaf, new in pairs:
+                leaf[index] = new
+        return Revision(now, self._problems_of(now), None)
+
+    def _reweighted(self, now: Indices, *, rescaled: bool = False) -> Revision:
+        before = self.problems.weight[now]
+        there = before > 0
+        sigma = np.where(self.unknown[now], self.sigma[now], 1.0)[..., None]
+        weight = np.where(there & self.unknown[now][..., None], 1 / sigma, before)
+        self.problems.weight[now] = weight
+        scale = weight / np.where(there, before, 1.0) if rescaled else None
+        return Revision(now, self._problems_of(now), scale)
+
+    def _problems_of(self, now: Indices) -> Problem:
+        found: Problem = jax.tree.map(itemgetter(run_of(now)), self.problems)
+        return found

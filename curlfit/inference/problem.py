@@ -1,0 +1,123 @@
+"""A throw as arrays for the compiled model: `Problem`, and `Origin`, where its zero lies.
+
+Inside a problem the first time is 0 and place and angle count from a reference near the first row,
+so that neither a clock nor a map grid with large numbers costs precision.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.inference.noise.correlated import whitener_of
+from curlfit.inference.noise.models import Noise
+from curlfit.inference.parameters import LOSSES, START
+from curlfit.stone import Stone
+from curlfit.throws.throw import CHANNELS, Throw
+
+Floats = NDArray[np.float64]
+
+_SHORTEST = 256  # data are padded to a power of two from here up, so that few shapes are compiled
+
+
+class Problem(NamedTuple):
+    """A throw as arrays for the compiled model; n is the padded number of rows.
+
+    Of many throws, along the first axis of each array.
+    """
+
+    times: Any
+    """s since the first row, shape (n,)"""
+    observed: Any
+    """x, y, phi relative to the origin, zero where not observed, shape (3, n); with speed and
+    omega, where these were measured, (5, n)"""
+    weight: Any
+    """1/sigma, 0 where not observed, of the same shape"""
+    stone: Stone
+    loss: Any = 0
+    """index of the loss in `LOSSES`"""
+    stop: Any = -1
+    """row whose speed stands for the time of coming to rest; -1 where there is none"""
+    whitener: Any = None
+    """what makes correlated noise independent, see `curlfit.inference.noise.correlated`"""
+
+
+class Origin(NamedTuple):
+    """Where a problem's zero lies in the coordinates of the data."""
+
+    t: float
+    place: Floats
+    """x, y, phi and two zeros for speed and omega, shape (5,)"""
+
+    @classmethod
+    def of(cls, throw: Throw) -> Origin:
+        """The first time of a throw, and the first finite value of each channel."""
+        place = np.zeros(len(CHANNELS))
+        finite = throw.finite[:3]
+        first = throw.observed[np.arange(3), finite.argmax(1)]
+        place[:3] = np.where(finite.any(1), first, 0.0)
+        return cls(float(throw.t[0]), place)
+
+    def offset(self, size: int) -> Floats:
+        """What to add to a parameter vector of a problem to have it in the data's coordinates."""
+        offset = np.zeros(size)
+        names = [item.name for item in START]
+        for name, value in zip(("x0", "y0", "phi0"), self.place[:3], strict=True):
+            offset[size - len(START) + names.index(name)] = value
+        return offset
+
+
+def build_problem(
+    throw: Throw,
+    stone: Stone,
+    origin: Origin,
+    sigma: dict[str, float],
+    loss: str = "linear",
+    noise: Noise | None = None,
+    shape: tuple[int, int] | None = None,
+) -> Problem:
+    """The throw about an origin, padded.
+
+    Parameters
+    ----------
+    sigma : of the channels of which the throw gives none.
+    shape : of the data, channels and rows; as small as may be where not given.
+    """
+    n = len(throw)
+    channels, rows = shape or problem_shape(throw)
+    finite = throw.finite[:channels]
+    times = np.full(rows, throw.t[-1] - origin.t)
+    times[:n] = throw.t - origin.t
+    observed, weight = np.zeros((channels, rows)), np.zeros((channels, rows))
+    observed[:, :n] = np.where(finite, throw.observed[:channels] - origin.place[:channels, None], 0)
+    for row, name in enumerate(CHANNELS[:channels]):
+        weight[row, :n] = np.where(finite[row], 1 / _sigma_of(throw, sigma, name), 0.0)
+    return Problem(
+        times=times,
+        observed=observed,
+        weight=weight,
+        stone=_as_arrays(*map(float, vars(stone).values())),
+        loss=np.asarray(LOSSES.index(loss)),
+        stop=np.asarray(n - 1 if throw.stops else -1),
+        whitener=None if noise is None else whitener_of(noise, times, weight),
+    )
+
+
+def problem_shape(throw: Throw) -> tuple[int, int]:
+    """Channels and padded rows of a throw's problem."""
+    channels = 5 if {"speed", "omega"} & set(throw.seen) else 3
+    return channels, max(_SHORTEST, 1 << (len(throw) - 1).bit_length())
+
+
+@lru_cache(64)
+def _as_arrays(*values: float) -> Stone:
+    return Stone(*map(np.asarray, values))  # type: ignore[arg-type]
+
+
+def _sigma_of(throw: Throw, sigma: dict[str, float], name: str) -> Any:
+    """Sigma of a channel; 1 where a value was not observed."""
+    given = throw.sigma.get(name)
+    return sigma.get(name, 1.0) if given is None else np.where(given > 0, given, 1.0)
