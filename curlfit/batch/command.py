@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from curlfit.options import flags as o
 from curlfit.options import reading as r
 from curlfit.options import settings as s
 
@@ -34,15 +35,12 @@ def batch(
     until: Annotated[
         float | None, typer.Option(help="Use the rows with t up to this, in s.", metavar="S")
     ] = None,
-    fix: Annotated[
-        list[str] | None, typer.Option(help="Hold a parameter at a value.", metavar="NAME=V")
-    ] = None,
-    bound: Annotated[
-        list[str] | None, typer.Option(help="Bounds of a parameter.", metavar="NAME=LO:HI")
-    ] = None,
-    unbounded: Annotated[
-        bool, typer.Option("--unbounded", help="Let coefficients be negative.")
-    ] = False,
+    fix: o.Fix = None,
+    bound: o.Bound = None,
+    unbounded: o.Unbounded = False,
+    start: o.Start = None,
+    loss: o.Loss = None,
+    noise: o.NoiseModel = None,
     sigma: Annotated[
         list[str] | None,
         typer.Option(help="Noise of a channel, as in `curlfit fit`.", metavar="NAME=V"),
@@ -122,6 +120,9 @@ def batch(
         "fix": s.pairs("--fix", fix or ()),
         "bounds": s.intervals("--bound", bound or ()),
         "unbounded": unbounded,
+        "start": s.pairs("--start", start or ()),
+        "loss": loss or "linear",
+        "noise": noise or "white",
         "sigma": s.pairs("--sigma", sigma or ()),
         "stone": s.pairs("--stone", stone or ()),
         "how": {

@@ -61,7 +61,7 @@ class Plan:
         parameters = ParameterSet.build(
             law, fix=dict(self.fix), bounds=dict(self.bounds), unbounded=self.unbounded
         )
-        parameters.require("start", self.start)
+        parameters.require("--start", self.start)
         return law
 
     def choices(self) -> dict[str, Any]:

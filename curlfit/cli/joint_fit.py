@@ -25,6 +25,7 @@ def fit_several(
     """Fit the throws together, print the report, write `joint.json`, figures and single fits."""
     from curlfit.errors import InputError
     from curlfit.friction import check_load, find_law
+    from curlfit.inference.noise.models import check_noise
     from curlfit.inference.parameters import ParameterSet, check_loss
     from curlfit.output.files import prepared_folder
 
@@ -42,8 +43,7 @@ def fit_several(
     law = find_law(wanted.get("law", "front-back"))
     load = check_load(wanted.get("load", "uniform"))
     loss = check_loss(wanted.get("loss", "linear"))
-    for job in jobs:
-        s.require_white(job.wanted, "several throws are fitted together")
+    noise = check_noise(wanted.get("noise", "white"), loss)
     names = "all" if share in (None, "all") else [name.strip() for name in str(share).split(",")]
     own = [item.name for item in law.coefficients()]
     for name in [] if names == "all" else names:
@@ -56,6 +56,8 @@ def fit_several(
         "bounds": wanted.get("bound"),
         "unbounded": bool(wanted.get("unbounded", False)),
     }
+    start = wanted.get("start", {})
+    ParameterSet.build(law, **choices).require("--start", start)
     throws = []
     for job in jobs:
         cut = job.throw.until(job.wanted.get("until"))
@@ -84,8 +86,9 @@ def fit_several(
         from curlfit.inference.joint.fit import fit_together
 
         result = fit_together(
-            throws, law, share=names, load=load, loss=loss, progress=told, **choices
-        )
+            throws, law, share=names, load=load, start=start, loss=loss, noise=noise,
+            progress=told, **choices,
+        )  # fmt: skip
     written = [folder / "joint.json"]
     result.save(written[0])
     for file, one in zip(files, result.throws, strict=True):

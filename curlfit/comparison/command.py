@@ -29,8 +29,13 @@ def compare(
         typer.Option(help="`uniform`, `consistent` (eq. 8-9) or `both`. [default: uniform]"),
     ] = None,
     until: o.Until = None,
+    fix: o.Fix = None,
+    bound: o.Bound = None,
+    unbounded: o.Unbounded = False,
+    start: o.Start = None,
     sigma: o.Sigma = None,
     loss: o.Loss = None,
+    noise: o.NoiseModel = None,
     stone: o.StoneValues = None,
     format: r.Format = None,
     axes: r.Axes = None,
@@ -50,14 +55,16 @@ def compare(
 
     Each law is fitted within its own bounds; one that fails with a coefficient at zero is fitted
     again with either sign allowed, which is shown and not ranked. The rank is by BIC; under a
-    robust `--loss` that of the noise which the loss stands for.
+    robust `--loss` that of the noise which the loss stands for. `--fix`, `--bound` and `--start`
+    hold for the laws that have such a parameter.
     Writes `compare.json` and `compare.png`.
 
     Example: `curlfit compare data/jensen_shegelski_2004.csv --load both`
     """
     from curlfit.errors import InputError
     from curlfit.friction import LAWS, check_load, find_law
-    from curlfit.inference.parameters import ParameterSet, check_loss
+    from curlfit.inference.noise.models import check_noise
+    from curlfit.inference.parameters import ParameterSet, check_loss, options_of, require_known
     from curlfit.output.files import prepared_folder
 
     flags = {
@@ -66,20 +73,29 @@ def compare(
         "until": until,
         "stone": s.pairs("--stone", stone or ()),
         "sigma": s.pairs("--sigma", sigma or ()),
+        "fix": s.pairs("--fix", fix or ()),
+        "bound": s.intervals("--bound", bound or ()),
+        "start": s.pairs("--start", start or ()),
+        "unbounded": unbounded or None,
         "loss": loss,
+        "noise": noise,
     }
     throw, wanted, the_stone = s.prepared(data, config, flags)
     check_load(wanted.get("load", "uniform"))
-    check_loss(wanted.get("loss", "linear"))
-    s.require_white(wanted, "laws are compared")
+    loss = check_loss(wanted.get("loss", "linear"))
+    noise = check_noise(wanted.get("noise", "white"), loss)
     names = [name.strip() for name in laws.split(",") if name.strip()] if laws else None
     if names == []:
         raise InputError("--laws: expected names with commas between")
     chosen = [find_law(name) for name in names] if names else None
     cut = throw.until(wanted.get("until"))
     cut.require_motion()
-    for law in chosen or LAWS.values():
-        ParameterSet.for_throw(law, cut)
+    laws_of = chosen or list(LAWS.values())
+    options = {name: wanted.get(name, {}) for name in ("fix", "bound", "start")}
+    require_known(laws_of, {f"--{name}": values for name, values in options.items()})
+    for law in laws_of:
+        own = options_of(law, options)
+        ParameterSet.for_throw(law, cut, fix=own["fix"], bounds=own["bound"])
     folder = prepared_folder(out or Path(f"{data.stem}-compare"))
 
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -109,7 +125,12 @@ def compare(
             load="both" if load == "both" else wanted.get("load", "uniform"),
             stone=the_stone,
             until=wanted.get("until"),
-            loss=wanted.get("loss", "linear"),
+            fix=options["fix"],
+            bounds=options["bound"],
+            unbounded=bool(wanted.get("unbounded", False)),
+            start=options["start"],
+            loss=loss,
+            noise=noise,
             progress=told,
         )
     written = [folder / "compare.json"]

@@ -11,7 +11,7 @@ values over the number of its rows (the variance inflation of QAICc: Burnham and
 sect. 2.5), for all laws alike. That is an approximation, and the report says so.
 
 Under a robust loss the likelihood is that of the noise which the loss stands for, at its likeliest
-sigma (see `losses.log_density`); all laws are fitted and ranked under the same. Then how large
+sigma (see `losses.log_density`); all laws are fitted and ranked under the same. How large
 residuals are is said by their bulk, and the path to be explained is seen through a running median:
 outliers are no law's fault.
 """
@@ -40,9 +40,12 @@ from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, find_law
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR
+from curlfit.inference.noise.correlated import log_determinant, whitened, whitener_of
 from curlfit.inference.noise.losses import likeliest_sigma, log_density, robust_sigma
+from curlfit.inference.noise.models import Noise
+from curlfit.inference.parameters import options_of, require_known
 from curlfit.stone import Stone
-from curlfit.throws.throw import Throw, scatter
+from curlfit.throws.throw import CHANNELS, Throw, scatter
 
 Floats = NDArray[np.float64]
 
@@ -76,31 +79,40 @@ def compare(
     load: str = "uniform",
     stone: Stone | None = None,
     until: float | None = None,
+    fix: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
+    unbounded: bool = False,
+    start: Mapping[str, float] | None = None,
     loss: str = "linear",
+    noise: str = "white",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Comparison:
     """Fit each law to a throw and rank them by BIC.
 
     Parameters
     ----------
-    throw, stone, until, loss : as in `fit`.
+    throw, stone, until, loss, noise : as in `fit`; noise is estimated for each law anew.
     laws : names or classes; where not given, curlfit's own but those that approximate another.
     load : "uniform", "consistent" or "both".
-    bounds : (lower, upper) of start parameters, by name.
+    fix, bounds, start : as in `fit`, for those of the laws that have such a parameter.
+    unbounded : let the coefficients of all laws be negative, and rank them all the same.
     progress : called with what is being fitted, how many are done, and of how many.
 
     Raises
     ------
-    InputError : an unknown law, load or loss, or a throw that cannot be fitted by any.
+    InputError : an unknown law, load, loss or noise; a name that no law has; or a throw that cannot
+        be fitted by any.
     """
     todo = plan(laws, load)
+    options = {"fix": fix or {}, "bounds": bounds or {}, "start": start or {}}
+    require_known([law for law, _ in todo], options)
     found: list[tuple[Candidate, FitResult | None]] = []
     for done, (law, one_load) in enumerate(todo):
         if progress is not None:
             progress(law.name, done, len(todo))
         choices: dict[str, Any] = {
-            "load": one_load, "stone": stone, "until": until, "bounds": bounds, "loss": loss,
+            "load": one_load, "stone": stone, "until": until, "unbounded": unbounded,
+            "loss": loss, "noise": noise, **options_of(law, options),
         }  # fmt: skip
         candidate, result = _candidate(throw, law, choices, signs_free=False)
         found.append((candidate, result))
@@ -108,13 +120,18 @@ def compare(
             item.verdict == "at bound" and item.lower == 0 and item.value < 1e-6 * item.typical
             for item in result.coefficients.values()
         )
-        if at_zero and not candidate.follows:
-            again = _candidate(throw, law, choices, signs_free=True)
+        if at_zero and not candidate.follows and not unbounded:
+            again = _candidate(throw, law, choices | {"unbounded": True}, signs_free=True)
             if again[0].negative:
                 found.append(again)
     if progress is not None:
         progress("", len(todo), len(todo))
     return _ranked(found)
+
+
+def _noise_parameters(noise: Noise) -> int:
+    """Parameters of a noise model beside sigma: each memory of "ar1", the one size of "gp"."""
+    return len(noise.memory) + bool(noise.sizes)
 
 
 def _candidate(
@@ -125,7 +142,7 @@ def _candidate(
         law=law.name, load=load, isotropic=_opposes_sliding(law), signs_free=signs_free, status=""
     )
     try:
-        result = fit(throw, law, unbounded=signs_free, **choices)
+        result = fit(throw, law, **choices)
     except UnusableFitError as error:
         return replace(blank, status=str(error)), None
     coefficients = result.coefficients
@@ -149,7 +166,7 @@ def _candidate(
                 {"expression": item.expression, "value": item.value, "stderr": item.stderr}
                 for item in result.combinations
             ),
-            n_parameters=result.rank + len(result.sigma),
+            n_parameters=result.rank + len(result.sigma) + _noise_parameters(result.noise),
             rms=result.rms,
             bulk=None if result.loss == "linear" else _sizes(result, _residuals(result)),
             curl_explained=explained,
@@ -225,8 +242,10 @@ def _rms(values: Floats) -> float:
 
 
 def _log_likelihood(result: FitResult) -> dict[str, float]:
-    """At the fit, by channel, of noise as the loss has it; an estimated sigma is at its most likely
-    value."""
+    """At the fit, by channel, of noise as the loss or the noise model has it; an estimated sigma is
+    at its most likely value."""
+    if result.noise.kind != "white":
+        return _log_likelihood_of_correlated(result)
     found = {}
     for name, residual in _residuals(result).items():
         given = result.observed.get(f"sigma_{name}")
@@ -236,6 +255,33 @@ def _log_likelihood(result: FitResult) -> dict[str, float]:
             else given[np.isfinite(result.observed[name])]
         )
         found[name] = float((log_density(residual / sigma, result.loss) - np.log(sigma)).sum())
+    return found
+
+
+def _log_likelihood_of_correlated(result: FitResult) -> dict[str, float]:
+    """The same of Gaussian noise that is correlated as the fit has it."""
+    t = result.observed["t"]
+    weight, residual = np.zeros((2, len(CHANNELS), len(t)))
+    for row, name in enumerate(CHANNELS):
+        if name in result.rms:
+            there = np.isfinite(result.observed[name])
+            sigma = result.observed.get(f"sigma_{name}")
+            weight[row, there] = 1 / (result.sigma[name] if sigma is None else sigma[there])
+            off = result.observed[name] - result.fitted[name]
+            residual[row] = np.where(there, off, 0.0) * weight[row]
+    whitener = whitener_of(result.noise, t - t[0], weight)
+    white, determinant = (
+        np.asarray(whitened(jnp.asarray(residual), whitener)),
+        log_determinant(whitener),
+    )
+    found = {}
+    for row, name in enumerate(CHANNELS):
+        if name in result.rms:
+            there = weight[row] > 0
+            scale = likeliest_sigma(white[row, there], "linear") if name in result.sigma else 1.0
+            density = log_density(white[row, there] / scale, "linear")
+            found[name] = float((density + np.log(weight[row, there] / scale)).sum())
+            found[name] += float(determinant[row])
     return found
 
 
@@ -292,7 +338,9 @@ def _followed(result: FitResult) -> tuple[float | None, bool | None]:
         noise["phi"] = _noise(t[turned], phi[turned], result.loss)
         wanted["phi"] = _uneven(t[turned], _seen(phi[turned], result.loss))
     size = _sizes(result, residuals)
-    correlated = any(item.doubtful for item in result.independence.values())
+    correlated = result.noise.kind == "ar1" or any(
+        item.doubtful for item in result.independence.values()
+    )
     answers = []
     for name in residuals:
         answer: bool | None = size[name] <= max(_FOLLOWS * wanted[name], _NOISE * noise[name])
@@ -419,6 +467,7 @@ def _ranked(found: list[tuple[Candidate, FitResult | None]]) -> Comparison:
         observed={name: first.observed[name].tolist() for name in ("t", *PLACE)},
         fits=tuple(result for _, result in found),
         loss=first.loss,
+        noise=first.noise.kind,
         effective=effective,
     )
 

@@ -33,7 +33,8 @@ def _heading(comparison: Comparison) -> RenderableType:
     data, stone = comparison.data, comparison.stone
     text = Text()
     loss = "" if comparison.loss == "linear" else f", {comparison.loss} loss"
-    text.append(f"{len(comparison.candidates)} fits to {data['file']}{loss}\n", style="bold")
+    noise = "" if comparison.noise == "white" else f", {comparison.noise} noise"
+    text.append(f"{len(comparison.candidates)} fits to {data['file']}{loss}{noise}\n", style="bold")
     text.append(
         f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s; stone R = {stone.R:g} m, "
         f"rho = {stone.rho:g} m, h = {stone.h:g} m\n"

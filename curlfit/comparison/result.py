@@ -36,7 +36,7 @@ class Candidate:
         has no curl beyond its scatter.
     follows : whether each channel's residual is within a tenth of its departure from straight and
         even motion, or within its noise; None where correlated noise may explain the residual.
-    log_likelihood : noise independent from row to row, Gaussian or as the loss has it.
+    log_likelihood : of noise as the noise model and the loss have it.
     aicc, bic : the same, by the effective number of values (see `Comparison.effective`).
     delta_aicc, delta_bic : above the best of the ranked candidates.
     rank : place by BIC among the candidates within their laws' bounds, from 1; None if not ranked.
@@ -91,8 +91,9 @@ class Comparison:
 
     `data` says what was fitted; `curl` is the path's sideways departure from a straight line in m
     (rms), with the `side` to which it bends seen along the motion. `observed` holds t, x, y, phi.
-    `loss` is how large residuals counted. `effective` is the effective number of values by channel
-    where the residuals of the law that fits best are correlated from row to row; else empty.
+    `loss` is how large residuals counted, `noise` the noise model. `effective` is the effective
+    number of values by channel where the residuals of the law that fits best are correlated from
+    row to row; else empty.
     `fits` are the full results in the order of the candidates, and empty when read from a file.
     """
 
@@ -104,6 +105,7 @@ class Comparison:
     observed: dict[str, list[float]]
     fits: tuple[FitResult | None, ...] = ()
     loss: str = "linear"
+    noise: str = "white"
     effective: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -127,6 +129,7 @@ class Comparison:
             "curl": self.curl,
             "side": self.side,
             "loss": self.loss,
+            "noise": self.noise,
             "effective": self.effective,
             "candidates": [asdict(item) for item in self.candidates],
             "observed": self.observed,
@@ -163,6 +166,7 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
             ),
             observed=found["observed"],
             loss=found.get("loss", "linear"),
+            noise=found.get("noise", "white"),
             effective=found.get("effective", {}),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -230,3 +230,28 @@ class ParameterSet:
             for item in self.parameters
         )
         return ParameterSet(parameters, {**self.fixed, name: value})
+
+
+Options = Mapping[str, Mapping[str, Any]]
+"""Values by parameter, by the option that says them: fix, bounds, start."""
+
+
+def require_known(laws: Iterable[type[Law]], options: Options) -> None:
+    """Raise `InputError` where an option names a parameter that none of some laws has."""
+    known = dict.fromkeys(item.name for law in laws for item in (*law.coefficients(), *START))
+    for option, values in options.items():
+        for name in values:
+            if name not in known:
+                raise InputError(
+                    f"{option}: none of the laws has a parameter {name!r}; there are "
+                    + ", ".join(known)
+                )
+
+
+def options_of(law: type[Law], options: Options) -> dict[str, dict[str, Any]]:
+    """What options say of the parameters that a law has."""
+    own = {item.name for item in (*law.coefficients(), *START)}
+    return {
+        option: {name: value for name, value in values.items() if name in own}
+        for option, values in options.items()
+    }

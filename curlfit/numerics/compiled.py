@@ -37,10 +37,6 @@ share the cost of a pass."""
 
 Record = TypeVar("Record")
 
-WIDE: dict[str, Any] = {"xla_cpu_prefer_vector_width": "512"}
-"""Options of `jax.jit` for a program that runs often: XLA leaves half of AVX-512's vectors unused
-unless told, which costs up to a tenth."""
-
 
 def kept(*static: str, often: bool = False) -> Callable[[Callable[..., Any]], _Kept]:
     """`jax.jit` for a function of arrays, whose compiled programs outlive the process.
@@ -123,12 +119,13 @@ def _compiled(lowered: Any, often: bool) -> Any:
     """As fast to run as may be where that matters, else as fast to make.
 
     XLA's older emitters of kernels take half the time and half the memory of the new ones, and make
-    programs that are slower by a quarter to a half.
+    programs that are slower by a quarter to a half. `xla_cpu_prefer_vector_width` stays as it is:
+    with 512 bits, paths take a tenth less, and XLA 0.10 compiles the law `debris` wrongly, without
+    a word (`tests/numerics` has the case).
     """
-    options = WIDE if often else WIDE | {"xla_cpu_use_fusion_emitters": False}
-    if jax.default_backend() == "cpu":
+    if not often and jax.default_backend() == "cpu":
         with suppress(jax.errors.JaxRuntimeError):  # of a version that knows no such option
-            return lowered.compile(compiler_options=options)
+            return lowered.compile(compiler_options={"xla_cpu_use_fusion_emitters": False})
     return lowered.compile()
 
 

@@ -33,6 +33,8 @@ _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e8
 _LESS, _MORE = 0.1, 30.0  # factors of the damping after an accepted and a rejected trial
 _ROUNDING = 1e-10  # share of chi squared by which a change may be rounding
 _UPHILL = 1e-8  # share of chi squared that a projected step may lose
+_HEAVY = 1.0  # damping above which a small reduction says nothing of the optimum
+_STALLED = 1e-6  # share of chi squared that may be left to gain where no trial is accepted
 _SMALL = 1e-10  # step by which nothing changes, over the size of the values
 _REGULAR = 1e-14  # damping that keeps the normal matrix of an exact ridge regular
 
@@ -76,7 +78,9 @@ class Search(NamedTuple):
     """at the best values"""
     damping: Any
     reduction: Any
-    """of chi squared that the step to the trial promises; inf before the first"""
+    """of chi squared that the step to the trial predicts; inf before the first"""
+    decrement: Any
+    """the same of the first step from the best values, which is the least damped"""
     evaluations: Any
     done: Any
     success: Any
@@ -118,6 +122,7 @@ def begin(values: Any, bounds: Bounds) -> Search:
         ),
         damping=xp.full(each, _FIRST_DAMPING),
         reduction=xp.full(each, xp.inf),
+        decrement=xp.full(each, xp.inf),
         evaluations=xp.zeros(each, int),
         done=xp.zeros(each, bool),
         success=xp.zeros(each, bool),
@@ -189,19 +194,23 @@ def _proposed(
     damping, trial, reduction = _repeat(lambda carry: uphill(carry).any(), shorter, carry)
     lost |= damping > _MOST_DAMPING
 
-    ratio = reduction / xp.maximum(before, 1e-300)
+    light = damping <= _HEAVY
+    ratio = xp.where(xp.isfinite(before), reduction / xp.maximum(before, 1e-300), 1.0)
     after = reduction * xp.where(ratio < 1, ratio, 1.0)
     last = reduction <= tolerance.extrapolated * chi_squared
-    last &= (after <= tolerance.remaining * chi_squared) & ~lost
-    no_shorter = (before <= _ROUNDING * chi_squared) & (reduction >= before)
+    last &= (after <= tolerance.remaining * chi_squared) & light & ~lost
+    no_shorter = (before <= _ROUNDING * chi_squared) & (reduction >= before) & light
+    decrement = xp.where(accepted, reduction, search.decrement)
+    # Of a model that is not smooth, trials may be rejected however short the steps are.
+    stalled = (damping > _MOST_DAMPING) & (decrement <= _STALLED * chi_squared)
     step = xp.abs(trial - values) / bounds.typical
     small = (step <= _SMALL * (1 + xp.abs(values) / bounds.typical)).all(-1)
     small &= damping <= _FIRST_DAMPING
-    success = ~lost & (last | no_shorter | small)
+    success = (~lost & (last | no_shorter | small)) | stalled
     extrapolation = xp.where(last[..., None], trial - values, 0.0)
     found = search._replace(
         values=values + extrapolation, trial=trial, damping=damping, reduction=reduction,
-        done=lost | success, success=success,
+        decrement=decrement, done=lost | success, success=success,
     )  # fmt: skip
     return found, Outcome(accepted, extrapolation)
 

@@ -163,14 +163,6 @@ def checked(settings: dict[str, Any], origin: str) -> dict[str, Any]:
     return settings
 
 
-def require_white(wanted: Mapping[str, Any], what: str) -> None:
-    """Raise `InputError` where noise is asked for that goes together from row to row."""
-    from curlfit.inference.noise.models import check_noise
-
-    if check_noise(wanted.get("noise", "white")) != "white":
-        raise InputError(f"noise {wanted['noise']}: {what} with white noise only")
-
-
 class Prepared(NamedTuple):
     """A data file and what to do with it."""
 

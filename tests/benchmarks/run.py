@@ -88,7 +88,6 @@ def forward() -> None:
     import peer_scipy
 
     from curlfit import LAWS, Start, Stone, simulate
-    from curlfit.numerics.compiled import WIDE
 
     t = np.linspace(0, 20, 201)
     random = np.random.default_rng(0)
@@ -107,7 +106,7 @@ def forward() -> None:
             path = simulate(law, stone, Start(v=v, omega=omega), t, load=load)
             return path.x, path.y, path.phi
 
-        function = jax.jit(jax.vmap(places), compiler_options=WIDE)
+        function = jax.jit(jax.vmap(places))
         taken = best(lambda function=function: function(v, omega)) / lanes  # type: ignore[misc]
         row(f"vmap of {lanes}, {name}, {load}", f"{taken * 1e6:.1f} us a path", taken / script)
     taken = _by_diffrax(v, omega, t) / lanes
@@ -122,7 +121,6 @@ def _by_diffrax(v: Any, omega: Any, t: Any) -> float:
 
     from curlfit import LAWS, Stone
     from curlfit.dynamics.contact import accelerations
-    from curlfit.numerics.compiled import WIDE
 
     law, stone = LAWS["front-back"](), Stone(R=0.054)
 
@@ -140,7 +138,7 @@ def _by_diffrax(v: Any, omega: Any, t: Any) -> float:
             stepsize_controller=diffrax.PIDController(rtol=1e-8, atol=1e-8),
         ).ys  # fmt: skip
 
-    function = jax.jit(jax.vmap(path), compiler_options=WIDE)
+    function = jax.jit(jax.vmap(path))
     return best(lambda: function(v, omega))
 
 

@@ -7,12 +7,9 @@ from dataclasses import replace
 from io import StringIO
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 import pytest
 from rich.console import Console
-from scipy.optimize import least_squares
 
 import curlfit
 from curlfit import DataError, InputError, Stone, Throw, fit, law_with, synthetic_throw
@@ -20,8 +17,6 @@ from curlfit.inference.fit.result import load_fit
 from curlfit.inference.least_squares import Solution, residual_sigma
 from curlfit.inference.problem import Problem
 from curlfit.inference.report import print_fit
-from curlfit.numerics.bounded_solver import BoundedLevenbergMarquardt
-from curlfit.numerics.levenberg_marquardt import Bounds, Tolerance
 
 NAMES = ("mu1_xi", "mu2_xi")
 
@@ -251,33 +246,6 @@ def test_what_cannot_be_fitted_is_refused(eq12):
         fit(eq12, "ice")
     with pytest.raises(InputError, match="is empty"):
         fit(eq12, bounds={"mu1_xi": (1, 0)})
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_bounded_solver_agrees_with_scipy(seed):
-    random = np.random.default_rng(seed)
-    matrix = random.standard_normal((30, 4)) * [1, 100, 1, 0.01]
-    right = matrix @ (random.standard_normal(4) * [1, 0.01, 1, 100])
-    lower, upper = np.array([0, -0.005, -0.3, 0]), np.array([np.inf, 0.005, 0.3, np.inf])
-
-    def residual(z, xp=np):
-        linear = matrix @ z - right
-        return xp.concatenate([linear, 0.1 * (z[:1] ** 3 - z[2:3])])
-
-    bounds = Bounds(jnp.array(lower), jnp.array(upper), jnp.ones(4))
-    solver = BoundedLevenbergMarquardt(bounds, Tolerance(1e-14, 1e-18))
-    start = np.clip(np.zeros(4), lower, upper)
-    found = optx.least_squares(
-        lambda z, _: residual(z, jnp), solver, jnp.array(start), max_steps=500, throw=False
-    )
-    scipys = least_squares(
-        residual, np.clip(start, lower + 1e-6, upper - 1e-6), bounds=(lower, upper),
-        xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale=[1, 0.01, 1, 100], max_nfev=5000,
-    )  # fmt: skip
-    ours = float((residual(np.asarray(found.value)) ** 2).sum() / 2)
-    assert ours <= scipys.cost * (1 + 1e-8) + 1e-12
-    assert (found.value >= lower).all()
-    assert (found.value <= upper).all()
 
 
 def test_results_can_be_saved_and_read_again(eq12_fit, tmp_path):

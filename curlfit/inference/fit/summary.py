@@ -105,6 +105,11 @@ def summarize_many(
     of_owners = jax.tree.map(lambda leaf: leaf[around.owner], problems)
     chi_squared = chi_squared_of_many(law, load, around.point, of_owners, batch)
     delta = chi_squared - solutions.chi_squared[around.owner]
+    # Of throws fitted together chi squared of each has a slope at the joint optimum.
+    jacobian, residual = statistics.r_factor[..., :-1], statistics.r_factor[..., -1:]
+    gradient = 2 * (jacobian.mT @ residual)[..., 0]
+    step = around.point - solutions.values[around.owner]
+    delta = delta - (gradient[around.owner] * step).sum(-1)
     nonquadratic = nonquadratic_parameters(found, around, delta)
     return list(map(_record, fits, statistics.each(len(fits)), found, nonquadratic))
 

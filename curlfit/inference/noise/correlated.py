@@ -62,6 +62,16 @@ def whitened(residual: Array, whitener: Whitener) -> Array:
     return residual - jnp.einsum("cnk,ck->cn", whitener.directions, along)
 
 
+def log_determinant(whitener: Whitener) -> Floats:
+    """Log-determinant of the whitening by channel, shape (channels,): what it adds to the
+    log-likelihood of the residuals over sigma."""
+    if isinstance(whitener, AutoregressiveWhitener):
+        return np.asarray(np.log(whitener.scale).sum(-1))
+    if whitener is None:
+        return np.zeros(len(CHANNELS))
+    return np.asarray(np.log1p(-whitener.shrink).sum(-1))
+
+
 def whitener_of(noise: Noise, times: Floats, weight: Floats) -> Whitener:
     """What makes a noise independent; it changes nothing where the noise has no memory and no size.
 

@@ -1,0 +1,131 @@
+"""One throw gets one answer, whichever verb asks and whatever it is fitted beside."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import curlfit
+from curlfit import LAWS, InputError, Stone
+from curlfit.inference.fit.fit import fit_throws
+from curlfit.inference.likelihood import linearize, predict_channels
+from curlfit.inference.problem import Origin, build_problem
+from curlfit.numerics.compiled import BATCH, stacked
+
+LAW = LAWS["front-back"](mu1_xi=0.005, mu2_xi=0.05, mu1_eta=0.009, mu2_eta=0.009)
+
+
+@pytest.fixture(scope="module")
+def throws():
+    """Four throws of 60 rows, an outlier in the first, correlated noise in all."""
+    found = []
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        start = curlfit.Start(v=1.9 + 0.1 * seed, omega=(-1) ** seed * 1.5, heading=0.02)
+        t = np.arange(60) * 0.25
+        path = curlfit.simulate(LAW, Stone(), start, t).to_numpy()
+        noise = np.zeros((3, 60))
+        for row in range(60):
+            noise[:, row] = 0.7 * noise[:, row - 1] + random.standard_normal(3)
+        series = np.stack([path.x, path.y, path.phi]) + noise * [[0.004], [0.004], [0.008]]
+        series[0, 30] += 0.3 * (seed == 0)
+        found.append(curlfit.Throw.from_arrays(t, *series, name=f"{seed}"))
+    return found
+
+
+CHOICES = {
+    "robust": {"loss": "student"},
+    "ar1": {"noise": "ar1"},
+    "gp": {"noise": "gp"},
+    "fixed": {"fix": {"mu1_eta": 0.009}, "bounds": {"mu2_xi": (0.0, 0.045)}, "unbounded": True},
+    "started": {"start": {"mu1_xi": 0.02, "v0": 2.0}},
+}
+
+
+@pytest.mark.parametrize("choices", CHOICES.values(), ids=CHOICES)
+def test_a_batch_has_the_answers_of_single_fits(throws, choices):
+    for throw, many in zip(throws, fit_throws(throws, **choices), strict=True):
+        alone = curlfit.fit(throw, **choices)
+        assert many.converged
+        assert alone.converged
+        assert many.noise.kind == alone.noise.kind
+        for name, item in alone.parameters.items():
+            other = many.parameters[name]
+            assert other.verdict == item.verdict
+            if item.stderr is not None:
+                assert other.value == pytest.approx(item.value, abs=1e-3 * item.stderr)
+                assert other.stderr == pytest.approx(item.stderr, rel=1e-3)
+
+
+def test_throws_that_share_nothing_are_fitted_together_as_alone(throws):
+    """With every coefficient known, a joint fit is a fit of each throw by itself."""
+    values = {item.name: getattr(LAW, item.name) for item in LAW.coefficients()}
+    del values["mu1_xi"]
+    for choices in ({"noise": "ar1"}, {"loss": "student"}, {"start": {"v0": 2.0}}):
+        joint = curlfit.fit_together(throws[:2], fix=values, share=["mu2_xi"], **choices)
+        assert joint.converged
+        for throw, one in zip(throws, joint.throws, strict=False):
+            alone = curlfit.fit(throw, fix=values, **choices)
+            for name in ("mu1_xi", "v0", "omega0"):
+                item = alone.parameters[name]
+                found = one.parameters[name]
+                assert found.value == pytest.approx(item.value, abs=1e-3 * item.stderr)
+
+
+def test_what_cannot_be_is_refused_for_all_at_once(throws):
+    with pytest.raises(InputError, match="do not go together"):
+        fit_throws(throws, loss="student", noise="ar1")
+    with pytest.raises(InputError, match="no parameter 'nonsense'"):
+        fit_throws(throws, start={"nonsense": 1.0})
+    with pytest.raises(InputError, match="nonsense"):
+        curlfit.compare(throws[0], ["coulomb"], fix={"nonsense": 1.0})
+
+
+def test_a_comparison_accounts_for_noise_and_fixed_parameters(throws):
+    """The noise model is worth its parameters where the noise is as it says."""
+    white, ar1 = (
+        curlfit.compare(throws[1], ["front-back", "coulomb"], noise=noise, fix={"mu1_eta": 0.009})
+        for noise in ("white", "ar1")
+    )
+    assert white.best.law == ar1.best.law == "front-back"
+    assert ar1.noise == "ar1"
+    assert ar1.best.coefficients["mu1_eta"]["verdict"] == "fixed"
+    assert ar1.best.n_parameters == white.best.n_parameters + 3
+    assert ar1.best.log_likelihood > white.best.log_likelihood + 10
+
+
+def test_log_likelihood_of_correlated_noise_is_that_of_its_covariance(throws):
+    from curlfit.comparison.compare import _log_likelihood
+
+    for kind in ("ar1", "gp"):
+        fit = curlfit.fit(throws[1], noise=kind)
+        t = fit.observed["t"] - fit.observed["t"][0]
+        gaps = np.abs(t[:, None] - t)
+        for name, found in _log_likelihood(fit).items():
+            residual = fit.observed[name] - fit.fitted[name]
+            if kind == "ar1":
+                covariance = np.exp(-gaps / fit.noise.memory[name])
+            else:
+                q = np.sqrt(5) * gaps / fit.noise.span
+                ratio = fit.noise.sizes.get(name, 0.0) / fit.sigma[name]
+                covariance = np.eye(len(t)) + ratio**2 * (1 + q + q**2 / 3) * np.exp(-q)
+            # the most likely scale, and the density of the normal distribution there
+            square = residual @ np.linalg.solve(covariance, residual) / len(t)
+            _, determinant = np.linalg.slogdet(2 * np.pi * square * covariance)
+            assert found == pytest.approx(-(len(t) + determinant) / 2, abs=1e-2)
+
+
+def test_paths_side_by_side_are_those_of_single_throws():
+    """With vectors of 512 bits XLA compiles this law wrongly, for a whole batch at a time."""
+    law = LAWS["debris"]
+    start, stone = curlfit.Start(v=2.1, omega=-2.6), Stone()
+    t = np.arange(60) * 0.25
+    path = curlfit.simulate(law(), stone, start, t).to_numpy()
+    throw = curlfit.Throw.from_arrays(t, path.x, path.y, path.phi)
+    problem = build_problem(throw, stone, Origin.of(throw), dict.fromkeys(("x", "y", "phi"), 1.0))
+    defaults = [item.default for item in law.coefficients()]
+    values = np.array([*defaults, 0.0, 0.0, 0.0, 2.1, 0.0, -2.6])
+    residual, _ = linearize(law, "uniform", np.tile(values, (BATCH, 1)), stacked([problem] * BATCH))
+    single = np.asarray(predict_channels(law, "uniform", values, problem))[:3]
+    expected = np.where(problem.weight > 0, single - problem.observed, 0.0)
+    np.testing.assert_allclose(residual, np.tile(expected, (BATCH, 1, 1)), atol=1e-10)
