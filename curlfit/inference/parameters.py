@@ -23,7 +23,7 @@ LOSSES = ("linear", "huber", "soft-l1", "cauchy", "student")
 
 
 NOISES = ("white", "ar1", "gp")
-"""How noise goes together from row to row; `curlfit.inference.noise.models` has the formulas."""
+"""How noise is correlated from row to row; `curlfit.inference.noise.models` has the formulas."""
 
 
 def check_loss(loss: str) -> str:

@@ -228,7 +228,7 @@ def _two(value: float | None) -> str:
 
 
 def _memory(fit: FitResult, channel: str) -> str:
-    """How noise of a channel goes together, in a few words."""
+    """The correlation of a channel's noise, in a few words."""
     if channel in fit.noise.memory:
         return f"memory {fit.noise.memory[channel]:.2g} s"
     if channel in fit.noise.sizes:

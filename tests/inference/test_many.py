@@ -73,7 +73,7 @@ def test_throws_that_share_nothing_are_fitted_together_as_alone(throws):
 
 
 def test_what_cannot_be_is_refused_for_all_at_once(throws):
-    with pytest.raises(InputError, match="do not go together"):
+    with pytest.raises(InputError, match="cannot be combined"):
         fit_throws(throws, loss="student", noise="ar1")
     with pytest.raises(InputError, match="no parameter 'nonsense'"):
         fit_throws(throws, start={"nonsense": 1.0})

@@ -1,4 +1,4 @@
-"""Noise that goes together from row to row: whitening, what residuals tell of it, the errors."""
+"""Noise that is correlated from row to row: whitening, its estimate, the errors."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def test_what_does_not_go_together_is_refused(tmp_path):
     throw = thrown(0)
     for choices, words in (
         ({"noise": "pink"}, "unknown noise 'pink'; expected one of white, ar1, gp"),
-        ({"noise": "gp", "loss": "huber"}, "do not go together"),
+        ({"noise": "gp", "loss": "huber"}, "cannot be combined"),
     ):
         with pytest.raises(curlfit.InputError, match=words):
             curlfit.fit(throw, **choices)

@@ -133,7 +133,7 @@ class FitResult:
     fitted : x, y, phi, speed, omega of the fit at the same times; empty where nobody wanted them.
     posterior : None until sampled.
     loss : how large residuals count, see `curlfit.inference.noise.losses`.
-    noise : how noise goes together from row to row, see `curlfit.inference.noise.models`.
+    noise : how noise is correlated from row to row, see `curlfit.inference.noise.models`.
     outliers : values far off the fit: {"channel", "t", "line" (of the file, or None), "off" (SI),
         "sigmas"}, the farthest first.
     remedies : what else would have to be measured, see `curlfit.inference.fit.missing_channels`.

@@ -32,8 +32,9 @@ from curlfit.inference.least_squares import (
 )
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, raw_residuals
 from curlfit.inference.noise.correlated import whitener_of
+from curlfit.inference.noise.estimation import fitted_noise
 from curlfit.inference.noise.losses import robust_sigma
-from curlfit.inference.noise.models import Noise, fitted_noise
+from curlfit.inference.noise.models import Noise
 from curlfit.inference.parameters import LOSSES
 from curlfit.inference.problem import Problem, build_problem
 from curlfit.numerics.compiled import stacked

@@ -19,7 +19,7 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from curlfit.inference.noise.models import Noise, alike, matern
+from curlfit.inference.noise.models import Noise, ar1_correlation, matern
 from curlfit.throws.throw import CHANNELS
 
 Floats = NDArray[np.float64]
@@ -93,7 +93,7 @@ def _memory(noise: Noise, times: Floats, weight: Floats) -> AutoregressiveWhiten
     for row, name in enumerate(CHANNELS[: len(weight)]):
         seen = np.flatnonzero(weight[row] > 0)
         if name in noise.memory:
-            steps = alike(np.diff(times[seen]), noise.memory[name])
+            steps = ar1_correlation(np.diff(times[seen]), noise.memory[name])
             before[row, seen[1:]] = seen[:-1]
             carry[row, seen[1:]] = steps
             scale[row, seen[1:]] = 1 / np.sqrt(1 - steps**2)
