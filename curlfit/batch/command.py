@@ -106,11 +106,11 @@ def batch(
     not be read. The same command goes on where an earlier run was stopped or killed.
 
     Exit status 0 where a throw in the table is ok; 1 where some were read and none is usable; 2
-    where none could be read, or the command itself cannot be carried out.
+    where none could be read, or the command itself is refused.
 
     Example: `curlfit batch season/ --stone R=0.054 --out season.csv`
     """
-    from curlfit.batch.settings import Plan, columns, found_files
+    from curlfit.batch.settings import BatchSettings, columns, found_files
     from curlfit.batch.table import Table, settings_file
 
     wanted: dict[str, Any] = {
@@ -134,7 +134,7 @@ def batch(
         "seed": seed,
     }
     # Refused before anything slow is loaded.
-    plan = Plan(**wanted)
+    plan = BatchSettings(**wanted)
     names = columns(plan)
     files = [str(file) for file in found_files(data, besides=(out, settings_file(out)))]
 
@@ -145,7 +145,7 @@ def batch(
 
     console = terminal(quiet=quiet)
     with Table(out, names, plan.to_json(), files, again=again) as table:
-        from curlfit.batch.executor import crew
+        from curlfit.batch.executor import executor
 
         if len(table.todo) < len(files):
             console.print(f"{len(files) - len(table.todo)} of {len(files)} files are in {out}.")
@@ -161,7 +161,7 @@ def batch(
                 disable=quiet or not console.is_terminal,
                 transient=True,
             ) as progress,
-            crew(plan, workers=workers, dask=dask) as fitted,
+            executor(plan, workers=workers, dask=dask) as fitted,
         ):
             task = progress.add_task("", total=len(table.todo))
             for rows in fitted(table.todo):

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from curlfit.batch.settings import CHUNK, Plan
+from curlfit.batch.settings import CHUNK, BatchSettings
 from curlfit.errors import InputError
 
 Rows = list[dict[str, Any]]
@@ -35,7 +35,9 @@ _AHEAD = 3  # chunks that wait for each worker
 
 
 @contextmanager
-def crew(plan: Plan, *, workers: int | None = None, dask: str | None = None) -> Iterator[Fitted]:
+def executor(
+    plan: BatchSettings, *, workers: int | None = None, dask: str | None = None
+) -> Iterator[Fitted]:
     """A function that fits files, and gives rows in their order, chunk by chunk.
 
     Parameters
@@ -70,7 +72,7 @@ def crew(plan: Plan, *, workers: int | None = None, dask: str | None = None) -> 
 
 
 @contextmanager
-def _dask_crew(plan: Plan, address: str, workers: int | None) -> Iterator[Fitted]:
+def _dask_crew(plan: BatchSettings, address: str, workers: int | None) -> Iterator[Fitted]:
     try:
         from distributed import Client, LocalCluster
     except ImportError:
@@ -100,13 +102,13 @@ def _dask_crew(plan: Plan, address: str, workers: int | None) -> Iterator[Fitted
             cluster.close()
 
 
-def _fit(files: Sequence[str], plan: Plan) -> Rows:
+def _fit(files: Sequence[str], plan: BatchSettings) -> Rows:
     from curlfit.batch.fit_many import fit_files  # loads JAX: for those who do the work
 
     return fit_files(files, plan)
 
 
-def _chunks(files: Sequence[str], plan: Plan, workers: int) -> Iterator[Sequence[str]]:
+def _chunks(files: Sequence[str], plan: BatchSettings, workers: int) -> Iterator[Sequence[str]]:
     """The files in chunks, as many for one worker as for another."""
     most = _SAMPLED if plan.posterior else CHUNK
     count = -(-len(files) // (most * workers)) * workers

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from os import PathLike
 from typing import Any
 
-from curlfit.batch.settings import QUANTILES, Plan, columns
+from curlfit.batch.settings import QUANTILES, BatchSettings, columns
 from curlfit.errors import CurlfitError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
@@ -15,7 +15,7 @@ from curlfit.throws.readers import Part, load_throws
 from curlfit.throws.throw import Throw
 
 
-def fit_files(files: Sequence[str | PathLike[str]], plan: Plan) -> list[dict[str, Any]]:
+def fit_files(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list[dict[str, Any]]:
     """One row for each throw in the files, in their order, with the keys of `columns`.
 
     The status is "ok", "not usable" (the data were read, and no usable fit came of them) or
@@ -23,7 +23,7 @@ def fit_files(files: Sequence[str | PathLike[str]], plan: Plan) -> list[dict[str
 
     Raises
     ------
-    InputError : the plan itself cannot be carried out.
+    InputError : the settings themselves are impossible.
     """
     rows, names, parts = [], columns(plan), _read(files, plan)
     throws = [part.throw for _, part in parts if isinstance(part.throw, Throw)]
@@ -43,7 +43,7 @@ def fit_files(files: Sequence[str | PathLike[str]], plan: Plan) -> list[dict[str
 
 
 @unswept()
-def _read(files: Sequence[str | PathLike[str]], plan: Plan) -> list[tuple[str, Part]]:
+def _read(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list[tuple[str, Part]]:
     """Every throw in the files, beside the name of its file."""
     found = []
     for file in map(str, files):
@@ -58,7 +58,7 @@ def _read(files: Sequence[str | PathLike[str]], plan: Plan) -> list[tuple[str, P
     return found
 
 
-def _row(result: FitResult, plan: Plan, sums: Sequence[str]) -> dict[str, Any]:
+def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[str, Any]:
     row: dict[str, Any] = {
         "status": "ok" if result.converged else "not usable",
         "reason": None if result.converged else result.status,

@@ -24,7 +24,7 @@ _SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")
 
 
 @dataclass(frozen=True)
-class Plan:
+class BatchSettings:
     """What is done with each throw; `load` and the rest as in `fit`.
 
     Attributes
@@ -51,7 +51,7 @@ class Plan:
     seed: int = 0
 
     def checked(self) -> type[Law]:
-        """The law. Raises InputError where the plan cannot be carried out for any throw."""
+        """The law. Raises InputError where the settings are impossible for any throw."""
         law = find_law(self.law)
         check_load(self.load)
         Stone().with_values(dict(self.stone))
@@ -86,7 +86,7 @@ class Plan:
         return asdict(self)
 
 
-def columns(plan: Plan) -> list[str]:
+def columns(plan: BatchSettings) -> list[str]:
     """Columns of the table of results; those of text, which may have commas, come last."""
     names = [item.name for item in (*plan.checked().coefficients(), *START)]
     found = ["file", "shot", "stone_index", "status", "n_observations", "rms_x", "rms_y", "rms_phi"]

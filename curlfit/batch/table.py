@@ -18,7 +18,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from curlfit.batch.settings import Plan
+from curlfit.batch.settings import BatchSettings
 from curlfit.errors import DataError, InputError
 from curlfit.output.files import strict, write_json
 from curlfit.version import __version__
@@ -126,7 +126,7 @@ class Table:
                 f"{self.file}: nothing tells what its rows were made by, as {self.settings} is "
                 f"missing; {_OTHERWISE}"
             )
-        before = dict(json.loads(json.dumps(strict(Plan().to_json()))), **before)
+        before = dict(json.loads(json.dumps(strict(BatchSettings().to_json()))), **before)
         for key in settings:
             if before.get(key) != settings[key]:
                 raise InputError(

@@ -213,7 +213,7 @@ def _opposes_sliding(law: type[Law]) -> bool:
     """Whether friction is opposite to sliding round the ring, whatever the coefficients."""
     if not issubclass(law, LocalLaw):
         return False
-    # coefficients that are all different, lest a general law show a special face
+    # coefficients that are all different, since a general law may be a special one where they are alike
     general = law.from_vector(
         [item.default + 0.1 * (j + 1) * item.typical for j, item in enumerate(law.coefficients())]
     )
@@ -423,7 +423,7 @@ def _ranked(found: list[tuple[Candidate, FitResult | None]]) -> Comparison:
 
     def order(pair: tuple[Candidate, FitResult | None]) -> tuple[bool, bool, bool, float]:
         item = pair[0]
-        # Of what is alike to a tenth, which says nothing, the order in which it was asked stands.
+        # Differences below a tenth mean nothing: the order of the request is kept.
         return item.bic is None, item.signs_free, not item.converged, round(item.bic or 0.0, 1)
 
     # The count of values is that of the law that fits best, among those that may be ranked.

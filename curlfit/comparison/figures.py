@@ -63,7 +63,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
     residual.set(xlabel="t (s)", ylabel="residual of x (mm)")
 
     for name, marker in CHANNEL_MARKER.items():
-        values = [1000 * item.misfit.get(name, np.nan) for item in shown]
+        values = [1000 * item.residual_size.get(name, np.nan) for item in shown]
         unit = "mrad" if name == "phi" else "mm"
         dots.plot(
             values, range(len(shown)), marker, color=CHANNEL_COLOR[name], markerfacecolor="none",

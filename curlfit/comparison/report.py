@@ -64,7 +64,7 @@ def _ranks(comparison: Comparison) -> RenderableType:
         if item.rms is None:
             table.add_row(rank, name, item.load, *[""] * len(right), Text("no fit", style="red"))
             continue
-        size = item.misfit
+        size = item.residual_size
         table.add_row(
             rank,
             name,

@@ -80,7 +80,7 @@ class Candidate:
         return f"{self.law}{load}{', any sign' if self.signs_free else ''}"
 
     @property
-    def misfit(self) -> dict[str, float]:
+    def residual_size(self) -> dict[str, float]:
         """Size of the residuals by channel: of their bulk where outliers do not count."""
         return self.bulk or self.rms or {}
 

@@ -1,4 +1,4 @@
-"""Start values from the data, so that nobody has to guess.
+"""Initial values from the data.
 
 A polynomial through each channel gives speed, direction and spin well enough to evaluate the
 law's forces along the path. In these the law's coefficients are linear, or are made so; their
@@ -38,12 +38,12 @@ _DEGREE = 5
 _USUAL_SPEED = 2.0  # m/s, where nothing tells it
 
 
-def usual(item: Coefficient) -> float:
-    """A value to start from: an optional coefficient that is asked for is not at its default."""
+def default_guess(item: Coefficient) -> float:
+    """A first guess of a coefficient; an optional one that is fitted is not at its default."""
     return item.typical if item.optional else item.default
 
 
-class Smooth(NamedTuple):
+class SmoothPath(NamedTuple):
     """Polynomials through the moving part of many paths, throws along the first axis."""
 
     span: Floats
@@ -57,7 +57,7 @@ class Smooth(NamedTuple):
     """of the data about the polynomials, floored, inf where not seen; shape (throws, channels)"""
 
 
-def smooth(problems: Problem) -> Smooth:
+def smooth(problems: Problem) -> SmoothPath:
     """Polynomials of degree 5 or less through each channel, up to where the stone came to rest.
 
     Parameters
@@ -89,7 +89,7 @@ def smooth(problems: Problem) -> Smooth:
         curves[placeless, 1], curves[angleless, 2] = risen[placeless, 0], risen[angleless, 1]
         known[:, 1] |= placeless
         known[:, 2] |= angleless
-    return Smooth(span, curves[:, :3], known[:, :3], np.where(n >= 2, rms, np.inf))
+    return SmoothPath(span, curves[:, :3], known[:, :3], np.where(n >= 2, rms, np.inf))
 
 
 @kept("law", "load")
@@ -119,7 +119,7 @@ def start_values(
     law: type[Law],
     load: Load,
     problems: Problem,
-    path: Smooth,
+    path: SmoothPath,
     lower: Floats,
     upper: Floats,
     *,
@@ -143,7 +143,9 @@ def start_values(
     free = np.full((len(lower), len(START)), np.inf)
     low, high = np.hstack([lower[:, :k], -free]), np.hstack([upper[:, :k], free])
     found = np.zeros_like(low)
-    found[:, :k] = np.clip([usual(item) for item in law.coefficients()], low[:, :k], high[:, :k])
+    found[:, :k] = np.clip(
+        [default_guess(item) for item in law.coefficients()], low[:, :k], high[:, :k]
+    )
     going = np.arange(len(found))
     for _ in range(3):
         here: Any = jax.tree.map(lambda leaf, going=going: leaf[going], (problems, path, moving))
@@ -179,7 +181,7 @@ class _Moving(NamedTuple):
     """speed, spin, angle and time, shape (throws, 4, n)"""
 
 
-def _moving(path: Smooth, spin: float) -> _Moving:
+def _moving(path: SmoothPath, spin: float) -> _Moving:
     values, slopes = _bases(path.curves.shape[-1])
     pace = path.curves @ slopes.T * (2 / path.span[:, None, None])
     grid = path.span[:, None] * np.linspace(0, 1, _GRID)
@@ -192,7 +194,7 @@ def _moving(path: Smooth, spin: float) -> _Moving:
 
 
 def _design(
-    slopes: Floats, use: NDArray[np.bool_], problems: Problem, path: Smooth, moving: _Moving
+    slopes: Floats, use: NDArray[np.bool_], problems: Problem, path: SmoothPath, moving: _Moving
 ) -> tuple[Floats, Floats]:
     """Linear least squares for coefficients, x0, vx0, y0, vy0, phi0 and omega0, in few rows.
 
@@ -245,7 +247,7 @@ def _design(
 
 
 def _condensed(
-    use: NDArray[np.bool_], problems: Problem, path: Smooth
+    use: NDArray[np.bool_], problems: Problem, path: SmoothPath
 ) -> tuple[Floats, Floats, Floats]:
     """Blocks of rows of each throw: how many rows are used, the means of their times, and values at
     these times, each of shape (throws, channels, blocks).
@@ -271,7 +273,7 @@ def _condensed(
     return count, times, means
 
 
-def _along(path: Smooth, times: Floats) -> Floats:
+def _along(path: SmoothPath, times: Floats) -> Floats:
     """The polynomials at times, each of shape (throws, 3, n)."""
     places = 2 * times / path.span[:, None, None] - 1
     values: Any = chebval(places, np.moveaxis(path.curves, -1, 0)[..., None], tensor=False)

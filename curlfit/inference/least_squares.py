@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
 from curlfit.inference.identifiability import inverted
-from curlfit.inference.initial_values import Smooth, start_values, usual
+from curlfit.inference.initial_values import SmoothPath, default_guess, start_values
 from curlfit.inference.likelihood import weighted_residuals
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
@@ -105,7 +105,7 @@ def minimize(
 
 
 def starts(
-    law: type[Law], load: Load, problem: Problem, path: Smooth, parameters: ParameterSet
+    law: type[Law], load: Load, problem: Problem, path: SmoothPath, parameters: ParameterSet
 ) -> list[Floats]:
     """Initial values in the order in which to try them; `path` is that of the problem alone."""
     spins = (1.0,) if path.known[0, 2] else (1.0, -1.0)
@@ -114,7 +114,7 @@ def starts(
     first = [start_values(law, load, one, path, *bounds, spin=s, batch=1)[0] for s in spins]
     others = []
     k = len(law.coefficients())
-    defaults = np.array([usual(item) for item in law.coefficients()])
+    defaults = np.array([default_guess(item) for item in law.coefficients()])
     for factor in (1.0, 0.3, 3.0):
         values = first[0].copy()
         values[:k] = defaults * factor
@@ -128,7 +128,7 @@ def multistart(
     tries: list[Floats],
     parameters: ParameterSet,
     problem: Problem,
-    path: Smooth,
+    path: SmoothPath,
 ) -> tuple[Solution | None, int]:
     """The best optimum, and how many starts it took."""
     best: Solution | None = None
@@ -145,7 +145,7 @@ def multistart(
     return best, tried
 
 
-def needs_restart(solutions: Solution, paths: Smooth, problems: Problem) -> NDArray[np.bool_]:
+def needs_restart(solutions: Solution, paths: SmoothPath, problems: Problem) -> NDArray[np.bool_]:
     """Which of many optima are so bad that another start is worth trying."""
     observed, weight = problems.observed[:, :3], problems.weight[:, :3]
     there = weight > 0
@@ -224,7 +224,7 @@ def minimize_many(
 
     Parameters
     ----------
-    revise : asked of throws that are done which of them to fit again, and how.
+    revise : says which of the throws that are done to fit again, and how.
     progress : called with the number of throws that are done for good.
     """
     searches = _Searches(tasks)

@@ -11,7 +11,7 @@ it.
 
 When a stone came to rest is a measurement of its own (see `Throw.stops`). A speed of zero at that
 time would not do for it: a stone that came to rest earlier has it too. What is compared is the time
-itself, and the place of that row is the place at rest.
+itself, and the position in that row is that at rest.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from curlfit.numerics.compiled import BATCH, in_batches, kept, unstacked
 Floats = NDArray[np.float64]
 
 SIGMA_FLOOR = 1e-7
-"""Least noise (m and rad) that is believed: the precision of the computed path."""
+"""Least standard deviation of noise (m and rad): the precision of the computed path."""
 
 _LATE = 60.0  # s after the measured end by which a stone is at rest under any trial
 

@@ -34,7 +34,7 @@ class LinearizedProblem(NamedTuple):
     free: NDArray[np.bool_]
 
     def at_bound(self) -> NDArray[np.bool_]:
-        """Free parameters at a bound that the data push against it, be it ever so little.
+        """Free parameters at a bound that the data push against it, however little.
 
         Along a valley that falls without end the push may be tiny. It is told from the end of an
         exact ridge, which is none, by what is left of the slope along the other parameters.

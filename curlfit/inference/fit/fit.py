@@ -238,16 +238,16 @@ def _fitted_together(
         begin = np.stack(
             [one.with_start(values, start) for one, values in zip(throws, begin, strict=True)]
         )
-    poor, judged = np.zeros(len(throws), bool), np.zeros(len(throws), bool)
+    poor, checked_once = np.zeros(len(throws), bool), np.zeros(len(throws), bool)
 
     def revise(which: Indices, solutions: Solution) -> list[Revision]:
-        if not judged[which].all():
+        if not checked_once[which].all():
             here: Callable[[Any], Any] = _rows(which)
             bad = needs_restart(
                 solutions, jax.tree.map(here, paths), jax.tree.map(here, rounds.problems)
             )
-            poor[which] |= bad & ~judged[which]
-            judged[which] = True
+            poor[which] |= bad & ~checked_once[which]
+            checked_once[which] = True
         if poor[which].any():
             good = ~poor[which]
             which, solutions = which[good], jax.tree.map(lambda leaf: leaf[good], solutions)

@@ -113,12 +113,12 @@ class FitResult:
     ----------
     law, load, stone : what was fitted.
     data : where the data came from and how many there are.
-    converged, status, warnings : whether the fit may be used, and what to mind.
+    converged, status, warnings : whether the fit may be used, and why it may mislead.
     n_observations : finite values of all channels. rms : of the residuals by channel (SI, rad).
     sigma : noise by channel as estimated; empty for channels whose sigma was given.
     lag1 : correlation of neighbouring residuals by channel.
     independence : by channel, how far the residuals are from independent noise, after what the
-        noise model foretells of them.
+        noise model predicts of them.
     parameters : by name, coefficients first, then x0 y0 heading v0 phi0 omega0.
     combinations : what is determined where single parameters are not.
     rank, singular_values, null_directions : see `curlfit.inference.identifiability`.

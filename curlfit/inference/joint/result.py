@@ -51,7 +51,7 @@ class JointResult:
     Attributes
     ----------
     law, load, share : what was fitted; names of the shared coefficients.
-    converged, status, warnings : whether it may be used, and what to mind.
+    converged, status, warnings : whether it may be used, and why it may mislead.
     coefficients : the shared ones, by name.
     combinations : what is determined where single shared coefficients are not.
     rank, parameters : directions that the throws see together, of how many free parameters.

@@ -38,7 +38,7 @@ class SamplerState:
     ----------
     coords : of the walkers as the sampler counts them, shape (walkers, free parameters).
     random : the state of numpy's `RandomState`, as its `get_state` gives it.
-    left : steps that are left of the block that was begun; convergence is judged after a block.
+    left : steps left of the present block; convergence is tested after each block.
     bold : whether most proposals are made along the ridge.
     tried, taken : ridge proposals made and accepted.
     """

@@ -71,7 +71,7 @@ def sample(
 
     Raises
     ------
-    UnusableFitError : no walker found a place of finite posterior.
+    UnusableFitError : no walker found a point of finite posterior.
     InputError : the chain to be resumed is of other data, law, load, stone, bounds, seed or
         version, or the checkpoint cannot be written.
     """
@@ -383,7 +383,7 @@ def _first_walkers(
         found.extend(folded[np.isfinite(log_prob(folded))])
         if len(found) >= walkers:
             return np.array(found[:walkers])
-    raise UnusableFitError("no place of finite posterior was found near the fit")
+    raise UnusableFitError("no point of finite posterior was found near the fit")
 
 
 @dataclass(frozen=True)
