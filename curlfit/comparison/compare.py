@@ -213,7 +213,7 @@ def _opposes_sliding(law: type[Law]) -> bool:
     """Whether friction is opposite to sliding round the ring, whatever the coefficients."""
     if not issubclass(law, LocalLaw):
         return False
-    # coefficients that are all different, since a general law may be a special one where they are alike
+    # With coefficients that are all different, which excludes special cases of the law.
     general = law.from_vector(
         [item.default + 0.1 * (j + 1) * item.typical for j, item in enumerate(law.coefficients())]
     )

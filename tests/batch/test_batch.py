@@ -19,7 +19,7 @@ from sample_files import log, shot, two_masses
 import curlfit
 from curlfit import FitResult, Stone, Throw
 from curlfit.batch.fit_many import fit_files, fit_throws
-from curlfit.batch.settings import Plan, columns
+from curlfit.batch.settings import BatchSettings, columns
 from curlfit.batch.table import Table
 from curlfit.dynamics.contact import accelerations
 from curlfit.friction import LAWS
@@ -85,7 +85,7 @@ def logs(tmp_path):
 
 def test_each_row_is_the_fit_of_that_throw(season):
     files = sorted(season.glob("*.csv"))
-    for row in fit_files(files, Plan()):
+    for row in fit_files(files, BatchSettings()):
         if row["reason"] and row["n_observations"] is None:
             with pytest.raises(curlfit.CurlfitError):
                 curlfit.fit(curlfit.load_throw(row["file"]))
@@ -124,7 +124,7 @@ def mixed():
 def test_throws_of_every_kind_side_by_side_are_fitted_as_alone():
     throws = mixed()
     for (kind, throw), found in zip(
-        throws.items(), fit_throws(throws.values(), Plan()), strict=True
+        throws.items(), fit_throws(throws.values(), BatchSettings()), strict=True
     ):
         alone = curlfit.fit(throw)
         assert isinstance(found, FitResult), (kind, found)
@@ -140,14 +140,14 @@ def test_throws_of_every_kind_side_by_side_are_fitted_as_alone():
 
 def test_company_changes_not_a_digit(season):
     files = sorted(season.glob("throw*.csv"))
-    together = fit_files(files, Plan())
+    together = fit_files(files, BatchSettings())
     for file, row in zip(files, together, strict=True):
-        assert fit_files([file], Plan()) == [row]
-    assert fit_files(files[::-1], Plan()) == together[::-1]
+        assert fit_files([file], BatchSettings()) == [row]
+    assert fit_files(files[::-1], BatchSettings()) == together[::-1]
 
 
 def test_a_useless_file_is_a_row_with_its_reason(season):
-    rows = {row["file"]: row for row in fit_files(sorted(season.glob("*.csv")), Plan())}
+    rows = {row["file"]: row for row in fit_files(sorted(season.glob("*.csv")), BatchSettings())}
     broken, still = (rows[str(season / name)] for name in ("broken.csv", "still.csv"))
     assert broken["status"] == "failed"
     assert "line 3" in broken["reason"]
@@ -205,12 +205,16 @@ def test_what_is_determined_together_has_columns_of_its_own(season, done):
 
 
 def test_columns_of_sums_are_those_of_the_law_and_what_is_free():
-    assert set(Plan().sums()) == {"mu1_eta + mu2_eta"}
-    assert "mu1_eta + mu2_eta stderr" in columns(Plan())
-    assert "mu1_eta + mu2_eta 50" in columns(Plan(posterior=True))
-    for plan in (Plan(load="consistent"), Plan(fix={"mu1_eta": 0.01}), Plan(law="radial")):
+    assert set(BatchSettings().sums()) == {"mu1_eta + mu2_eta"}
+    assert "mu1_eta + mu2_eta stderr" in columns(BatchSettings())
+    assert "mu1_eta + mu2_eta 50" in columns(BatchSettings(posterior=True))
+    for plan in (
+        BatchSettings(load="consistent"),
+        BatchSettings(fix={"mu1_eta": 0.01}),
+        BatchSettings(law="radial"),
+    ):
         assert not plan.sums()
-    assert Plan(law="front-back-first-order", load="consistent").sums()  # knows no load
+    assert BatchSettings(law="front-back-first-order", load="consistent").sums()  # knows no load
 
 
 @pytest.mark.parametrize("name", [name for name, law in LAWS.items() if law.shipped()])
@@ -243,7 +247,7 @@ def test_the_sums_that_laws_name_are_all_that_uniform_load_hides(name):
 
 def test_a_log_has_a_row_for_each_shot_and_an_export_one_for_each_object(logs):
     files = sorted(logs.iterdir())
-    rows = fit_files(files, Plan())
+    rows = fit_files(files, BatchSettings())
     assert [(row["file"][-7:], row["shot"], row["stone_index"]) for row in rows] == [
         ("a.jsonl", 1, None), ("a.jsonl", 2, None), ("a.jsonl", 3, None),
         ("s/b.txt", None, 1), ("s/b.txt", None, 2), ("c.jsonl", 1, None), ("c.jsonl", 2, None),
@@ -255,8 +259,8 @@ def test_a_log_has_a_row_for_each_shot_and_an_export_one_for_each_object(logs):
         alone = curlfit.fit(curlfit.load_throw(row["file"], **which))
         assert row["n_observations"] == alone.n_observations
         assert row["rms_y"] == pytest.approx(alone.rms["y"], rel=1e-3)
-    assert fit_files(files[-1:], Plan(how={"shot": 2})) == rows[-1:]
-    assert fit_files(files[1:2], Plan(how={"stone_index": 1})) == rows[3:4]
+    assert fit_files(files[-1:], BatchSettings(how={"shot": 2})) == rows[-1:]
+    assert fit_files(files[1:2], BatchSettings(how={"stone_index": 1})) == rows[3:4]
 
 
 def test_a_log_cut_off_between_its_shots_is_completed(logs, tmp_path):
@@ -318,7 +322,7 @@ def test_the_table_may_lie_among_the_throws(season, tmp_path):
 def test_what_cannot_be_done_is_one_sentence(season, tmp_path, words, said):
     out = tmp_path / "results.csv"
     if "coulomb" in words:
-        with Table(out, columns(Plan()), Plan().to_json(), []):
+        with Table(out, columns(BatchSettings()), BatchSettings().to_json(), []):
             pass
         out.write_text(out.read_text() + "a.csv\n")
     before = {file: file.read_bytes() for file in tmp_path.iterdir()}

@@ -148,7 +148,7 @@ def batch() -> None:
 
     from curlfit import Stone
     from curlfit.batch.fit_many import fit_throws
-    from curlfit.batch.settings import Plan
+    from curlfit.batch.settings import BatchSettings
     from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
     random = np.random.default_rng(0)
@@ -164,7 +164,7 @@ def batch() -> None:
     peer_scipy.main(DATA)
     script = 1 / (time.perf_counter() - begin)
     row("scipy script's fit", f"{script:.2f} fits/s", 1.0)
-    ours = len(throws) / best(lambda: fit_throws(throws, Plan()), 5.0)
+    ours = len(throws) / best(lambda: fit_throws(throws, BatchSettings()), 5.0)
     row("fit_throws, one process", f"{ours:.0f} fits/s", ours / script)
     with tempfile.TemporaryDirectory() as folder:
         texts = list(map(write_table, throws))

@@ -19,8 +19,8 @@ from curlfit.inference.noise.losses import (
     log_density,
     precision,
     robust_sigma,
+    root_slope,
     signed_root,
-    steepness,
 )
 from curlfit.inference.parameters import LOSSES
 from curlfit.inference.report import outliers
@@ -51,7 +51,7 @@ def test_derivatives(loss):
     place = LOSSES.index(loss)
     points = R[np.abs(R) > 1e-6]
     slope = jax.vmap(jax.grad(lambda r: signed_root(r, place)))(points)
-    np.testing.assert_allclose(steepness(points, loss), slope, rtol=1e-6)
+    np.testing.assert_allclose(root_slope(points, loss), slope, rtol=1e-6)
     half = jax.vmap(jax.grad(lambda r: signed_root(r, place) ** 2 / 2))(points)
     np.testing.assert_allclose(influence(points, loss).psi, half, rtol=1e-7)
     smooth = points[np.abs(np.abs(points) - 1.345) > 1e-3]

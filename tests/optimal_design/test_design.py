@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import curlfit
 from curlfit import LAWS, Start, Stone
 from curlfit.batch.fit_many import fit_throws
-from curlfit.batch.settings import Plan
+from curlfit.batch.settings import BatchSettings
 from curlfit.cli import app
 from curlfit.dynamics.contact import accelerations
 from curlfit.errors import InputError
@@ -535,7 +535,7 @@ def test_other_laws_expect_what_their_fits_report(name):
 def test_fits_of_many_throws_scatter_as_expected(single):
     count = 100
     throws = [throw_of(2.0, 1.5, seed=place + 1) for place in range(count)]
-    fits = fit_throws(throws, Plan())
+    fits = fit_throws(throws, BatchSettings())
     for name in ("mu1_xi", "mu2_xi", SUM):
         values = [
             fit.combinations[0].value if name == SUM else fit.coefficients[name].value
