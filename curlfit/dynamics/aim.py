@@ -13,21 +13,19 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from curlfit.dynamics.trajectory import Start, simulate
+from curlfit.dynamics.trajectory import InitialState, simulate
 
 # isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from numpy.typing import NDArray
 
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, check_load
+from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import kept
 from curlfit.stone import Stone
-
-Floats = NDArray[np.float64]
 
 FASTEST = 6.0
 """The fastest throw that is looked at, m/s; the hardest takeouts are slower."""
@@ -191,7 +189,7 @@ def _traced(
     times: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
     def path(v: Array) -> Array:
-        start = Start(v=v, omega=omega)
+        start = InitialState(v=v, omega=omega)
         found = simulate(law.from_vector(coefficients), stone, start, times, load=load, t0=0.0)
         return jnp.stack([found.x, found.y, found.speed, found.vx, found.vy])
 

@@ -26,7 +26,7 @@ _EVER = 1e30  # s, by when every stone is at rest
     meta_fields=[],
 )
 @dataclass(frozen=True)
-class Start:
+class InitialState:
     """Where and how a throw begins. Axes and signs as everywhere (see the README).
 
     Attributes
@@ -52,7 +52,7 @@ class Start:
     meta_fields=[],
 )
 @dataclass(frozen=True)
-class Path:
+class Trajectory:
     """Motion of a stone at given times; every field but `rest` is an array of the shape of `t`.
 
     t in s; x, y in m; phi in rad, not wrapped; vx, vy in m/s; omega in rad/s. After the stone
@@ -77,14 +77,14 @@ class Path:
         moving = square > 0
         return jnp.where(moving, jnp.sqrt(jnp.where(moving, square, 1.0)), 0.0)
 
-    def to_numpy(self) -> Path:
+    def to_numpy(self) -> Trajectory:
         """The same path with numpy arrays."""
         arrays: Any = (np.asarray(getattr(self, field.name)) for field in fields(self))
-        return Path(*arrays)
+        return Trajectory(*arrays)
 
 
 def _moved(
-    law: Law, stone: Stone, start: Start, times: Array, load: Load, velocities: bool
+    law: Law, stone: Stone, start: InitialState, times: Array, load: Load, velocities: bool
 ) -> tuple[list[Array], Array]:
     """x, y, phi, with vx, vy, omega if wanted, and the time of coming to rest."""
     inputs = (
@@ -105,13 +105,15 @@ def _moved(
 
 
 @partial(jax.jit, static_argnames="load")
-def _simulate(law: Law, stone: Stone, start: Start, times: Array, t0: Array, *, load: Load) -> Path:
+def _simulate(
+    law: Law, stone: Stone, start: InitialState, times: Array, t0: Array, *, load: Load
+) -> Trajectory:
     (x, y, phi, *rates), rest = _moved(law, stone, start, times - t0, load, velocities=True)
     vx, vy, omega = rates
-    return Path(t=times, x=x, y=y, phi=phi, vx=vx, vy=vy, omega=omega, rest=t0 + rest)
+    return Trajectory(t=times, x=x, y=y, phi=phi, vx=vx, vy=vy, omega=omega, rest=t0 + rest)
 
 
-def places(law: Law, stone: Stone, start: Start, times: Array, *, load: Load) -> Array:
+def places(law: Law, stone: Stone, start: InitialState, times: Array, *, load: Load) -> Array:
     """x, y and phi alone, shape (3, n), of a stone that starts at time 0.
 
     Like `simulate`, for arrays and within compiled code, but that times must not fall, and that
@@ -124,13 +126,13 @@ def places(law: Law, stone: Stone, start: Start, times: Array, *, load: Load) ->
 def simulate(
     law: Law,
     stone: Stone,
-    start: Start,
+    start: InitialState,
     times: ArrayLike,
     *,
     load: str = "uniform",
     t0: ArrayLike | None = None,
     ordered: bool = False,
-) -> Path:
+) -> Trajectory:
     """The path of a stone under a friction law.
 
     Works under `jit` and `vmap`, and differentiates forward and in reverse with respect to the
@@ -149,9 +151,9 @@ def simulate(
 
     Returns
     -------
-    Path of shape (n,), and when the stone comes to rest. Positions are good to 1e-7 m and angles
-    to 1e-7 rad over a throw. NaN where the law admits no motion (a consistent load that would have
-    to be negative) or the motion cannot be followed.
+    Trajectory of shape (n,) and the time of rest. Positions are accurate to 1e-7 m and angles to
+    1e-7 rad over a throw. NaN where the law admits no motion (a consistent load that would have
+    to be negative) or the integration fails.
 
     Raises
     ------

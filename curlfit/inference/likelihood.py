@@ -19,7 +19,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from curlfit.dynamics.trajectory import Start, places, simulate
+from curlfit.dynamics.trajectory import InitialState, places, simulate
 
 # isort: split
 import jax
@@ -43,11 +43,11 @@ SIGMA_FLOOR = 1e-7
 _LATE = 60.0  # s after the measured end by which a stone is at rest under any trial
 
 
-def split(law: type[Law], values: Any) -> tuple[Law, Start]:
+def split(law: type[Law], values: Any) -> tuple[Law, InitialState]:
     """A parameter vector as law and start."""
     k = len(law.coefficients())
     x0, y0, heading, v0, phi0, omega0 = (values[k + index] for index in range(len(START)))
-    start = Start(x=x0, y=y0, heading=heading, v=v0, phi=phi0, omega=omega0)
+    start = InitialState(x=x0, y=y0, heading=heading, v=v0, phi=phi0, omega=omega0)
     return law.from_vector(values), start
 
 

@@ -18,7 +18,6 @@ from curlfit.optimal_design.result import Candidate, Design, Expected
 
 # isort: split
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, check_load
@@ -26,6 +25,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import Identifiability, analyse
 from curlfit.inference.linearized_problem import classify
 from curlfit.inference.parameters import ParameterSet
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.optimal_design.information import (
     Told,
     Trial,
@@ -40,8 +40,6 @@ from curlfit.sheet import LINES, TEE, TEE_TO_BACK
 from curlfit.stone import Stone
 from curlfit.throws.synthetic import law_with
 from curlfit.throws.throw import CHANNELS
-
-Floats = NDArray[np.float64]
 
 SPEEDS = (1.6, 1.9, 2.2)
 SPINS = (0.5, 1.0, 2.0, 5.0, 10.0)
@@ -178,7 +176,7 @@ class _Planned:
     """The coefficients and the noise, and what roots of information say of them."""
 
     def __init__(
-        self, law: type[Law], values: Floats, free: NDArray[np.bool_], sigma: dict[str, float]
+        self, law: type[Law], values: Floats, free: Booleans, sigma: dict[str, float]
     ) -> None:
         items = law.coefficients()
         self.law, self.values, self.free, self.sigma = law, values, free, sigma

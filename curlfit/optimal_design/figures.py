@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,7 +34,7 @@ def design_figures(design: Design) -> dict[str, Figure]:
     return found
 
 
-def save_figures(design: Design, folder: FilePath, format: str = "png") -> list[FilePath]:
+def save_figures(design: Design, folder: Path, format: str = "png") -> list[Path]:
     """Write the pictures into a folder; the files."""
     written = []
     for name, figure in design_figures(design).items():

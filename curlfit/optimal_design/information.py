@@ -20,7 +20,6 @@ from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its
 # isort: split
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, no_motion_because
@@ -28,11 +27,10 @@ from curlfit.inference.identifiability import visible
 from curlfit.inference.likelihood import linearize, predict_channels
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import BATCH
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
-
-Floats = NDArray[np.float64]
 
 LONGEST = 120.0
 """Seconds within which a stone has to come to rest where no end of the record is given."""
@@ -186,7 +184,7 @@ def _no_motion(law: type[Law], load: Load, trial: Trial) -> InputError:
 
 
 def about_coefficients(
-    law: type[Law], told: Told, sigma: Mapping[str, float], free: NDArray[np.bool_]
+    law: type[Law], told: Told, sigma: Mapping[str, float], free: Booleans
 ) -> Floats:
     """Root of the information on the free coefficients, whatever the start was.
 

@@ -15,12 +15,10 @@ from math import comb
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.inference.identifiability import visible
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.optimal_design.information import joined
-
-Floats = NDArray[np.float64]
 
 _MOST_TRIED = 20_000  # choices that are all looked at; beyond, exchanges of one throw at a time
 _MOST_ROUNDS = 50
@@ -73,7 +71,7 @@ def by_error(field: Field, weights: Floats) -> Criterion:
     return lambda information: _trace(information, np.outer(along, along))
 
 
-def _whole(information: Floats) -> NDArray[np.bool_]:
+def _whole(information: Floats) -> Booleans:
     return np.linalg.eigvalsh(information)[..., 0] > _NONE
 
 

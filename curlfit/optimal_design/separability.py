@@ -22,10 +22,10 @@ from curlfit.optimal_design.result import Change, Proof, Separation, Way
 import jax
 import numpy as np
 from jaxtyping import Array
-from numpy.typing import NDArray
 
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import kept
 from curlfit.optimal_design.information import (
     Told,
@@ -37,8 +37,6 @@ from curlfit.optimal_design.information import (
 )
 from curlfit.optimal_design.selection import by_error, chosen, field_of
 from curlfit.stone import GRAVITY, Stone
-
-Floats = NDArray[np.float64]
 
 HIDDEN = (
     "Why (eq. 16, 25-26): the ring points at alpha and -alpha, one in front and one behind, have "
@@ -71,9 +69,7 @@ class Split:
         both values zero.
     """
 
-    def __init__(
-        self, law: type[Law], values: Floats, free: NDArray[np.bool_], pair: Sequence[str]
-    ) -> None:
+    def __init__(self, law: type[Law], values: Floats, free: Booleans, pair: Sequence[str]) -> None:
         items = law.coefficients()
         names = [item.name for item, take in zip(items, free, strict=True) if take]
         if len(pair) != 2 or pair[0] == pair[1]:

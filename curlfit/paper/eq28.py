@@ -8,19 +8,17 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import UnusableFitError
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.paper.claim import Claim, Verdict
 from curlfit.paper.kinematics import Kinematics, PathFindings
 from curlfit.paper.printed import EQ_28, EQ_28_STONE, EQ_28_UNTIL, SOLID_RHO, jensen_shegelski_throw
 from curlfit.paper.ring import SPLIT, RingFindings
 from curlfit.stone import GRAVITY, Stone
 from curlfit.throws.throw import Throw
-
-Floats = NDArray[np.float64]
 
 NAMES = ("mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")
 PRINTED: Floats = np.array([EQ_28[name] for name in NAMES])
@@ -109,7 +107,7 @@ class Uncertainty:
     nearest_mu: Floats
 
     @property
-    def covered(self) -> NDArray[np.bool_]:
+    def covered(self) -> Booleans:
         """Whether the interval of each coefficient meets the printed value within its rounding."""
         low, high = self.interval.T
         return (low <= PRINTED + HALF_DIGIT) & (high >= PRINTED - HALF_DIGIT)

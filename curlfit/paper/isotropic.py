@@ -18,14 +18,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from numpy.typing import NDArray
 
 from curlfit.friction import LAWS, LocalLaw, RingPoint, coefficient
 from curlfit.friction.isotropic import Coulomb, Power, Stribeck
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.paper.claim import Claim
 from curlfit.stone import GRAVITY, Stone
-
-Floats = NDArray[np.float64]
 
 STONE = Stone(R=0.065, h=0.057)
 _EVEN = 2 * np.pi * np.arange(16) / 16  # rad; a linear load is summed exactly there
@@ -82,7 +80,7 @@ class States(NamedTuple):
     """least coefficient of friction on the ring, against the sliding"""
 
     @property
-    def exists(self) -> NDArray[np.bool_]:
+    def exists(self) -> Booleans:
         """Where a consistent load exists."""
         return np.isfinite(self.t_xi)
 
@@ -170,7 +168,7 @@ class Tally:
     range: tuple[float, float]
 
     @classmethod
-    def of(cls, states: States, where: NDArray[np.bool_] | None = None) -> Tally:
+    def of(cls, states: States, where: Booleans | None = None) -> Tally:
         """Count the states that exist, or those of them in `where`."""
         use = states.exists if where is None else states.exists & where
         left, slow = use & (states.right < 0), use & (states.epsilon < 1)
@@ -341,7 +339,7 @@ def _leftmost(
     law: type[LocalLaw],
     states: States,
     values: Floats,
-    where: NDArray[np.bool_] | None = None,
+    where: Booleans | None = None,
 ) -> Example:
     """The state of a counter-clockwise stone that is pushed furthest to the left."""
     use = states.exists & (states.omega > 0) if where is None else states.exists & where

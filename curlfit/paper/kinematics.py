@@ -16,13 +16,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from curlfit.numerics.arrays import Floats
 from curlfit.paper.claim import Claim
 from curlfit.paper.printed import eq_12
-
-Floats = NDArray[np.float64]
 
 RADIUS = 0.065
 """Ring radius of sect. 4, m; eq. 17's 0.032 belongs to it."""

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from numpy.typing import NDArray
 
 from curlfit.friction import Load, LocalLaw
 from curlfit.friction.anisotropic import Radial
@@ -21,12 +20,11 @@ from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Floats
 from curlfit.paper.claim import Claim
 from curlfit.paper.kinematics import RADIUS, Kinematics
 from curlfit.paper.printed import first_order_motion, jensen_shegelski_throw
 from curlfit.stone import GRAVITY, Stone
-
-Floats = NDArray[np.float64]
 
 RHO = 0.1
 """Radius of gyration of sect. 4, m."""

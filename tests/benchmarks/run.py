@@ -87,7 +87,7 @@ def forward() -> None:
     import jax
     import peer_scipy
 
-    from curlfit import LAWS, Start, Stone, simulate
+    from curlfit import LAWS, InitialState, Stone, simulate
 
     t = np.linspace(0, 20, 201)
     random = np.random.default_rng(0)
@@ -103,7 +103,7 @@ def forward() -> None:
         law, stone = LAWS[name](), Stone(R=0.054)
 
         def places(v: Any, omega: Any, law: Any = law, stone: Any = stone, load: str = load) -> Any:
-            path = simulate(law, stone, Start(v=v, omega=omega), t, load=load)
+            path = simulate(law, stone, InitialState(v=v, omega=omega), t, load=load)
             return path.x, path.y, path.phi
 
         function = jax.jit(jax.vmap(places))
@@ -292,7 +292,7 @@ def roof() -> None:
     import jax
     import jax.numpy as jnp
 
-    from curlfit import LAWS, Start, Stone, simulate
+    from curlfit import LAWS, InitialState, Stone, simulate
     from curlfit.dynamics import integrator as following
     from curlfit.dynamics.contact import accelerations, crowding
 
@@ -310,7 +310,7 @@ def roof() -> None:
 
     jax.clear_caches()
     following.rates = counted
-    simulate(law, stone, Start(v=2.1, omega=1.0), t).x.block_until_ready()
+    simulate(law, stone, InitialState(v=2.1, omega=1.0), t).x.block_until_ready()
     jax.effects_barrier()
     following.rates = rates
     jax.clear_caches()
@@ -327,7 +327,7 @@ def roof() -> None:
     row("bytes a path, at least", f"{least:.3g}", "")
 
     def places(v: Any, omega: Any) -> Any:
-        path = simulate(law, stone, Start(v=v, omega=omega), t)
+        path = simulate(law, stone, InitialState(v=v, omega=omega), t)
         return path.x, path.y, path.phi
 
     function = jax.jit(jax.vmap(places))

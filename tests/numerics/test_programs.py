@@ -256,7 +256,7 @@ FIRST_USE = """
 {imports}
 law = lambda: curlfit.LAWS["coulomb"](0.01)
 def y(v):
-    start = curlfit.Start(v=v, omega=0.0)
+    start = curlfit.InitialState(v=v, omega=0.0)
     return curlfit.simulate(law(), curlfit.Stone(), start, [0.0, 10.0, 30.0]).y
 print({use})
 print(y(2.0).tolist())

@@ -11,7 +11,7 @@ from conftest import Reference, command, front_back
 from typer.testing import CliRunner
 
 import curlfit
-from curlfit import LAWS, Start, Stone
+from curlfit import LAWS, InitialState, Stone
 from curlfit.batch.fit_many import fit_throws
 from curlfit.batch.settings import Plan
 from curlfit.cli import app
@@ -119,7 +119,7 @@ def covariance_by_differences(load, v0, omega0, times, sigma):
             nodes=60,
         )  # fmt: skip
         x, y, heading, v, phi, omega = values[4:]
-        return law.path(Start(x, y, heading, v, phi, omega), times)
+        return law.path(InitialState(x, y, heading, v, phi, omega), times)
 
     columns = [
         (path(base + h * one) - path(base - h * one)) / (2 * h)
@@ -182,7 +182,7 @@ def test_a_mirrored_spin_tells_as_much():
 def test_a_record_until_rest_has_the_row_of_coming_to_rest(plain):
     for one in plain.candidates[::7]:
         path = curlfit.simulate(
-            LAW(), STONE, Start(v=one.v0, omega=one.omega0), np.array([0.0, 100.0])
+            LAW(), STONE, InitialState(v=one.v0, omega=one.omega0), np.array([0.0, 100.0])
         ).to_numpy()
         assert one.rest == pytest.approx(float(path.rest), rel=1e-6)
         assert one.distance == pytest.approx(float(np.hypot(path.x[-1], path.y[-1])), rel=1e-6)
@@ -197,7 +197,7 @@ def test_the_parts_of_a_long_record_make_the_whole():
     assert whole.rows == 601
 
     def path(values):
-        law, start = LAW(*values[:4]), Start(v=values[4], omega=values[5])
+        law, start = LAW(*values[:4]), InitialState(v=values[4], omega=values[5])
         found = curlfit.simulate(law, STONE, start, np.arange(601) / 30.0)
         return np.stack([found.x, found.y, found.phi])
 
