@@ -26,7 +26,7 @@ from jaxtyping import Array
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.compiled import kept
+from curlfit.numerics.compiled import compiled
 from curlfit.optimal_design.information import (
     Told,
     Trial,
@@ -124,7 +124,7 @@ class Split:
         return float(self.sum @ spread / (self.difference @ spread))
 
 
-@kept("law")
+@compiled("law")
 def _pull(
     law: type[Law], coefficients: Array, along: Array, stone: Stone, v: Array, omega: Array
 ) -> Any:

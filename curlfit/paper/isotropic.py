@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from curlfit.dynamics.contact import accelerations, consistent_load, panels
+from curlfit.dynamics.contact import accelerations, consistent_load
+from curlfit.dynamics.quadrature import panels
 
 # isort: split
 import jax

@@ -293,8 +293,9 @@ def roof() -> None:
     import jax.numpy as jnp
 
     from curlfit import LAWS, InitialState, Stone, simulate
-    from curlfit.dynamics import integrator as following
-    from curlfit.dynamics.contact import accelerations, crowding
+    from curlfit.dynamics import integrator
+    from curlfit.dynamics.contact import accelerations
+    from curlfit.dynamics.quadrature import node_clustering
 
     t, lanes = np.linspace(0, 20, 201), 1024 if jax.default_backend() == "cpu" else 65536
     random = np.random.default_rng(0)
@@ -302,21 +303,23 @@ def roof() -> None:
     law, stone = LAWS["front-back"](), Stone(R=0.054)
 
     calls: list[int] = []
-    rates = following.rates
+    rates = integrator.rates
 
     def counted(*given: Any) -> Any:
         jax.debug.callback(lambda: calls.append(1))
         return rates(*given)
 
     jax.clear_caches()
-    following.rates = counted
+    integrator.rates = counted
     simulate(law, stone, InitialState(v=2.1, omega=1.0), t).x.block_until_ready()
     jax.effects_barrier()
-    following.rates = rates
+    integrator.rates = rates
     jax.clear_caches()
 
     def ring(v: Any, omega: Any) -> Any:
-        return accelerations(law, stone, "uniform", v, omega, 0.0, 0.0, crowding(v, 0.054 * omega))
+        return accelerations(
+            law, stone, "uniform", v, omega, 0.0, 0.0, node_clustering(v, 0.054 * omega)
+        )
 
     cost: Any = jax.jit(ring).lower(v, omega).compile().cost_analysis()
     cost = cost[0] if isinstance(cost, list) else cost

@@ -13,7 +13,7 @@ from conftest import Reference, front_back
 
 import curlfit
 from curlfit import LAWS, InitialState, Stone, Throw, simulate
-from curlfit.dynamics import equations as steps
+from curlfit.dynamics import equations
 from curlfit.dynamics.contact import accelerations
 from curlfit.inference.likelihood import log_likelihood, predict_channels
 from curlfit.inference.problem import Origin, build_problem
@@ -57,7 +57,7 @@ def test_error_falls_with_the_fifth_power_of_the_step(monkeypatch):
     exact = Reference(front_back(*PAPER)).path(start, times)
     errors = []
     for step in (0.5, 0.25):
-        monkeypatch.setattr(steps, "STEP", step)
+        monkeypatch.setattr(equations, "STEP", step)
         jax.clear_caches()
         errors.append(np.abs(places(simulate(FRONT_BACK, STONE, start, times)) - exact).max())
     monkeypatch.undo()
