@@ -2,7 +2,7 @@
 
 With `u = R omega`, the sliding speed at polar angle `alpha` is
 `|v(A)|^2 = (v - |u|)^2 cos^2 b + (v + |u|)^2 sin^2 b`, where `b` is half the angle between the
-point and the slowest point of the ring. Near `|epsilon| = 1` the slowest point hardly slides, and
+point and the slowest point of the ring. Near `|epsilon| = 1` this point nearly stops sliding, and
 the direction of friction reverses within an angle of `d = |v - |u||/(v + |u|)`. Gauss nodes are
 placed by the sinh transform of near-singular integrals (Johnston and Elliott 2005), which resolves
 the reversal at any `d` with the same number of nodes. The rule ends where the front half meets the
@@ -61,7 +61,7 @@ class Nodes(NamedTuple):
 class NodeClustering(NamedTuple):
     """How densely the nodes lie near the slowest point of the ring.
 
-    The sum over the nodes hardly depends on their positions, so these may be computed once for
+    The sum over the nodes is insensitive to their positions, so these may be computed once for
     several similar motions, and no derivative passes through them.
     """
 

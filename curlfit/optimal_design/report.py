@@ -284,8 +284,8 @@ def _scenario(
     if scenario.steady is not None:
         text += (
             f" The sum of both must then be the same in all of them to {percent(scenario.steady)}: "
-            "such a change of the ice between throws has the same effect as the required error. The "
-            "errors of single throws, above, do not depend on it."
+            "such a change of the ice between throws has the same effect as the required error. "
+            "The errors of single throws, above, do not depend on it."
         )
     return [
         Text(

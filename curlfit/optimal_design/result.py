@@ -197,7 +197,7 @@ class LoadScenario:
     throws : indices of the optimal candidates, as many as planned; None if undetermined.
     stderr : standard error of the difference from these.
     steady : relative change of the sum of both coefficients between these throws that has the
-        same effect as the wanted error; None where no change has.
+        same effect as the required error; None where no change has.
     """
 
     load: str
@@ -218,7 +218,7 @@ class StoneChange:
     half : from the same number of ordinary throws, half with the original stone and half with the
         changed one.
     steady : relative change of the sum of both coefficients between the halves that has the same
-        effect as the wanted error of the difference.
+        effect as the required error of the difference.
     """
 
     name: str

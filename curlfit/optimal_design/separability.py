@@ -44,7 +44,7 @@ HIDDEN = (
     "under uniform load the same weight. So int v_eta/|v| dalpha (in T_eta) and "
     "int xi v_eta/|v| dalpha (in M) are equal over both halves, whatever v and omega are, and "
     "stand before mu1_eta + mu2_eta alone; T_xi has neither. The motion is the same for every "
-    "pair of that sum, and no precision, no number of throws and no R, rho or h changes this"
+    "division of that sum, and no precision, no number of throws and no R, rho or h changes this"
 )
 _STATES = 400
 _SLOWEST, _FASTEST, _MAX_SPIN = 0.01, 4.0, 60.0  # m/s, m/s, rad/s of the random states
@@ -106,9 +106,9 @@ class CoefficientPair:
                 "can be relative to them"
             )
 
-    def tolerated_change(self, factors: Sequence[Floats], wanted: float) -> float | None:
-        """Relative change of the sum between throws that has the same effect as the wanted error of
-        the difference; None where no change has."""
+    def tolerated_change(self, factors: Sequence[Floats], required: float) -> float | None:
+        """Relative change of the sum between throws with the same effect as the required error of
+        the difference; None where no change has it."""
         ratios = [self._compensation(factor) for factor in factors]
         determined = [one for one in ratios if one is not None]
         if len(determined) < len(ratios):
@@ -116,7 +116,7 @@ class CoefficientPair:
         spread = max(determined) - min(determined)
         if spread < _EQUAL_RATIOS * max(map(abs, determined)):
             return None
-        return spread * wanted * self.size / abs(self.total)
+        return spread * required * self.size / abs(self.total)
 
     def _compensation(self, factor: Floats) -> float | None:
         """Change of the sum that compensates a unit difference; None if it is undetermined."""
@@ -181,7 +181,7 @@ def analyse_separation(
     candidates: Sequence[PlannedThrow],
     throws: int,
     sigma: Mapping[str, float],
-    wanted: float,
+    required: float,
     record: Mapping[str, Any],
     by_load: dict[str, list[RecordInformation]],
     progress: Callable[[str], None],
@@ -191,7 +191,7 @@ def analyse_separation(
     Parameters
     ----------
     candidates, throws : candidates, and number of throws.
-    wanted : relative error.
+    required : relative error.
     record : `until` and `channels` of `record_information`.
     by_load : information of the candidates under the loads already computed.
     progress : called with the current step.
@@ -216,7 +216,7 @@ def analyse_separation(
     for load in loads:
         progress(f"the candidates under {load} load")
         own[load] = factors(load, candidates, by_load.get(load))
-        scenarios.append(_load_scenario(pair, load, own[load], throws, wanted))
+        scenarios.append(_load_scenario(pair, load, own[load], throws, required))
     ordinary = min(
         range(len(candidates)),
         key=lambda index: (
@@ -245,14 +245,14 @@ def analyse_separation(
                 value,
                 standard_error(combined(found), pair.difference),
                 standard_error(combined(both) * math.sqrt(throws / 2), pair.difference),
-                pair.tolerated_change(both, wanted),
+                pair.tolerated_change(both, required),
             )
         )
     return Separation(
         pair=pair.names,
         size=pair.size,
         of=pair.of,
-        wanted=wanted,
+        wanted=required,
         proof=proof,
         ways=tuple(scenarios),
         ordinary=ordinary,
@@ -261,7 +261,7 @@ def analyse_separation(
 
 
 def _load_scenario(
-    pair: CoefficientPair, load: Load, factors: Sequence[Floats], throws: int, wanted: float
+    pair: CoefficientPair, load: Load, factors: Sequence[Floats], throws: int, required: float
 ) -> LoadScenario:
     each = tuple(standard_error(factor, pair.difference) for factor in factors)
     best = None
@@ -276,5 +276,5 @@ def _load_scenario(
         each,
         best,
         standard_error(combined(made), pair.difference),
-        pair.tolerated_change(made, wanted),
+        pair.tolerated_change(made, required),
     )

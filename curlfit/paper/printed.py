@@ -1,4 +1,4 @@
-"""The paper of Ivanov and Shuvalov (2012): its trajectory, its result, its first-order model.
+"""Printed results of Ivanov and Shuvalov (2012): trajectory, coefficients, first-order model.
 
 A. P. Ivanov, N. D. Shuvalov, "Friction in curling game"; equation numbers are theirs.
 """
@@ -22,17 +22,17 @@ EQ_28 = {"mu1_xi": 0.0018, "mu2_xi": 0.058, "mu1_eta + mu2_eta": 0.018}
 """Coefficients of the front-back law as printed in eq. 28."""
 
 EQ_28_STONE = Stone(R=0.054, rho=0.1)
-"""The ring radius the paper gives for eq. 28 and its radius of gyration."""
+"""Ring radius of eq. 28 and radius of gyration as printed."""
 
 SOLID_RHO = 0.1025
 """Radius of gyration of a solid cylinder of 29 cm diameter, 0.145 m/sqrt(2), m."""
 
 EQ_28_UNTIL = 20.0
-"""End of the time window, s, on which the paper uses eq. 12."""
+"""End of the time window of eq. 12 in the paper, s."""
 
 
 class Configuration(NamedTuple):
-    """Place and angle over time: x, y in m, phi in rad."""
+    """Position and angle as functions of time: x, y in m, phi in rad."""
 
     x: Any
     y: Any
@@ -55,7 +55,7 @@ def eq_12(t: Any) -> Configuration:
 
 
 def jensen_shegelski_throw() -> Throw:
-    """Eq. 12 each 0.1 s on 0..22.9 s, with the settings of sect. 4 and eq. 28 beside it."""
+    """Eq. 12 every 0.1 s on 0..22.9 s, with the settings of sect. 4 and eq. 28 as reference."""
     t = np.arange(230) / 10
     return Throw.from_arrays(
         t,

@@ -1,4 +1,4 @@
-"""What throws are expected to tell: against fits, finite differences and known best choices."""
+"""Expected errors and optimal designs: against fits, finite differences and known optima."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from curlfit.optimal_design.selection import (
     d_criterion,
     select_design,
 )
-from curlfit.optimal_design.separability import CoefficientPair, proof
+from curlfit.optimal_design.separability import CoefficientPair, prove_unidentifiable
 
 LAW = LAWS["front-back"]
 STONE = Stone()
@@ -44,12 +44,12 @@ SUM = "mu1_eta + mu2_eta"
 DIFFERENCE = np.array([0.0, 0.0, 0.01, -0.01])  # by typical sizes
 
 
-def root_of(trials, load="uniform", until=None, sigma=NOISE):
+def factor_of(throws, load="uniform", until=None, sigma=NOISE):
     """Of the information of some throws together."""
     return combined(
         [
             coefficient_information(LAW, one, sigma, FREE)
-            for one in record_information(LAW, load, TRUE, trials, until=until)
+            for one in record_information(LAW, load, TRUE, throws, until=until)
         ]
     )
 
@@ -102,22 +102,24 @@ def test_what_is_not_measured_is_as_in_a_fit(channels):
     )  # fmt: skip
     fit = curlfit.fit(blind)
     names, covariance = fit.covariance["names"], np.array(fit.covariance["matrix"])
-    root = root_of([PlannedThrow(2.0, 1.5, 10.0, STONE)], until=20.0, sigma=sigma)
+    factor = factor_of([PlannedThrow(2.0, 1.5, 10.0, STONE)], until=20.0, sigma=sigma)
     weights = np.array([float(name in ("mu1_eta", "mu2_eta")) for name in names])
     expected = np.sqrt(weights @ covariance @ weights)
-    assert standard_error(root, np.array([0, 0, 0.01, 0.01])) == pytest.approx(expected, rel=1e-6)
+    assert standard_error(factor, np.array([0, 0, 0.01, 0.01])) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.slow
 def test_several_throws_are_as_in_a_joint_fit():
     starts = [(2.0, 1.5), (1.8, -3.0)]
     joint = curlfit.fit_together([throw_of(*start) for start in starts])
-    root = root_of([PlannedThrow(*start, 10.0, STONE) for start in starts], until=20.0)
+    factor = factor_of([PlannedThrow(*start, 10.0, STONE) for start in starts], until=20.0)
     for name, weights in {"mu1_xi": [0.01, 0, 0, 0], "mu2_xi": [0, 0.01, 0, 0]}.items():
-        expected = standard_error(root, np.array(weights))
+        expected = standard_error(factor, np.array(weights))
         assert joint.coefficients[name].stderr == pytest.approx(expected, rel=1e-6)
     (one,) = joint.combinations
-    assert one.stderr == pytest.approx(standard_error(root, np.array([0, 0, 0.01, 0.01])), rel=1e-6)
+    assert one.stderr == pytest.approx(
+        standard_error(factor, np.array([0, 0, 0.01, 0.01])), rel=1e-6
+    )
 
 
 def covariance_by_differences(load, v0, omega0, times, sigma):
@@ -155,14 +157,14 @@ def test_information_is_that_of_finite_differences(load, omega0, tolerance):
     # the whole matrix inverted: no Schur complement, no QR of parts
     scale = np.linalg.norm(jacobian, axis=0)
     covariance = np.linalg.inv((jacobian / scale).T @ (jacobian / scale)) / np.outer(scale, scale)
-    root = root_of([PlannedThrow(2.0, omega0, 10.0, STONE)], load, until=12.0)
+    factor = factor_of([PlannedThrow(2.0, omega0, 10.0, STONE)], load, until=12.0)
     full = {"mu1_xi": [1, 0, 0, 0], "mu2_xi": [0, 1, 0, 0], "sum": [0, 0, 1, 1],
             "difference": [0, 0, 1, -1]}  # fmt: skip
     for name, vector in weights.items():
         # where only the sum enters, the column of mu1_eta is that of the sum
         k = len(vector)
         expected = np.sqrt(np.array(vector) @ covariance[:k, :k] @ np.array(vector))
-        found = standard_error(root, 0.01 * np.array(full[name]))
+        found = standard_error(factor, 0.01 * np.array(full[name]))
         assert found == pytest.approx(expected, rel=tolerance), name
 
 
@@ -182,12 +184,12 @@ def test_errors_go_with_the_noise(single):
 
 
 def test_a_mirrored_spin_tells_as_much():
-    trials = [PlannedThrow(2.0, sense * 3.0, 10.0, STONE) for sense in (1, -1)]
+    throws = [PlannedThrow(2.0, sense * 3.0, 10.0, STONE) for sense in (1, -1)]
     for load in ("uniform", "consistent"):
-        left, right = (np.linalg.inv(root_of([trial], load)[:2, :2]) for trial in trials)
+        left, right = (np.linalg.inv(factor_of([throw], load)[:2, :2]) for throw in throws)
         np.testing.assert_allclose(np.abs(left), np.abs(right), rtol=1e-6)
         if load == "consistent":
-            errors = [standard_error(root_of([trial], load), DIFFERENCE) for trial in trials]
+            errors = [standard_error(factor_of([throw], load), DIFFERENCE) for throw in throws]
             assert errors[0] == pytest.approx(errors[1], rel=1e-5)
 
 
@@ -204,8 +206,8 @@ def test_a_record_until_rest_has_the_row_of_coming_to_rest(plain):
 
 def test_the_parts_of_a_long_record_make_the_whole():
     """601 rows, in three parts: the rows at whole multiples, and those between."""
-    trial = PlannedThrow(2.0, 1.5, 30.0, STONE)
-    (whole,) = record_information(LAW, "uniform", TRUE, [trial], until=20.0)
+    throw = PlannedThrow(2.0, 1.5, 30.0, STONE)
+    (whole,) = record_information(LAW, "uniform", TRUE, [throw], until=20.0)
     assert whole.rows == 601
 
     def path(values):
@@ -218,7 +220,7 @@ def test_the_parts_of_a_long_record_make_the_whole():
         step = 1e-5 * np.eye(6)[place]
         slope = (path(base + step) - path(base - step)) / 2e-5
         slope *= 0.01 if place < 4 else 1.0
-        information = np.einsum("cij,cik->cjk", whole.roots, whole.roots)
+        information = np.einsum("cij,cik->cjk", whole.factors, whole.factors)
         np.testing.assert_allclose(information[:, column, column], (slope**2).sum(1), rtol=1e-5)
 
 
@@ -270,9 +272,9 @@ def test_the_best_of_the_plan_is_the_best_of_all_choices(plain):
     assert len(plain.candidates) == 15
     assert plain.rank == 3
     assert plain.free == 4
-    roots = [root_of([PlannedThrow(c.v0, c.omega0, c.rate, STONE)]) for c in plain.candidates]
+    factors = [factor_of([PlannedThrow(c.v0, c.omega0, c.rate, STONE)]) for c in plain.candidates]
     sums = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 0.5], [0, 0, 0.5]])
-    information = np.stack([(one @ sums).T @ (one @ sums) for one in roots])
+    information = np.stack([(one @ sums).T @ (one @ sums) for one in factors])
     best = max(
         ((a, b, c) for a in range(15) for b in range(a, 15) for c in range(b, 15)),
         key=lambda places: np.linalg.det(information[list(places)].sum(0)),
@@ -282,10 +284,11 @@ def test_the_best_of_the_plan_is_the_best_of_all_choices(plain):
 
 def test_both_criteria_are_the_best_of_all_choices():
     found = design(load="consistent", v0=[2.0], rate=10, throws=2)
-    roots = [
-        root_of([PlannedThrow(2.0, c.omega0, 10.0, STONE)], "consistent") for c in found.candidates
+    factors = [
+        factor_of([PlannedThrow(2.0, c.omega0, 10.0, STONE)], "consistent")
+        for c in found.candidates
     ]
-    information = np.stack([root.T @ root for root in roots])
+    information = np.stack([factor.T @ factor for factor in factors])
     pairs = [(a, b) for a in range(5) for b in range(a, 5)]
     total = {pair: information[list(pair)].sum(0) for pair in pairs}
     volume = max(pairs, key=lambda pair: np.linalg.slogdet(total[pair])[1])
@@ -327,8 +330,8 @@ def test_the_proof_is_rounding_and_nothing_else(plain):
 
 def test_the_proof_does_not_hold_for_others():
     split = CoefficientPair(LAW, TRUE, FREE, ("mu1_xi", "mu2_xi"))
-    roots = [root_of([PlannedThrow(2.0, 1.5, 10.0, STONE)])]
-    found = proof(split, STONE, roots)
+    factors = [factor_of([PlannedThrow(2.0, 1.5, 10.0, STONE)])]
+    found = prove_unidentifiable(split, STONE, factors)
     assert not found.hidden
     assert found.because == ""
     assert max(found.by_difference) > 0.1
@@ -370,8 +373,8 @@ def test_under_consistent_load_they_separate(plain):
         assert errors[0] > 400 * errors[-1]
     assert way.stderr < min(way.each) / np.sqrt(3)  # no worse than three of the best
     made = [plain.candidates[place] for place in way.throws]
-    root = root_of([PlannedThrow(c.v0, c.omega0, c.rate, STONE) for c in made], "consistent")
-    assert way.stderr == pytest.approx(standard_error(root, DIFFERENCE), rel=1e-6)
+    factor = factor_of([PlannedThrow(c.v0, c.omega0, c.rate, STONE) for c in made], "consistent")
+    assert way.stderr == pytest.approx(standard_error(factor, DIFFERENCE), rel=1e-6)
 
 
 def test_with_the_noise_that_is_asked_for_the_error_is_the_one_wanted(plain):
@@ -379,9 +382,9 @@ def test_with_the_noise_that_is_asked_for_the_error_is_the_one_wanted(plain):
     place = [(c.v0, c.omega0) for c in plain.candidates].index((2.2, 1.0))
     factor = plain.separation.noise_factor(way.each[place])
     assert 1e-4 < factor < 1e-2  # some micrometres
-    trial = PlannedThrow(2.2, 1.0, 30.0, STONE)
+    throw = PlannedThrow(2.2, 1.0, 30.0, STONE)
     sigma = {name: factor * value for name, value in NOISE.items()}
-    finer = standard_error(root_of([trial], "consistent", sigma=sigma), DIFFERENCE)
+    finer = standard_error(factor_of([throw], "consistent", sigma=sigma), DIFFERENCE)
     assert finer == pytest.approx(0.2 * 0.009, rel=1e-9)
     needed = plain.separation.throws_needed(way.each[place], 1)
     assert way.each[place] / np.sqrt(needed) == pytest.approx(0.2 * 0.009, rel=1e-9)
@@ -393,8 +396,8 @@ def test_half_of_the_throws_with_another_stone(plain):
     for change in plain.separation.changes:
         stones = [STONE, STONE.with_values({change.name: change.value})]
         # two of these throws, of which the three planned are one and a half times as many
-        trials = [PlannedThrow(1.9, 1.0, 30.0, stone) for stone in stones]
-        expected = standard_error(root_of(trials, "consistent"), DIFFERENCE) / np.sqrt(1.5)
+        throws = [PlannedThrow(1.9, 1.0, 30.0, stone) for stone in stones]
+        expected = standard_error(factor_of(throws, "consistent"), DIFFERENCE) / np.sqrt(1.5)
         assert change.half == pytest.approx(expected, rel=1e-4)
 
 
