@@ -183,7 +183,7 @@ def design(
 
 
 class _DesignModel:
-    """The coefficients and the noise, and what factors of information progress of them."""
+    """Coefficients and noise, and the analysis of information factors for them."""
 
     def __init__(
         self, law: type[Law], values: Floats, free: Booleans, sigma: dict[str, float]

@@ -77,7 +77,7 @@ def rounds_to_print(mu: Floats) -> Any:
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Posterior of eq. 28 when R and rho posterior within their printed rounding.
+    """Posterior of eq. 28 when R and rho vary within their printed rounding.
 
     Attributes
     ----------
@@ -223,7 +223,7 @@ def _stone_posterior(
 ) -> _StonePosterior:
     result = _fitted(throw, radius, rho)
     names = result.information["names"]
-    # mu1_eta and mu2_eta enter by their sum alone: one column in index of two.
+    # Only the sum of mu1_eta and mu2_eta enters: one column in place of two.
     columns = [name for name in names if name != "mu2_eta"]
     basis = np.zeros((len(names), len(columns)))
     for index, name in enumerate(names):
@@ -247,9 +247,9 @@ def marginalize_stone(throw: Throw, central: FitResult, seed: int = 1) -> Uncert
     At a given stone the posterior of all other parameters is Gaussian about its own fit (the
     noise, estimated once, is small beside every scale of the model). Its mean, covariance,
     chi-squared and volume are smooth in (R, rho): fits at 5 x 5 Chebyshev nodes are interpolated.
-    Stones are drawn equal_weights, weighted by their marginal likelihood (volume times
-    exp(-chi-squared/2)), and coefficients drawn for each; those with a negative one are left
-    out, which is the flat prior on mu >= 0.
+    Stones are drawn uniformly, weighted by their marginal likelihood (volume times
+    exp(-chi-squared/2)), and coefficients drawn for each; draws with a negative coefficient
+    are rejected, by the flat prior on mu >= 0.
     """
     sigma = central.sigma
     known = throw.with_sigma(dict(sigma))

@@ -303,7 +303,7 @@ def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
             "prop1",
             "T, M_N, k are a right triple; |M_N| = h |T|",
             "for any friction law",
-            f"|cos(T, M_N)| <= {found.orthogonality:.0e}, right-handedness in all of "
+            f"|cos(T, M_N)| <= {found.orthogonality:.0e}, right-handed in all of "
             f"{found.triple_states} states of {found.laws} laws; |M_N|/(h |T|) = 1 within "
             f"{found.arm:.0e}",
             "holds" if prop1_holds else "does not hold",
