@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from curlfit.comparison.report import print_comparison
     from curlfit.comparison.result import Comparison, load_comparison
     from curlfit.dynamics.aim import Aim, aim
-    from curlfit.dynamics.trajectory import Path, Start, simulate
+    from curlfit.dynamics.trajectory import InitialState, Trajectory, simulate
     from curlfit.errors import CurlfitError, DataError, InputError, UnusableFitError
     from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, coefficient, find_law
     from curlfit.inference.figures import corner_figure, fit_figure, joint_figure
@@ -81,7 +81,7 @@ _HOMES = {
     "inference.fit.fit": ("fit",),
     "friction": ("LAWS", "Law", "LocalLaw", "NetLaw", "coefficient", "find_law"),
     "inference.joint.result": ("JointResult", "load_joint"),
-    "dynamics.trajectory": ("Path", "Start", "simulate"),
+    "dynamics.trajectory": ("InitialState", "Trajectory", "simulate"),
     "optimal_design.design": ("design",),
     "optimal_design.result": ("Design", "load_design"),
     "prediction.predict": ("held_out", "predict"),
@@ -113,7 +113,7 @@ __all__ = [  # noqa: RUF022  (in the order of use)
     "held_out", "aim", "Aim",
     "design", "Design", "print_design", "design_figures", "load_design",
     "profile", "Profile", "PairProfile", "print_profile", "profile_figure", "load_profile",
-    "Stone", "Start", "Path", "simulate", "synthetic_throw",
+    "Stone", "InitialState", "Trajectory", "simulate", "synthetic_throw",
     "reproduce", "Reproduction", "Claim",
     "LAWS", "law_with", "find_law", "Law", "LocalLaw", "NetLaw", "coefficient",
     "CurlfitError", "InputError", "DataError", "UnusableFitError",

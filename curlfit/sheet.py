@@ -1,11 +1,11 @@
-"""The sheet of ice: where its lines and circles lie.
+"""Positions of the lines and circles of the sheet.
 
 Dimensions of The Rules of Curling of World Curling (rule R1), which gives both feet and metres:
 114 ft from tee to tee, 12 ft from tee to hack, 21 ft from tee to hog line, 6 ft from tee to back
 line; circles of 6, 4, 2 and 1/2 ft radius; 146 to 150 ft long, at most 16 ft 5 in wide.
 
-Along the sheet everything counts from the hack that the stone is thrown from, across it from the
-centre line, to the right.
+Distances along the sheet are from the hack of the thrower, across it from the centre line, to the
+right.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CIRCLES = (1.829, 1.219, 0.610, 0.152)
 """Outer radii of the circles of the house in m, from the twelve-foot circle to the button."""
 HOUSE = CIRCLES[0]
 STONE_RADIUS = 0.145
-"""Of the whole stone, m; its circumference is at most 36 in (0.914 m)."""
+"""Outer radius of the stone, m; its circumference is at most 36 in (0.914 m)."""
 
 LINES = {
     "hack": 0.0,
@@ -35,8 +35,8 @@ LINES = {
     "far-hog": TEE_TO_HACK + TEE_TO_TEE - TEE_TO_HOG,
     "far-tee": TEE_TO_HACK + TEE_TO_TEE,
 }
-"""y of the lines, in m from the hack that the stone is thrown from."""
+"""y of the lines, in m from the hack of the thrower."""
 TEE = LINES["far-tee"]
-"""y of the tee that is thrown at."""
+"""y of the target tee."""
 END = TEE + TEE_TO_BACK + STONE_RADIUS
-"""y from which a stone lies past the back line altogether, and is out of play."""
+"""y beyond which a stone is completely past the back line, and out of play."""

@@ -1,4 +1,4 @@
-"""The stone: what the equations of motion need to know of it, and nothing else."""
+"""Properties of the stone that enter the equations of motion."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Stone:
 
     Attributes
     ----------
-    m : mass in kg. It cancels from the motion and scales forces only.
+    m : mass in kg; it cancels from the motion and scales forces only.
     R : radius of the contact ring in m. Ivanov and Shuvalov (2012) use 0.0625, 0.065 and
-        0.054 m in one paper, so it is an input, never a constant.
+        0.054 m in one paper, so it is an input.
     rho : radius of gyration about the vertical axis in m (0.1 m in the paper; 0.1025 m for a
         solid cylinder of 29 cm diameter).
     h : height of the centre of mass above the ice in m, used by the consistent load (eq. 8-9).

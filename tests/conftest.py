@@ -104,7 +104,7 @@ Rates = Callable[[float, float, float, float], Sequence[float]]
 
 
 def follow(
-    start: curlfit.Start,
+    start: curlfit.InitialState,
     times: np.ndarray,
     phases: Sequence[tuple[Rates, Callable[[float, float], float] | None]],
     inertia: float | None,
@@ -212,7 +212,7 @@ class Reference:
                 return tilt
         raise AssertionError("the load does not settle")
 
-    def path(self, start: curlfit.Start, times: np.ndarray) -> np.ndarray:
+    def path(self, start: curlfit.InitialState, times: np.ndarray) -> np.ndarray:
         """x, y, phi at the times, shape (3, n); held after rest."""
 
         def accelerations(v: float, omega: float, turned: float, time: float) -> Sequence[float]:

@@ -10,7 +10,7 @@ from curlfit.batch.settings import QUANTILES, BatchSettings, columns
 from curlfit.errors import CurlfitError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
-from curlfit.numerics.compiled import unswept
+from curlfit.numerics.compiled import gc_paused
 from curlfit.throws.readers import Part, load_throws
 from curlfit.throws.throw import Throw
 
@@ -42,7 +42,7 @@ def fit_files(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list
     return rows
 
 
-@unswept()
+@gc_paused()
 def _read(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list[tuple[str, Part]]:
     """Every throw in the files, beside the name of its file."""
     found = []

@@ -25,7 +25,8 @@ from itertools import product
 from typing import Any
 
 from curlfit.comparison.result import PLACE, Candidate, Comparison
-from curlfit.dynamics.contact import accelerations, panels
+from curlfit.dynamics.contact import accelerations
+from curlfit.dynamics.quadrature import panels
 
 # isort: split
 import jax

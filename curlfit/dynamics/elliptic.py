@@ -1,10 +1,10 @@
 """Sums over the ring in closed form, for friction that is linear in the direction of sliding.
 
 Under such a law, `t = -n M v/|v|` with a constant tensor M on each half of the ring (front-back,
-tensor, Coulomb's), the ring acts through a dozen means of the direction of sliding. In units of
-the larger of the two speeds `v` and `|u| = R |omega|`, with `q` the smaller one and `c` the cosine
-of the angle from the fastest point, the sliding speed is `rho = sqrt(1 + q^2 + 2 q c)`. Over a half
-ring
+tensor, Coulomb's), the force of the ring follows from twelve means of the direction of sliding. In
+units of the larger of the two speeds `v` and `|u| = R |omega|`, with `q` the smaller one and `c`
+the cosine of the angle from the fastest point, the sliding speed is `rho = sqrt(1 + q^2 + 2 q c)`.
+Over a half ring
 
 - means odd in `eta` are integrals of polynomials of c over rho, and `1/rho = sum (-q)^n P_n(c)` is
   the generating function of Legendre's polynomials (DLMF 18.12.11);
@@ -23,9 +23,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-_ROUNDS = 5  # of the arithmetic-geometric mean: to the last digits for m1 above the least
-_LEAST = 1e-10  # least 1 - q^2: what is lost in the kink at |epsilon| = 1 is 1e-9 of the force
-_SMALL = 1e-5  # m below which the slope of G is taken from its series
+_AGM_ITERATIONS = 5  # of the arithmetic-geometric mean: to rounding for m1 >= _MIN_M1
+_MIN_M1 = 1e-10  # 1 - q^2: an error of 1e-9 of the force at |epsilon| = 1
+_SMALL_M = 1e-5  # m below which dG/dm is taken from its series
 
 
 class _Complete(NamedTuple):
@@ -43,16 +43,16 @@ class _Complete(NamedTuple):
 
 @jax.custom_jvp
 def _complete(m: Array, m1: Array) -> _Complete:
-    """At m in [0, 1) and m1 = 1 - m, which is better known where it is small."""
+    """At m in [0, 1) and m1 = 1 - m, given separately to avoid cancellation."""
     a, b = jnp.ones_like(m), jnp.sqrt(m1)
     first = 1 / (2 * (a + b))  # c_1/m
     total, power = jnp.zeros_like(m), 2.0
-    for _ in range(_ROUNDS):
+    for _ in range(_AGM_ITERATIONS):
         a, b = (a + b) / 2, jnp.sqrt(a * b)
         power *= 2
         total += power * ((a - b) / 2) ** 2
     K = jnp.pi / (a + b)  # DLMF 19.8.5
-    # From DLMF 19.8.6; the first term of the sum has the digits that small m asks for.
+    # From DLMF 19.8.6; the first term of the sum is accurate for small m.
     over_m = 2 * m * first**2 + total / jnp.maximum(m, 1e-30)
     D, B = K * (1 + over_m) / 2, K * (1 - over_m) / 2
     G = K * (2 * first**2 + total / jnp.maximum(m, 1e-30) ** 2)
@@ -62,14 +62,14 @@ def _complete(m: Array, m1: Array) -> _Complete:
 @_complete.defjvp
 def _(inputs: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Any, Any]:
     m, m1 = inputs
-    found = _complete(m, m1)
-    D, G = found.D, found.G
+    integrals = _complete(m, m1)
+    D, G = integrals.D, integrals.G
     # From DLMF 19.4.1-2.
-    small = m < _SMALL
-    curved = (D - 4 * G + 3 * m * G) / (2 * jnp.where(small, 1.0, m) * m1)
-    dG = jnp.where(small, jnp.pi / 16 * (3 / 4 + 75 / 64 * m), curved)
+    small = m < _SMALL_M
+    slope = (D - 4 * G + 3 * m * G) / (2 * jnp.where(small, 1.0, m) * m1)
+    dG = jnp.where(small, jnp.pi / 16 * (3 / 4 + 75 / 64 * m), slope)
     slopes = (G / 2, -(D + G) / 2, (D - G) / (2 * m1), dG)
-    return found, _Complete(*(slope * tangents[0] for slope in slopes))
+    return integrals, _Complete(*(slope * tangents[0] for slope in slopes))
 
 
 class Means(NamedTuple):
@@ -87,7 +87,7 @@ class Means(NamedTuple):
     eta_eta: Array
 
     def loaded(self, p: Any, q: Any) -> Means:
-        """Means under the load 1 + p xi + q eta, as far as `self` tells them."""
+        """Means under the load 1 + p xi + q eta, of 1, xi and eta."""
         return self._replace(
             one=self.one + p * self.xi + q * self.eta,
             xi=self.xi + p * self.xi_xi + q * self.xi_eta,
@@ -95,7 +95,7 @@ class Means(NamedTuple):
         )
 
 
-def directions(v: Array, u: Array) -> tuple[Means, Means]:
+def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:
     """Means of the directions of sliding, to the right and forward, on the front half.
 
     `v >= 0` is the speed of the centre and `u = R omega`, of any shape. To the right those of 1,
@@ -103,30 +103,30 @@ def directions(v: Array, u: Array) -> tuple[Means, Means]:
     """
     s = jnp.where(u >= 0, 1.0, -1.0)
     au = s * u
-    swift = v >= au
-    large, little = jnp.where(swift, v, au), jnp.where(swift, au, v)
-    moving = large > 0
-    scale = jnp.where(moving, 1 / jnp.where(moving, large, 1.0), 0.0)
-    q = little * scale
+    translating = v >= au
+    larger, smaller = jnp.where(translating, v, au), jnp.where(translating, au, v)
+    moving = larger > 0
+    scale = jnp.where(moving, 1 / jnp.where(moving, larger, 1.0), 0.0)
+    q = smaller * scale
     V, U = v * scale, au * scale
     m = q * q
-    m1 = jnp.maximum((1 - q) * (1 + q), _LEAST)
-    share = jnp.where(moving, 1 / jnp.pi, 0.0)
-    B, H, D, G = (share * part for part in _complete(m, m1))
+    m1 = jnp.maximum((1 - q) * (1 + q), _MIN_M1)
+    factor = jnp.where(moving, 1 / jnp.pi, 0.0)
+    B, H, D, G = (factor * part for part in _complete(m, m1))
     # Of 1, c, c^2 over rho, odd in eta.
     odd_1, odd_c, odd_cc = (part * (1 / jnp.pi) for part in (1.0, q * (-1 / 3), 1 / 3 + 2 / 15 * m))
     # Of c^2, c^3 and (1 - c^2) c over rho, even in eta.
     cc = (B + (2 + m) * D) * (1 / 3)
     c_ss = q * ((1 + m) * (G + 2 * D) * (1 / 15) - 2 / 5 * D)
     ccc = -q * D - c_ss
-    ahead = jnp.where(swift, B + H, q * B)
+    forward_one = jnp.where(translating, B + H, q * B)
     forward = Means(
-        one=ahead,
-        xi=s * jnp.where(swift, q * (B - H), B + 2 * H) * (1 / 3),
+        one=forward_one,
+        xi=s * jnp.where(translating, q * (B - H), B + 2 * H) * (1 / 3),
         eta=V * odd_1 + U * odd_c,
         xi_xi=V * cc + U * ccc,
         xi_eta=s * (V * odd_c + U * odd_cc),
-        eta_eta=ahead - V * cc - U * ccc,
+        eta_eta=forward_one - V * cc - U * ccc,
     )
     right = Means(
         one=-s * U * odd_1,
@@ -140,11 +140,11 @@ def directions(v: Array, u: Array) -> tuple[Means, Means]:
 
 
 def on_half(right: Means, forward: Means, front: float) -> tuple[Means, Means]:
-    """The same on the front half (1.0) or the back half (0.0)."""
+    """The means on the front half (1.0) or the back half (0.0)."""
     odd = 2 * front - 1
-    signs = (odd, odd, 1.0, odd, 1.0, odd)
-    others = (1.0, 1.0, odd, 1.0, odd, 1.0)
+    right_signs = (odd, odd, 1.0, odd, 1.0, odd)
+    forward_signs = (1.0, 1.0, odd, 1.0, odd, 1.0)
     return (
-        Means(*(sign * mean for sign, mean in zip(signs, right, strict=True))),
-        Means(*(sign * mean for sign, mean in zip(others, forward, strict=True))),
+        Means(*(sign * mean for sign, mean in zip(right_signs, right, strict=True))),
+        Means(*(sign * mean for sign, mean in zip(forward_signs, forward, strict=True))),
     )

@@ -1,21 +1,20 @@
-"""Throws followed side by side, one a lane, with their derivatives.
+"""Integration of throws in a batch, with their derivatives.
 
-Method. The fifth-order formula of Dormand and Prince (1980), in steps whose lengths the motion
-itself names (see `steps.py`). Nothing is rejected and repeated, so stones run in lockstep, and
-derivatives are those of a fixed smooth map. The rows asked for are filled in as the stones pass
-them.
+Method. The fifth-order formula of Dormand and Prince (1980), with the step sizes of `equations`. No
+step is rejected, so all throws of a batch advance together, and derivatives are those of a fixed
+smooth map. The requested rows are interpolated as the stones pass them.
 
-A throw has some ten inputs. Its derivatives by them are carried along with it, as directions that
-stand before the lanes, so that the Jacobian costs some ten paths and nothing need be stored to be
-run backwards; both directions of JAX's differentiation are made from it.
+A throw has about ten inputs. Its derivatives with respect to these are integrated beside it as
+tangents, on an axis before the batch: the Jacobian costs about ten trajectories and nothing is
+stored for a reverse pass; both modes of JAX's differentiation are defined by it.
 
 Why not a general solver: diffrax with adaptive steps takes several times as long for the same
-accuracy, its run-time checks keep compiled programs out of the cache, and coming to rest needs an
-event whose derivative is delicate. It serves the tests as an independent oracle instead.
+accuracy, its run-time checks keep compiled programs out of the cache, and the derivative of the
+rest event is delicate. The tests use it as an independent reference.
 
-For speed as XLA compiles it: arrays are joined by writing rows into a larger one, since a `stack`
-is computed element by element; and what is used more than once passes the border of a loop or
-comes of a product of matrices, or it would be computed anew for each use.
+For speed under XLA, arrays are joined by writing rows into a larger one, since a `stack` is
+computed element by element; and what is used more than once crosses the boundary of a loop or is
+the result of a matrix product, or it would be recomputed for each use.
 """
 
 from __future__ import annotations
@@ -24,19 +23,19 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-from curlfit.dynamics.contact import crowding
 from curlfit.dynamics.equations import (
-    Course,
-    Moving,
+    HeadingFrame,
     State,
+    StepState,
     at_rest,
-    bend,
-    quintic,
+    extrapolated_rest,
+    quintic_interpolant,
     rates,
-    resting,
-    rounds,
+    second_derivatives,
     step_size,
+    turning_limit,
 )
+from curlfit.dynamics.quadrature import node_clustering
 
 # isort: split
 import jax
@@ -49,13 +48,13 @@ from jaxtyping import Array
 from curlfit.friction import Law, Load, NetLaw
 from curlfit.stone import Stone
 
-_MOST_STEPS = 32_000
-_WINDOW = 8  # rows that are filled in together
+_MAX_STEPS = 32_000
+_WINDOW = 8  # rows that are interpolated together
 
 # Dormand and Prince (1980), RK5(4)7M. The last row is the fifth-order formula itself, so that its
-# slope is the first slope of the next step.
+# derivative is the first one of the next step.
 _TABLEAU = np.zeros((6, 7))
-for _stage, _row in enumerate(
+for _stage, _weights in enumerate(
     (
         (1 / 5,),
         (3 / 40, 9 / 40),
@@ -65,282 +64,291 @@ for _stage, _row in enumerate(
         (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
     )
 ):
-    _TABLEAU[_stage, : len(_row)] = _row
+    _TABLEAU[_stage, : len(_weights)] = _weights
 _STAGES = len(_TABLEAU)
 
-Motion = tuple[tuple[Array, ...], Array]
-"""x, y, phi, and vx, vy, omega where they are wanted, at given times; the time of coming to rest"""
+Solution = tuple[tuple[Array, ...], Array]
+"""x, y, phi, and vx, vy, omega if requested, at the given times; the time of rest"""
 
 
-class _Both(NamedTuple):
-    """A value and its derivatives, which have one more axis, of directions, before the lanes; None
-    where no derivatives are wanted."""
+class _Dual(NamedTuple):
+    """A value and its tangents, which have one more axis, of directions, before the batch; None
+    where no derivatives are requested."""
 
     value: Any
-    slopes: Any = None
+    tangents: Any = None
 
 
-def _map(function: Callable[..., Any], *inputs: _Both) -> _Both:
-    """A function of lanes, of values and of derivatives."""
+def _map(function: Callable[..., Any], *inputs: _Dual) -> _Dual:
+    """A function of batches, applied to values and tangents."""
     values = tuple(item.value for item in inputs)
-    if all(item.slopes is None for item in inputs):
-        return _Both(function(*values))
-    moved = [place for place, item in enumerate(inputs) if item.slopes is not None]
+    if all(item.tangents is None for item in inputs):
+        return _Dual(function(*values))
+    varying = [index for index, item in enumerate(inputs) if item.tangents is not None]
 
-    def along(slopes: list[Any]) -> Any:
-        def those(*changed: Any) -> Any:
+    def pushforward(tangents: list[Any]) -> Any:
+        def restricted(*arguments: Any) -> Any:
             full = list(values)
-            for place, value in zip(moved, changed, strict=True):
-                full[place] = value
+            for index, value in zip(varying, arguments, strict=True):
+                full[index] = value
             return function(*full)
 
-        return jax.jvp(those, tuple(values[place] for place in moved), tuple(slopes))
+        return jax.jvp(restricted, tuple(values[index] for index in varying), tuple(tangents))
 
-    slopes = [inputs[place].slopes for place in moved]
-    return _Both(*jax.vmap(along, in_axes=-2, out_axes=(None, -2))(slopes))
+    tangents = [inputs[index].tangents for index in varying]
+    return _Dual(*jax.vmap(pushforward, in_axes=-2, out_axes=(None, -2))(tangents))
 
 
-def _mean(weights: Array, slopes: _Both) -> _Both:
-    """Weighted sum over the first axis, the last left out.
+def _weighted_sum(weights: Array, derivatives: _Dual) -> _Dual:
+    """Weighted sum over the first axis, without the last row.
 
-    Term by term it becomes part of what it is used for, which is what a path alone wants.
+    For values alone term by term, which XLA fuses with the use of the sum.
     """
-    if slopes.slopes is None:
-        return _Both(sum(weights[place] * slope for place, slope in enumerate(slopes.value[:-1])))
-    return _Both(*(jnp.tensordot(weights, part, 1) for part in slopes))
+    if derivatives.tangents is None:
+        rows = enumerate(derivatives.value[:-1])
+        return _Dual(sum(weights[index] * row for index, row in rows))
+    return _Dual(*(jnp.tensordot(weights, part, 1) for part in derivatives))
 
 
-def _put(whole: _Both, part: _Both, function: Callable[[Array, Array], Array]) -> _Both:
-    if whole.slopes is None:
-        return _Both(function(whole.value, part.value))
-    return _Both(function(whole.value, part.value), function(whole.slopes, part.slopes))
+def _update(whole: _Dual, part: _Dual, function: Callable[[Array, Array], Array]) -> _Dual:
+    if whole.tangents is None:
+        return _Dual(function(whole.value, part.value))
+    return _Dual(function(whole.value, part.value), function(whole.tangents, part.tangents))
 
 
-def _follow(
-    ice: Callable[[Any], tuple[Law, Stone]],
-    given: _Both,
-    start: _Both,
+def _integrate_batch(
+    system: Callable[[Any], tuple[Law, Stone]],
+    parameters: _Dual,
+    start: _Dual,
     *,
     times: Array,
     load: Load,
     velocities: bool,
-) -> tuple[_Both, _Both]:
-    """Motions from the origin along +y, one a lane, at `times` >= 0.
+) -> tuple[_Dual, _Dual]:
+    """A batch of motions from the origin along +y, at `times` >= 0.
 
     Parameters
     ----------
-    ice : law and stone from the value of `given`.
-    start : speed and spin, shape (2, lanes).
-    times : in s, not falling from row to row, shape (n, lanes or 1); inf for rows that nobody asks
-        for, which cost nothing and are 0.
+    system : law and stone from the value of `parameters`.
+    start : speed and spin, shape (2, batch).
+    times : in s, non-decreasing from row to row, shape (n, batch or 1); inf for unused rows, which
+        cost nothing and are 0.
 
     Returns
     -------
-    x, y, phi, and vx, vy, omega if wanted, each of shape (n, lanes), and the times of coming to
-    rest, (lanes,).
+    x, y, phi, and vx, vy, omega if requested, each of shape (n, batch), and the times of rest,
+    (batch,).
     """
-    law, stone = ice(given.value)
+    law, stone = system(parameters.value)
     net = isinstance(law, NetLaw)
     omega0 = start.value[1]
-    asked = ~(times == jnp.inf)
-    last = jnp.max(jnp.where(asked, times, 0.0), 0) + jnp.zeros_like(omega0)
+    used = ~(times == jnp.inf)
+    last = jnp.max(jnp.where(used, times, 0.0), 0) + jnp.zeros_like(omega0)
     span = jnp.maximum(last, 1e-9)
-    tableau, moments = jnp.asarray(_TABLEAU), jnp.asarray(_TABLEAU.sum(1))
-    # A speed does not go on below zero, nor the spin of a net law beyond its end.
-    sense = jnp.zeros((6, len(omega0))).at[4].set(1.0)
-    sense = sense.at[5].set(jnp.sign(omega0)) if net else sense
+    tableau, nodes = jnp.asarray(_TABLEAU), jnp.asarray(_TABLEAU.sum(1))
+    # The speed, and the spin under a net law, end at zero: signs that they keep.
+    sign = jnp.zeros((6, len(omega0))).at[4].set(1.0)
+    sign = sign.at[5].set(jnp.sign(omega0)) if net else sign
 
-    def reached(begin: Array, dt: Array, mean: Array) -> Array:
+    def increment(begin: Array, dt: Array, mean: Array) -> Array:
         state = begin + dt * mean
-        return jnp.where((state * sense > 0) | (sense == 0), state, 0.0)
+        return jnp.where((state * sign > 0) | (sign == 0), state, 0.0)
 
-    def step(moving: _Both) -> _Both:
-        t, dt, course, begin, rate, _ = _fields(moving)
-        before, change = State(*begin.value), State(*rate.value)
-        crowd = crowding(before.v, stone.R * before.omega)
-        most = jnp.where(dt.value > 0, rounds(law, stone, span, before, change), jnp.inf)
+    def advance(step: _Dual) -> _Dual:
+        t, dt, frame, begin, rate, _ = _fields(step)
+        state_before, rate_before = State(*begin.value), State(*rate.value)
+        clustering = node_clustering(state_before.v, stone.R * state_before.omega)
+        limit = turning_limit(law, stone, span, state_before, rate_before)
+        limit = jnp.where(dt.value > 0, limit, jnp.inf)
 
-        def felt(given: Any, course: Course, now: Array, time: Array) -> State:
-            return rates(*ice(given), load, most, course, crowd, State(*now), time)
+        def derivative(parameters: Any, frame: HeadingFrame, state: Array, time: Array) -> State:
+            return rates(*system(parameters), load, limit, frame, clustering, State(*state), time)
 
         # A loop over the stages, not six copies of them, keeps the compiled program small.
-        def stage(place: Array, carry: tuple[_Both, _Both]) -> tuple[_Both, _Both]:
-            _, slopes = carry
-            now = _map(reached, begin, dt, _mean(tableau[place], slopes))
-            time = _map(lambda t, dt: t + dt * moments[place], t, dt)
-            found = _map(felt, given, course, now, time)
+        def stage(index: Array, carry: tuple[_Dual, _Dual]) -> tuple[_Dual, _Dual]:
+            _, derivatives = carry
+            state = _map(increment, begin, dt, _weighted_sum(tableau[index], derivatives))
+            time = _map(lambda t, dt: t + dt * nodes[index], t, dt)
+            stage_rate = _map(derivative, parameters, frame, state, time)
             for row in range(len(State._fields)):
 
-                def put(whole: Array, part: Array, row: int = row) -> Array:
-                    at: Any = (place + 1, row, *(0 for _ in part.shape))
+                def write(whole: Array, part: Array, row: int = row) -> Array:
+                    at: Any = (index + 1, row, *(0 for _ in part.shape))
                     return jax.lax.dynamic_update_slice(whole, part[None, None], at)
 
-                slopes = _put(slopes, _at(found, row), put)
-            return now, slopes
+                derivatives = _update(derivatives, _row(stage_rate, row), write)
+            return state, derivatives
 
-        blank = _map(lambda rate: jnp.zeros((_STAGES + 1, *rate.shape)), rate)
-        slopes = _put(blank, rate, lambda whole, part: whole.at[0].set(part))
-        state, slopes = jax.lax.fori_loop(0, _STAGES, stage, (begin, slopes))
-        return planned(
-            _map(lambda t, dt: t + dt, t, dt),
-            _map(lambda course, state: course.near(State(*state).heading).whole(), course, state),
-            state,
-            _at(slopes, -1),
-        )
+        empty = _map(lambda rate: jnp.zeros((_STAGES + 1, *rate.shape)), rate)
+        derivatives = _update(empty, rate, lambda whole, part: whole.at[0].set(part))
+        state, derivatives = jax.lax.fori_loop(0, _STAGES, stage, (begin, derivatives))
 
-    def planned(t: _Both, course: _Both, state: _Both, rate: _Both) -> _Both:
+        def new_frame(frame: HeadingFrame, state: Array) -> HeadingFrame:
+            return frame.rotated_to(State(*state).heading).normalized()
+
+        return step_state(
+            _map(lambda t, dt: t + dt, t, dt), _map(new_frame, frame, state), state,
+            _row(derivatives, -1),
+        )  # fmt: skip
+
+    def step_state(t: _Dual, frame: _Dual, state: _Dual, rate: _Dual) -> _Dual:
         """With the length of the next step."""
 
-        def plan(given: Any, t: Array, course: Course, state: Array, rate: Array) -> Moving:
-            now, change = State(*state), State(*rate)
-            dt = step_size(*ice(given), span, now, change, t)
-            idle = at_rest(law, stone, now, change) | (t > last)
-            dt = jnp.where(idle, 0.0, dt)
-            return Moving(t, dt, course, state, rate, bend(course, now, change))
+        def of(
+            parameters: Any, t: Array, frame: HeadingFrame, packed: Array, packed_rate: Array
+        ) -> StepState:
+            state, rate = State(*packed), State(*packed_rate)
+            dt = step_size(*system(parameters), span, state, rate, t)
+            ended = at_rest(law, stone, state, rate) | (t > last)
+            dt = jnp.where(ended, 0.0, dt)
+            second = second_derivatives(frame, state, rate)
+            return StepState(t, dt, frame, packed, packed_rate, second)
 
-        return _map(plan, given, t, course, state, rate)
+        return _map(of, parameters, t, frame, state, rate)
 
-    def going(moving: Moving) -> Array:
-        # A path that has become NaN is not followed further: it could hold up all the others.
-        return moving.dt > 0
+    def active(step: StepState) -> Array:
+        # False for NaN, so that a failed motion does not delay the batch.
+        return step.dt > 0
 
-    kinds = 2 if velocities else 1
+    orders = 2 if velocities else 1
     window = min(_WINDOW, len(times))
     rows = jnp.pad(times, ((0, window), (0, 0)), constant_values=jnp.inf)
 
-    def fill(a: _Both, b: _Both, low: Array, out: _Both) -> tuple[Array, _Both]:
-        """The rows within a step, a window of rows at a time, and the first row that some lane has
-        still before it."""
-        path = _map(quintic, a, b)
-        begin, end, done = a.value.t, b.value.t, ~going(b.value)
-        reach = jnp.where(going(a.value), end, -jnp.inf)
+    def interpolate(a: _Dual, b: _Dual, first: Array, out: _Dual) -> tuple[Array, _Dual]:
+        """Fill the rows within a step, a window of rows at a time; and the first row that is not
+        complete for the whole batch."""
+        interpolant = _map(quintic_interpolant, a, b)
+        begin, end, ended = a.value.t, b.value.t, ~active(b.value)
+        reach = jnp.where(active(a.value), end, -jnp.inf)
 
-        def more(carry: tuple[Array, Array, _Both]) -> Array:
-            place, *_ = carry
-            return (jax.lax.dynamic_index_in_dim(rows, place, keepdims=False) <= reach).any()
+        def within_step(carry: tuple[Array, Array, _Dual]) -> Array:
+            index, *_ = carry
+            return (jax.lax.dynamic_index_in_dim(rows, index, keepdims=False) <= reach).any()
 
-        def again(carry: tuple[Array, Array, _Both]) -> tuple[Array, Array, _Both]:
-            place, low, out = carry
-            t = jax.lax.dynamic_slice_in_dim(rows, place, window)
+        def fill_window(carry: tuple[Array, Array, _Dual]) -> tuple[Array, Array, _Dual]:
+            index, first, out = carry
+            t = jax.lax.dynamic_slice_in_dim(rows, index, window)
             inside = (t >= begin) & (t <= end)
 
-            def put(whole: Array, part: Array) -> Array:
-                old = jax.lax.dynamic_slice_in_dim(whole, place, window, 1)
-                seen = inside if part.ndim == 3 else inside[:, None]
-                new = jnp.where(seen, part, old)
-                return jax.lax.dynamic_update_slice_in_dim(whole, new, place, 1)
+            def write(whole: Array, part: Array) -> Array:
+                old = jax.lax.dynamic_slice_in_dim(whole, index, window, 1)
+                mask = inside if part.ndim == 3 else inside[:, None]
+                new = jnp.where(mask, part, old)
+                return jax.lax.dynamic_update_slice_in_dim(whole, new, index, 1)
 
-            out = _put(
+            out = _update(
                 out,
-                _map(lambda path: path.at(t)[:kinds], path),
-                lambda *pair: jax.tree.map(put, *pair),
+                _map(lambda interpolant: interpolant.evaluate(t)[:orders], interpolant),
+                lambda *pair: jax.tree.map(write, *pair),
             )
-            passed = (~(t >= end) | done).all(1)
-            low = jnp.where(low == place, low + jnp.cumprod(passed).sum(), low)
-            return place + window, low, out
+            complete = (~(t >= end) | ended).all(1)
+            first = jnp.where(first == index, first + jnp.cumprod(complete).sum(), first)
+            return index + window, first, out
 
-        return jax.lax.while_loop(more, again, (low, low, out))[1:]
+        return jax.lax.while_loop(within_step, fill_window, (first, first, out))[1:]
 
-    def rest(moving: _Both) -> _Both:
-        return _map(lambda given, moving: resting(*ice(given), moving), given, moving)
+    def rest_of(step: _Dual) -> _Dual:
+        return _map(
+            lambda parameters, step: extrapolated_rest(*system(parameters), step), parameters, step
+        )
 
-    def again(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        count, before, _, low, out = carry
-        after = step(before)
-        low, out = fill(before, after, low, out)
-        return count + 1, after, rest(after), low, out
+    def iterate(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        count, before, _, first, out = carry
+        after = advance(before)
+        first, out = interpolate(before, after, first, out)
+        return count + 1, after, rest_of(after), first, out
 
     def unfinished(carry: tuple[Any, ...]) -> Array:
-        count, moving, *_ = carry
-        return (count < _MOST_STEPS) & ((count == 0) | going(moving.value).any())
+        count, step, *_ = carry
+        return (count < _MAX_STEPS) & ((count == 0) | active(step.value).any())
 
-    # The first step has no length; it is there to find the rates at the start.
-    def at_start(start: Array) -> Moving:
+    # The first step has length zero; it computes the rates at the start.
+    def first_step(start: Array) -> StepState:
         v0, omega0 = start
         zero = jnp.zeros_like(v0)
         state = jnp.stack([zero, zero, zero, zero, v0, omega0])
-        course = Course(zero, zero, 1 + zero)
-        return Moving(zero, zero, course, state, 0 * state, 0 * state[:3])
+        frame = HeadingFrame(zero, zero, 1 + zero)
+        return StepState(zero, zero, frame, state, 0 * state, 0 * state[:3])
 
-    moving = _map(at_start, start)
-    blank = _map(lambda start: (jnp.full((3, len(rows), start.shape[-1]), jnp.nan),) * kinds, start)
-    # Where it rests is carried along, or XLA would find it anew for each of the times.
-    held = _map(lambda moving: moving.state[:4], moving)
-    begin = (0, moving, held, 0, blank)
-    _, moving, held, _, out = jax.lax.while_loop(unfinished, again, begin)
-    state, rate = State(*moving.value.state), State(*moving.value.rate)
-    over = at_rest(law, stone, state, rate) & (times >= moving.value.t)
-    over |= ~asked
+    step = _map(first_step, start)
+    empty = _map(
+        lambda start: (jnp.full((3, len(rows), start.shape[-1]), jnp.nan),) * orders, start
+    )
+    # Part of the carry, or XLA would recompute it for each of the times.
+    rest = _map(lambda step: step.state[:4], step)
+    _, step, rest, _, out = jax.lax.while_loop(unfinished, iterate, (0, step, rest, 0, empty))
+    state, rate = State(*step.value.state), State(*step.value.rate)
+    constant = at_rest(law, stone, state, rate) & (times >= step.value.t)
+    constant |= ~used
 
-    def whole(held: Array, out: tuple[Array, ...]) -> tuple[Array, ...]:
-        stopped = (jnp.where(asked, place, 0.0) for place in held[:3])
-        ends: tuple[Any, ...] = (*stopped, 0.0, 0.0, 0.0)
-        channels = (channel for kind in out for channel in kind)
+    def channels(rest: Array, out: tuple[Array, ...]) -> tuple[Array, ...]:
+        position = (jnp.where(used, coordinate, 0.0) for coordinate in rest[:3])
+        final: tuple[Any, ...] = (*position, 0.0, 0.0, 0.0)
+        moving = (channel for order in out for channel in order)
         return tuple(
-            jnp.where(over, end, channel[: len(times)])
-            for end, channel in zip(ends, channels, strict=False)
+            jnp.where(constant, end, channel[: len(times)])
+            for end, channel in zip(final, moving, strict=False)
         )
 
-    return _map(whole, held, out), _map(lambda held: held[3], held)
+    return _map(channels, rest, out), _map(lambda rest: rest[3], rest)
 
 
-def _fields(moving: _Both) -> list[_Both]:
-    slopes = (None,) * len(moving.value) if moving.slopes is None else moving.slopes
-    return [_Both(*pair) for pair in zip(moving.value, slopes, strict=True)]
+def _fields(step: _Dual) -> list[_Dual]:
+    tangents = (None,) * len(step.value) if step.tangents is None else step.tangents
+    return [_Dual(*pair) for pair in zip(step.value, tangents, strict=True)]
 
 
-def _at(rows: _Both, place: int) -> _Both:
-    return _Both(*(part if part is None else part[place] for part in rows))
+def _row(rows: _Dual, index: int) -> _Dual:
+    return _Dual(*(part if part is None else part[index] for part in rows))
 
 
-def _in_lanes(function: Callable[..., Any]) -> Callable[..., Any]:
-    """For a function of arrays with lanes last: the same without lanes, ready for `vmap`.
+def _mappable(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of one throw from a function of a batch; `vmap` of it is one call for the batch.
 
     Parameters
     ----------
-    function : takes arrays of shape (k, lanes) and times (n, lanes or 1); gives arrays with the
-        lanes last.
+    function : takes arrays of shape (k, batch) and times (n, batch or 1); its results have the
+        batch on the last axis.
     """
 
     @custom_vmap
-    def laned(*arrays: Array) -> Any:
+    def of_batch(*arrays: Array) -> Any:
         return function(*arrays)
 
-    @laned.def_vmap
-    def _(size: int, batched: list[bool], *arrays: Array) -> Any:
-        if not any(batched):  # so asks JAX when it differentiates what it does not map
+    @of_batch.def_vmap
+    def _(size: int, mapped: list[bool], *arrays: Array) -> Any:
+        if not any(mapped):  # JAX does this when it differentiates what it does not map
             out = function(*arrays)
             return out, jax.tree.map(lambda _: False, out)
-        lanes = max(array.shape[-1] for array in arrays)
+        batch = max(array.shape[-1] for array in arrays)
 
-        def merged(array: Array, mapped: bool, shared: bool) -> Array:
-            if not mapped and shared and array.shape[-1] == 1:
+        def merge(array: Array, is_mapped: bool, may_broadcast: bool) -> Array:
+            if not is_mapped and may_broadcast and array.shape[-1] == 1:
                 return array
-            array = array if mapped else array[None]
-            full = jnp.broadcast_to(array, (size, array.shape[1], lanes))
-            return jnp.moveaxis(full, 1, 0).reshape(-1, size * lanes)
+            array = array if is_mapped else array[None]
+            full = jnp.broadcast_to(array, (size, array.shape[1], batch))
+            return jnp.moveaxis(full, 1, 0).reshape(-1, size * batch)
 
-        def parted(array: Array) -> Array:
-            return jnp.moveaxis(array.reshape(*array.shape[:-1], size, lanes), -2, 0)
+        def split(array: Array) -> Array:
+            return jnp.moveaxis(array.reshape(*array.shape[:-1], size, batch), -2, 0)
 
         last = len(arrays) - 1  # the times
-        pairs = enumerate(zip(arrays, batched, strict=True))
-        out = laned(*(merged(a, b, place == last) for place, (a, b) in pairs))
-        return jax.tree.map(parted, out), jax.tree.map(lambda _: True, out)
+        pairs = enumerate(zip(arrays, mapped, strict=True))
+        out = of_batch(*(merge(array, is_mapped, i == last) for i, (array, is_mapped) in pairs))
+        return jax.tree.map(split, out), jax.tree.map(lambda _: True, out)
 
-    def alone(*arrays: Array) -> Any:
-        return jax.tree.map(lambda a: a[..., 0], laned(*(array[:, None] for array in arrays)))
+    def of_one(*arrays: Array) -> Any:
+        return jax.tree.map(lambda a: a[..., 0], of_batch(*(array[:, None] for array in arrays)))
 
-    return alone
+    return of_one
 
 
-def _alone(law: type[Law], load: Load, velocities: bool, *arrays: Array) -> Motion:
+def _values(law: type[Law], load: Load, velocities: bool, *arrays: Array) -> Solution:
     coefficients, stone, start, times = arrays
-    ice = lambda given: (law.from_vector(given[0]), Stone(*given[1]))  # noqa: E731
-    path, rest = _follow(
-        ice,
-        _Both((coefficients, stone)),
-        _Both(start),
+    path, rest = _integrate_batch(
+        lambda parameters: (law.from_vector(parameters[0]), Stone(*parameters[1])),
+        _Dual((coefficients, stone)),
+        _Dual(start),
         times=times,
         load=load,
         velocities=velocities,
@@ -348,79 +356,86 @@ def _alone(law: type[Law], load: Load, velocities: bool, *arrays: Array) -> Moti
     return path.value, rest.value
 
 
-def _with_jacobian(
-    law: type[Law], load: Load, velocities: bool, asked: tuple[bool, ...], *arrays: Array
-) -> tuple[Motion, Motion]:
-    """A motion, and its derivatives by the inputs asked for, along the last axis but the lanes."""
+def _values_and_jacobian(
+    law: type[Law], load: Load, velocities: bool, active: tuple[bool, ...], *arrays: Array
+) -> tuple[Solution, Solution]:
+    """A motion, and its derivatives with respect to the active inputs, along the last axis but the
+    batch."""
     *inputs, times = arrays
-    sizes = [len(vector) * ask for ask, vector in zip(asked, inputs, strict=True)]
-    lanes, total, done = inputs[0].shape[-1], sum(sizes), 0
-    both = []
+    sizes = [len(vector) * is_active for is_active, vector in zip(active, inputs, strict=True)]
+    batch, total, offset = inputs[0].shape[-1], sum(sizes), 0
+    duals = []
     for size, vector in zip(sizes, inputs, strict=True):
         basis = np.zeros((len(vector), total, 1))
-        basis[:size, done : done + size, 0] = np.eye(size)
-        done += size
-        both.append(_Both(vector, jnp.broadcast_to(basis, (len(vector), total, lanes))))
-    *ice_, start = both
-    free = [item for ask, item in zip(asked, ice_, strict=False) if ask]
+        basis[:size, offset : offset + size, 0] = np.eye(size)
+        offset += size
+        duals.append(_Dual(vector, jnp.broadcast_to(basis, (len(vector), total, batch))))
+    *constants, start = duals
+    free = [item for is_active, item in zip(active, constants, strict=False) if is_active]
 
-    def ice(given: list[Array]) -> tuple[Law, Stone]:
-        rest = iter(given)
+    def system(parameters: list[Array]) -> tuple[Law, Stone]:
+        remaining = iter(parameters)
         coefficients, stone = (
-            next(rest) if ask else item.value for ask, item in zip(asked, ice_, strict=False)
+            next(remaining) if is_active else item.value
+            for is_active, item in zip(active, constants, strict=False)
         )
         return law.from_vector(coefficients), Stone(*stone)
 
-    given = _Both([item.value for item in free], [item.slopes for item in free] if free else None)
-    path, rest = _follow(ice, given, start, times=times, load=load, velocities=velocities)
-    return (path.value, rest.value), (path.slopes, rest.slopes)
+    parameters = _Dual(
+        [item.value for item in free], [item.tangents for item in free] if free else None
+    )
+    path, rest = _integrate_batch(
+        system, parameters, start, times=times, load=load, velocities=velocities
+    )
+    return (path.value, rest.value), (path.tangents, rest.tangents)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))
-def trajectory(
+def integrate(
     law: type[Law],
     load: Load,
     velocities: bool,
     inputs: tuple[Array, Array, Array],
     times: Array,
-) -> Motion:
+) -> Solution:
     """One motion from the origin along +y.
 
     Parameters
     ----------
-    velocities : whether these are wanted, which takes as long again as the places.
-    inputs : the law's coefficients, the stone's fields and (v0, omega0), as vectors. Those that
-        nobody asks about cost nothing, and what `vmap` maps over becomes lanes of one call.
-    times : in s, from 0 up, not falling from one to the next, shape (n,). Rows at inf, which may
-        stand at the end, cost nothing and are 0.
+    velocities : whether to return these, which takes as long again as the positions.
+    inputs : the law's coefficients, the stone's fields and (v0, omega0), as vectors. Inputs
+        without tangents cost nothing; a `vmap` becomes one batch.
+    times : in s, >= 0, non-decreasing, shape (n,). Rows at inf, which may stand at the end, cost
+        nothing and are 0.
     """
-    return _in_lanes(partial(_alone, law, load, velocities))(*inputs, times)
+    return _mappable(partial(_values, law, load, velocities))(*inputs, times)
 
 
-def _trajectory_jvp(
+def _integrate_jvp(
     law: type[Law],
     load: Load,
     velocities: bool,
     primals: tuple[Any, ...],
     tangents: tuple[Any, ...],
-) -> tuple[Motion, Motion]:
+) -> tuple[Solution, Solution]:
     inputs, times = primals
     d_inputs, d_times = tangents
-    asked = tuple(not isinstance(tangent, SymbolicZero) for tangent in d_inputs)
-    if any(asked):
-        function = partial(_with_jacobian, law, load, velocities, asked)
-        out, jacobian = _in_lanes(function)(*inputs, times)
-        step = jnp.concatenate([d for ask, d in zip(asked, d_inputs, strict=True) if ask])
-        change, later = jax.tree.map(lambda part: part @ step, jacobian)
+    active = tuple(not isinstance(tangent, SymbolicZero) for tangent in d_inputs)
+    if any(active):
+        function = partial(_values_and_jacobian, law, load, velocities, active)
+        out, jacobian = _mappable(function)(*inputs, times)
+        pairs = zip(active, d_inputs, strict=True)
+        direction = jnp.concatenate([tangent for is_active, tangent in pairs if is_active])
+        d_path, d_rest = jax.tree.map(lambda part: part @ direction, jacobian)
     else:
-        out = _in_lanes(partial(_alone, law, load, velocities))(*inputs, times)
-        change, later = jax.tree.map(jnp.zeros_like, out)
+        out = _mappable(partial(_values, law, load, velocities))(*inputs, times)
+        d_path, d_rest = jax.tree.map(jnp.zeros_like, out)
     if not isinstance(d_times, SymbolicZero):
         if not velocities:
-            raise TypeError("derivatives by the times need the velocities")
-        moved = (d + rate * d_times for d, rate in zip(change, out[0][3:], strict=False))
-        change = (*moved, *change[3:])
-    return out, (change, later)
+            raise TypeError("derivatives with respect to the times need the velocities")
+        d_positions = (d + rate * d_times for d, rate in zip(d_path, out[0][3:], strict=False))
+        d_path = (*d_positions, *d_path[3:])
+    return out, (d_path, d_rest)
 
 
-trajectory.defjvp(_trajectory_jvp, symbolic_zeros=True)
+integrate.defjvp(_integrate_jvp, symbolic_zeros=True)

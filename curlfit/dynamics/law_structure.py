@@ -1,11 +1,14 @@
-"""Powers as compiled programs find them, in a processor's vectors.
+"""The structure of a law as compiled programs need it: its pytree, powers, dependences, symmetry.
 
-XLA takes the library's `pow` for one number after the other, three times as long. Here the
-logarithm is of the number's exponent and of its fraction, by the series of the area tangent.
+What a law depends on is found by tracing it. XLA calls the library's `pow` for one number at a
+time, which takes three times as long as vector instructions: here the logarithm comes from exponent
+and mantissa, by the series of the inverse hyperbolic tangent.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache, partial
 from typing import Any
 
 from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
@@ -16,33 +19,172 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from curlfit.friction import power
+from curlfit.friction import LAWS, Law, Load, LocalLaw, Motion, NetLaw, RingPoint, power
+from curlfit.friction.base import on_new_law
+from curlfit.stone import Stone
 
-_ROOT_HALF = np.float64(0.5**0.5).view(np.int64)  # fractions run from here to the root of 2
-_EXPONENT = 52  # bits to the right of it
-_TERMS = 11  # to the last digit, for fractions within the root of 2
+UNIT_POINT = RingPoint(*(1.0 for _ in RingPoint._fields))
+_ROOT_HALF = np.float64(0.5**0.5).view(np.int64)  # mantissas lie between this and sqrt(2)
+_MANTISSA_BITS = 52
+_TERMS = 11  # to rounding, for these mantissas
+
+
+def _register(law: type[Law]) -> None:
+    names = [item.name for item in law.coefficients()]
+    # Not `register_dataclass`: jaxlib 0.10 takes the structures of two dataclasses with the same
+    # number of fields for equal, and `jit` may run the program of one law for another.
+    jax.tree_util.register_pytree_node(
+        law,
+        lambda value: ([getattr(value, name) for name in names], None),
+        lambda _, values: law(*values),
+    )
+
+
+for _law in LAWS.values():
+    _register(_law)
+on_new_law.append(_register)
+jax.tree_util.register_dataclass(Stone, data_fields=["m", "R", "rho", "h"], meta_fields=[])
 
 
 @jax.custom_jvp
 def log(number: Array) -> Array:
     """Natural logarithm of 0 < `number` < inf, else NaN."""
     bits = jax.lax.bitcast_convert_type(number, jnp.int64)
-    exponent = (bits - _ROOT_HALF) >> _EXPONENT
-    fraction = jax.lax.bitcast_convert_type(bits - (exponent << _EXPONENT), float)
-    z = (fraction - 1) / (fraction + 1)
+    exponent = (bits - _ROOT_HALF) >> _MANTISSA_BITS
+    mantissa = jax.lax.bitcast_convert_type(bits - (exponent << _MANTISSA_BITS), float)
+    z = (mantissa - 1) / (mantissa + 1)
     square, series = z * z, jnp.zeros_like(z)
     for n in reversed(range(_TERMS)):
         series = series * square + 2 / (2 * n + 1)
-    inside = (number > 0) & (number < jnp.inf)
-    return jnp.where(inside, exponent * np.log(2) + z * series, jnp.nan)
+    valid = (number > 0) & (number < jnp.inf)
+    return jnp.where(valid, exponent * np.log(2) + z * series, jnp.nan)
 
 
 @log.defjvp
 def _(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Array, Array]:
-    (number,), (change,) = primals, tangents
-    return log(number), change / number
+    (number,), (tangent,) = primals, tangents
+    return log(number), tangent / number
 
 
 @power.register(jax.core.Tracer)
 def _(base: Any, exponent: Any) -> Any:
     return jnp.exp(exponent * log(jnp.asarray(base, float)))
+
+
+def depends_on(function: Callable[..., Any], *inputs: Any) -> list[bool]:
+    """Which inputs the outputs of a function depend on."""
+    jaxpr = jax.make_jaxpr(function)(*inputs).jaxpr
+    used = {id(item) for item in jaxpr.outvars}
+    for equation in reversed(jaxpr.eqns):
+        if any(id(item) in used for item in equation.outvars):
+            used |= {id(item) for item in equation.invars}
+    return [id(variable) in used for variable in jaxpr.invars]
+
+
+def depends_on_load(law: LocalLaw, points: RingPoint) -> bool:
+    """Whether the traction per unit load depends on the load."""
+    (dependent,) = depends_on(lambda load: law.traction(points._replace(load=load)), points.load)
+    return dependent
+
+
+def depends_on_turned_and_time(law: Law, stone: Stone) -> list[bool]:
+    """Whether friction depends on the angle turned, and on the time since release."""
+
+    def friction(turned: Array, time: Array) -> Any:
+        if isinstance(law, NetLaw):
+            return law.accelerations(Motion(one, one, turned, time), stone)
+        assert isinstance(law, LocalLaw)
+        return law.traction(UNIT_POINT._replace(turned=turned, time=time)), law.edges(turned)
+
+    one = jnp.ones(())
+    law = jax.tree.map(lambda leaf: jnp.ones(()), law)
+    return depends_on(friction, one, one)
+
+
+def _is_linear(function: Callable[..., Any], size: int, parameters: int) -> bool:
+    """Whether a function is a constant matrix times its first `size` inputs, for all values of the
+    other inputs, the parameters."""
+    one: Any = np.ones(())
+    inputs = (one,) * (size + parameters)
+
+    def derivative(*values: Array) -> Any:
+        restricted = lambda *first: function(*first, *values[size:])  # noqa: E731
+        return jax.jvp(restricted, values[:size], inputs[:size])[1]
+
+    with jax.ensure_compile_time_eval():
+        at_zero = jax.tree.leaves(function(*(0 * one for _ in range(size)), *inputs[size:]))
+        affine = any(float(part) for part in at_zero)
+    if affine or any(depends_on(derivative, *inputs)):
+        return False
+    return not any(depends_on(function, *inputs)[size:])
+
+
+def _example_law(kind: type[LocalLaw]) -> LocalLaw:
+    return kind.from_vector([0.1 + 0.01 * index for index, _ in enumerate(kind.coefficients())])
+
+
+@cache
+def _sample_points(front: float) -> RingPoint:
+    """Points on one half of the ring in several motions, for numpy; those of the other half are
+    their mirror images."""
+    v, u = np.array([[1.1], [0.3], [2.3]]), np.array([[-0.6], [0.15], [1.7]])
+    angle = (2 * front - 1) * np.linspace(0.2, 2.9, 7)
+    xi, eta = np.cos(angle), np.sin(angle)
+    slide_xi, slide_eta = -u * eta, v + u * xi
+    speed = np.hypot(slide_xi, slide_eta)
+    return RingPoint(
+        xi, eta, angle, front, slide_xi, slide_eta, speed, slide_xi / speed, slide_eta / speed,
+        np.ones_like(speed), 0.7 * v, 3.1 * v,
+    )  # fmt: skip
+
+
+def _close(a: Any, b: Any) -> bool:
+    return bool(np.allclose(np.asarray(a), np.asarray(b), rtol=1e-9, atol=1e-12))
+
+
+@cache
+def is_piecewise_tensor(kind: type[LocalLaw], load: Load) -> bool:
+    """Whether traction on each half is a constant tensor times the direction of sliding."""
+    law = _example_law(kind)
+    if any(law.edges(1.0)):
+        return False
+    free = {"front", "turned", "time", "e_xi", "e_eta"}
+    free |= {"load"} if load == "uniform" else set()
+    names = ["e_xi", "e_eta", *(name for name in RingPoint._fields if name not in free)]
+
+    def traction(*values: Array) -> Any:
+        return law.traction(UNIT_POINT._replace(**dict(zip(names, values, strict=True))))
+
+    if not _is_linear(traction, 2, len(names) - 2):
+        return False
+    with jax.ensure_compile_time_eval():
+        for point in (_sample_points(1.0), _sample_points(0.0)):
+            across, along = (
+                law.traction(point._replace(e_xi=e_xi, e_eta=1.0 - e_xi)) for e_xi in (1.0, 0.0)
+            )
+            for part, right, forward in zip(law.traction(point), across, along, strict=True):
+                if not _close(part, right * point.e_xi + forward * point.e_eta):
+                    return False
+    return True
+
+
+@cache
+def is_mirror_symmetric(kind: type[LocalLaw], load: Load) -> bool:
+    """Whether friction behind is the mirror image of that in front, as under an isotropic law."""
+    law = _example_law(kind)
+    if load != "uniform" or any(law.edges(1.0)):
+        return False
+    names = ("e_xi", "slide_xi", "eta", "angle", "front")  # differ between the halves
+
+    def traction(part: int, *values: Array) -> Any:
+        return law.traction(UNIT_POINT._replace(**dict(zip(names, values, strict=True))))[part]
+
+    try:
+        dependences = depends_on(partial(traction, 1), *(np.ones(()) for _ in names))
+        if any(dependences) or not _is_linear(partial(traction, 0), 1, len(names) - 1):
+            return False
+    except TypeError:  # a law that converts `front` to a Python number
+        return False
+    with jax.ensure_compile_time_eval():
+        front, back = (law.traction(_sample_points(half)) for half in (1.0, 0.0))
+        return _close(front[0], -np.asarray(back[0])) and _close(front[1], back[1])

@@ -1,4 +1,4 @@
-"""Motion of the stone: from friction law and start to the path, and to rest."""
+"""Motion of the stone to rest, from the friction law and the initial state."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
-from curlfit.dynamics.integrator import trajectory
+from curlfit.dynamics.integrator import integrate
 
 # isort: split
 import jax
@@ -17,7 +17,7 @@ from jaxtyping import Array, ArrayLike
 from curlfit.friction import Law, Load, check_load
 from curlfit.stone import Stone
 
-_EVER = 1e30  # s, by when every stone is at rest
+_REST_TIME = 1e30  # s, when every stone is at rest
 
 
 @partial(
@@ -26,12 +26,12 @@ _EVER = 1e30  # s, by when every stone is at rest
     meta_fields=[],
 )
 @dataclass(frozen=True)
-class Start:
-    """Where and how a throw begins. Axes and signs as everywhere (see the README).
+class InitialState:
+    """Position and velocity at the start of a throw. Axes and signs as in the README.
 
     Attributes
     ----------
-    x, y : place of the centre in m, y along the sheet, x to the right of it.
+    x, y : position of the centre in m, y along the sheet, x to the right of it.
     heading : direction of the velocity in rad, from +y toward +x (beta of eq. 24).
     v : speed in m/s, >= 0.
     phi : angle of the stone in rad, counter-clockwise.
@@ -52,13 +52,13 @@ class Start:
     meta_fields=[],
 )
 @dataclass(frozen=True)
-class Path:
+class Trajectory:
     """Motion of a stone at given times; every field but `rest` is an array of the shape of `t`.
 
     t in s; x, y in m; phi in rad, not wrapped; vx, vy in m/s; omega in rad/s. After the stone
-    has come to rest its place and angle are held and its velocities are zero. `rest` is the time
-    at which it comes to rest, in s; where it still moves at the last time, what its loss of energy
-    there lets expect, inf without any.
+    has come to rest its position and angle are constant and its velocities are zero. `rest` is the
+    time of rest in s; where the stone still moves at the last time, it is extrapolated from the
+    loss of energy there, inf without any.
     """
 
     t: Array
@@ -77,61 +77,63 @@ class Path:
         moving = square > 0
         return jnp.where(moving, jnp.sqrt(jnp.where(moving, square, 1.0)), 0.0)
 
-    def to_numpy(self) -> Path:
-        """The same path with numpy arrays."""
+    def to_numpy(self) -> Trajectory:
+        """The trajectory with numpy arrays."""
         arrays: Any = (np.asarray(getattr(self, field.name)) for field in fields(self))
-        return Path(*arrays)
+        return Trajectory(*arrays)
 
 
-def _moved(
-    law: Law, stone: Stone, start: Start, times: Array, load: Load, velocities: bool
+def _motion(
+    law: Law, stone: Stone, start: InitialState, times: Array, load: Load, velocities: bool
 ) -> tuple[list[Array], Array]:
-    """x, y, phi, with vx, vy, omega if wanted, and the time of coming to rest."""
+    """x, y, phi, with vx, vy, omega if requested, and the time of rest."""
     inputs = (
         jnp.stack(jax.tree.leaves(law)),
         jnp.stack(jax.tree.leaves(stone)),
         jnp.stack([start.v, start.omega]),
     )
-    path, rest = trajectory(type(law), load, velocities, inputs, times)
-    # Ice is the same everywhere and in every direction: place, heading and angle only move and
-    # turn the path (u to the right of the first heading, w along it).
+    channels, rest = integrate(type(law), load, velocities, inputs, times)
+    # The ice is homogeneous and isotropic: initial position, heading and angle only translate and
+    # rotate the path (u to the right of the initial heading, w along it).
     s, c = jnp.sin(start.heading), jnp.cos(start.heading)
-    u, w, turned, *rates = path
-    found = [start.x + c * u + s * w, start.y - s * u + c * w, start.phi + turned]
+    u, w, turned, *rates = channels
+    out = [start.x + c * u + s * w, start.y - s * u + c * w, start.phi + turned]
     if rates:
         du, dw, omega = rates
-        found += [c * du + s * dw, -s * du + c * dw, omega]
-    return found, rest
+        out += [c * du + s * dw, -s * du + c * dw, omega]
+    return out, rest
 
 
 @partial(jax.jit, static_argnames="load")
-def _simulate(law: Law, stone: Stone, start: Start, times: Array, t0: Array, *, load: Load) -> Path:
-    (x, y, phi, *rates), rest = _moved(law, stone, start, times - t0, load, velocities=True)
+def _simulate(
+    law: Law, stone: Stone, start: InitialState, times: Array, t0: Array, *, load: Load
+) -> Trajectory:
+    (x, y, phi, *rates), rest = _motion(law, stone, start, times - t0, load, velocities=True)
     vx, vy, omega = rates
-    return Path(t=times, x=x, y=y, phi=phi, vx=vx, vy=vy, omega=omega, rest=t0 + rest)
+    return Trajectory(t=times, x=x, y=y, phi=phi, vx=vx, vy=vy, omega=omega, rest=t0 + rest)
 
 
-def places(law: Law, stone: Stone, start: Start, times: Array, *, load: Load) -> Array:
+def positions(law: Law, stone: Stone, start: InitialState, times: Array, *, load: Load) -> Array:
     """x, y and phi alone, shape (3, n), of a stone that starts at time 0.
 
-    Like `simulate`, for arrays and within compiled code, but that times must not fall, and that
-    there are no derivatives by them.
+    Like `simulate`, within compiled code, for non-decreasing times, without derivatives with
+    respect to them.
     """
-    found, _ = _moved(law, stone, start, times, load, velocities=False)
-    return jnp.stack(found)
+    channels, _ = _motion(law, stone, start, times, load, velocities=False)
+    return jnp.stack(channels)
 
 
 def simulate(
     law: Law,
     stone: Stone,
-    start: Start,
+    start: InitialState,
     times: ArrayLike,
     *,
     load: str = "uniform",
     t0: ArrayLike | None = None,
     ordered: bool = False,
-) -> Path:
-    """The path of a stone under a friction law.
+) -> Trajectory:
+    """The trajectory of a stone under a friction law.
 
     Works under `jit` and `vmap`, and differentiates forward and in reverse with respect to the
     law's coefficients, the stone and the start. Derivatives of position and angle with respect to
@@ -139,19 +141,19 @@ def simulate(
 
     Parameters
     ----------
-    law, stone, start : what moves, and how it begins.
-    times : times in s, shape (n,), none before `t0`; order does not matter. At inf the stone is
-        where it comes to rest.
+    law, stone, start : friction law, stone and initial state.
+    times : times in s, shape (n,), none before `t0`, in any order; inf gives the position at
+        rest.
     load : "uniform" or "consistent" (eq. 8-9).
-    t0 : time of `start` in s; the least of `times` if not given.
-    ordered : times are known not to fall from one to the next, so that compiled code need not sort
-        them; rows at inf are then not asked for, and are 0.
+    t0 : time of `start` in s; the first of `times` if not given.
+    ordered : times are non-decreasing, so that compiled code need not sort them; rows at inf are
+        then unused, and are 0.
 
     Returns
     -------
-    Path of shape (n,), and when the stone comes to rest. Positions are good to 1e-7 m and angles
-    to 1e-7 rad over a throw. NaN where the law admits no motion (a consistent load that would have
-    to be negative) or the motion cannot be followed.
+    Trajectory of shape (n,) and the time of rest. Positions are accurate to 1e-7 m and angles to
+    1e-7 rad over a throw. NaN where the law admits no motion (a consistent load that would have
+    to be negative) or the integration fails.
 
     Raises
     ------
@@ -163,8 +165,8 @@ def simulate(
     as_floats = jax.tree.map(lambda value: jnp.asarray(value, float), (law, stone, start))
     if ordered:
         return _simulate(*as_floats, times, t0, load=checked)
-    finite = jnp.where(times == jnp.inf, _EVER, times)
-    if _ordered(times):
+    finite = jnp.where(times == jnp.inf, _REST_TIME, times)
+    if _non_decreasing(times):
         path = _simulate(*as_floats, finite, t0, load=checked)
     else:
         order = jnp.argsort(finite)
@@ -173,6 +175,6 @@ def simulate(
     return replace(path, t=times)
 
 
-def _ordered(times: Array) -> bool:
-    """Whether times are known not to fall."""
+def _non_decreasing(times: Array) -> bool:
+    """Whether times are known to be non-decreasing."""
     return not isinstance(times, jax.core.Tracer) and bool((np.diff(times) >= 0).all())

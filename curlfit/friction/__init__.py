@@ -1,4 +1,4 @@
-"""Friction laws. A module in this folder is found and its laws registered by being here."""
+"""Friction laws. All modules of this folder are imported, which registers their laws."""
 
 from importlib import import_module
 from pkgutil import iter_modules

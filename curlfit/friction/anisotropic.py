@@ -1,4 +1,4 @@
-"""Anisotropic friction with directions of its own: a tensor, or the radius of the ring."""
+"""Anisotropic friction: a constant tensor, or along the radius and the tangent of the ring."""
 
 from typing import Any
 
@@ -23,9 +23,9 @@ class Radial(LocalLaw):
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
         outward = point.e_xi * point.xi + point.e_eta * point.eta  # a/|v| of eq. 19
-        round_ = point.e_eta * point.xi - point.e_xi * point.eta  # b/|v|
+        tangential = point.e_eta * point.xi - point.e_xi * point.eta  # b/|v|
         along_radius = (self.mu2 + (self.mu1 - self.mu2) * point.front) * outward  # eq. 20
-        along_tangent = (self.mu4 + (self.mu3 - self.mu4) * point.front) * round_
+        along_tangent = (self.mu4 + (self.mu3 - self.mu4) * point.front) * tangential
         return (
             -(along_radius * point.xi - along_tangent * point.eta),
             -(along_radius * point.eta + along_tangent * point.xi),
@@ -35,18 +35,18 @@ class Radial(LocalLaw):
 class Tensor(LocalLaw):
     """A constant, symmetric, positive definite tensor of friction in the moving frame.
 
-    Its off-diagonal term pushes the stone aside whatever the spin; mirroring a throw changes its
-    sign.
+    Its off-diagonal term deflects the stone independently of the spin; mirroring a throw changes
+    its sign.
     """
 
     name = "tensor"
     formula = "t = -n B v/|v|, B = ((b11, b12), (b12, b22)) along (xi, eta)"
     source = "Ivanov and Shuvalov (2012), eq. 5"
-    predicts = "left where b12 > 0, and so does any other stone"
+    predicts = "left where b12 > 0, for either sense of spin"
 
     b11: float = coefficient(0.02, "across the motion", symbol="b_{11}")
     b22: float = coefficient(0.009, "along the motion", symbol="b_{22}")
-    b12: float = coefficient(0.0005, "between the two", lower=-1.0, symbol="b_{12}", signed=True)
+    b12: float = coefficient(0.0005, "off-diagonal", lower=-1.0, symbol="b_{12}", signed=True)
 
     def fault(self) -> str | None:
         if self.b11 > 0 and self.b22 > 0 and self.b12**2 < self.b11 * self.b22:

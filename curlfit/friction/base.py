@@ -1,7 +1,7 @@
-"""What a friction law is, and how one declares its coefficients.
+"""Friction laws and their coefficients.
 
-This room needs no array library: a law is arithmetic on whatever numbers or arrays it is given,
-so the same class serves the compiled model, numpy and a table of names and units.
+A law is arithmetic on any numbers or arrays, without an array library, so that the same class
+serves the compiled model, numpy and a table of names and units.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self, dataclass_transform
 from curlfit.errors import InputError
 
 Load = Literal["uniform", "consistent"]
-"""How the stone's weight is spread over the ring: evenly, or in balance with friction (eq. 8-9)."""
+"""Distribution of the weight over the ring: uniform, or consistent with friction (eq. 8-9)."""
 
 LOADS: tuple[str, ...] = get_args(Load)
 
 START_NAMES = ("x0", "y0", "heading", "v0", "phi0", "omega0")
-"""Parameters of the start, which a fit has beside the coefficients (`curlfit.inference`)."""
+"""Parameters of the initial state, which a fit estimates beside the coefficients."""
 
 
 def check_load(load: str) -> Load:
-    """The name of a load, if it is one. Raises `InputError`."""
+    """The name of a load. Raises `InputError` for any other name."""
     if load not in LOADS:
         raise InputError(f"unknown load {load!r}; expected {' or '.join(LOADS)}")
     return load  # type: ignore[return-value]
 
 
 def no_motion_because(load: str) -> str:
-    """The likely reason, in words, where a law gives no finite path."""
+    """The likely reason where a law admits no motion, to be appended to a message."""
     if load != "consistent":
         return ""
     return "; the consistent load (eq. 8-9) would have to be negative somewhere"
@@ -39,10 +39,10 @@ def no_motion_because(load: str) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
-    """One number that a fit may determine.
+    """A parameter of a fit.
 
-    `typical` is its usual size: the scale of the fit's variables, and the precision beyond which
-    it counts as unknown. `lower` and `upper` bound the fit and its flat prior.
+    `typical` is its order of magnitude: the scale of the fit's variables, and the standard error
+    above which it counts as undetermined. `lower` and `upper` bound the fit and its flat prior.
     """
 
     name: str
@@ -56,10 +56,10 @@ class Parameter:
 
 @dataclasses.dataclass(frozen=True)
 class Coefficient(Parameter):
-    """A parameter of a law, with the value it has where none is given.
+    """A parameter of a law, with its default value.
 
-    An `optional` one keeps that value in a fit unless bounds are given for it. Of a `signed` one
-    (an exponent, say) a negative value is as ordinary as a positive one.
+    An `optional` one is fixed at the default in a fit unless bounds are given for it. A `signed`
+    one (an exponent, say) is negative as naturally as positive.
     """
 
     default: float
@@ -67,7 +67,7 @@ class Coefficient(Parameter):
     signed: bool = False
 
     def unbounded(self) -> Coefficient:
-        """The same that may be negative; exponents and the like keep their bounds."""
+        """The coefficient with negative values allowed; signed and optional ones are unchanged."""
         if self.signed or self.optional:
             return self
         return dataclasses.replace(self, lower=-self.upper)
@@ -89,16 +89,16 @@ def coefficient(
 
     Parameters
     ----------
-    default : value used where none is given.
+    default : default value.
     meaning : a few words for tables.
-    unit : unit, "1" for a number.
+    unit : unit, "1" if dimensionless.
     lower, upper : physical bounds, the default bounds of a fit and its flat prior.
-    typical : its usual size, the scale on which "well known" and "unknown" are told apart.
+    typical : its order of magnitude, to which standard errors are compared.
     symbol : LaTeX without dollar signs; the name if empty.
-    optional : held at `default` in a fit unless bounds are given for it.
-    signed : a negative value is as ordinary as a positive one, as of an exponent.
+    optional : fixed at `default` in a fit unless bounds are given for it.
+    signed : negative as naturally as positive, such as an exponent.
     """
-    about = {
+    metadata = {
         "default": default,
         "unit": unit,
         "lower": lower,
@@ -109,20 +109,20 @@ def coefficient(
         "optional": optional,
         "signed": signed,
     }
-    return dataclasses.field(default=default, metadata={"coefficient": about})
+    return dataclasses.field(default=default, metadata={"coefficient": metadata})
 
 
 class RingPoint(NamedTuple):
-    """What a local law may depend on, at one or many points of the contact ring.
+    """Variables of a local law, at one or more points of the contact ring.
 
     Lengths are in units of the ring radius, directions in the moving frame: `eta` along the
     velocity of the centre, `xi` to its right (eq. 21).
     """
 
     xi: Any
-    """cos(alpha), the place of the point to the right of the centre"""
+    """cos(alpha), the coordinate to the right of the centre"""
     eta: Any
-    """sin(alpha), its place ahead of the centre"""
+    """sin(alpha), the coordinate ahead of the centre"""
     angle: Any
     """alpha in rad, in (-pi, pi), counter-clockwise from `xi`"""
     front: Any
@@ -146,14 +146,14 @@ class RingPoint(NamedTuple):
 
 
 class Edges(NamedTuple):
-    """Polar angles at which friction jumps, on the front half (0, pi) and the back (-pi, 0)."""
+    """Polar angles of jumps of friction, on the front half (0, pi) and the back half (-pi, 0)."""
 
     front: tuple[Any, ...] = ()
     back: tuple[Any, ...] = ()
 
 
 class Motion(NamedTuple):
-    """What a net law may depend on: the motion of the stone as a whole."""
+    """Variables of a net law: the motion of the stone as a whole."""
 
     speed: Any
     """speed of the centre, m/s"""
@@ -167,12 +167,12 @@ class Motion(NamedTuple):
 
 @functools.singledispatch
 def power(base: Any, exponent: Any) -> Any:
-    """`base ** exponent` for a base above zero, in compiled programs several times as fast."""
+    """`base ** exponent` for a positive base, several times as fast in compiled programs."""
     return base**exponent
 
 
 LAWS: dict[str, type[Law]] = {}
-"""Every law by its name; a class enters it by being defined."""
+"""Every law by its name; classes register when they are defined."""
 
 on_new_law: list[Callable[[type[Law]], None]] = []
 """Called with each law class as it is defined."""
@@ -183,7 +183,8 @@ class Law:
     """A friction law: a frozen record whose fields are its coefficients.
 
     Derive from `LocalLaw` or `NetLaw`, not from this. Class attributes: `name` (how the command
-    line calls it), `formula`, `source`, `predicts` (which way a counter-clockwise stone curls).
+    line calls it), `formula`, `source`, `predicts` (in which direction a counter-clockwise stone
+    curls).
     """
 
     name: ClassVar[str] = ""
@@ -191,25 +192,25 @@ class Law:
     source: ClassVar[str] = ""
     predicts: ClassVar[str] = ""
     approximates: ClassVar[str] = ""
-    """Name of the law of which this one is an approximation."""
+    """Name of the law that this one approximates."""
     origin: ClassVar[str] = ""
-    """For a law of the user's: FILE.py:CLASS."""
+    """FILE.py:CLASS of a user's law."""
     sums: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Coefficients of which only the sum enters the motion, under uniform load."""
     corners: ClassVar[tuple[float, ...]] = ()
-    """Angles turned (rad) at which friction, which follows the turning until the last of them,
-    changes its course abruptly."""
+    """Angles turned (rad) at which friction has a kink as a function of that angle; beyond the last
+    of them it no longer depends on it."""
 
     def quickness(self, time: Any) -> Any:
-        """How fast friction changes by itself at a time since release, in 1/s."""
+        """Relative rate of the explicit change of friction with time since release, 1/s."""
         return 0.0 * time
 
     def steepness(self) -> Any:
-        """How strongly friction depends on the speed: the exponent, either sign, of a power law."""
+        """Absolute exponent of the dependence of friction on the speed."""
         return 0.0
 
     def fault(self) -> str | None:
-        """Why these coefficients make no law of friction, where bounds cannot say it."""
+        """Why these coefficients are not admissible, where bounds cannot express it."""
         return None
 
     def __init_subclass__(cls, **keywords: Any) -> None:
@@ -223,18 +224,18 @@ class Law:
                 )
             _check(cls, field.name, field.metadata["coefficient"])
         if cls.name:
-            cls.enter(cls.name)
+            cls.register(cls.name)
 
     @classmethod
     def shipped(cls) -> bool:
-        """Whether the law is curlfit's own."""
+        """Whether the law is part of curlfit."""
         return cls.__module__.startswith(f"{__name__.rpartition('.')[0]}.")
 
     @classmethod
-    def enter(cls, name: str) -> None:
-        """Enter the class among the laws. Raises TypeError where curlfit itself has the name."""
+    def register(cls, name: str) -> None:
+        """Add the class to the laws. Raises TypeError where a law of curlfit has the name."""
         if name in LAWS and LAWS[name].shipped() and not cls.shipped():
-            raise TypeError(f"{cls.__name__}: curlfit has a law {name!r} already; rename yours")
+            raise TypeError(f"{cls.__name__}: curlfit has a law {name!r} already; choose another")
         cls.name = name
         LAWS[name] = cls
         for callback in on_new_law:
@@ -244,47 +245,47 @@ class Law:
     @functools.cache
     def coefficients(cls) -> tuple[Coefficient, ...]:
         """The coefficients in the order of the class's fields."""
-        found = []
+        items = []
         for field in dataclasses.fields(cls):  # type: ignore[arg-type]
-            about: dict[str, Any] = dict(field.metadata["coefficient"])
-            about["symbol"] = about["symbol"] or rf"\mathrm{{{field.name}}}"
-            found.append(Coefficient(name=field.name, **about))
-        return tuple(found)
+            metadata: dict[str, Any] = dict(field.metadata["coefficient"])
+            metadata["symbol"] = metadata["symbol"] or rf"\mathrm{{{field.name}}}"
+            items.append(Coefficient(name=field.name, **metadata))
+        return tuple(items)
 
     @classmethod
     def from_vector(cls, values: Any) -> Self:
         """The law with its coefficients taken in order from a sequence or array."""
         names = (item.name for item in cls.coefficients())
-        return cls(**{name: values[place] for place, name in enumerate(names)})
+        return cls(**{name: values[index] for index, name in enumerate(names)})
 
 
-def _check(law: type[Law], name: str, about: dict[str, Any]) -> None:
-    """Raise TypeError where a coefficient cannot have that name or that default."""
+def _check(law: type[Law], name: str, metadata: dict[str, Any]) -> None:
+    """Raise TypeError for an invalid name or default of a coefficient."""
     taken = ""
     if name in START_NAMES:
-        taken = "a parameter of the start, fitted along with every law"
+        taken = "a parameter of the initial state, fitted with every law"
     elif any(name in vars(base) for base in law.__mro__ if base.__module__ == __name__):
-        taken = "something else of every law"
+        taken = "an attribute of every law"
     if taken:
         raise TypeError(f"{law.__name__}.{name}: this is the name of {taken}; choose another")
-    default, lower, upper = (about[key] for key in ("default", "lower", "upper"))
+    default, lower, upper = (metadata[key] for key in ("default", "lower", "upper"))
     if not lower <= default <= upper:
         raise TypeError(
             f"{law.__name__}.{name}: default {default:g} lies outside its bounds, {lower:g} .. "
-            f"{upper:g}; give coefficient(..., lower=, upper=) that hold it"
+            f"{upper:g}; give coefficient(..., lower=, upper=) that include it"
         )
 
 
 class LocalLaw(Law, ABC):
     """A law of friction at a point of the contact ring (eq. 3-5).
 
-    A subclass defines `traction`. Summing over the ring is not its concern. Between the front
-    and the back half the traction may jump; other places where it does are named by `edges`. Where
-    it is a constant tensor times (`e_xi`, `e_eta`) on each half, the sum is in closed form.
+    A subclass defines `traction`, which curlfit integrates over the ring. The traction may be
+    discontinuous between the front and the back half, and at the angles of `edges`. Where it is a
+    constant tensor times (`e_xi`, `e_eta`) on each half, the integral is in closed form.
     """
 
     def edges(self, turned: Any) -> Edges:
-        """Where friction jumps, besides between the halves, after an angle turned."""
+        """Jumps of friction within the halves, after an angle turned."""
         return Edges()
 
     @abstractmethod
@@ -293,7 +294,7 @@ class LocalLaw(Law, ABC):
 
 
 class NetLaw(Law, ABC):
-    """A law that gives the acceleration of the whole stone, with no ring behind it."""
+    """A law for the acceleration of the whole stone, without a contact ring."""
 
     @abstractmethod
     def accelerations(self, motion: Motion, stone: Any) -> tuple[Any, Any, Any]:
@@ -301,13 +302,13 @@ class NetLaw(Law, ABC):
 
 
 def find_law(name: str, *, from_files: bool = True) -> type[Law]:
-    """The law called `name`, or the user's own law in a file, as "FILE.py:CLASS".
+    """The law of that name, or a user's law in a file, as "FILE.py:CLASS".
 
-    `from_files` is False where the name comes with data: reading data must not run a program.
+    `from_files` is False where the name comes from a data file, which must not run a program.
 
     Raises
     ------
-    InputError : there is none; the message lists the laws there are. DataError : the file holds no
+    InputError : no such law; the message lists the laws. DataError : the file contains no
         usable law.
     """
     if name in LAWS:
@@ -318,6 +319,6 @@ def find_law(name: str, *, from_files: bool = True) -> type[Law]:
 
         return law_from_file(*((file, kind) if colon and not kind.endswith(".py") else (name, "")))
     raise InputError(
-        f"unknown law {name!r}; the laws are {', '.join(sorted(LAWS))} (`curlfit laws` tells more)"
-        + ("; your own is given as FILE.py:CLASS" if from_files else "")
+        f"unknown law {name!r}; the laws are {', '.join(sorted(LAWS))} (see `curlfit laws`)"
+        + ("; a law of your own is FILE.py:CLASS" if from_files else "")
     )

@@ -1,4 +1,4 @@
-"""Debris that sticks to the ring and makes it slide more easily."""
+"""Friction reduced by debris that adheres to the ring."""
 
 from math import e, pi
 from typing import Any
@@ -10,14 +10,14 @@ class Debris(LocalLaw):
     """Ice debris lowers the friction of each part of the ring that was once in front.
 
     At release the ring is clean. Its front half is fouled at once, or within the time constant
-    `tau`; with the turning the fouled part grows round the ring, and after half a turn all of it
-    is fouled and the curl ends. A stone too slow in spin for that turns back: the law sees the
-    angle only, and takes what is turned back for clean again.
+    `tau`; the fouled part grows with the rotation, and after half a turn the whole ring is fouled
+    and the curl ends. The law depends on the angle turned alone: a part that is rotated back counts
+    as clean again.
     """
 
     name = "debris"
     formula = "t = -mu n v/|v|, mu_dirty where the ring was once in front, else mu_clean"
-    source = "Denny (2002), as told by Ivanov and Shuvalov (2012), sect. 1"
+    source = "Denny (2002), as cited by Ivanov and Shuvalov (2012), sect. 1"
     predicts = "left for half a turn where mu_dirty < mu_clean, then not at all"
     corners = (-pi, 0.0, pi)
 
@@ -33,7 +33,7 @@ class Debris(LocalLaw):
     def quickness(self, time: Any) -> Any:
         gradual = self.tau > 0
         tau = self.tau + 1.0 * (self.tau <= 0)
-        # Of exp(-time/tau) less and less is left to resolve.
+        # exp(-time/tau) needs less resolution as it decays.
         return gradual * e ** (-time / (6 * tau)) / tau
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:

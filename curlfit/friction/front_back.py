@@ -37,8 +37,8 @@ class FrontBack(_FrontBackCoefficients, LocalLaw):
 class FrontBackFirstOrder(_FrontBackCoefficients, NetLaw):
     """The front-back law to first order in epsilon = R omega/v: the paper's own model.
 
-    Good to 0.3 % while epsilon < 0.1; it diverges as the stone comes to rest. Use `front-back`
-    unless you mean to compare with the paper.
+    Accurate to 0.3 % for epsilon < 0.1; it diverges as the stone comes to rest. For comparison
+    with the paper; otherwise use `front-back`.
     """
 
     name = "front-back-first-order"

@@ -1,4 +1,4 @@
-"""Isotropic friction: it opposes sliding, with a coefficient that depends on where and how."""
+"""Isotropic friction: it opposes sliding, with a coefficient that depends on point and motion."""
 
 from typing import Any
 
@@ -26,12 +26,12 @@ class Coulomb(LocalLaw):
 class Power(LocalLaw):
     """Friction is a power of the sliding speed; Penner found that it falls with the speed.
 
-    Below about 1 mm/s the coefficient is finite and constant, so that a stone can rest.
+    Below about 1 mm/s the coefficient is finite and constant, so that a stone can come to rest.
     """
 
     name = "power"
     formula = "t = -mu n v/|v|, mu = c (|v|/(1 m/s))^k"
-    source = "Penner (2001), as quoted by Ivanov and Shuvalov (2012), sect. 1"
+    source = "Penner (2001), as cited by Ivanov and Shuvalov (2012), sect. 1"
     predicts = "right with consistent load (Prop. 3), not at all with uniform load"
 
     c: float = coefficient(0.008, "coefficient of friction at 1 m/s", symbol="c")
@@ -52,7 +52,7 @@ class Pressure(LocalLaw):
 
     name = "pressure"
     formula = "t = -mu n v/|v|, mu = mu0 (n/n0)^-k"
-    source = "Johnston (1981), as told by Ivanov and Shuvalov (2012), sect. 1"
+    source = "Johnston (1981), as cited by Ivanov and Shuvalov (2012), sect. 1"
     predicts = "right where k < 1, left where k > 1, with consistent load; else not at all"
 
     mu0: float = coefficient(0.01, "coefficient of friction at the mean load", symbol=r"\mu_0")
@@ -68,7 +68,7 @@ class Angular(LocalLaw):
 
     name = "angular"
     formula = "t = -mu n v/|v|, mu = mu0 (1 - f0 cos theta), theta from the front of the ring"
-    source = "Shegelski (2000), as quoted by Ivanov and Shuvalov (2012), sect. 1"
+    source = "Shegelski (2000), as cited by Ivanov and Shuvalov (2012), sect. 1"
     predicts = "left where f0 > 0"
 
     mu0: float = coefficient(0.009, "coefficient of friction at the sides", symbol=r"\mu_0")
@@ -81,7 +81,7 @@ class Angular(LocalLaw):
 
 
 class Stribeck(LocalLaw):
-    """Friction is linear in speed over load, as on a stretch of the Stribeck curve."""
+    """Friction is linear in speed over load, as on part of the Stribeck curve."""
 
     name = "stribeck"
     formula = "t = -mu n v/|v|, mu = mu0 + mu1 |v| n0/n"

@@ -1,4 +1,4 @@
-"""A user's own law of friction, from a Python file."""
+"""Laws of the user, from Python files."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from curlfit.stone import Stone
 def law_from_file(file: str, kind: str = "") -> type[Law]:
     """The law class `kind` of a Python file; the only law in it where `kind` is empty.
 
-    A class without a `name` is called by its class name. The law is tried on a few points of the
-    ring, so that a mistake shows here and not inside a compiled program.
+    The default of `name` is the class name. The law is evaluated at a few points of the ring, so
+    that errors are reported here and not from inside a compiled program.
 
     Raises
     ------
-    DataError : the file cannot be read or run, has no such law, or the law fails when tried.
+    DataError : the file cannot be read or run, has no such law, or the evaluation fails.
     """
     path = Path(file).resolve()
     if not path.is_file():
         raise DataError("no such file", file=file)
-    law = _chosen(file, _module(path, path.stat().st_mtime_ns, file), kind)
+    law = _select_law(file, _module(path, path.stat().st_mtime_ns, file), kind)
     if not law.origin:
-        _try_out(file, path, law)
+        _validate(file, path, law)
         try:
-            law.enter(law.name or law.__name__)
+            law.register(law.name or law.__name__)
         except TypeError as error:
             raise DataError(str(error), file=file) from None
         law.origin = f"{path}:{law.__name__}"
@@ -41,8 +41,8 @@ def law_from_file(file: str, kind: str = "") -> type[Law]:
 
 
 @cache
-def _module(path: Path, _changed: int, file: str) -> ModuleType:
-    """The module of a file, run once for each state of the file."""
+def _module(path: Path, _modified: int, file: str) -> ModuleType:
+    """The module of a file, run once for each modification of the file."""
     spec = spec_from_file_location(f"curlfit_user_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise DataError("this is not a Python file", file=file)
@@ -52,24 +52,24 @@ def _module(path: Path, _changed: int, file: str) -> ModuleType:
     except SyntaxError as error:
         raise DataError(f"{error.msg}; expected Python", file=file, line=error.lineno) from None
     except Exception as error:
-        raise _fault(file, path, error) from None
+        raise _user_error(file, path, error) from None
     return module
 
 
-def _chosen(file: str, module: ModuleType, kind: str) -> type[Law]:
-    found = {
+def _select_law(file: str, module: ModuleType, kind: str) -> type[Law]:
+    classes = {
         name: value
         for name, value in vars(module).items()
         if isinstance(value, type)
         and issubclass(value, LocalLaw | NetLaw)
         and value.__module__ == module.__name__
     }
-    listed = f"it has {', '.join(found)}" if found else "derive one from curlfit.LocalLaw"
-    if kind and kind not in found:
-        raise DataError(f"no law class {kind!r} in it; {listed}", file=file)
-    if not kind and len(found) != 1:
-        raise DataError(f"expected one law class, or FILE.py:CLASS; {listed}", file=file)
-    return found[kind or next(iter(found))]
+    available = f"it has {', '.join(classes)}" if classes else "derive one from curlfit.LocalLaw"
+    if kind and kind not in classes:
+        raise DataError(f"no law class {kind!r} in it; {available}", file=file)
+    if not kind and len(classes) != 1:
+        raise DataError(f"expected one law class, or FILE.py:CLASS; {available}", file=file)
+    return classes[kind or next(iter(classes))]
 
 
 _STATES = [
@@ -78,7 +78,7 @@ _STATES = [
     Motion(speed=0.3, omega=2.0, turned=6.0, time=10.0),
     Motion(speed=0.02, omega=1.0, turned=9.0, time=20.0),
 ]
-"""At which a law is tried."""
+"""Motions at which a law is evaluated."""
 
 _ROUNDING = 1e-12  # m/s, of a power per unit load
 
@@ -88,9 +88,9 @@ _USE_JAX = (
 )
 
 
-def _try_out(file: str, path: Path, law: type[Law]) -> None:
-    """Evaluate the law with its defaults, on numbers and as it will be compiled."""
-    import jax  # a user's law needs it here, and only here
+def _validate(file: str, path: Path, law: type[Law]) -> None:
+    """Evaluate the law with its defaults, on numbers and traced."""
+    import jax  # only for laws of users
 
     untraced = (
         jax.errors.ConcretizationTypeError,
@@ -102,47 +102,47 @@ def _try_out(file: str, path: Path, law: type[Law]) -> None:
     stone = Stone()
     defaults = np.array([item.default for item in law.coefficients()])
 
-    def called(values: Any, place: Any) -> Any:
+    def evaluate(values: Any, argument: Any) -> Any:
         friction = law.from_vector(values)
         if isinstance(friction, LocalLaw):
-            return friction.traction(place)
+            return friction.traction(argument)
         assert isinstance(friction, NetLaw)
-        return friction.accelerations(place, stone)
+        return friction.accelerations(argument, stone)
 
     for state in _STATES:
-        point = _ring(state, stone)
-        place = point if local else state
+        point = _ring_points(state, stone)
+        argument = point if local else state
         try:
-            jax.eval_shape(called, defaults, place)
-            found = called(defaults, place)
+            jax.eval_shape(evaluate, defaults, argument)
+            result = evaluate(defaults, argument)
         except untraced as error:
             raise DataError(_USE_JAX, file=file, line=_line(path, error)) from None
         except Exception as error:
-            raise _fault(file, path, error) from None
-        if not (isinstance(found, tuple) and len(found) == expected[0]):
-            raise DataError(f"{law.__name__} gives {found!r}; expected {expected[1]}", file=file)
-        here = f"with its defaults, at {state.speed:g} m/s and {state.omega:g} rad/s"
-        if not all(np.isfinite(np.asarray(part, float)).all() for part in found):
-            raise DataError(f"{law.__name__} {here}, gives {found!r}", file=file)
+            raise _user_error(file, path, error) from None
+        if not (isinstance(result, tuple) and len(result) == expected[0]):
+            raise DataError(f"{law.__name__} gives {result!r}; expected {expected[1]}", file=file)
+        conditions = f"with its defaults, at {state.speed:g} m/s and {state.omega:g} rad/s"
+        if not all(np.isfinite(np.asarray(part, float)).all() for part in result):
+            raise DataError(f"{law.__name__} {conditions}, gives {result!r}", file=file)
         if local:
-            power = found[0] * point.slide_xi + found[1] * point.slide_eta
+            power = result[0] * point.slide_xi + result[1] * point.slide_eta
         else:
-            power = state.speed * found[1] + stone.rho**2 * state.omega * found[2]
+            power = state.speed * result[1] + stone.rho**2 * state.omega * result[2]
         if np.sum(power) > _ROUNDING:
             raise DataError(
-                f"{law.__name__} {here}, drives the stone; expected a force against the "
+                f"{law.__name__} {conditions}, drives the stone; expected a force against the "
                 + ("sliding, as -mu * point.e_xi, -mu * point.e_eta" if local else "motion"),
                 file=file,
             )
         if np.max(power) > _ROUNDING:
             warn_once(
-                f"{file}: {law.__name__} {here}, drives some points of the ring; friction opposes "
-                "sliding at each of them"
+                f"{file}: {law.__name__} {conditions}, drives some points of the ring; "
+                "friction opposes sliding at each of them"
             )
 
 
-def _ring(state: Motion, stone: Stone) -> RingPoint:
-    """Points all round the ring."""
+def _ring_points(state: Motion, stone: Stone) -> RingPoint:
+    """Equally spaced points of the ring."""
     alpha = np.linspace(-np.pi, np.pi, 24, endpoint=False) + np.pi / 24
     xi, eta = np.cos(alpha), np.sin(alpha)
     spin = stone.R * state.omega
@@ -156,7 +156,7 @@ def _ring(state: Motion, stone: Stone) -> RingPoint:
 
 
 def _line(path: Path, error: Exception) -> int | None:
-    """The last line of the user's file that took part in an error."""
+    """The last line of the user's file in a traceback."""
     lines = [
         frame.lineno
         for frame in traceback.extract_tb(error.__traceback__)
@@ -165,7 +165,7 @@ def _line(path: Path, error: Exception) -> int | None:
     return lines[-1] if lines else None
 
 
-def _fault(file: str, path: Path, error: Exception) -> DataError:
+def _user_error(file: str, path: Path, error: Exception) -> DataError:
     """An error raised by the user's code."""
     text = str(error).strip().splitlines()
     return DataError(

@@ -1,4 +1,4 @@
-"""Forces on the whole stone, read off measured throws."""
+"""Empirical accelerations of the whole stone."""
 
 from typing import Any
 
@@ -6,14 +6,14 @@ from curlfit.friction.base import Motion, NetLaw, coefficient, power
 
 
 class SemiEmpirical(NetLaw):
-    """Constant force across the motion; powers of the speed slow the stone and its spin.
+    """Constant transverse force; deceleration and loss of spin are powers of the speed.
 
-    It describes the motion and says nothing of the ring. The force across ends with the spin.
+    It describes the motion without a model of the ring. The transverse force ends with the spin.
     """
 
     name = "semi-empirical"
     formula = "a_xi = -a sign(omega), a_eta = -c v^p, domega/dt = -q v^r sign(omega)"
-    source = "Jensen and Shegelski (2004), as told by Ivanov and Shuvalov (2012), sect. 1"
+    source = "Jensen and Shegelski (2004), as cited by Ivanov and Shuvalov (2012), sect. 1"
     predicts = "left"
 
     a: float = coefficient(0.005, "transverse acceleration", unit="m/s^2", typical=0.005,

@@ -26,7 +26,7 @@ from curlfit.friction import Coefficient, Law, Load
 from curlfit.inference.identifiability import inverted, triangle
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
-from curlfit.numerics.compiled import BATCH, in_batches, kept
+from curlfit.numerics.compiled import BATCH, compiled, in_batches
 from curlfit.stone import Stone
 from curlfit.throws.throw import last_motion
 
@@ -92,7 +92,7 @@ def smooth(problems: Problem) -> SmoothPath:
     return SmoothPath(span, curves[:, :3], known[:, :3], np.where(n >= 2, rms, np.inf))
 
 
-@kept("law", "load")
+@compiled("law", "load")
 def _forces(
     law: type[Law], load: Load, coefficients: Array, stones: Stone, paths: Array
 ) -> tuple[Array, Array]:

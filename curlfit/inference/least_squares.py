@@ -28,7 +28,7 @@ from curlfit.inference.likelihood import weighted_residuals
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
 from curlfit.numerics import levenberg_marquardt as lm
-from curlfit.numerics.compiled import BATCH, in_batches, kept, stacked
+from curlfit.numerics.compiled import BATCH, compiled, in_batches, stacked
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -60,7 +60,7 @@ class Solution(NamedTuple):
         return (self.residual**2).sum((-1, -2))
 
 
-@kept("law", "load")
+@compiled("law", "load")
 def _minimize(
     law: type[Law], load: Load, start: Array, lower: Array, upper: Array, typical: Array,
     problem: Problem,

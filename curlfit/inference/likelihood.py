@@ -19,7 +19,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from curlfit.dynamics.trajectory import Start, places, simulate
+from curlfit.dynamics.trajectory import InitialState, positions, simulate
 
 # isort: split
 import jax
@@ -33,7 +33,7 @@ from curlfit.inference.noise.correlated import whitened
 from curlfit.inference.noise.losses import signed_root
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
-from curlfit.numerics.compiled import BATCH, in_batches, kept, unstacked
+from curlfit.numerics.compiled import BATCH, compiled, in_batches, unstacked
 
 Floats = NDArray[np.float64]
 
@@ -43,11 +43,11 @@ SIGMA_FLOOR = 1e-7
 _LATE = 60.0  # s after the measured end by which a stone is at rest under any trial
 
 
-def split(law: type[Law], values: Any) -> tuple[Law, Start]:
+def split(law: type[Law], values: Any) -> tuple[Law, InitialState]:
     """A parameter vector as law and start."""
     k = len(law.coefficients())
     x0, y0, heading, v0, phi0, omega0 = (values[k + index] for index in range(len(START)))
-    start = Start(x=x0, y=y0, heading=heading, v=v0, phi=phi0, omega=omega0)
+    start = InitialState(x=x0, y=y0, heading=heading, v=v0, phi=phi0, omega=omega0)
     return law.from_vector(values), start
 
 
@@ -67,10 +67,10 @@ def _channels(law: type[Law], load: Load, values: Array, problem: Problem) -> Ar
     return jnp.stack([path.x, path.y, path.phi, speed, path.omega])
 
 
-predict_channels = kept("law", "load")(_channels)
+predict_channels = compiled("law", "load")(_channels)
 
 
-@kept("law", "load")
+@compiled("law", "load")
 def _batch_of_channels(law: type[Law], load: Load, values: Array, problems: Problem) -> Array:
     return jax.vmap(partial(_channels, law, load))(values, problems)
 
@@ -101,7 +101,7 @@ def _independent_residuals(law: type[Law], load: Load, values: Array, problem: P
     """The same under squared loss."""
     if len(problem.observed) == 3:
         friction, start = split(law, values)
-        path = places(friction, problem.stone, start, _unpadded_times(problem), load=load)
+        path = positions(friction, problem.stone, start, _unpadded_times(problem), load=load)
     else:
         path = _channels(law, load, values, problem)
     residual = jnp.where(problem.weight > 0, (path - problem.observed) * problem.weight, 0.0)
@@ -123,7 +123,7 @@ def _under_losses(residual: Array, losses: Array) -> tuple[Array, Array]:
     return jax.lax.cond((losses > 0).any(), robust, squared, residual)
 
 
-@kept("law", "load", often=True)
+@compiled("law", "load", optimize=True)
 def linearize(law: type[Law], load: Load, values: Array, problems: Problem) -> tuple[Array, Array]:
     """Residuals of many throws (throws, channels, n), and their Jacobian by their parameters."""
 
@@ -145,7 +145,7 @@ def log_likelihood(law: type[Law], load: Load, values: Array, problem: Problem) 
     return jnp.where(jnp.isfinite(value), value, -jnp.inf)
 
 
-@kept("law", "load")
+@compiled("law", "load")
 def log_posterior(
     law: type[Law], load: Load, values: Array, lower: Array, upper: Array, problem: Problem
 ) -> Array:
@@ -157,7 +157,7 @@ def log_posterior(
     return jnp.where(inside, value, -jnp.inf)
 
 
-@kept("law", "load")
+@compiled("law", "load")
 def _chi_squared(law: type[Law], load: Load, values: Array, problems: Problem) -> Array:
     found = jax.vmap(partial(_independent_residuals, law, load))(values, problems)
     return (_under_losses(found, problems.loss)[0] ** 2).sum((1, 2))

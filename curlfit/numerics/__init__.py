@@ -1,1 +1,1 @@
-"""JAX and what is computed with it whatever the subject: set-up, compiled programs, a solver."""
+"""Configuration of JAX, compiled programs, array types and a least-squares solver."""

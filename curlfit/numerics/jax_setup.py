@@ -1,4 +1,4 @@
-"""JAX as curlfit needs it, with a cache of compiled programs for each user.
+"""Configuration of JAX, with a cache of compiled programs for each user.
 
 Imported before any other use of JAX inside curlfit. 64-bit numbers are switched on by `curlfit`
 itself, before that.
@@ -10,8 +10,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-# A program with a host callback in it is never cached, and equinox puts one in for each run-time
-# check. The statuses of optimistix are read by curlfit itself.
+# Programs with host callbacks are never cached, and each run-time check of equinox is one. curlfit
+# reads the status of optimistix itself.
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
@@ -21,45 +21,45 @@ from curlfit.numerics import program_cache as cache
 
 def _configure() -> None:
     if jax.config.values["jax_compilation_cache_dir"] is not None:
-        return  # the user's own choice stands
+        return  # chosen by the user
     folder = cache.folder("jax")
     if folder is None:
         return
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    _keep_in(folder)
+    _use_program_cache(folder)
 
 
-def _keep_in(folder: Path) -> None:
-    """Have JAX read and write the entries in that folder as `curlfit.numerics.program_cache` does.
+def _use_program_cache(folder: Path) -> None:
+    """Let JAX read and write the entries in that folder by `curlfit.numerics.program_cache`.
 
-    JAX itself reads whatever lies there, and leaves half of an entry behind on a full disk or when
-    killed, does not mend it, and warns of it ever after. With `jax_compilation_cache_max_size` it
-    needs a lock for each access, and half of an entry ends all writing.
+    JAX itself does not check ownership, leaves incomplete entries on a full disk or when killed,
+    does not repair them, and warns at each later run. With `jax_compilation_cache_max_size` it
+    needs a lock for each access, and an incomplete entry ends all writing.
     """
     try:
         from jax._src.lru_cache import _CACHE_SUFFIX, LRUCache
-    except ImportError:  # another version of JAX, which may do better
+    except ImportError:  # another version of JAX
         return
     get, put = LRUCache.get, LRUCache.put
 
-    def ours(self: Any, key: str) -> Path | None:
+    def entry(self: Any, key: str) -> Path | None:
         file = Path(str(self.path)) / f"{key}{_CACHE_SUFFIX}"
         return file if file.parent == folder and not self.eviction_enabled else None
 
-    def get_own(self: Any, key: str) -> bytes | None:
-        file = ours(self, key)
+    def get_checked(self: Any, key: str) -> bytes | None:
+        file = entry(self, key)
         return get(self, key) if file is None else cache.read(file)
 
-    def put_whole(self: Any, key: str, value: bytes) -> None:
-        file = ours(self, key)
+    def put_atomically(self: Any, key: str, value: bytes) -> None:
+        file = entry(self, key)
         if file is None:
             put(self, key, value)
         else:
             cache.write(file, value)
 
-    LRUCache.get, LRUCache.put = get_own, put_whole  # type: ignore[method-assign]
+    LRUCache.get, LRUCache.put = get_checked, put_atomically  # type: ignore[method-assign]
 
 
 _configure()

@@ -1,1 +1,1 @@
-"""`curlfit design`: throws that would tell most."""
+"""`curlfit design`: optimal selection of throws."""

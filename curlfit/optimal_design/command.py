@@ -1,4 +1,4 @@
-"""`curlfit design`: what a measurement would tell, before it is made."""
+"""`curlfit design`: the expected errors of planned throws."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 from curlfit.options import flags as o
 from curlfit.options import settings as s
 
-_TRUTH = "What is taken to be true"
+_TRUTH = "Assumed values"
 _THROWS = "The throws"
 _RECORD = "The record"
 _UNMEASURED = "`none`: not measured."
@@ -36,7 +36,7 @@ def design(
     fit: Annotated[
         Path | None,
         typer.Option(
-            help="A saved fit, whose law, coefficients, load and stone are taken instead.",
+            help="A saved fit, for its law, coefficients, load and stone.",
             metavar="DIR",
             rich_help_panel=_TRUTH,
         ),
@@ -51,7 +51,7 @@ def design(
     v0: Annotated[
         str | None,
         typer.Option(
-            help="Speeds to choose from, m/s. [default: 1.6,1.9,2.2]",
+            help="Candidate speeds, m/s. [default: 1.6,1.9,2.2]",
             metavar="V,V",
             rich_help_panel=_THROWS,
         ),
@@ -59,7 +59,7 @@ def design(
     omega0: Annotated[
         str | None,
         typer.Option(
-            help="Spins to choose from, rad/s, counter-clockwise positive. "
+            help="Candidate spins, rad/s, counter-clockwise positive. "
             "[default: 0.5,1,2,5,10, from a draw to a hard spinner]",
             metavar="V,V",
             rich_help_panel=_THROWS,
@@ -68,13 +68,15 @@ def design(
     throws: Annotated[
         int,
         typer.Option(
-            help="How many throws are made: the best of those, each as often as is best.",
+            help="Number of throws, chosen optimally among the candidates, with repetition.",
             rich_help_panel=_THROWS,
         ),
     ] = 3,
     rate: Annotated[
         str,
-        typer.Option(help="Rows a second, Hz; or several.", metavar="V,V", rich_help_panel=_RECORD),
+        typer.Option(
+            help="Rows per second, Hz; one or more.", metavar="V,V", rich_help_panel=_RECORD
+        ),
     ] = "30",
     until: Annotated[
         float | None,
@@ -103,27 +105,27 @@ def design(
     sigma_speed: Annotated[
         str,
         typer.Option(
-            help="Noise of a speed that is measured itself.", metavar="V", rich_help_panel=_RECORD
+            help="Noise of a directly measured speed.", metavar="V", rich_help_panel=_RECORD
         ),
     ] = "none",
     sigma_omega: Annotated[
         str,
         typer.Option(
-            help="Noise of a spin that is measured itself.", metavar="V", rich_help_panel=_RECORD
+            help="Noise of a directly measured spin.", metavar="V", rich_help_panel=_RECORD
         ),
     ] = "none",
     separate: Annotated[
         str | None,
         typer.Option(
-            help="Two coefficients that are to be told apart. [default: two of which uniform load "
-            "shows only the sum]",
+            help="Two coefficients to be separated. [default: two of which only the sum is "
+            "determined under uniform load]",
             metavar="A,B",
         ),
     ] = None,
     relative_error: Annotated[
         float,
         typer.Option(
-            help="That is wanted of their difference, or of their mean where they are equal.",
+            help="Required, of their difference, or of their mean where they are equal.",
             metavar="V",
         ),
     ] = 0.2,
@@ -131,15 +133,15 @@ def design(
     no_figures: o.NoFigures = False,
     quiet: o.Quiet = False,
 ) -> None:
-    """Before measuring: what would throws tell of a law's coefficients, and which tell most?
+    """Optimal design: the expected errors of a law's coefficients, and the best choice of throws.
 
-    Every combination of speed, spin and rate is a throw to choose from. Each has a start of its
-    own, which is not known beforehand; the coefficients are common to all. Errors are those of
-    least squares (from the exact derivatives of the path), for noise that is independent from row
-    to row. Where two coefficients go together, it is said what precision, which throws or which
-    change to the stone would tell them apart.
-    Writes `design.json`, `design-map.png`, `design-errors.png` and, where two coefficients are to
-    be told apart and can be, `design-separate.png`.
+    Every combination of speed, spin and rate is a candidate. Each throw has its own unknown initial
+    state; the coefficients are common to all. Errors are those of least squares (from the exact
+    derivatives of the trajectory), for noise that is independent from row to row. Where only the
+    sum of two coefficients is determined, the report gives the precision, the throws or the changes
+    of the stone that would separate them.
+    Writes `design.json`, `design-map.png`, `design-errors.png` and, where two coefficients are
+    separable, `design-separate.png`.
 
     Examples:
 
@@ -149,7 +151,7 @@ def design(
 
     `curlfit design --load consistent --separate mu1_eta,mu2_eta --stone h=0.1`
 
-    `curlfit design --fit throw-fit --until 12`: about the ice of a fitted throw
+    `curlfit design --fit throw-fit --until 12`: for the ice of a fitted throw
     """  # fmt: skip
     from curlfit.errors import InputError
     from curlfit.output.files import prepared_folder
@@ -190,13 +192,13 @@ def design(
     errors = Console(stderr=True, quiet=quiet)
     with errors.status("Reading") as status:
 
-        def told(text: str) -> None:
+        def progress(text: str) -> None:
             status.update(f"Computing {text} (a first run on a machine compiles the model)")
 
-        told("what each throw would tell")
-        from curlfit.optimal_design.design import design as planned
+        progress("the information of each throw")
+        from curlfit.optimal_design.design import design as compute_design
 
-        found = planned(
+        result = compute_design(
             known or law or "front-back",
             coefficients=given,
             load=load,
@@ -206,21 +208,21 @@ def design(
             throws=throws,
             separate=pair,
             relative_error=relative_error,
-            progress=told,
+            progress=progress,
             **grid,
         )
     folder = prepared_folder(out)
     written = [folder / "design.json"]
-    found.save(written[0])
+    result.save(written[0])
 
     from curlfit.optimal_design.figures import FILES, save_figures
 
     for name in FILES:
         (folder / f"{name}.png").unlink(missing_ok=True)
     if not no_figures:
-        written += save_figures(found, folder)
+        written += save_figures(result, folder)
 
     from curlfit.optimal_design.report import print_design
 
-    print_design(found, console)
+    print_design(result, console)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)

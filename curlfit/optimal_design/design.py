@@ -1,9 +1,8 @@
-"""Before measuring: what would a measurement tell, and which throws would tell most?
+"""Optimal design: the expected errors of planned throws, and the best choice of throws.
 
-Standard errors are those of least squares at the truth, (J^T W J)^-1 (Cramer and Rao: no unbiased
-estimate has smaller ones), each throw with a start of its own, the coefficients in common. They
-hold where noise is independent from row to row and the law is right; what a law misses does not
-average out.
+Standard errors are the Cramer-Rao bound (J^T W J)^-1 at the assumed values, with an initial state
+for each throw and common coefficients. They hold for noise that is independent from row to row and
+a correct law; the discrepancy of a law does not average out.
 """
 
 from __future__ import annotations
@@ -14,11 +13,10 @@ from itertools import product
 from typing import Any
 
 from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
-from curlfit.optimal_design.result import Candidate, Design, Expected
+from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors
 
 # isort: split
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, check_load
@@ -26,36 +24,40 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import Identifiability, analyse
 from curlfit.inference.linearized_problem import classify
 from curlfit.inference.parameters import ParameterSet
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.optimal_design.information import (
-    Told,
-    Trial,
-    about_coefficients,
-    error_of,
-    joined,
-    told,
+    PlannedThrow,
+    RecordInformation,
+    coefficient_information,
+    combined,
+    record_information,
+    standard_error,
 )
-from curlfit.optimal_design.selection import Field, by_mean_error, by_volume, chosen, field_of
-from curlfit.optimal_design.separability import Split, separation
+from curlfit.optimal_design.selection import (
+    CandidateSet,
+    a_criterion,
+    d_criterion,
+    select_design,
+)
+from curlfit.optimal_design.separability import CoefficientPair, analyse_separation
 from curlfit.sheet import LINES, TEE, TEE_TO_BACK
 from curlfit.stone import Stone
 from curlfit.throws.synthetic import law_with
 from curlfit.throws.throw import CHANNELS
 
-Floats = NDArray[np.float64]
-
 SPEEDS = (1.6, 1.9, 2.2)
 SPINS = (0.5, 1.0, 2.0, 5.0, 10.0)
-"""Throws that are considered where none are named: m/s, and rad/s from a draw to a hard spinner."""
+"""Default candidates: m/s, and rad/s from a draw to a hard spinner."""
 NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01}
-"""Noise of a camera over the ice, m and rad."""
+"""Noise of a camera above the ice, m and rad."""
 
-_MOST_CANDIDATES = 500
-_MOST_THROWS = 1000
+_MAX_CANDIDATES = 500
+_MAX_THROWS = 1000
 _FACTORS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # on the noise, for the curves
 _RATES = (1.0, 3.0, 10.0, 30.0, 100.0)  # Hz
 _COUNTS = (1, 2, 3, 4, 6, 8, 12, 16)  # throws
-_LONGEST_WAY = TEE + TEE_TO_BACK - LINES["hog"]
-_PLACE, _ANGLE = ("x", "y", "speed"), ("phi", "omega")
+_LONGEST_DISTANCE = TEE + TEE_TO_BACK - LINES["hog"]
+_POSITION, _ANGLE = ("x", "y", "speed"), ("phi", "omega")
 
 
 def design(
@@ -74,83 +76,89 @@ def design(
     relative_error: float = 0.2,
     progress: Callable[[str], None] | None = None,
 ) -> Design:
-    """What throws would tell of the coefficients of a law, before they are made.
+    """The expected errors of the coefficients of a law from planned throws.
 
     Parameters
     ----------
-    law : name or class of the law; or a fit, whose law, coefficients, load and stone are taken.
-    coefficients : what is taken to be true, over the law's defaults or the fit's values.
+    law : name or class of the law; or a fit, for its law, coefficients, load and stone.
+    coefficients : assumed values, in place of the law's defaults or the fit's values.
     load, stone : "uniform" or "consistent" (eq. 8-9); `Stone()`.
-    v0, omega0, rate : speeds (m/s), spins (rad/s) and rows a second: every combination of these is
-        a candidate.
-    until : end of the records in s; when the stone has come to rest if not given.
-    sigma : noise by channel (m, rad, m/s, rad/s) of x, y, phi, speed, omega; what is not named is
+    v0, omega0, rate : speeds (m/s), spins (rad/s) and rows per second: all combinations are
+        candidates.
+    until : end of the records in s; the time of rest if not given.
+    sigma : noise by channel (m, rad, m/s, rad/s) of x, y, phi, speed, omega; other channels are
         not measured. 5 mm and 10 mrad if not given.
-    throws : how many throws are made: the best of the candidates, each as often as is best.
-    separate : two coefficients that are to be told apart; if not given, two of which the candidates
-        under uniform load determine the sum alone.
-    relative_error : of their difference (or of their mean where they are equal) that is wanted.
-    progress : called with what is being done.
+    throws : number of throws, chosen optimally among the candidates, with repetition.
+    separate : two coefficients to be separated; if not given, two of which the candidates under
+        uniform load determine only the sum.
+    relative_error : required, of their difference (or of their mean where they are equal).
+    progress : called with a description of each step.
 
     Raises
     ------
-    InputError : a value that makes no throw, an unknown law, load, channel or coefficient, or
-        throws that determine nothing.
+    InputError : an invalid value, an unknown law, load, channel or coefficient, or throws that
+        determine nothing.
     """
-    say = progress or (lambda text: None)
-    kind, values, load, stone = _truth(law, coefficients, load, stone)
+    progress = progress or (lambda text: None)
+    kind, values, load, stone = _assumed(law, coefficients, load, stone)
     sigma = _noise(NOISE if sigma is None else sigma)
     rates = (rate,) if isinstance(rate, int | float) else tuple(rate)
     _check(v0, omega0, rates, until, throws, relative_error)
     free = ParameterSet.build(kind).free[: len(values)]
-    split = None if separate is None else Split(kind, values, free, separate)
-    trials = [
-        Trial(float(v), float(w), float(hertz), stone) for v, w, hertz in product(v0, omega0, rates)
+    pair = None if separate is None else CoefficientPair(kind, values, free, separate)
+    candidates = [
+        PlannedThrow(float(v), float(w), float(hertz), stone)
+        for v, w, hertz in product(v0, omega0, rates)
     ]
-    if len(trials) > _MOST_CANDIDATES:
+    if len(candidates) > _MAX_CANDIDATES:
         raise InputError(
-            f"{len(v0)} speeds, {len(omega0)} spins and {len(rates)} rates make {len(trials)} "
-            f"throws to choose from; expected at most {_MOST_CANDIDATES}"
+            f"{len(v0)} speeds, {len(omega0)} spins and {len(rates)} rates make {len(candidates)} "
+            f"candidates; expected at most {_MAX_CANDIDATES}"
         )
     channels = 5 if {"speed", "omega"} & sigma.keys() else 3
     record: dict[str, Any] = {"until": until, "channels": channels}
-    say("what each throw would tell")
-    known_by = told(kind, load, values, trials, **record)
-    plan = _Planned(kind, values, free, sigma)
-    roots = [plan.root(one) for one in known_by]
-    field = field_of(roots)
-    if not field.rank:
+    progress("the information of each throw")
+    records = record_information(kind, load, values, candidates, **record)
+    model = _DesignModel(kind, values, free, sigma)
+    factors = [model.factor(one) for one in records]
+    candidate_set = CandidateSet.from_factors(factors)
+    if not candidate_set.rank:
         raise InputError(f"these throws determine no coefficient of law {kind.name}")
-    whole = plan.seen(joined(roots))
-    quantities = plan.quantities(whole)
+    together = model.identifiability(combined(factors))
+    quantities = model.quantities(together)
     best = {}
-    for name, criterion in (("D", by_volume(field)), ("A", by_mean_error(field))):
-        places = chosen(field, criterion, throws)
-        if places is not None:
-            best[name] = plan.expected(places, roots)
+    for name, criterion in (("D", d_criterion(candidate_set)), ("A", a_criterion(candidate_set))):
+        indices = select_design(candidate_set, criterion, throws)
+        if indices is not None:
+            best[name] = model.expected(indices, factors)
     if not best:
         raise InputError(
-            f"no {throws} of these throws determine what all of them together do; ask for more "
-            "throws, or offer others"
+            f"no {throws} of these throws determine what all of them together do; increase "
+            "the number of throws, or give other candidates"
         )
-    by_load: dict[str, list[Told]] = {load: known_by}
-    if split is None:
+    by_load: dict[str, list[RecordInformation]] = {load: records}
+    if pair is None:
         if load == "consistent":
-            say("what would be hidden under uniform load")
-            by_load["uniform"] = told(kind, "uniform", values, trials, **record)
-            whole = plan.seen(joined([plan.root(one) for one in by_load["uniform"]]))
-        pair = _open_pair(whole)
-        split = None if pair is None else Split(kind, values, free, pair)
-    say("errors against noise, rate and number of throws")
-    curves = _curves(plan, field, roots, known_by, trials, best, load, record, quantities)
-    parted = None
-    if split is not None:
-        parted = separation(split, trials, throws, sigma, relative_error, record, by_load, say)
+            progress("the directions hidden under uniform load")
+            by_load["uniform"] = record_information(kind, "uniform", values, candidates, **record)
+            hidden = [model.factor(one) for one in by_load["uniform"]]
+            together = model.identifiability(combined(hidden))
+        names = _undetermined_pair(together)
+        pair = None if names is None else CoefficientPair(kind, values, free, names)
+    progress("errors against noise, rate and number of throws")
+    curves = _curves(
+        model, candidate_set, factors, records, candidates, best, load, record, quantities
+    )
+    separation = None
+    if pair is not None:
+        separation = analyse_separation(
+            pair, candidates, throws, sigma, relative_error, record, by_load, progress
+        )
     return Design(
         law=kind.name,
         load=load,
         stone=stone,
-        coefficients=plan.named(values),
+        coefficients=model.named(values),
         symbols={item.name: item.symbol for item in kind.coefficients()},
         units={item.name: item.unit for item in kind.coefficients()},
         typical={item.name: item.typical for item in kind.coefficients()},
@@ -159,26 +167,26 @@ def design(
         throws=throws,
         candidates=tuple(
             Candidate(
-                trial.v0, trial.omega0, trial.rate, one.rows, one.last, one.rest, one.distance,
-                plan.errors(root, quantities),
+                planned.v0, planned.omega0, planned.rate, one.rows, one.last, one.rest,
+                one.distance, model.errors(factor, quantities),
             )
-            for trial, one, root in zip(trials, known_by, roots, strict=True)
+            for planned, one, factor in zip(candidates, records, factors, strict=True)
         ),
         quantities=quantities,
-        rank=field.rank,
+        rank=candidate_set.rank,
         free=int(free.sum()),
         best=best,
         curves=curves,
-        separation=parted,
-        notes=_notes(rates, until, known_by),
+        separation=separation,
+        notes=_notes(rates, until, records),
     )  # fmt: skip
 
 
-class _Planned:
-    """The coefficients and the noise, and what roots of information say of them."""
+class _DesignModel:
+    """Coefficients and noise, and the analysis of information factors for them."""
 
     def __init__(
-        self, law: type[Law], values: Floats, free: NDArray[np.bool_], sigma: dict[str, float]
+        self, law: type[Law], values: Floats, free: Booleans, sigma: dict[str, float]
     ) -> None:
         items = law.coefficients()
         self.law, self.values, self.free, self.sigma = law, values, free, sigma
@@ -186,44 +194,44 @@ class _Planned:
         self.names = [name for name, take in zip(self.all, free, strict=True) if take]
         self.typical = np.array([item.typical for item in items])[free]
 
-    def root(self, one: Told, **factors: float) -> Floats:
-        """Of the information on the free coefficients; factors on the noise by channel."""
-        sigma = {name: value * factors.get(name, 1.0) for name, value in self.sigma.items()}
-        return about_coefficients(self.law, one, sigma, self.free)
+    def factor(self, one: RecordInformation, **noise: float) -> Floats:
+        """R factor of the information on the free coefficients, for noise scaled by channel."""
+        sigma = {name: value * noise.get(name, 1.0) for name, value in self.sigma.items()}
+        return coefficient_information(self.law, one, sigma, self.free)
 
     def named(self, values: Floats) -> dict[str, float]:
         return dict(zip(self.all, map(float, values), strict=True))
 
-    def seen(self, root: Floats) -> Identifiability:
-        return analyse(root / self.typical, self.names, self.values[self.free], self.typical)
+    def identifiability(self, factor: Floats) -> Identifiability:
+        return analyse(factor / self.typical, self.names, self.values[self.free], self.typical)
 
-    def quantities(self, whole: Identifiability) -> dict[str, dict[str, float]]:
-        """What is determined, one by one and together."""
+    def quantities(self, together: Identifiability) -> dict[str, dict[str, float]]:
+        """The determined coefficients and combinations, as weights."""
         found = {
             name: {name: 1.0}
-            for name, unseen in zip(self.names, whole.unseen, strict=True)
+            for name, unseen in zip(self.names, together.unseen, strict=True)
             if not unseen
         }
-        return found | {item.expression: item.weights for item in whole.combinations}
+        return found | {item.expression: item.weights for item in together.combinations}
 
     def errors(
-        self, root: Floats, quantities: Mapping[str, Mapping[str, float]]
+        self, factor: Floats, quantities: Mapping[str, Mapping[str, float]]
     ) -> dict[str, float | None]:
         return {
-            name: error_of(
-                root, np.array([weights.get(name, 0.0) for name in self.names]) * self.typical
+            name: standard_error(
+                factor, np.array([weights.get(name, 0.0) for name in self.names]) * self.typical
             )
             for name, weights in quantities.items()
         }
 
-    def expected(self, places: Sequence[int], roots: Sequence[Floats]) -> Expected:
-        found = self.seen(joined([roots[place] for place in places]))
+    def expected(self, indices: Sequence[int], factors: Sequence[Floats]) -> ExpectedErrors:
+        found = self.identifiability(combined([factors[index] for index in indices]))
         stderr: dict[str, float | None] = dict.fromkeys(self.all)
         verdicts = dict.fromkeys(self.all, "fixed")
-        for place, name in enumerate(self.names):
-            stderr[name], verdicts[name] = classify(float(self.typical[place]), False, found, place)
-        return Expected(
-            throws=tuple(places),
+        for index, name in enumerate(self.names):
+            stderr[name], verdicts[name] = classify(float(self.typical[index]), False, found, index)
+        return ExpectedErrors(
+            throws=tuple(indices),
             stderr=stderr | {item.expression: item.stderr for item in found.combinations},
             verdicts=verdicts,
             combinations=found.combinations,
@@ -233,21 +241,21 @@ class _Planned:
         )
 
 
-def _truth(
+def _assumed(
     law: str | type[Law] | FitResult,
     coefficients: Mapping[str, float] | None,
     load: str | None,
     stone: Stone | None,
 ) -> tuple[type[Law], Floats, Load, Stone]:
-    """What is taken to be true: law, values of its coefficients, load and stone."""
+    """Assumed law, values of its coefficients, load and stone."""
     fitted = {}
     if isinstance(law, FitResult):
         fitted = {name: item.value for name, item in law.coefficients.items()}
         load, stone = load or law.load, stone or law.stone
         law = law.law_class
-    made = law_with(law, coefficients or {}, others=fitted)
-    values = np.array([float(getattr(made, item.name)) for item in made.coefficients()])
-    return type(made), values, check_load(load or "uniform"), stone or Stone()
+    instance = law_with(law, coefficients or {}, others=fitted)
+    values = np.array([float(getattr(instance, item.name)) for item in instance.coefficients()])
+    return type(instance), values, check_load(load or "uniform"), stone or Stone()
 
 
 def _noise(sigma: Mapping[str, float]) -> dict[str, float]:
@@ -257,7 +265,7 @@ def _noise(sigma: Mapping[str, float]) -> dict[str, float]:
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"sigma of {name} = {value:g}: expected a positive number")
     if not sigma:
-        raise InputError("sigma: nothing is measured; expected the noise of a channel at least")
+        raise InputError("sigma: nothing is measured; expected the noise of at least one channel")
     return {name: float(sigma[name]) for name in CHANNELS if name in sigma}
 
 
@@ -278,12 +286,12 @@ def _check(
     for name, value in (("until", until), ("relative error", relative_error)):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise InputError(f"{name} = {value:g}: expected a positive number")
-    if isinstance(throws, bool) or not isinstance(throws, int) or not 1 <= throws <= _MOST_THROWS:
-        raise InputError(f"throws = {throws}: expected a whole number from 1 to {_MOST_THROWS}")
+    if isinstance(throws, bool) or not isinstance(throws, int) or not 1 <= throws <= _MAX_THROWS:
+        raise InputError(f"throws = {throws}: expected a whole number from 1 to {_MAX_THROWS}")
 
 
-def _open_pair(found: Identifiability) -> tuple[str, str] | None:
-    """Two coefficients of which only the sum is determined, if there are such."""
+def _undetermined_pair(found: Identifiability) -> tuple[str, str] | None:
+    """Two coefficients of which only the sum is determined, if any."""
     for direction in found.null_directions:
         if len(direction) == 2 and sum(direction.values()) == 0:
             first, second = direction
@@ -292,71 +300,77 @@ def _open_pair(found: Identifiability) -> tuple[str, str] | None:
 
 
 def _curves(
-    plan: _Planned,
-    field: Field,
-    roots: Sequence[Floats],
-    known_by: Sequence[Told],
-    trials: Sequence[Trial],
-    best: Mapping[str, Expected],
+    model: _DesignModel,
+    candidate_set: CandidateSet,
+    factors: Sequence[Floats],
+    records: Sequence[RecordInformation],
+    candidates: Sequence[PlannedThrow],
+    best: Mapping[str, ExpectedErrors],
     load: Load,
     record: Mapping[str, Any],
     quantities: Mapping[str, Mapping[str, float]],
 ) -> dict[str, dict[str, list[float | None]]]:
-    """Standard errors against noise of place, noise of angle, rate and number of throws."""
+    """Standard errors against noise of position, noise of angle, rate and number of throws."""
     made = next(iter(best.values())).throws
 
-    def series(at: Sequence[float], each: Sequence[Floats]) -> dict[str, list[float | None]]:
-        rows = [plan.errors(root, quantities) for root in each]
+    def series(at: Sequence[float], factors_of: Sequence[Floats]) -> dict[str, list[float | None]]:
+        rows = [model.errors(factor, quantities) for factor in factors_of]
         errors = {name: [row[name] for row in rows] for name in quantities}
         return {"at": [*at], **errors}
 
     found: dict[str, dict[str, list[float | None]]] = {}
-    for name, channels in (("place", _PLACE), ("angle", _ANGLE)):
-        if not plan.sigma.keys() & set(channels):
+    for name, channels in (("place", _POSITION), ("angle", _ANGLE)):
+        if not model.sigma.keys() & set(channels):
             continue
-        each = [
-            joined([plan.root(known_by[p], **dict.fromkeys(channels, factor)) for p in made])
+        factors_of = [
+            combined([model.factor(records[p], **dict.fromkeys(channels, factor)) for p in made])
             for factor in _FACTORS
         ]
-        found[name] = series(_FACTORS, each)
-    kinds = sorted(set(made))
-    each = []
+        found[name] = series(_FACTORS, factors_of)
+    distinct = sorted(set(made))
+    factors_of = []
     for rate in _RATES:
-        again = told(
-            plan.law, load, plan.values, [trials[p]._replace(rate=rate) for p in kinds], **record
+        resampled = record_information(
+            model.law,
+            load,
+            model.values,
+            [candidates[p]._replace(rate=rate) for p in distinct],
+            **record,
         )
-        own = {place: plan.root(one) for place, one in zip(kinds, again, strict=True)}
-        each.append(joined([own[place] for place in made]))
-    found["rate"] = series(_RATES, each)
-    counts, each = [], []
+        by_index = {
+            index: model.factor(one) for index, one in zip(distinct, resampled, strict=True)
+        }
+        factors_of.append(combined([by_index[index] for index in made]))
+    found["rate"] = series(_RATES, factors_of)
+    counts, factors_of = [], []
     for count in _COUNTS:
-        places = chosen(field, by_volume(field), count)
-        if places is not None:
+        indices = select_design(candidate_set, d_criterion(candidate_set), count)
+        if indices is not None:
             counts.append(float(count))
-            each.append(joined([roots[place] for place in places]))
-    found["throws"] = series(counts, each)
+            factors_of.append(combined([factors[index] for index in indices]))
+    found["throws"] = series(counts, factors_of)
     return found
 
 
 def _notes(
-    rates: Sequence[float], until: float | None, known_by: Sequence[Told]
+    rates: Sequence[float], until: float | None, records: Sequence[RecordInformation]
 ) -> tuple[str, ...]:
     notes = [
-        "these errors hold if the law is right and noise is independent from row to row; what a "
-        "law misses does not average out"
+        "these errors hold if the law is correct and noise is independent from row to row; the "
+        "discrepancy of a law does not average out"
     ]
     if len(rates) > 1:
         notes.append(
-            "with independent noise more rows always tell more, so the highest rate is chosen"
+            "with independent noise more rows always reduce the errors: the highest rate is chosen"
         )
-    if until is not None and (early := sum(one.rest > until for one in known_by)):
+    if until is not None and (early := sum(one.rest > until for one in records)):
         notes.append(
-            f"of {len(known_by)} records {early} end at {until:g} s, before the stone is at rest"
+            f"of {len(records)} records {early} end at {until:g} s, before the stone is at rest"
         )
-    far = [one.distance for one in known_by if one.distance > _LONGEST_WAY]
+    far = [one.distance for one in records if one.distance > _LONGEST_DISTANCE]
     if until is None and far:
         notes.append(
-            f"{len(far)} of {len(known_by)} throws go up to {max(far):.1f} m; from the hog line to "
-            f"the far back line there are {_LONGEST_WAY:.1f} m"
+            f"{len(far)} of {len(records)} throws go up to {max(far):.1f} m; from the hog line to "
+            f"the far back line there are {_LONGEST_DISTANCE:.1f} m"
         )
     return tuple(notes)

@@ -1,12 +1,12 @@
-"""What a throw would tell, before it is made: its Fisher information, from the exact derivatives.
+"""Fisher information of planned throws, from exact derivatives.
 
-Information is J^T W J, J the derivatives of the path by coefficients and start, W = 1/sigma^2 of
-independent Gaussian noise. It is kept as a square root: an upper triangle R with R^T R = J^T W J,
-found by QR of J itself, for squaring would cost half the digits, and with them the difference
-between what is hardly seen and what is not seen at all. Triangles of throws, or of channels,
-stacked upon each other are the root of their sum.
+The information is J^T W J, with J the derivatives of the trajectory with respect to coefficients
+and initial state, and W = 1/sigma^2 of independent Gaussian noise. It is stored as its factor R, an
+upper triangular matrix with R^T R = J^T W J, by QR of J itself: forming the product would lose half
+the digits, and with them the distinction between weakly determined and undetermined directions.
+The QR of stacked factors of throws, or of channels, is the factor of their sum.
 
-Columns are by typical sizes of the parameters, as in `curlfit.inference.identifiability`.
+Columns are scaled by typical sizes of the parameters, as in `curlfit.inference.identifiability`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its
 # isort: split
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, no_motion_because
@@ -28,65 +27,66 @@ from curlfit.inference.identifiability import visible
 from curlfit.inference.likelihood import linearize, predict_channels
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import BATCH
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
 
-Floats = NDArray[np.float64]
-
 LONGEST = 120.0
-"""Seconds within which a stone has to come to rest where no end of the record is given."""
+"""Seconds within which a stone must come to rest if the end of the record is not given."""
 MOST_ROWS = 50_000
 """Rows of one throw."""
 
-_ROWS = 256  # computed at a time: the shape that fits have, so that their programs serve
+_ROWS = 256  # per batch column: the shape of fits, so that their compiled programs are reused
 _ROUNDING = 1e-13  # of the largest singular value of the start's columns
-_SEES = 1e-3  # share of a weighted sum outside what is seen, from which it is not known
+_UNDETERMINED = (
+    1e-3  # fraction of a combination outside the determined subspace above which it is unknown
+)
 
 
-class Trial(NamedTuple):
-    """A throw that could be made."""
+class PlannedThrow(NamedTuple):
+    """Initial conditions and sampling rate of a throw."""
 
     v0: float
     """initial speed, m/s, > 0"""
     omega0: float
     """initial spin, rad/s, counter-clockwise positive"""
     rate: float
-    """rows a second"""
+    """rows per second, Hz"""
     stone: Stone
 
 
-class Told(NamedTuple):
-    """What the record of a throw would hold."""
+class RecordInformation(NamedTuple):
+    """Length and Fisher information of the record of a planned throw."""
 
     rows: int
     last: float
     """time of the last row, s since the first"""
     rest: float
-    """when the stone comes to rest, s since the first row"""
+    """time of rest, s since the first row"""
     distance: float
-    """from the first row to where it comes to rest, m"""
-    roots: Floats
-    """by channel, for noise of 1 m, 1 rad ...: root of the information on coefficients and start,
-    by typical sizes; shape (channels, parameters, parameters)"""
+    """from the first row to rest, m"""
+    factors: Floats
+    """by channel, for noise of 1 m, 1 rad ...: R factor of the information on coefficients and
+    initial state, by typical sizes; shape (channels, parameters, parameters)"""
 
 
-def told(
+def record_information(
     law: type[Law],
     load: Load,
     coefficients: Floats,
-    trials: Sequence[Trial],
+    throws: Sequence[PlannedThrow],
     *,
     until: float | None = None,
     channels: int = 3,
-) -> list[Told]:
-    """What each of some throws would tell.
+) -> list[RecordInformation]:
+    """The information of each of several throws.
 
     Parameters
     ----------
     coefficients : of the law, shape (k,).
-    until : end of the records in s; when the stone has come to rest if None.
-    channels : how many of x, y, phi, speed, omega: 3 or 5.
+    until : end of the records in s; the time of rest if None.
+    channels : number of the channels x, y, phi, speed, omega: 3 or 5.
 
     Raises
     ------
@@ -95,151 +95,155 @@ def told(
     """
     typical = np.array([item.typical for item in (*law.coefficients(), *START)])
     clocks, ends = [], []
-    for trial in trials:
-        rest, distance = _rest(law, load, coefficients, trial, needed=until is None)
+    for throw in throws:
+        rest, distance = _rest_time(law, load, coefficients, throw, required=until is None)
         end = rest if until is None else until
-        rows = math.floor(end * trial.rate + 1e-9) + 1
+        rows = math.floor(end * throw.rate + 1e-9) + 1
         if not 2 <= rows <= MOST_ROWS:
             raise InputError(
-                f"{end:.4g} s at {trial.rate:g} Hz make {rows} rows; expected 2 to {MOST_ROWS}"
+                f"{end:.4g} s at {throw.rate:g} Hz make {rows} rows; expected 2 to {MOST_ROWS}"
             )
-        clocks.append(np.arange(rows) / trial.rate)
+        clocks.append(np.arange(rows) / throw.rate)
         ends.append((rest, distance))
-    # Long records are followed in several lanes, a part of the rows in each.
+    # Long records are split over several columns of a batch.
     parts = [
-        (place, clock[first : first + _ROWS])
-        for place, clock in enumerate(clocks)
+        (index, clock[first : first + _ROWS])
+        for index, clock in enumerate(clocks)
         for first in range(0, len(clock), _ROWS)
     ]
-    triangles: list[list[Floats]] = [[] for _ in trials]
+    factors: list[list[Floats]] = [[] for _ in throws]
     for first in range(0, len(parts), BATCH):
         some = parts[first : first + BATCH]
-        lanes = some + [some[-1]] * (BATCH - len(some))
-        own = [trials[place] for place, _ in lanes]
-        values = np.stack([_vector(coefficients, trial) for trial in own])
-        _, found = linearize(law, load, values, _problems(lanes, own, channels))
+        batch = some + [some[-1]] * (BATCH - len(some))
+        own = [throws[index] for index, _ in batch]
+        values = np.stack([_vector(coefficients, throw) for throw in own])
+        _, found = linearize(law, load, values, _problems(batch, own, channels))
         jacobian = np.asarray(found) * typical
-        for lane, (place, _) in enumerate(some):
-            if not np.isfinite(jacobian[lane]).all():
-                raise _no_motion(law, load, trials[place])
-            triangles[place].append(_triangle(jacobian[lane]))
+        for column, (index, _) in enumerate(some):
+            if not np.isfinite(jacobian[column]).all():
+                raise _no_motion(law, load, throws[index])
+            factors[index].append(_r_factor(jacobian[column]))
     return [
-        Told(len(clock), float(clock[-1]), *end, _triangle(np.concatenate(parts, 1)))
-        for clock, end, parts in zip(clocks, ends, triangles, strict=True)
+        RecordInformation(len(clock), float(clock[-1]), *end, _r_factor(np.concatenate(parts, 1)))
+        for clock, end, parts in zip(clocks, ends, factors, strict=True)
     ]
 
 
-def _triangle(matrix: Floats) -> Floats:
+def _r_factor(matrix: Floats) -> Floats:
     return np.asarray(np.linalg.qr(matrix, mode="r"))
 
 
-def _vector(coefficients: Floats, trial: Trial) -> Floats:
-    start = {"v0": trial.v0, "omega0": trial.omega0}
+def _vector(coefficients: Floats, throw: PlannedThrow) -> Floats:
+    start = {"v0": throw.v0, "omega0": throw.omega0}
     return np.array([*coefficients, *(start.get(item.name, 0.0) for item in START)])
 
 
-def _problems(lanes: Sequence[tuple[int, Floats]], own: Sequence[Trial], channels: int) -> Problem:
-    """The lanes as data whose residuals have the derivatives of the path itself, noise of 1."""
-    n = len(lanes)
+def _problems(
+    batch: Sequence[tuple[int, Floats]], own: Sequence[PlannedThrow], channels: int
+) -> Problem:
+    """Problems with unit noise, whose residuals have the derivatives of the trajectory."""
+    n = len(batch)
     weight = np.zeros((n, channels, _ROWS))
     times = np.empty((n, _ROWS))
-    for lane, (_, clock) in enumerate(lanes):
-        weight[lane, :, : len(clock)] = 1.0
-        times[lane] = np.pad(clock, (0, _ROWS - len(clock)), mode="edge")
-    stones = [trial.stone.as_dict() for trial in own]
+    for column, (_, clock) in enumerate(batch):
+        weight[column, :, : len(clock)] = 1.0
+        times[column] = np.pad(clock, (0, _ROWS - len(clock)), mode="edge")
+    stones = [throw.stone.as_dict() for throw in own]
     stone = Stone(**{name: np.array([float(one[name]) for one in stones]) for name in stones[0]})  # type: ignore[arg-type]
     return Problem(
         times, np.zeros_like(weight), weight, stone, np.zeros(n, int), np.full(n, -1, int)
     )
 
 
-def _rest(
-    law: type[Law], load: Load, coefficients: Floats, trial: Trial, *, needed: bool
+def _rest_time(
+    law: type[Law], load: Load, coefficients: Floats, throw: PlannedThrow, *, required: bool
 ) -> tuple[float, float]:
-    """When the stone comes to rest (s), later than `LONGEST` only if not needed, and where (m)."""
-    # The row of the model that says when a stone came to rest, asked at half of the longest time.
+    """Time of rest (s), above `LONGEST` only if not `required`, and distance (m)."""
+    # The model's channel for the time of rest, at half of the longest time.
     times = np.full(_ROWS, LONGEST / 2)
     problem = Problem(
         times, np.zeros((3, _ROWS)), np.ones((3, _ROWS)),
-        jax.tree.map(lambda value: np.asarray(float(value)), trial.stone),
+        jax.tree.map(lambda value: np.asarray(float(value)), throw.stone),
         np.asarray(0), np.asarray(0),
     )  # fmt: skip
     x, y, _, early, _ = np.asarray(
-        predict_channels(law, load, _vector(coefficients, trial), problem)
+        predict_channels(law, load, _vector(coefficients, throw), problem)
     )[:, 0]
-    rest = times[0] * trial.v0 / (trial.v0 - early)
+    rest = times[0] * throw.v0 / (throw.v0 - early)
     if math.isnan(rest):
-        raise _no_motion(law, load, trial)
-    if needed and not 0 < rest <= LONGEST:
+        raise _no_motion(law, load, throw)
+    if required and not 0 < rest <= LONGEST:
         raise InputError(
-            f"a stone of {trial.v0:g} m/s and {trial.omega0:g} rad/s does not come to rest within "
+            f"a stone of {throw.v0:g} m/s and {throw.omega0:g} rad/s does not come to rest within "
             f"{LONGEST:g} s; give the length of the record (--until)"
         )
     return float(rest), float(np.hypot(x, y))
 
 
-def _no_motion(law: type[Law], load: Load, trial: Trial) -> InputError:
+def _no_motion(law: type[Law], load: Load, throw: PlannedThrow) -> InputError:
     return InputError(
-        f"law {law.name} with {load} load admits no motion from {trial.v0:g} m/s and "
-        f"{trial.omega0:g} rad/s{no_motion_because(load)}"
+        f"law {law.name} with {load} load admits no motion from {throw.v0:g} m/s and "
+        f"{throw.omega0:g} rad/s{no_motion_because(load)}"
     )
 
 
-def about_coefficients(
-    law: type[Law], told: Told, sigma: Mapping[str, float], free: NDArray[np.bool_]
+def coefficient_information(
+    law: type[Law], record: RecordInformation, sigma: Mapping[str, float], free: Booleans
 ) -> Floats:
-    """Root of the information on the free coefficients, whatever the start was.
+    """R factor of the information on the free coefficients, marginal over the initial state.
 
-    The Schur complement of the start: what the columns of the coefficients have outside the space
-    of those of the start.
+    The Schur complement: the columns of the coefficients are projected onto the orthogonal
+    complement of those of the initial state.
 
     Parameters
     ----------
-    sigma : noise by channel (SI); channels without one are not measured, and the start that only
-        they could tell is known, as in a fit.
-    free : which coefficients are to be determined, shape (k,).
+    sigma : noise by channel (SI); channels without one are not measured, and the initial
+        values that only they determine are fixed, as in a fit.
+    free : mask of the free coefficients, shape (k,).
 
     Returns
     -------
-    Upper triangle, shape (free, free), by typical sizes.
+    Upper triangular, shape (free, free), by typical sizes.
     """
     k = len(law.coefficients())
     rows = [
-        told.roots[row] / sigma[name]
-        for row, name in enumerate(CHANNELS[: len(told.roots)])
+        record.factors[row] / sigma[name]
+        for row, name in enumerate(CHANNELS[: len(record.factors)])
         if name in sigma
     ]
-    whole = np.concatenate(rows)
-    place = {"x", "y"} <= sigma.keys()
-    known = {"x0": "x" in sigma, "y0": "y" in sigma, "phi0": "phi" in sigma, "heading": place}
-    columns = [k + column for column, item in enumerate(START) if known.get(item.name, True)]
-    wanted, start = whole[:, :k][:, free], whole[:, columns]
+    stacked = np.concatenate(rows)
+    estimated = {
+        "x0": "x" in sigma, "y0": "y" in sigma, "phi0": "phi" in sigma,
+        "heading": {"x", "y"} <= sigma.keys(),
+    }  # fmt: skip
+    columns = [k + column for column, item in enumerate(START) if estimated.get(item.name, True)]
+    coefficients, start = stacked[:, :k][:, free], stacked[:, columns]
     left, singular, _ = np.linalg.svd(start, full_matrices=False)
     left = left[:, singular > _ROUNDING * singular[0]]
-    for _ in range(2):  # once more, for what rounding has left
-        wanted = wanted - left @ (left.T @ wanted)
-    root = _triangle(wanted)
-    full = np.zeros((root.shape[1], root.shape[1]))
-    full[: len(root)] = root
+    for _ in range(2):  # twice, against rounding
+        coefficients = coefficients - left @ (left.T @ coefficients)
+    factor = _r_factor(coefficients)
+    full = np.zeros((factor.shape[1], factor.shape[1]))
+    full[: len(factor)] = factor
     return full
 
 
-def joined(roots: Sequence[Floats]) -> Floats:
-    """Root of the information of several throws together."""
-    return _triangle(np.concatenate(list(roots)))
+def combined(factors: Sequence[Floats]) -> Floats:
+    """R factor of the information of several throws together."""
+    return _r_factor(np.concatenate(list(factors)))
 
 
-def error_of(root: Floats, weights: Floats) -> float | None:
-    """Standard error of a weighted sum of coefficients; None where it is not seen.
+def standard_error(factor: Floats, weights: Floats) -> float | None:
+    """Standard error of a linear combination of coefficients; None where it is undetermined.
 
     Parameters
     ----------
-    root : by typical sizes, shape (free, free).
-    weights : of the free coefficients over their typical sizes, times these: shape (free,).
+    factor : by typical sizes, shape (free, free).
+    weights : of the free coefficients, times their typical sizes, shape (free,).
     """
-    _, singular, right = np.linalg.svd(root)
-    seen = visible(singular)
-    along = right[seen] @ weights
-    if np.linalg.norm(weights - right[seen].T @ along) > _SEES * np.linalg.norm(weights):
+    _, singular, right = np.linalg.svd(factor)
+    mask = visible(singular)
+    along = right[mask] @ weights
+    if np.linalg.norm(weights - right[mask].T @ along) > _UNDETERMINED * np.linalg.norm(weights):
         return None
-    return float(np.linalg.norm(along / singular[seen]))
+    return float(np.linalg.norm(along / singular[mask]))

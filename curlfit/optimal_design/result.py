@@ -19,14 +19,14 @@ MIGRATIONS: dict[int, Migration] = {}
 
 @dataclass(frozen=True)
 class Candidate:
-    """A throw that could be made, and what it alone would tell.
+    """A planned throw and the errors expected from it alone.
 
     Attributes
     ----------
     v0, omega0 : initial speed (m/s) and spin (rad/s).
-    rate : rows a second.
-    rows, last, rest : length of the record, time of its last row and of coming to rest (s).
-    distance : from the start to where it comes to rest (m).
+    rate : rows per second, Hz.
+    rows, last, rest : number of rows, time of the last row and of rest (s).
+    distance : from the start to rest (m).
     stderr : standard error by quantity, None where this throw alone does not determine it.
     """
 
@@ -41,15 +41,15 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Expected:
-    """What some throws together would tell.
+class ExpectedErrors:
+    """Errors expected from several throws together.
 
     Attributes
     ----------
-    throws : places among the candidates, a throw made twice being there twice.
+    throws : indices of the candidates, repeated for repeated throws.
     stderr : standard error by coefficient (None where it is not determined) and combination.
-    verdicts : by coefficient, as in `FitResult`; "fixed" for one that is held at its value.
-    combinations : what is determined where single coefficients are not.
+    verdicts : by coefficient, as in `FitResult`; "fixed" for one that is not free.
+    combinations : determined combinations of coefficients that are not determined singly.
     rank, singular_values, null_directions : see `curlfit.inference.identifiability`.
     """
 
@@ -62,36 +62,37 @@ class Expected:
     null_directions: tuple[dict[str, float], ...]
 
     @classmethod
-    def from_json(cls, found: Mapping[str, Any]) -> Expected:
+    def from_json(cls, data: Mapping[str, Any]) -> ExpectedErrors:
         """The record from JSON."""
-        given = known(cls, found)
+        fields = known(cls, data)
         lists = ("throws", "singular_values", "null_directions")
-        tuples = {key: tuple(given[key]) for key in lists}
+        tuples = {key: tuple(fields[key]) for key in lists}
         combinations = tuple(
-            Combination(**known(Combination, item)) for item in given["combinations"]
+            Combination(**known(Combination, item)) for item in fields["combinations"]
         )
-        return cls(**given | tuples | {"combinations": combinations})
+        return cls(**fields | tuples | {"combinations": combinations})
 
 
 @dataclass(frozen=True)
 class Design:
-    """What planned throws would tell.
+    """The expected errors of planned throws.
 
     Attributes
     ----------
-    law, load, stone, coefficients : what is taken to be true; coefficients by name.
+    law, load, stone, coefficients : assumed values; coefficients by name.
     symbols, units, typical : of the coefficients, by name.
-    sigma : noise by channel that is measured (SI).
-    until : end of the records in s; when the stone has come to rest if None.
-    throws : how many are made.
-    candidates : the throws to choose from.
-    quantities : what all candidates together determine, as weights by coefficient.
-    rank, free : directions that all candidates together determine, and free coefficients.
-    best : by criterion "D" and "A" the best choice of `throws` candidates.
+    sigma : noise by measured channel (SI).
+    until : end of the records in s; the time of rest if None.
+    throws : number of throws.
+    candidates : the throws from which these are selected.
+    quantities : coefficients and combinations determined by all candidates, as weights.
+    rank, free : numbers of directions determined by all candidates, and of free coefficients.
+    best : the optimal selection of `throws` candidates by criterion "D" and "A".
     curves : of the D-best throws, for figures: by "place", "angle" (factor on that noise alone),
         "rate" (Hz) and "throws" (number, the best for each), each "at" and by quantity.
-    separation : what it takes to tell two coefficients apart, if that was asked for or is open.
-    notes : what to mind.
+    separation : separability of two coefficients, if requested or if only their sum is
+        determined.
+    notes : caveats, as sentences.
     """
 
     law: str
@@ -108,7 +109,7 @@ class Design:
     quantities: dict[str, dict[str, float]]
     rank: int
     free: int
-    best: dict[str, Expected]
+    best: dict[str, ExpectedErrors]
     curves: dict[str, dict[str, list[float | None]]]
     separation: Separation | None
     notes: tuple[str, ...]
@@ -118,24 +119,26 @@ class Design:
         return {"schema": SCHEMA} | asdict(self)
 
     @classmethod
-    def from_json(cls, found: Mapping[str, Any]) -> Design:
-        """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
-        parted = found["separation"]
+    def from_json(cls, data: Mapping[str, Any]) -> Design:
+        """The record from the output of `to_json`. Raises KeyError or TypeError for other data."""
+        separation = data["separation"]
         return cls(
-            **known(cls, found)
+            **known(cls, data)
             | {
-                "stone": Stone(**known(Stone, found["stone"])),
+                "stone": Stone(**known(Stone, data["stone"])),
                 "candidates": tuple(
-                    Candidate(**known(Candidate, item)) for item in found["candidates"]
+                    Candidate(**known(Candidate, item)) for item in data["candidates"]
                 ),
-                "best": {name: Expected.from_json(item) for name, item in found["best"].items()},
-                "separation": None if parted is None else Separation.from_json(parted),
-                "notes": tuple(found["notes"]),
+                "best": {
+                    name: ExpectedErrors.from_json(item) for name, item in data["best"].items()
+                },
+                "separation": None if separation is None else Separation.from_json(separation),
+                "notes": tuple(data["notes"]),
             }
         )
 
     def save(self, file: str | PathLike[str]) -> None:
-        """Write the record as JSON, whole or not at all."""
+        """Write the record as JSON, atomically."""
         write_json(self.to_json(), Path(file))
 
 
@@ -144,14 +147,14 @@ def load_design(file: str | PathLike[str]) -> Design:
 
     Raises
     ------
-    DataError : it is not there, is none of curlfit's, or has a schema this version cannot read.
+    DataError : missing, not a file of curlfit, or of a schema that this version cannot read.
     """
     path = Path(file)
     if path.is_dir():
         path = path / "design.json"
-    found = read_json(path, SCHEMA, MIGRATIONS)
+    data = read_json(path, SCHEMA, MIGRATIONS)
     try:
-        return Design.from_json(found)
+        return Design.from_json(data)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(
             f"not a complete design.json of curlfit ({type(error).__name__}: {error})", file=path
@@ -160,18 +163,18 @@ def load_design(file: str | PathLike[str]) -> Design:
 
 @dataclass(frozen=True)
 class Proof:
-    """What the difference of two coefficients does to force and moment under uniform load.
+    """Effect of the difference of two coefficients on force and moment under uniform load.
 
     Attributes
     ----------
-    states : number of random speeds and spins that were looked at.
+    states : number of random speeds and spins.
     by_difference, by_sum : largest derivative, over these, of T_xi/(m g), T_eta/(m g) and
         M/(m g R) when one coefficient grows and the other falls, and when both grow.
-    throws : number of throws, of many speeds and spins, taken together.
-    singular_values : of the root of their information on the coefficients, largest first, by
+    throws : number of throws, of various speeds and spins, taken together.
+    singular_values : of the R factor of their information on the coefficients, largest first, by
         typical sizes, noise as planned.
-    hidden : whether neither shows anything but rounding.
-    because : why, in words, where that is known.
+    hidden : whether the effect is rounding in both.
+    because : explanation, where known.
     """
 
     states: int
@@ -184,17 +187,17 @@ class Proof:
 
 
 @dataclass(frozen=True)
-class Way:
-    """How well throws tell the two apart under one load.
+class LoadScenario:
+    """Expected errors of the difference of two coefficients under one load.
 
     Attributes
     ----------
     load : "uniform" or "consistent".
-    each : standard error of the difference from each candidate alone, None where it cannot tell.
-    throws : places of the candidates that tell it best, as many as planned; None if none can.
+    each : standard error of the difference from each candidate alone, None if undetermined.
+    throws : indices of the optimal candidates, as many as planned; None if undetermined.
     stderr : standard error of the difference from these.
-    steady : relative change of the sum of both coefficients between these throws that would be
-        taken for the wanted error; None where they are all alike, and none does.
+    steady : relative change of the sum of both coefficients between these throws that has the
+        same effect as the required error; None where no change has.
     """
 
     load: str
@@ -205,17 +208,17 @@ class Way:
 
 
 @dataclass(frozen=True)
-class Change:
-    """A change to the stone, and the standard error of the difference with it.
+class StoneChange:
+    """A change of the stone, and the standard error of the difference with it.
 
     Attributes
     ----------
-    name, value : what is changed, and to what (m).
-    all : from the throws that tell it best, all with the changed stone; None where it cannot tell.
-    half : from as many ordinary throws, half of them with the stone as it is, half with the changed
-        one.
-    steady : relative change of the sum of both coefficients, from the one half to the other, that
-        would be taken for the wanted error of the difference.
+    name, value : the changed property and its value (m).
+    all : from the optimal throws, all with the changed stone; None if undetermined.
+    half : from the same number of ordinary throws, half with the original stone and half with the
+        changed one.
+    steady : relative change of the sum of both coefficients between the halves that has the same
+        effect as the required error of the difference.
     """
 
     name: str
@@ -227,18 +230,18 @@ class Change:
 
 @dataclass(frozen=True)
 class Separation:
-    """What it takes to tell two coefficients apart.
+    """What it takes to separate two coefficients.
 
     Attributes
     ----------
     pair : the coefficients.
-    size, of : what errors are relative to: the "difference" as set, or the "mean" of both where
-        they are set equal.
-    wanted : relative error that is asked for.
+    size, of : the reference of relative errors: the assumed "difference", or the "mean" of both
+        where they are equal.
+    wanted : required relative error.
     proof : for the uniform load.
-    ways : by load.
-    ordinary : place of the candidate that is most like an ordinary throw.
-    changes : to the stone, under the consistent load.
+    ways : scenarios by load.
+    ordinary : index of the candidate closest to an ordinary throw.
+    changes : of the stone, under the consistent load.
     """
 
     pair: tuple[str, str]
@@ -246,33 +249,33 @@ class Separation:
     of: str
     wanted: float
     proof: Proof
-    ways: tuple[Way, ...]
+    ways: tuple[LoadScenario, ...]
     ordinary: int
-    changes: tuple[Change, ...]
+    changes: tuple[StoneChange, ...]
 
-    def way(self, load: str) -> Way:
-        """What there is under one load."""
-        return next(way for way in self.ways if way.load == load)
+    def scenario(self, load: str) -> LoadScenario:
+        """The scenario of one load."""
+        return next(scenario for scenario in self.ways if scenario.load == load)
 
     def noise_factor(self, stderr: float) -> float:
-        """What to multiply all noise with for the wanted error; errors go with the noise."""
+        """Factor on all noise that gives the required error; errors are proportional to noise."""
         return self.wanted * self.size / stderr
 
     def throws_needed(self, stderr: float, throws: int) -> float:
-        """How many such throws give the wanted error, if so many give this one."""
+        """Number of throws that gives the required error, if `throws` of them give `stderr`."""
         return throws / self.noise_factor(stderr) ** 2
 
-    def throws_against(self, scatter: float, steady: float) -> float:
-        """How many throws, half with each stone, average out a relative scatter of the sum."""
+    def throws_for_scatter(self, scatter: float, steady: float) -> float:
+        """Number of throws, half with each stone, that averages out a scatter of the sum."""
         return (2 * scatter / steady) ** 2
 
     def to_json(self) -> dict[str, Any]:
-        """As plain values."""
+        """The fields as plain values."""
         return asdict(self)
 
     @classmethod
-    def from_json(cls, found: Mapping[str, Any]) -> Separation:
-        """The record from what `to_json` gave."""
+    def from_json(cls, data: Mapping[str, Any]) -> Separation:
+        """The record from the output of `to_json`."""
 
         def tuples(record: type, item: Mapping[str, Any]) -> dict[str, Any]:
             return {
@@ -281,12 +284,12 @@ class Separation:
             }
 
         return cls(
-            pair=(found["pair"][0], found["pair"][1]),
-            size=found["size"],
-            of=found["of"],
-            wanted=found["wanted"],
-            proof=Proof(**tuples(Proof, found["proof"])),
-            ways=tuple(Way(**tuples(Way, item)) for item in found["ways"]),
-            ordinary=found["ordinary"],
-            changes=tuple(Change(**known(Change, item)) for item in found["changes"]),
+            pair=(data["pair"][0], data["pair"][1]),
+            size=data["size"],
+            of=data["of"],
+            wanted=data["wanted"],
+            proof=Proof(**tuples(Proof, data["proof"])),
+            ways=tuple(LoadScenario(**tuples(LoadScenario, item)) for item in data["ways"]),
+            ordinary=data["ordinary"],
+            changes=tuple(StoneChange(**known(StoneChange, item)) for item in data["changes"]),
         )

@@ -1,10 +1,11 @@
-"""Which throws to make: the best of all ways to choose N among candidates, each as often as wanted.
+"""Optimal selection of N throws among candidates, with repetition.
 
-D: largest determinant of the information, that is the smallest volume of the ellipsoid of errors.
+D: largest determinant of the information, that is the smallest volume of the confidence ellipsoid.
 A: smallest sum of squared standard errors over typical sizes (Atkinson, Donev and Tobias 2007).
-C: smallest standard error of one weighted sum.
+C: smallest standard error of one linear combination.
 
-Where not even all candidates together determine everything, D and A are judged on what they do.
+Where all candidates together do not determine all directions, D and A refer to the subspace that
+they determine.
 """
 
 from __future__ import annotations
@@ -15,100 +16,100 @@ from math import comb
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.inference.identifiability import visible
-from curlfit.optimal_design.information import joined
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.optimal_design.information import combined
 
-Floats = NDArray[np.float64]
-
-_MOST_TRIED = 20_000  # choices that are all looked at; beyond, exchanges of one throw at a time
-_MOST_ROUNDS = 50
-_NONE = 1e-12  # of the information of all candidates, along a direction: not determined
+_MAX_ENUMERATED = 20_000  # designs; for more, exchanges of one throw at a time
+_MAX_ROUNDS = 50
+_SINGULAR = 1e-12  # of the information of all candidates, in an undetermined direction
 
 Criterion = Callable[[Floats], Floats]
 
 
-class Field(NamedTuple):
-    """Candidates on common ground: what all of them together determine, in units of that."""
+class CandidateSet(NamedTuple):
+    """The information of candidates, whitened by that of all of them together."""
 
     information: Floats
     """of each candidate, shape (candidates, rank, rank); their sum is the unit matrix"""
-    back: Floats
-    """from these directions to coefficients over their typical sizes, shape (free, rank)"""
+    basis: Floats
+    """whitened directions in coefficients over their typical sizes, shape (free, rank)"""
 
     @property
     def rank(self) -> int:
         """Number of directions that the candidates together determine."""
-        return self.back.shape[1]
+        return self.basis.shape[1]
+
+    @classmethod
+    def from_factors(cls, factors: Sequence[Floats]) -> CandidateSet:
+        """The set from the R factors of the information of each candidate."""
+        _, singular, right = np.linalg.svd(combined(factors))
+        mask = visible(singular)
+        basis = right[mask].T / singular[mask]
+        whitened = np.stack([factor @ basis for factor in factors])
+        return cls(np.swapaxes(whitened, 1, 2) @ whitened, basis)
 
 
-def field_of(roots: Sequence[Floats]) -> Field:
-    """Candidates on common ground, from the roots of their information."""
-    _, singular, right = np.linalg.svd(joined(roots))
-    seen = visible(singular)
-    back = right[seen].T / singular[seen]
-    white = np.stack([root @ back for root in roots])
-    return Field(np.swapaxes(white, 1, 2) @ white, back)
-
-
-def by_volume(field: Field) -> Criterion:
+def d_criterion(candidates: CandidateSet) -> Criterion:
     """D: minus the logarithm of the determinant, up to a constant."""
 
-    def judged(information: Floats) -> Floats:
+    def criterion(information: Floats) -> Floats:
         sign, size = np.linalg.slogdet(information)
-        return np.where(_whole(information) & (sign > 0), -size, np.inf)
+        return np.where(_nonsingular(information) & (sign > 0), -size, np.inf)
 
-    return judged
+    return criterion
 
 
-def by_mean_error(field: Field) -> Criterion:
+def a_criterion(candidates: CandidateSet) -> Criterion:
     """A: sum of the squared standard errors over typical sizes."""
-    return lambda information: _trace(information, field.back.T @ field.back)
+    return lambda information: _trace(information, candidates.basis.T @ candidates.basis)
 
 
-def by_error(field: Field, weights: Floats) -> Criterion:
-    """C: squared standard error of a weighted sum (weights by typical sizes, shape (free,))."""
-    along = field.back.T @ weights
+def c_criterion(candidates: CandidateSet, weights: Floats) -> Criterion:
+    """C: squared standard error of a linear combination (weights by typical sizes, (free,))."""
+    along = candidates.basis.T @ weights
     return lambda information: _trace(information, np.outer(along, along))
 
 
-def _whole(information: Floats) -> NDArray[np.bool_]:
-    return np.linalg.eigvalsh(information)[..., 0] > _NONE
+def _nonsingular(information: Floats) -> Booleans:
+    return np.linalg.eigvalsh(information)[..., 0] > _SINGULAR
 
 
 def _trace(information: Floats, of: Floats) -> Floats:
-    whole = _whole(information)
-    safe = np.where(whole[..., None, None], information, np.eye(information.shape[-1]))
-    return np.where(whole, np.trace(np.linalg.solve(safe, of), axis1=-2, axis2=-1), np.inf)
+    nonsingular = _nonsingular(information)
+    safe = np.where(nonsingular[..., None, None], information, np.eye(information.shape[-1]))
+    return np.where(nonsingular, np.trace(np.linalg.solve(safe, of), axis1=-2, axis2=-1), np.inf)
 
 
-def chosen(field: Field, criterion: Criterion, throws: int) -> tuple[int, ...] | None:
-    """Places of the best throws, in order; None where no choice of so many determines it all.
+def select_design(
+    candidates: CandidateSet, criterion: Criterion, throws: int
+) -> tuple[int, ...] | None:
+    """Indices of the optimal throws, sorted; None where no such number of throws determines all.
 
-    All choices are looked at where these are few; else the best are found by exchanging one throw
-    after the other (Fedorov 1972), beginning with the best single ones.
+    Small sets of designs are enumerated; otherwise throws are exchanged one at a time (Fedorov
+    1972), from a greedy start.
     """
-    n = len(field.information)
-    if comb(n + throws - 1, throws) <= _MOST_TRIED:
-        all_ = np.array(list(combinations_with_replacement(range(n), throws)))
-        value = criterion(field.information[all_].sum(1))
+    n = len(candidates.information)
+    if comb(n + throws - 1, throws) <= _MAX_ENUMERATED:
+        choices = np.array(list(combinations_with_replacement(range(n), throws)))
+        value = criterion(candidates.information[choices].sum(1))
         best = int(np.argmin(value))
-        return tuple(map(int, all_[best])) if np.isfinite(value[best]) else None
-    # A little of all candidates in the beginning keeps every choice finite.
-    total = 1e-6 * field.information.sum(0)
-    places: list[int] = []
+        return tuple(map(int, choices[best])) if np.isfinite(value[best]) else None
+    # A small multiple of the total information keeps the criterion finite at first.
+    total = 1e-6 * candidates.information.sum(0)
+    indices: list[int] = []
     for _ in range(throws):
-        places.append(int(np.argmin(criterion(total + field.information))))
-        total = total + field.information[places[-1]]
-    total = field.information[places].sum(0)
-    for _ in range(_MOST_ROUNDS):
-        before = list(places)
-        for turn, place in enumerate(places):
-            rest = total - field.information[place]
-            places[turn] = int(np.argmin(criterion(rest + field.information)))
-            total = rest + field.information[places[turn]]
-        if places == before:
+        indices.append(int(np.argmin(criterion(total + candidates.information))))
+        total = total + candidates.information[indices[-1]]
+    total = candidates.information[indices].sum(0)
+    for _ in range(_MAX_ROUNDS):
+        previous = list(indices)
+        for position, index in enumerate(indices):
+            rest = total - candidates.information[index]
+            indices[position] = int(np.argmin(criterion(rest + candidates.information)))
+            total = rest + candidates.information[indices[position]]
+        if indices == previous:
             break
-    value = criterion(field.information[places].sum(0))
-    return tuple(sorted(places)) if np.isfinite(value) else None
+    value = criterion(candidates.information[indices].sum(0))
+    return tuple(sorted(indices)) if np.isfinite(value) else None

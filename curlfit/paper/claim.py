@@ -1,4 +1,4 @@
-"""What a recomputed claim is."""
+"""A recomputed claim."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ Verdict = Literal["holds", "holds with a correction", "does not hold"]
 
 @dataclass(frozen=True)
 class Claim:
-    """A numbered statement of the paper beside what the model gives.
+    """A numbered statement of the paper beside the result of the model.
 
     Attributes
     ----------
     id : equation or proposition, "eq14x" or "prop2" for instance.
-    claim : what is claimed, in a few words.
+    claim : a short statement of the claim.
     printed, computed : the paper's result and the one computed, with units.
     verdict : "holds", "holds with a correction" or "does not hold".
     why : one sentence.

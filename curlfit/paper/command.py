@@ -24,9 +24,9 @@ def reproduce(
         bool, typer.Option("--json", help="Print claims.json in place of the table.")
     ] = False,
 ) -> None:
-    """Recompute every numbered claim of Ivanov and Shuvalov (2012) and say which hold.
+    """Recompute every numbered claim of Ivanov and Shuvalov (2012) and give a verdict on each.
 
-    Nothing is looked up: eq. 12 is differentiated, the ring is summed, the laws are fitted.
+    Eq. 12 is differentiated, friction is integrated over the ring, and the laws are fitted.
     Takes about a minute on the first run of a machine.
     """
     from curlfit.output.files import prepared_folder, replaced
@@ -36,24 +36,24 @@ def reproduce(
     from curlfit.output.console import terminal
 
     console = terminal(quiet=quiet or as_json)
-    found = _computed(console)
+    result = _computed(console)
 
     from curlfit.output.figures import save_figure
     from curlfit.paper.figures import FIGURES
     from curlfit.paper.page import claims_table, page, verdicts
 
-    claims = json.dumps([claim.as_dict() for claim in found.claims], indent=1)
+    claims = json.dumps([claim.as_dict() for claim in result.claims], indent=1)
     written = [folder / "claims.json", folder / "claims.md"]
-    for file, text in zip(written, (claims + "\n", page(found)), strict=True):
+    for file, text in zip(written, (claims + "\n", page(result)), strict=True):
         with replaced(file) as temporary:
             temporary.write_text(text, encoding="utf-8")
     for name, figure in FIGURES.items():
         written.append(folder / f"{name}.png")
-        save_figure(figure(found), written[-1])
+        save_figure(figure(result), written[-1])
     if as_json and not quiet:
         typer.echo(claims)
-    console.print(claims_table(found.claims))
-    console.print(verdicts(found.claims))
+    console.print(claims_table(result.claims))
+    console.print(verdicts(result.claims))
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
 
 
@@ -70,10 +70,10 @@ def _computed(console: Console) -> Reproduction:
     ) as progress:
         task = progress.add_task("compiling", total=None)
 
-        def told(part: str, done: int, total: int) -> None:
+        def update(part: str, done: int, total: int) -> None:
             progress.update(task, description=part, completed=done, total=total)
 
-        report: Callable[[str, int, int], None] = told
+        report: Callable[[str, int, int], None] = update
 
         from curlfit.paper.reproduce import reproduce
 

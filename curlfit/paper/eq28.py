@@ -1,4 +1,4 @@
-"""Eq. 28: the coefficients of the front-back law, and how they move with what is not printed."""
+"""Eq. 28: the coefficients of the front-back law, and their dependence on unprinted details."""
 
 from __future__ import annotations
 
@@ -8,19 +8,17 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import UnusableFitError
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.paper.claim import Claim, Verdict
 from curlfit.paper.kinematics import Kinematics, PathFindings
 from curlfit.paper.printed import EQ_28, EQ_28_STONE, EQ_28_UNTIL, SOLID_RHO, jensen_shegelski_throw
 from curlfit.paper.ring import SPLIT, RingFindings
 from curlfit.stone import GRAVITY, Stone
 from curlfit.throws.throw import Throw
-
-Floats = NDArray[np.float64]
 
 NAMES = ("mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")
 PRINTED: Floats = np.array([EQ_28[name] for name in NAMES])
@@ -38,9 +36,9 @@ _DRAWS = 20_000
 
 
 class Row(NamedTuple):
-    """Eq. 28 computed in one way."""
+    """Eq. 28 computed by one method."""
 
-    how: str
+    method: str
     radius: float
     rho: float
     window: float
@@ -57,7 +55,7 @@ def pointwise(motion: Kinematics, radius: float, rho: float) -> Floats:
 
 
 def least_squares(motion: Kinematics, radius: float, rho: float) -> Floats:
-    """Constant coefficients that satisfy each line of eq. 27 best over all times, shape (3,)."""
+    """Constant coefficients by least squares on each line of eq. 27, shape (3,)."""
     epsilon = motion.epsilon(radius) * GRAVITY
     square = float((epsilon**2).sum())
     difference = float(np.pi * (motion.xi * epsilon).sum() / square)
@@ -109,7 +107,7 @@ class Uncertainty:
     nearest_mu: Floats
 
     @property
-    def covered(self) -> NDArray[np.bool_]:
+    def covered(self) -> Booleans:
         """Whether the interval of each coefficient meets the printed value within its rounding."""
         low, high = self.interval.T
         return (low <= PRINTED + HALF_DIGIT) & (high >= PRINTED - HALF_DIGIT)
@@ -117,12 +115,13 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class Eq28Findings:
-    """How eq. 28 is reached.
+    """Reproductions of eq. 28.
 
     Attributes
     ----------
-    rows : the ways, in the order of the table. fit : of the trajectory with the printed stone.
-    solid : the same with the radius of gyration of a solid cylinder. uncertainty : over R and rho.
+    rows : results of the methods, in the order of the table. fit : of the trajectory with the
+    printed stone. solid : the same with the radius of gyration of a solid cylinder.
+    uncertainty : over R and rho.
     """
 
     rows: tuple[Row, ...]
@@ -138,51 +137,57 @@ class Eq28Findings:
 
 
 def study_eq_28(path: PathFindings) -> Eq28Findings:
-    """Compute eq. 28 in every way that the paper leaves open."""
+    """Compute eq. 28 by every method that is compatible with the paper."""
     throw = jensen_shegelski_throw()
-    even = throw.with_sigma({"x": 1.0, "y": 1.0, "phi": 1.0})
+    equally_weighted = throw.with_sigma({"x": 1.0, "y": 1.0, "phi": 1.0})
     origin = {"x0": 0.0, "y0": 0.0, "phi0": 0.0}
     radius, rho, whole = EQ_28_STONE.R, EQ_28_STONE.rho, EQ_28_UNTIL
     rows: list[Row] = []
 
-    def at_points(how: str, motion: Kinematics, radius: float, rho: float, until: float) -> None:
+    def add_pointwise(
+        method: str, motion: Kinematics, radius: float, rho: float, until: float
+    ) -> None:
         mean = pointwise(motion.until(until), radius, rho).mean(1)
-        rows.append(Row(how, radius, rho, until, mean))
+        rows.append(Row(method, radius, rho, until, mean))
 
-    def by_fit(
-        how: str, data: Throw, radius: float, rho: float, until: float, **more: Any
+    def add_fit(
+        method: str, data: Throw, radius: float, rho: float, until: float, **more: Any
     ) -> FitResult:
         result = _fitted(data, radius, rho, until, **more)
-        rows.append(Row(how, radius, rho, until, coefficients_of(result)))
+        rows.append(Row(method, radius, rho, until, coefficients_of(result)))
         return result
 
     mean, least = "eq. 27 at each t, mean", "eq. 27 at each t, least squares"
-    at_points(mean, path.motion, radius, rho, whole)
-    at_points(mean, path.motion, radius, SOLID_RHO, whole)
-    at_points(mean, path.motion, R_RANGE[0], SOLID_RHO, whole)
-    at_points(mean, path.motion, radius, SOLID_RHO, 18.0)
+    add_pointwise(mean, path.motion, radius, rho, whole)
+    add_pointwise(mean, path.motion, radius, SOLID_RHO, whole)
+    add_pointwise(mean, path.motion, R_RANGE[0], SOLID_RHO, whole)
+    add_pointwise(mean, path.motion, radius, SOLID_RHO, 18.0)
     for one, until in ((radius, whole), (radius, 18.0), (R_RANGE[0], 18.0)):
         mu = least_squares(path.motion.until(until), one, SOLID_RHO)
         rows.append(Row(least, one, SOLID_RHO, until, mu))
-    at_points(mean + ", wrong sign of eq. 14", path.wrong_sign, radius, rho, whole)
-    at_points(mean + ", eq. 14 as printed", path.printed, radius, rho, whole)
+    add_pointwise(mean + ", wrong sign of eq. 14", path.wrong_sign, radius, rho, whole)
+    add_pointwise(mean + ", eq. 14 as printed", path.printed, radius, rho, whole)
     trajectory = "trajectory fit"
-    printed = by_fit(trajectory, throw, radius, rho, whole)
-    solid = by_fit(trajectory, throw, radius, SOLID_RHO, whole)
-    by_fit(trajectory, throw, R_RANGE[0], SOLID_RHO, whole)
+    printed = add_fit(trajectory, throw, radius, rho, whole)
+    solid = add_fit(trajectory, throw, radius, SOLID_RHO, whole)
+    add_fit(trajectory, throw, R_RANGE[0], SOLID_RHO, whole)
     for until in (10.0, 15.0, 18.0, 22.0):
-        by_fit(trajectory, throw, radius, SOLID_RHO, until)
-    evenly = "trajectory fit, even weights"  # 1 m like 1 rad
-    by_fit(evenly, even, radius, rho, whole)
-    from_origin = evenly + ", from the origin"
+        add_fit(trajectory, throw, radius, SOLID_RHO, until)
+    equal_weights = "trajectory fit, even weights"  # 1 m like 1 rad
+    add_fit(equal_weights, equally_weighted, radius, rho, whole)
+    from_origin = equal_weights + ", from the origin"
     for one in (rho, SOLID_RHO):
-        by_fit(from_origin, even, radius, one, whole, fix=origin)
-    by_fit(from_origin + " at 2 m/s", even, radius, rho, whole, fix=origin | {"v0": 2.0})
-    exactly = origin | {"v0": 2.0, "heading": 0.0, "omega0": 1.0}
-    by_fit(evenly + ", start of eq. 13", even, radius, rho, whole, fix=exactly)
+        add_fit(from_origin, equally_weighted, radius, one, whole, fix=origin)
+    add_fit(
+        from_origin + " at 2 m/s", equally_weighted, radius, rho, whole, fix=origin | {"v0": 2.0}
+    )
+    printed_start = origin | {"v0": 2.0, "heading": 0.0, "omega0": 1.0}
+    add_fit(
+        equal_weights + ", start of eq. 13", equally_weighted, radius, rho, whole, fix=printed_start
+    )
     for one in (rho, SOLID_RHO):
-        by_fit(trajectory, throw, 0.065, one, whole)
-    return Eq28Findings(tuple(rows), printed, solid, vary_stone(throw, printed))
+        add_fit(trajectory, throw, 0.065, one, whole)
+    return Eq28Findings(tuple(rows), printed, solid, marginalize_stone(throw, printed))
 
 
 def _fitted(
@@ -196,8 +201,8 @@ def _fitted(
     return result
 
 
-class _AtStone(NamedTuple):
-    """A fit, as far as the posterior needs it."""
+class _StonePosterior(NamedTuple):
+    """The Gaussian posterior of a fit with a given stone."""
 
     mu: Floats
     factor: Floats
@@ -207,26 +212,28 @@ class _AtStone(NamedTuple):
     """half the logarithm of the determinant of the covariance of all parameters"""
 
     def flat(self) -> Floats:
-        """All numbers in one vector."""
+        """All fields in one vector."""
         return np.concatenate(
             [self.mu, self.factor[np.tril_indices(3)], [self.chi_squared, self.log_volume]]
         )
 
 
-def _at_stone(throw: Throw, sigma: Mapping[str, float], radius: float, rho: float) -> _AtStone:
+def _stone_posterior(
+    throw: Throw, sigma: Mapping[str, float], radius: float, rho: float
+) -> _StonePosterior:
     result = _fitted(throw, radius, rho)
     names = result.information["names"]
-    # mu1_eta and mu2_eta enter by their sum alone: one column in place of two.
+    # Only the sum of mu1_eta and mu2_eta enters: one column in place of two.
     columns = [name for name in names if name != "mu2_eta"]
     basis = np.zeros((len(names), len(columns)))
-    for place, name in enumerate(names):
+    for index, name in enumerate(names):
         half = name in ("mu1_eta", "mu2_eta")
-        basis[place, columns.index("mu1_eta" if half else name)] = 0.5 if half else 1.0
+        basis[index, columns.index("mu1_eta" if half else name)] = 0.5 if half else 1.0
     information = basis.T @ np.array(result.information["matrix"]) @ basis
     covariance = np.linalg.inv(information)
     order = [columns.index(name) for name in ("mu1_xi", "mu2_xi", "mu1_eta")]
     residual = [(result.observed[name] - result.fitted[name]) / sigma[name] for name in sigma]
-    return _AtStone(
+    return _StonePosterior(
         mu=coefficients_of(result),
         factor=np.linalg.cholesky(covariance[np.ix_(order, order)]),
         chi_squared=float(np.sum(np.square(residual))),
@@ -234,15 +241,15 @@ def _at_stone(throw: Throw, sigma: Mapping[str, float], radius: float, rho: floa
     )
 
 
-def vary_stone(throw: Throw, central: FitResult, seed: int = 1) -> Uncertainty:
-    """The posterior of the coefficients with R and rho even over their printed rounding.
+def marginalize_stone(throw: Throw, central: FitResult, seed: int = 1) -> Uncertainty:
+    """The posterior of the coefficients with R and rho uniform over their printed rounding.
 
     At a given stone the posterior of all other parameters is Gaussian about its own fit (the
     noise, estimated once, is small beside every scale of the model). Its mean, covariance,
     chi-squared and volume are smooth in (R, rho): fits at 5 x 5 Chebyshev nodes are interpolated.
-    Stones are drawn evenly, weighted by their marginal likelihood (volume times
-    exp(-chi-squared/2)), and coefficients drawn for each; those with a negative one are left
-    out, which is the flat prior on mu >= 0.
+    Stones are drawn uniformly, weighted by their marginal likelihood (volume times
+    exp(-chi-squared/2)), and coefficients drawn for each; draws with a negative coefficient
+    are rejected, by the flat prior on mu >= 0.
     """
     sigma = central.sigma
     known = throw.with_sigma(dict(sigma))
@@ -252,7 +259,7 @@ def vary_stone(throw: Throw, central: FitResult, seed: int = 1) -> Uncertainty:
         return (limits[0] + limits[1]) / 2 + (limits[1] - limits[0]) / 2 * unit
 
     def at(a: float, b: float) -> Floats:
-        return _at_stone(known, sigma, stretched(a, R_RANGE), stretched(b, RHO_RANGE)).flat()
+        return _stone_posterior(known, sigma, stretched(a, R_RANGE), stretched(b, RHO_RANGE)).flat()
 
     table = np.stack([at(a, b) for a, b in product(nodes, nodes)])
     basis = np.polynomial.chebyshev.chebvander(nodes, _NODES - 1)
@@ -263,10 +270,12 @@ def vary_stone(throw: Throw, central: FitResult, seed: int = 1) -> Uncertainty:
         in_a, in_b = (np.polynomial.chebyshev.chebvander(s, _NODES - 1) for s in (a, b))
         return np.einsum("na,nb,abk->nk", in_a, in_b, series)
 
-    here = np.array([[0.0, 0.0], [0.9, -0.9], [-1.0, 1.0]])
+    test_points = np.array([[0.0, 0.0], [0.9, -0.9], [-1.0, 1.0]])
     noise = np.sqrt((_lower(at(0.0, 0.0))[0] ** 2).sum(-1))
-    off = interpolated(here[:, 0], here[:, 1]) - np.stack([at(a, b) for a, b in here])
-    check = max(float((np.abs(off[:, :3]) / noise).max()), float(np.abs(off[:, -2:]).max()))
+    error = interpolated(test_points[:, 0], test_points[:, 1]) - np.stack(
+        [at(a, b) for a, b in test_points]
+    )
+    check = max(float((np.abs(error[:, :3]) / noise).max()), float(np.abs(error[:, -2:]).max()))
 
     random = np.random.default_rng(seed)
     a, b = random.uniform(-1, 1, (2, _DRAWS))
@@ -274,24 +283,24 @@ def vary_stone(throw: Throw, central: FitResult, seed: int = 1) -> Uncertainty:
     evidence = found[:, -1] - found[:, -2] / 2
     weight = np.exp(evidence - evidence.max())
     mu = found[:, :3] + np.einsum("nij,nj->ni", _lower(found), random.standard_normal((_DRAWS, 3)))
-    free = random.choice(_DRAWS, _DRAWS, p=weight / weight.sum())
+    unbounded = random.choice(_DRAWS, _DRAWS, p=weight / weight.sum())
     positive = (mu > 0).all(1)
-    kept = random.choice(_DRAWS, _DRAWS, p=weight * positive / (weight * positive).sum())
-    wanted = weight * positive
+    selected = random.choice(_DRAWS, _DRAWS, p=weight * positive / (weight * positive).sum())
+    positive_weight = weight * positive
     worst = (np.abs(found[:, :3] - PRINTED) / HALF_DIGIT).max(1)
     nearest = int(np.argmin(worst))
     return Uncertainty(
-        radius=stretched(a, R_RANGE)[kept],
-        rho=stretched(b, RHO_RANGE)[kept],
-        mu=mu[kept],
-        interval=np.quantile(mu[kept], [0.025, 0.975], axis=0).T,
+        radius=stretched(a, R_RANGE)[selected],
+        rho=stretched(b, RHO_RANGE)[selected],
+        mu=mu[selected],
+        interval=np.quantile(mu[selected], [0.025, 0.975], axis=0).T,
         noise=noise,
         preference=float(np.ptp(found[:, -2])),
-        positive=float(positive[free].mean()),
-        free_interval=np.quantile(mu[free], [0.025, 0.975], axis=0).T,
-        effective=float(wanted.sum() ** 2 / (wanted**2).sum()),
+        positive=float(positive[unbounded].mean()),
+        free_interval=np.quantile(mu[unbounded], [0.025, 0.975], axis=0).T,
+        effective=float(positive_weight.sum() ** 2 / (positive_weight**2).sum()),
         check=check,
-        share=float(rounds_to_print(mu[kept]).mean()),
+        share=float(rounds_to_print(mu[selected]).mean()),
         nearest=(
             float(stretched(a[nearest], R_RANGE)),
             float(stretched(b[nearest], RHO_RANGE)),
@@ -301,7 +310,7 @@ def vary_stone(throw: Throw, central: FitResult, seed: int = 1) -> Uncertainty:
 
 
 def _lower(flat: Floats) -> Floats:
-    """Cholesky factors from the vectors of `_AtStone.flat`, shape (n, 3, 3)."""
+    """Cholesky factors from the vectors of `_StonePosterior.flat`, shape (n, 3, 3)."""
     flat = np.atleast_2d(flat)
     factor = np.zeros((len(flat), 3, 3))
     factor[:, *np.tril_indices(3)] = flat[:, 3:9]
@@ -312,32 +321,42 @@ def _text(mu: Floats) -> str:
     return f"{mu[0]:.4f}, {mu[1]:.4f}, {mu[2]:.4f}"
 
 
-def _covered(vary: Uncertainty) -> str:
-    """Which printed values the intervals reach, in words."""
-    low, high = vary.interval.T
+def _coverage(posterior: Uncertainty) -> str:
+    """The printed values that the intervals contain, as a sentence."""
+    low, high = posterior.interval.T
     inside = (low <= PRINTED) & (high >= PRINTED)
-    held = [f"{value:g}" for value, take in zip(PRINTED, inside, strict=True) if take]
-    near = [
-        f"{value:g}" for value, take in zip(PRINTED, vary.covered & ~inside, strict=True) if take
+    contained = [
+        f"{value:g}" for value, is_member in zip(PRINTED, inside, strict=True) if is_member
     ]
-    words = f"The intervals hold {' and '.join(held) or 'none of the printed values'}"
-    return words + (f" and meet {' and '.join(near)} within its rounding" if near else "")
+    overlapping = [
+        f"{value:g}"
+        for value, is_member in zip(PRINTED, posterior.covered & ~inside, strict=True)
+        if is_member
+    ]
+    words = f"The intervals contain {' and '.join(contained) or 'none of the printed values'}"
+    return words + (
+        f" and overlap {' and '.join(overlapping)} within its rounding" if overlapping else ""
+    )
 
 
-def _exactly(rows: tuple[Row, ...]) -> str:
-    """The first way of computing eq. 28 that gives its printed digits, in words."""
+def _reproducing_method(rows: tuple[Row, ...]) -> str:
+    """The first method that gives the printed digits of eq. 28, as a phrase."""
     for row in rows:
         if rounds_to_print(row.mu):
-            return f'of the way "{row.how}" with R = {row.radius:g} m, rho = {row.rho:g} m'
-    return "of none of the ways tried"
+            return f'by the method "{row.method}" with R = {row.radius:g} m, rho = {row.rho:g} m'
+    return "by none of the methods"
 
 
 def eq_28_claims(found: Eq28Findings, ring: RingFindings) -> dict[str, Claim]:
     """Eq. 28, the ratio of the two directions and the split, by id."""
-    mu, solid, vary = coefficients_of(found.fit), coefficients_of(found.solid), found.uncertainty
-    low, high = vary.interval.T
-    reached = bool(vary.covered.all()) and vary.share > 0
-    at_once: Verdict = "holds" if rounds_to_print(mu) else "holds with a correction"
+    mu, solid, posterior = (
+        coefficients_of(found.fit),
+        coefficients_of(found.solid),
+        found.uncertainty,
+    )
+    low, high = posterior.interval.T
+    reached = bool(posterior.covered.all()) and posterior.share > 0
+    verdict: Verdict = "holds" if rounds_to_print(mu) else "holds with a correction"
     ratio, other = found.ratio
     null = found.fit.null_directions
     exchanged = len(null) == 1 and null[0] == {"mu1_eta": 1.0, "mu2_eta": -1.0}
@@ -352,10 +371,10 @@ def eq_28_claims(found: Eq28Findings, ring: RingFindings) -> dict[str, Claim]:
             f"{_text(mu)}; with rho = {SOLID_RHO:.4f} m {_text(solid)}; 95 % over the rounding of "
             f"R and rho: {low[0]:.4f} .. {high[0]:.4f}, {low[1]:.4f} .. {high[1]:.4f}, "
             f"{low[2]:.5f} .. {high[2]:.5f}",
-            at_once if reached else "does not hold",
-            f"{_covered(vary)}; their width comes from R and rho, not from "
-            f"noise ({vary.noise[0]:.0e} in mu1_xi); all printed digits come out "
-            f"{_exactly(found.rows)}.",
+            verdict if reached else "does not hold",
+            f"{_coverage(posterior)}; their width comes from R and rho, not from "
+            f"noise ({posterior.noise[0]:.0e} in mu1_xi); all printed digits are reproduced "
+            f"{_reproducing_method(found.rows)}.",
         ),
         Claim(
             "ratio",
@@ -374,7 +393,7 @@ def eq_28_claims(found: Eq28Findings, ring: RingFindings) -> dict[str, Claim]:
             f"{greatest:.0e} (uniform load), T_eta by {100 * abs(slow):.2f} % (consistent)",
             "holds" if exchanged and greatest < 1e-12 else "does not hold",
             "Under uniform load the integrals of the two halves are equal term by term at every "
-            "eps, beyond 1 too; the consistent load tells them apart, but confounds them with the "
+            "eps, beyond 1 too; the consistent load separates them, but correlates them with the "
             "sum.",
         ),
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Pictures of the recomputed claims. Nothing is computed here beyond units."""
+"""Figures of the recomputed claims. Only units are converted here."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from curlfit.output.figures import PALETTE, Picture, neat_axis
 if TYPE_CHECKING:
     from curlfit.paper.reproduce import Reproduction
 
-_RIGHT = "#1b2a49"
-_PRINT = "#e07a1f"
-_COLORS = (_RIGHT, *PALETTE[:5])
+_CORRECT = "#1b2a49"
+_PRINTED = "#e07a1f"
+_COLORS = (_CORRECT, *PALETTE[:5])
 _FAINT = "0.6"
 
 
@@ -23,7 +23,7 @@ def _figure(width: float, height: float) -> Figure:
     return Picture(figsize=(width, height), layout="constrained")
 
 
-def _tidy(axes: Any) -> None:
+def _remove_spines(axes: Any) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
@@ -36,12 +36,12 @@ def eq_14_figure(found: Reproduction) -> Figure:
         (across, path.ax, path.ax_printed, "x"),
         (along, path.ay, path.ay_printed, "y"),
     ):
-        axes.plot(t, 1000 * right, color=_RIGHT, lw=1.8, label="derivative of eq. 12")
-        axes.plot(t, 1000 * printed, color=_PRINT, lw=1.5, ls="--", label="eq. 14 as printed")
+        axes.plot(t, 1000 * right, color=_CORRECT, lw=1.8, label="derivative of eq. 12")
+        axes.plot(t, 1000 * printed, color=_PRINTED, lw=1.5, ls="--", label="eq. 14 as printed")
         axes.set(xlabel="t (s)", ylabel=rf"$d^2{name}/dt^2$ (mm/s$^2$)", xlim=(0, 20))
-        _tidy(axes)
+        _remove_spines(axes)
     across.axhline(0, color=_FAINT, lw=0.8)
-    across.plot(path.sign_change, 0, "o", color=_RIGHT, ms=5)
+    across.plot(path.sign_change, 0, "o", color=_CORRECT, ms=5)
     across.annotate(
         f"changes sign at {path.sign_change:.1f} s", (path.sign_change, 0), (-8, 9),
         textcoords="offset points", ha="right", fontsize=9,
@@ -79,7 +79,7 @@ def isotropic_figure(found: Reproduction) -> Figure:
     across.text(0.32, -1.2e-4, "deviates to the left", fontsize=10, color=_COLORS[2], va="center")
     across.set_ylabel(r"force to the right over weight, $T_\xi/mg$")
     across.set_title(
-        "Counter-clockwise stone at 2 m/s, load in balance with the friction", fontsize=10,
+        "Counter-clockwise stone at 2 m/s, consistent load", fontsize=10,
         loc="left",
     )  # fmt: skip
     along.axhspan(0, 1, color="0.5", alpha=0.1, lw=0)
@@ -91,7 +91,7 @@ def isotropic_figure(found: Reproduction) -> Figure:
     for axes in (across, along):
         axes.axvline(2 / 0.065, color=_FAINT, lw=1, ls="--")
         axes.axhline(0, color="0.4", lw=0.8)
-        _tidy(axes)
+        _remove_spines(axes)
     along.text(
         2 / 0.065 * 0.96, -0.0205, r"$\varepsilon = 1$", fontsize=10, color="0.35", ha="right"
     )
@@ -110,19 +110,19 @@ def _math(label: str) -> str:
 
 
 def prop_5_figure(found: Reproduction) -> Figure:
-    """Direction of the force that eq. 12 needs beside what isotropic friction can give."""
+    """Direction of the force of eq. 12, and the bound of isotropic friction."""
     figure = _figure(9.5, 3.8)
     path, t = found.path, found.path.motion.t
     moving, ice = figure.subplots(1, 2)
     moving.fill_between(t, 0, path.limit, color=_COLORS[1], alpha=0.15, lw=0)
     moving.plot(t, path.limit, color=_COLORS[1], lw=1.5)
-    moving.plot(t, path.ratio, color=_RIGHT, lw=1.9)
+    moving.plot(t, path.ratio, color=_CORRECT, lw=1.9)
     moving.annotate(
-        r"needed by eq. 12: $a_\xi/a_\eta$", (11, path.ratio[110]), (-6, 14),
+        r"required by eq. 12: $a_\xi/a_\eta$", (11, path.ratio[110]), (-6, 14),
         textcoords="offset points", ha="right", fontsize=9,
     )  # fmt: skip
     moving.text(
-        1.0, 0.010, "within reach of isotropic friction:\nat most "
+        1.0, 0.010, "range of isotropic friction:\nat most "
         r"$\varepsilon/\sqrt{1-\varepsilon^2}$", color=_COLORS[1], fontsize=9,
     )  # fmt: skip
     moving.set(xlabel="t (s)", ylabel="force across over force along", xlim=(0, 20), ylim=(0, None))
@@ -130,9 +130,9 @@ def prop_5_figure(found: Reproduction) -> Figure:
     ice.axhline(0, color=_FAINT, lw=0.8)
     ice.axhline(0.1, color=_COLORS[4], lw=1.2)
     ice.text(0.3, 0.104, "0.1 of the proof", color=_COLORS[4], fontsize=9)
-    ice.plot(t, path.ax / path.ay, color=_RIGHT, lw=1.8, label="derivatives of eq. 12")
+    ice.plot(t, path.ax / path.ay, color=_CORRECT, lw=1.8, label="derivatives of eq. 12")
     ice.plot(
-        t, path.ax_printed / path.ay_printed, color=_PRINT, lw=1.5, ls="--",
+        t, path.ax_printed / path.ay_printed, color=_PRINTED, lw=1.5, ls="--",
         label="eq. 14 as printed",
     )  # fmt: skip
     ice.set(xlabel="t (s)", ylabel=r"$T_x/T_y$", xlim=(0, 20))
@@ -141,12 +141,12 @@ def prop_5_figure(found: Reproduction) -> Figure:
     )
     ice.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(0, 0.93))
     for axes in (moving, ice):
-        _tidy(axes)
+        _remove_spines(axes)
     return figure
 
 
 def eq_24_figure(found: Reproduction) -> Figure:
-    """The combinations of the radial law's coefficients that eq. 24 asks for."""
+    """The combinations of the radial law's coefficients in eq. 24."""
     figure = _figure(8, 4)
     axes = figure.subplots()
     ring = found.ring
@@ -160,7 +160,7 @@ def eq_24_figure(found: Reproduction) -> Figure:
         axes.plot(ring.t, series, color=color, lw=1.9)
         axes.plot(20.6, fitted, "D", color=color, ms=5, clip_on=False)
         axes.text(0.4, series[0] - 0.0018, name, color=color, fontsize=10, va="top")
-    axes.text(20.6, 0.0475, "path\nfit", fontsize=8, ha="center", va="top", color="0.35")
+    axes.text(20.6, 0.0475, "trajectory\nfit", fontsize=8, ha="center", va="top", color="0.35")
     if ring.l1_zero is not None:
         axes.plot(ring.l1_zero, 0, "o", color=_COLORS[0], ms=5)
         axes.annotate(
@@ -173,46 +173,48 @@ def eq_24_figure(found: Reproduction) -> Figure:
     )  # fmt: skip
     axes.set(xlabel="t (s)", ylabel="eq. 24, R = 0.065 m", xlim=(0, 21), ylim=(-0.05, 0.05))
     axes.set_xticks(range(0, 21, 5))
-    _tidy(axes)
+    _remove_spines(axes)
     return figure
 
 
 def eq_28_figure(found: Reproduction) -> Figure:
-    """Eq. 28 computed in every way, and its posterior over R and rho."""
+    """Eq. 28 by every method, and its posterior over R and rho."""
     from curlfit.paper.eq28 import HALF_DIGIT, NAMES, PRINTED
 
-    rows = [row for row in found.eq28.rows if "eq. 14" not in row.how]
-    vary = found.eq28.uncertainty
+    rows = [row for row in found.eq28.rows if "eq. 14" not in row.method]
+    posterior = found.eq28.uncertainty
     figure = _figure(11.5, 8.6)
     panels = figure.subplots(2, 3, height_ratios=(3.2, 1.0), sharex="col")
     limits = ((-0.0042, 0.0042), (0.0405, 0.0605), (0.0148, 0.0186))
     symbols = (r"$\mu_{1\xi}$", r"$\mu_{2\xi}$", r"$\mu_{1\eta}+\mu_{2\eta}$")
-    places = np.arange(len(rows))[::-1]
+    heights = np.arange(len(rows))[::-1]
     for column in range(len(NAMES)):
         dots, below = panels[:, column]
         low, high = PRINTED[column] + HALF_DIGIT[column] * np.array([-1, 1])
         for axes in (dots, below):
-            axes.axvspan(low, high, color=_PRINT, alpha=0.35, lw=0)
-            axes.axvline(PRINTED[column], color=_PRINT, lw=1)
-            _tidy(axes)
-        for row, place in zip(rows, places, strict=True):
-            fitted = row.how.startswith("trajectory")
-            dots.axhline(place, color="0.92", lw=0.8, zorder=0)
-            dots.plot(row.mu[column], place, "o" if fitted else "s", ms=6, zorder=3,
-                      color=_RIGHT if fitted else _COLORS[1])  # fmt: skip
+            axes.axvspan(low, high, color=_PRINTED, alpha=0.35, lw=0)
+            axes.axvline(PRINTED[column], color=_PRINTED, lw=1)
+            _remove_spines(axes)
+        for row, height in zip(rows, heights, strict=True):
+            fitted = row.method.startswith("trajectory")
+            dots.axhline(height, color="0.92", lw=0.8, zorder=0)
+            dots.plot(row.mu[column], height, "o" if fitted else "s", ms=6, zorder=3,
+                      color=_CORRECT if fitted else _COLORS[1])  # fmt: skip
         dots.set_title(f"{symbols[column]}, printed {PRINTED[column]:g}", fontsize=11)
         dots.set_ylim(-0.7, len(rows) - 0.3)
         dots.set_yticks([])
-        below.hist(vary.mu[:, column], bins=40, color="0.7", density=True)
-        for end in vary.interval[column]:
-            below.axvline(end, color=_RIGHT, lw=1, ls=":")
+        below.hist(posterior.mu[:, column], bins=40, color="0.7", density=True)
+        for end in posterior.interval[column]:
+            below.axvline(end, color=_CORRECT, lw=1, ls=":")
         below.set_yticks([])
         below.set_xlim(*limits[column])
     for marker, color, label in (
-        ("s", _COLORS[1], "eq. 27 solved at each t"), ("o", _RIGHT, "fit of the trajectory"),
+        ("s", _COLORS[1], "eq. 27 solved at each t"), ("o", _CORRECT, "fit of the trajectory"),
     ):  # fmt: skip
         panels[0, 0].plot([], [], marker, color=color, ms=6, label=label)
-    panels[0, 0].fill_between([], [], color=_PRINT, alpha=0.35, label="eq. 28 within its rounding")
+    panels[0, 0].fill_between(
+        [], [], color=_PRINTED, alpha=0.35, label="eq. 28 within its rounding"
+    )
     panels[0, 0].fill_between(
         [], [], color="0.7",
         label=r"posterior over R 0.0535..0.0545 m, $\rho$ 0.095..0.105 m (dotted: 95 %)",
@@ -222,27 +224,27 @@ def eq_28_figure(found: Reproduction) -> Figure:
     first = panels[0, 0]
     first.axvline(0, color="0.4", lw=0.8)
     panels[1, 0].axvline(0, color="0.4", lw=0.8)
-    first.set_yticks(places, [_way(row) for row in rows], fontsize=8)
-    figure.draw_without_rendering()  # the layout, by which ticks are chosen
+    first.set_yticks(heights, [_method_label(row) for row in rows], fontsize=8)
+    figure.draw_without_rendering()  # the layout determines the ticks
     for axes, symbol in zip(panels[1], symbols, strict=True):
         neat_axis(axes.xaxis, symbol)
     return figure
 
 
-def _way(row: Any) -> str:
-    how = row.how.replace("eq. 27 at each t, ", "").replace("trajectory fit", "")
-    how = how.removeprefix(", ")
+def _method_label(row: Any) -> str:
+    method = row.method.replace("eq. 27 at each t, ", "").replace("trajectory fit", "")
+    method = method.removeprefix(", ")
     stone = rf"R {row.radius:g}, $\rho$ {row.rho:g}, $t \leq$ {row.window:g} s"
-    return f"{how}; {stone}" if how else stone
+    return f"{method}; {stone}" if method else stone
 
 
 def split_figure(found: Reproduction) -> Figure:
-    """What exchanging mu1_eta and mu2_eta does, and what the path sees."""
+    """Effect of exchanging mu1_eta and mu2_eta, and singular values of the fit."""
     figure = _figure(9.5, 3.8)
-    change, seen = figure.subplots(1, 2)
+    change, spectrum = figure.subplots(1, 2)
     ring = found.ring
     change.loglog(
-        ring.split_epsilon, np.maximum(ring.split_uniform, 5e-17), "o-", color=_RIGHT,
+        ring.split_epsilon, np.maximum(ring.split_uniform, 5e-17), "o-", color=_CORRECT,
         label="uniform load: rounding or less",
     )  # fmt: skip
     change.loglog(
@@ -258,19 +260,21 @@ def split_figure(found: Reproduction) -> Figure:
     change.legend(frameon=False, fontsize=9, loc="center left")
     values = np.array(found.eq28.fit.singular_values)
     order = np.arange(1, len(values) + 1)
-    seen.semilogy(order[:-1], values[:-1], "o", color=_RIGHT)
-    seen.semilogy(order[-1:], values[-1:], "o", color=_COLORS[2])
-    seen.axhline(1, color=_FAINT, lw=1, ls="--")
-    seen.text(1, 0.3, "below 1 a direction is not determined", fontsize=9, color="0.35", va="top")
-    seen.annotate(
+    spectrum.semilogy(order[:-1], values[:-1], "o", color=_CORRECT)
+    spectrum.semilogy(order[-1:], values[-1:], "o", color=_COLORS[2])
+    spectrum.axhline(1, color=_FAINT, lw=1, ls="--")
+    spectrum.text(
+        1, 0.3, "below 1 a direction is not determined", fontsize=9, color="0.35", va="top"
+    )
+    spectrum.annotate(
         r"$(\mu_{1\eta}, \mu_{2\eta})$ along $(1, -1)$", (order[-1], values[-1]), (-10, 0),
         textcoords="offset points", ha="right", va="center", fontsize=9, color=_COLORS[2],
     )  # fmt: skip
-    seen.set(xlabel="direction in parameter space", ylabel="singular value")
-    seen.set_xticks(order)
-    seen.set_title("singular values, path of eq. 12 (front-back law)", fontsize=10, loc="left")
-    for axes in (change, seen):
-        _tidy(axes)
+    spectrum.set(xlabel="direction in parameter space", ylabel="singular value")
+    spectrum.set_xticks(order)
+    spectrum.set_title("singular values, path of eq. 12 (front-back law)", fontsize=10, loc="left")
+    for axes in (change, spectrum):
+        _remove_spines(axes)
     return figure
 
 

@@ -1,41 +1,33 @@
-"""Claims about friction at a point and the load it brings about: Prop. 1-4.
+"""Claims about isotropic friction and the load that it causes: Prop. 1-4.
 
-Each is examined over a grid of speeds, spins of both senses and coefficients, under the dynamically
-consistent load. A state where no load with n >= 0 balances the friction (the stone would tip) is
-no state of the model and is left out.
+Each is tested on a grid of speeds, spins of both senses and coefficients, under the dynamically
+consistent load. States where no load with n >= 0 balances the friction (the stone would tip) are
+excluded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
-from curlfit.dynamics.contact import accelerations, consistent_load, panels
+from curlfit.dynamics import law_structure  # noqa: F401  (configures JAX before its first use)
 
 # isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
-from numpy.typing import NDArray
 
 from curlfit.friction import LAWS, LocalLaw, RingPoint, coefficient
 from curlfit.friction.isotropic import Coulomb, Power, Stribeck
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.paper.claim import Claim
-from curlfit.stone import GRAVITY, Stone
-
-Floats = NDArray[np.float64]
-
-STONE = Stone(R=0.065, h=0.057)
-_EVEN = 2 * np.pi * np.arange(16) / 16  # rad; a linear load is summed exactly there
-_BATCH = 4096  # states in one call of the compiled program
+from curlfit.paper.ring_states import BATCH, STONE, RingStates, grid_states, ring_states
 
 
 class SpeedMixture(LocalLaw):
-    """A function of the sliding speed that may rise, fall, or do one after the other.
+    """Friction as a function of the sliding speed, not necessarily monotonic.
 
-    It has no name, so it is no law of the program's list; it serves Prop. 3's "any function".
+    For the "any function" of Prop. 3; without a name, so that it is not among the laws of curlfit.
     """
 
     level: float = coefficient(0.01, "constant part")
@@ -57,100 +49,9 @@ jax.tree_util.register_dataclass(
 )
 
 
-class States(NamedTuple):
-    """The ring under consistent load, in many states of motion; NaN where there is no such load."""
-
-    v: Any
-    """speed of the centre, m/s"""
-    omega: Any
-    """spin, 1/s"""
-    t_xi: Any
-    """force to the right over the weight"""
-    t_eta: Any
-    """force along the motion over the weight"""
-    spin_up: Any
-    """angular acceleration, rad/s^2"""
-    n1: Any
-    """load slope to the right times R over n0 (eq. 9)"""
-    n2: Any
-    """load slope forward times R over n0"""
-    m_xi: Any
-    """moment M_N of the load about the axis to the right, over the weight, m"""
-    m_eta: Any
-    """the same about the axis along the motion"""
-    least: Any
-    """least coefficient of friction on the ring, against the sliding"""
-
-    @property
-    def exists(self) -> NDArray[np.bool_]:
-        """Where a consistent load exists."""
-        return np.isfinite(self.t_xi)
-
-    @property
-    def right(self) -> Floats:
-        """Force to the right of a counter-clockwise stone; mirrored for a clockwise one."""
-        return self.t_xi * np.sign(self.omega)
-
-    @property
-    def epsilon(self) -> Floats:
-        """`R |omega|/v`."""
-        return STONE.R * np.abs(self.omega) / self.v
-
-
-@jax.jit
-def _ring(law: Any, v: Array, omega: Array) -> States:
-    def one(law: Any, v: Array, omega: Array) -> States:
-        moved = accelerations(law, STONE, "consistent", v, omega)
-        n1, n2 = consistent_load(law, STONE, v, omega)
-        least = jnp.asarray(jnp.inf)
-        for points, _ in panels(law, v, STONE.R * omega, jnp.zeros(()), jnp.zeros(())):
-            load = 1 + n1 * points.xi + n2 * points.eta
-            along_xi, along_eta = law.traction(points._replace(load=load))
-            mu = -(along_xi * points.e_xi + along_eta * points.e_eta)
-            least = jnp.minimum(least, mu.min())
-        load = 1 + n1 * np.cos(_EVEN) + n2 * np.sin(_EVEN)
-        m_xi = STONE.R * (load * np.sin(_EVEN)).mean()  # eq. 2: r x k n
-        m_eta = -STONE.R * (load * np.cos(_EVEN)).mean()
-        return States(
-            v, omega, moved.xi / GRAVITY, moved.eta / GRAVITY, moved.angular, n1, n2,
-            m_xi, m_eta, least,
-        )  # fmt: skip
-
-    return jax.vmap(one)(law, v, omega)
-
-
-def ring_states(law: type[LocalLaw], values: Floats, v: Floats, omega: Floats) -> States:
-    """The ring in many states.
-
-    Parameters
-    ----------
-    law : a local law. values : its coefficients, shape (n, coefficients).
-    v, omega : speed (m/s) and spin (1/s), shape (n,).
-    """
-    n = len(v)
-    found = []
-    for begin in range(0, n, _BATCH):
-        rows = np.minimum(np.arange(begin, begin + _BATCH), n - 1)  # one shape, one program
-        columns = [jnp.asarray(values[rows, place]) for place in range(values.shape[1])]
-        states = _ring(law.from_vector(columns), jnp.asarray(v[rows]), jnp.asarray(omega[rows]))
-        found.append([np.asarray(item) for item in states])
-    return States(*(np.concatenate(parts)[:n] for parts in zip(*found, strict=True)))
-
-
-def over_grid(
-    law: type[LocalLaw], coefficients: Sequence[Sequence[float]], v: Floats, omega: Floats
-) -> tuple[States, Floats]:
-    """States for every set of coefficients, speed and spin; and the coefficients of each."""
-    rows = len(v) * len(omega)
-    speeds = np.tile(np.repeat(v, len(omega)), len(coefficients))
-    spins = np.tile(omega, len(v) * len(coefficients))
-    values = np.repeat(np.array(coefficients, float), rows, axis=0)
-    return ring_states(law, values, speeds, spins), values
-
-
 @dataclass(frozen=True)
-class Tally:
-    """What a set of states did.
+class DeviationCounts:
+    """Numbers of states by their deviation.
 
     Attributes
     ----------
@@ -170,8 +71,8 @@ class Tally:
     range: tuple[float, float]
 
     @classmethod
-    def of(cls, states: States, where: NDArray[np.bool_] | None = None) -> Tally:
-        """Count the states that exist, or those of them in `where`."""
+    def of(cls, states: RingStates, where: Booleans | None = None) -> DeviationCounts:
+        """Counts of the existing states, or of those in `where`."""
         use = states.exists if where is None else states.exists & where
         left, slow = use & (states.right < 0), use & (states.epsilon < 1)
         speeds_up = use & (states.t_eta > 0)
@@ -190,10 +91,10 @@ class Tally:
 
 @dataclass(frozen=True)
 class Example:
-    """One state in which the excepted deviation to the left was found.
+    """A state with the exceptional deviation to the left.
 
     Coefficients by name; v in m/s, omega in 1/s; forces to the right and forward over the weight;
-    least is the least coefficient of friction on the ring.
+    least is the smallest coefficient of friction on the ring.
     """
 
     coefficients: dict[str, float]
@@ -206,9 +107,9 @@ class Example:
 
 @dataclass(frozen=True)
 class Curve:
-    """Force over weight against spin at 2 m/s: omega in 1/s, t_xi, t_eta, and least mu.
+    """Force over weight against spin at 2 m/s: omega in 1/s, t_xi, t_eta, and smallest mu.
 
-    The label is LaTeX but for the word mu.
+    The label is LaTeX except for the word mu.
     """
 
     label: str
@@ -220,16 +121,16 @@ class Curve:
 
 @dataclass(frozen=True)
 class IsotropicFindings:
-    """What the grids showed.
+    """Results on the grids.
 
     Attributes
     ----------
-    laws : number of local laws behind the next three. triple_states : states examined.
-    orthogonality : largest |cos| of the angle between T and M_N. handedness : least
-    (T x M_N).k/(|T| |M_N|), 1 for a right triple. arm : largest relative gap between |M_N| and
+    laws : number of local laws for the next three. triple_states : number of states.
+    orthogonality : largest |cos| of the angle between T and M_N. handedness : smallest
+    (T x M_N).k/(|T| |M_N|), 1 for a right triple. arm : largest relative difference of |M_N| and
     h |T|.
     coulomb : Prop. 2. power : Prop. 3 for powers of the speed, by exponent. mixture : Prop. 3 for
-    functions that rise and fall. mixture_example, power_example : deviations to the left.
+    non-monotonic functions. mixture_example, power_example : deviations to the left.
     stribeck : Prop. 4, by case, where mu > 0 on the whole ring. negative : the same where mu < 0
     somewhere. stribeck_example : of case (ii), mu > 0.
     curves : for the figure.
@@ -240,24 +141,24 @@ class IsotropicFindings:
     orthogonality: float
     handedness: float
     arm: float
-    coulomb: Tally
-    power: dict[float, Tally]
+    coulomb: DeviationCounts
+    power: dict[float, DeviationCounts]
     power_example: Example
-    mixture: Tally
+    mixture: DeviationCounts
     mixture_example: Example
-    stribeck: dict[str, Tally]
-    negative: dict[str, Tally]
+    stribeck: dict[str, DeviationCounts]
+    negative: dict[str, DeviationCounts]
     stribeck_example: Example
     curves: tuple[Curve, ...]
 
     @property
     def power_total(self) -> tuple[int, int, int]:
         """States, states with |epsilon| < 1, and deviations to the left, over all exponents."""
-        tallies = self.power.values()
+        all_counts = self.power.values()
         return (
-            sum(one.states for one in tallies),
-            sum(one.slow for one in tallies),
-            sum(one.left for one in tallies),
+            sum(one.states for one in all_counts),
+            sum(one.slow for one in all_counts),
+            sum(one.left for one in all_counts),
         )
 
 
@@ -275,37 +176,39 @@ CASES = {
 
 
 def study_isotropic() -> IsotropicFindings:
-    """Examine Prop. 1-4 over their grids."""
+    """Test Prop. 1-4 on their grids."""
     laws = [law for law in LAWS.values() if issubclass(law, LocalLaw) and law.shipped()]
     triples = []
     for law in laws:
         defaults = tuple(item.default for item in law.coefficients())
-        triples.append(over_grid(law, [defaults], SPEEDS, SPINS)[0])
-    cosine, handed, arm = zip(*map(_triple, triples), strict=True)
+        triples.append(grid_states(law, [defaults], SPEEDS, SPINS)[0])
+    cosine, handedness, arm = zip(*map(_triple_errors, triples), strict=True)
 
-    coulomb, _ = over_grid(Coulomb, [(mu,) for mu in (0.002, 0.01, 0.05, 0.2)], SPEEDS, SPINS)
+    coulomb, _ = grid_states(Coulomb, [(mu,) for mu in (0.002, 0.01, 0.05, 0.2)], SPEEDS, SPINS)
     powers = {
-        k: over_grid(Power, [(mu, k) for mu in (0.002, 0.01, 0.03)], SPEEDS, SPINS)
+        k: grid_states(Power, [(mu, k) for mu in (0.002, 0.01, 0.03)], SPEEDS, SPINS)
         for k in EXPONENTS
     }
-    gentlest = max(k for k, (states, _) in powers.items() if (states.right < 0).any())
-    mixture, drawn = _mixtures(2 * _BATCH)
-    cases = {name: over_grid(Stribeck, sets, SPEEDS, SPINS) for name, sets in CASES.items()}
+    largest_exponent = max(k for k, (states, _) in powers.items() if (states.right < 0).any())
+    mixture, mixture_values = _random_mixtures(2 * BATCH)
+    cases = {name: grid_states(Stribeck, sets, SPEEDS, SPINS) for name, sets in CASES.items()}
     positive = {name: states.least > 0 for name, (states, _) in cases.items()}
     return IsotropicFindings(
         laws=len(laws),
         triple_states=sum(int(states.exists.sum()) for states in triples),
         orthogonality=max(cosine),
-        handedness=min(handed),
+        handedness=min(handedness),
         arm=max(arm),
-        coulomb=Tally.of(coulomb),
-        power={k: Tally.of(states) for k, (states, _) in powers.items()},
-        power_example=_leftmost(Power, *powers[gentlest]),
-        mixture=Tally.of(mixture),
-        mixture_example=_leftmost(SpeedMixture, mixture, drawn),
-        stribeck={name: Tally.of(states, positive[name]) for name, (states, _) in cases.items()},
+        coulomb=DeviationCounts.of(coulomb),
+        power={k: DeviationCounts.of(states) for k, (states, _) in powers.items()},
+        power_example=_leftmost(Power, *powers[largest_exponent]),
+        mixture=DeviationCounts.of(mixture),
+        mixture_example=_leftmost(SpeedMixture, mixture, mixture_values),
+        stribeck={
+            name: DeviationCounts.of(states, positive[name]) for name, (states, _) in cases.items()
+        },
         negative={
-            name: Tally.of(states, ~positive[name])
+            name: DeviationCounts.of(states, ~positive[name])
             for name, (states, _) in cases.items()
             if (states.exists & ~positive[name]).any()
         },
@@ -314,8 +217,8 @@ def study_isotropic() -> IsotropicFindings:
     )
 
 
-def _triple(states: States) -> tuple[float, float, float]:
-    """Largest |cos(T, M_N)|, least sine of the turn from T to M_N, largest gap of |M_N| = h |T|."""
+def _triple_errors(states: RingStates) -> tuple[float, float, float]:
+    """Largest |cos(T, M_N)|, smallest sine of the angle from T to M_N, error of |M_N| = h |T|."""
     use = states.exists
     t = np.stack([states.t_xi, states.t_eta])[:, use]
     m = np.stack([states.m_xi, states.m_eta])[:, use]
@@ -326,7 +229,7 @@ def _triple(states: States) -> tuple[float, float, float]:
     return float(cosine.max()), float(turn.min()), float(arm.max())
 
 
-def _mixtures(n: int) -> tuple[States, Floats]:
+def _random_mixtures(n: int) -> tuple[RingStates, Floats]:
     """Random functions of the speed at random speeds and spins of both senses."""
     random = np.random.default_rng(1)
     level = 10 ** random.uniform(-4, -2, n)
@@ -339,11 +242,11 @@ def _mixtures(n: int) -> tuple[States, Floats]:
 
 def _leftmost(
     law: type[LocalLaw],
-    states: States,
+    states: RingStates,
     values: Floats,
-    where: NDArray[np.bool_] | None = None,
+    where: Booleans | None = None,
 ) -> Example:
-    """The state of a counter-clockwise stone that is pushed furthest to the left."""
+    """The state of a counter-clockwise stone with the largest force to the left."""
     use = states.exists & (states.omega > 0) if where is None else states.exists & where
     row = int(np.argmin(np.where(use & (states.omega > 0), states.t_xi, np.inf)))
     names = [item.name for item in law.coefficients()]
@@ -357,9 +260,9 @@ def _leftmost(
 
 
 def _curves() -> tuple[Curve, ...]:
-    near = np.linspace(29, 50, 211)  # where signs change
-    omega = np.union1d(np.geomspace(0.3, 200, 120), [1.0, 10.0, *near, 100.0])
-    wanted: list[tuple[str, type[LocalLaw], tuple[float, ...]]] = [
+    sign_changes = np.linspace(29, 50, 211)
+    omega = np.union1d(np.geomspace(0.3, 200, 120), [1.0, 10.0, *sign_changes, 100.0])
+    selected: list[tuple[str, type[LocalLaw], tuple[float, ...]]] = [
         ("mu = 0.01", Coulomb, (0.01,)),
         ("mu = 0.008 |v|^{-0.5} (Penner)", Power, (0.008, -0.5)),
         ("mu = 0.008 |v|^{-1.5}", Power, (0.008, -1.5)),
@@ -367,28 +270,28 @@ def _curves() -> tuple[Curve, ...]:
         ("(ii) mu = 0.02 - 0.004 |v| n0/n", Stribeck, (0.02, -0.004)),
         ("(iii) mu = -0.01 + 0.01 |v| n0/n", Stribeck, (-0.01, 0.01)),
     ]
-    found = []
-    for label, law, values in wanted:
-        states, _ = over_grid(law, [values], np.array([2.0]), omega)
-        found.append(Curve(label, omega, states.t_xi, states.t_eta, states.least))
-    return tuple(found)
+    curves = []
+    for label, law, values in selected:
+        states, _ = grid_states(law, [values], np.array([2.0]), omega)
+        curves.append(Curve(label, omega, states.t_xi, states.t_eta, states.least))
+    return tuple(curves)
 
 
 def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
     """Prop. 1-4, by id."""
-    exact = found.orthogonality < 1e-8 and found.handedness > 1 - 1e-8 and found.arm < 1e-8
+    prop1_holds = found.orthogonality < 1e-8 and found.handedness > 1 - 1e-8 and found.arm < 1e-8
     c = found.coulomb
     n_power, n_slow, n_left = found.power_total
-    lefts = [k for k, tally in found.power.items() if tally.left]
-    rights = [k for k, tally in found.power.items() if not tally.left]
+    left_exponents = [k for k, counts in found.power.items() if counts.left]
+    right_exponents = [k for k, counts in found.power.items() if not counts.left]
     mixed = found.mixture
-    slow_left = sum(tally.slow_left for tally in found.power.values()) + mixed.slow_left
-    remark = sum(tally.remark for tally in found.power.values()) + mixed.remark
+    slow_left = sum(counts.slow_left for counts in found.power.values()) + mixed.slow_left
+    remark = sum(counts.remark for counts in found.power.values()) + mixed.remark
     left = n_left + mixed.left
     example, other = found.power_example, found.stribeck_example
     one, two, three = (found.stribeck[name] for name in ("i", "ii", "iii"))
     below = found.negative["iii"]
-    fine = (
+    prop4_holds = (
         one.left == 0
         and two.slow_left == 0
         and 0 < two.left == two.remark == two.speeds_up
@@ -403,9 +306,9 @@ def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
             f"|cos(T, M_N)| <= {found.orthogonality:.0e}, right-handed in all of "
             f"{found.triple_states} states of {found.laws} laws; |M_N|/(h |T|) = 1 within "
             f"{found.arm:.0e}",
-            "holds" if exact else "does not hold",
-            "The balance of moments (eq. 8) leaves the load no other choice; what is left is the "
-            "precision of the solution.",
+            "holds" if prop1_holds else "does not hold",
+            "The balance of moments (eq. 8) determines the load; the remainder is the precision of "
+            "the solution.",
         ),
         Claim(
             "prop2",
@@ -426,10 +329,11 @@ def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
             f"{n_power + mixed.states - n_slow - mixed.slow} faster ones {left} left, all with "
             "n1 > 0, n2 < 0, speeding up",
             "holds" if slow_left == 0 and 0 < left == remark else "does not hold",
-            f"Among powers of v, exponents {_listed(lefts)} deviate to the left beyond |eps| = 1 "
-            f"and {_listed(rights)} never do; so at v^{example.coefficients['k']:g}, "
-            f"v = {example.v:.2g} m/s, omega = {example.omega:.2g} 1/s: "
-            f"T_xi = {example.t_xi:.1e}, T_eta = {example.t_eta:+.1e} of the weight.",
+            f"Among powers of v, exponents {_comma_separated(left_exponents)} deviate to the left "
+            f"beyond |eps| = 1 and {_comma_separated(right_exponents)} never do; so at "
+            f"v^{example.coefficients['k']:g}, v = {example.v:.2g} m/s, "
+            f"omega = {example.omega:.2g} 1/s: T_xi = {example.t_xi:.1e}, "
+            f"T_eta = {example.t_eta:+.1e} of the weight.",
         ),
         Claim(
             "prop4",
@@ -439,7 +343,7 @@ def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
             f"{two.slow - two.slow_left} of {two.slow} with |eps| < 1, left in {two.left} faster "
             f"ones, {two.speeds_up} speed up; (iii) left and slowing in {three.left} of "
             f"{three.states}",
-            "holds" if fine else "does not hold",
+            "holds" if prop4_holds else "does not hold",
             "It needs mu > 0 on the whole ring, as in the states counted; where (iii) makes mu "
             f"negative somewhere, {below.states - below.left} of {below.states} states deviate to "
             f"the right; a case of (ii): mu0 = {other.coefficients['mu0']:g}, "
@@ -450,5 +354,5 @@ def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
     return {claim.id: claim for claim in claims}
 
 
-def _listed(numbers: list[float]) -> str:
+def _comma_separated(numbers: list[float]) -> str:
     return ", ".join(f"{number:g}" for number in numbers)

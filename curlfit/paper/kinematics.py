@@ -1,7 +1,7 @@
 """Claims about the trajectory of eq. 12 itself: eq. 13-17 and Prop. 5.
 
-Derivatives of eq. 12 are taken by JAX from the formula; the printed coefficients and exponents are
-then recovered from them, and compared with the derivatives worked out by hand.
+Eq. 12 is differentiated by JAX; the printed coefficients and exponents are recovered from these
+derivatives, which are compared with derivatives by hand.
 """
 
 from __future__ import annotations
@@ -16,22 +16,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from curlfit.numerics.arrays import Floats
 from curlfit.paper.claim import Claim
 from curlfit.paper.printed import eq_12
-
-Floats = NDArray[np.float64]
 
 RADIUS = 0.065
 """Ring radius of sect. 4, m; eq. 17's 0.032 belongs to it."""
 
 RING_ANGLES = np.linspace(-np.pi, np.pi, 721)
-"""Polar angles of the ring points examined, rad."""
+"""Polar angles of ring points, rad."""
 
 _TIMES = np.arange(201) / 10
-_PLACES = (2.0, 11.0)  # s, where coefficients and exponents are read off
+_SAMPLE_TIMES = (2.0, 11.0)  # s, from which coefficients and exponents are computed
 
 
 class Derivatives(NamedTuple):
@@ -54,7 +52,7 @@ def derivatives(t: Floats, order: int) -> Derivatives:
 
 
 def by_hand(t: Floats) -> Derivatives:
-    """The second derivatives of eq. 12 as worked out on paper."""
+    """The second derivatives of eq. 12, by hand."""
     rest, left = 1 - t / 23, 1 - t / 24
     return Derivatives(
         x=-(0.008 - 2.98 * 1.43 * 0.43 / 23**2 * rest**-0.57),
@@ -91,19 +89,19 @@ class Kinematics:
 
     def until(self, time: float) -> Kinematics:
         """The rows with t <= `time`."""
-        keep = self.t <= time + 1e-9
-        return Kinematics(**{name: values[keep] for name, values in vars(self).items()})
+        rows = self.t <= time + 1e-9
+        return Kinematics(**{name: values[rows] for name, values in vars(self).items()})
 
 
 def kinematics(t: Floats, *, printed: str = "") -> Kinematics:
     """Motion by eq. 12 at times in s; the accelerations named in `printed` as eq. 14 prints them.
 
-    `printed` is "", "x" (the wrong sign alone) or "xy" (the wrong exponent, too).
+    `printed` is "", "x" (the wrong sign) or "xy" (also the wrong exponent).
     """
     first, second = derivatives(t, 1), derivatives(t, 2)
-    wrong = as_printed(t)
-    ax = wrong[0] if "x" in printed else second.x
-    ay = wrong[1] if "y" in printed else second.y
+    printed_accelerations = as_printed(t)
+    ax = printed_accelerations[0] if "x" in printed else second.x
+    ay = printed_accelerations[1] if "y" in printed else second.y
     beta = np.arctan2(first.x, first.y)
     return Kinematics(
         t=t,
@@ -118,7 +116,7 @@ def kinematics(t: Floats, *, printed: str = "") -> Kinematics:
 
 @dataclass(frozen=True)
 class PathFindings:
-    """What eq. 12 says.
+    """Properties of eq. 12.
 
     Attributes
     ----------
@@ -158,19 +156,19 @@ class PathFindings:
 
     @property
     def limit(self) -> Floats:
-        """`eps/sqrt(1 - eps^2)`: the most that isotropic friction allows for that ratio."""
+        """`eps/sqrt(1 - eps^2)`: the bound of isotropic friction on that ratio."""
         epsilon = self.motion.epsilon(RADIUS)
         return epsilon / np.sqrt(1 - epsilon**2)
 
 
 def study_path() -> PathFindings:
-    """Differentiate eq. 12 and compare with what is printed about it."""
+    """Differentiate eq. 12 and compare with the printed derivatives."""
     t = _TIMES
     first, second = derivatives(t, 1), derivatives(t, 2)
-    hand = by_hand(t)
-    gap = max(
-        float(np.max(np.abs(found - worked)) / np.max(np.abs(worked)))
-        for found, worked in zip(second, hand, strict=True)
+    manual_derivatives = by_hand(t)
+    difference = max(
+        float(np.max(np.abs(automatic - manual)) / np.max(np.abs(manual)))
+        for automatic, manual in zip(second, manual_derivatives, strict=True)
     )
     end = eq_12(23.0)
     motion = kinematics(t)
@@ -188,7 +186,7 @@ def study_path() -> PathFindings:
         end=(float(end.x), float(end.y), float(end.phi / (2 * np.pi))),
         x_form=_x_form(),
         y_form=_y_form(),
-        by_hand=gap,
+        by_hand=difference,
         sign_change=float(brentq(lambda s: derivatives(np.array([s]), 2).x[0], 10, 20)),
         ax=second.x,
         ay=second.y,
@@ -200,35 +198,35 @@ def study_path() -> PathFindings:
     )
 
 
-def _slope(values: Floats, rest: Floats) -> float:
+def _power_exponent(values: Floats, rest: Floats) -> float:
     """Exponent of a power law through two values."""
     return float(np.log(values[1] / values[0]) / np.log(rest[1] / rest[0]))
 
 
 def _x_form() -> tuple[float, float, float]:
-    """The third derivative of x is a pure power; its exponent and size give those of the second."""
-    t = np.array(_PLACES)
+    """Coefficients of d2x/dt2, from the third derivative, which is a pure power."""
+    t = np.array(_SAMPLE_TIMES)
     rest = 1 - t / 23
     third = derivatives(t, 3).x
-    p = _slope(third, rest) + 1
+    p = _power_exponent(third, rest) + 1
     k = float(23 * third[0] / (p * rest[0] ** (p - 1)))
     c = float(-derivatives(t, 2).x[0] - k * rest[0] ** p)
     return c, k, p
 
 
 def _y_form() -> tuple[float, float]:
-    t = np.array(_PLACES)
+    t = np.array(_SAMPLE_TIMES)
     rest = 1 - t / 23
     second = derivatives(t, 2).y
-    p = _slope(second, rest)
+    p = _power_exponent(second, rest)
     return float(-second[0] / rest[0] ** p), p
 
 
 def _bound_form() -> tuple[float, float, float]:
-    t = np.array([0.0, *_PLACES])
+    t = np.array([0.0, *_SAMPLE_TIMES])
     first = derivatives(t, 1)
-    spin = _slope(first.phi[1:], 1 - t[1:] / 24)
-    speed = _slope(first.y[1:], 1 - t[1:] / 23)
+    spin = _power_exponent(first.phi[1:], 1 - t[1:] / 24)
+    speed = _power_exponent(first.y[1:], 1 - t[1:] / 23)
     return float(RADIUS * first.phi[0] / first.y[0]), spin, -speed
 
 
@@ -241,13 +239,13 @@ def path_claims(found: PathFindings) -> dict[str, Claim]:
     ratio, limit = found.ratio, found.limit
     ice, ice_printed = found.ax / found.ay, found.ax_printed / found.ay_printed
     size, by_spin, by_speed = found.bound_form
-    sure = bool(np.all(ratio > limit))
+    prop5_holds = bool(np.all(ratio > limit))
     t = found.motion.t
     bound = size * (1 - t / 24) ** by_spin * (1 - t / 23) ** by_speed
-    kept = bool(np.all(found.ice_slope <= bound)) and bound.max() <= 0.09
+    bound_holds = bool(np.all(found.ice_slope <= bound)) and bound.max() <= 0.09
     surplus = dy / 2 - 1
-    start = (round(dx, 1), round(dy), round(omega)) == (0, 2, 1)
-    rounded = start and (round(-x, 2), round(turns, 1)) == (0.84, 2.6)
+    start_holds = (round(dx, 1), round(dy), round(omega)) == (0, 2, 1)
+    rounded = start_holds and (round(-x, 2), round(turns, 1)) == (0.84, 2.6)
     right_form = abs(k + 0.0035) < 1e-4 and abs(c - 0.008) < 1e-6
     claims = [
         Claim(
@@ -288,7 +286,7 @@ def path_claims(found: PathFindings) -> dict[str, Claim]:
             "T_x >= 0.1 T_y at all t, more than isotropic friction can give",
             f"a_xi/a_eta = {ratio[0]:.4f} .. {ratio[-1]:.3f} beside at most {limit[0]:.4f} .. "
             f"{limit[-1]:.4f} on t <= 20 s; T_x/T_y = {ice[0]:.3f} at t = 0, {ice[-1]:.3f} at 20 s",
-            "holds with a correction" if sure else "does not hold",
+            "holds with a correction" if prop5_holds else "does not hold",
             "The conclusion stands in the moving frame, where friction would have to point further "
             "aside than any ring point slides, at every t <= 20 s; the proof's T_x >= 0.1 T_y "
             f"holds only with the wrong sign of eq. 14 (then {ice_printed.min():.2f} at least).",
@@ -300,7 +298,8 @@ def path_claims(found: PathFindings) -> dict[str, Claim]:
             f"{size:.4f} (1-t/24)^{by_spin:.3f} (1-t/23)^{by_speed:.3f}, {bound[-1]:.4f} at "
             f"t = 20 s; largest on the ring {found.slope[0]:.4f} (t = 0) .. {found.slope[-1]:.4f} "
             "in the moving frame",
-            "holds with a correction" if kept and found.slope.min() > 0.01 else "does not hold",
+            "holds with a correction" if bound_holds and found.slope.min() > 0.01
+            else "does not hold",
             "Eq. 17 is right; in eq. 15 the 0.01 must be the 0.1 of the sentence before it: the "
             f"ring does reach {found.slope.min():.3f}, which satisfies 0.01 and contradicts "
             "nothing.",

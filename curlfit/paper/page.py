@@ -1,4 +1,4 @@
-"""The readable page, and the table for the screen. Made from a `Reproduction` alone."""
+"""The Markdown page and the table of claims. Made from a `Reproduction` alone."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def claims_table(claims: tuple[Claim, ...]) -> Table:
 
 
 def verdicts(claims: tuple[Claim, ...]) -> str:
-    """How many claims hold, in a sentence."""
+    """Number of claims by verdict, as a sentence."""
     count = Counter(claim.verdict for claim in claims)
     failed = count["does not hold"]
     return (
@@ -49,7 +49,7 @@ def verdicts(claims: tuple[Claim, ...]) -> str:
 
 
 def page(found: Reproduction) -> str:
-    """`claims.md`: the table, and what is behind it with its figures."""
+    """`claims.md`: the table of claims, and the results behind it with figures."""
     return "\n\n".join(
         [
             "# The claims of Ivanov and Shuvalov (2012), recomputed",
@@ -95,7 +95,7 @@ def _trajectory(found: Reproduction) -> list[str]:
         )
     return [
         "## The trajectory: eq. 12-17, Prop. 5",
-        "Eq. 12 is differentiated by JAX; the coefficients and exponents of eq. 14 are read off "
+        "Eq. 12 is differentiated by JAX; the coefficients and exponents of eq. 14 follow from "
         f"those derivatives, which agree with derivatives by hand to {path.by_hand:.0e}.",
         _picture("eq14", "Second derivatives of eq. 12 and eq. 14 as printed"),
         "Isotropic friction points, at each ring point, against the sliding there, so its sum "
@@ -120,18 +120,18 @@ def _isotropic(found: Reproduction) -> list[str]:
         )
     ]
     named = [("mu constant (Prop. 2)", iso.coulomb)]
-    named += [(f"mu = c v^{k:g} (Prop. 3)", tally) for k, tally in iso.power.items()]
+    named += [(f"mu = c v^{k:g} (Prop. 3)", counts) for k, counts in iso.power.items()]
     named += [("mu(v) rising and falling, at random (Prop. 3)", iso.mixture)]
-    for name, tally in iso.stribeck.items():
-        named.append((f"eq. 11 ({name}), mu > 0 on the whole ring", tally))
+    for name, counts in iso.stribeck.items():
+        named.append((f"eq. 11 ({name}), mu > 0 on the whole ring", counts))
         if name in iso.negative:
             named.append((f"eq. 11 ({name}), mu < 0 somewhere", iso.negative[name]))
-    for label, tally in named:
-        numbers = (tally.states, tally.slow, tally.left, tally.slow_left, tally.remark)
+    for label, counts in named:
+        numbers = (counts.states, counts.slow, counts.left, counts.slow_left, counts.remark)
         rows.append((label, *map(str, numbers)))
     below = iso.negative["iii"]
-    lefts = [k for k, tally in iso.power.items() if tally.left]
-    rights = [k for k, tally in iso.power.items() if not tally.left]
+    left_exponents = [k for k, counts in iso.power.items() if counts.left]
+    right_exponents = [k for k, counts in iso.power.items() if not counts.left]
     return [
         "## Isotropic friction: Prop. 1-4",
         f"Grid: {len(SPEEDS)} speeds of {SPEEDS[0]:g} to {SPEEDS[-1]:g} m/s and {len(SPINS)} spins "
@@ -145,12 +145,12 @@ def _isotropic(found: Reproduction) -> list[str]:
         "counts as its mirror image.",
         _table(rows),
         _picture("isotropic", "Force across and along the motion against spin"),
-        f"Left deviations, pushed furthest: {_example(iso.power_example)}; "
+        f"States with the largest force to the left: {_example(iso.power_example)}; "
         f"{_example(iso.mixture_example)}; {_example(iso.stribeck_example)}. Under the "
         "consistent load the sideways force has the sign of n2, which is that of -T_eta: a stone "
         "with isotropic mu(v) deviates to the left exactly when friction drives it forward. Of the "
-        f"powers of the speed those with exponents up to {max(lefts):g} do so beyond |eps| = 1, "
-        f"those from {min(rights):g} on never.",
+        f"powers of the speed those with exponents up to {max(left_exponents):g} do so beyond "
+        f"|eps| = 1, those from {min(right_exponents):g} on never.",
         "Case (iii) of Prop. 4 presumes mu > 0 where the ring slides. Where the line of eq. 11 is "
         f"followed below zero, {below.states - below.left} of {below.states} states deviate to the "
         f"right, and {below.speeds_up} speed up.",
@@ -178,7 +178,7 @@ def _first_order(found: Reproduction) -> list[str]:
         along.append(
             (f"{ring.t[k]:g}", *(f"{line[k]:.4f}" for line in (ring.l1, ring.l2, ring.l3)))
         )
-    along.append(("path fit", *(f"{value:.4f}" for value in ring.radial_l)))
+    along.append(("trajectory fit", *(f"{value:.4f}" for value in ring.radial_l)))
     return [
         "## Anisotropic friction: eq. 23, 24, 27",
         "Largest relative gap between the first-order forms and the ring integrals, uniform load, "
@@ -193,9 +193,9 @@ def _first_order(found: Reproduction) -> list[str]:
 
 def _eq_28(found: Reproduction) -> list[str]:
     eq28 = found.eq28
-    vary = eq28.uncertainty
+    posterior = eq28.uncertainty
     rows: list[tuple[str, ...]] = [
-        ("how", "R (m)", "rho (m)", "t <= (s)", "mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")
+        ("method", "R (m)", "rho (m)", "t <= (s)", "mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")
     ]
     printed = (f"{value:g}" for value in PRINTED)
     rows.append(
@@ -203,41 +203,43 @@ def _eq_28(found: Reproduction) -> list[str]:
     )
     for row in eq28.rows:
         numbers = (f"{row.radius:g}", f"{row.rho:g}", f"{row.window:g}")
-        rows.append((row.how, *numbers, *(f"{value:.5f}" for value in row.mu)))
+        rows.append((row.method, *numbers, *(f"{value:.5f}" for value in row.mu)))
     intervals: list[tuple[str, ...]] = [("", "mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")]
     intervals.append(("printed", *(f"{value:g}" for value in PRINTED)))
     for label, ends in (
-        ("95 %, coefficients >= 0", vary.interval), ("95 %, either sign", vary.free_interval),
+        ("95 %, coefficients >= 0", posterior.interval),
+        ("95 %, either sign", posterior.free_interval),
     ):  # fmt: skip
         intervals.append((label, *(f"{low:.5f} .. {high:.5f}" for low, high in ends)))
-    intervals.append(("standard error at one stone", *(f"{one:.6f}" for one in vary.noise)))
-    far, near = (f"{limits[0]:g} .. {limits[1]:g} m" for limits in (R_RANGE, RHO_RANGE))
+    intervals.append(("standard error at one stone", *(f"{one:.6f}" for one in posterior.noise)))
+    radii, gyration = (f"{limits[0]:g} .. {limits[1]:g} m" for limits in (R_RANGE, RHO_RANGE))
     return [
         "## Eq. 28",
-        "*Mean* is the mean of eq. 27 solved at each time; *least squares* gives the constants "
-        "that satisfy each line of eq. 27 best; a *trajectory fit* is the full ring integrated "
-        "and compared with eq. 12 each 0.1 s, start free, channels weighted by their own scatter; "
-        "*even weights* count 1 m like 1 rad; *from the origin* fixes x, y and phi at t = 0 to 0. "
+        "*Mean* is the mean of eq. 27 solved at each time; *least squares* the constants that fit "
+        "each line of eq. 27 by least squares; a *trajectory fit* is the full ring integrated and "
+        "compared with eq. 12 every 0.1 s, with free initial state, channels weighted by their "
+        "scatter; "
+        "*even weights* weight 1 m as 1 rad; *from the origin* fixes x, y and phi at t = 0 to 0. "
         f"Coefficients may take either sign. rho = {SOLID_RHO:g} m is 0.145 m/sqrt(2), the solid "
         "cylinder of the 29 cm diameter that the paper gives.",
         _table(rows),
-        _picture("eq28", "Eq. 28 computed in each way, and its posterior over R and rho"),
-        f"**Posterior over the printed rounding.** R and rho are even over {far} and {near}. At "
-        "each stone the posterior of all other parameters is Gaussian about its own fit; mean, "
-        "covariance, chi-squared and volume are interpolated between fits at 5 x 5 Chebyshev nodes "
-        f"(error {vary.check:.0e} standard errors), stones weighted by their marginal likelihood, "
-        "and coefficients drawn for each. "
-        f"Chi-squared differs by {vary.preference:.2f} over the whole range: to first order in eps "
-        "R and rho are absorbed by the coefficients, so the path prefers no stone. "
-        f"{100 * vary.positive:.0f} % of the draws have all coefficients positive; the first "
-        f"interval keeps these ({vary.effective:.0f} effective).",
+        _picture("eq28", "Eq. 28 computed by each method, and its posterior over R and rho"),
+        f"**Posterior over the printed rounding.** R and rho are uniform over {radii} and "
+        f"{gyration}. At each stone the posterior of all other parameters is Gaussian about its "
+        "own fit; mean, covariance, chi-squared and volume are interpolated between fits at "
+        f"5 x 5 Chebyshev nodes (error {posterior.check:.0e} standard errors), stones weighted by "
+        "their marginal likelihood, and coefficients drawn for each. "
+        f"Chi-squared differs by {posterior.preference:.2f} over the whole range: to first "
+        "order in eps the coefficients absorb R and rho, which the trajectory does not determine. "
+        f"{100 * posterior.positive:.0f} % of the draws have all coefficients positive; the first "
+        f"interval keeps these ({posterior.effective:.0f} effective).",
         _table(intervals),
-        "The residuals of eq. 12 are smooth, so the standard error says little; the width of "
+        "The residuals of eq. 12 are smooth, so the standard error is not meaningful; the width of "
         "mu1_xi and mu2_xi comes from R and rho. The interval of the sum hardly depends on the "
-        "stone and meets the printed 0.018 only within its rounding (0.0175 .. 0.0185); the time "
-        "window, which is no part of this posterior, moves it more (table above). "
-        f"{100 * vary.share:.1f} % of the draws round to all three printed numbers at once: they "
-        f"lie near R = {vary.nearest[0]:.4f} m, rho = {vary.nearest[1]:.4f} m.",
+        "stone and overlaps the printed 0.018 only within its rounding (0.0175 .. 0.0185); the "
+        "time window, which is not part of this posterior, changes it more (table above). "
+        f"{100 * posterior.share:.1f} % of the draws round to all three printed numbers: "
+        f"they lie near R = {posterior.nearest[0]:.4f} m, rho = {posterior.nearest[1]:.4f} m.",
     ]
 
 
@@ -249,13 +251,13 @@ def _split(found: Reproduction) -> list[str]:
     ):
         rows.append((f"{epsilon:g}", f"{even:.0e}", f"{100 * tilted:+.2f} %"))
     return [
-        "## The split that cannot be seen",
+        "## The split that is not identifiable",
         f"The path determines {fit.rank} of {len(fit.singular_values)} parameters; along "
         "(mu1_eta, mu2_eta) = (1, -1) the singular value of the scaled Jacobian is "
         f"{fit.singular_values[-1]:.0e}, beside {fit.singular_values[-2]:.0f} for the next. "
         "Relative change of the ring forces when (mu1_eta, mu2_eta) = (0.012, 0.006) is exchanged:",
         _table(rows),
         _picture("split", "Change of the ring forces, and singular values of the fit"),
-        "With the consistent load the front carries more (n2 > 0) and the exchange shows, but only "
-        "as another value of T_eta, which a different sum would give as well.",
+        "With the consistent load the front carries more (n2 > 0) and the exchange has an effect, "
+        "but only on T_eta, which a different sum changes as well.",
     ]

@@ -1,54 +1,53 @@
-"""The paper of Ivanov and Shuvalov (2012): its trajectory, its result, its first-order model.
+"""Printed results of Ivanov and Shuvalov (2012): trajectory, coefficients, first-order model.
 
 A. P. Ivanov, N. D. Shuvalov, "Friction in curling game"; equation numbers are theirs.
 """
 
 from __future__ import annotations
 
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from curlfit.friction.front_back import FrontBackFirstOrder
+from curlfit.numerics.arrays import Floats
 from curlfit.output.files import replaced
 from curlfit.stone import GRAVITY, Stone
 from curlfit.throws.synthetic import write_table
 from curlfit.throws.throw import Reference, Throw
 
-Floats = NDArray[np.float64]
-
 EQ_28 = {"mu1_xi": 0.0018, "mu2_xi": 0.058, "mu1_eta + mu2_eta": 0.018}
 """Coefficients of the front-back law as printed in eq. 28."""
 
 EQ_28_STONE = Stone(R=0.054, rho=0.1)
-"""The ring radius the paper gives for eq. 28 and its radius of gyration."""
+"""Ring radius of eq. 28 and radius of gyration as printed."""
 
 SOLID_RHO = 0.1025
 """Radius of gyration of a solid cylinder of 29 cm diameter, 0.145 m/sqrt(2), m."""
 
 EQ_28_UNTIL = 20.0
-"""End of the time window, s, on which the paper uses eq. 12."""
+"""End of the time window of eq. 12 in the paper, s."""
 
 
-class Trajectory(NamedTuple):
-    """Place and angle over time: x, y in m, phi in rad."""
+class Configuration(NamedTuple):
+    """Position and angle as functions of time: x, y in m, phi in rad."""
 
     x: Any
     y: Any
     phi: Any
 
 
-def jensen_shegelski(t: ArrayLike) -> Trajectory:
+def jensen_shegelski(t: ArrayLike) -> Configuration:
     """The fitted trajectory of Jensen and Shegelski (2004), eq. 12, for t in s on [0, 23]."""
     return eq_12(np.asarray(t, float))
 
 
-def eq_12(t: Any) -> Trajectory:
+def eq_12(t: Any) -> Configuration:
     """The formula of eq. 12 itself, for a number or array of any library; jax differentiates it."""
     rest = 1 - t / 23
-    return Trajectory(
+    return Configuration(
         x=-(0.004 * t**2 - 0.185 * t + 2.98 * (1 - rest**1.43)),
         y=25 * (1 - rest**1.897),
         phi=16.58 * (1 - (1 - t / 24) ** 1.455),
@@ -56,7 +55,7 @@ def eq_12(t: Any) -> Trajectory:
 
 
 def jensen_shegelski_throw() -> Throw:
-    """Eq. 12 each 0.1 s on 0..22.9 s, with the settings of sect. 4 and eq. 28 beside it."""
+    """Eq. 12 every 0.1 s on 0..22.9 s, with the settings of sect. 4 and eq. 28 as reference."""
     t = np.arange(230) / 10
     return Throw.from_arrays(
         t,
@@ -78,13 +77,13 @@ def jensen_shegelski_throw() -> Throw:
     )
 
 
-def write_jensen_shegelski(file: str | FilePath) -> None:
+def write_jensen_shegelski(file: str | Path) -> None:
     """Write eq. 12 as the data file that ships with curlfit."""
     head = (
         "# Eq. 12 of Ivanov and Shuvalov (2012): a formula fitted by Jensen and Shegelski (2004)\n"
         "# to measured throws. See README.md beside this file.\n"
     )
-    with replaced(FilePath(file)) as temporary:
+    with replaced(Path(file)) as temporary:
         temporary.write_text(head + write_table(jensen_shegelski_throw()))
 
 

@@ -1,4 +1,4 @@
-"""All claims in their order, with what they rest on."""
+"""All claims in order, with the results behind them."""
 
 from __future__ import annotations
 
@@ -38,22 +38,22 @@ def reproduce(progress: Callable[[str, int, int], None] | None = None) -> Reprod
 
     Parameters
     ----------
-    progress : called before each part with what it is about, and how many of how many are done.
+    progress : called before each part with its name, the number of parts done and the total.
     """
 
-    def now(part: str, done: int) -> None:
+    def report(part: str, done: int) -> None:
         if progress is not None:
             progress(part, done, 4)
 
-    now("eq. 12 and its derivatives", 0)
+    report("eq. 12 and its derivatives", 0)
     path = study_path()
-    now("isotropic friction (Prop. 1-4)", 1)
+    report("isotropic friction (Prop. 1-4)", 1)
     isotropic = study_isotropic()
-    now("anisotropic friction (eq. 23-27)", 2)
+    report("anisotropic friction (eq. 23-27)", 2)
     ring = study_ring(path.motion)
-    now("eq. 28", 3)
+    report("eq. 28", 3)
     eq28 = study_eq_28(path)
-    now("done", 4)
+    report("done", 4)
     claims = (
         path_claims(path)
         | isotropic_claims(isotropic)

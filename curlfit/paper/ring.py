@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from numpy.typing import NDArray
 
 from curlfit.friction import Load, LocalLaw
 from curlfit.friction.anisotropic import Radial
@@ -21,23 +20,22 @@ from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Floats
 from curlfit.paper.claim import Claim
 from curlfit.paper.kinematics import RADIUS, Kinematics
 from curlfit.paper.printed import first_order_motion, jensen_shegelski_throw
 from curlfit.stone import GRAVITY, Stone
 
-Floats = NDArray[np.float64]
-
 RHO = 0.1
 """Radius of gyration of sect. 4, m."""
 SPEED = 2.0
-"""Speed at which the ring is examined, m/s."""
+"""Speed of the test states, m/s."""
 EPSILONS = np.array([0.1, 0.05, 0.025])
 SPLIT = (0.012, 0.006)
 """mu1_eta and mu2_eta of the example, exchanged for the comparison."""
 _SPLIT_EPSILONS = np.array([0.01, 0.1, 0.5, 0.9, 0.99, 1.01, 1.5, 3.0, 10.0])
-_SMALL = 0.005  # relative gap at eps = 0.1: half of eps^2
-_UNIT = 0.01  # each coefficient in turn; the laws are linear in them
+_SMALL = 0.005  # relative difference at eps = 0.1: half of eps^2
+_TEST_VALUE = 0.01  # each coefficient in turn; the laws are linear in them
 
 
 def net_forces(
@@ -47,20 +45,22 @@ def net_forces(
 
     `values` are coefficients of shape (n, coefficients), `epsilon` has shape (n,); v = 2 m/s.
     """
-    columns = [jnp.asarray(values[:, place]) for place in range(values.shape[1])]
+    columns = [jnp.asarray(values[:, index]) for index in range(values.shape[1])]
     spin = jnp.asarray(SPEED * epsilon / stone.R)
-    moved = _net(law.from_vector(columns), stone, spin, load)
-    moment = np.asarray(moved.angular) * stone.rho**2 / stone.R
-    return np.stack([np.asarray(moved.xi), np.asarray(moved.eta), moment], 1) / GRAVITY
+    acceleration = _compiled_net(law.from_vector(columns), stone, spin, load)
+    moment = np.asarray(acceleration.angular) * stone.rho**2 / stone.R
+    return (
+        np.stack([np.asarray(acceleration.xi), np.asarray(acceleration.eta), moment], 1) / GRAVITY
+    )
 
 
-def _net_one(law: Any, stone: Stone, spin: Array, load: Load) -> Any:
+def _net_accelerations(law: Any, stone: Stone, spin: Array, load: Load) -> Any:
     return jax.vmap(lambda law, w: accelerations(law, stone, load, jnp.asarray(SPEED), w))(
         law, spin
     )
 
 
-_net = jax.jit(_net_one, static_argnames="load")
+_compiled_net = jax.jit(_net_accelerations, static_argnames="load")
 
 
 def first_order_radial(mu: Floats, epsilon: Floats) -> Floats:
@@ -91,7 +91,7 @@ def first_order_front_back(mu: Floats, epsilon: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Expansion:
-    """A first-order form beside the ring.
+    """A first-order form compared with the ring.
 
     Attributes
     ----------
@@ -111,13 +111,13 @@ class Expansion:
 
 
 def _expansion(law: type[LocalLaw], first_order: Any) -> Expansion:
-    mu = np.tile(_UNIT * np.eye(4), (len(EPSILONS), 1))
+    mu = np.tile(_TEST_VALUE * np.eye(4), (len(EPSILONS), 1))
     epsilon = np.repeat(EPSILONS, 4)
     exact = net_forces(law, mu, epsilon, Stone(R=RADIUS, rho=RHO))
-    rough = first_order(mu, epsilon)
-    # A coefficient that has no part in a force to first order is measured by the others' share.
-    size = np.abs(rough).reshape(-1, 4, 3).max(1)
-    gap = np.abs(exact - rough).reshape(-1, 4, 3).max(1) / size
+    approximate = first_order(mu, epsilon)
+    # Relative to the largest contribution of all coefficients, since some contribute nothing.
+    size = np.abs(approximate).reshape(-1, 4, 3).max(1)
+    gap = np.abs(exact - approximate).reshape(-1, 4, 3).max(1) / size
     with np.errstate(divide="ignore", invalid="ignore"):
         order = np.log(gap[0] / gap[-1]) / np.log(EPSILONS[0] / EPSILONS[-1])
     return Expansion(EPSILONS, gap, np.where(gap[0] > 1e-9, order, np.nan))
@@ -125,13 +125,13 @@ def _expansion(law: type[LocalLaw], first_order: Any) -> Expansion:
 
 @dataclass(frozen=True)
 class RingFindings:
-    """What the ring integrals say.
+    """Results of the ring integrals.
 
     Attributes
     ----------
-    radial, front_back : eq. 23 and the right sides of eq. 27 beside the ring.
+    radial, front_back : eq. 23 and the right sides of eq. 27 compared with the ring.
     closed_gap : largest distance (m) and angle (rad) between eq. 27 in closed form and integrated
-    step by step, t <= 20 s. ring_gap : the same between eq. 27 and the full ring.
+    numerically, t <= 20 s. ring_gap : the same between eq. 27 and the full ring.
     t : s. l1, l2, l3 : combinations that solve eq. 24 at each time, shape (n,).
     rank : of eq. 24 with respect to the four unknowns, and with l1, l2, l3 as further rows.
     l1_zero : time in s at which l1 changes its sign, or None. greatest_epsilon : on t <= 20 s.
@@ -170,10 +170,10 @@ def solve_eq_24(motion: Kinematics) -> tuple[Floats, Floats, Floats]:
 
 
 def study_ring(motion: Kinematics) -> RingFindings:
-    """Compare first order with the ring, solve eq. 24 along `motion`, and exchange the split."""
+    """Compare first order with the ring, solve eq. 24 along `motion`, exchange mu1_eta, mu2_eta."""
     l1, l2, l3 = solve_eq_24(motion)
     rows = np.array([[1, -1, 2, -2], [1, 1, 1, 1], [0, 0, 1, 1]])
-    wanted = np.array([[1, 1, 0, 0], [0, 0, 1, 1], [1, 0, 2, 0]])
+    combinations = np.array([[1, 1, 0, 0], [0, 0, 1, 1], [1, 0, 2, 0]])
     crossing = np.flatnonzero(l1[:-1] * l1[1:] < 0)
     zero = None
     if len(crossing):
@@ -182,9 +182,9 @@ def study_ring(motion: Kinematics) -> RingFindings:
     radial_fit = fit(
         jensen_shegelski_throw(), Radial, stone=Stone(R=RADIUS, rho=RHO), unbounded=True
     )
-    closed_gap, ring_gap = _paths()
-    uniform, consistent = _split()
-    mu = [radial_fit.parameters[f"mu{place}"].value for place in (1, 2, 3, 4)]
+    closed_gap, ring_gap = _trajectory_differences()
+    uniform, consistent = _exchange_effects()
+    mu = [radial_fit.parameters[f"mu{index}"].value for index in (1, 2, 3, 4)]
     return RingFindings(
         radial=_expansion(Radial, first_order_radial),
         front_back=_expansion(FrontBack, first_order_front_back),
@@ -196,7 +196,7 @@ def study_ring(motion: Kinematics) -> RingFindings:
         l3=l3,
         rank=(
             int(np.linalg.matrix_rank(rows)),
-            int(np.linalg.matrix_rank(np.concatenate([rows, wanted]))),
+            int(np.linalg.matrix_rank(np.concatenate([rows, combinations]))),
         ),
         l1_zero=zero,
         greatest_epsilon=float(motion.epsilon(RADIUS).max()),
@@ -208,8 +208,8 @@ def study_ring(motion: Kinematics) -> RingFindings:
     )
 
 
-def _paths() -> tuple[tuple[float, float], tuple[float, float]]:
-    """Eq. 27 in closed form, stepwise, and the full ring, from the same start, for eq. 28."""
+def _trajectory_differences() -> tuple[tuple[float, float], tuple[float, float]]:
+    """Eq. 27 in closed form, integrated, and the full ring, with the coefficients of eq. 28."""
     stone = Stone(R=0.054, rho=RHO)
     t = np.linspace(0, 20, 201)
     padded = np.pad(t, (0, 55), mode="edge")  # the shape of a fit's times
@@ -217,40 +217,40 @@ def _paths() -> tuple[tuple[float, float], tuple[float, float]]:
     mu = (0.0018, 0.058, 0.009, 0.009)
     start = np.array([*mu, 0.0, 0.0, 0.0, SPEED, 0.0, 1.0])
     closed = first_order_motion(FrontBackFirstOrder(*mu), stone, SPEED, 1.0, t)
-    stepped, ring = (
+    integrated, ring = (
         np.asarray(predict_channels(law, "uniform", start, problem))[:, : len(t)]
         for law in (FrontBackFirstOrder, FrontBack)
     )
 
-    def gap(x: Any, y: Any, phi: Any, other: Floats) -> tuple[float, float]:
+    def difference(x: Any, y: Any, phi: Any, other: Floats) -> tuple[float, float]:
         distance = np.hypot(x - other[0], y - other[1])
         return float(distance.max()), float(np.abs(phi - other[2]).max())
 
-    return gap(closed.x, closed.y, closed.phi, stepped), gap(
-        stepped[0], stepped[1], stepped[2], ring
+    return difference(closed.x, closed.y, closed.phi, integrated), difference(
+        integrated[0], integrated[1], integrated[2], ring
     )
 
 
-def _split() -> tuple[Floats, Floats]:
+def _exchange_effects() -> tuple[Floats, Floats]:
     one, other = SPLIT
     n = len(_SPLIT_EPSILONS)
     stone = Stone(R=RADIUS, rho=RHO, h=0.057)
     first = np.tile([0.0018, 0.058, one, other], (n, 1))
     second = np.tile([0.0018, 0.058, other, one], (n, 1))
-    even = [net_forces(FrontBack, mu, _SPLIT_EPSILONS, stone) for mu in (first, second)]
-    uniform = np.max(np.abs(even[1] / even[0] - 1), axis=1)
-    tilted = [
+    uniform_forces = [net_forces(FrontBack, mu, _SPLIT_EPSILONS, stone) for mu in (first, second)]
+    uniform = np.max(np.abs(uniform_forces[1] / uniform_forces[0] - 1), axis=1)
+    consistent_forces = [
         net_forces(FrontBack, mu, _SPLIT_EPSILONS, stone, "consistent") for mu in (first, second)
     ]
-    return uniform, tilted[1][:, 1] / tilted[0][:, 1] - 1
+    return uniform, consistent_forces[1][:, 1] / consistent_forces[0][:, 1] - 1
 
 
 def ring_claims(found: RingFindings) -> dict[str, Claim]:
     """Eq. 23, 24 and 27, by id."""
     t, l1, l2, l3 = found.t, found.l1, found.l2, found.l3
     order = np.round(np.nanmin(found.radial.order), 1)
-    of = found.radial_l
-    fit_ok = found.radial_fit.converged
+    fitted = found.radial_l
+    fit_converged = found.radial_fit.converged
     closed, ring = found.closed_gap, found.ring_gap
     early = [float(l1[np.searchsorted(t, s - 1e-9)]) for s in (0, 10, 20)]
     determined = found.rank == (3, 3)
@@ -291,10 +291,12 @@ def ring_claims(found: RingFindings) -> dict[str, Claim]:
             "eq24-l3",
             "l3 = mu1 + 2 mu3 of the radial law",
             "negative for all t <= 20 s, so the law does not apply",
-            f"{l3.min():.4f} .. {l3.max():.4f}; fit of the whole path {of[2]:.4f}",
-            "holds" if bool(np.all(l3 < 0)) and fit_ok and of[2] < 0 else "does not hold",
+            f"{l3.min():.4f} .. {l3.max():.4f}; fit of the whole path {fitted[2]:.4f}",
+            "holds" if bool(np.all(l3 < 0)) and fit_converged and fitted[2] < 0
+            else "does not hold",
             "mu1 or mu3 would have to be negative at every t; a trajectory fit with coefficients "
-            f"of either sign agrees (l1, l2, l3 = {of[0]:.4f}, {of[1]:.4f}, {of[2]:.4f}).",
+            "of either sign agrees (l1, l2, l3 = "
+            f"{fitted[0]:.4f}, {fitted[1]:.4f}, {fitted[2]:.4f}).",
         ),
         Claim(
             "eq27",

@@ -18,7 +18,7 @@ from curlfit.friction import Law, Load, check_load
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import split
 from curlfit.inference.parameters import START
-from curlfit.numerics.compiled import kept
+from curlfit.numerics.compiled import compiled
 from curlfit.prediction.request import Begun
 from curlfit.stone import Stone
 
@@ -293,7 +293,7 @@ def _rest_times(t: Floats, state: Floats, speed: Floats) -> Floats:
     return cast(Floats, t[last] + np.where(np.isnan(left), step / 2, left))
 
 
-@kept("law", "load")
+@compiled("law", "load")
 def _carried(law: type[Law], load: Load, values: Array, stone: Stone, times: Array) -> Array:
     def one(values: Array) -> Array:
         friction, start = split(law, values)

@@ -98,11 +98,11 @@ def synthetic_throw(
         raise InputError(f"until = {until:g} s in steps of {dt:g} s makes {rows} rows")
     checked = check_load(load)
 
-    from curlfit.dynamics.trajectory import Start, simulate
+    from curlfit.dynamics.trajectory import InitialState, simulate
 
     t: Floats = np.arange(rows, dtype=np.float64) * dt
     path = simulate(
-        law, stone, Start(heading=heading, v=v0, omega=omega0), t, load=checked
+        law, stone, InitialState(heading=heading, v=v0, omega=omega0), t, load=checked
     ).to_numpy()
     if not np.isfinite(path.x).all():
         raise InputError(

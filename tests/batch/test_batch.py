@@ -18,11 +18,12 @@ from sample_files import log, shot, two_masses
 
 import curlfit
 from curlfit import FitResult, Stone, Throw
-from curlfit.batch.fit_many import fit_files, fit_throws
+from curlfit.batch.fit_many import fit_files
 from curlfit.batch.settings import BatchSettings, columns
 from curlfit.batch.table import Table
 from curlfit.dynamics.contact import accelerations
 from curlfit.friction import LAWS
+from curlfit.inference.fit.fit import fit_throws
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
 STONE = Stone(R=0.054)
@@ -123,9 +124,7 @@ def mixed():
 
 def test_throws_of_every_kind_side_by_side_are_fitted_as_alone():
     throws = mixed()
-    for (kind, throw), found in zip(
-        throws.items(), fit_throws(throws.values(), BatchSettings()), strict=True
-    ):
+    for (kind, throw), found in zip(throws.items(), fit_throws(list(throws.values())), strict=True):
         alone = curlfit.fit(throw)
         assert isinstance(found, FitResult), (kind, found)
         assert found.rank == alone.rank, kind

@@ -87,7 +87,7 @@ def forward() -> None:
     import jax
     import peer_scipy
 
-    from curlfit import LAWS, Start, Stone, simulate
+    from curlfit import LAWS, InitialState, Stone, simulate
 
     t = np.linspace(0, 20, 201)
     random = np.random.default_rng(0)
@@ -103,7 +103,7 @@ def forward() -> None:
         law, stone = LAWS[name](), Stone(R=0.054)
 
         def places(v: Any, omega: Any, law: Any = law, stone: Any = stone, load: str = load) -> Any:
-            path = simulate(law, stone, Start(v=v, omega=omega), t, load=load)
+            path = simulate(law, stone, InitialState(v=v, omega=omega), t, load=load)
             return path.x, path.y, path.phi
 
         function = jax.jit(jax.vmap(places))
@@ -147,8 +147,7 @@ def batch() -> None:
     import peer_scipy
 
     from curlfit import Stone
-    from curlfit.batch.fit_many import fit_throws
-    from curlfit.batch.settings import BatchSettings
+    from curlfit.inference.fit.fit import fit_throws
     from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
     random = np.random.default_rng(0)
@@ -164,7 +163,7 @@ def batch() -> None:
     peer_scipy.main(DATA)
     script = 1 / (time.perf_counter() - begin)
     row("scipy script's fit", f"{script:.2f} fits/s", 1.0)
-    ours = len(throws) / best(lambda: fit_throws(throws, BatchSettings()), 5.0)
+    ours = len(throws) / best(lambda: fit_throws(throws), 5.0)
     row("fit_throws, one process", f"{ours:.0f} fits/s", ours / script)
     with tempfile.TemporaryDirectory() as folder:
         texts = list(map(write_table, throws))
@@ -292,9 +291,10 @@ def roof() -> None:
     import jax
     import jax.numpy as jnp
 
-    from curlfit import LAWS, Start, Stone, simulate
-    from curlfit.dynamics import integrator as following
-    from curlfit.dynamics.contact import accelerations, crowding
+    from curlfit import LAWS, InitialState, Stone, simulate
+    from curlfit.dynamics import integrator
+    from curlfit.dynamics.contact import accelerations
+    from curlfit.dynamics.quadrature import node_clustering
 
     t, lanes = np.linspace(0, 20, 201), 1024 if jax.default_backend() == "cpu" else 65536
     random = np.random.default_rng(0)
@@ -302,21 +302,23 @@ def roof() -> None:
     law, stone = LAWS["front-back"](), Stone(R=0.054)
 
     calls: list[int] = []
-    rates = following.rates
+    rates = integrator.rates
 
     def counted(*given: Any) -> Any:
         jax.debug.callback(lambda: calls.append(1))
         return rates(*given)
 
     jax.clear_caches()
-    following.rates = counted
-    simulate(law, stone, Start(v=2.1, omega=1.0), t).x.block_until_ready()
+    integrator.rates = counted
+    simulate(law, stone, InitialState(v=2.1, omega=1.0), t).x.block_until_ready()
     jax.effects_barrier()
-    following.rates = rates
+    integrator.rates = rates
     jax.clear_caches()
 
     def ring(v: Any, omega: Any) -> Any:
-        return accelerations(law, stone, "uniform", v, omega, 0.0, 0.0, crowding(v, 0.054 * omega))
+        return accelerations(
+            law, stone, "uniform", v, omega, 0.0, 0.0, node_clustering(v, 0.054 * omega)
+        )
 
     cost: Any = jax.jit(ring).lower(v, omega).compile().cost_analysis()
     cost = cost[0] if isinstance(cost, list) else cost
@@ -327,7 +329,7 @@ def roof() -> None:
     row("bytes a path, at least", f"{least:.3g}", "")
 
     def places(v: Any, omega: Any) -> Any:
-        path = simulate(law, stone, Start(v=v, omega=omega), t)
+        path = simulate(law, stone, InitialState(v=v, omega=omega), t)
         return path.x, path.y, path.phi
 
     function = jax.jit(jax.vmap(places))

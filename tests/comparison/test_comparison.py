@@ -109,7 +109,7 @@ def test_criteria_are_those_of_a_gaussian(of_eq12):
 def correlated_throw(seed, law, memory=1.0):
     """20 s at 10 Hz with noise of 5 mm and 10 mrad that forgets itself within the memory, s."""
     times, random = np.arange(0, 20.05, 0.1), np.random.default_rng(seed)
-    start = curlfit.Start(v=2.1, omega=1.3 * (-1) ** seed)
+    start = curlfit.InitialState(v=2.1, omega=1.3 * (-1) ** seed)
     path = curlfit.simulate(law, curlfit.Stone(), start, times).to_numpy()
     root = np.linalg.cholesky(np.exp(-np.abs(times[:, None] - times) / memory))
     noise = {"x": 0.005, "y": 0.005, "phi": 0.01}

@@ -11,7 +11,17 @@ import numpy as np
 import pytest
 from certified import certify
 
-from curlfit import LAWS, DataError, Start, Stone, Throw, fit, law_with, simulate, synthetic_throw
+from curlfit import (
+    LAWS,
+    DataError,
+    InitialState,
+    Stone,
+    Throw,
+    fit,
+    law_with,
+    simulate,
+    synthetic_throw,
+)
 from curlfit.dynamics.contact import accelerations
 
 G = 9.81
@@ -23,10 +33,8 @@ HEADING = 0.1
 def _everything(values, times, law, load):
     """x, y, phi at the times, then the time of rest; the last three values are the start."""
     heading, v, omega = values[-3:]
-    path = simulate(
-        LAWS[law].from_vector(values), STONE, Start(heading=heading, v=v, omega=omega), times,
-        load=load, t0=0.0,
-    )  # fmt: skip
+    start = InitialState(heading=heading, v=v, omega=omega)
+    path = simulate(LAWS[law].from_vector(values), STONE, start, times, load=load, t0=0.0)
     return jnp.concatenate([path.x, path.y, path.phi, path.rest[None]])
 
 
@@ -140,7 +148,7 @@ def test_without_any_friction_nothing_is_lost():
     found = np.asarray(_value(values, times, law="front-back", load="uniform"))
     np.testing.assert_allclose(found[3:6], 6 * np.cos(HEADING) * times, rtol=1e-12)
     np.testing.assert_allclose(found[6:9], 60 * times, rtol=1e-12)
-    assert simulate(LAWS["coulomb"](0.0), STONE, Start(v=2.0), times).rest == np.inf
+    assert simulate(LAWS["coulomb"](0.0), STONE, InitialState(v=2.0), times).rest == np.inf
     slopes = np.asarray(_slopes(values, times, law="front-back", load="uniform"))
     assert np.isfinite(slopes[:-1]).all()
     # A little friction along the motion: -mu g t^2/2 times the mean of |e_eta|

@@ -12,8 +12,8 @@ import pytest
 from conftest import Reference, front_back
 
 import curlfit
-from curlfit import LAWS, Start, Stone, Throw, simulate
-from curlfit.dynamics import equations as steps
+from curlfit import LAWS, InitialState, Stone, Throw, simulate
+from curlfit.dynamics import equations
 from curlfit.dynamics.contact import accelerations
 from curlfit.inference.likelihood import log_likelihood, predict_channels
 from curlfit.inference.problem import Origin, build_problem
@@ -42,7 +42,7 @@ def places(path):
     ],
 )
 def test_path_agrees_with_order_8_integration_on_a_dense_ring(mu, h, v, omega, heading, until):
-    start = Start(x=1.0, y=-2.0, heading=heading, v=v, phi=0.5, omega=omega)
+    start = InitialState(x=1.0, y=-2.0, heading=heading, v=v, phi=0.5, omega=omega)
     times = np.linspace(0, until, 101)
     load = "uniform" if h is None else "consistent"
     stone = Stone(R=0.054, rho=0.1, h=h or 0.057)
@@ -53,11 +53,11 @@ def test_path_agrees_with_order_8_integration_on_a_dense_ring(mu, h, v, omega, h
 
 def test_error_falls_with_the_fifth_power_of_the_step(monkeypatch):
     times = np.linspace(0, 20, 21)
-    start = Start(v=2.06, omega=1.005)
+    start = InitialState(v=2.06, omega=1.005)
     exact = Reference(front_back(*PAPER)).path(start, times)
     errors = []
     for step in (0.5, 0.25):
-        monkeypatch.setattr(steps, "STEP", step)
+        monkeypatch.setattr(equations, "STEP", step)
         jax.clear_caches()
         errors.append(np.abs(places(simulate(FRONT_BACK, STONE, start, times)) - exact).max())
     monkeypatch.undo()
@@ -69,7 +69,7 @@ def test_coulomb_without_spin_stops_where_it_must():
     mu, v = 0.012, 1.7
     stop = v / (mu * 9.81)
     path = simulate(
-        LAWS["coulomb"](mu), STONE, Start(v=v, omega=0.0), [0.0, stop / 2, stop, 3 * stop]
+        LAWS["coulomb"](mu), STONE, InitialState(v=v, omega=0.0), [0.0, stop / 2, stop, 3 * stop]
     )
     way = v**2 / (2 * mu * 9.81)
     np.testing.assert_allclose(path.y, [0, 0.75 * way, way, way], atol=1e-9)
@@ -81,7 +81,7 @@ def test_coulomb_without_spin_stops_where_it_must():
 def test_first_order_law_agrees_with_its_closed_form():
     law = LAWS["front-back-first-order"](*PAPER)
     times = np.linspace(0, 21, 43)
-    path = simulate(law, STONE, Start(v=2.06, omega=1.005), times)
+    path = simulate(law, STONE, InitialState(v=2.06, omega=1.005), times)
     exact = first_order_motion(law, STONE, 2.06, 1.005, times)
     np.testing.assert_allclose(path.x, exact.x, atol=5e-8)
     np.testing.assert_allclose(path.y, exact.y, atol=5e-8)
@@ -110,20 +110,20 @@ def test_path_agrees_with_diffrax():
         stepsize_controller=diffrax.PIDController(rtol=1e-11, atol=1e-11),
     )  # fmt: skip
     path = simulate(
-        FRONT_BACK, STONE, Start(v=2.2, heading=0.1, omega=-1.4), times, load="consistent"
+        FRONT_BACK, STONE, InitialState(v=2.2, heading=0.1, omega=-1.4), times, load="consistent"
     )
     np.testing.assert_allclose(places(path), found.ys[:, jnp.array([0, 1, 4])].T, atol=5e-8)
 
 
 def test_mirror_turn_and_shift():
     times = np.linspace(0, 30, 31)
-    one = simulate(FRONT_BACK, STONE, Start(v=2.0, heading=0.2, omega=2.0), times)
-    mirrored = simulate(FRONT_BACK, STONE, Start(v=2.0, heading=-0.2, omega=-2.0), times)
+    one = simulate(FRONT_BACK, STONE, InitialState(v=2.0, heading=0.2, omega=2.0), times)
+    mirrored = simulate(FRONT_BACK, STONE, InitialState(v=2.0, heading=-0.2, omega=-2.0), times)
     np.testing.assert_allclose(mirrored.x, -one.x, atol=1e-12)
     np.testing.assert_allclose(mirrored.y, one.y, atol=1e-12)
     np.testing.assert_allclose(mirrored.phi, -one.phi, atol=1e-12)
     moved = simulate(
-        FRONT_BACK, STONE, Start(x=3, y=-7, heading=0.2 + 0.5, v=2.0, phi=40, omega=2.0),
+        FRONT_BACK, STONE, InitialState(x=3, y=-7, heading=0.2 + 0.5, v=2.0, phi=40, omega=2.0),
         times + 100,
     )  # fmt: skip
     s, c = np.sin(0.5), np.cos(0.5)  # heading turns from +y toward +x
@@ -134,11 +134,11 @@ def test_mirror_turn_and_shift():
 
 def test_rest_is_held_and_order_of_times_does_not_matter():
     times = np.array([50.0, 0.0, 24.0, 26.0, 3.0, 100.0])
-    path = simulate(FRONT_BACK, STONE, Start(v=2.06, omega=1.0), times, t0=0.0)
+    path = simulate(FRONT_BACK, STONE, InitialState(v=2.06, omega=1.0), times, t0=0.0)
     assert path.x[0] == path.x[5] == path.x[3]
     assert path.speed[0] == 0
     assert path.omega[0] == 0
-    ordered = simulate(FRONT_BACK, STONE, Start(v=2.06, omega=1.0), np.sort(times))
+    ordered = simulate(FRONT_BACK, STONE, InitialState(v=2.06, omega=1.0), np.sort(times))
     np.testing.assert_array_equal(np.sort(path.y), ordered.y)
 
 
@@ -149,7 +149,7 @@ def test_stones_side_by_side_go_each_its_own_way():
     times = np.linspace(0, 40, 57)
 
     def one(v, omega):
-        path = simulate(FRONT_BACK, STONE, Start(v=v, omega=omega), times)
+        path = simulate(FRONT_BACK, STONE, InitialState(v=v, omega=omega), times)
         return jnp.stack([path.x, path.y, path.phi, path.vx, path.vy, path.omega])
 
     alone = jax.jit(one)
@@ -160,7 +160,7 @@ def test_stones_side_by_side_go_each_its_own_way():
 
 def test_compiled_code_sorts_times_that_it_does_not_know():
     times = np.array([50.0, 0.0, 24.0, 26.0, 3.0, 100.0])
-    start = Start(v=2.06, omega=1.0)
+    start = InitialState(v=2.06, omega=1.0)
     compiled = jax.jit(lambda t: simulate(FRONT_BACK, STONE, start, t, t0=0.0))
     np.testing.assert_allclose(
         compiled(times).y, simulate(FRONT_BACK, STONE, start, times, t0=0.0).y, rtol=1e-12
@@ -171,14 +171,14 @@ def test_compiled_code_sorts_times_that_it_does_not_know():
 
 @pytest.mark.parametrize("times", [[0.0], [0.0, 0.0]])
 def test_at_its_first_moment_a_stone_is_at_its_start(times):
-    path = simulate(FRONT_BACK, STONE, Start(x=1.0, y=2.0, v=2.0, phi=0.5, omega=1.0), times)
+    path = simulate(FRONT_BACK, STONE, InitialState(x=1.0, y=2.0, v=2.0, phi=0.5, omega=1.0), times)
     for name, value in (("x", 1.0), ("y", 2.0), ("phi", 0.5), ("vy", 2.0), ("omega", 1.0)):
         np.testing.assert_allclose(getattr(path, name), value, rtol=1e-15)
     assert path.rest > 20
 
 
 def test_pure_spin_stays_in_place_and_stops():
-    path = simulate(FRONT_BACK, STONE, Start(v=0.0, omega=5.0), [0.0, 1.0, 60.0])
+    path = simulate(FRONT_BACK, STONE, InitialState(v=0.0, omega=5.0), [0.0, 1.0, 60.0])
     np.testing.assert_allclose([path.x, path.y], 0, atol=1e-15)
     # M = -m g R mean(mu_xi sin^2 + mu_eta cos^2) on a ring that slides along itself
     slowing = 9.81 * 0.054 / 0.1**2 * (sum(PAPER) / 4)
@@ -187,19 +187,19 @@ def test_pure_spin_stays_in_place_and_stops():
 
 
 def test_a_stone_at_rest_stays():
-    path = simulate(FRONT_BACK, STONE, Start(v=0.0, omega=0.0, x=1.0), [0.0, 5.0])
+    path = simulate(FRONT_BACK, STONE, InitialState(v=0.0, omega=0.0, x=1.0), [0.0, 5.0])
     np.testing.assert_array_equal(path.x, 1.0)
 
 
 def test_without_friction_motion_is_uniform():
-    path = simulate(LAWS["coulomb"](0.0), STONE, Start(v=2.0, omega=1.0), [0.0, 10.0])
+    path = simulate(LAWS["coulomb"](0.0), STONE, InitialState(v=2.0, omega=1.0), [0.0, 10.0])
     assert path.y[1] == pytest.approx(20, abs=1e-12)
     assert path.phi[1] == pytest.approx(10, abs=1e-12)
 
 
 @partial(jax.jit, static_argnames="load")
 def _places(p, times, load):
-    start = Start(*(p[4 + k] for k in range(6)))
+    start = InitialState(*(p[4 + k] for k in range(6)))
     stone = Stone(20.0, p[10], p[11], p[12])
     path = simulate(LAWS["front-back"].from_vector(p), stone, start, times, load=load, t0=0.0)
     return jnp.stack([path.x, path.y, path.phi])
@@ -250,7 +250,7 @@ def test_derivatives_stay_finite_at_the_edges(v, omega):
 
 def test_second_derivatives_are_symmetric():
     def last_x(mu):
-        path = simulate(LAWS["front-back"].from_vector(mu), STONE, Start(v=2.0), [0.0, 20.0])
+        path = simulate(LAWS["front-back"].from_vector(mu), STONE, InitialState(v=2.0), [0.0, 20.0])
         return path.x[-1]
 
     hessian = jax.jit(jax.jacfwd(jax.grad(last_x)))(np.array(PAPER))
@@ -259,9 +259,9 @@ def test_second_derivatives_are_symmetric():
 
 def test_derivative_with_respect_to_time_is_the_velocity():
     def y(t):
-        return simulate(FRONT_BACK, STONE, Start(v=2.0), t, t0=0.0).y[0]
+        return simulate(FRONT_BACK, STONE, InitialState(v=2.0), t, t0=0.0).y[0]
 
-    path = simulate(FRONT_BACK, STONE, Start(v=2.0), [5.0], t0=0.0)
+    path = simulate(FRONT_BACK, STONE, InitialState(v=2.0), [5.0], t0=0.0)
     assert jax.grad(y)(jnp.array([5.0]))[0] == pytest.approx(float(path.vy[0]), rel=1e-12)
 
 
@@ -270,7 +270,7 @@ def test_many_stones_at_once_are_each_as_alone():
     speeds = jnp.array([0.0, 0.3, 1.0, 2.5])
 
     def y(v):
-        return simulate(FRONT_BACK, STONE, Start(v=v, omega=1.0), times).y
+        return simulate(FRONT_BACK, STONE, InitialState(v=v, omega=1.0), times).y
 
     together = jax.vmap(y)(speeds)
     np.testing.assert_allclose(together, np.stack([y(v) for v in speeds]), atol=1e-12)
@@ -278,7 +278,7 @@ def test_many_stones_at_once_are_each_as_alone():
 
 def test_unknown_load_is_refused():
     with pytest.raises(curlfit.InputError, match="expected uniform or consistent"):
-        simulate(FRONT_BACK, STONE, Start(), [0.0, 1.0], load="heavy")
+        simulate(FRONT_BACK, STONE, InitialState(), [0.0, 1.0], load="heavy")
 
 
 def test_padded_rows_cost_and_change_nothing():
@@ -305,7 +305,7 @@ def test_padded_rows_cost_and_change_nothing():
 
 
 def test_at_infinity_a_stone_is_where_it_comes_to_rest_and_nowhere_without_a_time():
-    start = Start(y=3.0, v=2.0)
+    start = InitialState(y=3.0, v=2.0)
     times = np.array([0.0, 1.0, np.inf])
     path = simulate(FRONT_BACK, STONE, start, times)
     late = simulate(FRONT_BACK, STONE, start, np.array([0.0, 1.0, 1000.0]))

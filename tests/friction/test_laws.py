@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from conftest import G, Reference, follow, front_back
 
-from curlfit import LAWS, Start, Stone, simulate
+from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.dynamics.contact import accelerations, consistent_load
 from curlfit.friction import LOADS
 
@@ -122,9 +122,9 @@ LAWS_OF_THE_RING = [
     ("tensor", (0.02, 0.009, 0.0005)),
     ("front-back", (0.005, 0.05, 0.009, 0.009)),
 ]
-THROW = Start(x=1.0, y=-2.0, heading=0.3, v=2.0, phi=0.5, omega=1.5)
+THROW = InitialState(x=1.0, y=-2.0, heading=0.3, v=2.0, phi=0.5, omega=1.5)
 EXACT = 5e-8  # m and rad; the README promises 1e-7
-FAST_SPIN = Start(heading=-0.2, v=0.6, omega=-25.0)  # epsilon = -2.7
+FAST_SPIN = InitialState(heading=-0.2, v=0.6, omega=-25.0)  # epsilon = -2.7
 both_loads = pytest.mark.parametrize("load", LOADS)
 any_law = pytest.mark.parametrize(("name", "values"), LAWS_OF_THE_RING)
 
@@ -158,7 +158,7 @@ def test_path_agrees_with_an_independent_integration(name, values, load, start):
     ],
 )
 def test_path_agrees_over_the_kink(name, values, v, omega):
-    times, start = np.linspace(0, 150, 51), Start(v=v, omega=omega)
+    times, start = np.linspace(0, 150, 51), InitialState(v=v, omega=omega)
     exact = reference(name, values, "uniform").path(start, times)
     path = simulate(LAWS[name](*values), STONE, start, times)
     assert np.abs(places(path) - exact).max() < EXACT
@@ -178,7 +178,7 @@ def test_path_agrees_over_the_kink(name, values, v, omega):
 )
 def test_path_of_debris_agrees_through_and_short_of_half_a_turn(values, omega):
     times = np.linspace(0, 19, 61)
-    start = Start(heading=0.3, v=2.0, omega=omega)
+    start = InitialState(heading=0.3, v=2.0, omega=omega)
     exact = reference("debris", values, "uniform").path(start, times)
     path = simulate(LAWS["debris"](*values), STONE, start, times)
     assert np.abs(places(path) - exact).max() < EXACT
@@ -211,7 +211,7 @@ def test_no_two_laws_are_the_same_to_jit():
 
 def _path(p, times, name, load):
     law = LAWS[name].from_vector(p)
-    start = Start(heading=0.3, v=p[-2], omega=p[-1])
+    start = InitialState(heading=0.3, v=p[-2], omega=p[-1])
     return _stacked(simulate(law, STONE, start, times, load=load))
 
 
@@ -348,7 +348,7 @@ def test_a_load_that_would_have_to_be_negative_is_refused(name, within, beyond):
     assert np.isfinite(over_weight(name, within, "consistent", 2.0, 0.0)).all()
     assert np.isnan(over_weight(name, beyond, "consistent", 2.0, 0.0)).all()
     path = simulate(
-        LAWS[name](*beyond), STONE, Start(v=2.0, omega=0.0), [0.0, 1.0], load="consistent"
+        LAWS[name](*beyond), STONE, InitialState(v=2.0, omega=0.0), [0.0, 1.0], load="consistent"
     )
     assert np.isnan(path.y[1])
 
@@ -468,7 +468,7 @@ def test_a_throw_in_the_mirror(name, load):
     law = LAWS[name]()
     mirrored = replace(law, b12=-law.b12) if name == "tensor" else law
     times = np.linspace(0, 19, 61)
-    start = Start(heading=0.2, v=2.0, omega=2.0)
+    start = InitialState(heading=0.2, v=2.0, omega=2.0)
     one = simulate(law, STONE, start, times, load=load)
     other = simulate(mirrored, STONE, replace(start, heading=-0.2, omega=-2.0), times, load=load)
     assert abs(one.x[-1] - one.y[-1] * np.tan(0.2)) > (1e-6 if load == "consistent" else -1.0)

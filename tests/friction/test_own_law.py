@@ -14,7 +14,7 @@ from conftest import command as curlfit
 from curlfit import LAWS, find_law, load_fit, sample
 from curlfit.errors import DataError, InputError
 from curlfit.friction.base import START_NAMES
-from curlfit.friction.registry import _try_out
+from curlfit.friction.registry import _validate
 from curlfit.inference.parameters import START
 
 README = (Path(__file__).parents[2] / "README.md").read_text()
@@ -87,7 +87,7 @@ MU = '    mu: float = coefficient(0.01, "mu")\n    def traction(self, point):\n'
         ("import nothing_of_the_kind\n", "line 1: ModuleNotFoundError"),
         ("x = 1\n", "expected one law class, or FILE.py:CLASS; derive one from curlfit.LocalLaw"),
         (HEAD + "    mu: float = 3\n    def traction(self, point): ...\n", "A.mu: declare it as"),
-        (HEAD + '    name = "coulomb"\n' + MU + "        return 1, 2\n", "already; rename yours"),
+        (HEAD + '    name = "coulomb"\n' + MU + "        return 1, 2\n", "already; choose another"),
         (HEAD + MU + "        return point.nothing, 2\n", "line 5: AttributeError"),
         (HEAD + MU + "        if point.xi > 0: return 1, 2\n", "line 5: ValueError"),
         (HEAD + MU + "        return -self.mu * point.e_xi\n", "expected (to the right, forward)"),
@@ -157,7 +157,7 @@ def test_a_law_that_drives_a_part_of_the_ring_is_warned_of(tmp_path, capsys):
 
 @pytest.mark.parametrize("law", [law for law in LAWS.values() if law.shipped()])
 def test_no_law_of_curlfit_drives(law, capsys):
-    _try_out("", Path(), law)
+    _validate("", Path(), law)
     assert capsys.readouterr().err == ""
 
 
@@ -165,7 +165,8 @@ def test_no_law_of_curlfit_drives(law, capsys):
 def test_a_coefficient_cannot_have_a_name_that_is_taken(name, tmp_path):
     file = tmp_path / "own.py"
     file.write_text(f'{HEAD}    {name}: float = coefficient(0.01, "mu")\n')
-    words = "a parameter of the start" if name in START_NAMES else "something else of every law"
+    initial = name in START_NAMES
+    words = "a parameter of the initial state" if initial else "an attribute of every law"
     with pytest.raises(DataError, match=f"line 2: .*A.{name}: this is the name of {words}"):
         find_law(str(file))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import curlfit
-from curlfit import LAWS, Start, Stone, simulate
+from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.errors import DataError
 
 STONE = Stone()
@@ -18,7 +18,7 @@ T = np.arange(0, 20, 0.1)
 
 @pytest.fixture(scope="module")
 def seen():
-    path = simulate(LAW, STONE, Start(v=2.1, omega=-1.3, heading=0.05), T).to_numpy()
+    path = simulate(LAW, STONE, InitialState(v=2.1, omega=-1.3, heading=0.05), T).to_numpy()
     random = np.random.default_rng(0)
     noise = {"x": 0.005, "y": 0.005, "phi": 0.01, "speed": 0.01, "omega": 0.01}
     return {
@@ -88,7 +88,7 @@ def test_a_gyroscope_alone_knows_no_speed_and_says_so(seen):
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("name", ["omega", "phi"])
 def test_no_turning_alone_is_said_to_determine_the_speed(seed, name):
-    path = simulate(LAW, STONE, Start(v=2.1, omega=-1.3), T).to_numpy()
+    path = simulate(LAW, STONE, InitialState(v=2.1, omega=-1.3), T).to_numpy()
     noise = 0.01 * np.random.default_rng(seed).standard_normal(len(T))
     throw = curlfit.Throw.from_arrays(T, **{name: getattr(path, name) + noise})
     v0 = curlfit.fit(throw, "front-back", stone=STONE).parameters["v0"]
@@ -153,7 +153,7 @@ LINES = (1.829, 10.059, 32.004)
 def watched():
     """The path, and when it crosses the lines and comes to rest."""
     t = np.arange(0, 40, 0.001)
-    path = simulate(LAW, STONE, Start(y=LINES[0], v=2.55, omega=1.2), t).to_numpy()
+    path = simulate(LAW, STONE, InitialState(y=LINES[0], v=2.55, omega=1.2), t).to_numpy()
     return path, np.append(np.interp(LINES, path.y, t), t[np.argmax(path.speed == 0)])
 
 
@@ -169,7 +169,7 @@ def timed(file, times, **more):
 def test_a_stop_watch_knows_the_braking_and_says_what_it_does_not(tmp_path):
     # hack at y = 0, hog lines 10.059 and 32.004 m, as the reader has them
     t = np.arange(0, 40, 0.001)
-    path = simulate(LAW, STONE, Start(v=2.55, omega=1.2), t).to_numpy()
+    path = simulate(LAW, STONE, InitialState(v=2.55, omega=1.2), t).to_numpy()
     y = np.asarray(path.y) + 1.829
     back, hog, far = (t[np.searchsorted(y, line)] for line in (1.8291, 10.059, 32.004))
     rest = t[np.searchsorted(y, y[-1] - 1e-4)]
@@ -230,7 +230,7 @@ def test_the_time_of_rest_and_its_derivatives():
     # under Coulomb friction without spin, v/(mu g) after the start
     def rest(v, mu, last):
         law = LAWS["coulomb"](mu=mu)
-        start = Start(v=v, omega=0.0)
+        start = InitialState(v=v, omega=0.0)
         return simulate(law, STONE, start, jnp.array([3.0, last]), t0=3.0).rest
 
     for last in (60.0, 10.0):  # the stone comes to rest before it, or does not

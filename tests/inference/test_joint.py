@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 import curlfit
-from curlfit import LAWS, Start, Stone, fit_together, simulate
+from curlfit import LAWS, InitialState, Stone, fit_together, simulate
 from curlfit.errors import InputError
 
 LAW = LAWS["front-back"]
@@ -70,7 +70,7 @@ def test_the_optimum_and_its_errors_are_scipy_s(three):
         law = LAW(values[0], values[1], values[2] / 2, values[2] / 2)
         parts = []
         for throw, (x, y, b, v, phi, w) in zip(throws, values[3:].reshape(-1, 6), strict=True):
-            path = simulate(law, STONE, Start(x, y, b, v, phi, w), throw.t)
+            path = simulate(law, STONE, InitialState(x, y, b, v, phi, w), throw.t)
             for name, scale in sigma.items():
                 parts.append((np.asarray(getattr(path, name)) - getattr(throw, name)) / scale)
         return np.concatenate(parts)

@@ -21,7 +21,7 @@ def throws():
     found = []
     for seed in range(4):
         random = np.random.default_rng(seed)
-        start = curlfit.Start(v=1.9 + 0.1 * seed, omega=(-1) ** seed * 1.5, heading=0.02)
+        start = curlfit.InitialState(v=1.9 + 0.1 * seed, omega=(-1) ** seed * 1.5, heading=0.02)
         t = np.arange(60) * 0.25
         path = curlfit.simulate(LAW, Stone(), start, t).to_numpy()
         noise = np.zeros((3, 60))
@@ -118,7 +118,7 @@ def test_log_likelihood_of_correlated_noise_is_that_of_its_covariance(throws):
 def test_paths_side_by_side_are_those_of_single_throws():
     """With vectors of 512 bits XLA compiles this law wrongly, for a whole batch at a time."""
     law = LAWS["debris"]
-    start, stone = curlfit.Start(v=2.1, omega=-2.6), Stone()
+    start, stone = curlfit.InitialState(v=2.1, omega=-2.6), Stone()
     t = np.arange(60) * 0.25
     path = curlfit.simulate(law(), stone, start, t).to_numpy()
     throw = curlfit.Throw.from_arrays(t, path.x, path.y, path.phi)

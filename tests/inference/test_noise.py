@@ -23,7 +23,7 @@ START = {"v0": 2.1, "omega0": 1.3}
 
 def thrown(seed, correlation=0.0, law="front-back", true=TRUE):
     """A throw with noise whose neighbours are correlated."""
-    start = curlfit.Start(v=START["v0"], omega=START["omega0"])
+    start = curlfit.InitialState(v=START["v0"], omega=START["omega0"])
     path = curlfit.simulate(curlfit.law_with(law, true), curlfit.Stone(), start, T).to_numpy()
     random = np.random.default_rng(seed)
     root = np.linalg.cholesky(toeplitz(correlation ** np.arange(len(T))))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import curlfit
-from curlfit import LAWS, Start, Stone, simulate
+from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.inference.fit.missing_channels import NOISE
 from curlfit.inference.fit.result import load_fit
 from curlfit.inference.report import identifiability
@@ -17,7 +17,7 @@ T = np.arange(0.0, 15.05, 0.1)
 @pytest.fixture(scope="module")
 def seen():
     """All channels of a throw, with noise."""
-    path = simulate(LAWS["front-back"](), Stone(), Start(v=2.1, omega=1.3), T).to_numpy()
+    path = simulate(LAWS["front-back"](), Stone(), InitialState(v=2.1, omega=1.3), T).to_numpy()
     random = np.random.default_rng(4)
     return {
         name: getattr(path, name) + sigma * random.standard_normal(len(T))

@@ -24,7 +24,7 @@ START = {"x0": 0.0, "y0": 0.0, "heading": 0.02, "v0": 2.1, "phi0": 0.0, "omega0"
 
 def thrown(seed, rows, coefficients=TRUE):
     law = curlfit.law_with("front-back", coefficients)
-    start = curlfit.Start(heading=START["heading"], v=START["v0"], omega=START["omega0"])
+    start = curlfit.InitialState(heading=START["heading"], v=START["v0"], omega=START["omega0"])
     times, random = np.linspace(0, 15, rows), np.random.default_rng(seed)
     path = curlfit.simulate(law, curlfit.Stone(), start, times).to_numpy()
     series = {
@@ -40,10 +40,9 @@ def test_the_interval_of_a_mean_is_student_s():
     held = START | {name: item.default for name, item in coefficients().items()} | TRUE
     fit = curlfit.fit(throw, fix={name: value for name, value in held.items() if name != "x0"})
     item = fit.parameters["x0"]
-    path = curlfit.simulate(
-        curlfit.law_with("front-back", TRUE), curlfit.Stone(),
-        curlfit.Start(heading=START["heading"], v=START["v0"], omega=START["omega0"]), throw.t,
-    ).to_numpy()  # fmt: skip
+    start = curlfit.InitialState(heading=START["heading"], v=START["v0"], omega=START["omega0"])
+    law = curlfit.law_with("front-back", TRUE)
+    path = curlfit.simulate(law, curlfit.Stone(), start, throw.t).to_numpy()
     off = throw.x - path.x
     expected = t.interval(0.95, 11, off.mean(), off.std(ddof=1) / np.sqrt(12))
     assert item.dof == pytest.approx(11, abs=1e-6)
@@ -126,7 +125,7 @@ def with_little_on_one_side(seed):
     law = curlfit.LAWS["front-back"](
         *(random.uniform(*ends) for ends in zip(low, high, strict=True))
     )
-    start = curlfit.Start(v=random.uniform(1.9, 2.3), omega=random.uniform(0.8, 1.6))
+    start = curlfit.InitialState(v=random.uniform(1.9, 2.3), omega=random.uniform(0.8, 1.6))
     path = curlfit.simulate(law, curlfit.Stone(), start, times).to_numpy()
     series = {
         name: getattr(path, name) + sigma * random.standard_normal(len(times))
@@ -149,7 +148,9 @@ def test_a_coefficient_beside_one_at_its_bound_is_not_weak_for_that(seed):
 def test_a_weak_parameter_says_why():
     law = curlfit.LAWS["semi-empirical"]()
     times, random = np.linspace(0, 3, 31), np.random.default_rng(0)
-    path = curlfit.simulate(law, curlfit.Stone(), curlfit.Start(v=2.1, omega=1.3), times).to_numpy()
+    path = curlfit.simulate(
+        law, curlfit.Stone(), curlfit.InitialState(v=2.1, omega=1.3), times
+    ).to_numpy()
     throw = curlfit.Throw.from_arrays(
         times, path.x + 0.005 * random.standard_normal(31), path.y + 0.005 *
         random.standard_normal(31), path.phi + 0.05 * random.standard_normal(31),

@@ -19,7 +19,7 @@ from curlfit.numerics import compiled as programs
 
 calls = []
 
-@programs.kept("word")
+@programs.compiled("word")
 def twice(word, values):
     calls.append(word)
     return values * 2 if word == "double" else values
@@ -141,7 +141,7 @@ def test_a_file_that_others_may_write_is_not_run(traced, tmp_path):
     assert count == 3
     assert not (tmp_path / "planted").exists()
     assert len(said.splitlines()) == 3
-    assert all("others may write to it; it is made again" in line for line in said.splitlines())
+    assert all("others may write to it; it is compiled again" in line for line in said.splitlines())
     assert traced() == 0
     files[0].write_bytes(planted)  # the test's own premise: the user's own file is run
     assert traced() == 1
@@ -256,7 +256,7 @@ FIRST_USE = """
 {imports}
 law = lambda: curlfit.LAWS["coulomb"](0.01)
 def y(v):
-    start = curlfit.Start(v=v, omega=0.0)
+    start = curlfit.InitialState(v=v, omega=0.0)
     return curlfit.simulate(law(), curlfit.Stone(), start, [0.0, 10.0, 30.0]).y
 print({use})
 print(y(2.0).tolist())

@@ -1,4 +1,4 @@
-"""What throws are expected to tell: against fits, finite differences and known best choices."""
+"""Expected errors and optimal designs: against fits, finite differences and known optima."""
 
 from __future__ import annotations
 
@@ -11,16 +11,27 @@ from conftest import Reference, command, front_back
 from typer.testing import CliRunner
 
 import curlfit
-from curlfit import LAWS, Start, Stone
-from curlfit.batch.fit_many import fit_throws
-from curlfit.batch.settings import BatchSettings
+from curlfit import LAWS, InitialState, Stone
 from curlfit.cli import app
 from curlfit.dynamics.contact import accelerations
 from curlfit.errors import InputError
+from curlfit.inference.fit.fit import fit_throws
 from curlfit.optimal_design.design import design
-from curlfit.optimal_design.information import Trial, about_coefficients, error_of, joined, told
-from curlfit.optimal_design.selection import by_error, by_mean_error, by_volume, chosen, field_of
-from curlfit.optimal_design.separability import Split, proof
+from curlfit.optimal_design.information import (
+    PlannedThrow,
+    coefficient_information,
+    combined,
+    record_information,
+    standard_error,
+)
+from curlfit.optimal_design.selection import (
+    CandidateSet,
+    a_criterion,
+    c_criterion,
+    d_criterion,
+    select_design,
+)
+from curlfit.optimal_design.separability import CoefficientPair, prove_unidentifiable
 
 LAW = LAWS["front-back"]
 STONE = Stone()
@@ -32,12 +43,12 @@ SUM = "mu1_eta + mu2_eta"
 DIFFERENCE = np.array([0.0, 0.0, 0.01, -0.01])  # by typical sizes
 
 
-def root_of(trials, load="uniform", until=None, sigma=NOISE):
+def factor_of(throws, load="uniform", until=None, sigma=NOISE):
     """Of the information of some throws together."""
-    return joined(
+    return combined(
         [
-            about_coefficients(LAW, one, sigma, FREE)
-            for one in told(LAW, load, TRUE, trials, until=until)
+            coefficient_information(LAW, one, sigma, FREE)
+            for one in record_information(LAW, load, TRUE, throws, until=until)
         ]
     )
 
@@ -90,22 +101,24 @@ def test_what_is_not_measured_is_as_in_a_fit(channels):
     )  # fmt: skip
     fit = curlfit.fit(blind)
     names, covariance = fit.covariance["names"], np.array(fit.covariance["matrix"])
-    root = root_of([Trial(2.0, 1.5, 10.0, STONE)], until=20.0, sigma=sigma)
+    factor = factor_of([PlannedThrow(2.0, 1.5, 10.0, STONE)], until=20.0, sigma=sigma)
     weights = np.array([float(name in ("mu1_eta", "mu2_eta")) for name in names])
     expected = np.sqrt(weights @ covariance @ weights)
-    assert error_of(root, np.array([0, 0, 0.01, 0.01])) == pytest.approx(expected, rel=1e-6)
+    assert standard_error(factor, np.array([0, 0, 0.01, 0.01])) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.slow
 def test_several_throws_are_as_in_a_joint_fit():
     starts = [(2.0, 1.5), (1.8, -3.0)]
     joint = curlfit.fit_together([throw_of(*start) for start in starts])
-    root = root_of([Trial(*start, 10.0, STONE) for start in starts], until=20.0)
+    factor = factor_of([PlannedThrow(*start, 10.0, STONE) for start in starts], until=20.0)
     for name, weights in {"mu1_xi": [0.01, 0, 0, 0], "mu2_xi": [0, 0.01, 0, 0]}.items():
-        expected = error_of(root, np.array(weights))
+        expected = standard_error(factor, np.array(weights))
         assert joint.coefficients[name].stderr == pytest.approx(expected, rel=1e-6)
     (one,) = joint.combinations
-    assert one.stderr == pytest.approx(error_of(root, np.array([0, 0, 0.01, 0.01])), rel=1e-6)
+    assert one.stderr == pytest.approx(
+        standard_error(factor, np.array([0, 0, 0.01, 0.01])), rel=1e-6
+    )
 
 
 def covariance_by_differences(load, v0, omega0, times, sigma):
@@ -119,7 +132,7 @@ def covariance_by_differences(load, v0, omega0, times, sigma):
             nodes=60,
         )  # fmt: skip
         x, y, heading, v, phi, omega = values[4:]
-        return law.path(Start(x, y, heading, v, phi, omega), times)
+        return law.path(InitialState(x, y, heading, v, phi, omega), times)
 
     columns = [
         (path(base + h * one) - path(base - h * one)) / (2 * h)
@@ -143,14 +156,14 @@ def test_information_is_that_of_finite_differences(load, omega0, tolerance):
     # the whole matrix inverted: no Schur complement, no QR of parts
     scale = np.linalg.norm(jacobian, axis=0)
     covariance = np.linalg.inv((jacobian / scale).T @ (jacobian / scale)) / np.outer(scale, scale)
-    root = root_of([Trial(2.0, omega0, 10.0, STONE)], load, until=12.0)
+    factor = factor_of([PlannedThrow(2.0, omega0, 10.0, STONE)], load, until=12.0)
     full = {"mu1_xi": [1, 0, 0, 0], "mu2_xi": [0, 1, 0, 0], "sum": [0, 0, 1, 1],
             "difference": [0, 0, 1, -1]}  # fmt: skip
     for name, vector in weights.items():
         # where only the sum enters, the column of mu1_eta is that of the sum
         k = len(vector)
         expected = np.sqrt(np.array(vector) @ covariance[:k, :k] @ np.array(vector))
-        found = error_of(root, 0.01 * np.array(full[name]))
+        found = standard_error(factor, 0.01 * np.array(full[name]))
         assert found == pytest.approx(expected, rel=tolerance), name
 
 
@@ -170,19 +183,19 @@ def test_errors_go_with_the_noise(single):
 
 
 def test_a_mirrored_spin_tells_as_much():
-    trials = [Trial(2.0, sense * 3.0, 10.0, STONE) for sense in (1, -1)]
+    throws = [PlannedThrow(2.0, sense * 3.0, 10.0, STONE) for sense in (1, -1)]
     for load in ("uniform", "consistent"):
-        left, right = (np.linalg.inv(root_of([trial], load)[:2, :2]) for trial in trials)
+        left, right = (np.linalg.inv(factor_of([throw], load)[:2, :2]) for throw in throws)
         np.testing.assert_allclose(np.abs(left), np.abs(right), rtol=1e-6)
         if load == "consistent":
-            errors = [error_of(root_of([trial], load), DIFFERENCE) for trial in trials]
+            errors = [standard_error(factor_of([throw], load), DIFFERENCE) for throw in throws]
             assert errors[0] == pytest.approx(errors[1], rel=1e-5)
 
 
 def test_a_record_until_rest_has_the_row_of_coming_to_rest(plain):
     for one in plain.candidates[::7]:
         path = curlfit.simulate(
-            LAW(), STONE, Start(v=one.v0, omega=one.omega0), np.array([0.0, 100.0])
+            LAW(), STONE, InitialState(v=one.v0, omega=one.omega0), np.array([0.0, 100.0])
         ).to_numpy()
         assert one.rest == pytest.approx(float(path.rest), rel=1e-6)
         assert one.distance == pytest.approx(float(np.hypot(path.x[-1], path.y[-1])), rel=1e-6)
@@ -192,12 +205,12 @@ def test_a_record_until_rest_has_the_row_of_coming_to_rest(plain):
 
 def test_the_parts_of_a_long_record_make_the_whole():
     """601 rows, in three parts: the rows at whole multiples, and those between."""
-    trial = Trial(2.0, 1.5, 30.0, STONE)
-    (whole,) = told(LAW, "uniform", TRUE, [trial], until=20.0)
+    throw = PlannedThrow(2.0, 1.5, 30.0, STONE)
+    (whole,) = record_information(LAW, "uniform", TRUE, [throw], until=20.0)
     assert whole.rows == 601
 
     def path(values):
-        law, start = LAW(*values[:4]), Start(v=values[4], omega=values[5])
+        law, start = LAW(*values[:4]), InitialState(v=values[4], omega=values[5])
         found = curlfit.simulate(law, STONE, start, np.arange(601) / 30.0)
         return np.stack([found.x, found.y, found.phi])
 
@@ -206,7 +219,7 @@ def test_the_parts_of_a_long_record_make_the_whole():
         step = 1e-5 * np.eye(6)[place]
         slope = (path(base + step) - path(base - step)) / 2e-5
         slope *= 0.01 if place < 4 else 1.0
-        information = np.einsum("cij,cik->cjk", whole.roots, whole.roots)
+        information = np.einsum("cij,cik->cjk", whole.factors, whole.factors)
         np.testing.assert_allclose(information[:, column, column], (slope**2).sum(1), rtol=1e-5)
 
 
@@ -220,45 +233,47 @@ def line(places):
 
 @pytest.mark.parametrize("throws", [4, 60])
 def test_a_straight_line_is_best_seen_from_its_ends(throws):
-    field = field_of(line(np.linspace(-1, 1, 9)))
+    candidates = CandidateSet.from_factors(line(np.linspace(-1, 1, 9)))
     half = (0,) * (throws // 2) + (8,) * (throws // 2)
-    assert chosen(field, by_volume(field), throws) == half
-    assert chosen(field, by_mean_error(field), throws) == half
-    assert chosen(field, by_error(field, np.array([0.0, 1.0])), throws) == half
+    assert select_design(candidates, d_criterion(candidates), throws) == half
+    assert select_design(candidates, a_criterion(candidates), throws) == half
+    assert select_design(candidates, c_criterion(candidates, np.array([0.0, 1.0])), throws) == half
 
 
 def test_the_value_at_a_place_is_best_seen_there():
     # and once elsewhere, so that the slope is not left unknown
-    field = field_of(line([-1.0, 0.0, 1.0]))
-    assert chosen(field, by_error(field, np.array([1.0, 1.0])), 8).count(2) >= 7
+    candidates = CandidateSet.from_factors(line([-1.0, 0.0, 1.0]))
+    assert select_design(candidates, c_criterion(candidates, np.array([1.0, 1.0])), 8).count(2) >= 7
 
 
 def test_the_mean_error_asks_for_more_of_what_tells_less():
     """a is seen with information 1, b with 9: errors 1/n + 1/(9 m) are least for n = 3 m."""
-    field = field_of([np.diag([1.0, 0.0]), np.diag([0.0, 3.0])])
-    assert chosen(field, by_mean_error(field), 8) == (0,) * 6 + (1,) * 2
-    assert chosen(field, by_volume(field), 8) == (0,) * 4 + (1,) * 4
+    candidates = CandidateSet.from_factors([np.diag([1.0, 0.0]), np.diag([0.0, 3.0])])
+    assert select_design(candidates, a_criterion(candidates), 8) == (0,) * 6 + (1,) * 2
+    assert select_design(candidates, d_criterion(candidates), 8) == (0,) * 4 + (1,) * 4
 
 
 def test_where_not_all_is_determined_the_rest_is_judged():
-    field = field_of(line([2.0, 2.0]) + [np.sqrt(3) * one for one in line([2.0])])
-    assert field.rank == 1
-    assert chosen(field, by_volume(field), 2) == (2, 2)
-    assert chosen(field, by_mean_error(field), 2) == (2, 2)
+    candidates = CandidateSet.from_factors(
+        line([2.0, 2.0]) + [np.sqrt(3) * one for one in line([2.0])]
+    )
+    assert candidates.rank == 1
+    assert select_design(candidates, d_criterion(candidates), 2) == (2, 2)
+    assert select_design(candidates, a_criterion(candidates), 2) == (2, 2)
 
 
 def test_too_few_throws_choose_nothing():
-    field = field_of(line([-1.0, 1.0]))
-    assert chosen(field, by_volume(field), 1) is None
+    candidates = CandidateSet.from_factors(line([-1.0, 1.0]))
+    assert select_design(candidates, d_criterion(candidates), 1) is None
 
 
 def test_the_best_of_the_plan_is_the_best_of_all_choices(plain):
     assert len(plain.candidates) == 15
     assert plain.rank == 3
     assert plain.free == 4
-    roots = [root_of([Trial(c.v0, c.omega0, c.rate, STONE)]) for c in plain.candidates]
+    factors = [factor_of([PlannedThrow(c.v0, c.omega0, c.rate, STONE)]) for c in plain.candidates]
     sums = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 0.5], [0, 0, 0.5]])
-    information = np.stack([(one @ sums).T @ (one @ sums) for one in roots])
+    information = np.stack([(one @ sums).T @ (one @ sums) for one in factors])
     best = max(
         ((a, b, c) for a in range(15) for b in range(a, 15) for c in range(b, 15)),
         key=lambda places: np.linalg.det(information[list(places)].sum(0)),
@@ -268,8 +283,11 @@ def test_the_best_of_the_plan_is_the_best_of_all_choices(plain):
 
 def test_both_criteria_are_the_best_of_all_choices():
     found = design(load="consistent", v0=[2.0], rate=10, throws=2)
-    roots = [root_of([Trial(2.0, c.omega0, 10.0, STONE)], "consistent") for c in found.candidates]
-    information = np.stack([root.T @ root for root in roots])
+    factors = [
+        factor_of([PlannedThrow(2.0, c.omega0, 10.0, STONE)], "consistent")
+        for c in found.candidates
+    ]
+    information = np.stack([factor.T @ factor for factor in factors])
     pairs = [(a, b) for a in range(5) for b in range(a, 5)]
     total = {pair: information[list(pair)].sum(0) for pair in pairs}
     volume = max(pairs, key=lambda pair: np.linalg.slogdet(total[pair])[1])
@@ -305,14 +323,14 @@ def test_the_proof_is_rounding_and_nothing_else(plain):
     assert found.singular_values[2] > 100
     assert found.singular_values[3] < 1e-13 * found.singular_values[0]
     assert "eq. 16, 25-26" in found.because
-    assert plain.separation.way("uniform").stderr is None
-    assert set(plain.separation.way("uniform").each) == {None}
+    assert plain.separation.scenario("uniform").stderr is None
+    assert set(plain.separation.scenario("uniform").each) == {None}
 
 
 def test_the_proof_does_not_hold_for_others():
-    split = Split(LAW, TRUE, FREE, ("mu1_xi", "mu2_xi"))
-    roots = [root_of([Trial(2.0, 1.5, 10.0, STONE)])]
-    found = proof(split, STONE, roots)
+    split = CoefficientPair(LAW, TRUE, FREE, ("mu1_xi", "mu2_xi"))
+    factors = [factor_of([PlannedThrow(2.0, 1.5, 10.0, STONE)])]
+    found = prove_unidentifiable(split, STONE, factors)
     assert not found.hidden
     assert found.because == ""
     assert max(found.by_difference) > 0.1
@@ -343,7 +361,7 @@ def test_under_consistent_load_they_separate(plain):
     found = plain.separation
     assert found.pair == ("mu1_eta", "mu2_eta")
     assert (found.of, found.size) == ("mean", 0.009)
-    way = found.way("consistent")
+    way = found.scenario("consistent")
     by_start = {
         (c.v0, c.omega0): stderr for c, stderr in zip(plain.candidates, way.each, strict=True)
     }
@@ -354,18 +372,18 @@ def test_under_consistent_load_they_separate(plain):
         assert errors[0] > 400 * errors[-1]
     assert way.stderr < min(way.each) / np.sqrt(3)  # no worse than three of the best
     made = [plain.candidates[place] for place in way.throws]
-    root = root_of([Trial(c.v0, c.omega0, c.rate, STONE) for c in made], "consistent")
-    assert way.stderr == pytest.approx(error_of(root, DIFFERENCE), rel=1e-6)
+    factor = factor_of([PlannedThrow(c.v0, c.omega0, c.rate, STONE) for c in made], "consistent")
+    assert way.stderr == pytest.approx(standard_error(factor, DIFFERENCE), rel=1e-6)
 
 
 def test_with_the_noise_that_is_asked_for_the_error_is_the_one_wanted(plain):
-    way = plain.separation.way("consistent")
+    way = plain.separation.scenario("consistent")
     place = [(c.v0, c.omega0) for c in plain.candidates].index((2.2, 1.0))
     factor = plain.separation.noise_factor(way.each[place])
     assert 1e-4 < factor < 1e-2  # some micrometres
-    trial = Trial(2.2, 1.0, 30.0, STONE)
+    throw = PlannedThrow(2.2, 1.0, 30.0, STONE)
     sigma = {name: factor * value for name, value in NOISE.items()}
-    finer = error_of(root_of([trial], "consistent", sigma=sigma), DIFFERENCE)
+    finer = standard_error(factor_of([throw], "consistent", sigma=sigma), DIFFERENCE)
     assert finer == pytest.approx(0.2 * 0.009, rel=1e-9)
     needed = plain.separation.throws_needed(way.each[place], 1)
     assert way.each[place] / np.sqrt(needed) == pytest.approx(0.2 * 0.009, rel=1e-9)
@@ -377,8 +395,8 @@ def test_half_of_the_throws_with_another_stone(plain):
     for change in plain.separation.changes:
         stones = [STONE, STONE.with_values({change.name: change.value})]
         # two of these throws, of which the three planned are one and a half times as many
-        trials = [Trial(1.9, 1.0, 30.0, stone) for stone in stones]
-        expected = error_of(root_of(trials, "consistent"), DIFFERENCE) / np.sqrt(1.5)
+        throws = [PlannedThrow(1.9, 1.0, 30.0, stone) for stone in stones]
+        expected = standard_error(factor_of(throws, "consistent"), DIFFERENCE) / np.sqrt(1.5)
         assert change.half == pytest.approx(expected, rel=1e-4)
 
 
@@ -397,7 +415,7 @@ def test_two_stones_of_different_height_tell_what_a_joint_fit_of_them_says(plain
     # the sum being known a hundred times better, either is off by half of the difference
     alone = joint.coefficients["mu1_eta"].stderr * 2 * np.sqrt(2 / 3)
     assert change.half == pytest.approx(alone, rel=0.03)
-    plain_way = found.way("consistent").each[found.ordinary]
+    plain_way = found.scenario("consistent").each[found.ordinary]
     assert change.half < plain_way / np.sqrt(3) / 1000
 
 
@@ -441,10 +459,10 @@ def test_the_command(tmp_path):
     assert (run.returncode, run.stderr) == (0, "")
     text = " ".join(run.stdout.split())
     for words in (
-        "2 throws would tell, 4 to choose from", "10, 20 Hz for 15 s",
+        "expected errors of 2 throws selected from 4", "10, 20 Hz for 15 s",
         "5 mm in x and y, 8.7 mrad in phi",
         "h = 0.1 m", "2 x (2 m/s, 5 rad/s, 20 Hz)", "3 of 4 directions",
-        "no throw can tell them apart", "Why (eq. 16, 25-26)", "the last is rounding",
+        "no throw can separate them", "Why (eq. 16, 25-26)", "the last is rounding",
         "the highest rate is chosen", "of 4 records 4 end at 15 s",
     ):  # fmt: skip
         assert words in text, words
@@ -535,7 +553,7 @@ def test_other_laws_expect_what_their_fits_report(name):
 def test_fits_of_many_throws_scatter_as_expected(single):
     count = 100
     throws = [throw_of(2.0, 1.5, seed=place + 1) for place in range(count)]
-    fits = fit_throws(throws, BatchSettings())
+    fits = fit_throws(throws)
     for name in ("mu1_xi", "mu2_xi", SUM):
         values = [
             fit.combinations[0].value if name == SUM else fit.coefficients[name].value

@@ -13,10 +13,11 @@ from conftest import DATA, Reference, front_back
 import curlfit
 from curlfit.friction.isotropic import Power
 from curlfit.paper.eq28 import PRINTED, coefficients_of, rounds_to_print
-from curlfit.paper.isotropic import STONE, SpeedMixture, ring_states
+from curlfit.paper.isotropic import SpeedMixture
 from curlfit.paper.printed import jensen_shegelski
 from curlfit.paper.reproduce import ORDER
 from curlfit.paper.ring import EPSILONS
+from curlfit.paper.ring_states import STONE, ring_states
 
 IDS = [
     "eq13", "eq14x", "eq14y", "prop1", "prop2", "prop3", "prop4", "prop5", "eq15-17", "eq23",
@@ -75,7 +76,7 @@ def test_eq_13(found):
     (rounded,) = (
         row.mu[2]
         for row in found.eq28.rows
-        if row.how.endswith("start of eq. 13") and row.rho == 0.1
+        if row.method.endswith("start of eq. 13") and row.rho == 0.1
     )
     assert rounded < 0.9 * PRINTED[2]
 
@@ -210,7 +211,7 @@ def test_eq_24(found):
 
 
 @pytest.mark.parametrize(
-    ("how", "radius", "rho", "window", "expected"),
+    ("method", "radius", "rho", "window", "expected"),
     [
         ("eq. 27 at each t, mean", 0.054, 0.1, 20, (0.0001, 0.0557, 0.0176)),
         ("eq. 27 at each t, mean", 0.054, 0.1025, 20, (0.0015, 0.0571, 0.0176)),
@@ -227,14 +228,14 @@ def test_eq_24(found):
          (0.00003, 0.0538, 0.0154)),
     ],
 )  # fmt: skip
-def test_eq_28_in_every_way(found, how, radius, rho, window, expected):
+def test_eq_28_in_every_way(found, method, radius, rho, window, expected):
     (row,) = (
-        row for row in found.eq28.rows if row[:4] == (how, radius, rho, window)
+        row for row in found.eq28.rows if row[:4] == (method, radius, rho, window)
     )  # fmt: skip
     digits = [max(len(f"{value:.6f}".rstrip("0").partition(".")[2]), 4) for value in expected]
     # Half of the last digit given, and what rounding both allows.
     np.testing.assert_array_less(
-        np.abs(row.mu - expected), [0.0006 if how.endswith("14") else 10.0**-d for d in digits]
+        np.abs(row.mu - expected), [0.0006 if method.endswith("14") else 10.0**-d for d in digits]
     )
 
 

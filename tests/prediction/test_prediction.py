@@ -55,8 +55,8 @@ def reference_of(fit):
 
 def begun(prediction):
     found = {name: item["value"] for name, item in prediction.start.items()}
-    return curlfit.Start(found["x0"], found["y0"], found["heading"], found["v0"], found["phi0"],
-                         found["omega0"])  # fmt: skip
+    names = ("x0", "y0", "heading", "v0", "phi0", "omega0")
+    return curlfit.InitialState(*(found[name] for name in names))
 
 
 # --- the sheet -----------------------------------------------------------------------------------
@@ -203,10 +203,8 @@ def test_a_target_is_met_by_an_independent_integration(fit, place):
 def test_every_kind_of_law_is_aimed_with(law, load):
     made, target = curlfit.law_with(law, {}), (0.4, 26.0)
     found = curlfit.aim(made, STONE, target, omega0=1.1, load=load)
-    path = curlfit.simulate(
-        made, STONE, curlfit.Start(heading=found.heading, v=found.v0, omega=1.1), [0.0, 500.0],
-        load=load,
-    )  # fmt: skip
+    start = curlfit.InitialState(heading=found.heading, v=found.v0, omega=1.1)
+    path = curlfit.simulate(made, STONE, start, [0.0, 500.0], load=load)
     assert (path.x[-1], path.y[-1]) == pytest.approx(target, abs=1e-6)
 
 

@@ -206,7 +206,7 @@ def thrown(
     law = curlfit.law_with(
         trial.truth, {name: value for name, value in true.items() if name not in START}
     )
-    start = curlfit.Start(
+    start = curlfit.InitialState(
         x=true["x0"], y=true["y0"], heading=true["heading"], v=true["v0"], phi=true["phi0"],
         omega=true["omega0"],
     )  # fmt: skip

@@ -77,7 +77,7 @@ def answers(
         t = np.append(np.arange(0.0, 30.0, 0.1), 300.0)
         path = curlfit.simulate(
             true_law, stone,
-            curlfit.Start(heading=start["heading"], v=start["v0"], omega=start["omega0"]), t,
+            curlfit.InitialState(heading=start["heading"], v=start["v0"], omega=start["omega0"]), t,
         ).to_numpy()  # fmt: skip
         if not path.speed[200] > 0.05:
             left["all but at rest at 20 s"] += 1
@@ -104,7 +104,7 @@ def _noise(case: Case, random: np.random.Generator, rows: int) -> np.ndarray:
     return white
 
 
-def _judged(predicted: curlfit.Prediction, path: curlfit.Path) -> Answer:
+def _judged(predicted: curlfit.Prediction, path: curlfit.Trajectory) -> Answer:
     series = predicted.series
     resting = path.t[np.flatnonzero(path.speed > 0)[-1]]
     truth, best, own = {}, {}, {}
@@ -134,7 +134,7 @@ def _judged(predicted: curlfit.Prediction, path: curlfit.Path) -> Answer:
     return Answer(both, parameters, predicted.misfit.found)
 
 
-def _time_of_rest(path: curlfit.Path) -> float:
+def _time_of_rest(path: curlfit.Trajectory) -> float:
     """From the last moving rows: near rest the way left goes as the square of the time left."""
     k = int(np.flatnonzero(path.speed > 0)[-1])
     left = [np.hypot(path.x[-1] - path.x[j], path.y[-1] - path.y[j]) for j in (k - 1, k)]

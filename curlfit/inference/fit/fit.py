@@ -34,7 +34,7 @@ from curlfit.inference.least_squares import (
 from curlfit.inference.noise.models import check_noise
 from curlfit.inference.parameters import check_loss
 from curlfit.inference.problem import problem_shape
-from curlfit.numerics.compiled import BATCH, stacked, unstacked, unswept
+from curlfit.numerics.compiled import BATCH, gc_paused, stacked, unstacked
 from curlfit.stone import Stone
 from curlfit.throws.throw import Reference, Throw
 
@@ -161,7 +161,7 @@ def _other_stones(reference: Reference, stone: Stone) -> list[dict[str, float]]:
     return [own, *(item for item in off if item != own)]
 
 
-@unswept()
+@gc_paused()
 def fit_throws(
     throws: Sequence[Throw],
     law: str | type[Law] = "front-back",

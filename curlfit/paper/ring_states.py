@@ -1,0 +1,116 @@
+"""Forces, load and friction of the ring under consistent load, in arrays of states of motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from curlfit.dynamics.contact import accelerations, consistent_load
+from curlfit.dynamics.quadrature import panels
+
+# isort: split
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from curlfit.friction import LocalLaw
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.stone import GRAVITY, Stone
+
+STONE = Stone(R=0.065, h=0.057)
+BATCH = 4096
+"""States in one call of the compiled program."""
+
+_ANGLES = 2 * np.pi * np.arange(16) / 16  # rad; the sum of a linear load is exact
+
+
+class RingStates(NamedTuple):
+    """The ring under consistent load, by state of motion; NaN where no such load exists."""
+
+    v: Any
+    """speed of the centre, m/s"""
+    omega: Any
+    """spin, 1/s"""
+    t_xi: Any
+    """force to the right over the weight"""
+    t_eta: Any
+    """force along the motion over the weight"""
+    spin_up: Any
+    """angular acceleration, rad/s^2"""
+    n1: Any
+    """load slope to the right times R over n0 (eq. 9)"""
+    n2: Any
+    """load slope forward times R over n0"""
+    m_xi: Any
+    """moment M_N of the load about the axis to the right, over the weight, m"""
+    m_eta: Any
+    """M_N about the axis along the motion, over the weight, m"""
+    least: Any
+    """smallest coefficient of friction on the ring"""
+
+    @property
+    def exists(self) -> Booleans:
+        """Where a consistent load exists."""
+        return np.isfinite(self.t_xi)
+
+    @property
+    def right(self) -> Floats:
+        """Force to the right of a counter-clockwise stone; mirrored for a clockwise one."""
+        return self.t_xi * np.sign(self.omega)
+
+    @property
+    def epsilon(self) -> Floats:
+        """`R |omega|/v`."""
+        return STONE.R * np.abs(self.omega) / self.v
+
+
+@jax.jit
+def _ring(law: Any, v: Array, omega: Array) -> RingStates:
+    def state(law: Any, v: Array, omega: Array) -> RingStates:
+        motion = accelerations(law, STONE, "consistent", v, omega)
+        n1, n2 = consistent_load(law, STONE, v, omega)
+        least = jnp.asarray(jnp.inf)
+        for points, _ in panels(law, v, STONE.R * omega, jnp.zeros(()), jnp.zeros(())):
+            load = 1 + n1 * points.xi + n2 * points.eta
+            along_xi, along_eta = law.traction(points._replace(load=load))
+            mu = -(along_xi * points.e_xi + along_eta * points.e_eta)
+            least = jnp.minimum(least, mu.min())
+        load = 1 + n1 * np.cos(_ANGLES) + n2 * np.sin(_ANGLES)
+        m_xi = STONE.R * (load * np.sin(_ANGLES)).mean()  # eq. 2: r x k n
+        m_eta = -STONE.R * (load * np.cos(_ANGLES)).mean()
+        return RingStates(
+            v, omega, motion.xi / GRAVITY, motion.eta / GRAVITY, motion.angular, n1, n2,
+            m_xi, m_eta, least,
+        )  # fmt: skip
+
+    return jax.vmap(state)(law, v, omega)
+
+
+def ring_states(law: type[LocalLaw], values: Floats, v: Floats, omega: Floats) -> RingStates:
+    """The ring in each of n states.
+
+    Parameters
+    ----------
+    law : a local law. values : its coefficients, shape (n, coefficients).
+    v, omega : speed (m/s) and spin (1/s), shape (n,).
+    """
+    n = len(v)
+    batches = []
+    for begin in range(0, n, BATCH):
+        rows = np.minimum(np.arange(begin, begin + BATCH), n - 1)  # equal shapes, one program
+        columns = [jnp.asarray(values[rows, index]) for index in range(values.shape[1])]
+        states = _ring(law.from_vector(columns), jnp.asarray(v[rows]), jnp.asarray(omega[rows]))
+        batches.append([np.asarray(item) for item in states])
+    return RingStates(*(np.concatenate(parts)[:n] for parts in zip(*batches, strict=True)))
+
+
+def grid_states(
+    law: type[LocalLaw], coefficients: Sequence[Sequence[float]], v: Floats, omega: Floats
+) -> tuple[RingStates, Floats]:
+    """RingStates for every set of coefficients, speed and spin; and the coefficients of each."""
+    rows = len(v) * len(omega)
+    speeds = np.tile(np.repeat(v, len(omega)), len(coefficients))
+    spins = np.tile(omega, len(v) * len(coefficients))
+    values = np.repeat(np.array(coefficients, float), rows, axis=0)
+    return ring_states(law, values, speeds, spins), values
