@@ -1,11 +1,11 @@
-"""The sheet of ice: where its lines and circles lie.
+"""The sheet of ice: positions of its lines and circles.
 
 Dimensions of The Rules of Curling of World Curling (rule R1), which gives both feet and metres:
 114 ft from tee to tee, 12 ft from tee to hack, 21 ft from tee to hog line, 6 ft from tee to back
 line; circles of 6, 4, 2 and 1/2 ft radius; 146 to 150 ft long, at most 16 ft 5 in wide.
 
-Along the sheet everything counts from the hack that the stone is thrown from, across it from the
-centre line, to the right.
+Positions along the sheet are measured from the hack that the stone is thrown from, across it from
+the centre line, positive to the right.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ HOG_TO_HOG = TEE_TO_TEE - 2 * TEE_TO_HOG  # 21.945 m
 LENGTH = 45.720
 WIDTH = 5.000
 CIRCLES = (1.829, 1.219, 0.610, 0.152)
-"""Outer radii of the circles of the house in m, from the twelve-foot circle to the button."""
+"""Outer radii of the circles of the house in m, twelve-foot circle to button."""
 HOUSE = CIRCLES[0]
 STONE_RADIUS = 0.145
-"""Of the whole stone, m; its circumference is at most 36 in (0.914 m)."""
+"""Outer radius of the stone, m; its circumference is at most 36 in (0.914 m)."""
 
 LINES = {
     "hack": 0.0,
@@ -37,6 +37,6 @@ LINES = {
 }
 """y of the lines, in m from the hack that the stone is thrown from."""
 TEE = LINES["far-tee"]
-"""y of the tee that is thrown at."""
+"""y of the far tee, the target."""
 END = TEE + TEE_TO_BACK + STONE_RADIUS
-"""y from which a stone lies past the back line altogether, and is out of play."""
+"""y beyond which a stone lies entirely past the back line and is out of play."""

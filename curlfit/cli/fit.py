@@ -96,7 +96,7 @@ def fit(
     Example: `curlfit fit data/jensen_shegelski_2004.csv --stone rho=0.1025`
     """
     from curlfit.errors import InputError
-    from curlfit.output.files import prepared_folder
+    from curlfit.output.files import prepare_folder
 
     if resume and no_sample:
         raise InputError("--resume goes on with sampling, and --no-sample does without it")
@@ -119,7 +119,7 @@ def fit(
     saved = None
     if resume:
         saved = _saved(folder, seed, asked)
-    folder = prepared_folder(folder)
+    folder = prepare_folder(folder)
 
     from curlfit.output.console import terminal
 

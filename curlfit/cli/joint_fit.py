@@ -27,7 +27,7 @@ def fit_several(
     from curlfit.friction import check_load, find_law
     from curlfit.inference.noise.models import check_noise
     from curlfit.inference.parameters import ParameterSet, check_loss
-    from curlfit.output.files import prepared_folder
+    from curlfit.output.files import prepare_folder
 
     if len({file.stem for file in files}) < len(files):
         raise InputError("two of the files have the same name; results are kept by name")
@@ -64,7 +64,7 @@ def fit_several(
         cut.require_motion()
         ParameterSet.for_throw(law, cut, **choices)
         throws.append(cut.with_defaults(stone=job.stone.as_dict()))
-    folder = prepared_folder(out or Path("joint-fit"))
+    folder = prepare_folder(out or Path("joint-fit"))
 
     from rich.progress import Progress, TextColumn
 
@@ -92,7 +92,7 @@ def fit_several(
     written = [folder / "joint.json"]
     result.save(written[0])
     for file, one in zip(files, result.throws, strict=True):
-        own_folder = prepared_folder(folder / file.stem)
+        own_folder = prepare_folder(folder / file.stem)
         one.save(own_folder / "fit.json")
         if not no_figures:
             from curlfit.inference.figures import fit_figure

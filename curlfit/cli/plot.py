@@ -18,7 +18,7 @@ def plot(
     """Draw the figures again of a saved fit, joint fit, comparison, prediction, profile, design."""
     from curlfit.errors import InputError
     from curlfit.inference.fit.result import load_fit
-    from curlfit.output.files import prepared_folder
+    from curlfit.output.files import prepare_folder
 
     if format not in ("png", "pdf", "svg"):
         raise InputError(f"--format {format}: expected png, pdf or svg")
@@ -29,7 +29,7 @@ def plot(
 
         own = folder if folder.is_dir() else folder.parent
         design = load_design(folder)
-        written = save_figures(design, prepared_folder(out or own), format)
+        written = save_figures(design, prepare_folder(out or own), format)
         typer.echo("Written: " + ", ".join(map(str, written)))
         return
     if kind != "fit":
@@ -45,7 +45,7 @@ def plot(
         else:
             figure = curlfit.prediction_figure(curlfit.load_prediction(folder))
         own = folder if folder.is_dir() else folder.parent
-        file = prepared_folder(out or own) / f"{kind}.{format}"
+        file = prepare_folder(out or own) / f"{kind}.{format}"
         save_figure(figure, file)
         typer.echo(f"Written: {file}")
         return
@@ -59,7 +59,7 @@ def plot(
         from curlfit.inference.mcmc.chain import load_chain
 
         chain = load_chain(chain_beside(folder))
-    target = prepared_folder(out or (folder if folder.is_dir() else folder.parent))
+    target = prepare_folder(out or (folder if folder.is_dir() else folder.parent))
 
     from curlfit.inference.figures import corner_figure, fit_figure
     from curlfit.output.figures import save_figure

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from curlfit.options.settings import chain_beside, kind_of
-from curlfit.output.files import strict
+from curlfit.output.files import json_safe
 
 
 def show(
@@ -70,6 +70,6 @@ def show(
             result = result if found is None else found[0]
         record, printed = result.summary, partial(print_fit, result, console)
     if as_json:
-        print(json.dumps(strict(record()), indent=1))
+        print(json.dumps(json_safe(record()), indent=1))
     else:
         printed()

@@ -62,10 +62,10 @@ def simulate(
         typer.echo(text, nl=False)
         return
     from curlfit.errors import InputError
-    from curlfit.output.files import replaced
+    from curlfit.output.files import atomic_write
 
     if not out.parent.is_dir():
         raise InputError(f"{out}: the folder {out.parent} does not exist")
-    with replaced(out) as temporary:
+    with atomic_write(out) as temporary:
         temporary.write_text(text)
     typer.echo(f"Written: {out}")

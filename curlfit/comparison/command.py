@@ -65,7 +65,7 @@ def compare(
     from curlfit.friction import LAWS, check_load, find_law
     from curlfit.inference.noise.models import check_noise
     from curlfit.inference.parameters import ParameterSet, check_loss, options_of, require_known
-    from curlfit.output.files import prepared_folder
+    from curlfit.output.files import prepare_folder
 
     flags = {
         **r.how(format, axes, units, reference, stone_index, shot),
@@ -96,7 +96,7 @@ def compare(
     for law in laws_of:
         own = options_of(law, options)
         ParameterSet.for_throw(law, cut, fix=own["fix"], bounds=own["bound"])
-    folder = prepared_folder(out or Path(f"{data.stem}-compare"))
+    folder = prepare_folder(out or Path(f"{data.stem}-compare"))
 
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 

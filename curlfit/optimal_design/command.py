@@ -152,7 +152,7 @@ def design(
     `curlfit design --fit throw-fit --until 12`: about the ice of a fitted throw
     """  # fmt: skip
     from curlfit.errors import InputError
-    from curlfit.output.files import prepared_folder
+    from curlfit.output.files import prepare_folder
 
     if fit is not None and law is not None:
         raise InputError("--law and --fit: expected one of them")
@@ -209,7 +209,7 @@ def design(
             progress=told,
             **grid,
         )
-    folder = prepared_folder(out)
+    folder = prepare_folder(out)
     written = [folder / "design.json"]
     found.save(written[0])
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from curlfit.errors import DataError
 from curlfit.inference.identifiability import Combination
-from curlfit.output.files import Migration, known, read_json, write_json
+from curlfit.output.files import Migration, known_fields, read_json, write_json
 from curlfit.stone import Stone
 
 SCHEMA = 1
@@ -64,11 +64,11 @@ class Expected:
     @classmethod
     def from_json(cls, found: Mapping[str, Any]) -> Expected:
         """The record from JSON."""
-        given = known(cls, found)
+        given = known_fields(cls, found)
         lists = ("throws", "singular_values", "null_directions")
         tuples = {key: tuple(given[key]) for key in lists}
         combinations = tuple(
-            Combination(**known(Combination, item)) for item in given["combinations"]
+            Combination(**known_fields(Combination, item)) for item in given["combinations"]
         )
         return cls(**given | tuples | {"combinations": combinations})
 
@@ -122,11 +122,11 @@ class Design:
         """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
         parted = found["separation"]
         return cls(
-            **known(cls, found)
+            **known_fields(cls, found)
             | {
-                "stone": Stone(**known(Stone, found["stone"])),
+                "stone": Stone(**known_fields(Stone, found["stone"])),
                 "candidates": tuple(
-                    Candidate(**known(Candidate, item)) for item in found["candidates"]
+                    Candidate(**known_fields(Candidate, item)) for item in found["candidates"]
                 ),
                 "best": {name: Expected.from_json(item) for name, item in found["best"].items()},
                 "separation": None if parted is None else Separation.from_json(parted),
@@ -277,7 +277,7 @@ class Separation:
         def tuples(record: type, item: Mapping[str, Any]) -> dict[str, Any]:
             return {
                 key: tuple(value) if isinstance(value, list) else value
-                for key, value in known(record, item).items()
+                for key, value in known_fields(record, item).items()
             }
 
         return cls(
@@ -288,5 +288,5 @@ class Separation:
             proof=Proof(**tuples(Proof, found["proof"])),
             ways=tuple(Way(**tuples(Way, item)) for item in found["ways"]),
             ordinary=found["ordinary"],
-            changes=tuple(Change(**known(Change, item)) for item in found["changes"]),
+            changes=tuple(Change(**known_fields(Change, item)) for item in found["changes"]),
         )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from curlfit.friction.front_back import FrontBackFirstOrder
-from curlfit.output.files import replaced
+from curlfit.output.files import atomic_write
 from curlfit.stone import GRAVITY, Stone
 from curlfit.throws.synthetic import write_table
 from curlfit.throws.throw import Reference, Throw
@@ -84,7 +84,7 @@ def write_jensen_shegelski(file: str | FilePath) -> None:
         "# Eq. 12 of Ivanov and Shuvalov (2012): a formula fitted by Jensen and Shegelski (2004)\n"
         "# to measured throws. See README.md beside this file.\n"
     )
-    with replaced(FilePath(file)) as temporary:
+    with atomic_write(FilePath(file)) as temporary:
         temporary.write_text(head + write_table(jensen_shegelski_throw()))
 
 

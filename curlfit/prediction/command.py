@@ -130,7 +130,7 @@ def predict(
     `curlfit fit a.csv --until 12`, then `curlfit predict a-fit --check a.csv`: was it right?
     """
     from curlfit.errors import InputError
-    from curlfit.output.files import prepared_folder, replaced
+    from curlfit.output.files import atomic_write, prepare_folder
 
     start = {
         name: value
@@ -161,10 +161,10 @@ def predict(
             result, chain, start=start, line=line, target=place, weight=weight,
             tee_speed=tee_speed, draws=draws, seed=seed, check=throw,
         )  # fmt: skip
-    folder = prepared_folder(out or Path(f"{s.name_of(fit)}-predict"))
+    folder = prepare_folder(out or Path(f"{s.name_of(fit)}-predict"))
     written = [folder / "predict.json", folder / "predict.csv"]
     found.save(written[0])
-    with replaced(written[1]) as temporary:
+    with atomic_write(written[1]) as temporary:
         temporary.write_text(found.table())
     if no_figures:
         (folder / "predict.png").unlink(missing_ok=True)

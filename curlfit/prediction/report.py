@@ -9,7 +9,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from curlfit.output.text import number, plain_table
+from curlfit.output.text import format_estimate, plain_table
 from curlfit.sheet import FOOT, STONE_RADIUS, TEE_TO_BACK
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def _quantities(prediction: Prediction) -> RenderableType:
 def _row(item: Quantity) -> list[str]:
     """Best value, both errors, and the intervals, to two digits of the larger error."""
     size = max(item.parameter_sd, item.model_sd)
-    digits = 4 if size < 1e-9 else min(len(number(0.0, size)[1].partition(".")[2]), 4)
+    digits = 4 if size < 1e-9 else min(len(format_estimate(0.0, size)[1].partition(".")[2]), 4)
     best = "-" if math.isnan(item.value) else f"{item.value:.{digits}f}"
     own = [
         f"{part:.{digits + 1}f}" if part > 1e-9 else "-"
@@ -188,7 +188,7 @@ def _check(check: HeldOut) -> RenderableType:
         table.add_column(head, justify="right", no_wrap=True)
     for name, item in check.channels.items():
         unit = "rad" if name == "phi" else "m"
-        off, expected = number(item["end"], item["end_sd"])
+        off, expected = format_estimate(item["end"], item["end_sd"])
         table.add_row(
             f"{name} ({unit})", f"{item['rows']:.0f}", f"{item['rms']:.3g}",
             f"{item['inside_68']:.0%}", f"{item['inside_95']:.0%}", off, expected,

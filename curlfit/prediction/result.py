@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.errors import DataError
-from curlfit.output.files import Migration, known, read_json, strict, write_json
+from curlfit.output.files import Migration, json_safe, known_fields, read_json, write_json
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
 
@@ -161,7 +161,7 @@ class Prediction:
 
     def summary(self) -> dict[str, Any]:
         """The JSON record without the series."""
-        record = strict(self.to_json())
+        record = json_safe(self.to_json())
         if record["check"] is not None:
             record["check"].pop("observed")
         return {key: value for key, value in record.items() if key not in _SERIES}
@@ -171,22 +171,26 @@ class Prediction:
         """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
         check = found["check"]
         return cls(
-            **known(cls, found)
+            **known_fields(cls, found)
             | {
-                "stone": Stone(**known(Stone, found["stone"])),
-                "misfit": Misfit(**known(Misfit, found["misfit"])),
+                "stone": Stone(**known_fields(Stone, found["stone"])),
+                "misfit": Misfit(**known_fields(Misfit, found["misfit"])),
                 "series": _arrays(found["series"]),
                 "band": _arrays(found["band"]),
                 "measured": _arrays(found.get("measured", {})),
                 "quantities": {
-                    name: Quantity(**known(Quantity, item) | {"value": _number(item["value"])})
+                    name: Quantity(
+                        **known_fields(Quantity, item) | {"value": _number(item["value"])}
+                    )
                     for name, item in found["quantities"].items()
                 },
                 "warnings": tuple(found["warnings"]),
                 "notes": tuple(found["notes"]),
                 "check": None
                 if check is None
-                else HeldOut(**known(HeldOut, check) | {"observed": _arrays(check["observed"])}),
+                else HeldOut(
+                    **known_fields(HeldOut, check) | {"observed": _arrays(check["observed"])}
+                ),
             }
         )
 

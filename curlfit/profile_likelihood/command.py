@@ -90,7 +90,7 @@ def profile(
     `curlfit profile throw-fit --param mu1_eta --param mu2_eta`: two of a saved fit
     """
     from curlfit.errors import InputError
-    from curlfit.output.files import prepared_folder
+    from curlfit.output.files import prepare_folder
 
     flags = fit_flags(
         r.how(format, axes, units, reference, stone_index, shot),
@@ -123,7 +123,7 @@ def profile(
     with _progress(quiet) as told:
         fit, chain = fitted()
         require_usable(parameters, param, points, ranges, parameters.values_of(fit.values))
-        folder = prepared_folder(out or Path(f"{name}-profile-{'-'.join(param)}"))
+        folder = prepare_folder(out or Path(f"{name}-profile-{'-'.join(param)}"))
 
         from curlfit.profile_likelihood.profile import profile as profiled
 

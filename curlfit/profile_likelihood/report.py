@@ -10,7 +10,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from curlfit.output.console import terminal
-from curlfit.output.text import STYLE, compact, listed, number, plain_table
+from curlfit.output.text import STYLE, compact, format_estimate, join_words, plain_table
 from curlfit.profile_likelihood.result import Interval, PairProfile, Profile
 
 if TYPE_CHECKING:
@@ -78,11 +78,11 @@ def about(profile: Profile) -> str:
             f"{item.expression} = {compact(item.value, item.stderr)}"
             for item in profile.combinations
         ]
-        text += f" Only {listed(known)} {'are' if len(known) > 1 else 'is'} determined."
+        text += f" Only {join_words(known)} {'are' if len(known) > 1 else 'is'} determined."
     for end, names in zip(profile.free, profile.stops, strict=True):
         if names:
             come = "comes to its bound" if len(names) == 1 else "come to their bounds"
-            text += f" It ends at {_short(end)}, where {listed(list(names))} {come}."
+            text += f" It ends at {_short(end)}, where {join_words(list(names))} {come}."
     return text + _open_ends(profile)
 
 
@@ -191,7 +191,7 @@ def _limits(profile: Profile) -> list[str]:
         if names and profile.free[0] < profile.free[1] and widest.low <= end <= widest.high:
             held = "is at its bound" if len(names) == 1 else "are at their bounds"
             said.append(
-                f"{side} {_short(end)} {listed(list(names))} {held}, which makes the profile "
+                f"{side} {_short(end)} {join_words(list(names))} {held}, which makes the profile "
                 "steeper there."
             )
     return said
@@ -246,7 +246,7 @@ def _scale(profile: Profile) -> float:
 
 
 def _ends(interval: Interval, scale: float) -> str:
-    low, high = number(interval.low, scale)[0], number(interval.high, scale)[0]
+    low, high = format_estimate(interval.low, scale)[0], format_estimate(interval.high, scale)[0]
     if interval.low_by in ("bound", "range") and interval.high_by in ("bound", "range"):
         return "no limit"
     if interval.low_by in ("bound", "range"):
@@ -264,13 +264,14 @@ def _gaussian(item: Estimate, level: Level, scale: float) -> str:
 
 
 def _from_to(low: float, high: float, scale: float) -> str:
-    return f"{number(low, scale)[0]} .. {number(high, scale)[0]}"
+    return f"{format_estimate(low, scale)[0]} .. {format_estimate(high, scale)[0]}"
 
 
 def _span(profile: Profile, low: float, high: float) -> str:
     """Part of the range, to some thousandths of it."""
     scale = (profile.at[-1] - profile.at[0]) / 50
-    return " .. ".join(number(end, scale)[0] if end else "0" for end in (float(low), float(high)))
+    ends = (float(low), float(high))
+    return " .. ".join(format_estimate(end, scale)[0] if end else "0" for end in ends)
 
 
 def _short(value: float) -> str:

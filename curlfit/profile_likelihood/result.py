@@ -16,7 +16,7 @@ from curlfit.errors import DataError, InputError
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.identifiability import Combination, student_quantile
 from curlfit.inference.parameters import ParameterSet
-from curlfit.output.files import Migration, known, read_json, strict, write_json
+from curlfit.output.files import Migration, json_safe, known_fields, read_json, write_json
 
 Floats = NDArray[np.float64]
 
@@ -188,21 +188,21 @@ class Profile:
 
     def summary(self) -> dict[str, Any]:
         """The JSON record without the series."""
-        return _without(strict(self.to_json()), "at", "delta", "others", "posterior")
+        return _without(json_safe(self.to_json()), "at", "delta", "others", "posterior")
 
     @classmethod
     def from_json(cls, found: dict[str, Any]) -> Profile:
         """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
         posterior = found["posterior"]
         return cls(
-            **known(cls, found)
+            **known_fields(cls, found)
             | _common(found)
             | {
                 "at": array(found["at"]),
                 "delta": array(found["delta"]),
                 "others": arrays(found["others"]),
                 "intervals": tuple(
-                    Interval(**known(Interval, item)) for item in found["intervals"]
+                    Interval(**known_fields(Interval, item)) for item in found["intervals"]
                 ),
                 "free": tuple(found["free"]),
                 "stops": tuple(tuple(names) for names in found["stops"]),
@@ -278,7 +278,7 @@ class PairProfile:
 
     def summary(self) -> dict[str, Any]:
         """The JSON record without the series."""
-        found = _without(strict(self.to_json()), "first", "second", "delta", "samples")
+        found = _without(json_safe(self.to_json()), "first", "second", "delta", "samples")
         return found | {"each": [profile.summary() for profile in self.each]}
 
     @classmethod
@@ -286,11 +286,11 @@ class PairProfile:
         """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
         covariance = found["covariance"]
         extent = {
-            level: tuple(Interval(**known(Interval, item)) for item in items)
+            level: tuple(Interval(**known_fields(Interval, item)) for item in items)
             for level, items in found["extent"].items()
         }
         return cls(
-            **known(cls, found)
+            **known_fields(cls, found)
             | {name: array(found[name]) for name in ("first", "second", "delta")}
             | {
                 "names": tuple(found["names"]),
@@ -385,7 +385,7 @@ def _common(found: dict[str, Any]) -> dict[str, Any]:
             name: Estimate.from_json(item) for name, item in found["parameters"].items()
         },
         "combinations": tuple(
-            Combination(**known(Combination, item)) for item in found["combinations"]
+            Combination(**known_fields(Combination, item)) for item in found["combinations"]
         ),
         "warnings": tuple(found["warnings"]),
     }
