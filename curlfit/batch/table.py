@@ -126,7 +126,7 @@ class Table:
                 f"{self.file}: nothing tells what its rows were made by, as {self.settings} is "
                 f"missing; {_OTHERWISE}"
             )
-        before = dict(json.loads(json.dumps(strict(Plan().to_json()))), **before)
+        before = dict(json.loads(json.dumps(json_safe(Plan().to_json()))), **before)
         for key in settings:
             if before.get(key) != settings[key]:
                 raise InputError(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from curlfit.options import reading as r
+from curlfit.options import flags as o
 from curlfit.options import settings as s
 
 _START = "Another throw: how it starts (what is not given is as in the fitted throw)"
@@ -97,12 +97,12 @@ def predict(
             rich_help_panel=_CHECK,
         ),
     ] = None,
-    format: r.Format = None,
-    axes: r.Axes = None,
-    units: r.Units = None,
-    reference: r.Reference = None,
-    stone_index: r.StoneIndex = None,
-    shot: r.Shot = None,
+    format: o.Format = None,
+    axes: o.Axes = None,
+    units: o.Units = None,
+    reference: o.Reference = None,
+    stone_index: o.StoneIndex = None,
+    shot: o.Shot = None,
     draws: Annotated[int, typer.Option(help="Number of draws from the posterior.")] = 1000,
     seed: Annotated[int, typer.Option(help="Of the draws.", min=0)] = 0,
     out: Annotated[
@@ -143,13 +143,15 @@ def predict(
     if sum(goals) > 1:
         raise InputError("--to-tee, --weight and --target: expected one of them")
     place = (0.0, 0.0) if to_tee else None if target is None else _place(target)
-    result, chain = s.fitted(fit)
+    result, chain = s.load_fit_and_chain(fit)
     throw = None
     if check is not None:
         from curlfit.throws.readers import load_throw
 
-        how = s.how_to_read({}, r.how(format, axes, units, reference, stone_index, shot))
-        throw = load_throw(check, **how)
+        options = s.reader_arguments(
+            {}, o.reader_options(format, axes, units, reference, stone_index, shot)
+        )
+        throw = load_throw(check, **options)
 
     from curlfit.output.console import terminal
 

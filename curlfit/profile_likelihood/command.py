@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from curlfit.options import flags as o
-from curlfit.options import reading as r
 from curlfit.options import settings as s
-from curlfit.options.fit_settings import fit_flags, fit_wanted
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
@@ -63,12 +61,12 @@ def profile(
     loss: o.Loss = None,
     noise: o.NoiseModel = None,
     stone: o.StoneValues = None,
-    format: r.Format = None,
-    axes: r.Axes = None,
-    units: r.Units = None,
-    reference: r.Reference = None,
-    stone_index: r.StoneIndex = None,
-    shot: r.Shot = None,
+    format: o.Format = None,
+    axes: o.Axes = None,
+    units: o.Units = None,
+    reference: o.Reference = None,
+    stone_index: o.StoneIndex = None,
+    shot: o.Shot = None,
     config: o.Config = None,
     out: Annotated[
         Path | None,
@@ -92,8 +90,8 @@ def profile(
     from curlfit.errors import InputError
     from curlfit.output.files import prepare_folder
 
-    flags = fit_flags(
-        r.how(format, axes, units, reference, stone_index, shot),
+    flags = s.fit_flags(
+        o.reader_options(format, axes, units, reference, stone_index, shot),
         law=law, load=load, until=until, stone=stone, sigma=sigma, fix=fix, bound=bound,
         start=start, unbounded=unbounded, loss=loss, noise=noise,
     )  # fmt: skip
@@ -107,13 +105,13 @@ def profile(
         if given:
             option = given[0].replace("_", "-")
             raise InputError(f"--{option}: a saved fit has its own; give the data to fit anew")
-        result, chain = s.fitted(data)
+        result, chain = s.load_fit_and_chain(data)
         parameters = result.parameter_set
         fitted = lambda: (result, chain)  # noqa: E731
     else:
-        asked = fit_wanted(data, config, flags)
-        parameters = asked.parameters
-        fitted = lambda: (asked.fit(), None)  # noqa: E731
+        request = s.request_fit(data, config, flags)
+        parameters = request.parameters
+        fitted = lambda: (request.fit(), None)  # noqa: E731
 
     from curlfit.profile_likelihood.result import require_usable
 
