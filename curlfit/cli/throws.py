@@ -34,7 +34,7 @@ def check(
     Example: `curlfit check data/jensen_shegelski_2004.csv`
     """
     from curlfit.errors import InputError
-    from curlfit.throws.inspection import inspected
+    from curlfit.throws.inspection import inspect_throw
     from curlfit.throws.readers import read
     from curlfit.throws.readers.assemble import assemble
 
@@ -47,8 +47,8 @@ def check(
     configured = s.check_settings(s.read_config(config), str(config))
     options = s.reader_arguments(configured, flags)
     axes, points = options.pop("axes", None), options.pop("reference", None)
-    reading = read(data, **options, pixels=points is not None)
-    throw = assemble(reading, axes=axes, reference=points and Path(points))
+    parsed = read(data, **options, pixels=points is not None)
+    throw = assemble(parsed, axes=axes, reference=points and Path(points))
     throw, settings, _ = s.apply_settings(throw, configured, flags)
     throw.until(settings.get("until")).require_motion()
     shown = {key: value for key, value in settings.items() if key not in s.READER_OPTIONS}
@@ -57,7 +57,7 @@ def check(
     from curlfit.throws.report import print_inspection
 
     console = terminal(highlight=False)
-    print_inspection(reading, throw, inspected(throw), shown, console)
+    print_inspection(parsed, throw, inspect_throw(throw), shown, console)
     if out is not None:
         from curlfit.output.figures import save_figure
         from curlfit.throws.figures import throw_figure

@@ -140,7 +140,7 @@ def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
 
 def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
     """The settings; raises `InputError` where one has a wrong type."""
-    from curlfit.throws.readers.defaults import check_seed
+    from curlfit.throws.readers.table import check_seed
 
     for key in ("stone", "sigma", "fix", "start"):
         for name, value in settings.get(key, {}).items():

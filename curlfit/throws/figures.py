@@ -8,12 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from curlfit.output.figures import (
-    CHANNEL_COLOR,
-    CHANNEL_LABEL,
-    Picture,
-    title,
-)
+from curlfit.output.figures import CHANNEL_COLOR, CHANNEL_LABEL, Picture, title
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
@@ -25,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def throw_figure(throw: Throw) -> Figure:
-    """What was measured over time, a panel for each channel."""
+    """Measured channels over time, a panel for each."""
     seen = throw.seen
     figure = Picture(figsize=(8, 1.8 * len(seen) + 0.6), layout="constrained")
     panels = np.atleast_1d(figure.subplots(len(seen), 1, sharex=True))
