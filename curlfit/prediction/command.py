@@ -10,9 +10,9 @@ import typer
 from curlfit.options import flags as o
 from curlfit.options import settings as s
 
-_START = "Another throw: how it starts (what is not given is as in the fitted throw)"
-_GOAL = "Another throw: where it is to go (speed and heading are found)"
-_CHECK = "Comparing with measured rows"
+_START = "Another throw: its start (by default that of the fitted throw)"
+_GOAL = "Another throw: its goal (speed and heading are found)"
+_CHECK = "Comparison with measured rows"
 
 
 def predict(
@@ -39,13 +39,13 @@ def predict(
     x0: Annotated[
         float | None,
         typer.Option(
-            help="Place, m right of the centre line. [default: 0]", rich_help_panel=_START
+            help="Position, m right of the centre line. [default: 0]", rich_help_panel=_START
         ),
     ] = None,
     y0: Annotated[
         float | None,
         typer.Option(
-            help="Place, m from the hack thrown from. [default: that of --from]",
+            help="Position, m from the hack thrown from. [default: that of --from]",
             rich_help_panel=_START,
         ),
     ] = None,
@@ -58,8 +58,8 @@ def predict(
         typer.Option(
             "--from",
             help="Line on which the throw starts: `hack`, `back`, `tee`, `hog` (the near ones), "
-            "`centre` or `far-hog`; or `data`: where the data do, which count from the hack. "
-            "[default: hog; data for the fitted throw where its file says what it counts from]",
+            "`centre` or `far-hog`; or `data`: at the start of the data, with y from the hack. "
+            "[default: hog; data for the fitted throw where its file states its zero of y]",
             metavar="LINE",
         ),
     ] = None,
@@ -71,7 +71,7 @@ def predict(
         typer.Option(
             help="`draw`: rests on the tee line; `guard`: rests halfway between hog line and "
             "house, 4.115 m before the tee line; `takeout`: passes the tee line at 1.5 m/s. On the "
-            "centre line, or with --heading wherever that leads.",
+            "centre line, or at any x with --heading.",
             metavar="NAME",
             rich_help_panel=_GOAL,
         ),
@@ -83,7 +83,7 @@ def predict(
     target: Annotated[
         str | None,
         typer.Option(
-            help="To rest at this place, m from the tee: right, beyond. Write --target=-0.5,1 "
+            help="To rest at this point, m from the tee: right, beyond. Write --target=-0.5,1 "
             "where the first number is negative.",
             metavar="X,Y",
             rich_help_panel=_GOAL,
@@ -92,7 +92,7 @@ def predict(
     check: Annotated[
         Path | None,
         typer.Option(
-            help="The data of the fitted throw: rows later than those fitted are compared.",
+            help="The data of the fitted throw; rows after the fitted ones are compared.",
             metavar="DATA",
             rich_help_panel=_CHECK,
         ),
@@ -104,7 +104,7 @@ def predict(
     stone_index: o.StoneIndex = None,
     shot: o.Shot = None,
     draws: Annotated[int, typer.Option(help="Number of draws from the posterior.")] = 1000,
-    seed: Annotated[int, typer.Option(help="Of the draws.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the draws.", min=0)] = 0,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for the results. [default: the fit's name with -predict]"),
@@ -112,11 +112,11 @@ def predict(
     no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
-    """Predict a throw: where the stone goes and comes to rest, and how sure that is.
+    """Predict a throw: path and resting place, with their uncertainties.
 
-    Without options: the fitted throw, carried to rest. With a start or a goal: another throw on the
-    same ice, taken to start on the near hog line with the spin of the fitted one. Bands hold the
-    errors of the parameters and, apart from these, the model discrepancy.
+    Without options: the fitted throw, extrapolated to rest. With a start or a goal: another throw
+    on the same ice, by default from the near hog line with the spin of the fitted one. Bands
+    include the errors of the parameters and the model discrepancy.
     Writes `predict.json`, `predict.csv` (the path with its bands) and `predict.png`.
 
     Examples:
@@ -142,7 +142,7 @@ def predict(
     goals = [bool(to_tee), weight is not None, target is not None]
     if sum(goals) > 1:
         raise InputError("--to-tee, --weight and --target: expected one of them")
-    place = (0.0, 0.0) if to_tee else None if target is None else _place(target)
+    point = (0.0, 0.0) if to_tee else None if target is None else _point(target)
     result, chain = s.load_fit_and_chain(fit)
     throw = None
     if check is not None:
@@ -156,11 +156,11 @@ def predict(
     from curlfit.output.console import terminal
 
     console = terminal(quiet=quiet)
-    with console.status("Following the draws to rest (a first run on a machine compiles them)"):
+    with console.status("Simulating the draws (a first run on a machine compiles the model)"):
         from curlfit.prediction.predict import predict as prediction_of
 
         found = prediction_of(
-            result, chain, start=start, line=line, target=place, weight=weight,
+            result, chain, start=start, line=line, target=point, weight=weight,
             tee_speed=tee_speed, draws=draws, seed=seed, check=throw,
         )  # fmt: skip
     folder = prepare_folder(out or Path(f"{s.name_of(fit)}-predict"))
@@ -183,7 +183,7 @@ def predict(
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
 
 
-def _place(text: str) -> tuple[float, float]:
+def _point(text: str) -> tuple[float, float]:
     from curlfit.errors import InputError
 
     parts = text.split(",")

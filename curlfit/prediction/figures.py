@@ -1,5 +1,4 @@
-"""The figure of a prediction: the sheet and the house drawn to scale. Nothing is computed here
-but ellipses from the intervals of the table."""
+"""Figure of a prediction: sheet and house to scale, ellipses from the intervals of the table."""
 
 from __future__ import annotations
 
@@ -29,7 +28,7 @@ _LETTERS = {"x": "x", "y": "y", "phi": r"\varphi"}
 
 
 def prediction_figure(prediction: Prediction) -> Figure:
-    """The path on the sheet, the place of rest in the house, the bands, and measured rows."""
+    """The path on the sheet, the resting place in the house, the bands, and measured rows."""
     checked = prediction.check is not None
     figure = Picture(figsize=(11, 8.8 if checked else 6.6), layout="constrained")
     rows = figure.add_gridspec(3 if checked else 2, 1, height_ratios=(1, 2.7, 1.4)[: 2 + checked])
@@ -43,18 +42,18 @@ def prediction_figure(prediction: Prediction) -> Figure:
     if prediction.check is not None:
         panels = rows[2].subgridspec(1, len(prediction.check.channels))
         for place, name in enumerate(prediction.check.channels):
-            _checked(prediction, figure.add_subplot(panels[place]), name)
+            _residuals(prediction, figure.add_subplot(panels[place]), name)
     name = FilePath(prediction.fit["file"]).name
     top.set_title(
         f"{prediction.law} law fitted to {name}, "
-        + ("carried on to rest" if prediction.of == "fitted" else "another throw on this ice"),
+        + ("extrapolated to rest" if prediction.of == "fitted" else "another throw on this ice"),
         fontsize=10, loc="left",
     )  # fmt: skip
     return figure
 
 
 def _whole(prediction: Prediction, axes: Any) -> None:
-    """The sheet from above, thrown to the right, so that right of the centre line is below."""
+    """The sheet from above, throws to the right, so that right of the centre line is below."""
     length, half = sheet.TEE + sheet.LINES["tee"], sheet.WIDTH / 2
     axes.add_patch(
         Rectangle(
@@ -107,7 +106,7 @@ def _stone(axes: Any, place: tuple[float, float], hollow: bool = False) -> None:
 
 
 def _resting(prediction: Prediction, axes: Any) -> None:
-    """Where it comes to rest, seen along the throw, in m from the tee."""
+    """The resting place, seen along the throw, in m from the tee."""
     series, half = prediction.series, sheet.WIDTH / 2
     x, y = series["x"][-1], series["y"][-1] - sheet.TEE
     centre, size = _interval(prediction, "2.5", "97.5")
@@ -162,7 +161,7 @@ def _resting(prediction: Prediction, axes: Any) -> None:
         ylabel="beyond the tee line (m)",
     )
     axes.set_title(
-        "it goes through; band: 95 %, both errors"
+        "passes through the house; band: 95 %, both errors"
         if away
         else "at rest; ellipses as wide and high as the table's\n68 % and 95 % intervals; "
         "outline: 95 %, parameters alone",
@@ -171,7 +170,7 @@ def _resting(prediction: Prediction, axes: Any) -> None:
 
 
 def _interval(prediction: Prediction, low: str, high: str) -> tuple[Any, Any]:
-    """Middle and half width of an interval of the resting place, from the tee, m."""
+    """Centre and half width of an interval of the resting place, from the tee, m."""
     ends = np.array(
         [[prediction.quantities[name].quantiles[level] for level in (low, high)] for name in _REST]
     )
@@ -188,7 +187,7 @@ def _ellipse(axes: Any, centre: Any, size: Any, covariance: Any, **style: Any) -
 
 
 def _measured(prediction: Prediction) -> list[tuple[Any, str, str]]:
-    """Measured places on the sheet: those that were fitted and those that were not."""
+    """Measured positions on the sheet, fitted and not fitted."""
     check = prediction.check
     later = {} if check is None else check.observed
     found = [
@@ -228,8 +227,8 @@ def _speed(prediction: Prediction, axes: Any) -> None:
     spin.set_ylim((min(low, 0.0) * 1.05, max(high, 0.0) * 1.05) if high > low else (-1, 1))
 
 
-def _checked(prediction: Prediction, axes: Any, name: str) -> None:
-    """Measured minus predicted, with the bands of the path (without the noise of measuring)."""
+def _residuals(prediction: Prediction, axes: Any, name: str) -> None:
+    """Measured minus predicted, with the bands of the path (without measurement noise)."""
     assert prediction.check is not None
     factor, unit = _UNITS[name]
     series, seen = prediction.series, prediction.check.observed
