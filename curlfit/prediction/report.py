@@ -195,7 +195,7 @@ def _check(check: HeldOut) -> RenderableType:
             f"{item['inside_68']:.0%}", f"{item['inside_95']:.0%}", off, expected,
         )  # fmt: skip
     remark = Text(
-        f"Rows of {check.file} from t = {check.first:g} to {check.last:g} s, which were not fitted; "
+        f"Rows of {check.file} from t = {check.first:g} to {check.last:g} s were not fitted; "
         "the bands include noise. Differences within one throw are correlated: a path that is off "
         "by one standard deviation has hardly a row within 68 %."
     )

@@ -1,4 +1,4 @@
-"""`curlfit profile`: how the misfit rises along a parameter, or two."""
+"""`curlfit profile`: profile likelihood of a parameter, or two."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def profile(
         list[str],
         typer.Option(
             help="A fitted parameter: a coefficient, or one of x0 y0 heading v0 phi0 omega0. Given "
-            "twice: two parameters together.",
+            "twice: two parameters jointly.",
             metavar="NAME",
             show_default=False,
         ),
@@ -45,8 +45,8 @@ def profile(
         list[str] | None,
         typer.Option(
             "--range",
-            help="Where to look; given twice, of the first and the second parameter. [default: 4 "
-            "standard errors to either side; as far as it takes where there are none]",
+            help="Range; given twice, of the first and the second parameter. [default: 4 standard "
+            "errors to either side; where there are none, up to the limits]",
             metavar="LO,HI",
         ),
     ] = None,
@@ -75,11 +75,11 @@ def profile(
     no_figures: o.NoFigures = False,
     quiet: o.Quiet = False,
 ) -> None:
-    """Profile likelihood: a parameter is held at many values, and all others are fitted at each.
+    """Profile likelihood: a parameter is fixed at many values, all others are fitted at each.
 
-    The rise of chi squared gives intervals that hold where it is not quadratic, and shows plainly
-    what the path does not determine. The noise is that of the fit. A posterior beside a saved fit
-    is drawn too. Writes `profile.json` and `profile.png`.
+    The increase of chi squared gives intervals that are valid where it is not quadratic, and shows
+    what the path does not determine. The noise is that of the fit. The posterior of a saved fit is
+    drawn too. Writes `profile.json` and `profile.png`.
 
     Examples:
 
@@ -99,33 +99,35 @@ def profile(
         raise InputError(f"--range is given {len(span or ())} times; expected one of each --param")
     ranges = {name: _range(text) for name, text in zip(param, span or (), strict=False)}
     saved = data.is_dir() or data.name == "fit.json"
-    fitted: Callable[[], tuple[FitResult, Chain | None]]
+    make_fit: Callable[[], tuple[FitResult, Chain | None]]
     if saved:
         given = [name for name, value in {**flags, "config": config}.items() if value]
         if given:
             option = given[0].replace("_", "-")
-            raise InputError(f"--{option}: a saved fit has its own; give the data to fit anew")
+            raise InputError(f"--{option}: a saved fit has its own; give the data to fit again")
         result, chain = s.load_fit_and_chain(data)
         parameters = result.parameter_set
-        fitted = lambda: (result, chain)  # noqa: E731
+        make_fit = lambda: (result, chain)  # noqa: E731
     else:
         request = s.request_fit(data, config, flags)
         parameters = request.parameters
-        fitted = lambda: (request.fit(), None)  # noqa: E731
+        make_fit = lambda: (request.fit(), None)  # noqa: E731
 
     from curlfit.profile_likelihood.result import require_usable
 
     require_usable(parameters, param, points, ranges)
     name = s.name_of(data) if saved else data.stem
 
-    with _progress(quiet) as told:
-        fit, chain = fitted()
+    with _progress(quiet) as progress:
+        fit, chain = make_fit()
         require_usable(parameters, param, points, ranges, parameters.values_of(fit.values))
         folder = prepare_folder(out or Path(f"{name}-profile-{'-'.join(param)}"))
 
-        from curlfit.profile_likelihood.profile import profile as profiled
+        from curlfit.profile_likelihood.profile import profile as compute_profile
 
-        found = profiled(fit, param, chain=chain, points=points, ranges=ranges, progress=told)
+        found = compute_profile(
+            fit, param, chain=chain, points=points, ranges=ranges, progress=progress
+        )
     written = [folder / "profile.json"]
     found.save(written[0])
     if no_figures:
@@ -159,7 +161,7 @@ def _range(text: str) -> tuple[float, float]:
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[int], None]]:
-    """A line on a terminal that says how many fits are done."""
+    """A status line on a terminal: the number of fits done."""
     from rich.console import Console
 
     console = Console(stderr=True, quiet=quiet)

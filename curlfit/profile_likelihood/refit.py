@@ -1,9 +1,9 @@
-"""Fits with parameters held: the same throw, law and noise, all other parameters fitted again.
+"""Constrained fits: some parameters fixed, all others fitted again with the same law and noise.
 
-The fits run side by side (see `curlfit.inference.least_squares`), each begun at the nearest one
-that is known, along the linear response of the other parameters. Whether neighbours belong to one
-valley is checked by the envelope theorem: the slope of the least chi squared is its partial slope,
-which is known at each place, and has to lead from one to the next.
+The fits run as one batch, each started from the nearest known one along the linear response of the
+other parameters. Whether neighbours belong to one valley is checked by the envelope theorem: the
+slope of the profile is the partial derivative of chi squared, known at each point, whose integral
+has to match the difference of chi squared.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ _NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
 _ROUNDING = 1e-9  # of the largest singular value
 
 
-class Place(NamedTuple):
-    """An optimum with some parameters held."""
+class ConstrainedFit(NamedTuple):
+    """An optimum with some parameters fixed."""
 
     held: Floats
     chi_squared: float
     values: Floats
     """all parameters"""
     slope: Floats
-    """of chi squared by the held ones"""
+    """of chi squared by the fixed ones"""
     finished: bool
 
 
 class Refit:
-    """A fit that is fitted again with parameters held. Values count in the frame of its problem."""
+    """A fit to be repeated with parameters fixed, in the coordinates of its problem."""
 
     def __init__(self, fit: FitResult, progress: Progress | None) -> None:
         self.fit, self._progress, self.done = fit, progress, 0
@@ -65,7 +65,7 @@ class Refit:
             raise UnusableFitError("the fit has no path")
         self.solution: Solution = solution
         self.first = self.chi_squared  # of the fit as it was given
-        self.lowest: Place | None = None
+        self.lowest: ConstrainedFit | None = None
 
     @property
     def chi_squared(self) -> float:
@@ -98,7 +98,7 @@ class Refit:
 
     def places(
         self, names: Sequence[str], points: Floats, starts: Sequence[Floats]
-    ) -> list[Place | None]:
+    ) -> list[ConstrainedFit | None]:
         """The optima with `names` held at each of the points; None where there is no path."""
         tasks = []
         for point, start in zip(points, starts, strict=True):
@@ -111,12 +111,12 @@ class Refit:
             for solution in self._solved(tasks)
         ]
 
-    def place(self, names: Sequence[str], solution: Solution) -> Place:
+    def place(self, names: Sequence[str], solution: Solution) -> ConstrainedFit:
         """An optimum as a place."""
         index = [self.parameters.index(name) for name in names]
         slope = 2 * np.einsum("cn,cni->i", solution.residual, solution.jacobian)
         values = np.asarray(solution.values)
-        place = Place(
+        place = ConstrainedFit(
             values[index], float(solution.chi_squared), values, slope[index],
             bool(solution.success),
         )  # fmt: skip
@@ -159,15 +159,15 @@ class Refit:
         return rows, np.linalg.norm(own + others @ follow, axis=0)
 
 
-class Held:
-    """The optima with some parameters held, as far as they are known, by the held values."""
+class ConstrainedFits:
+    """Known optima with some parameters fixed, by the fixed values."""
 
     def __init__(self, refit: Refit, names: Sequence[str]) -> None:
         self.refit, self.names = refit, tuple(names)
         self._response = refit.response(names)[0]
         best = refit.place(names, refit.solution)
         self.best = best
-        self.known: dict[Point, Place | None] = {tuple(map(float, best.held)): best}
+        self.known: dict[Point, ConstrainedFit | None] = {tuple(map(float, best.held)): best}
         self._tried: set[tuple[Point, Point, float]] = set()
         self._scale = np.array([refit.fit.parameters[name].typical for name in names])
         self.levels = levels_for(names, refit.fit.parameters)
@@ -191,11 +191,11 @@ class Held:
         found = self.refit.places(self.names, np.stack(new), starts)
         self.known |= {tuple(point): place for point, place in zip(new, found, strict=True)}
 
-    def _from(self, place: Place, point: Floats) -> Floats:
+    def _from(self, place: ConstrainedFit, point: Floats) -> Floats:
         low, high = self.refit.parameters.lower, self.refit.parameters.upper
         return np.clip(place.values + self._response @ (point - place.held), low, high)
 
-    def at(self, point: Sequence[float] | Floats) -> Place | None:
+    def at(self, point: Sequence[float] | Floats) -> ConstrainedFit | None:
         """What is known of a point."""
         return self.known[tuple(point)]
 
@@ -237,7 +237,7 @@ class Held:
             if not better:
                 return
 
-    def _agree(self, one: Place, other: Place) -> bool:
+    def _agree(self, one: ConstrainedFit, other: ConstrainedFit) -> bool:
         """Whether the slopes of the misfit lead from one place to the other (trapezoid rule)."""
         rise = other.chi_squared - one.chi_squared
         led = (one.slope + other.slope) @ (other.held - one.held) / 2
