@@ -128,8 +128,8 @@ def _tick_labels(ticks: Floats, step: float) -> tuple[list[str], str, int]:
         power = math.floor(math.log10(step) + 1e-9)
     elif largest > 0:
         power = 3 * math.floor((math.log10(largest) + 1) / 3)
-    places = max(0, power - math.floor(math.log10(step) + 1e-9))
-    numbers = [f"{(value - start) / 10.0**power + 0.0:.{places}f}" for value in ticks]
+    decimals = max(0, power - math.floor(math.log10(step) + 1e-9))
+    numbers = [f"{(value - start) / 10.0**power + 0.0:.{decimals}f}" for value in ticks]
     minus = "\N{MINUS SIGN}"
     offset = f" {'+' if start < 0 else minus} {abs(start):.12g}" if start else ""
     return [number.replace("-", minus) for number in numbers], offset, power

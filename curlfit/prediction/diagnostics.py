@@ -173,21 +173,21 @@ def compare_held_out(
     for row, name in enumerate(PREDICTED):
         values = getattr(throw, name)[later] + shift[row]
         observed[name] = values
-        seen = np.isfinite(values)
-        if not seen.any():
+        finite = np.isfinite(values)
+        if not finite.any():
             continue
         sigma = discrepancy.noise.get(name, fit.sigma.get(name, 0.0))
         given = throw.sigma.get(name)
         noise = np.full(len(later), sigma) if given is None else given[later]
         noisy = at[:, row] + noise * random.standard_normal(at[:, row].shape)
         low95, low68, high68, high95 = np.quantile(noisy, [0.025, 0.16, 0.84, 0.975], axis=0)
-        off = (values - middle[row])[seen]
-        end = int(np.flatnonzero(seen)[-1])
+        off = (values - middle[row])[finite]
+        end = int(np.flatnonzero(finite)[-1])
         channels[name] = {
-            "rows": float(seen.sum()),
+            "rows": float(finite.sum()),
             "rms": float(np.sqrt(np.mean(off**2))),
-            "inside_68": float(((values >= low68) & (values <= high68))[seen].mean()),
-            "inside_95": float(((values >= low95) & (values <= high95))[seen].mean()),
+            "inside_68": float(((values >= low68) & (values <= high68))[finite].mean()),
+            "inside_95": float(((values >= low95) & (values <= high95))[finite].mean()),
             "end": float(off[-1]),
             "end_sd": float(noisy[:, end].std()),
         }

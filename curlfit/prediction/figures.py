@@ -41,8 +41,8 @@ def prediction_figure(prediction: Prediction) -> Figure:
     _speed(prediction, figure.add_subplot(right[1]))
     if prediction.check is not None:
         panels = rows[2].subgridspec(1, len(prediction.check.channels))
-        for place, name in enumerate(prediction.check.channels):
-            _residuals(prediction, figure.add_subplot(panels[place]), name)
+        for index, name in enumerate(prediction.check.channels):
+            _residuals(prediction, figure.add_subplot(panels[index]), name)
     name = FilePath(prediction.fit["file"]).name
     top.set_title(
         f"{prediction.law} law fitted to {name}, "
@@ -62,9 +62,9 @@ def _whole(prediction: Prediction, axes: Any) -> None:
     )
     for tee in (sheet.LINES["tee"], sheet.TEE):
         _house(axes, (tee, 0.0))
-    for name, place in sheet.LINES.items():
+    for name, y in sheet.LINES.items():
         if name not in ("hack", "centre"):
-            axes.plot([place, place], [-half, half], **_LINE)
+            axes.plot([y, y], [-half, half], **_LINE)
     axes.plot([sheet.END - sheet.STONE_RADIUS] * 2, [-half, half], **_LINE)
     axes.plot([0, length], [0, 0], **_LINE)
     band, series = prediction.band, prediction.series
@@ -72,8 +72,8 @@ def _whole(prediction: Prediction, axes: Any) -> None:
         axes.fill_between(
             band["y"], band[low], band[high], color=_BAND, alpha=alpha, lw=0, zorder=3
         )
-    for seen, color, _ in _measured(prediction):
-        axes.plot(seen["y"], seen["x"], ".", color=color, markersize=3, zorder=3.5)
+    for rows, color, _ in _measured(prediction):
+        axes.plot(rows["y"], rows["x"], ".", color=color, markersize=3, zorder=3.5)
     axes.plot(series["y"], series["x"], color=_PATH, lw=1.2, zorder=4)
     _stone(axes, (series["y"][0], series["x"][0]), hollow=True)
     _stone(axes, (series["y"][-1], series["x"][-1]))
@@ -96,10 +96,10 @@ def _house(axes: Any, centre: tuple[float, float]) -> None:
         )
 
 
-def _stone(axes: Any, place: tuple[float, float], hollow: bool = False) -> None:
+def _stone(axes: Any, position: tuple[float, float], hollow: bool = False) -> None:
     axes.add_patch(
         Circle(
-            place, sheet.STONE_RADIUS, facecolor="none" if hollow else "0.35", edgecolor=_PATH,
+            position, sheet.STONE_RADIUS, facecolor="none" if hollow else "0.35", edgecolor=_PATH,
             lw=0.9, zorder=6,
         )
     )  # fmt: skip
@@ -145,10 +145,10 @@ def _resting(prediction: Prediction, axes: Any) -> None:
     )  # fmt: skip
     _stone(axes, (x, y), hollow=True)
     if prediction.goal is not None:
-        place = prediction.goal["x"] or 0.0, prediction.goal["y"]
-        axes.plot(*place, "+", color=_AIM, markersize=13, mew=2, zorder=7)
-    for seen, color, _ in _measured(prediction):
-        axes.plot(seen["x"], seen["y"] - sheet.TEE, ".", color=color, markersize=3, zorder=3.5)
+        target = prediction.goal["x"] or 0.0, prediction.goal["y"]
+        axes.plot(*target, "+", color=_AIM, markersize=13, mew=2, zorder=7)
+    for rows, color, _ in _measured(prediction):
+        axes.plot(rows["x"], rows["y"] - sheet.TEE, ".", color=color, markersize=3, zorder=3.5)
     end = sheet.TEE_TO_HACK + 0.3
     away = y - reach[1] > end
     sides = half if away else max(half, abs(x) + reach[0])
@@ -203,8 +203,8 @@ def _across(prediction: Prediction, axes: Any) -> None:
         ("x_2.5", "x_97.5", 0.25, "95 %"), ("x_16", "x_84", 0.45, "68 %"),
     ):  # fmt: skip
         axes.fill_between(y, band[low], band[high], color=_BAND, alpha=alpha, lw=0, label=label)
-    for seen, color, label in _measured(prediction):
-        axes.plot(seen["y"] - sheet.TEE, seen["x"], ".", color=color, markersize=3, label=label)
+    for rows, color, label in _measured(prediction):
+        axes.plot(rows["y"] - sheet.TEE, rows["x"], ".", color=color, markersize=3, label=label)
     axes.plot(y, band["x"], color=_PATH, lw=1.2, label="path of the law")
     axes.invert_yaxis()
     axes.set(
@@ -231,17 +231,17 @@ def _residuals(prediction: Prediction, axes: Any, name: str) -> None:
     """Measured minus predicted, with the bands of the path (without measurement noise)."""
     assert prediction.check is not None
     factor, unit = _UNITS[name]
-    series, seen = prediction.series, prediction.check.observed
+    series, measured = prediction.series, prediction.check.observed
     step = series["t"][1] - series["t"][0]
-    shown = (series["t"] >= seen["t"][0] - 1) & (series["t"] <= seen["t"][-1] + step)
+    shown = (series["t"] >= measured["t"][0] - 1) & (series["t"] <= measured["t"][-1] + step)
     for low, high, alpha in (("2.5", "97.5", 0.25), ("16", "84", 0.45)):
         edges = [
             factor * (series[f"{name}_{level}"] - series[name])[shown] for level in (low, high)
         ]
         axes.fill_between(series["t"][shown], *edges, color=_BAND, alpha=alpha, lw=0)
     axes.axhline(0, color="0.6", lw=0.8)
-    off = factor * (seen[name] - np.interp(seen["t"], series["t"], series[name]))
-    axes.plot(seen["t"], off, ".", color=_AIM, markersize=3)
+    off = factor * (measured[name] - np.interp(measured["t"], series["t"], series[name]))
+    axes.plot(measured["t"], off, ".", color=_AIM, markersize=3)
     axes.set(xlabel="t (s)", ylabel=unit)
     axes.set_title(f"${_LETTERS[name]}$ measured - predicted", fontsize=10)
     axes.margins(x=0.02)

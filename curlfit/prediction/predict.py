@@ -239,14 +239,14 @@ def _drawn_values(
 
 def _measured_path(fit: FitResult, throw_start: ThrowStart) -> dict[str, Floats]:
     """The fitted rows on the sheet, where x and y were measured."""
-    seen = fit.observed
-    if "x" not in seen or "y" not in seen:
+    measured = fit.observed
+    if "x" not in measured or "y" not in measured:
         return {}
-    rows = thinned(np.arange(len(seen["t"])))
+    rows = thinned(np.arange(len(measured["t"])))
     return {
-        "t": seen["t"][rows] - seen["t"][0],
-        "x": seen["x"][rows] + throw_start.shift[0],
-        "y": seen["y"][rows] + throw_start.shift[1],
+        "t": measured["t"][rows] - measured["t"][0],
+        "x": measured["x"][rows] + throw_start.shift[0],
+        "y": measured["y"][rows] + throw_start.shift[1],
     }
 
 

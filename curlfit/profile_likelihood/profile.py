@@ -134,9 +134,9 @@ def _profile_pair(
         ends = other.at[0] - offset[1], other.at[-1] - offset[1]
         second = np.tile(np.linspace(*ends, points), (len(first), 1))
     else:
-        seen = np.isfinite(one.delta)
-        way = one.others[other.name][seen]
-        valley = np.interp(first + offset[0], one.at[seen], way) - offset[1]
+        finite = np.isfinite(one.delta)
+        values = one.others[other.name][finite]
+        valley = np.interp(first + offset[0], one.at[finite], values) - offset[1]
         second = _across_valley(fits, first, valley, across, bounds, points)
     second = np.clip(second, *bounds)
     grid = np.stack([np.broadcast_to(first[:, None], second.shape), second], -1)
@@ -187,12 +187,12 @@ def _columns(one: Profile, other: str, edges: Sequence[float], points: int) -> F
     if one.verdict == "limited":
         return np.unique([*np.linspace(one.at[0], one.at[-1], points), one.best])
     free = (one.at >= one.free[0]) & (one.at <= one.free[1])
-    at, way = one.at[free], one.others[other][free]
-    order = np.argsort(way)
+    at, values = one.at[free], one.others[other][free]
+    order = np.argsort(values)
     cut = [
-        float(np.interp(edge, way[order], at[order]))
+        float(np.interp(edge, values[order], at[order]))
         for edge in edges
-        if way.min() < edge < way.max()
+        if values.min() < edge < values.max()
     ]
     return np.unique([*np.linspace(*one.free, points), one.best, *cut, *one.at[~free]])
 

@@ -122,8 +122,8 @@ def _heading(profile: Profile | PairProfile) -> RenderableType:
         f"{one.data['rows']} rows, t = {one.data['from']:g} .. {one.data['to']:g} s; chi squared "
         f"of the best fit {one.chi_squared:.4g}, of {one.n_observations} values\n"
     )
-    places = one.at.size if isinstance(profile, Profile) else int(profile.delta.size)
-    text.append(f"All other parameters fitted again at {places} values")
+    points = one.at.size if isinstance(profile, Profile) else int(profile.delta.size)
+    text.append(f"All other parameters fitted again at {points} values")
     if isinstance(profile, Profile):
         text.append(f", {_span(one, one.at[0], one.at[-1])}")
     return text
@@ -228,8 +228,8 @@ def _notes(each: list[Profile]) -> list[str]:
     found = []
     if any(one.estimate.verdict == "at bound" for one in each):
         found.append(
-            "at a bound the thresholds of chi squared are too high, and the limits have more than the "
-            "stated confidence"
+            "at a bound the thresholds of chi squared are too high, and the limits have more than "
+            "the stated confidence"
         )
     if each[0].loss != "linear":
         found.append(

@@ -176,7 +176,7 @@ def _refinement(line: Floats, delta: Floats, best: float, levels: tuple[Level, .
     for index, (a, b) in enumerate(pairwise(line)):
         low, high = sorted(root[index : index + 2])
         # including those of regions of two parameters
-        thresholds = [threshold for item in levels for threshold in (item.delta_chi2, item.delta_chi2_pair)]
+        thresholds = [value for item in levels for value in (item.delta_chi2, item.delta_chi2_pair)]
         passed = any(low**2 < threshold <= high**2 for threshold in thresholds)
         if passed and high - low > _STEEP and b - a > 1e-9 * max(abs(a), abs(b), abs(b - best)):
             more += list(np.linspace(a, b, _SECTION + 1)[1:-1])
@@ -207,8 +207,8 @@ def interval_at(
     free: tuple[float, float], bounds: tuple[float, float],
 ) -> Interval:  # fmt: skip
     """Interval between the crossings of a threshold on either side of the best value."""
-    seen = np.isfinite(delta)
-    line, delta = line[seen], delta[seen]
+    finite = np.isfinite(delta)
+    line, delta = line[finite], delta[finite]
     root = np.sign(line - best) * np.sqrt(np.maximum(delta, 0.0))
     # nearly linear except at bounds, where it must not overshoot
     curve = PchipInterpolator(line, root)
@@ -284,9 +284,9 @@ def _marginal(
     some = counts > 0
     height = -2 * np.log(counts[some] / counts.max())
     ess = len(samples) if fit.posterior is None else fit.posterior.ess.get(name, len(samples))
-    seen = np.isfinite(delta)
+    finite = np.isfinite(delta)
     shift = np.average(
-        np.interp(centre[some], at[seen], delta[seen]) - height, weights=counts[some]
+        np.interp(centre[some], at[finite], delta[finite]) - height, weights=counts[some]
     )
     error = 2 / np.sqrt(counts[some] * min(ess / len(samples), 1.0))
     return {"at": centre[some], "height": height + shift, "error": error}

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 def throw_figure(throw: Throw) -> Figure:
     """Measured channels over time, a panel for each."""
-    seen = throw.seen
-    figure = Picture(figsize=(8, 1.8 * len(seen) + 0.6), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(len(seen), 1, sharex=True))
-    for axes, name in zip(panels, seen, strict=True):
+    channels = throw.seen
+    figure = Picture(figsize=(8, 1.8 * len(channels) + 0.6), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(len(channels), 1, sharex=True))
+    for axes, name in zip(panels, channels, strict=True):
         axes.plot(throw.t, getattr(throw, name), ".", color=CHANNEL_COLOR[name], markersize=3)
         axes.set_ylabel(f"${CHANNEL_LABEL[name]}$ ({UNITS[name]})")
         axes.grid(alpha=0.3)

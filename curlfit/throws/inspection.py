@@ -123,11 +123,11 @@ def _jumps(t: Floats, values: Floats, noise: float) -> int:
 
 
 def _rest(throw: Throw) -> Rest:
-    seen = np.isfinite(throw.x) & np.isfinite(throw.y)
-    if seen.sum() < _MIN_POSITIONS:
+    finite = np.isfinite(throw.x) & np.isfinite(throw.y)
+    if finite.sum() < _MIN_POSITIONS:
         known = throw.speed[np.isfinite(throw.speed)]
         return Rest(speed=float(known[-1]), measured=True) if len(known) else Rest()
-    t, positions = throw.t[seen], np.stack([throw.x[seen], throw.y[seen]])
+    t, positions = throw.t[finite], np.stack([throw.x[finite], throw.y[finite]])
     first = _first_row_at_rest(t, positions)
     if first is None:
         speed, error = _final_speed(t, positions)

@@ -65,8 +65,8 @@ def _columns(parsed: ParsedFile) -> PlainTable:
         right = name in ("factor", "rows", "gaps")
         table.add_column(name, justify="right" if right else "left", no_wrap=True)
     for header, column, values in parsed.series:
-        seen = values[np.isfinite(values)] / column.factor
-        span = f"{seen.min():.6g} .. {seen.max():.6g}" if len(seen) else "-"
+        finite = values[np.isfinite(values)] / column.factor
+        span = f"{finite.min():.6g} .. {finite.max():.6g}" if len(finite) else "-"
         cells = (
             header, column.quantity, column.unit, f"{column.factor:.6g}", str(len(values)),
             str(int((~np.isfinite(values)).sum())), span,
@@ -126,8 +126,8 @@ def _rest(rest: Rest) -> str:
 
 def braille(t: Floats, values: Floats, width: int = 60, height: int = 4) -> list[str]:
     """A curve over time in Braille dots, `height` lines of `width` signs."""
-    seen = np.isfinite(values)
-    t, values = t[seen], values[seen]
+    finite = np.isfinite(values)
+    t, values = t[finite], values[finite]
     if 8 <= len(t) < 8 * width:  # a line, with gaps where rows are missing
         dense = np.linspace(t[0], t[-1], 8 * width)
         pause = np.append(np.diff(t), 0.0)[np.searchsorted(t, dense, "right") - 1]

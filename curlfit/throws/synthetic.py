@@ -157,9 +157,9 @@ def write_table(throw: Throw) -> str:
             lines.append(f"# reference.note = {_toml(throw.reference.note)}")
     lines.append("t,x,y,phi")
     for row in zip(throw.t, throw.x, throw.y, throw.phi, strict=True):
-        time, *place = row
+        time, *position = row
         lines.append(
-            ",".join([f"{time:.9g}", *("" if math.isnan(v) else f"{v:.9f}" for v in place)])
+            ",".join([f"{time:.9g}", *("" if math.isnan(v) else f"{v:.9f}" for v in position)])
         )
     return "\n".join(lines).replace("-0.000000000", "0.000000000") + "\n"
 

@@ -250,15 +250,15 @@ class Throw:
         )
 
         def mean(values: Floats) -> Floats:
-            seen = np.isfinite(values)
-            count = np.add.reduceat(seen.astype(float), starts)
-            total = np.add.reduceat(np.where(seen, values, 0.0), starts)
+            finite = np.isfinite(values)
+            count = np.add.reduceat(finite.astype(float), starts)
+            total = np.add.reduceat(np.where(finite, values, 0.0), starts)
             return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
         sigma = {}
         for name, values in self.sigma.items():
-            seen = np.add.reduceat(np.isfinite(getattr(self, name)).astype(float), starts)
-            sigma[name] = np.sqrt(mean(values**2) / np.maximum(seen, 1))
+            finite = np.add.reduceat(np.isfinite(getattr(self, name)).astype(float), starts)
+            sigma[name] = np.sqrt(mean(values**2) / np.maximum(finite, 1))
         step = float(np.median(np.diff(self.t)))
         note = (
             f"{n} rows condensed to {len(starts)}: means over {block} rows "
@@ -351,12 +351,12 @@ def _median(values: Floats) -> Any:
 
 def last_motion(t: Floats, x: Floats, y: Floats) -> float:
     """Time of the last row in motion; the last time where that is unknown."""
-    both = np.isfinite(x) & np.isfinite(y)
-    if both.sum() <= 8:
+    complete = np.isfinite(x) & np.isfinite(y)
+    if complete.sum() <= 8:
         return float(t[-1])
-    places, t = np.stack([x, y])[:, both], t[both]
+    positions, t = np.stack([x, y])[:, complete], t[complete]
     tail = slice(-max(3, len(t) // 50), None)
-    left = np.hypot(*(places - _median(places[:, tail])[:, None]))
-    near = max(_REST_DISTANCE, 5 * math.hypot(*scatter(places)))
-    moving = np.flatnonzero(left > near)
+    distance = np.hypot(*(positions - _median(positions[:, tail])[:, None]))
+    near = max(_REST_DISTANCE, 5 * math.hypot(*scatter(positions)))
+    moving = np.flatnonzero(distance > near)
     return float(t[moving[-1]]) if len(moving) else float(t[-1])

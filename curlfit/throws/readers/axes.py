@@ -135,17 +135,17 @@ def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> tuple[Floats,
 
     Parameters
     ----------
-    t : times in s, increasing. phi : angle in rad, NaN where not seen.
-    omega : spin in rad/s with the same sign convention, NaN where not seen.
+    t : times in s, increasing. phi : angle in rad, NaN where not measured.
+    omega : spin in rad/s with the same sign convention, NaN where not measured.
 
     Raises
     ------
     AmbiguousTurnError : the stone turns too fast for the rows.
     """
-    seen = np.flatnonzero(np.isfinite(phi) & np.isfinite(t))
-    if len(seen) < 3:
+    finite = np.flatnonzero(np.isfinite(phi) & np.isfinite(t))
+    if len(finite) < 3:
         return phi, 0, _TURN
-    time, angle = t[seen], phi[seen]
+    time, angle = t[finite], phi[finite]
     step, dt = np.diff(angle), np.diff(time)
     if (dt <= 0).any():
         return phi, 0, _TURN
@@ -157,14 +157,14 @@ def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> tuple[Floats,
             expected = None  # of another sign or clock
     if expected is None:
         if wrapped:
-            true = _unwrap_by_rate(time, step, dt, period, seen)
+            true = _unwrap_by_rate(time, step, dt, period, finite)
         else:
             period, true = _TURN, _remove_jumps(step, dt)
     jumps = int((np.abs(true - step) > period / 2).sum())
     if not jumps:
         return phi, 0, period
     result = phi.copy()
-    result[seen] = angle[0] + np.concatenate([[0.0], np.cumsum(true)])
+    result[finite] = angle[0] + np.concatenate([[0.0], np.cumsum(true)])
     return result, jumps, period
 
 
@@ -175,21 +175,21 @@ def jump_in_degrees(angle: Floats) -> tuple[int, int] | None:
     """
     if not np.fmax.reduce(angle) - np.fmin.reduce(angle) > 90:
         return None
-    seen = np.flatnonzero(np.isfinite(angle))
-    degrees = np.radians(angle[seen])
+    finite = np.flatnonzero(np.isfinite(angle))
+    degrees = np.radians(angle[finite])
     step = np.diff(degrees)
     period, reduced = _period(degrees, step)
     if not reduced:
         return None
-    row = int(seen[np.argmax(np.abs(step) > 0.5 * period) + 1])
+    row = int(finite[np.argmax(np.abs(step) > 0.5 * period) + 1])
     return row, round(math.degrees(period))
 
 
 def turning_rate(t: Floats, phi: Floats) -> float:
     """Largest turning rate in rad/s over a tenth of the rows, which averages the noise."""
-    seen = np.isfinite(phi)
-    if not seen.all():
-        t, phi = t[seen], phi[seen]
+    finite = np.isfinite(phi)
+    if not finite.all():
+        t, phi = t[finite], phi[finite]
     some = slice(None, None, max(1, len(t) // 10))
     turned, dt = phi[some], t[some]
     return float(np.abs((turned[1:] - turned[:-1]) / (dt[1:] - dt[:-1])).max(initial=0.0))
@@ -230,13 +230,13 @@ def _integrated_spin(t: Floats, omega: Floats | None, time: Floats) -> Floats | 
 
 
 def _unwrap_by_rate(
-    time: Floats, step: Floats, dt: Floats, period: float, seen: np.ndarray
+    time: Floats, step: Floats, dt: Floats, period: float, finite: np.ndarray
 ) -> Floats:
     near = step - period * np.round(step / period)
     usual = dt <= 1.5 * np.median(dt)
     fast = usual & (np.abs(near) > 0.4 * period)
     if fast.any():
-        raise AmbiguousTurnError(int(seen[np.argmax(fast) + 1]))
+        raise AmbiguousTurnError(int(finite[np.argmax(fast) + 1]))
     if usual.all():
         return near
     width = min(9, int(usual.sum()))
@@ -247,7 +247,7 @@ def _unwrap_by_rate(
     expected = np.interp(middle, middle[usual], (rates / weight)[inner]) * dt
     far = ~usual & (np.abs(expected) * 0.25 > 0.4 * period)
     if far.any():
-        raise AmbiguousTurnError(int(seen[np.argmax(far) + 1]))
+        raise AmbiguousTurnError(int(finite[np.argmax(far) + 1]))
     bridged = step - period * np.round((step - expected) / period)
     return np.where(usual, near, bridged)
 

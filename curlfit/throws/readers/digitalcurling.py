@@ -63,19 +63,19 @@ def read_digitalcurling(
 
 
 def read_shot(
-    path: Path, lines: list[str], taken: Shot, *, stone_index: int | None = None
+    path: Path, lines: list[str], chosen: Shot, *, stone_index: int | None = None
 ) -> ParsedFile:
     """The path of one stone of a shot of this file, as `read_digitalcurling` reads it."""
     comments = [(k, line) for k, line in enumerate(lines[:200], 1) if line.lstrip()[:1] == "#"]
     settings, reference, notes = defaults_of(path, comments)
-    period, places, names = _paths(path, taken)
+    period, positions, names = _paths(path, chosen)
 
-    xy = places[:, :, :2]
+    xy = positions[:, :, :2]
     far = np.hypot(*(np.fmax.reduce(xy, axis=1) - np.fmin.reduce(xy, axis=1)).T)
     moved = np.flatnonzero(far > _MOVED)
     if not len(moved):
-        raise DataError(f"no stone moves in {taken.name}", file=path, line=taken.line)
-    began = {int(k): _first_change(places[k]) for k in moved}
+        raise DataError(f"no stone moves in {chosen.name}", file=path, line=chosen.line)
+    began = {int(k): _first_change(positions[k]) for k in moved}
     first = min(began.values())
     thrown = max((k for k in began if began[k] == first), key=lambda k: far[k])
     stone = choose("stone", "--stone-index", stone_index, names, thrown)
@@ -84,12 +84,12 @@ def read_shot(
         raise DataError(
             f"stone {stone + 1} ({names[stone]}) does not move; those that do are {movers}",
             file=path,
-            line=taken.line,
+            line=chosen.line,
         )
     # A free throw: from its first motion until another stone moves.
-    seen = np.isfinite(places[stone, :, 0])
+    seen = np.isfinite(positions[stone, :, 0])
     others = [row for k, row in began.items() if k != stone and row > began[stone]]
-    time = period * np.arange(places.shape[1])
+    time = period * np.arange(positions.shape[1])
     from_row = max(began[stone] - 1, 0)
     keep = seen & (np.arange(len(time)) >= from_row)
     if others:
@@ -99,18 +99,18 @@ def read_shot(
         )
     notes.insert(
         0,
-        f"{taken.name}: stone {stone + 1} of {len(names)} ({names[stone]}"
+        f"{chosen.name}: stone {stone + 1} of {len(names)} ({names[stone]}"
         + (", the one thrown)" if stone == thrown else ")")
         + f", {int(keep.sum())} frames of {period:g} s",
     )
     notes.append("a simulated throw: positions are exact to the 32 bits of the log")
     parsed = ParsedFile(path, "digitalcurling", [], [], settings, reference, notes=notes)
-    parsed.lines = np.full(int(keep.sum()), taken.line, np.int64)
+    parsed.lines = np.full(int(keep.sum()), chosen.line, np.int64)
     for header, column, values in (
         ("seconds_per_frame", Column("t", "s", 1.0), time),
-        ("position.x", Column("x", "m", 1.0), places[stone, :, 0]),
-        ("position.y", Column("y", "m", 1.0), places[stone, :, 1]),
-        ("angle", Column("phi", "rad", 1.0), places[stone, :, 2]),
+        ("position.x", Column("x", "m", 1.0), positions[stone, :, 0]),
+        ("position.y", Column("y", "m", 1.0), positions[stone, :, 1]),
+        ("angle", Column("phi", "rad", 1.0), positions[stone, :, 2]),
     ):
         parsed.series.append(in_si(parsed, header, column, np.asarray(values[keep])))
     return parsed
@@ -195,8 +195,8 @@ def _paths(path: Path, shot: Shot) -> tuple[float, Floats, list[str]]:
     now = np.full((len(slots), 3), math.nan)
     for (team, k), row in index.items():
         now[row] = _stone(start[team][k], refuse)
-    places = np.empty((len(slots), len(frames) + 1, 3))
-    places[:, 0] = now
+    positions = np.empty((len(slots), len(frames) + 1, 3))
+    positions[:, 0] = now
     for count, changes in enumerate(frames, 1):
         if not isinstance(changes, list):
             raise refuse(f"frame {count}: expected a list of changes")
@@ -204,15 +204,15 @@ def _paths(path: Path, shot: Shot) -> tuple[float, Floats, list[str]]:
             if not isinstance(change, dict):
                 raise refuse(f"frame {count}: a change needs team, index and value")
             side: Any = change.get("team")
-            place: Any = change.get("index")
+            number: Any = change.get("index")
             if isinstance(side, int) and not isinstance(side, bool):
                 side = f"team{side}"
-            slot = (side, place) if isinstance(side, str) and isinstance(place, int) else None
+            slot = (side, number) if isinstance(side, str) and isinstance(number, int) else None
             if slot not in index:
-                raise refuse(f"frame {count}: no stone {place!r:.20} of team {side!r:.20}")
+                raise refuse(f"frame {count}: no stone {number!r:.20} of team {side!r:.20}")
             now[index[slot]] = _stone(change.get("value"), refuse)
-        places[:, count] = now
-    return float(period), places, [f"{team} stone {k + 1}" for team, k in slots]
+        positions[:, count] = now
+    return float(period), positions, [f"{team} stone {k + 1}" for team, k in slots]
 
 
 def _stone(value: Any, refuse: Any) -> list[float]:

@@ -73,21 +73,21 @@ def load_homography(file: Path) -> Homography:
     names = header_cells(lines[first], separator)
     if all(is_number(cell) for cell in cells(lines[first], separator)):
         raise DataError(f"the table begins with numbers; {_EXPECTED}", file=file, line=first + 1)
-    places: dict[str, int] = {}
+    columns: dict[str, int] = {}
     factors: dict[str, float] = {}
-    for place, name in enumerate(names):
+    for index, name in enumerate(names):
         column = parse_header(name)
         quantity = "v" if name.strip().lower() == "v" else column and column.quantity
-        if quantity in ("u", "v", "x", "y") and quantity not in places:
-            places[quantity] = place
+        if quantity in ("u", "v", "x", "y") and quantity not in columns:
+            columns[quantity] = index
             factors[quantity] = column.factor if column and quantity in "xy" else 1.0
-    missing = [name for name in ("u", "v", "x", "y") if name not in places]
+    missing = [name for name in ("u", "v", "x", "y") if name not in columns]
     if missing:
         raise DataError(
             f"no column for {' and '.join(missing)}; {_EXPECTED}", file=file, line=first + 1
         )
-    numbers, found = read_rows(file, lines, first + 1, names, list(places.values()), separator)
-    values = {name: found[k] * factors[name] for k, name in enumerate(places)}
+    numbers, found = read_rows(file, lines, first + 1, names, list(columns.values()), separator)
+    values = {name: found[k] * factors[name] for k, name in enumerate(columns)}
     stacked = np.stack([values[name] for name in ("u", "v", "x", "y")])
     bad = ~np.isfinite(stacked).all(axis=0) | (np.abs(np.nan_to_num(stacked)) > 1e7).any(axis=0)
     if bad.any():

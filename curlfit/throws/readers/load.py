@@ -250,21 +250,21 @@ def from_table(
     ------
     DataError, InputError : not a table, a column that is missing or not numeric.
     """
-    wanted = parse_units(units)
+    column_units = parse_units(units)
     values, stated, notes = _variables(table, name)
     names = list(values)
-    columns, ignored = columns_of(name, names, wanted, pixels=reference is not None)
+    columns, ignored = columns_of(name, names, column_units, pixels=reference is not None)
     parsed = ParsedFile(name, "table", [], ignored, notes=notes)
-    lengths = {len(values[names[place]]) for place in columns}
+    lengths = {len(values[names[index]]) for index in columns}
     if len(lengths) > 1:
         raise DataError(
             f"columns of different lengths ({', '.join(map(str, sorted(lengths)))})", file=name
         )
     if lengths == {0}:
         raise DataError("no rows", file=name)
-    for place, column in columns.items():
-        header = names[place]
-        if header in stated and column.quantity.removeprefix("sigma_") not in wanted:
+    for index, column in columns.items():
+        header = names[index]
+        if header in stated and column.quantity.removeprefix("sigma_") not in column_units:
             column = _stated(name, header, column, stated[header])
         numbers = _numbers(values[header], column, name, header)
         parsed.series.append(in_si(parsed, header, column, numbers))

@@ -66,8 +66,8 @@ def read_table(
         raise DataError("a header but no rows of numbers", file=path, line=header + 1)
     parsed = ParsedFile(path, "table", [], ignored, settings, reference, notes=notes, lines=numbers)
     parsed.series = [
-        in_si(parsed, names[place], column, values[slot])
-        for slot, (place, column) in enumerate(columns.items())
+        in_si(parsed, names[index], column, values[row])
+        for row, (index, column) in enumerate(columns.items())
     ]
     return parsed
 

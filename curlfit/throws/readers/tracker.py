@@ -65,38 +65,38 @@ def read_tracker(
     settings, reference, notes = defaults_of(path, comments)
     header, separator, names, blocks = _layout(path, lines, first)
     titled = any(title for title, _ in blocks)
-    called = [title or f"object {k}" for k, (title, _) in enumerate(blocks, 1)]
-    wanted = choose("object", "--stone-index", stone_index, called, 0)
-    _, places = blocks[wanted]
+    labels = [title or f"object {k}" for k, (title, _) in enumerate(blocks, 1)]
+    selected = choose("object", "--stone-index", stone_index, labels, 0)
+    _, indices = blocks[selected]
     if len(blocks) > 1:
-        listed = ", ".join(f"{k} {name}" for k, name in enumerate(called, 1))
+        listed = ", ".join(f"{k} {name}" for k, name in enumerate(labels, 1))
         notes.append(
-            f"{len(blocks)} objects: {listed}; taken: {wanted + 1} {called[wanted]} "
+            f"{len(blocks)} objects: {listed}; taken: {selected + 1} {labels[selected]} "
             "(--stone-index selects another)"
         )
     elif titled:
-        notes.append(f"object: {called[0]}")
-    own = [names[place] for place in places]
-    if "t" not in _quantities(own):  # one column of times for all
+        notes.append(f"object: {labels[0]}")
+    headers = [names[index] for index in indices]
+    if "t" not in _quantities(headers):  # one column of times for all
         shared = next((p for p in range(len(names)) if _quantities([names[p]]) == ["t"]), None)
         if shared is not None:
-            places, own = [shared, *places], [names[shared], *own]
-    has_angle = "phi" in _quantities(own)
-    readable = own if has_angle else [_POLAR.sub("θ", name) for name in own]
+            indices, headers = [shared, *indices], [names[shared], *headers]
+    has_angle = "phi" in _quantities(headers)
+    readable = headers if has_angle else [_POLAR.sub("θ", name) for name in headers]
     columns, ignored = columns_of(path, readable, units, line=header + 1, pixels=pixels)
     numbers, values = read_rows(
-        path, lines, header + 1, names, [places[k] for k in columns], separator
+        path, lines, header + 1, names, [indices[k] for k in columns], separator
     )
     if not len(numbers):
         raise DataError("a header but no rows of numbers", file=path, line=header + 1)
     parsed = ParsedFile(path, "tracker", [], ignored, settings, reference, notes, numbers)
     series = [
-        in_si(parsed, own[k], column, values[slot])
+        in_si(parsed, headers[k], column, values[slot])
         for slot, (k, column) in enumerate(_in_units_of_the_file(columns).items())
     ]
     blank = ~np.any([np.isfinite(s.values) for s in series if s.column.quantity != "t"], axis=0)
     if blank.any() and not blank.all():  # frames in which this object was not marked
-        notes.append(f"{int(blank.sum())} rows without {called[wanted]} left out")
+        notes.append(f"{int(blank.sum())} rows without {labels[selected]} left out")
         series = [s._replace(values=s.values[~blank]) for s in series]
         parsed.lines = numbers[~blank]
     parsed.series = series
@@ -229,9 +229,9 @@ class _Rounded(NamedTuple):
 
     def unwrapped(self) -> _Rounded:
         """The unwrapped angle."""
-        seen = np.isfinite(self.values)
+        finite = np.isfinite(self.values)
         values = self.values.copy()
-        values[seen] = np.unwrap(values[seen])
+        values[finite] = np.unwrap(values[finite])
         return _Rounded(values, self.half)
 
 
@@ -252,11 +252,11 @@ def _rate(time: Series, of: _Rounded) -> _Rounded:
 def _proportional(series: Series, computed: _Rounded) -> bool:
     """Whether a column agrees with what was computed, in some unit."""
     values, size = series.values, np.abs(computed.values)
-    seen = np.isfinite(values) & np.isfinite(size)
-    if not seen.any():
+    finite = np.isfinite(values) & np.isfinite(size)
+    if not finite.any():
         return False
-    scale = float(np.quantile(size[seen], 0.95))
-    large = seen & (size > 0.3 * scale)
+    scale = float(np.quantile(size[finite], 0.95))
+    large = finite & (size > 0.3 * scale)
     unit = float(np.median(values[large] / computed.values[large])) if large.any() else 0.0
     if unit <= 0:
         return False
@@ -271,10 +271,10 @@ def _is_direction(series: Series, direction: _Rounded) -> bool:
     for unit in units:
         off = unit * series.values - direction.values
         limit = 1e-3 + direction.half + unit * half
-        seen = np.isfinite(off) & np.isfinite(limit)
-        if not seen.any():
+        finite = np.isfinite(off) & np.isfinite(limit)
+        if not finite.any():
             continue
-        best = np.argmin(np.where(seen, limit, np.inf))
+        best = np.argmin(np.where(finite, limit, np.inf))
         off = np.remainder(off - off[best] + np.pi, 2 * np.pi) - np.pi
         if _small(off, limit + limit[best]):
             return True
@@ -282,8 +282,8 @@ def _is_direction(series: Series, direction: _Rounded) -> bool:
 
 
 def _small(off: Floats, limit: Floats) -> bool:
-    seen = np.isfinite(off) & np.isfinite(limit)
-    return bool(seen.sum() > 2 and np.mean(np.abs(off[seen]) < limit[seen]) > 0.9)
+    finite = np.isfinite(off) & np.isfinite(limit)
+    return bool(finite.sum() > 2 and np.mean(np.abs(off[finite]) < limit[finite]) > 0.9)
 
 
 def _rounding(series: Series) -> Floats:
