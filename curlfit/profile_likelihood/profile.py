@@ -91,8 +91,7 @@ def profile(
     refit = Refit(fit, progress)
     for _ in range(3):
         found = [
-            profile_one(refit, name, count, (ranges or {}).get(name), chain)
-            for name in selected
+            profile_one(refit, name, count, (ranges or {}).get(name), chain) for name in selected
         ]
         pair = (
             None

@@ -232,9 +232,7 @@ def _notes(each: list[Profile]) -> list[str]:
             "the stated confidence"
         )
     if each[0].loss != "linear":
-        found.append(
-            f"chi squared means minus twice the log-likelihood of the {each[0].loss} loss"
-        )
+        found.append(f"chi squared means minus twice the log-likelihood of the {each[0].loss} loss")
     return found
 
 

@@ -254,8 +254,10 @@ def _warnings(
         )
     unconverged = sum(item is not None and not item.finished for item in found)
     if unconverged:
-        warnings.append(f"{unconverged} of {len(found)} fits did not converge; chi squared there is at "
-                    "most the value shown")  # fmt: skip
+        warnings.append(
+            f"{unconverged} of {len(found)} fits did not converge; chi squared there is at most "
+            "the value shown"
+        )
     failed = sum(item is None for item in found)
     if failed:
         warnings.append(f"at {failed} of {len(found)} values the law admits no motion")
