@@ -20,7 +20,7 @@ import curlfit
 from curlfit import InputError, UnusableFitError, sheet
 from curlfit.cli import app
 from curlfit.prediction.discrepancy import discrepancy_posterior, estimate_discrepancy
-from curlfit.prediction.ensemble import followed
+from curlfit.prediction.ensemble import simulate_ensemble
 from curlfit.prediction.figures import prediction_figure
 from curlfit.prediction.request import GUARD, TAKEOUT
 from curlfit.prediction.result import COMPONENTS
@@ -368,17 +368,17 @@ def game_fit():
 def path_of(fit, values=None):
     t = np.linspace(0, 1.1 * np.ptp(fit.observed["t"]), 331)
     values = fit.values[None] if values is None else values
-    return followed(fit.law_class, fit.load, values, fit.stone, t)
+    return simulate_ensemble(fit.law_class, fit.load, values, fit.stone, t)
 
 
 def test_a_path_under_further_accelerations_is_that_of_mechanics():
     """Constant friction and constant accelerations beside it, by scipy."""
     still = curlfit.fit(thrown(law="coulomb", omega0=0.0), "coulomb", fix={"omega0": 0.0})
     t = np.linspace(0.0, 60.0, 601)
-    law = followed(still.law_class, "uniform", still.values[None], still.stone, t)
+    law = simulate_ensemble(still.law_class, "uniform", still.values[None], still.stone, t)
     across, along, turning = -0.01, 0.02, 0.005
     one = np.tile(np.array([across, along, turning])[:, None], (1, 1, len(t) - 1))
-    found = law.under(one)
+    found = law.with_accelerations(one)
     names = ("heading", "v0", "x0", "y0", "phi0")
     heading, v0, x0, y0, phi0 = (still.parameters[name].value for name in names)
     slowing = still.coefficients["mu"].value * 9.81
@@ -398,7 +398,7 @@ def test_a_path_under_further_accelerations_is_that_of_mechanics():
         found.state[0, 2, shown], phi0 + turning * t[shown] ** 2 / 2, atol=1e-6
     )
     assert found.rest[0] == pytest.approx(rest, abs=1e-6)
-    nothing = law.under(0.0 * one)
+    nothing = law.with_accelerations(0.0 * one)
     np.testing.assert_allclose(nothing.state[:, :3], law.state[:, :3], atol=1e-9)
 
 
@@ -428,9 +428,9 @@ def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(fit):
 def test_the_coefficients_of_a_refit_are_not_changed_by_a_missing_acceleration(fit):
     """They are those of least squares by definition; the start follows the acceleration."""
     found = discrepancy_posterior(fit)
-    missing = found.drawn(4, np.random.default_rng(2))
+    missing = found.draw(4, np.random.default_rng(2))
     missing = missing._replace(acceleration=0.2 * missing.acceleration, change=0.2 * missing.change)
-    paths = missing.on(path_of(fit, fit.values + missing.change))
+    paths = missing.applied_to(path_of(fit, fit.values + missing.change))
     sigma = {name: fit.sigma[name] for name in ("x", "y", "phi")}
     t = fit.observed["t"]
     coefficients = list(fit.coefficients)
@@ -479,7 +479,7 @@ def test_a_missing_force_is_less_than_the_friction(game_fit):
     slipping = np.mean(np.minimum(STONE.R * np.abs(game_fit.fitted["omega"]) / speed, 1))
     moment = friction * STONE.R / STONE.rho**2 * slipping
     expected = {"across": friction, "along": friction, "turning": moment}
-    made = found.drawn(2000, np.random.default_rng(1)).acceleration
+    made = found.draw(2000, np.random.default_rng(1)).acceleration
     for place, way in enumerate(COMPONENTS):
         assert misfit.ceilings[way] == pytest.approx(expected[way], rel=0.01)
         assert misfit.sizes[way] <= misfit.ceilings[way]
