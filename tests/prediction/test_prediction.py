@@ -403,16 +403,16 @@ def test_a_path_under_further_accelerations_is_that_of_mechanics():
 
 
 def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(fit):
-    rows = discrepancy_posterior(fit)._rows
+    model = discrepancy_posterior(fit)._model
     noise, share = np.array([1.2, 0.9, 0.7]), np.ones(3)
     whole = np.concatenate(
-        [part / np.sqrt(square) for part, square in zip(rows.parts, noise, strict=True)]
+        [part / np.sqrt(square) for part, square in zip(model.columns, noise, strict=True)]
     )
-    own, other, data = np.split(whole, [rows.seen, whole.shape[1] - 1], axis=1)
+    own, other, data = np.split(whole, [model.n_parameters, whole.shape[1] - 1], axis=1)
 
     def dense(sizes):
         """Patterson and Thompson's (1971): of what the parameters' columns leave."""
-        prior = np.linalg.inv((rows.basis.T / np.repeat(sizes, 20) ** 2) @ rows.basis)
+        prior = np.linalg.inv((model.basis.T / np.repeat(sizes, 20) ** 2) @ model.basis)
         covariance = np.eye(len(whole)) + other @ prior @ other.T
         inverse = np.linalg.inv(covariance)
         shown = own.T @ inverse @ own
@@ -421,7 +421,7 @@ def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(fit):
         return -(spread + (left.T @ inverse @ left).item()) / 2
 
     places = np.array([[0.01, 0.02, 0.05], [0.3, 0.1, 0.2]])
-    found = rows.likelihood(noise, share, places)
+    found = model.log_likelihood(noise, share, places)
     assert np.diff(found) == pytest.approx(dense(places[1]) - dense(places[0]), rel=1e-6)
 
 
@@ -472,18 +472,18 @@ def test_bands_of_a_law_at_its_bound_are_as_wide_as_its_errors(until):
 
 def test_a_missing_force_is_less_than_the_friction(game_fit):
     found = discrepancy_posterior(game_fit)
-    misfit = found.misfit
+    discrepancy = found.summary
     speed = game_fit.fitted["speed"]
     friction = (speed[0] - speed[-1]) / np.ptp(game_fit.observed["t"])
-    assert misfit.friction == pytest.approx(friction / 9.81, rel=0.01)
+    assert discrepancy.friction == pytest.approx(friction / 9.81, rel=0.01)
     slipping = np.mean(np.minimum(STONE.R * np.abs(game_fit.fitted["omega"]) / speed, 1))
     moment = friction * STONE.R / STONE.rho**2 * slipping
     expected = {"across": friction, "along": friction, "turning": moment}
     made = found.draw(2000, np.random.default_rng(1)).acceleration
     for place, way in enumerate(COMPONENTS):
-        assert misfit.ceilings[way] == pytest.approx(expected[way], rel=0.01)
-        assert misfit.sizes[way] <= misfit.ceilings[way]
-        assert (made[:, place].std(0) < 1.5 * misfit.ceilings[way]).all()
+        assert discrepancy.ceilings[way] == pytest.approx(expected[way], rel=0.01)
+        assert discrepancy.sizes[way] <= discrepancy.ceilings[way]
+        assert (made[:, place].std(0) < 1.5 * discrepancy.ceilings[way]).all()
 
 
 def test_what_cannot_be_seen_has_the_size_of_the_prior():
@@ -739,7 +739,7 @@ def test_the_same_seed_gives_the_same_prediction(fit, carried):
         (["a-fit", "--target", "0,300"], "no throw reaches it"),
         (["a-fit", "--v0", "-1"], "v0 = -1 m/s"),
         (["a-fit", "--check", "b.csv"], "b.csv: no such file"),
-        (["a-fit", "--check", "a.csv", "--v0", "2"], "leave out its start"),
+        (["a-fit", "--check", "a.csv", "--v0", "2"], "leave out the start"),
         (["a-fit", "--from", "moon"], "expected one of hack"),
         (["a-fit", "--out", "a.csv"], "this is a file, expected a folder"),
         (["a.csv"], "this is not JSON"),
