@@ -123,7 +123,7 @@ def fit(
     if resume and saved is None:
         console.print(f"Nothing to resume in {folder}; this is a first run.", soft_wrap=True)
     if saved is None:
-        with _waiting(console, "Fitting (a first run on a machine compiles the model)"):
+        with _status(console, "Fitting (a first run on a machine compiles the model)"):
             result = request.fit()
     else:
         result = saved
@@ -142,7 +142,7 @@ def fit(
         written.append(folder / "fit.png")
     if not no_sample:
         chain_file = folder / "chain.h5"
-        result, chain = _sampled(
+        result, chain = _sample(
             console,
             result,
             seed=seed,
@@ -208,7 +208,7 @@ def _remove_stale(folder: Path, written: list[Path]) -> None:
 
 
 @contextmanager
-def _waiting(console: Console, text: str) -> Iterator[None]:
+def _status(console: Console, text: str) -> Iterator[None]:
     """A status line, on a terminal."""
     if console.is_terminal and not console.quiet:
         with console.status(text):
@@ -217,7 +217,7 @@ def _waiting(console: Console, text: str) -> Iterator[None]:
         yield
 
 
-def _sampled(
+def _sample(
     console: Console, result: FitResult, *, effective: int, **choices: Any
 ) -> tuple[FitResult, Chain]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn

@@ -102,7 +102,7 @@ def null_direction_effects(
 def discrepancy_remarks(discrepancy: Discrepancy) -> tuple[list[str], list[str]]:
     """Warnings and notes on the model discrepancy."""
 
-    def listed(sizes: Mapping[str, float], shown: Collection[str]) -> str:
+    def listing(sizes: Mapping[str, float], shown: Collection[str]) -> str:
         return ", ".join(
             f"{size:.2g} {'rad' if name == 'turning' else 'm'}/s^2 {COMPONENT_LABELS[name]}"
             for name, size in sizes.items()
@@ -116,19 +116,19 @@ def discrepancy_remarks(discrepancy: Discrepancy) -> tuple[list[str], list[str]]
     if not discrepancy.estimated:
         return [
             "too few rows were fitted to estimate the model discrepancy; the bands use its prior "
-            f"alone: {listed(discrepancy.sizes, COMPONENT_LABELS)}"
+            f"alone: {listing(discrepancy.sizes, COMPONENT_LABELS)}"
         ], [f"the size of a missing acceleration is limited: {limit}"]
     found = [name for name, excess in discrepancy.excess.items() if excess > DETECTION]
     rest = [name for name in COMPONENT_LABELS if name not in found]
     warnings = [
         "the law does not describe the fitted rows: the residuals show a missing acceleration of "
-        f"about {listed(discrepancy.sizes, found)}. The bands include it, to the side of the path "
+        f"about {listing(discrepancy.sizes, found)}. The bands include it, to the side of the path "
         "of the law that the residuals indicate; beyond the fitted speeds and spins the error of "
         "the law may be larger"
     ] if found else []  # fmt: skip
     undetected = (
         "the bands include accelerations too small to be detected in the fitted rows, about "
-        f"{listed(discrepancy.sizes, rest)}; "
+        f"{listing(discrepancy.sizes, rest)}; "
     )
     return warnings, [
         (undetected if rest else "the size of a missing acceleration is limited: ") + limit
@@ -165,7 +165,7 @@ def compare_held_out(
             f"{throw.name}: no rows after t = {last:g} s, the last one fitted; fit with a smaller "
             "--until"
         )
-    later = thinned(later)
+    later = thin(later)
     t = throw.t[later] - first
     at, middle = full.positions_at(t), best.positions_at(t)[0]
     shift = (*throw_start.shift, 0.0)
@@ -214,7 +214,7 @@ def _require_same_throw(throw: Throw, fit: FitResult) -> None:
             )
 
 
-def thinned(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def thin(rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """At most `_MOST_CHECKED` of some rows, evenly."""
     indices = np.linspace(0, len(rows) - 1, min(len(rows), _MAX_CHECKED)).astype(int)
     return cast(NDArray[np.int64], rows[np.unique(indices)])

@@ -293,20 +293,20 @@ class _LinearModel:
         """Noise (squared, over that of the fit) of the estimated channels and sizes at the mode."""
         from scipy.optimize import minimize
 
-        def unpacked(logs: Floats) -> tuple[Floats, Floats]:
+        def unpack(logs: Floats) -> tuple[Floats, Floats]:
             squares = np.ones(len(noise))
             squares[estimated] = np.exp(logs[len(COMPONENTS) :])
             return squares, np.exp(logs[None, : len(COMPONENTS)])
 
         def negative_log_posterior(logs: Floats) -> float:
-            squares, sizes = unpacked(logs)
+            squares, sizes = unpack(logs)
             return -float((self.log_likelihood(squares, shares, sizes) + _log_prior(sizes))[0])
 
         bounds = [(math.log(_SIZES[0]), 0.0)] * len(COMPONENTS)
         bounds += [(math.log(square), 14.0) for square in self.min_noise[estimated]]
         start = np.log(np.concatenate([sizes, noise[estimated]]))
         optimum = minimize(negative_log_posterior, start, method="L-BFGS-B", bounds=bounds).x
-        squares, sizes = unpacked(optimum)
+        squares, sizes = unpack(optimum)
         return squares, sizes[0]
 
     def rough_noise(self) -> Floats:

@@ -34,10 +34,10 @@ def prediction_figure(prediction: Prediction) -> Figure:
     rows = figure.add_gridspec(3 if checked else 2, 1, height_ratios=(1, 2.7, 1.4)[: 2 + checked])
     top = figure.add_subplot(rows[0])
     lower = rows[1].subgridspec(1, 2, width_ratios=(1.0, 1.25))
-    _whole(prediction, top)
-    _resting(prediction, figure.add_subplot(lower[0]))
+    _sheet_view(prediction, top)
+    _resting_place(prediction, figure.add_subplot(lower[0]))
     right = lower[1].subgridspec(2, 1)
-    _across(prediction, figure.add_subplot(right[0]))
+    _cross_track(prediction, figure.add_subplot(right[0]))
     _speed(prediction, figure.add_subplot(right[1]))
     if prediction.check is not None:
         panels = rows[2].subgridspec(1, len(prediction.check.channels))
@@ -52,7 +52,7 @@ def prediction_figure(prediction: Prediction) -> Figure:
     return figure
 
 
-def _whole(prediction: Prediction, axes: Any) -> None:
+def _sheet_view(prediction: Prediction, axes: Any) -> None:
     """The sheet from above, throws to the right, so that right of the centre line is below."""
     length, half = sheet.TEE + sheet.LINES["tee"], sheet.WIDTH / 2
     axes.add_patch(
@@ -72,7 +72,7 @@ def _whole(prediction: Prediction, axes: Any) -> None:
         axes.fill_between(
             band["y"], band[low], band[high], color=_BAND, alpha=alpha, lw=0, zorder=3
         )
-    for rows, color, _ in _measured(prediction):
+    for rows, color, _ in _measured_rows(prediction):
         axes.plot(rows["y"], rows["x"], ".", color=color, markersize=3, zorder=3.5)
     axes.plot(series["y"], series["x"], color=_PATH, lw=1.2, zorder=4)
     _stone(axes, (series["y"][0], series["x"][0]), hollow=True)
@@ -105,7 +105,7 @@ def _stone(axes: Any, position: tuple[float, float], hollow: bool = False) -> No
     )  # fmt: skip
 
 
-def _resting(prediction: Prediction, axes: Any) -> None:
+def _resting_place(prediction: Prediction, axes: Any) -> None:
     """The resting place, seen along the throw, in m from the tee."""
     series, half = prediction.series, sheet.WIDTH / 2
     x, y = series["x"][-1], series["y"][-1] - sheet.TEE
@@ -147,7 +147,7 @@ def _resting(prediction: Prediction, axes: Any) -> None:
     if prediction.goal is not None:
         target = prediction.goal["x"] or 0.0, prediction.goal["y"]
         axes.plot(*target, "+", color=_AIM, markersize=13, mew=2, zorder=7)
-    for rows, color, _ in _measured(prediction):
+    for rows, color, _ in _measured_rows(prediction):
         axes.plot(rows["x"], rows["y"] - sheet.TEE, ".", color=color, markersize=3, zorder=3.5)
     end = sheet.TEE_TO_HACK + 0.3
     away = y - reach[1] > end
@@ -186,7 +186,7 @@ def _ellipse(axes: Any, centre: Any, size: Any, covariance: Any, **style: Any) -
     axes.add_patch(Ellipse(centre, long[1], long[0], angle=angle, **style))
 
 
-def _measured(prediction: Prediction) -> list[tuple[Any, str, str]]:
+def _measured_rows(prediction: Prediction) -> list[tuple[Any, str, str]]:
     """Measured positions on the sheet, fitted and not fitted."""
     check = prediction.check
     later = {} if check is None else check.observed
@@ -196,14 +196,14 @@ def _measured(prediction: Prediction) -> list[tuple[Any, str, str]]:
     return [item for item in found if "x" in item[0] and "y" in item[0]]
 
 
-def _across(prediction: Prediction, axes: Any) -> None:
+def _cross_track(prediction: Prediction, axes: Any) -> None:
     band = prediction.band
     y = band["y"] - sheet.TEE
     for low, high, alpha, label in (
         ("x_2.5", "x_97.5", 0.25, "95 %"), ("x_16", "x_84", 0.45, "68 %"),
     ):  # fmt: skip
         axes.fill_between(y, band[low], band[high], color=_BAND, alpha=alpha, lw=0, label=label)
-    for rows, color, label in _measured(prediction):
+    for rows, color, label in _measured_rows(prediction):
         axes.plot(rows["y"] - sheet.TEE, rows["x"], ".", color=color, markersize=3, label=label)
     axes.plot(y, band["x"], color=_PATH, lw=1.2, label="path of the law")
     axes.invert_yaxis()

@@ -34,7 +34,7 @@ from curlfit.prediction.diagnostics import (
     extrapolation,
     null_direction_effects,
     off_the_sheet,
-    thinned,
+    thin,
 )
 from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import VARIED, ThrowFamily, TrajectoryEnsemble
@@ -242,7 +242,7 @@ def _measured_path(fit: FitResult, throw_start: ThrowStart) -> dict[str, Floats]
     measured = fit.observed
     if "x" not in measured or "y" not in measured:
         return {}
-    rows = thinned(np.arange(len(measured["t"])))
+    rows = thin(np.arange(len(measured["t"])))
     return {
         "t": measured["t"][rows] - measured["t"][0],
         "x": measured["x"][rows] + throw_start.shift[0],

@@ -184,7 +184,7 @@ class Profile:
 
     def to_json(self) -> dict[str, Any]:
         """The record as written to `profile.json`."""
-        return {"schema": SCHEMA, "kind": "one"} | _plain(self)
+        return {"schema": SCHEMA, "kind": "one"} | _as_dict(self)
 
     def summary(self) -> dict[str, Any]:
         """The JSON record without the series."""
@@ -196,7 +196,7 @@ class Profile:
         posterior = found["posterior"]
         return cls(
             **known_fields(cls, found)
-            | _common(found)
+            | _common_fields(found)
             | {
                 "at": array(found["at"]),
                 "delta": array(found["delta"]),
@@ -274,7 +274,7 @@ class PairProfile:
     def to_json(self) -> dict[str, Any]:
         """The record as written to `profile.json`."""
         each = [profile.to_json() for profile in self.each]
-        return {"schema": SCHEMA, "kind": "two"} | _plain(self) | {"each": each}
+        return {"schema": SCHEMA, "kind": "two"} | _as_dict(self) | {"each": each}
 
     def summary(self) -> dict[str, Any]:
         """The JSON record without the series."""
@@ -379,7 +379,7 @@ def arrays(found: Mapping[str, Any]) -> dict[str, Floats]:
     return {name: array(values) for name, values in found.items()}
 
 
-def _common(found: dict[str, Any]) -> dict[str, Any]:
+def _common_fields(found: dict[str, Any]) -> dict[str, Any]:
     return {
         "parameters": {
             name: Estimate.from_json(item) for name, item in found["parameters"].items()
@@ -391,19 +391,19 @@ def _common(found: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _plain(record: Any) -> dict[str, Any]:
+def _as_dict(record: Any) -> dict[str, Any]:
     """The fields of a record with arrays as lists."""
     found = {item.name: getattr(record, item.name) for item in fields(record)}
-    return {name: _listed(value) for name, value in found.items()}
+    return {name: _as_list(value) for name, value in found.items()}
 
 
-def _listed(value: Any) -> Any:
+def _as_list(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, dict):
-        return {name: _listed(item) for name, item in value.items()}
+        return {name: _as_list(item) for name, item in value.items()}
     if isinstance(value, tuple):
-        return [_listed(item) for item in value]
+        return [_as_list(item) for item in value]
     return asdict(value) if isinstance(value, Estimate | Combination | Interval) else value
 
 

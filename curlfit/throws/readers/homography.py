@@ -119,7 +119,7 @@ def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -
             raise DataError(
                 f"the points are collinear {what}; take four corners of an area", file=file
             )
-    (a, T), (b, U) = _normalised(pixels), _normalised(metres)
+    (a, T), (b, U) = _normalise(pixels), _normalise(metres)
     rows = []
     for (u, v), (x, y) in zip(a.T, b.T, strict=True):
         rows.append([u, v, 1, 0, 0, 0, -x * u, -x * v, -x])
@@ -139,9 +139,9 @@ def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -
             file=file,
         )
     matrix = matrix * np.sign(depth[0]) / np.abs(matrix).max()
-    made = Homography(matrix, n, 0.0, 0.0)
+    fitted = Homography(matrix, n, 0.0, 0.0)
     back = np.linalg.inv(matrix) @ np.stack([*metres, np.ones(n)])
-    rms_m = _rms(np.stack(made(*pixels)) - metres)
+    rms_m = _rms(np.stack(fitted(*pixels)) - metres)
     rms_px = _rms(back[:2] / back[2] - pixels)
     size = _rms(pixels - pixels.mean(axis=1, keepdims=True))
     if not (np.isfinite(rms_m) and rms_px <= 0.1 * size):
@@ -150,10 +150,10 @@ def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -
             f"({rms_m:.3g} m); two of them may be interchanged",
             file=file,
         )
-    return made._replace(rms_m=rms_m, rms_px=rms_px)
+    return fitted._replace(rms_m=rms_m, rms_px=rms_px)
 
 
-def _normalised(points: Floats) -> tuple[Floats, Floats]:
+def _normalise(points: Floats) -> tuple[Floats, Floats]:
     """Points centred and scaled to rms distance sqrt(2), and the matrix of that map."""
     centre = points.mean(axis=1)
     scale = np.sqrt(2) / max(_rms(points - centre[:, None]), 1e-300)

@@ -265,7 +265,7 @@ def from_table(
     for index, column in columns.items():
         header = names[index]
         if header in stated and column.quantity.removeprefix("sigma_") not in column_units:
-            column = _stated(name, header, column, stated[header])
+            column = _with_stated_unit(name, header, column, stated[header])
         numbers = _numbers(values[header], column, name, header)
         parsed.series.append(in_si(parsed, header, column, numbers))
     return assemble(parsed, axes=axes, reference=None if reference is None else Path(reference))
@@ -312,13 +312,13 @@ def _variables(table: Any, name: str) -> tuple[dict[str, Any], dict[str, str], l
         values |= {str(key): np.asarray(table[key]) for key in keys}
         return values, stated, notes
     if isinstance(table, Mapping):
-        return {str(key): _filled(table[key]) for key in table}, stated, notes
+        return {str(key): _fill_masked(table[key]) for key in table}, stated, notes
     raise InputError(
         f"{type(table).__name__}: expected a DataFrame, a Dataset or a mapping of names to arrays"
     )
 
 
-def _stated(name: str, header: str, column: Column, unit: str) -> Column:
+def _with_stated_unit(name: str, header: str, column: Column, unit: str) -> Column:
     try:
         return with_units(column, {column.quantity.removeprefix("sigma_"): unit})
     except InputError:
@@ -354,7 +354,7 @@ def _blank(value: Any) -> bool:
     return value is None or type(value).__name__ == "NAType"  # of pandas
 
 
-def _filled(values: Any) -> np.ndarray:
+def _fill_masked(values: Any) -> np.ndarray:
     """An array with masked entries as NaN."""
     if isinstance(values, np.ma.MaskedArray):
         return np.ma.filled(values.astype(float), np.nan)

@@ -212,7 +212,7 @@ def _read_cells(
             value = parse_number(cell, decimal_comma=decimal_comma)
             if value is None or not math.isfinite(value):
                 raise DataError(
-                    f"{_quoted(cell)} found, expected a finite number",
+                    f"{_quote(cell)} found, expected a finite number",
                     file=path,
                     line=index + 1,
                     column=names[column],
@@ -221,5 +221,5 @@ def _read_cells(
     return found
 
 
-def _quoted(cell: str) -> str:
+def _quote(cell: str) -> str:
     return repr(cell if len(cell) <= 40 else cell[:37] + "...")
