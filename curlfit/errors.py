@@ -1,4 +1,4 @@
-"""The errors and warnings a user can meet. Each message says what, where, and what was expected."""
+"""Errors and warnings. Each message says what was found, where, and what was expected."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ class CurlfitError(Exception):
     exit_status = 1
 
     def __str__(self) -> str:
-        """One line: what does not print in a name or a cell of the user's is escaped."""
+        """One line; unprintable characters are escaped."""
         text = super().__str__()
         return "".join(
-            sign if sign.isprintable() else sign.encode("unicode_escape").decode() for sign in text
+            char if char.isprintable() else char.encode("unicode_escape").decode() for char in text
         )
 
 
@@ -38,19 +38,19 @@ class DataError(InputError):
         column: str | None = None,
     ) -> None:
         self.file, self.line, self.column = file, line, column
-        place = [] if file is None else [str(file)]
+        location = [] if file is None else [str(file)]
         if line is not None:
-            place.append(f"line {line}")
+            location.append(f"line {line}")
         if column is not None:
-            place.append(f"column {column}")
-        super().__init__(f"{', '.join(place)}: {message}" if place else message)
+            location.append(f"column {column}")
+        super().__init__(f"{', '.join(location)}: {message}" if location else message)
 
 
 class UnusableFitError(CurlfitError):
-    """The data were read, but no usable fit came of them (exit status 1)."""
+    """The data were read, but the fit is not usable (exit status 1)."""
 
 
 @cache
 def warn_once(sentence: str) -> None:
-    """Print a warning on stderr, the first time that it is given."""
+    """Print a warning on stderr, once."""
     print(f"curlfit: Warning: {sentence}", file=sys.stderr)

@@ -1,11 +1,11 @@
-"""Positions of the lines and circles of the sheet.
+"""The sheet of ice: positions of its lines and circles.
 
 Dimensions of The Rules of Curling of World Curling (rule R1), which gives both feet and metres:
 114 ft from tee to tee, 12 ft from tee to hack, 21 ft from tee to hog line, 6 ft from tee to back
 line; circles of 6, 4, 2 and 1/2 ft radius; 146 to 150 ft long, at most 16 ft 5 in wide.
 
-Distances along the sheet are from the hack of the thrower, across it from the centre line, to the
-right.
+Positions along the sheet are measured from the hack that the stone is thrown from, across it from
+the centre line, positive to the right.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ HOG_TO_HOG = TEE_TO_TEE - 2 * TEE_TO_HOG  # 21.945 m
 LENGTH = 45.720
 WIDTH = 5.000
 CIRCLES = (1.829, 1.219, 0.610, 0.152)
-"""Outer radii of the circles of the house in m, from the twelve-foot circle to the button."""
+"""Outer radii of the circles of the house in m, twelve-foot circle to button."""
 HOUSE = CIRCLES[0]
 STONE_RADIUS = 0.145
 """Outer radius of the stone, m; its circumference is at most 36 in (0.914 m)."""
@@ -37,6 +37,6 @@ LINES = {
 }
 """y of the lines, in m from the hack of the thrower."""
 TEE = LINES["far-tee"]
-"""y of the target tee."""
+"""y of the far tee, the target."""
 END = TEE + TEE_TO_BACK + STONE_RADIUS
-"""y beyond which a stone is completely past the back line, and out of play."""
+"""y beyond which a stone lies entirely past the back line and is out of play."""

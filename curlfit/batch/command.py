@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import typer
 
 from curlfit.options import flags as o
-from curlfit.options import reading as r
 from curlfit.options import settings as s
 
 
@@ -51,10 +50,10 @@ def batch(
             help="The stone, as in `curlfit fit`, over what the files say.", metavar="R=V,rho=V"
         ),
     ] = None,
-    format: r.Format = None,
-    axes: r.Axes = None,
-    units: r.Units = None,
-    reference: r.Reference = None,
+    format: o.Format = None,
+    axes: o.Axes = None,
+    units: o.Units = None,
+    reference: o.Reference = None,
     stone_index: Annotated[
         int | None,
         typer.Option(
@@ -62,7 +61,7 @@ def batch(
             "object; the stone thrown]",
             metavar="N",
             min=1,
-            rich_help_panel=r.PANEL,
+            rich_help_panel=o.PANEL,
         ),
     ] = None,
     shot: Annotated[
@@ -71,7 +70,7 @@ def batch(
             help="Only this shot of logs, from 1. [default: every shot]",
             metavar="N",
             min=1,
-            rich_help_panel=r.PANEL,
+            rich_help_panel=o.PANEL,
         ),
     ] = None,
     posterior: Annotated[
@@ -127,7 +126,9 @@ def batch(
         "stone": s.pairs("--stone", stone or ()),
         "how": {
             name: value
-            for name, value in r.how(format, axes, units, reference, stone_index, shot).items()
+            for name, value in o.reader_options(
+                format, axes, units, reference, stone_index, shot
+            ).items()
             if value is not None
         },
         "posterior": posterior,

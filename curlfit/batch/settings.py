@@ -13,7 +13,7 @@ from curlfit.friction import Law, NetLaw, check_load, find_law
 from curlfit.inference.noise.models import check_noise
 from curlfit.inference.parameters import START, ParameterSet, check_loss
 from curlfit.stone import Stone
-from curlfit.throws.readers import check_how
+from curlfit.throws.readers import check_reader_options
 from curlfit.throws.throw import Throw, check_sigma
 
 CHUNK = 128
@@ -56,7 +56,7 @@ class BatchSettings:
         check_load(self.load)
         Stone().with_values(dict(self.stone))
         check_sigma(self.sigma)
-        check_how(**self.how)
+        check_reader_options(**self.how)
         check_noise(self.noise, check_loss(self.loss))
         parameters = ParameterSet.build(
             law, fix=dict(self.fix), bounds=dict(self.bounds), unbounded=self.unbounded

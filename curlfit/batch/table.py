@@ -20,7 +20,7 @@ from typing import Any, Self
 
 from curlfit.batch.settings import BatchSettings
 from curlfit.errors import DataError, InputError
-from curlfit.output.files import strict, write_json
+from curlfit.output.files import json_safe, write_json
 from curlfit.version import __version__
 
 _MAKER = "curlfit batch"
@@ -65,7 +65,7 @@ class Table:
         self.settings = settings_file(file)
         self._place = {name: place for place, name in enumerate(self.columns)}
         head = _lines([self.columns])
-        settings = json.loads(json.dumps(strict(dict(plan))))
+        settings = json.loads(json.dumps(json_safe(dict(plan))))
         done: set[str] = set()
         size = 0
         try:
@@ -126,7 +126,7 @@ class Table:
                 f"{self.file}: nothing tells what its rows were made by, as {self.settings} is "
                 f"missing; {_OTHERWISE}"
             )
-        before = dict(json.loads(json.dumps(strict(BatchSettings().to_json()))), **before)
+        before = dict(json.loads(json.dumps(json_safe(BatchSettings().to_json()))), **before)
         for key in settings:
             if before.get(key) != settings[key]:
                 raise InputError(

@@ -1,4 +1,4 @@
-"""The command line: one file a verb. Parse, call, print; no physics and no numerics."""
+"""The command line: parses arguments, calls the computation, prints its report."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ from typing import Annotated
 import typer
 
 from curlfit.batch.command import batch
-from curlfit.cli.check import check
 from curlfit.cli.fit import fit
 from curlfit.cli.laws import laws
-from curlfit.cli.plot import plot
-from curlfit.cli.show import show
-from curlfit.cli.simulate import simulate
+from curlfit.cli.saved import plot, show
+from curlfit.cli.throws import check, simulate
 from curlfit.comparison.command import compare
 from curlfit.errors import CurlfitError
 from curlfit.optimal_design.command import design
@@ -33,8 +31,8 @@ app = typer.Typer(
 )
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(requested: bool) -> None:
+    if requested:
         typer.echo(f"curlfit {__version__}")
         raise typer.Exit
 
@@ -59,7 +57,7 @@ for _verb in (
 
 
 def main() -> None:
-    """Run the command; errors a user can cause become one sentence and an exit status."""
+    """Run the command; errors of the input become one sentence and an exit status."""
     try:
         try:
             app()
@@ -72,7 +70,7 @@ def main() -> None:
         print("curlfit: stopped", file=sys.stderr)
         sys.exit(130)
     except OSError as error:
-        # What cannot be printed is dropped, so that Python does not try again as it ends.
+        # Unprinted output is dropped, or Python would try to write it again on exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
             sys.exit(1)

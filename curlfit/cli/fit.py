@@ -1,19 +1,17 @@
-"""`curlfit fit`: one throw, one law."""
+"""`curlfit fit`: a law fitted to one throw, or to several jointly."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from curlfit.cli.joint_fit import fit_several
 from curlfit.options import flags as o
-from curlfit.options import reading as r
-from curlfit.options.fit_settings import FitWanted, fit_flags, fit_wanted
+from curlfit.options import settings as s
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,7 +26,7 @@ def fit(
         typer.Argument(
             help="Table with a header: t, x, y and if possible phi (s, m, m, rad; other units as "
             "y_ft, angle_deg ...). Leading lines `# key = value` are its defaults. Several files "
-            "are fitted together.",
+            "are fitted jointly.",
             metavar="DATA...",
             show_default=False,
         ),
@@ -46,30 +44,30 @@ def fit(
     share: Annotated[
         str | None,
         typer.Option(
-            help="With several files: coefficients that the throws have in common. [default: all]",
+            help="With several files: coefficients common to all throws. [default: all]",
             metavar="all|NAME,...",
         ),
     ] = None,
     stone: o.StoneValues = None,
-    format: r.Format = None,
-    axes: r.Axes = None,
-    units: r.Units = None,
-    reference: r.Reference = None,
-    stone_index: r.StoneIndex = None,
-    shot: r.Shot = None,
+    format: o.Format = None,
+    axes: o.Axes = None,
+    units: o.Units = None,
+    reference: o.Reference = None,
+    stone_index: o.StoneIndex = None,
+    shot: o.Shot = None,
     config: o.Config = None,
     no_sample: Annotated[
         bool, typer.Option("--no-sample", help="Least squares only; no posterior.")
     ] = False,
     effective: Annotated[
-        int, typer.Option(help="Effective samples wanted of every parameter.", min=100)
+        int, typer.Option(help="Effective samples required of every parameter.", min=100)
     ] = 4000,
     max_steps: Annotated[
-        int, typer.Option(help="Where to stop sampling if that is not reached.", min=40)
+        int, typer.Option(help="Most sampling steps, if that is not reached.", min=40)
     ] = 2_000,
     seed: Annotated[
         int | None,
-        typer.Option(help="Of the posterior's random numbers. [default: 0]", min=0, max=2**32 - 1),
+        typer.Option(help="Seed of the sampling. [default: 0]", min=0, max=2**32 - 1),
     ] = None,
     out: Annotated[
         Path | None,
@@ -79,47 +77,45 @@ def fit(
         bool,
         typer.Option(
             "--resume",
-            help="Go on where an earlier run in that folder ended, was stopped or was killed: its "
-            "least-squares result is taken over (`--start` then does nothing) and its chain is "
+            help="Continue an earlier run in that folder, finished or interrupted: its "
+            "least-squares result is reused (`--start` then has no effect) and its chain is "
             "continued.",
         ),
     ] = False,
     no_figures: o.NoFigures = False,
     quiet: o.Quiet = False,
 ) -> None:
-    """Fit a friction law to a throw, or to several together, and say what the path determines.
+    """Fit a friction law to a throw, or to several jointly, and show what the path determines.
 
     Writes `fit.json`, `fit.png` and, unless `--no-sample`, `chain.h5` and `corner.png`; for
     several throws `joint.json`, `joint.png` and a folder for each, without sampling.
-    Ctrl-C during sampling keeps what there is; `--resume` goes on with it.
+    Ctrl-C during sampling keeps the chain so far; `--resume` continues it.
 
     Example: `curlfit fit data/jensen_shegelski_2004.csv --stone rho=0.1025`
     """
     from curlfit.errors import InputError
-    from curlfit.output.files import prepared_folder
+    from curlfit.output.files import prepare_folder
 
     if resume and no_sample:
-        raise InputError("--resume goes on with sampling, and --no-sample does without it")
-    flags = fit_flags(
-        r.how(format, axes, units, reference, stone_index, shot),
+        raise InputError("--resume continues sampling, and --no-sample skips it; give one of them")
+    flags = s.fit_flags(
+        o.reader_options(format, axes, units, reference, stone_index, shot),
         law=law, load=load, until=until, stone=stone, sigma=sigma, fix=fix, bound=bound,
         start=start, unbounded=unbounded, loss=loss, noise=noise, seed=seed,
     )  # fmt: skip
     if len(data) > 1:
         if resume:
-            raise InputError("--resume goes on with the sampling of one throw; give one file")
-        fit_several(data, share, config, flags, out, no_figures=no_figures, quiet=quiet)
+            raise InputError("--resume continues the sampling of one throw; give one file")
+        _fit_jointly(data, share, config, flags, out, no_figures=no_figures, quiet=quiet)
         return
     (file,) = data
     if share is not None:
         raise InputError("--share needs several files")
-    asked = fit_wanted(file, config, flags)
-    seed = asked.wanted.get("seed", 0)
+    request = s.request_fit(file, config, flags)
+    seed = request.settings.get("seed", 0)
     folder = out or Path(f"{file.stem}-fit")
-    saved = None
-    if resume:
-        saved = _saved(folder, seed, asked)
-    folder = prepared_folder(folder)
+    saved = _load_saved(folder, seed, request) if resume else None
+    folder = prepare_folder(folder)
 
     from curlfit.output.console import terminal
 
@@ -127,8 +123,8 @@ def fit(
     if resume and saved is None:
         console.print(f"Nothing to resume in {folder}; this is a first run.", soft_wrap=True)
     if saved is None:
-        with waiting(console, "Fitting (a first run on a machine compiles the model)"):
-            result = asked.fit()
+        with _status(console, "Fitting (a first run on a machine compiles the model)"):
+            result = request.fit()
     else:
         result = saved
     written = [folder / "fit.json"]
@@ -136,7 +132,7 @@ def fit(
         result = result.before_sampling()
     result.save(folder / "fit.json")
     if saved is None:
-        for name in ("corner.png", "chain.h5"):  # of another fit
+        for name in ("corner.png", "chain.h5"):  # of an earlier fit
             (folder / name).unlink(missing_ok=True)
     if not no_figures:
         from curlfit.inference.figures import fit_figure
@@ -146,7 +142,7 @@ def fit(
         written.append(folder / "fit.png")
     if not no_sample:
         chain_file = folder / "chain.h5"
-        result, chain = _sampled(
+        result, chain = _sample(
             console,
             result,
             seed=seed,
@@ -171,8 +167,8 @@ def fit(
     _finish(result)
 
 
-def _saved(folder: Path, seed: int, asked: FitWanted) -> FitResult | None:
-    """The fit that lies in the folder, if any; it and its chain must be of what is asked for."""
+def _load_saved(folder: Path, seed: int, request: s.FitRequest) -> FitResult | None:
+    """The saved fit in a folder, if any; it and its chain must be of the same problem."""
     if not (folder / "fit.json").exists():
         return None
     from curlfit.inference.fit.result import load_fit
@@ -186,8 +182,8 @@ def _saved(folder: Path, seed: int, asked: FitWanted) -> FitResult | None:
 
     found = load_fit(folder)
     now = subject_of_fit(
-        asked.cut.condensed(), asked.law, asked.load, asked.stone, asked.parameters, asked.loss,
-        asked.noise,
+        request.cut.condensed(), request.law, request.load, request.stone, request.parameters,
+        request.loss, request.noise,
     )  # fmt: skip
     require_same(subject_of_saved(found), now, folder / "fit.json")
     chain = folder / "chain.h5"
@@ -205,15 +201,15 @@ def _finish(result: FitResult) -> None:
 
 
 def _remove_stale(folder: Path, written: list[Path]) -> None:
-    """Take away what an earlier fit left in the folder and this one did not replace."""
+    """Remove the files of an earlier fit that this one did not replace."""
     for name in ("fit.png", "chain.h5", "corner.png"):
         if folder / name not in written:
             (folder / name).unlink(missing_ok=True)
 
 
 @contextmanager
-def waiting(console: Console, text: str) -> Iterator[None]:
-    """A line that says what is being done, on a terminal."""
+def _status(console: Console, text: str) -> Iterator[None]:
+    """A status line, on a terminal."""
     if console.is_terminal and not console.quiet:
         with console.status(text):
             yield
@@ -221,7 +217,7 @@ def waiting(console: Console, text: str) -> Iterator[None]:
         yield
 
 
-def _sampled(
+def _sample(
     console: Console, result: FitResult, *, effective: int, **choices: Any
 ) -> tuple[FitResult, Chain]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -233,17 +229,122 @@ def _sampled(
         BarColumn(),
         TextColumn("{task.completed:.0f}/{task.total} effective samples"),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[more]}"),
+        TextColumn("{task.fields[state]}"),
         console=console,
         disable=console.quiet or not console.is_terminal,
         transient=True,
     ) as progress:
-        task = progress.add_task("", total=effective, more="compiling")
+        task = progress.add_task("", total=effective, state="compiling")
 
-        def told(least: float, steps: int, r_hat: float) -> None:
+        def show_state(samples: float, steps: int, r_hat: float) -> None:
             progress.update(
-                task, completed=min(least, effective), more=f"{steps} steps, R-hat {r_hat:.3f}"
+                task, completed=min(samples, effective), state=f"{steps} steps, R-hat {r_hat:.3f}"
             )
 
-        report: Callable[[float, int, float], None] = told
-        return sample(result, effective=effective, progress=report, **choices)
+        return sample(result, effective=effective, progress=show_state, **choices)
+
+
+def _fit_jointly(
+    files: Sequence[Path],
+    share: str | None,
+    config: Path | None,
+    flags: Mapping[str, Any],
+    out: Path | None,
+    *,
+    no_figures: bool,
+    quiet: bool,
+) -> None:
+    """Fit several throws jointly and print the report; write `joint.json`, figures, single fits."""
+    from curlfit.errors import InputError
+    from curlfit.friction import check_load, find_law
+    from curlfit.inference.noise.models import check_noise
+    from curlfit.inference.parameters import ParameterSet, check_loss
+    from curlfit.output.files import prepare_folder
+
+    if len({file.stem for file in files}) < len(files):
+        raise InputError("two files have the same name; results are stored by name")
+    jobs = [s.prepare(file, config, flags) for file in files]
+    settings = jobs[0].settings
+    for file, job in zip(files, jobs, strict=True):
+        for key in ("law", "load"):
+            if job.settings.get(key) != settings.get(key):
+                raise InputError(
+                    f"{file}: {key} = {job.settings.get(key)!r} where {files[0]} has "
+                    f"{settings.get(key)!r}; give one with --{key}"
+                )
+    law = find_law(settings.get("law", "front-back"))
+    load = check_load(settings.get("load", "uniform"))
+    loss = check_loss(settings.get("loss", "linear"))
+    noise = check_noise(settings.get("noise", "white"), loss)
+    names = "all" if share in (None, "all") else [name.strip() for name in str(share).split(",")]
+    own = [item.name for item in law.coefficients()]
+    for name in [] if names == "all" else names:
+        if name not in own:
+            raise InputError(
+                f"--share {name}: law {law.name} has no such coefficient; it has {', '.join(own)}"
+            )
+    choices: dict[str, Any] = {
+        "fix": settings.get("fix"),
+        "bounds": settings.get("bound"),
+        "unbounded": bool(settings.get("unbounded", False)),
+    }
+    start = settings.get("start", {})
+    ParameterSet.build(law, **choices).require("--start", start)
+    throws = []
+    for job in jobs:
+        cut = job.throw.until(job.settings.get("until"))
+        cut.require_motion()
+        ParameterSet.for_throw(law, cut, **choices)
+        throws.append(cut.with_defaults(stone=job.stone.as_dict()))
+    folder = prepare_folder(out or Path("joint-fit"))
+
+    from rich.progress import Progress, TextColumn
+
+    from curlfit.output.console import terminal
+
+    console = terminal(quiet=quiet)
+    with Progress(
+        TextColumn(f"Fitting {len(files)} throws (a first run on a machine compiles the model)"),
+        TextColumn("{task.fields[state]}"),
+        console=console,
+        disable=quiet or not console.is_terminal,
+        transient=True,
+    ) as progress:
+        task = progress.add_task("", state="")
+
+        def show_step(step: int, chi_squared: float) -> None:
+            progress.update(task, state=f"step {step}, chi squared {chi_squared:.6g}")
+
+        from curlfit.inference.joint.fit import fit_together
+
+        result = fit_together(
+            throws, law, share=names, load=load, start=start, loss=loss, noise=noise,
+            progress=show_step, **choices,
+        )  # fmt: skip
+    written = [folder / "joint.json"]
+    result.save(written[0])
+    for file, one in zip(files, result.throws, strict=True):
+        own_folder = prepare_folder(folder / file.stem)
+        one.save(own_folder / "fit.json")
+        if not no_figures:
+            from curlfit.inference.figures import fit_figure
+            from curlfit.output.figures import save_figure
+
+            save_figure(fit_figure(one), own_folder / "fit.png")
+    if not no_figures:
+        from curlfit.inference.figures import joint_figure
+        from curlfit.output.figures import save_figure
+
+        written.append(folder / "joint.png")
+        save_figure(joint_figure(result), written[1])
+
+    from curlfit.inference.joint.report import print_joint
+
+    print_joint(result, console)
+    console.print(
+        "Written: " + ", ".join(map(str, written)) + f", and {folder}/NAME/ for each throw",
+        soft_wrap=True,
+    )
+    if not result.converged:
+        print(f"curlfit: the fit is not usable: {result.status}", file=sys.stderr)
+        raise typer.Exit(1)

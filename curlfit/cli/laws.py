@@ -1,4 +1,4 @@
-"""`curlfit laws`: what laws there are."""
+"""`curlfit laws`: the friction laws."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def laws(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="As JSON, for programs.")] = False,
 ) -> None:
-    """List the friction laws: formula, coefficients, source, and which way they curl a stone.
+    """List the friction laws: formula, coefficients, source, direction of curl.
 
     n is the normal load at a point of the ring, n0 its mean, v the sliding velocity there, xi to
     the right of the stone's motion and eta along it.
@@ -57,32 +57,32 @@ def _summary(law: type[Law]) -> str:
 
 
 def _text(law: type[Law], width: int) -> str:
-    lines = [law.name, *_wrapped("  ", _summary(law), width)]
+    lines = [law.name, *_wrap("  ", _summary(law), width)]
     for label, text in (
         ("", law.formula),
         ("source: ", law.source or law.origin),
         ("a counter-clockwise stone curls ", law.predicts),
     ):
         if text:
-            lines += _wrapped("  ", f"{label}{text}", width)
+            lines += _wrap("  ", f"{label}{text}", width)
     longest = max((len(item.name) for item in law.coefficients()), default=0)
     for item in law.coefficients():
-        lines += _wrapped(f"    {item.name:<{longest}}  ", _about(item), width)
+        lines += _wrap(f"    {item.name:<{longest}}  ", _describe(item), width)
     return "\n".join(lines)
 
 
-def _wrapped(head: str, text: str, width: int) -> list[str]:
-    """Lines of a text after a head, under which they are indented."""
+def _wrap(head: str, text: str, width: int) -> list[str]:
+    """Lines of a text after a head, hanging indented."""
     return textwrap.wrap(
         text, width, initial_indent=head, subsequent_indent=" " * len(head),
         break_long_words=False, break_on_hyphens=False,
     )  # fmt: skip
 
 
-def _about(item: Coefficient) -> str:
+def _describe(item: Coefficient) -> str:
     unit = "" if item.unit == "1" else f" {item.unit}"
-    held = "; held there in a fit unless bounds are given" if item.optional else ""
+    fixed = "; fixed there in a fit unless bounds are given" if item.optional else ""
     return (
         f"{item.meaning}; within {item.lower:g} .. {item.upper:g}{unit}, "
-        f"default {item.default:g}{unit}{held}"
+        f"default {item.default:g}{unit}{fixed}"
     )

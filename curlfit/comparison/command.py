@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from curlfit.options import flags as o
-from curlfit.options import reading as r
 from curlfit.options import settings as s
 
 
@@ -37,12 +36,12 @@ def compare(
     loss: o.Loss = None,
     noise: o.NoiseModel = None,
     stone: o.StoneValues = None,
-    format: r.Format = None,
-    axes: r.Axes = None,
-    units: r.Units = None,
-    reference: r.Reference = None,
-    stone_index: r.StoneIndex = None,
-    shot: r.Shot = None,
+    format: o.Format = None,
+    axes: o.Axes = None,
+    units: o.Units = None,
+    reference: o.Reference = None,
+    stone_index: o.StoneIndex = None,
+    shot: o.Shot = None,
     config: o.Config = None,
     out: Annotated[
         Path | None,
@@ -65,10 +64,10 @@ def compare(
     from curlfit.friction import LAWS, check_load, find_law
     from curlfit.inference.noise.models import check_noise
     from curlfit.inference.parameters import ParameterSet, check_loss, options_of, require_known
-    from curlfit.output.files import prepared_folder
+    from curlfit.output.files import prepare_folder
 
     flags = {
-        **r.how(format, axes, units, reference, stone_index, shot),
+        **o.reader_options(format, axes, units, reference, stone_index, shot),
         "load": None if load == "both" else load,
         "until": until,
         "stone": s.pairs("--stone", stone or ()),
@@ -80,23 +79,23 @@ def compare(
         "loss": loss,
         "noise": noise,
     }
-    throw, wanted, the_stone = s.prepared(data, config, flags)
-    check_load(wanted.get("load", "uniform"))
-    loss = check_loss(wanted.get("loss", "linear"))
-    noise = check_noise(wanted.get("noise", "white"), loss)
+    throw, settings, the_stone = s.prepare(data, config, flags)
+    check_load(settings.get("load", "uniform"))
+    loss = check_loss(settings.get("loss", "linear"))
+    noise = check_noise(settings.get("noise", "white"), loss)
     names = [name.strip() for name in laws.split(",") if name.strip()] if laws else None
     if names == []:
         raise InputError("--laws: expected names with commas between")
     chosen = [find_law(name) for name in names] if names else None
-    cut = throw.until(wanted.get("until"))
+    cut = throw.until(settings.get("until"))
     cut.require_motion()
     laws_of = chosen or list(LAWS.values())
-    options = {name: wanted.get(name, {}) for name in ("fix", "bound", "start")}
+    options = {name: settings.get(name, {}) for name in ("fix", "bound", "start")}
     require_known(laws_of, {f"--{name}": values for name, values in options.items()})
     for law in laws_of:
         own = options_of(law, options)
         ParameterSet.for_throw(law, cut, fix=own["fix"], bounds=own["bound"])
-    folder = prepared_folder(out or Path(f"{data.stem}-compare"))
+    folder = prepare_folder(out or Path(f"{data.stem}-compare"))
 
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
@@ -122,12 +121,12 @@ def compare(
         found = compare_laws(
             throw,
             chosen,
-            load="both" if load == "both" else wanted.get("load", "uniform"),
+            load="both" if load == "both" else settings.get("load", "uniform"),
             stone=the_stone,
-            until=wanted.get("until"),
+            until=settings.get("until"),
             fix=options["fix"],
             bounds=options["bound"],
-            unbounded=bool(wanted.get("unbounded", False)),
+            unbounded=bool(settings.get("unbounded", False)),
             start=options["start"],
             loss=loss,
             noise=noise,

@@ -13,13 +13,13 @@ from curlfit.output.figures import (
     CHANNEL_LABEL,
     CHANNEL_MARKER,
     DATA_STYLE,
-    MOST_POINTS,
+    MAX_POINTS,
     Picture,
     line_styles,
     note_stretch,
     title,
 )
-from curlfit.output.text import listed
+from curlfit.output.text import join_words
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,7 +35,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
     """All fitted paths over the data, their residuals sideways, and the residuals by channel."""
     shown = [item for item in comparison.candidates if item.fitted is not None]
     t, x, y = (np.array(comparison.observed[name], float) for name in ("t", "x", "y"))
-    some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MOST_POINTS)).astype(int))
+    some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MAX_POINTS)).astype(int))
     curves = _curves(shown, x)
     figure = Picture(figsize=(11, 6.4 + 0.24 * len(shown)), layout="constrained")
     rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 0.6 + 0.06 * len(shown)))
@@ -113,6 +113,6 @@ def _names_of(same: list[Candidate]) -> str:
     lines = []
     for law, names in loads.items():
         rank = f"{', '.join(ranks[law])}. " if ranks[law] else ""
-        load = "" if names == ["-"] else f", {listed(names)} load"
+        load = "" if names == ["-"] else f", {join_words(names)} load"
         lines.append(f"{rank}{law[0]}{load}{law[1]}")
     return "\n".join(lines) + (" (same path)" if len(same) > 1 else "")

@@ -10,7 +10,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from curlfit.output.console import Items, terminal
-from curlfit.output.text import STYLE, compact, listed, plain_table
+from curlfit.output.text import STYLE, compact, join_words, plain_table
 
 if TYPE_CHECKING:
     from curlfit.comparison.result import Candidate, Comparison
@@ -123,7 +123,7 @@ def _coefficients(comparison: Comparison) -> RenderableType:
                 said[-1].append(f" {found['verdict']}", style=STYLE[found["verdict"]])
         said += [Text(f"{one['expression']} = {_value(one)}") for one in item.combinations]
         if item.not_identifiable:
-            hidden = f"{listed(list(item.not_identifiable))} not identifiable"
+            hidden = f"{join_words(list(item.not_identifiable))} not identifiable"
             said.append(Text(hidden, style=STYLE["not identifiable"]))
         if not item.converged:
             said.append(Text(item.status, style="red"))
@@ -158,7 +158,8 @@ def conclusions(comparison: Comparison) -> list[str]:
     for item in fitted:
         if item.negative and item.follows:
             lines.append(
-                f"{item.label}: follows the path only with negative {listed(list(item.negative))}."
+                f"{item.label}: follows the path only with negative "
+                f"{join_words(list(item.negative))}."
             )
     if comparison.effective:
         lines.append(_about_correlation(comparison))

@@ -9,7 +9,7 @@ from typing import Any
 
 from curlfit.errors import DataError
 from curlfit.inference.fit.result import FitResult
-from curlfit.output.files import Migration, known, read_json, write_json
+from curlfit.output.files import Migration, known_fields, read_json, write_json
 from curlfit.stone import Stone
 
 SCHEMA = 1
@@ -155,12 +155,13 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
         tuples = ("combinations", "sides", "negative", "at_bound", "not_identifiable", "warnings")
         return Comparison(
             data=found["data"],
-            stone=Stone(**known(Stone, found["stone"])),
+            stone=Stone(**known_fields(Stone, found["stone"])),
             curl=found["curl"],
             side=found["side"],
             candidates=tuple(
                 Candidate(
-                    **known(Candidate, item) | {name: tuple(item.get(name, ())) for name in tuples}
+                    **known_fields(Candidate, item)
+                    | {name: tuple(item.get(name, ())) for name in tuples}
                 )
                 for item in found["candidates"]
             ),

@@ -15,7 +15,7 @@ from curlfit.output.figures import (
     CHANNEL_LABEL,
     DATA_STYLE,
     FIT_COLOR,
-    MOST_POINTS,
+    MAX_POINTS,
     PALETTE,
     REFERENCE_COLOR,
     Picture,
@@ -26,7 +26,7 @@ from curlfit.output.figures import (
     title,
     unit_for,
 )
-from curlfit.output.text import number
+from curlfit.output.text import format_estimate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -47,7 +47,7 @@ def fit_figure(fit: FitResult) -> Figure:
     right = rows[1].subgridspec(1, len(fit.rms))
     bottom = rows[2].subgridspec(1, 2)
     t = fit.observed["t"]
-    some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MOST_POINTS)).astype(int))
+    some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MAX_POINTS)).astype(int))
 
     path = figure.add_subplot(rows[0])
     path.plot(fit.observed["y"][some], fit.observed["x"][some], **DATA_STYLE, label="data")
@@ -237,7 +237,7 @@ def _say_in_corner(fit: FitResult, figure: Figure, grid: Any) -> None:
     title(grid[0, 0], f"{_name(fit)}: {fit.law} law, {fit.load} load", margin=_LEFT + 0.2, size=12)
     top, lines = grid[0, 0].get_position().y1, []
     for item in fit.combinations:
-        value, stderr = number(item.value, item.stderr)
+        value, stderr = format_estimate(item.value, item.stderr)
         lines.append(rf"${_as_math(fit, item.weights)} = {value} \pm {stderr}$")
     for direction in fit.null_directions:
         pair = ", ".join(f"${fit.parameters[name].symbol}$" for name in direction)

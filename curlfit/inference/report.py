@@ -10,7 +10,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from curlfit.output.console import terminal
-from curlfit.output.text import STYLE, decimals, listed, number, plain_table
+from curlfit.output.text import STYLE, decimals, format_estimate, join_words, plain_table
 from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.throw import UNITS
 
@@ -91,8 +91,8 @@ def _beside_reference(fit: FitResult) -> list[RenderableType]:
         agree &= abs(again - known) <= 0.5 * 10.0 ** -_places(known) + sum(map(abs, shifts[1:]))
         there.append(f"{again:.{places}f}")
         table.add_row(
-            name, number(value, stderr)[1], *(f"{shift:+.{places + 1}f}" for shift in shifts),
-            there[-1], f"{known:g}",
+            name, format_estimate(value, stderr)[1],
+            *(f"{shift:+.{places + 1}f}" for shift in shifts), there[-1], f"{known:g}",
         )  # fmt: skip
     if not there:
         return []
@@ -104,7 +104,7 @@ def _beside_reference(fit: FitResult) -> list[RenderableType]:
         else f"which do not all agree with {reference.source}"
     )
     text = f"{reference.source}: {reference.note}. " if reference.note else ""
-    text += f"`--stone {flags}` gives {listed(there)}, {verdict}."
+    text += f"`--stone {flags}` gives {join_words(there)}, {verdict}."
     return [Padding(Group(table, Text(text)), (0, 0, 1, 0))]
 
 
@@ -162,7 +162,7 @@ def _interval(posterior: Posterior, name: str) -> str:
     if found is None:
         return ""
     size = (found["84"] - found["16"]) / 3
-    return " .. ".join(number(found[end], size)[0] for end in ("16", "84"))
+    return " .. ".join(format_estimate(found[end], size)[0] for end in ("16", "84"))
 
 
 def _coefficients(fit: FitResult) -> RenderableType:
@@ -194,7 +194,8 @@ def _coefficients(fit: FitResult) -> RenderableType:
     for name, item in fit.parameters.items():
         if name == first_start:
             for one in fit.combinations:
-                row(one.expression, "", *number(one.value, one.stderr), "determined", one.weights)
+                shown = format_estimate(one.value, one.stderr)
+                row(one.expression, "", *shown, "determined", one.weights)
         row(name, item.unit, *_estimate(item), item.verdict, {name: 1.0})
     return Padding(table, (1, 0))
 
@@ -202,7 +203,7 @@ def _coefficients(fit: FitResult) -> RenderableType:
 def _estimate(item: Estimate) -> tuple[str, str]:
     if item.verdict == "not identifiable":
         return "-", "-"
-    return number(item.value, item.stderr)
+    return format_estimate(item.value, item.stderr)
 
 
 def _quality(fit: FitResult) -> RenderableType:
@@ -245,7 +246,7 @@ def identifiability(fit: FitResult) -> str:
     unseen = [name for name in free if fit.parameters[name].verdict == "not identifiable"]
     if unseen:
         text += (
-            f" {listed(unseen)} {'are' if len(unseen) > 1 else 'is'} not identifiable: "
+            f" {join_words(unseen)} {'are' if len(unseen) > 1 else 'is'} not identifiable: "
             "the path stays the same when "
             + "; or when ".join(_change(item) for item in fit.null_directions)
             + "."
@@ -254,7 +255,7 @@ def identifiability(fit: FitResult) -> str:
     weak = [name for name in free if fit.parameters[name].verdict == "weak"]
     for reason in dict.fromkeys(fit.parameters[name].reason for name in weak):
         alike = [name for name in weak if fit.parameters[name].reason == reason]
-        text += f" {listed(alike)} {'are' if len(alike) > 1 else 'is'} weakly determined"
+        text += f" {join_words(alike)} {'are' if len(alike) > 1 else 'is'} weakly determined"
         text += f": {reason}." if reason else "."
     if weak and not unseen:
         text += _instead(fit, weak)
@@ -265,9 +266,9 @@ def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:
     """What would determine some parameters, as a sentence."""
     names, channels = remedy["parameters"], [_WORDS[name] for name in remedy["measure"]]
     if channels:
-        also = listed(channels) if remedy["all"] else _either(channels)
-        return f"Measuring {also} as well would determine {listed(names)}."
-    text = f"Nothing else measured along this path would determine {listed(names)}"
+        also = join_words(channels) if remedy["all"] else _either(channels)
+        return f"Measuring {also} as well would determine {join_words(names)}."
+    text = f"Nothing else measured along this path would determine {join_words(names)}"
     own = [name for name in names if name in fit.coefficients]
     if fit.law_class.origin or len(own) != 2:
         return text + "."
@@ -281,7 +282,8 @@ def _either(words: list[str]) -> str:
 def _instead(fit: FitResult, names: list[str]) -> str:
     """The combinations of some parameters that are determined, as a sentence."""
     what = [item.expression for item in fit.combinations if set(item.weights) & set(names)]
-    return f" Only {listed(what)} {'are' if len(what) > 1 else 'is'} determined." if what else ""
+    verb = "are" if len(what) > 1 else "is"
+    return f" Only {join_words(what)} {verb} determined." if what else ""
 
 
 def outliers(fit: FitResult) -> str:
@@ -308,7 +310,7 @@ def _change(direction: dict[str, float]) -> str:
         parts.append(f"{name} {verb}{by}")
     if len(parts) == 2 and " times " not in "".join(parts):
         return f"{parts[0]} and {parts[1]} by the same amount"
-    return listed(parts)
+    return join_words(parts)
 
 
 def _posterior(found: Posterior) -> Text:

@@ -18,7 +18,7 @@ from functools import cache
 from pathlib import Path
 
 from curlfit.errors import InputError, warn_once
-from curlfit.output.files import replaced
+from curlfit.output.files import atomic_write
 
 LIMIT = 256 * 2**20
 """Bytes above which the least recently used files are deleted."""
@@ -101,7 +101,7 @@ def write(file: Path, content: bytes) -> None:
     """Write a file of the cache atomically."""
     global _written
     with suppress(InputError):
-        with replaced(file, private=True) as temporary:
+        with atomic_write(file, private=True) as temporary:
             temporary.write_bytes(content)
         _written += len(content)
         if _written > LIMIT * _CHECK_INTERVAL:

@@ -154,7 +154,7 @@ def design(
     `curlfit design --fit throw-fit --until 12`: for the ice of a fitted throw
     """  # fmt: skip
     from curlfit.errors import InputError
-    from curlfit.output.files import prepared_folder
+    from curlfit.output.files import prepare_folder
 
     if fit is not None and law is not None:
         raise InputError("--law and --fit: expected one of them")
@@ -211,7 +211,7 @@ def design(
             progress=progress,
             **grid,
         )
-    folder = prepared_folder(out)
+    folder = prepare_folder(out)
     written = [folder / "design.json"]
     result.save(written[0])
 

@@ -12,7 +12,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from curlfit.output.console import terminal
-from curlfit.output.text import STYLE, listed, plain_table
+from curlfit.output.text import STYLE, join_words, plain_table
 
 if TYPE_CHECKING:
     from curlfit.optimal_design.result import (
@@ -64,7 +64,7 @@ def noise_text(sigma: dict[str, float], factor: float = 1.0) -> str:
     same: dict[str, list[str]] = {}
     for name, value in sigma.items():
         same.setdefault(with_unit(value * factor, name), []).append(name)
-    return ", ".join(f"{size} in {listed(names)}" for size, names in same.items())
+    return ", ".join(f"{size} in {join_words(names)}" for size, names in same.items())
 
 
 def with_unit(value: float, channel: str) -> str:
@@ -167,13 +167,13 @@ def _summary(design: Design) -> list[str]:
     if design.rank < design.free:
         hidden = [name for name, verdict in first.verdicts.items() if verdict == "not identifiable"]
         changes = "; or ".join(
-            listed([f"{n} {'grows' if w > 0 else 'falls'}" for n, w in item.items()])
+            join_words([f"{n} {'grows' if w > 0 else 'falls'}" for n, w in item.items()])
             for item in first.null_directions
         )
         lines.append(
             f"All candidates together determine {design.rank} of {design.free} directions of the "
-            f"coefficients; the design is optimal for these. Not identifiable: {listed(hidden)}. "
-            f"The trajectories are unchanged when {changes}."
+            "coefficients; the design is optimal for these. Not identifiable: "
+            f"{join_words(hidden)}. The trajectories are unchanged when {changes}."
         )
     return lines
 

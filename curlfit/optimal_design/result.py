@@ -10,7 +10,7 @@ from typing import Any
 
 from curlfit.errors import DataError
 from curlfit.inference.identifiability import Combination
-from curlfit.output.files import Migration, known, read_json, write_json
+from curlfit.output.files import Migration, known_fields, read_json, write_json
 from curlfit.stone import Stone
 
 SCHEMA = 1
@@ -64,11 +64,11 @@ class ExpectedErrors:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> ExpectedErrors:
         """The record from JSON."""
-        fields = known(cls, data)
+        fields = known_fields(cls, data)
         lists = ("throws", "singular_values", "null_directions")
         tuples = {key: tuple(fields[key]) for key in lists}
         combinations = tuple(
-            Combination(**known(Combination, item)) for item in fields["combinations"]
+            Combination(**known_fields(Combination, item)) for item in fields["combinations"]
         )
         return cls(**fields | tuples | {"combinations": combinations})
 
@@ -123,11 +123,11 @@ class Design:
         """The record from the output of `to_json`. Raises KeyError or TypeError for other data."""
         separation = data["separation"]
         return cls(
-            **known(cls, data)
+            **known_fields(cls, data)
             | {
-                "stone": Stone(**known(Stone, data["stone"])),
+                "stone": Stone(**known_fields(Stone, data["stone"])),
                 "candidates": tuple(
-                    Candidate(**known(Candidate, item)) for item in data["candidates"]
+                    Candidate(**known_fields(Candidate, item)) for item in data["candidates"]
                 ),
                 "best": {
                     name: ExpectedErrors.from_json(item) for name, item in data["best"].items()
@@ -280,7 +280,7 @@ class Separation:
         def tuples(record: type, item: Mapping[str, Any]) -> dict[str, Any]:
             return {
                 key: tuple(value) if isinstance(value, list) else value
-                for key, value in known(record, item).items()
+                for key, value in known_fields(record, item).items()
             }
 
         return cls(
@@ -291,5 +291,7 @@ class Separation:
             proof=Proof(**tuples(Proof, data["proof"])),
             ways=tuple(LoadScenario(**tuples(LoadScenario, item)) for item in data["ways"]),
             ordinary=data["ordinary"],
-            changes=tuple(StoneChange(**known(StoneChange, item)) for item in data["changes"]),
+            changes=tuple(
+                StoneChange(**known_fields(StoneChange, item)) for item in data["changes"]
+            ),
         )

@@ -1,1 +1,1 @@
-"""Options that verbs share: flags, files of settings, what they ask for."""
+"""Options that verbs share: flags, configuration files, settings."""

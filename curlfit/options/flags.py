@@ -1,9 +1,9 @@
-"""Options that several verbs have, declared once."""
+"""Flags that several verbs have: of the fit, and of reading the data file."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,21 +14,21 @@ Law = Annotated[
 LoadName = Annotated[
     str | None,
     typer.Option(
-        help="How the weight rests on the ring: `uniform`, or `consistent` with the friction "
+        help="Distribution of the load on the ring: `uniform`, or `consistent` with the friction "
         "(eq. 8-9). [default: uniform]"
     ),
 ]
 Fix = Annotated[
-    list[str] | None, typer.Option(help="Hold a parameter at a value.", metavar="NAME=V")
+    list[str] | None, typer.Option(help="Fix a parameter at a value.", metavar="NAME=V")
 ]
 Bound = Annotated[
     list[str] | None,
-    typer.Option(help="Bounds of a parameter, in place of its own.", metavar="NAME=LO:HI"),
+    typer.Option(help="Bounds of a parameter, in place of the default ones.", metavar="NAME=LO:HI"),
 ]
 Unbounded = Annotated[bool, typer.Option("--unbounded", help="Let coefficients be negative.")]
 Start = Annotated[
     list[str] | None,
-    typer.Option(help="Start value; found from the data if not given.", metavar="NAME=V"),
+    typer.Option(help="Initial value; derived from the data if not given.", metavar="NAME=V"),
 ]
 Until = Annotated[
     float | None, typer.Option(help="Use the rows with t up to this, in s.", metavar="S")
@@ -58,9 +58,9 @@ Loss = Annotated[
 NoiseModel = Annotated[
     str | None,
     typer.Option(
-        help="How noise goes together from row to row: `white` not at all; `ar1` forgets itself "
-        "exponentially, as of a filter or a camera that sways; `gp` is white on top of a smooth "
-        "discrepancy, as of a law that is not exact. Estimated from the residuals. "
+        help="Correlation of the noise from row to row: `white` has none; `ar1` has an exponential "
+        "autocorrelation, as from a filter or a swaying camera; `gp` is white noise plus a smooth "
+        "discrepancy, as from an inexact law. Estimated from the residuals. "
         "[default: white]",
         metavar="white|ar1|gp",
     ),
@@ -71,3 +71,76 @@ Config = Annotated[
 ]
 NoFigures = Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+
+PANEL = "How to read DATA"
+
+Format = Annotated[
+    str | None,
+    typer.Option(
+        "--format",
+        help="`table`, `tracker` (export of Tracker), `digitalcurling` (log of DigitalCurling 3) "
+        "or `timings` (stop-watch). [default: detected from the file]",
+        metavar="NAME",
+        rich_help_panel=PANEL,
+    ),
+]
+Axes = Annotated[
+    str | None,
+    typer.Option(
+        help="The file's axes, words separated by commas: `x-along`, `x-back`, `x-right`, "
+        "`x-left` and the same for y say where an axis points, seen along the throw; `from-hack`, "
+        "`from-back`, `from-tee`, `from-hog`, `from-centre`, `from-far-hog`, `from-far-tee` where "
+        "its zero lies; `clockwise` or `counter-clockwise` how angles count, seen from above "
+        "(else from +x to +y). [default: x-right,y-along]",
+        metavar="WORDS",
+        rich_help_panel=PANEL,
+    ),
+]
+Units = Annotated[
+    str | None,
+    typer.Option(
+        help="Units in place of those of the header: t, x, y, length, angle, speed, spin.",
+        metavar="t=ms,x=cm,angle=deg",
+        rich_help_panel=PANEL,
+    ),
+]
+Reference = Annotated[
+    Path | None,
+    typer.Option(
+        help="Positions are in pixels: table of four or more known points u,v (pixels), x,y (m).",
+        metavar="POINTS.csv",
+        rich_help_panel=PANEL,
+    ),
+]
+StoneIndex = Annotated[
+    int | None,
+    typer.Option(
+        help="Object of a Tracker export or stone of a shot, from 1. [default: the first object; "
+        "the stone thrown]",
+        metavar="N",
+        rich_help_panel=PANEL,
+    ),
+]
+Shot = Annotated[
+    int | None,
+    typer.Option(help="Shot of a log with several, from 1.", metavar="N", rich_help_panel=PANEL),
+]
+
+
+def reader_options(
+    format: str | None,
+    axes: str | None,
+    units: str | None,
+    reference: Path | None,
+    stone_index: int | None,
+    shot: int | None,
+) -> dict[str, Any]:
+    """The flags of the readers by name, as settings."""
+    return {
+        "format": format,
+        "axes": axes,
+        "units": units,
+        "reference": None if reference is None else str(reference),
+        "stone_index": stone_index,
+        "shot": shot,
+    }

@@ -1,4 +1,4 @@
-"""What the user asked for: the data file's defaults, the configuration file, then the flags."""
+"""Settings: defaults of the data file, overridden by the configuration file, then by the flags."""
 
 from __future__ import annotations
 
@@ -12,16 +12,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from curlfit.errors import DataError, InputError
 
 if TYPE_CHECKING:
+    from curlfit.friction import Law, Load
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.mcmc.chain import Chain
+    from curlfit.inference.parameters import ParameterSet
     from curlfit.stone import Stone
     from curlfit.throws.throw import Throw
 
-HOW = ("format", "axes", "units", "reference", "stone_index", "shot")
-"""Settings that say how to read a file."""
-_KEYS = (
+READER_OPTIONS = ("format", "axes", "units", "reference", "stone_index", "shot")
+"""Settings of the readers."""
+_SETTINGS = (
     "law", "load", "until", "stone", "sigma", "fix", "bound", "start", "unbounded", "loss", "noise",
-    "seed", *HOW,
+    "seed", *READER_OPTIONS,
 )  # fmt: skip
 
 
@@ -55,22 +57,22 @@ def intervals(option: str, items: Sequence[str]) -> dict[str, tuple[float, float
 
 
 def numbers(option: str, text: str) -> tuple[float, ...]:
-    """Finite numbers with commas between."""
+    """Finite numbers separated by commas."""
     try:
         found = tuple(float(part) for part in text.split(","))
     except ValueError:
         found = (math.nan,)
     if not all(map(math.isfinite, found)):
-        raise InputError(f"{option} {text.strip()}: expected numbers with commas between")
+        raise InputError(f"{option} {text.strip()}: expected numbers separated by commas")
     return found
 
 
 def with_unit(option: str, quantity: str, text: str) -> float:
-    """A number with a unit behind it, `5mm`, in SI; without one it is SI. `quantity` as "x"."""
+    """A number such as `5mm` in SI units; without a unit it is in SI. `quantity` as "x"."""
     size = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
     if size is None:
         raise InputError(
-            f"{option} {text.strip()}: expected a number, with a unit behind it if it is not SI"
+            f"{option} {text.strip()}: expected a number, followed by its unit unless in SI"
         )
     from curlfit.throws.readers.columns import in_unit
 
@@ -105,9 +107,9 @@ def read_config(file: Path | None) -> dict[str, Any]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DataError(f"not a TOML file: {error}", file=file) from None
     for key in found:
-        if key not in _KEYS:
+        if key not in _SETTINGS:
             raise DataError(
-                f"unknown setting {key!r}; the settings are {', '.join(_KEYS)}", file=file
+                f"unknown setting {key!r}; the settings are {', '.join(_SETTINGS)}", file=file
             )
     if "bound" in found:
         found["bound"] = {
@@ -122,8 +124,8 @@ def _interval(file: Path, name: str, value: Any) -> tuple[float, float]:
     raise DataError(f"bound.{name} = {value!r}; expected [low, high]", file=file)
 
 
-def merged(*layers: Mapping[str, Any]) -> dict[str, Any]:
-    """Later layers override earlier ones, tables entry by entry; None and {} say nothing."""
+def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
+    """Later layers override earlier ones, tables entry by entry; None and {} are ignored."""
     result: dict[str, Any] = {}
     for layer in layers:
         for key, value in layer.items():
@@ -136,9 +138,9 @@ def merged(*layers: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def checked(settings: dict[str, Any], origin: str) -> dict[str, Any]:
-    """Settings with their types made sure of, in words a user can act on."""
-    from curlfit.throws.readers.defaults import check_seed
+def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
+    """The settings; raises `InputError` where one has a wrong type."""
+    from curlfit.throws.readers.table import check_seed
 
     for key in ("stone", "sigma", "fix", "start"):
         for name, value in settings.get(key, {}).items():
@@ -163,21 +165,21 @@ def checked(settings: dict[str, Any], origin: str) -> dict[str, Any]:
     return settings
 
 
-class Prepared(NamedTuple):
-    """A data file and what to do with it."""
+class PreparedThrow(NamedTuple):
+    """A throw with the settings for its fit."""
 
     throw: Throw
-    wanted: dict[str, Any]
+    settings: dict[str, Any]
     stone: Stone
 
 
-def how_to_read(configured: Mapping[str, Any], flags: Mapping[str, Any]) -> dict[str, Any]:
+def reader_arguments(configured: Mapping[str, Any], flags: Mapping[str, Any]) -> dict[str, Any]:
     """Arguments of `load_throw` from the configuration and the flags."""
-    wanted = merged(configured, flags)
-    return {key: wanted[key] for key in HOW if key in wanted}
+    settings = merge(configured, flags)
+    return {key: settings[key] for key in READER_OPTIONS if key in settings}
 
 
-def prepared(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Prepared:
+def prepare(data: Path, config: Path | None, flags: Mapping[str, Any]) -> PreparedThrow:
     """The throw and its settings: its own, then those of the configuration, then the flags.
 
     Raises
@@ -186,21 +188,107 @@ def prepared(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Prepa
     """
     from curlfit.throws.readers import load_throw
 
-    configured = checked(read_config(config), str(config))
-    return settled(load_throw(data, **how_to_read(configured, flags)), configured, flags)
+    configured = check_settings(read_config(config), str(config))
+    throw = load_throw(data, **reader_arguments(configured, flags))
+    return apply_settings(throw, configured, flags)
 
 
-def settled(throw: Throw, configured: Mapping[str, Any], flags: Mapping[str, Any]) -> Prepared:
-    """`prepared`, of a throw that was read."""
+def apply_settings(
+    throw: Throw, configured: Mapping[str, Any], flags: Mapping[str, Any]
+) -> PreparedThrow:
+    """`prepare` for a throw that was read already."""
     from curlfit.stone import Stone
 
-    wanted = merged(checked(throw.defaults, throw.name), configured, flags)
-    stone = Stone().with_values(wanted.get("stone", {}))
-    return Prepared(throw.with_sigma(wanted.get("sigma", {})), wanted, stone)
+    settings = merge(check_settings(throw.defaults, throw.name), configured, flags)
+    stone = Stone().with_values(settings.get("stone", {}))
+    return PreparedThrow(throw.with_sigma(settings.get("sigma", {})), settings, stone)
+
+
+def fit_flags(
+    reader_options: Mapping[str, Any],
+    *,
+    law: str | None,
+    load: str | None,
+    until: float | None,
+    stone: list[str] | None,
+    sigma: list[str] | None,
+    fix: list[str] | None,
+    bound: list[str] | None,
+    start: list[str] | None,
+    unbounded: bool,
+    **others: Any,
+) -> dict[str, Any]:
+    """The flags of a fit as settings."""
+    return {
+        **reader_options,
+        "law": law,
+        "load": load,
+        "until": until,
+        "stone": pairs("--stone", stone or ()),
+        "sigma": pairs("--sigma", sigma or ()),
+        "fix": pairs("--fix", fix or ()),
+        "bound": intervals("--bound", bound or ()),
+        "start": pairs("--start", start or ()),
+        "unbounded": unbounded or None,
+        **others,
+    }
+
+
+class FitRequest(NamedTuple):
+    """A fit to be made; `cut` is the throw up to `until`."""
+
+    throw: Throw
+    cut: Throw
+    settings: dict[str, Any]
+    law: type[Law]
+    load: Load
+    loss: str
+    noise: str
+    stone: Stone
+    choices: dict[str, Any]
+    parameters: ParameterSet
+
+    def fit(self) -> FitResult:
+        """Run the fit."""
+        from curlfit.inference.fit.fit import fit
+
+        return fit(
+            self.throw, self.law, load=self.load, stone=self.stone,
+            until=self.settings.get("until"), start=self.settings.get("start"), loss=self.loss,
+            noise=self.noise, **self.choices,
+        )  # fmt: skip
+
+
+def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> FitRequest:
+    """The fit to be made, its input checked before slow modules are loaded.
+
+    Raises
+    ------
+    InputError : the data, a setting or a value cannot be used.
+    """
+    from curlfit.friction import check_load, find_law
+    from curlfit.inference.noise.models import check_noise
+    from curlfit.inference.parameters import ParameterSet, check_loss
+
+    throw, settings, stone = prepare(data, config, flags)
+    law = find_law(settings.get("law", "front-back"))
+    load = check_load(settings.get("load", "uniform"))
+    loss = check_loss(settings.get("loss", "linear"))
+    noise = check_noise(settings.get("noise", "white"), loss)
+    choices: dict[str, Any] = {
+        "fix": settings.get("fix"),
+        "bounds": settings.get("bound"),
+        "unbounded": bool(settings.get("unbounded", False)),
+    }
+    cut = throw.until(settings.get("until"))
+    cut.require_motion()
+    parameters = ParameterSet.for_throw(law, cut, **choices)
+    parameters.require("--start", settings.get("start", {}))
+    return FitRequest(throw, cut, settings, law, load, loss, noise, stone, choices, parameters)
 
 
 def kind_of(folder: Path) -> str:
-    """What results a folder, or a file of them, holds, by the name of its JSON file."""
+    """Kind of the results in a folder, by the name of its JSON file."""
     for kind in ("fit", "compare", "joint", "predict", "profile", "design"):
         if folder.name == f"{kind}.json" or (folder / f"{kind}.json").is_file():
             return kind
@@ -212,13 +300,13 @@ def chain_beside(folder: Path) -> Path:
     return (folder if folder.is_dir() else folder.parent) / "chain.h5"
 
 
-def fitted(folder: Path) -> tuple[FitResult, Chain | None]:
-    """The fit, and its chain where it was sampled to the end."""
+def load_fit_and_chain(folder: Path) -> tuple[FitResult, Chain | None]:
+    """A saved fit, and its chain where sampling was completed."""
     from curlfit.inference.fit.result import load_fit
 
     kind = kind_of(folder)
     if kind != "fit":
-        what = {"joint": "several throws fitted together", "compare": "a comparison of laws"}
+        what = {"joint": "a joint fit of several throws", "compare": "a comparison of laws"}
         raise InputError(
             f"{folder}: {what.get(kind, f'a result of curlfit {kind}')}; expected the fit of one "
             "throw" + (f", such as {folder}/NAME" if kind == "joint" else "")
@@ -234,6 +322,6 @@ def fitted(folder: Path) -> tuple[FitResult, Chain | None]:
 
 
 def name_of(fit: Path) -> str:
-    """The name of a saved fit, for results made from it."""
+    """The name of a saved fit, for results derived from it."""
     own = fit.resolve()
     return (own.parent if own.suffix == ".json" else own).name.removesuffix("-fit")

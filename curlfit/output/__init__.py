@@ -1,1 +1,1 @@
-"""Files, the terminal, text and figures, whatever is written."""
+"""Output: files, terminal, text, figures."""

@@ -1,4 +1,4 @@
-"""The terminal: lines without blanks at their ends, and tables that fit its width."""
+"""Output on the terminal: no trailing blanks, tables that fit its width."""
 
 from __future__ import annotations
 
@@ -14,36 +14,37 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-_PIPED = 110  # columns where the output is no terminal
-_LEAST_TEXT = 24  # columns of a cell that is wrapped
-_NO_LIMIT = 10_000
-_BETWEEN = "   "
+_DEFAULT_WIDTH = 110  # columns where the output is no terminal
+_MIN_TEXT_WIDTH = 24  # columns of a cell that is wrapped
+_UNLIMITED = 10_000
+_GAP = "   "
 _RUNS = re.compile(r"(?: *[^ \n])+| +|\n")
 
 
 def terminal(*, quiet: bool = False, highlight: bool = True) -> Console:
-    """The console of the command line: as wide as the terminal or as `COLUMNS` says, else 110."""
-    own_width = sys.stdout.isatty() or "COLUMNS" in os.environ
-    console = Console(quiet=quiet, highlight=highlight, width=None if own_width else _PIPED)
+    """The console of the command line: width of the terminal or of `COLUMNS`, else 110."""
+    from_terminal = sys.stdout.isatty() or "COLUMNS" in os.environ
+    width = None if from_terminal else _DEFAULT_WIDTH
+    console = Console(quiet=quiet, highlight=highlight, width=width)
     console.push_render_hook(_Trimmer())
     return console
 
 
 class _Trimmer(RenderHook):
     def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
-        return [_Trimmed(item) for item in renderables]
+        return [_TrimmedLines(item) for item in renderables]
 
 
-class _Trimmed:
+class _TrimmedLines:
     def __init__(self, item: ConsoleRenderable) -> None:
         self.item = item
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        yield from _trimmed(console.render(self.item, options))
+        yield from _trim(console.render(self.item, options))
 
 
-def _trimmed(segments: Iterable[Segment]) -> Iterator[Segment]:
-    """The segments without the blanks that a line ends with."""
+def _trim(segments: Iterable[Segment]) -> Iterator[Segment]:
+    """The segments without trailing blanks."""
     blanks: list[Segment] = []
     for segment in segments:
         runs = [segment.text] if segment.control else _RUNS.findall(segment.text)
@@ -60,7 +61,7 @@ def _trimmed(segments: Iterable[Segment]) -> Iterator[Segment]:
 
 
 class Items:
-    """Texts in a row, of which none is broken that fits into a line."""
+    """Texts side by side, wrapped between texts where possible."""
 
     def __init__(self, items: Iterable[Text]) -> None:
         self.items = list(items)
@@ -68,14 +69,14 @@ class Items:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         line = Text()
         for item in self.items:
-            if line and line.cell_len + len(_BETWEEN) + item.cell_len > options.max_width:
+            if line and line.cell_len + len(_GAP) + item.cell_len > options.max_width:
                 yield line
                 line = Text()
-            line.append(_BETWEEN if line else "").append_text(item)
+            line.append(_GAP if line else "").append_text(item)
         yield line
 
     def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
-        whole = sum(item.cell_len + len(_BETWEEN) for item in self.items)
+        whole = sum(item.cell_len + len(_GAP) for item in self.items)
         words = [Measurement.get(console, options, item).minimum for item in self.items]
         least = max(words, default=0)
         return Measurement(min(least, options.max_width), min(whole, options.max_width))
@@ -93,43 +94,44 @@ class PlainTable(Table):
         """The table, or its blocks."""
         widths = self._widths(console, options)
         blocks = self._blocks(widths, options.max_width)
-        for place, block in enumerate(blocks):
-            if place:
+        for number, block in enumerate(blocks):
+            if number:
                 yield Text("")
-            fits = _total(widths, block) <= options.max_width
+            fits = _total_width(widths, block) <= options.max_width
             part = Table(
                 *(
                     replace(column, no_wrap=column.no_wrap and fits, overflow="fold", _cells=[])
-                    for column in (self.columns[one] for one in block)
+                    for column in (self.columns[index] for index in block)
                 ),
                 box=None, pad_edge=False, padding=(0, 2, 0, 0), show_edge=False,
             )  # fmt: skip
-            for row in zip(*(self.columns[one].cells for one in block), strict=True):
+            for row in zip(*(self.columns[index].cells for index in block), strict=True):
                 if len(blocks) == 1 or any(map(str, row[self.keys :])):
                     part.add_row(*row)
             yield part
 
     def _widths(self, console: Console, options: ConsoleOptions) -> list[int]:
-        """Columns of the terminal that each column needs."""
-        wide, found = options.update_width(_NO_LIMIT), []
+        """Width that each column needs, in characters."""
+        wide, widths = options.update_width(_UNLIMITED), []
         for column in self.columns:
             sizes = [console.measure(cell, options=wide) for cell in (column.header, *column.cells)]
             whole = max(size.maximum for size in sizes)
             words = max(size.minimum for size in sizes)
-            least = whole if column.no_wrap else min(whole, max(words, _LEAST_TEXT))
-            found.append(max(least, column.min_width or 0))
-        return found
+            least = whole if column.no_wrap else min(whole, max(words, _MIN_TEXT_WIDTH))
+            widths.append(max(least, column.min_width or 0))
+        return widths
 
-    def _blocks(self, widths: list[int], most: int) -> list[list[int]]:
+    def _blocks(self, widths: list[int], max_width: int) -> list[list[int]]:
         """The columns of each block."""
         keys = list(range(min(self.keys, len(widths))))
         blocks = [list(keys)]
-        for one in range(len(keys), len(widths)):
-            if len(blocks[-1]) > len(keys) and _total(widths, [*blocks[-1], one]) > most:
+        for index in range(len(keys), len(widths)):
+            block = [*blocks[-1], index]
+            if len(block) > len(keys) + 1 and _total_width(widths, block) > max_width:
                 blocks.append(list(keys))
-            blocks[-1].append(one)
+            blocks[-1].append(index)
         return blocks
 
 
-def _total(widths: list[int], block: list[int]) -> int:
-    return sum(widths[one] for one in block) + 2 * (len(block) - 1)
+def _total_width(widths: list[int], block: list[int]) -> int:
+    return sum(widths[index] for index in block) + 2 * (len(block) - 1)

@@ -1,4 +1,4 @@
-"""Figures of one style: colours, axes, units, and how they are saved."""
+"""Style of the figures: colours, axes, units, saving."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ DATA_STYLE: dict[str, Any] = {
 }
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Colours that the colour-blind tell apart (Okabe and Ito 2008)."""
+"""Colours distinguishable with colour-vision deficiency (Okabe and Ito 2008)."""
 
 DASHES = ("-", "--", "-.", ":")
 CHANNEL_COLOR = dict(zip(("x", "y", "phi", "speed", "omega"), PALETTE, strict=False))
@@ -45,15 +45,15 @@ _UNIT_SIZES = {
     "omega": tuple((size, f"{unit}/s") for size, unit in _ANGLES),
 }
 
-_LEAST_SHOWN = 0.1  # in a unit, below which the next smaller one is taken
-_LETTER = 0.09  # inches that a letter of a tick's label takes
-_LEAST_LETTERS = 1.0  # points
-_LONG = 1e4  # steps between ticks in a number, from which a part of it is taken from all
-MOST_POINTS = 2000  # drawn of a long series
+_MIN_IN_UNIT = 0.1  # size in a unit below which the next smaller unit is used
+_LETTER_WIDTH = 0.09  # inches, of a tick label
+_MIN_FONT_SIZE = 1.0  # points
+_MAX_RATIO = 1e4  # of a tick to the step, above which an offset is subtracted from all ticks
+MAX_POINTS = 2000  # drawn of a series
 
 
 class Picture(Figure):
-    """A matplotlib figure that a notebook shows without pyplot."""
+    """A matplotlib figure that notebooks display without pyplot."""
 
     def _repr_png_(self) -> bytes:
         file = BytesIO()
@@ -70,70 +70,73 @@ def title(
     loc: str = "left",
     size: float = 10,
 ) -> None:
-    """A title in letters small enough for one of so many columns, less a margin in inches."""
+    """A title that fits the width of one of `columns` columns, less a margin in inches."""
     figure = axes.get_figure()
-    found = axes.set_title(text, fontsize=size, loc=loc)
-    shrink(found, figure.bbox.width / columns - margin * figure.dpi)
+    label = axes.set_title(text, fontsize=size, loc=loc)
+    shrink(label, figure.bbox.width / columns - margin * figure.dpi)
 
 
-def shrink(text: Any, room: float) -> None:
-    """Write a text in letters so small that it takes no more than so many pixels across."""
-    while text.get_window_extent().width > room and text.get_fontsize() > _LEAST_LETTERS:
+def shrink(text: Any, max_width: float) -> None:
+    """Reduce the font size of a text until it is at most `max_width` pixels wide."""
+    while text.get_window_extent().width > max_width and text.get_fontsize() > _MIN_FONT_SIZE:
         text.set_fontsize(0.95 * text.get_fontsize())
 
 
 def unit_for(size: float, channel: str) -> tuple[float, str]:
-    """The unit in which a size of a channel is neither tiny nor huge: its size in SI, its name."""
+    """The unit suited to a size of a channel: its factor to SI and its name."""
     units = _UNIT_SIZES[channel]
-    found = (one for one in units if size >= one[0] * (1.0 if one[0] >= 1 else _LEAST_SHOWN))
-    return next(found, units[-1])
+    label = (one for one in units if size >= one[0] * (1.0 if one[0] >= 1 else _MIN_IN_UNIT))
+    return next(label, units[-1])
 
 
 def neat_axis(axis: Any, label: str, unit: str = "", *, neighbours: bool = False) -> None:
-    """Few ticks with short numbers: a power of ten that they have in common, and what they exceed,
-    go into the label. Beside `neighbours` none reaches over the ends."""
+    """Few ticks with short numbers; a common offset and power of ten go into the label.
+
+    With `neighbours`, no tick label extends beyond the ends of the axis.
+    """
     low, high = sorted(map(float, axis.get_view_interval()))
     inches = axis.axes.get_window_extent().width / axis.axes.get_figure().dpi
-    letter = _LETTER if axis.axis_name == "x" else 0.0
+    letter_width = _LETTER_WIDTH if axis.axis_name == "x" else 0.0
     unit = "" if unit == "1" else unit.replace("^2", "\N{SUPERSCRIPT TWO}")
     most, steps = (5, [1, 2, 3, 4, 5, 10]) if neighbours else (7, [1, 2, 5, 10])
     while True:
-        at = np.asarray(MaxNLocator(most, steps=steps).tick_values(low, high))
-        step = float(at[1] - at[0])
-        at = at[(at >= low) & (at <= high)]
-        numbers, start, power = _short(at, step)
-        wide = max(0.12, letter * max(map(len, numbers), default=0) / inches) * (high - low)
-        margin = wide / 2 if neighbours else 0.0
-        inside = (at >= low + margin) & (at <= high - margin)
-        if step > 1.1 * wide or most == 2:
+        ticks = np.asarray(MaxNLocator(most, steps=steps).tick_values(low, high))
+        step = float(ticks[1] - ticks[0])
+        ticks = ticks[(ticks >= low) & (ticks <= high)]
+        numbers, start, power = _tick_labels(ticks, step)
+        letters = max(map(len, numbers), default=0)
+        label_width = max(0.12, letter_width * letters / inches) * (high - low)
+        margin = label_width / 2 if neighbours else 0.0
+        inside = (ticks >= low + margin) & (ticks <= high - margin)
+        if step > 1.1 * label_width or most == 2:
             break
         most -= 1
     labels = [number for number, shown in zip(numbers, inside, strict=True) if shown]
-    axis.set_ticks(at[inside], labels=labels)
+    axis.set_ticks(ticks[inside], labels=labels)
     ten = f"$10^{{{power}}}$" if power else ""
-    behind = " ".join(part for part in (ten, unit) if part)
+    in_brackets = " ".join(part for part in (ten, unit) if part)
     between = "\n" if start else " "
-    axis.set_label_text(label + start + (f"{between}({behind})" if behind else ""))
+    axis.set_label_text(label + start + (f"{between}({in_brackets})" if in_brackets else ""))
 
 
-def _short(at: Floats, step: float) -> tuple[list[str], str, int]:
-    """Numbers for ticks, what is taken from them as a text, and their power of ten."""
+def _tick_labels(ticks: Floats, step: float) -> tuple[list[str], str, int]:
+    """Tick labels, the offset subtracted from them as text, and their power of ten."""
     start, power = 0.0, 0
-    largest = float(np.abs(at).max(initial=0.0))
-    if largest > _LONG * step:
-        start = float(at[len(at) // 2])
+    largest = float(np.abs(ticks).max(initial=0.0))
+    if largest > _MAX_RATIO * step:
+        start = float(ticks[len(ticks) // 2])
         power = math.floor(math.log10(step) + 1e-9)
     elif largest > 0:
         power = 3 * math.floor((math.log10(largest) + 1) / 3)
-    places = max(0, power - math.floor(math.log10(step) + 1e-9))
-    numbers = [f"{(value - start) / 10.0**power + 0.0:.{places}f}" for value in at]
+    decimals = max(0, power - math.floor(math.log10(step) + 1e-9))
+    numbers = [f"{(value - start) / 10.0**power + 0.0:.{decimals}f}" for value in ticks]
     minus = "\N{MINUS SIGN}"
-    said = f" {'+' if start < 0 else minus} {abs(start):.12g}" if start else ""
-    return [number.replace("-", minus) for number in numbers], said, power
+    offset = f" {'+' if start < 0 else minus} {abs(start):.12g}" if start else ""
+    return [number.replace("-", minus) for number in numbers], offset, power
 
 
 def note_stretch(axes: Any) -> None:
-    """How many times the cross-sheet axis is drawn larger than the other."""
+    """Note by how much the scale across the sheet is larger than along it."""
     width, height = axes.get_figure().get_size_inches()
     box = axes.get_position()
     across = height * box.height / np.ptp(axes.get_ylim())
@@ -147,20 +150,20 @@ def note_stretch(axes: Any) -> None:
 
 
 def line_styles(number: int) -> list[dict[str, Any]]:
-    """A colour and dashes for each of so many lines."""
+    """Colour and dashes of each of `number` lines."""
     count = len(PALETTE)
     return [
-        {"color": PALETTE[place % count], "ls": DASHES[place // count % len(DASHES)]}
-        for place in range(number)
+        {"color": PALETTE[index % count], "ls": DASHES[index // count % len(DASHES)]}
+        for index in range(number)
     ]
 
 
 def save_figure(figure: Figure, file: str | PathLike[str], dpi: int = 150) -> None:
     """Write a figure, whole or not at all."""
-    from curlfit.output.files import replaced
+    from curlfit.output.files import atomic_write
 
-    # Drawn in memory: on a full disk matplotlib's writers fail in ways of their own.
+    # Drawn in memory: matplotlib's own writers leave half a file on a full disk.
     path, image = FilePath(file), BytesIO()
     figure.savefig(image, dpi=dpi, format=path.suffix[1:] or "png")
-    with replaced(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_bytes(image.getbuffer())

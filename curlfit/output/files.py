@@ -1,4 +1,4 @@
-"""Writing files so that a reader never meets half of one, and reading records of any age."""
+"""Atomic writing of files, and JSON records of every schema."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _PREFIX = ".curlfit-"  # of temporary names
 
 
 @contextmanager
-def replaced(file: Path, *, private: bool = False) -> Iterator[Path]:
-    """A temporary path beside `file`; moved into its place when the block ends without error.
+def atomic_write(file: Path, *, private: bool = False) -> Iterator[Path]:
+    """A temporary path beside `file`, renamed to it when the block ends without error.
 
     Others may read and write the file as the umask allows, or not at all if it is `private`.
 
@@ -53,13 +53,13 @@ def _umask() -> int:
     return mask
 
 
-def prepared_folder(folder: Path) -> Path:
-    """Make the folder if need be and see that it can be written to. Raises `InputError`."""
+def prepare_folder(folder: Path) -> Path:
+    """Make the folder if it does not exist; `InputError` where it cannot be written to."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder, prefix=_PREFIX):
             pass
-        _clear(folder)
+        _remove_stale_files(folder)
     except FileExistsError:
         raise InputError(f"{folder}: this is a file, expected a folder for the results") from None
     except OSError as error:
@@ -69,15 +69,15 @@ def prepared_folder(folder: Path) -> Path:
     return folder
 
 
-def _clear(folder: Path) -> None:
-    """Remove what a killed run left half-written; nothing is written for as long as a minute."""
+def _remove_stale_files(folder: Path) -> None:
+    """Remove temporary files of killed runs; no writing takes as long as a minute."""
     for file in folder.glob(f"{_PREFIX}*"):
         with suppress(FileNotFoundError):
             if time.time() - file.stat().st_mtime > 60:
                 file.unlink()
 
 
-_OTHERS = ("compare", "predict", "profile", "design")  # kinds of records beside fits
+_KINDS = ("compare", "predict", "profile", "design")  # of records beside fits
 
 
 def read_json(file: Path, schema: int, migrations: Mapping[int, Migration]) -> dict[str, Any]:
@@ -85,63 +85,57 @@ def read_json(file: Path, schema: int, migrations: Mapping[int, Migration]) -> d
 
     Parameters
     ----------
-    migrations : by schema, what makes a record of it into one of the next.
+    migrations : by schema, the conversion of its records to the next schema.
 
     Raises
     ------
     DataError : the file is not there, is not such a record, or is of a schema that cannot be read.
     """
-    kind = next(
-        (
-            f"{name}.json"
-            for name in ("compare", "predict", "profile", "design")
-            if name in file.name
-        ),
-        "fit.json",
-    )
+    kind = next((f"{name}.json" for name in _KINDS if name in file.name), "fit.json")
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        record = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise DataError("no such file", file=file) from None
     except OSError as error:
         raise DataError(f"cannot be read ({error.strerror})", file=file) from None
     except ValueError:
         raise DataError(f"this is not JSON; expected a {kind} of curlfit", file=file) from None
-    has = found.get("schema") if isinstance(found, dict) else None
-    if not isinstance(has, int) or isinstance(has, bool):
+    version = record.get("schema") if isinstance(record, dict) else None
+    if not isinstance(version, int) or isinstance(version, bool):
         raise DataError(f"this is not a {kind} of curlfit: it names no schema", file=file)
-    if has > schema:
+    if version > schema:
         raise DataError(
-            f"written by a newer curlfit: schema {has} found, this version reads up to {schema}",
+            f"written by a newer curlfit: schema {version} found, "
+            f"this version reads up to {schema}",
             file=file,
         )
-    while has < schema:
-        if has not in migrations:
-            raise DataError(f"schema {has} found, which was never written", file=file)
-        found = migrations[has](found)
-        has += 1
-    return found | {"schema": schema}
+    while version < schema:
+        if version not in migrations:
+            raise DataError(f"schema {version} found, which was never written", file=file)
+        record = migrations[version](record)
+        version += 1
+    return record | {"schema": schema}
 
 
-def known(record: type, found: Mapping[str, Any]) -> dict[str, Any]:
+def known_fields(record: type, entries: Mapping[str, Any]) -> dict[str, Any]:
     """Those entries that a dataclass has fields for; a later version may have written more."""
     names = {item.name for item in fields(record)}
-    return {key: value for key, value in found.items() if key in names}
+    return {key: value for key, value in entries.items() if key in names}
 
 
 def write_json(record: dict[str, Any], file: Path) -> None:
     """Write a record as JSON that any program can read, whole or not at all."""
-    text = json.dumps(strict(record), indent=1, allow_nan=False)
-    with replaced(file) as temporary:
+    text = json.dumps(json_safe(record), indent=1, allow_nan=False)
+    with atomic_write(file) as temporary:
         temporary.write_text(_compact_series(text) + "\n", encoding="utf-8")
 
 
-def strict(value: Any) -> Any:
-    """The same with NaN as null and infinities as text, which JSON has no numbers for."""
+def json_safe(value: Any) -> Any:
+    """A value with NaN as null and infinities as text, which JSON has no numbers for."""
     if isinstance(value, dict):
-        return {key: strict(item) for key, item in value.items()}
+        return {key: json_safe(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [strict(item) for item in value]
+        return [json_safe(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else str(value)
     return value
@@ -152,6 +146,6 @@ def _compact_series(text: str) -> str:
     number = r"(?:-?\d[-+.eE\d]*|null)"
     return re.sub(
         rf"\[\s+({number}(?:,\s+{number})*)\s+\]",
-        lambda found: "[" + re.sub(r",\s+", ", ", found[1]) + "]",
+        lambda match: "[" + re.sub(r",\s+", ", ", match[1]) + "]",
         text,
     )

@@ -18,11 +18,11 @@ _HUGE = 1e9  # from which a number is written with a power of ten
 
 
 def plain_table(keys: int = 1) -> PlainTable:
-    """A table without lines; too wide for the terminal, the first `keys` columns are repeated."""
+    """A table without rules; wider than the terminal, it is split and `keys` columns repeated."""
     return PlainTable(keys)
 
 
-def number(value: float, stderr: float | None) -> tuple[str, str]:
+def format_estimate(value: float, stderr: float | None) -> tuple[str, str]:
     """A value and its error as text, to two digits of the error."""
     if stderr is None:
         return f"{value:.6g}", "-"
@@ -37,7 +37,7 @@ def number(value: float, stderr: float | None) -> tuple[str, str]:
 
 def compact(value: float, stderr: float | None) -> str:
     """A value with its error in its last two digits, as 0.0556(12); the value alone without one."""
-    shown, error = number(value, stderr)
+    shown, error = format_estimate(value, stderr)
     if "e" in error:
         return f"{shown} +- {error}"
     digits = error.replace(".", "").lstrip("0")
@@ -51,6 +51,6 @@ def decimals(size: float) -> int:
     return min(max(1 - math.floor(math.log10(size)), 0), 12)
 
 
-def listed(words: list[str]) -> str:
+def join_words(words: list[str]) -> str:
     """Words as in "a, b and c"."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

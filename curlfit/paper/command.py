@@ -29,9 +29,9 @@ def reproduce(
     Eq. 12 is differentiated, friction is integrated over the ring, and the laws are fitted.
     Takes about a minute on the first run of a machine.
     """
-    from curlfit.output.files import prepared_folder, replaced
+    from curlfit.output.files import atomic_write, prepare_folder
 
-    folder = prepared_folder(out)
+    folder = prepare_folder(out)
 
     from curlfit.output.console import terminal
 
@@ -45,7 +45,7 @@ def reproduce(
     claims = json.dumps([claim.as_dict() for claim in result.claims], indent=1)
     written = [folder / "claims.json", folder / "claims.md"]
     for file, text in zip(written, (claims + "\n", page(result)), strict=True):
-        with replaced(file) as temporary:
+        with atomic_write(file) as temporary:
             temporary.write_text(text, encoding="utf-8")
     for name, figure in FIGURES.items():
         written.append(folder / f"{name}.png")

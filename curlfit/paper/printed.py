@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from curlfit.friction.front_back import FrontBackFirstOrder
 from curlfit.numerics.arrays import Floats
-from curlfit.output.files import replaced
+from curlfit.output.files import atomic_write
 from curlfit.stone import GRAVITY, Stone
 from curlfit.throws.synthetic import write_table
 from curlfit.throws.throw import Reference, Throw
@@ -83,7 +83,7 @@ def write_jensen_shegelski(file: str | Path) -> None:
         "# Eq. 12 of Ivanov and Shuvalov (2012): a formula fitted by Jensen and Shegelski (2004)\n"
         "# to measured throws. See README.md beside this file.\n"
     )
-    with replaced(Path(file)) as temporary:
+    with atomic_write(Path(file)) as temporary:
         temporary.write_text(head + write_table(jensen_shegelski_throw()))
 
 

@@ -1,1 +1,1 @@
-"""`curlfit predict`: a fit carried on to rest, or to another throw."""
+"""`curlfit predict`: a fit extrapolated to rest, or to another throw."""

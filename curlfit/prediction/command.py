@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from curlfit.options import reading as r
+from curlfit.options import flags as o
 from curlfit.options import settings as s
 
-_START = "Another throw: how it starts (what is not given is as in the fitted throw)"
-_GOAL = "Another throw: where it is to go (speed and heading are found)"
-_CHECK = "Comparing with measured rows"
+_START = "Another throw: its start (by default that of the fitted throw)"
+_GOAL = "Another throw: its goal (speed and heading are found)"
+_CHECK = "Comparison with measured rows"
 
 
 def predict(
@@ -39,13 +39,13 @@ def predict(
     x0: Annotated[
         float | None,
         typer.Option(
-            help="Place, m right of the centre line. [default: 0]", rich_help_panel=_START
+            help="Position, m right of the centre line. [default: 0]", rich_help_panel=_START
         ),
     ] = None,
     y0: Annotated[
         float | None,
         typer.Option(
-            help="Place, m from the hack thrown from. [default: that of --from]",
+            help="Position, m from the hack thrown from. [default: that of --from]",
             rich_help_panel=_START,
         ),
     ] = None,
@@ -58,8 +58,8 @@ def predict(
         typer.Option(
             "--from",
             help="Line on which the throw starts: `hack`, `back`, `tee`, `hog` (the near ones), "
-            "`centre` or `far-hog`; or `data`: where the data do, which count from the hack. "
-            "[default: hog; data for the fitted throw where its file says what it counts from]",
+            "`centre` or `far-hog`; or `data`: at the start of the data, with y from the hack. "
+            "[default: hog; data for the fitted throw where its file states its zero of y]",
             metavar="LINE",
         ),
     ] = None,
@@ -71,7 +71,7 @@ def predict(
         typer.Option(
             help="`draw`: rests on the tee line; `guard`: rests halfway between hog line and "
             "house, 4.115 m before the tee line; `takeout`: passes the tee line at 1.5 m/s. On the "
-            "centre line, or with --heading wherever that leads.",
+            "centre line, or at any x with --heading.",
             metavar="NAME",
             rich_help_panel=_GOAL,
         ),
@@ -83,7 +83,7 @@ def predict(
     target: Annotated[
         str | None,
         typer.Option(
-            help="To rest at this place, m from the tee: right, beyond. Write --target=-0.5,1 "
+            help="To rest at this point, m from the tee: right, beyond. Write --target=-0.5,1 "
             "where the first number is negative.",
             metavar="X,Y",
             rich_help_panel=_GOAL,
@@ -92,19 +92,19 @@ def predict(
     check: Annotated[
         Path | None,
         typer.Option(
-            help="The data of the fitted throw: rows later than those fitted are compared.",
+            help="The data of the fitted throw; rows after the fitted ones are compared.",
             metavar="DATA",
             rich_help_panel=_CHECK,
         ),
     ] = None,
-    format: r.Format = None,
-    axes: r.Axes = None,
-    units: r.Units = None,
-    reference: r.Reference = None,
-    stone_index: r.StoneIndex = None,
-    shot: r.Shot = None,
+    format: o.Format = None,
+    axes: o.Axes = None,
+    units: o.Units = None,
+    reference: o.Reference = None,
+    stone_index: o.StoneIndex = None,
+    shot: o.Shot = None,
     draws: Annotated[int, typer.Option(help="Number of draws from the posterior.")] = 1000,
-    seed: Annotated[int, typer.Option(help="Of the draws.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the draws.", min=0)] = 0,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for the results. [default: the fit's name with -predict]"),
@@ -112,11 +112,11 @@ def predict(
     no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
-    """Predict a throw: where the stone goes and comes to rest, and how sure that is.
+    """Predict a throw: path and resting place, with their uncertainties.
 
-    Without options: the fitted throw, carried to rest. With a start or a goal: another throw on the
-    same ice, taken to start on the near hog line with the spin of the fitted one. Bands hold the
-    errors of the parameters and, apart from these, the model discrepancy.
+    Without options: the fitted throw, extrapolated to rest. With a start or a goal: another throw
+    on the same ice, by default from the near hog line with the spin of the fitted one. Bands
+    include the errors of the parameters and the model discrepancy.
     Writes `predict.json`, `predict.csv` (the path with its bands) and `predict.png`.
 
     Examples:
@@ -130,7 +130,7 @@ def predict(
     `curlfit fit a.csv --until 12`, then `curlfit predict a-fit --check a.csv`: was it right?
     """
     from curlfit.errors import InputError
-    from curlfit.output.files import prepared_folder, replaced
+    from curlfit.output.files import atomic_write, prepare_folder
 
     start = {
         name: value
@@ -142,29 +142,31 @@ def predict(
     goals = [bool(to_tee), weight is not None, target is not None]
     if sum(goals) > 1:
         raise InputError("--to-tee, --weight and --target: expected one of them")
-    place = (0.0, 0.0) if to_tee else None if target is None else _place(target)
-    result, chain = s.fitted(fit)
+    point = (0.0, 0.0) if to_tee else None if target is None else _point(target)
+    result, chain = s.load_fit_and_chain(fit)
     throw = None
     if check is not None:
         from curlfit.throws.readers import load_throw
 
-        how = s.how_to_read({}, r.how(format, axes, units, reference, stone_index, shot))
-        throw = load_throw(check, **how)
+        options = s.reader_arguments(
+            {}, o.reader_options(format, axes, units, reference, stone_index, shot)
+        )
+        throw = load_throw(check, **options)
 
     from curlfit.output.console import terminal
 
     console = terminal(quiet=quiet)
-    with console.status("Following the draws to rest (a first run on a machine compiles them)"):
+    with console.status("Simulating the draws (a first run on a machine compiles the model)"):
         from curlfit.prediction.predict import predict as prediction_of
 
         found = prediction_of(
-            result, chain, start=start, line=line, target=place, weight=weight,
+            result, chain, start=start, line=line, target=point, weight=weight,
             tee_speed=tee_speed, draws=draws, seed=seed, check=throw,
         )  # fmt: skip
-    folder = prepared_folder(out or Path(f"{s.name_of(fit)}-predict"))
+    folder = prepare_folder(out or Path(f"{s.name_of(fit)}-predict"))
     written = [folder / "predict.json", folder / "predict.csv"]
     found.save(written[0])
-    with replaced(written[1]) as temporary:
+    with atomic_write(written[1]) as temporary:
         temporary.write_text(found.table())
     if no_figures:
         (folder / "predict.png").unlink(missing_ok=True)
@@ -181,7 +183,7 @@ def predict(
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
 
 
-def _place(text: str) -> tuple[float, float]:
+def _point(text: str) -> tuple[float, float]:
     from curlfit.errors import InputError
 
     parts = text.split(",")

@@ -1,4 +1,4 @@
-"""Many paths to rest at once: the throw asked for, under many parameter vectors."""
+"""Ensembles of trajectories to rest: one throw under many parameter vectors."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import split
 from curlfit.inference.parameters import START
 from curlfit.numerics.compiled import compiled
-from curlfit.prediction.request import Begun
+from curlfit.prediction.request import ThrowStart
 from curlfit.stone import Stone
 
 Floats = NDArray[np.float64]
 
 VARIED = {"v0": 0.01, "omega0": 0.1}
-"""By how much a start is varied to tell how the resting place follows, in m/s and rad/s."""
-_TIMES = 301
-_STEPS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # s between times
-_FILLED = 0.8  # share of the grid of times within which paths come to rest
-_FEW = 0.01  # share of paths that may take longer
-_LEAST_SPIN = 1e-3  # rad/s of the fitted throw, below which another's is not compared with it
+"""Changes of the start for the sensitivity of the resting place, in m/s and rad/s."""
+_GRID_TIMES = 301
+_GRID_STEPS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # s between times
+_MAX_FILLED = 0.8  # share of the grid of times within which throws come to rest
+_MAX_LATE = 0.01  # share of throws that may take longer
+_MIN_SPIN = 1e-3  # rad/s of the fitted throw, below which no ratio of spins is formed
 _ON_LINE = 1e-3  # m; a stone that rests on a line has not passed it
-_AT_START = 0.5  # m past a line within which a throw counts as beginning on it
+_AT_START = 0.5  # m past a line within which a throw starts on it
 
 
-class Paths:
-    """Many paths to rest on one grid of times.
+class TrajectoryEnsemble:
+    """Trajectories to rest on one grid of times.
 
     Attributes
     ----------
     t : the grid in s since the start, shape (times,).
-    state : x, y, phi, vx, vy, omega, shape (paths, 6, times). good : whether a path comes to rest.
-    rest : time at rest in s, shape (paths,). clock : `t`, stopped there, shape (paths, times).
+    state : x, y, phi, vx, vy, omega, shape (paths, 6, times). good : whether a throw comes to rest.
+    rest : time of rest in s, shape (paths,). clock : `t` up to there, shape (paths, times).
     """
 
     def __init__(self, t: Floats, state: Floats) -> None:
@@ -56,75 +56,78 @@ class Paths:
     def __len__(self) -> int:
         return len(self.state)
 
-    def of(self, which: Any) -> Paths:
-        """Some of the paths."""
-        found = object.__new__(Paths)
+    def select(self, which: Any) -> TrajectoryEnsemble:
+        """The selected trajectories."""
+        found = object.__new__(TrajectoryEnsemble)
         found.t, found.state = self.t, self.state[which]
         for name in ("good", "rest", "clock"):
             setattr(found, name, getattr(self, name)[which])
         return found
 
     def mean_speeds(self) -> Floats:
-        """Of each interval of the grid, shape (paths, times - 1)."""
+        """Mean speed in each interval of the grid, shape (paths, times - 1)."""
         speed = np.hypot(self.state[:, 3], self.state[:, 4])
         found: Floats = (speed[:, 1:] + speed[:, :-1]) / 2
         return found
 
-    def under(self, missing: Floats) -> Paths:
-        """The same throws under further accelerations, to rest.
+    def with_accelerations(self, missing: Floats) -> TrajectoryEnsemble:
+        """The same throws under additional accelerations, to rest.
 
-        The law is taken to go by speed: a stone loses the same speeds, in other times. A
-        deceleration D becomes D - a as far as D/2, and from there D/(2 sqrt(4 a/D - 1)): friction
-        does not push. The last of the times stands for rest, whenever that is.
+        The friction is taken as a function of speed: a stone passes through the same speeds, at
+        other times. A deceleration D becomes D - a down to D/2 and D/(2 sqrt(4 a/D - 1)) below it,
+        since friction does not accelerate. The last time of the grid stands for rest.
 
         Parameters
         ----------
-        missing : accelerations to the right of the velocity, along it, and in turning, at the
-            speed that the path has in each interval, shape (paths, 3, times - 1).
+        missing : accelerations to the right of the velocity, along it, and angular, at the speed
+            of each interval, shape (paths, 3, times - 1).
         """
-        right, ahead, turning = missing.swapaxes(0, 1)
+        across, along, angular = missing.swapaxes(0, 1)
         x, y, phi, vx, vy, omega = self.state.swapaxes(0, 1)
-        speed, middle = np.hypot(vx, vy), self.mean_speeds()
+        speed, mean_speed = np.hypot(vx, vy), self.mean_speeds()
         step = np.diff(self.clock)
         loss = -np.diff(speed)
         with np.errstate(all="ignore"):
-            ratio = np.where(loss > 0, ahead * step / loss, 0.0)
-            veer = np.where(middle > 0, right / middle, 0.0)
-        little, much = np.minimum(ratio, 0.5), np.maximum(ratio, 0.5)
-        longer = step * np.where(ratio < 0.5, 1 / (1 - little), 2 * np.sqrt(4 * much - 1))
-        heading = np.unwrap(_held(np.arctan2(vx, vy), speed > 0))
-        more = longer / np.where(step > 0, step, 1.0) - 1
-        turned = _sum(more * np.diff(heading) + veer * longer)
-        faster = _sum(more * np.diff(omega) + turning * longer)
-        new, spin = heading + turned, omega + faster
+            ratio = np.where(loss > 0, along * step / loss, 0.0)
+            turn_rate = np.where(mean_speed > 0, across / mean_speed, 0.0)
+        low, high = np.minimum(ratio, 0.5), np.maximum(ratio, 0.5)
+        new_step = step * np.where(ratio < 0.5, 1 / (1 - low), 2 * np.sqrt(4 * high - 1))
+        heading = np.unwrap(_forward_filled(np.arctan2(vx, vy), speed > 0))
+        extension = new_step / np.where(step > 0, step, 1.0) - 1
+        new_heading = heading + _running_sum(extension * np.diff(heading) + turn_rate * new_step)
+        spin = omega + _running_sum(extension * np.diff(omega) + angular * new_step)
 
         def mean(values: Floats) -> Floats:
             return (values[:, 1:] + values[:, :-1]) / 2
 
-        def moved(way: Any) -> Floats:
-            """What the same sum over the intervals makes of this path and of the other."""
-            there, here = way(mean(new)) * longer, way(mean(heading)) * step
-            return _sum(middle * (there - here))
+        def displacement(component: Any) -> Floats:
+            """Change of a coordinate against this path, both summed over the intervals."""
+            new, old = component(mean(new_heading)) * new_step, component(mean(heading)) * step
+            return _running_sum(mean_speed * (new - old))
 
-        places = np.stack([x + moved(np.sin), y + moved(np.cos),
-                           phi + _sum(mean(spin) * longer - mean(omega) * step)], 1)  # fmt: skip
-        rates = np.stack([speed * np.sin(new), speed * np.cos(new), spin], 1)
-        times = _sum(longer)
-        found = self.of(slice(None))
-        found.state, found.rest = np.full_like(self.state, np.nan), times[:, -1]
-        for one in np.flatnonzero(np.isfinite(self.state).all((1, 2))):
-            clock, place, rate = times[one], places[one], rates[one]
-            kept = np.flatnonzero(np.diff(clock, prepend=-1.0) > 0)
-            at = np.minimum(np.append(self.t[:-1], np.inf), clock[-1])
-            path = CubicHermiteSpline(clock[kept], place[:, kept], rate[:, kept], axis=1)
-            moving = at < clock[-1] if speed[one, -1] <= 0 else True
-            found.state[one, :3] = path(at)
-            found.state[one, 3:] = [np.interp(at, clock, way) * moving for way in rate]
-        found.clock = np.minimum(self.t, found.rest[:, None])
-        return found
+        positions = np.stack([
+            x + displacement(np.sin), y + displacement(np.cos),
+            phi + _running_sum(mean(spin) * new_step - mean(omega) * step),
+        ], 1)  # fmt: skip
+        rates = np.stack([speed * np.sin(new_heading), speed * np.cos(new_heading), spin], 1)
+        clocks = _running_sum(new_step)
+        new = self.select(slice(None))
+        new.state, new.rest = np.full_like(self.state, np.nan), clocks[:, -1]
+        for index in np.flatnonzero(np.isfinite(self.state).all((1, 2))):
+            clock, position, rate = clocks[index], positions[index], rates[index]
+            distinct = np.flatnonzero(np.diff(clock, prepend=-1.0) > 0)
+            times = np.minimum(np.append(self.t[:-1], np.inf), clock[-1])
+            path = CubicHermiteSpline(
+                clock[distinct], position[:, distinct], rate[:, distinct], axis=1
+            )
+            moving = times < clock[-1] if speed[index, -1] <= 0 else True
+            new.state[index, :3] = path(times)
+            new.state[index, 3:] = [np.interp(times, clock, values) * moving for values in rate]
+        new.clock = np.minimum(self.t, new.rest[:, None])
+        return new
 
-    def at(self, k: NDArray[np.int64], part: Floats) -> tuple[Floats, Floats]:
-        """x, y, phi and their rates in interval k (k - 1 to k), at a part 0..1 of it, by cubics."""
+    def interpolate(self, k: NDArray[np.int64], part: Floats) -> tuple[Floats, Floats]:
+        """x, y, phi and their rates at a fraction of interval k (from k - 1 to k), by cubics."""
         rows = np.arange(len(self))
         step = (self.clock[rows, k] - self.clock[rows, k - 1])[:, None]
         a, b = self.state[rows, :3, k - 1], self.state[rows, :3, k]
@@ -139,10 +142,10 @@ class Paths:
         ) / np.where(step > 0, step, 1.0)
         return value, rate
 
-    def passing(self, level: float) -> tuple[Floats, Floats]:
-        """Time and speed at which each path first passes a y; NaN where it does not.
+    def crossing(self, level: float) -> tuple[Floats, Floats]:
+        """Time and speed at which each throw first crosses a given y; NaN where it does not.
 
-        A path that starts within `_AT_START` beyond it counts as starting on it.
+        A throw that starts within `_AT_START` beyond it is taken to start on it.
         """
         y = self.state[:, 1]
         beyond = y >= level
@@ -153,12 +156,12 @@ class Paths:
         inside = np.maximum(k, 1)
         for _ in range(50):
             middle = (low + high) / 2
-            under = self.at(inside, middle)[0][:, 1] < level
-            low, high = np.where(under, middle, low), np.where(under, high, middle)
+            short = self.interpolate(inside, middle)[0][:, 1] < level
+            low, high = np.where(short, middle, low), np.where(short, high, middle)
         rows = np.arange(len(self))
         before, after = self.clock[rows, inside - 1], self.clock[rows, inside]
         time = before + (after - before) * high
-        speed = np.hypot(*self.at(inside, high)[1][:, :2].T)
+        speed = np.hypot(*self.interpolate(inside, high)[1][:, :2].T)
         since = y[:, 0] - level
         on_it = (since >= 0) & (since < _AT_START)
         first = np.hypot(self.state[:, 3, 0], self.state[:, 4, 0])
@@ -166,135 +169,139 @@ class Paths:
         time = np.where(on_it, -since / ahead, np.where(crossing, time, np.nan))
         return time, np.where(on_it, first, np.where(crossing, speed, np.nan))
 
-    def when(self, times: Floats) -> Floats:
+    def positions_at(self, times: Floats) -> Floats:
         """x, y, phi at times since the start, shape (paths, 3, times)."""
         found = np.empty((len(self), 3, len(times)))
-        for place, time in enumerate(times):
+        for index, time in enumerate(times):
             k = int(np.clip(np.searchsorted(self.t, time), 1, len(self.t) - 1))
             before, after = self.clock[:, k - 1], self.clock[:, k]
             step = np.where(after > before, after - before, 1.0)
             part = np.clip((np.minimum(time, self.rest) - before) / step, 0.0, 1.0)
-            found[:, :, place] = self.at(np.full(len(self), k), part)[0]
+            found[:, :, index] = self.interpolate(np.full(len(self), k), part)[0]
         return found
 
 
-class Family:
-    """The throw asked for, under many parameter vectors.
+class ThrowFamily:
+    """The throw to be predicted, under many parameter vectors.
 
     Attributes
     ----------
-    spin : over that of the fitted throw.
+    spin_ratio : spin over that of the fitted throw.
     """
 
-    def __init__(self, fit: FitResult, begun: Begun, new: bool) -> None:
-        self.fit, self.begun, self.new = fit, begun, new
+    def __init__(self, fit: FitResult, start: ThrowStart, new: bool) -> None:
+        self.fit, self.start, self.new = fit, start, new
         self._first = len(fit.parameters) - len(START)
-        spin = fit.parameters["omega0"].value
-        known = new and abs(spin) > _LEAST_SPIN
-        self.spin = begun.values["omega0"] / spin if known else 1.0
+        fitted_spin = fit.parameters["omega0"].value
+        known = new and abs(fitted_spin) > _MIN_SPIN
+        self.spin_ratio = start.values["omega0"] / fitted_spin if known else 1.0
         self._grid: Floats | None = None
         self._size = 0
 
-    def begin(self, values: Floats) -> Floats:
+    def with_start(self, values: Floats) -> Floats:
         """Parameter vectors with the start of this throw."""
         own = values.copy()
         if self.new:
-            own[:, self._first :] = [self.begun.values[item.name] for item in START]
+            own[:, self._first :] = [self.start.values[item.name] for item in START]
         else:
-            own[:, self._first : self._first + 2] += self.begun.shift
+            own[:, self._first : self._first + 2] += self.start.shift
         return own
 
     def probes(self) -> dict[str, Floats]:
-        """The best estimate varied: in speed, in spin, and to both ends of unseen directions."""
+        """The best estimate varied: in speed, in spin, and to both ends of null directions."""
         best, names = self.fit.values, list(self.fit.parameters)
         found = {}
         for name, by in VARIED.items():
-            found[name] = self.begin(best[None])
+            found[name] = self.with_start(best[None])
             found[name][0, names.index(name)] += by
         parameters = self.fit.parameter_set
-        for place, direction in enumerate(self.fit.null_directions):
+        for index, direction in enumerate(self.fit.null_directions):
             along = np.array([direction.get(name, 0.0) for name in names])
             with np.errstate(all="ignore"):
                 ends = np.stack([parameters.lower - best, parameters.upper - best]) / along
             ends = np.sort(ends[:, (along != 0) & np.isfinite(ends).all(0)], axis=0)
-            room = [max(ends[0], default=0.0), min(ends[1], default=0.0)]
-            found[f"unseen {place}"] = self.begin(best + np.outer(room, along))
+            limits = [max(ends[0], default=0.0), min(ends[1], default=0.0)]
+            found[f"null {index}"] = self.with_start(best + np.outer(limits, along))
         return found
 
-    def follow(self, own: Floats) -> Paths:
-        """The paths of vectors that `begin` gave, on one grid for all calls."""
-        self._size = max(self._size, len(own))
-        every = np.concatenate([own, np.repeat(own[:1], self._size - len(own), 0)])
+    def simulate(self, values: Floats) -> TrajectoryEnsemble:
+        """The trajectories of vectors from `with_start`, on one grid for all calls."""
+        self._size = max(self._size, len(values))  # one shape, one compiled program
+        padded = np.concatenate([values, np.repeat(values[:1], self._size - len(values), 0)])
         law, load = self.fit.law_class, check_load(self.fit.load)
 
-        def on(t: Floats) -> Paths:
-            return followed(law, load, every, self.fit.stone, t)
+        def on_grid(t: Floats) -> TrajectoryEnsemble:
+            return simulate_ensemble(law, load, padded, self.fit.stone, t)
 
         if self._grid is not None:
-            return on(self._grid).of(slice(0, len(own)))
-        guess = self._guess()
-        for step in _STEPS:
-            grid: Floats = step * np.arange(_TIMES, dtype=np.float64)
-            if grid[-1] < guess:
+            return on_grid(self._grid).select(slice(0, len(values)))
+        duration = self._estimated_duration()
+        for step in _GRID_STEPS:
+            grid: Floats = step * np.arange(_GRID_TIMES, dtype=np.float64)
+            if grid[-1] < duration:
                 continue
-            paths = on(grid)
-            late = ~paths.good | (paths.rest > _FILLED * grid[-1])
-            if (late & np.isfinite(paths.state).all((1, 2))).mean() < _FEW:
+            ensemble = on_grid(grid)
+            late = ~ensemble.good | (ensemble.rest > _MAX_FILLED * grid[-1])
+            if (late & np.isfinite(ensemble.state).all((1, 2))).mean() < _MAX_LATE:
                 break
         self._grid = grid
-        return paths.of(slice(0, len(own)))
+        return ensemble.select(slice(0, len(values)))
 
-    def _guess(self) -> float:
-        """About how long the throw takes, in s, from how the fitted one slowed."""
+    def _estimated_duration(self) -> float:
+        """Approximate duration of the throw in s, from the deceleration of the fitted one."""
         t, speed = self.fit.observed["t"], self.fit.fitted["speed"]
-        slowing = max((speed[0] - speed[-1]) / (t[-1] - t[0]), 1e-4)
-        return min(float(1.2 * self.begun.values["v0"] / slowing), _STEPS[-1] * (_TIMES - 1))
+        deceleration = max((speed[0] - speed[-1]) / (t[-1] - t[0]), 1e-4)
+        return min(
+            float(1.2 * self.start.values["v0"] / deceleration), _GRID_STEPS[-1] * (_GRID_TIMES - 1)
+        )
 
 
-def followed(law: type[Law], load: Load, values: Floats, stone: Stone, t: Floats) -> Paths:
-    """The paths of parameter vectors, at evenly spaced times from 0."""
-    return Paths(t, np.asarray(_carried(law, load, values, stone, t)))
+def simulate_ensemble(
+    law: type[Law], load: Load, values: Floats, stone: Stone, t: Floats
+) -> TrajectoryEnsemble:
+    """The trajectories of parameter vectors, at evenly spaced times from 0."""
+    return TrajectoryEnsemble(t, np.asarray(_propagated(law, load, values, stone, t)))
 
 
-def _sum(steps: Floats) -> Floats:
+def _running_sum(steps: Floats) -> Floats:
     """Running sum along the last axis, from zero."""
     return np.concatenate([np.zeros_like(steps[:, :1]), np.cumsum(steps, 1)], 1)
 
 
-def _held(values: Floats, known: NDArray[np.bool_]) -> Floats:
-    """Values, each unknown one being the last known before it."""
+def _forward_filled(values: Floats, known: NDArray[np.bool_]) -> Floats:
+    """Values, unknown ones replaced by the last known before them."""
     last = np.maximum.accumulate(np.where(known, np.arange(values.shape[1]), 0), 1)
     return np.take_along_axis(values, last, 1)
 
 
 def _rest_times(t: Floats, state: Floats, speed: Floats) -> Floats:
-    """When each path comes to rest.
+    """Time of rest of each throw.
 
-    Toward rest a rate v goes as a power q of the time left, so that the way left, s, tells that
-    time: s = v tau/(1 + q); and two moments tell q, for s goes as v to the power 1 + 1/q. It is
-    taken from the turning, which has no loops, and from the place where the stone does not turn or
-    its turning does not die away with the sliding.
+    Near rest a rate v is proportional to a power q of the remaining time tau, so that the remaining
+    distance is s = v tau/(1 + q), proportional to v^(1 + 1/q); q follows from two times. The
+    rotation is used, whose distance is monotonic, or the position where the stone does not rotate
+    or its rotation does not cease with the sliding.
     """
     last = np.maximum((speed > 0).sum(1) - 1, 1)
     rows, step = np.arange(len(state)), t[1] - t[0]
 
-    def wait(way: list[Floats], rate: list[Floats]) -> Floats:
+    def remaining_time(distance: list[Floats], rate: list[Floats]) -> Floats:
         with np.errstate(all="ignore"):
-            power = np.log(way[0] / way[1]) / np.log(rate[0] / rate[1])
-            found = way[1] / rate[1] * power / (power - 1)
-        return np.where((found >= 0) & (found <= step) & (power > 1.1), found, np.nan)
+            power = np.log(distance[0] / distance[1]) / np.log(rate[0] / rate[1])
+            tau = distance[1] / rate[1] * power / (power - 1)
+        return np.where((tau >= 0) & (tau <= step) & (power > 1.1), tau, np.nan)
 
-    moments = (last - 1, last)
-    place = [np.hypot(*(state[:, :2, -1] - state[rows, :2, k]).T) for k in moments]
-    angle = [np.abs(state[:, 2, -1] - state[rows, 2, k]) for k in moments]
-    sliding = wait(place, [speed[rows, k] for k in moments])
-    turning = wait(angle, [np.abs(state[rows, 5, k]) for k in moments])
-    left = np.where(np.isnan(turning), sliding, turning)
-    return cast(Floats, t[last] + np.where(np.isnan(left), step / 2, left))
+    times = (last - 1, last)
+    distance = [np.hypot(*(state[:, :2, -1] - state[rows, :2, k]).T) for k in times]
+    angle = [np.abs(state[:, 2, -1] - state[rows, 2, k]) for k in times]
+    sliding = remaining_time(distance, [speed[rows, k] for k in times])
+    turning = remaining_time(angle, [np.abs(state[rows, 5, k]) for k in times])
+    tau = np.where(np.isnan(turning), sliding, turning)
+    return cast(Floats, t[last] + np.where(np.isnan(tau), step / 2, tau))
 
 
 @compiled("law", "load")
-def _carried(law: type[Law], load: Load, values: Array, stone: Stone, times: Array) -> Array:
+def _propagated(law: type[Law], load: Load, values: Array, stone: Stone, times: Array) -> Array:
     def one(values: Array) -> Array:
         friction, start = split(law, values)
         path = simulate(friction, stone, start, times, load=load, t0=0.0)

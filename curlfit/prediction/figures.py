@@ -1,5 +1,4 @@
-"""The figure of a prediction: the sheet and the house drawn to scale. Nothing is computed here
-but ellipses from the intervals of the table."""
+"""Figure of a prediction: sheet and house to scale, ellipses from the intervals of the table."""
 
 from __future__ import annotations
 
@@ -29,32 +28,32 @@ _LETTERS = {"x": "x", "y": "y", "phi": r"\varphi"}
 
 
 def prediction_figure(prediction: Prediction) -> Figure:
-    """The path on the sheet, the place of rest in the house, the bands, and measured rows."""
+    """The path on the sheet, the resting place in the house, the bands, and measured rows."""
     checked = prediction.check is not None
     figure = Picture(figsize=(11, 8.8 if checked else 6.6), layout="constrained")
     rows = figure.add_gridspec(3 if checked else 2, 1, height_ratios=(1, 2.7, 1.4)[: 2 + checked])
     top = figure.add_subplot(rows[0])
     lower = rows[1].subgridspec(1, 2, width_ratios=(1.0, 1.25))
-    _whole(prediction, top)
-    _resting(prediction, figure.add_subplot(lower[0]))
+    _sheet_view(prediction, top)
+    _resting_place(prediction, figure.add_subplot(lower[0]))
     right = lower[1].subgridspec(2, 1)
-    _across(prediction, figure.add_subplot(right[0]))
+    _cross_track(prediction, figure.add_subplot(right[0]))
     _speed(prediction, figure.add_subplot(right[1]))
     if prediction.check is not None:
         panels = rows[2].subgridspec(1, len(prediction.check.channels))
-        for place, name in enumerate(prediction.check.channels):
-            _checked(prediction, figure.add_subplot(panels[place]), name)
+        for index, name in enumerate(prediction.check.channels):
+            _residuals(prediction, figure.add_subplot(panels[index]), name)
     name = FilePath(prediction.fit["file"]).name
     top.set_title(
         f"{prediction.law} law fitted to {name}, "
-        + ("carried on to rest" if prediction.of == "fitted" else "another throw on this ice"),
+        + ("extrapolated to rest" if prediction.of == "fitted" else "another throw on this ice"),
         fontsize=10, loc="left",
     )  # fmt: skip
     return figure
 
 
-def _whole(prediction: Prediction, axes: Any) -> None:
-    """The sheet from above, thrown to the right, so that right of the centre line is below."""
+def _sheet_view(prediction: Prediction, axes: Any) -> None:
+    """The sheet from above, throws to the right, so that right of the centre line is below."""
     length, half = sheet.TEE + sheet.LINES["tee"], sheet.WIDTH / 2
     axes.add_patch(
         Rectangle(
@@ -63,9 +62,9 @@ def _whole(prediction: Prediction, axes: Any) -> None:
     )
     for tee in (sheet.LINES["tee"], sheet.TEE):
         _house(axes, (tee, 0.0))
-    for name, place in sheet.LINES.items():
+    for name, y in sheet.LINES.items():
         if name not in ("hack", "centre"):
-            axes.plot([place, place], [-half, half], **_LINE)
+            axes.plot([y, y], [-half, half], **_LINE)
     axes.plot([sheet.END - sheet.STONE_RADIUS] * 2, [-half, half], **_LINE)
     axes.plot([0, length], [0, 0], **_LINE)
     band, series = prediction.band, prediction.series
@@ -73,8 +72,8 @@ def _whole(prediction: Prediction, axes: Any) -> None:
         axes.fill_between(
             band["y"], band[low], band[high], color=_BAND, alpha=alpha, lw=0, zorder=3
         )
-    for seen, color, _ in _measured(prediction):
-        axes.plot(seen["y"], seen["x"], ".", color=color, markersize=3, zorder=3.5)
+    for rows, color, _ in _measured_rows(prediction):
+        axes.plot(rows["y"], rows["x"], ".", color=color, markersize=3, zorder=3.5)
     axes.plot(series["y"], series["x"], color=_PATH, lw=1.2, zorder=4)
     _stone(axes, (series["y"][0], series["x"][0]), hollow=True)
     _stone(axes, (series["y"][-1], series["x"][-1]))
@@ -97,17 +96,17 @@ def _house(axes: Any, centre: tuple[float, float]) -> None:
         )
 
 
-def _stone(axes: Any, place: tuple[float, float], hollow: bool = False) -> None:
+def _stone(axes: Any, position: tuple[float, float], hollow: bool = False) -> None:
     axes.add_patch(
         Circle(
-            place, sheet.STONE_RADIUS, facecolor="none" if hollow else "0.35", edgecolor=_PATH,
+            position, sheet.STONE_RADIUS, facecolor="none" if hollow else "0.35", edgecolor=_PATH,
             lw=0.9, zorder=6,
         )
     )  # fmt: skip
 
 
-def _resting(prediction: Prediction, axes: Any) -> None:
-    """Where it comes to rest, seen along the throw, in m from the tee."""
+def _resting_place(prediction: Prediction, axes: Any) -> None:
+    """The resting place, seen along the throw, in m from the tee."""
     series, half = prediction.series, sheet.WIDTH / 2
     x, y = series["x"][-1], series["y"][-1] - sheet.TEE
     centre, size = _interval(prediction, "2.5", "97.5")
@@ -146,10 +145,10 @@ def _resting(prediction: Prediction, axes: Any) -> None:
     )  # fmt: skip
     _stone(axes, (x, y), hollow=True)
     if prediction.goal is not None:
-        place = prediction.goal["x"] or 0.0, prediction.goal["y"]
-        axes.plot(*place, "+", color=_AIM, markersize=13, mew=2, zorder=7)
-    for seen, color, _ in _measured(prediction):
-        axes.plot(seen["x"], seen["y"] - sheet.TEE, ".", color=color, markersize=3, zorder=3.5)
+        target = prediction.goal["x"] or 0.0, prediction.goal["y"]
+        axes.plot(*target, "+", color=_AIM, markersize=13, mew=2, zorder=7)
+    for rows, color, _ in _measured_rows(prediction):
+        axes.plot(rows["x"], rows["y"] - sheet.TEE, ".", color=color, markersize=3, zorder=3.5)
     end = sheet.TEE_TO_HACK + 0.3
     away = y - reach[1] > end
     sides = half if away else max(half, abs(x) + reach[0])
@@ -162,7 +161,7 @@ def _resting(prediction: Prediction, axes: Any) -> None:
         ylabel="beyond the tee line (m)",
     )
     axes.set_title(
-        "it goes through; band: 95 %, both errors"
+        "passes through the house; band: 95 %, both errors"
         if away
         else "at rest; ellipses as wide and high as the table's\n68 % and 95 % intervals; "
         "outline: 95 %, parameters alone",
@@ -171,7 +170,7 @@ def _resting(prediction: Prediction, axes: Any) -> None:
 
 
 def _interval(prediction: Prediction, low: str, high: str) -> tuple[Any, Any]:
-    """Middle and half width of an interval of the resting place, from the tee, m."""
+    """Centre and half width of an interval of the resting place, from the tee, m."""
     ends = np.array(
         [[prediction.quantities[name].quantiles[level] for level in (low, high)] for name in _REST]
     )
@@ -187,8 +186,8 @@ def _ellipse(axes: Any, centre: Any, size: Any, covariance: Any, **style: Any) -
     axes.add_patch(Ellipse(centre, long[1], long[0], angle=angle, **style))
 
 
-def _measured(prediction: Prediction) -> list[tuple[Any, str, str]]:
-    """Measured places on the sheet: those that were fitted and those that were not."""
+def _measured_rows(prediction: Prediction) -> list[tuple[Any, str, str]]:
+    """Measured positions on the sheet, fitted and not fitted."""
     check = prediction.check
     later = {} if check is None else check.observed
     found = [
@@ -197,15 +196,15 @@ def _measured(prediction: Prediction) -> list[tuple[Any, str, str]]:
     return [item for item in found if "x" in item[0] and "y" in item[0]]
 
 
-def _across(prediction: Prediction, axes: Any) -> None:
+def _cross_track(prediction: Prediction, axes: Any) -> None:
     band = prediction.band
     y = band["y"] - sheet.TEE
     for low, high, alpha, label in (
         ("x_2.5", "x_97.5", 0.25, "95 %"), ("x_16", "x_84", 0.45, "68 %"),
     ):  # fmt: skip
         axes.fill_between(y, band[low], band[high], color=_BAND, alpha=alpha, lw=0, label=label)
-    for seen, color, label in _measured(prediction):
-        axes.plot(seen["y"] - sheet.TEE, seen["x"], ".", color=color, markersize=3, label=label)
+    for rows, color, label in _measured_rows(prediction):
+        axes.plot(rows["y"] - sheet.TEE, rows["x"], ".", color=color, markersize=3, label=label)
     axes.plot(y, band["x"], color=_PATH, lw=1.2, label="path of the law")
     axes.invert_yaxis()
     axes.set(
@@ -228,21 +227,21 @@ def _speed(prediction: Prediction, axes: Any) -> None:
     spin.set_ylim((min(low, 0.0) * 1.05, max(high, 0.0) * 1.05) if high > low else (-1, 1))
 
 
-def _checked(prediction: Prediction, axes: Any, name: str) -> None:
-    """Measured minus predicted, with the bands of the path (without the noise of measuring)."""
+def _residuals(prediction: Prediction, axes: Any, name: str) -> None:
+    """Measured minus predicted, with the bands of the path (without measurement noise)."""
     assert prediction.check is not None
     factor, unit = _UNITS[name]
-    series, seen = prediction.series, prediction.check.observed
+    series, measured = prediction.series, prediction.check.observed
     step = series["t"][1] - series["t"][0]
-    shown = (series["t"] >= seen["t"][0] - 1) & (series["t"] <= seen["t"][-1] + step)
+    shown = (series["t"] >= measured["t"][0] - 1) & (series["t"] <= measured["t"][-1] + step)
     for low, high, alpha in (("2.5", "97.5", 0.25), ("16", "84", 0.45)):
         edges = [
             factor * (series[f"{name}_{level}"] - series[name])[shown] for level in (low, high)
         ]
         axes.fill_between(series["t"][shown], *edges, color=_BAND, alpha=alpha, lw=0)
     axes.axhline(0, color="0.6", lw=0.8)
-    off = factor * (seen[name] - np.interp(seen["t"], series["t"], series[name]))
-    axes.plot(seen["t"], off, ".", color=_AIM, markersize=3)
+    off = factor * (measured[name] - np.interp(measured["t"], series["t"], series[name]))
+    axes.plot(measured["t"], off, ".", color=_AIM, markersize=3)
     axes.set(xlabel="t (s)", ylabel=unit)
     axes.set_title(f"${_LETTERS[name]}$ measured - predicted", fontsize=10)
     axes.margins(x=0.02)

@@ -1,4 +1,4 @@
-"""What a prediction says, as text. Nothing is computed here."""
+"""Report of a prediction as text."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from curlfit.output.text import number, plain_table
+from curlfit.output.text import format_estimate, plain_table
 from curlfit.sheet import FOOT, STONE_RADIUS, TEE_TO_BACK
 
 if TYPE_CHECKING:
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 _LINES = {
     "hack": "at the hack", "back": "on the near back line", "tee": "on the near tee line",
     "hog": "on the near hog line", "centre": "in the middle of the sheet",
-    "far-hog": "on the far hog line", "data": "where the data do", "": "where it was told to",
+    "far-hog": "on the far hog line", "data": "at the start of the data",
+    "": "at the given position",
 }  # fmt: skip
 _START = {
     "v0": "speed", "omega0": "spin", "heading": "heading", "x0": "x", "y0": "y", "phi0": "angle",
@@ -47,12 +48,12 @@ def report(prediction: Prediction) -> RenderableType:
     return Group(*parts)
 
 
-def in_words(prediction: Prediction) -> str:
-    """Where and when the stone comes to rest, as a sentence."""
+def describe_rest(prediction: Prediction) -> str:
+    """Place and time of rest, as a sentence."""
     found = prediction.quantities
     curl, turns = found["curl"].value, found["turns"].value
     far = found["rest_y"].value > TEE_TO_BACK + STONE_RADIUS
-    text = "Were the ice long enough, it would come to rest" if far else "It comes to rest"
+    text = "On longer ice it would come to rest" if far else "It comes to rest"
     text += f" after {found['time'].value:.1f} s and {abs(turns):.2f} turns"
     text += " counter-clockwise" if turns > 0 else " clockwise" if turns < 0 else ""
     text += (
@@ -64,7 +65,7 @@ def in_words(prediction: Prediction) -> str:
 
 
 def _off(value: float, sides: tuple[str, str]) -> str:
-    """A distance in words, as in "0.25 m left of", or "on"."""
+    """A distance in words, such as "0.25 m left of", or "on"."""
     return "on" if abs(value) < 0.005 else f"{abs(value):.2f} m {sides[value < 0]}"
 
 
@@ -73,7 +74,7 @@ def _heading(prediction: Prediction) -> RenderableType:
     text.append(f"{prediction.law} law", style="bold")
     text.append(f", {prediction.load} load, fitted to {prediction.fit['file']}: ")
     text.append(
-        "the fitted throw carried to rest\n"
+        "the fitted throw, extrapolated to rest\n"
         if prediction.of == "fitted"
         else "another throw on this ice\n"
     )
@@ -92,14 +93,14 @@ def _heading(prediction: Prediction) -> RenderableType:
     draws = prediction.draws
     source = (
         "the chain" if draws["source"] == "chain" else "the covariance of the fit (there is no "
-        "chain.h5): Gaussian along what is determined, even along what is not"
+        "chain.h5): Gaussian along determined directions, uniform along the others"
     )  # fmt: skip
     text.append(f"Bands from {draws['used']} draws of {source}")
     return text
 
 
 def _aim(prediction: Prediction) -> str:
-    """What was found to meet the goal."""
+    """Speed and heading found for the goal."""
     goal, start = prediction.goal or {}, prediction.start
     found = [f"{start['v0']['value']:.4f} m/s"]
     if start["heading"]["origin"] == "found":
@@ -140,7 +141,7 @@ def _quantities(prediction: Prediction) -> RenderableType:
 def _row(item: Quantity) -> list[str]:
     """Best value, both errors, and the intervals, to two digits of the larger error."""
     size = max(item.parameter_sd, item.model_sd)
-    digits = 4 if size < 1e-9 else min(len(number(0.0, size)[1].partition(".")[2]), 4)
+    digits = 4 if size < 1e-9 else min(len(format_estimate(0.0, size)[1].partition(".")[2]), 4)
     best = "-" if math.isnan(item.value) else f"{item.value:.{digits}f}"
     own = [
         f"{part:.{digits + 1}f}" if part > 1e-9 else "-"
@@ -153,11 +154,11 @@ def _row(item: Quantity) -> list[str]:
 
 
 def _sentences(prediction: Prediction) -> list[str]:
-    from curlfit.prediction.result import CHANCES
+    from curlfit.prediction.result import OUTCOMES
 
-    found = [in_words(prediction)]
+    found = [describe_rest(prediction)]
     likely = [
-        f"in {100 * chance:.3g} % of the draws it {CHANCES[name]}"
+        f"in {100 * chance:.3g} % of the draws it {OUTCOMES[name]}"
         for name, chance in prediction.chances.items()
         if chance > 0
     ]
@@ -175,9 +176,9 @@ def _sentences(prediction: Prediction) -> list[str]:
             for size, sides in ((along, ("farther", "shorter")), (right, ("right", "left")))
             if abs(size) >= 0.001
         ]
-        changes.append(f"{item['by']:g} {words}: {', '.join(moves) or 'nothing'}")
+        changes.append(f"{item['by']:g} {words}: {', '.join(moves) or 'no change'}")
     if changes:
-        found.append("What changes the place: " + "; ".join(changes) + ".")
+        found.append("Sensitivity of the resting place: " + "; ".join(changes) + ".")
     return found
 
 
@@ -188,14 +189,14 @@ def _check(check: HeldOut) -> RenderableType:
         table.add_column(head, justify="right", no_wrap=True)
     for name, item in check.channels.items():
         unit = "rad" if name == "phi" else "m"
-        off, expected = number(item["end"], item["end_sd"])
+        off, expected = format_estimate(item["end"], item["end_sd"])
         table.add_row(
             f"{name} ({unit})", f"{item['rows']:.0f}", f"{item['rms']:.3g}",
             f"{item['inside_68']:.0%}", f"{item['inside_95']:.0%}", off, expected,
         )  # fmt: skip
-    said = Text(
-        f"Rows of {check.file} from t = {check.first:g} to {check.last:g} s, which the fit had not "
-        "seen, noise included in the bands. Rows of one throw go together: a path that is off by "
-        "one standard deviation has hardly a row within 68 %."
+    remark = Text(
+        f"Rows of {check.file} from t = {check.first:g} to {check.last:g} s were not fitted; "
+        "the bands include noise. Differences within one throw are correlated: a path that is off "
+        "by one standard deviation has hardly a row within 68 %."
     )
-    return Group(table, Padding(said, (1, 0, 1, 0)))
+    return Group(table, Padding(remark, (1, 0, 1, 0)))

@@ -1,4 +1,4 @@
-"""What throw is asked for, and where and how it starts."""
+"""The throw to be predicted: request, goal and start."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ WEIGHTS = {
 }
 
 
-class Wanted(NamedTuple):
-    """What throw is asked for."""
+class ThrowRequest(NamedTuple):
+    """The throw to be predicted."""
 
     start: dict[str, float]
     line: str
@@ -35,20 +35,20 @@ class Wanted(NamedTuple):
 
     @property
     def new(self) -> bool:
-        """Whether it is another throw than the fitted one."""
+        """Whether it is a throw other than the fitted one."""
         return bool(self.start) or self.aimed
 
     @property
     def aimed(self) -> bool:
-        """Whether a place is asked for."""
+        """Whether it has a target or weight, for which speed and heading are found."""
         return self.target is not None or self.weight is not None
 
     def require(self, fit: FitResult, check: Throw | None) -> None:
-        """Raise `InputError` where this cannot be meant."""
+        """Raise `InputError` for contradictory or impossible requests."""
         names = [item.name for item in START]
         for name, value in self.start.items():
             if name not in names:
-                raise InputError(f"start: no {name!r}; a throw starts with {', '.join(names)}")
+                raise InputError(f"start: unknown {name!r}; expected some of {', '.join(names)}")
             if not math.isfinite(value):
                 raise InputError(f"{name} = {value}: expected a finite number")
         if not 0 < self.start.get("v0", 1.0) <= 10:
@@ -64,21 +64,22 @@ class Wanted(NamedTuple):
         if self.weight is not None and self.weight not in WEIGHTS:
             raise InputError(f"weight {self.weight!r}: expected {', '.join(WEIGHTS)}")
         if self.tee_speed is not None and self.weight != "takeout":
-            raise InputError("a speed at the tee is that of the weight takeout only")
+            raise InputError("a speed at the tee needs the weight takeout")
         if self.aimed and "v0" in self.start:
-            raise InputError("v0 is given, and the target or weight asks for it to be found")
+            raise InputError("v0 is given, but the target or weight determines it; leave one out")
         if self.target is not None and "heading" in self.start:
-            raise InputError("heading is given, and the target asks for it to be found")
+            raise InputError("heading is given, but the target determines it; leave one out")
         if check is not None and self.new:
             raise InputError(
-                "measured rows are compared with the fitted throw carried on; leave out its start"
+                "measured rows are compared with the fitted throw; leave out the start, target or "
+                "weight"
             )
         spin = fit.parameters["omega0"]
         if self.new and "omega0" not in self.start and spin.verdict == "not identifiable":
-            raise InputError("the fit does not know the spin (omega0); give one")
+            raise InputError("the fit does not determine the spin (omega0); give one")
 
-    def place(self) -> tuple[float | None, float, float] | None:
-        """x and y from the tee, and the speed there; x is None where it is not aimed at."""
+    def target_point(self) -> tuple[float | None, float, float] | None:
+        """x and y from the tee, and the speed there; x is None where it is free."""
         x = None if "heading" in self.start else 0.0
         if self.target is not None:
             return (*self.target, 0.0)
@@ -89,34 +90,34 @@ class Wanted(NamedTuple):
         return x, GUARD if self.weight == "guard" else 0.0, 0.0
 
     def goal(self) -> dict[str, Any] | None:
-        """The same as it is kept."""
-        place = self.place()
-        if place is None:
+        """The target point as recorded."""
+        target = self.target_point()
+        if target is None:
             return None
-        x, y, speed = place
+        x, y, speed = target
         words = self.weight or ("to the tee" if (x, y) == (0.0, 0.0) else "target")
         return {"words": words, "x": x, "y": y, "speed": speed}
 
 
-class Begun(NamedTuple):
-    """Where and how the throw starts."""
+class ThrowStart(NamedTuple):
+    """Start of the throw."""
 
     values: dict[str, float]
     """of the best estimate, on the sheet"""
     shift: tuple[float, float]
-    """what to add to the data's x and y"""
+    """from the data's x and y to those of the sheet"""
     line: str
 
-    def record(self, fit: FitResult, wanted: Wanted) -> dict[str, dict[str, Any]]:
-        """The same by name, with where each value is from."""
+    def record(self, fit: FitResult, request: ThrowRequest) -> dict[str, dict[str, Any]]:
+        """Values by name, with their origin."""
         found = {}
         for item in START:
             origin = "default"
-            if item.name in wanted.start:
+            if item.name in request.start:
                 origin = "given"
-            elif wanted.aimed and item.name in ("v0", "heading"):
+            elif request.aimed and item.name in ("v0", "heading"):
                 origin = "found"
-            elif item.name in ("v0", "omega0") or not wanted.new:
+            elif item.name in ("v0", "omega0") or not request.new:
                 origin = "fitted"
             if origin == "fitted" and item.name in ("x0", "y0") and self.line != "data":
                 origin = "default"
@@ -126,17 +127,17 @@ class Begun(NamedTuple):
         return found
 
 
-def begin(fit: FitResult, wanted: Wanted) -> Begun:
-    """Where the throw starts; speed and heading are sought where a place is asked for."""
+def start_of(fit: FitResult, request: ThrowRequest) -> ThrowStart:
+    """The start of the throw; speed and heading are found where it has a target or weight."""
     fitted = {item.name: fit.parameters[item.name].value for item in START}
-    line = wanted.line
-    place = (fitted["x0"], fitted["y0"]) if line == "data" else (0.0, LINES[line])
-    shift = place[0] - fitted["x0"], place[1] - fitted["y0"]
-    values = fitted | {"x0": place[0], "y0": place[1]}
-    if not wanted.new:
-        return Begun(values, shift, line)
-    values |= {"heading": 0.0, "phi0": 0.0} | wanted.start
-    goal = wanted.place()
+    line = request.line
+    target_point = (fitted["x0"], fitted["y0"]) if line == "data" else (0.0, LINES[line])
+    shift = target_point[0] - fitted["x0"], target_point[1] - fitted["y0"]
+    values = fitted | {"x0": target_point[0], "y0": target_point[1]}
+    if not request.new:
+        return ThrowStart(values, shift, line)
+    values |= {"heading": 0.0, "phi0": 0.0} | request.start
+    goal = request.target_point()
     if goal is not None:
         x, y, speed = goal
         law, _ = split(fit.law_class, fit.values)
@@ -146,11 +147,11 @@ def begin(fit: FitResult, wanted: Wanted) -> Begun:
             heading=values["heading"] if x is None else None, speed=speed, load=fit.load,
         )  # fmt: skip
         values |= {"v0": found.v0, "heading": found.heading}
-    return Begun(values, (0.0, 0.0), line)
+    return ThrowStart(values, (0.0, 0.0), line)
 
 
-def on_the_sheet(fit: FitResult) -> bool:
-    """Whether the readers laid the data on the sheet, y counted from the hack."""
+def counts_from_hack(fit: FitResult) -> bool:
+    """Whether y of the data is measured from the hack, by the notes of the reader."""
     return any(
         note.startswith("y from the hack") or (note.startswith("axes:") and "from-" in note)
         for note in fit.data["notes"]

@@ -1,4 +1,4 @@
-"""Predictions as frozen records, and their versioned form in JSON and CSV."""
+"""Predictions as frozen records, in JSON and CSV."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.errors import DataError
-from curlfit.output.files import Migration, known, read_json, strict, write_json
+from curlfit.output.files import Migration, json_safe, known_fields, read_json, write_json
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
 
@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 SCHEMA = 1
 MIGRATIONS: dict[int, Migration] = {}
 _SERIES = ("series", "band", "measured")
+PREDICTED = ("x", "y", "phi")
+"""Predicted channels."""
 QUANTITIES = {
     "rest_x": ("rests right of centre line", "m"),
     "rest_y": ("rests beyond tee line", "m"),
@@ -36,11 +38,11 @@ QUANTITIES = {
     "speed_at_far_hog": ("speed at far hog line", "m/s"),
     "speed_at_tee": ("speed at tee line", "m/s"),
 }
-"""What is predicted besides the path: meaning and unit by name. Curl is the distance of the resting
-place from the line of delivery, the straight line along the first velocity."""
-CHANCES = {
+"""Predicted quantities: meaning and unit by name. Curl is the distance of the resting place from
+the line of delivery, the straight line along the initial velocity."""
+OUTCOMES = {
     "in the house": "rests in the house or touches it",
-    "short of the hog line": "does not get over the far hog line and is removed",
+    "short of the hog line": "does not cross the far hog line and is removed",
     "through the house": "passes the back line and is out of play",
 }
 
@@ -51,11 +53,11 @@ class Quantity:
 
     Attributes
     ----------
-    value : for the best estimate; NaN where that throw has none (it never reaches the line).
-    parameter_sd, model_sd : from the errors of the parameters, standard deviation, and of the law,
-        root mean square of what it makes of the parameters' draws.
-    quantiles : of both together, keys "2.5", "16", "50", "84", "97.5".
-    share : of the draws that have it.
+    value : for the best estimate; NaN where it has none (the throw does not reach the line).
+    parameter_sd : standard deviation by the errors of the parameters.
+    model_sd : root mean square difference by the model discrepancy.
+    quantiles : by both, keys "2.5", "16", "50", "84", "97.5".
+    share : of the draws that have a value.
     """
 
     value: float
@@ -67,20 +69,20 @@ class Quantity:
 
     @property
     def sd(self) -> float:
-        """Size of both errors together."""
+        """Root sum of squares of both errors."""
         return math.hypot(self.parameter_sd, self.model_sd)
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """A prediction beside measured rows that the fit had not seen.
+    """A prediction compared with measured rows that were not fitted.
 
     Attributes
     ----------
-    file, first, last : where the rows came from, first and last time (s, the clock of the data).
+    file, first, last : the file of the rows, first and last time (s, the clock of the data).
     channels : by channel "rows", "rms" of measured - predicted, "inside_68" and "inside_95" (share
-        of rows within the bands, noise included), "end" (measured - predicted at its last row) and
-        "end_sd" (what was predicted for that difference).
+        of rows within the bands, noise included), "end" (measured - predicted at the last row) and
+        "end_sd" (standard deviation predicted for that difference).
     observed : t (s since the start) and the channels, on the sheet.
     """
 
@@ -97,25 +99,25 @@ class Prediction:
 
     Attributes
     ----------
-    law, load, stone, fit : what was fitted to what; `fit` has "file", "rows", "from", "to".
+    law, load, stone, fit : of the fit; `fit` has "file", "rows", "from", "to".
     start : by name (x0 y0 heading v0 phi0 omega0) "value", "unit" and "origin" ("given", "fitted",
         "default", "found").
-    of : "fitted" for the fitted throw carried on, "new" for another one.
-    line : the line on which it starts, "data" for where the data do, "" for a place given.
-    goal : None, or "words", "x", "y" (m from the tee; x None where not aimed at), "speed".
+    of : "fitted" for the fitted throw, extrapolated to rest, "new" for another one.
+    line : the line on which it starts, "data" for the start of the data, "" for a given position.
+    goal : None, or "words", "x", "y" (m from the tee; x None where free), "speed".
     draws : "number", "used", "source" ("chain" or "covariance"), "seed".
-    misfit : accelerations that the law misses (model discrepancy).
+    misfit : the model discrepancy.
     series : t (s since the start) and x, y, phi, speed, omega of the best estimate; of x, y, phi
         also "x_parameter_sd", "x_model_sd" and the quantiles "x_2.5" ...
-    band : x as a function of y: "y", "x" and "x_2.5" ..., where at least half of the draws pass.
-    rest : "mean" of the resting place and "parameter", "model", "both": mean products of its
-        errors from the parameters, from the law (about zero), and together (m^2).
+    band : x as a function of y: "y", "x" and "x_2.5" ..., as far as half of the draws reach.
+    rest : "mean" of the resting place and its covariances (m^2) by the errors of the parameters,
+        "parameter", by the model discrepancy, "model" (about zero), and by both, "both".
     quantities : by name, see `QUANTITIES`.
-    chances : by name, shares of the draws.
+    chances : shares of the draws by outcome.
     sensitivity : by name of the start, the change of the resting place (m right, m along) by "by".
-    warnings : what the reader has to mind. notes : what else there is to say.
-    check : None, or how measured rows compare.
-    measured : t (s since the start), x, y of the fitted rows on the sheet; empty for another throw.
+    warnings, notes : for the reader.
+    check : None, or the comparison with measured rows.
+    measured : t (s since the start), x, y of the fitted rows on the sheet; empty for a new throw.
     """
 
     law: str
@@ -127,7 +129,7 @@ class Prediction:
     line: str
     goal: dict[str, Any] | None
     draws: dict[str, Any]
-    misfit: Misfit
+    misfit: Discrepancy
     series: dict[str, Floats]
     band: dict[str, Floats]
     rest: dict[str, Any]
@@ -161,7 +163,7 @@ class Prediction:
 
     def summary(self) -> dict[str, Any]:
         """The JSON record without the series."""
-        record = strict(self.to_json())
+        record = json_safe(self.to_json())
         if record["check"] is not None:
             record["check"].pop("observed")
         return {key: value for key, value in record.items() if key not in _SERIES}
@@ -171,22 +173,26 @@ class Prediction:
         """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
         check = found["check"]
         return cls(
-            **known(cls, found)
+            **known_fields(cls, found)
             | {
-                "stone": Stone(**known(Stone, found["stone"])),
-                "misfit": Misfit(**known(Misfit, found["misfit"])),
+                "stone": Stone(**known_fields(Stone, found["stone"])),
+                "misfit": Discrepancy(**known_fields(Discrepancy, found["misfit"])),
                 "series": _arrays(found["series"]),
                 "band": _arrays(found["band"]),
                 "measured": _arrays(found.get("measured", {})),
                 "quantities": {
-                    name: Quantity(**known(Quantity, item) | {"value": _number(item["value"])})
+                    name: Quantity(
+                        **known_fields(Quantity, item) | {"value": _number(item["value"])}
+                    )
                     for name, item in found["quantities"].items()
                 },
                 "warnings": tuple(found["warnings"]),
                 "notes": tuple(found["notes"]),
                 "check": None
                 if check is None
-                else HeldOut(**known(HeldOut, check) | {"observed": _arrays(check["observed"])}),
+                else HeldOut(
+                    **known_fields(HeldOut, check) | {"observed": _arrays(check["observed"])}
+                ),
             }
         )
 
@@ -199,11 +205,11 @@ class Prediction:
         names = list(self.series)
         lines = [
             f"# {self.law} law fitted to {self.fit['file']}, "
-            + ("carried on" if self.of == "fitted" else "another throw"),
+            + ("extrapolated to rest" if self.of == "fitted" else "another throw"),
             "# t in s since the start, lengths in m, angles in rad; x to the right of the centre "
             f"line, y from the hack thrown from (far tee at {TEE:.3f})",
-            "# _parameter_sd: standard deviation; _model_sd: root mean square of the law's error; "
-            "_2.5 .. _97.5: percentiles, both errors together",
+            "# _parameter_sd: standard deviation; _model_sd: root mean square by the model "
+            "discrepancy; _2.5 .. _97.5: percentiles by both errors",
             ",".join(names),
         ]
         for row in zip(*self.series.values(), strict=True):
@@ -238,30 +244,34 @@ def _arrays(found: Mapping[str, list[float | None]]) -> dict[str, Floats]:
     return {name: np.array([_number(value) for value in values]) for name, values in found.items()}
 
 
-WORDS = {"across": "across the path", "along": "along the path", "turning": "in the spin"}
-"""Ways of missing accelerations: to the right of the velocity, along it, and angular."""
+COMPONENT_LABELS = {
+    "across": "across the path",
+    "along": "along the path",
+    "turning": "in the spin",
+}
+"""Components of missing accelerations: to the right of the velocity, along it, and angular."""
 
-WAYS = tuple(WORDS)
-SHOWN = 3.0
-"""Standard deviations from which a missing acceleration counts as detected."""
+COMPONENTS = tuple(COMPONENT_LABELS)
+DETECTION = 3.0
+"""Standard deviations above which a missing acceleration is detected."""
 
 CEILING = 1.0
-"""Most of the friction that the size of a missing acceleration can be."""
+"""Upper limit of the size of a missing acceleration, over the friction."""
 
 
 @dataclass(frozen=True)
-class Misfit:
-    """Accelerations that a law misses.
+class Discrepancy:
+    """Model discrepancy: accelerations that a law does not describe, by component.
 
     Attributes
     ----------
-    sizes : by way, posterior root mean square of the size, m/s^2 (rad/s^2 for "turning").
+    sizes : posterior root mean square of the size, m/s^2 (rad/s^2 for "turning").
     span : duration of the fitted rows up to rest, s.
-    noise : independent noise beside them by channel, SI; only channels that could be judged.
-    excess : by way, how far the data ask for a missing acceleration, in standard deviations (root
-        of twice the logarithm of the likelihood ratio); empty where no channel could be judged.
-    ceilings : by way, the size that the prior does not exceed, in the unit of `sizes`.
-    friction : coefficient of friction mu by the mean deceleration of the fitted rows.
+    noise : independent noise by channel, SI; only channels with enough rows to estimate it.
+    excess : significance of a missing acceleration in standard deviations (root of twice the
+        logarithm of the likelihood ratio); empty where no channel has enough rows.
+    ceilings : upper limit of the prior, in the unit of `sizes`.
+    friction : coefficient of friction mu from the mean deceleration of the fitted rows.
     """
 
     sizes: dict[str, float]
@@ -272,11 +282,11 @@ class Misfit:
     friction: float = math.nan
 
     @property
-    def known(self) -> bool:
-        """Whether there were enough rows to judge any channel."""
+    def estimated(self) -> bool:
+        """Whether any channel had enough rows to estimate it."""
         return bool(self.excess)
 
     @property
-    def found(self) -> bool:
-        """Whether the residuals show that the law misses something."""
-        return any(excess > SHOWN for excess in self.excess.values())
+    def detected(self) -> bool:
+        """Whether the residuals show a missing acceleration."""
+        return any(excess > DETECTION for excess in self.excess.values())

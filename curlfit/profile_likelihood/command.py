@@ -1,4 +1,4 @@
-"""`curlfit profile`: how the misfit rises along a parameter, or two."""
+"""`curlfit profile`: profile likelihood of a parameter, or two."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from curlfit.options import flags as o
-from curlfit.options import reading as r
 from curlfit.options import settings as s
-from curlfit.options.fit_settings import fit_flags, fit_wanted
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
@@ -32,7 +30,7 @@ def profile(
         list[str],
         typer.Option(
             help="A fitted parameter: a coefficient, or one of x0 y0 heading v0 phi0 omega0. Given "
-            "twice: two parameters together.",
+            "twice: two parameters jointly.",
             metavar="NAME",
             show_default=False,
         ),
@@ -47,8 +45,8 @@ def profile(
         list[str] | None,
         typer.Option(
             "--range",
-            help="Where to look; given twice, of the first and the second parameter. [default: 4 "
-            "standard errors to either side; as far as it takes where there are none]",
+            help="Range; given twice, of the first and the second parameter. [default: 4 standard "
+            "errors to either side; where there are none, up to the limits]",
             metavar="LO,HI",
         ),
     ] = None,
@@ -63,12 +61,12 @@ def profile(
     loss: o.Loss = None,
     noise: o.NoiseModel = None,
     stone: o.StoneValues = None,
-    format: r.Format = None,
-    axes: r.Axes = None,
-    units: r.Units = None,
-    reference: r.Reference = None,
-    stone_index: r.StoneIndex = None,
-    shot: r.Shot = None,
+    format: o.Format = None,
+    axes: o.Axes = None,
+    units: o.Units = None,
+    reference: o.Reference = None,
+    stone_index: o.StoneIndex = None,
+    shot: o.Shot = None,
     config: o.Config = None,
     out: Annotated[
         Path | None,
@@ -77,11 +75,11 @@ def profile(
     no_figures: o.NoFigures = False,
     quiet: o.Quiet = False,
 ) -> None:
-    """Profile likelihood: a parameter is held at many values, and all others are fitted at each.
+    """Profile likelihood: a parameter is fixed at many values, all others are fitted at each.
 
-    The rise of chi squared gives intervals that hold where it is not quadratic, and shows plainly
-    what the path does not determine. The noise is that of the fit. A posterior beside a saved fit
-    is drawn too. Writes `profile.json` and `profile.png`.
+    The increase of chi squared gives intervals that are valid where it is not quadratic, and shows
+    what the path does not determine. The noise is that of the fit. The posterior of a saved fit is
+    drawn too. Writes `profile.json` and `profile.png`.
 
     Examples:
 
@@ -90,10 +88,10 @@ def profile(
     `curlfit profile throw-fit --param mu1_eta --param mu2_eta`: two of a saved fit
     """
     from curlfit.errors import InputError
-    from curlfit.output.files import prepared_folder
+    from curlfit.output.files import prepare_folder
 
-    flags = fit_flags(
-        r.how(format, axes, units, reference, stone_index, shot),
+    flags = s.fit_flags(
+        o.reader_options(format, axes, units, reference, stone_index, shot),
         law=law, load=load, until=until, stone=stone, sigma=sigma, fix=fix, bound=bound,
         start=start, unbounded=unbounded, loss=loss, noise=noise,
     )  # fmt: skip
@@ -101,33 +99,35 @@ def profile(
         raise InputError(f"--range is given {len(span or ())} times; expected one of each --param")
     ranges = {name: _range(text) for name, text in zip(param, span or (), strict=False)}
     saved = data.is_dir() or data.name == "fit.json"
-    fitted: Callable[[], tuple[FitResult, Chain | None]]
+    make_fit: Callable[[], tuple[FitResult, Chain | None]]
     if saved:
         given = [name for name, value in {**flags, "config": config}.items() if value]
         if given:
             option = given[0].replace("_", "-")
-            raise InputError(f"--{option}: a saved fit has its own; give the data to fit anew")
-        result, chain = s.fitted(data)
+            raise InputError(f"--{option}: a saved fit has its own; give the data to fit again")
+        result, chain = s.load_fit_and_chain(data)
         parameters = result.parameter_set
-        fitted = lambda: (result, chain)  # noqa: E731
+        make_fit = lambda: (result, chain)  # noqa: E731
     else:
-        asked = fit_wanted(data, config, flags)
-        parameters = asked.parameters
-        fitted = lambda: (asked.fit(), None)  # noqa: E731
+        request = s.request_fit(data, config, flags)
+        parameters = request.parameters
+        make_fit = lambda: (request.fit(), None)  # noqa: E731
 
     from curlfit.profile_likelihood.result import require_usable
 
     require_usable(parameters, param, points, ranges)
     name = s.name_of(data) if saved else data.stem
 
-    with _progress(quiet) as told:
-        fit, chain = fitted()
+    with _progress(quiet) as progress:
+        fit, chain = make_fit()
         require_usable(parameters, param, points, ranges, parameters.values_of(fit.values))
-        folder = prepared_folder(out or Path(f"{name}-profile-{'-'.join(param)}"))
+        folder = prepare_folder(out or Path(f"{name}-profile-{'-'.join(param)}"))
 
-        from curlfit.profile_likelihood.profile import profile as profiled
+        from curlfit.profile_likelihood.profile import profile as compute_profile
 
-        found = profiled(fit, param, chain=chain, points=points, ranges=ranges, progress=told)
+        found = compute_profile(
+            fit, param, chain=chain, points=points, ranges=ranges, progress=progress
+        )
     written = [folder / "profile.json"]
     found.save(written[0])
     if no_figures:
@@ -161,7 +161,7 @@ def _range(text: str) -> tuple[float, float]:
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[int], None]]:
-    """A line on a terminal that says how many fits are done."""
+    """A status line on a terminal: the number of fits done."""
     from rich.console import Console
 
     console = Console(stderr=True, quiet=quiet)

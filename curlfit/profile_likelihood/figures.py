@@ -1,5 +1,4 @@
-"""The picture of a profile likelihood: profile, covariance and posterior to one scale. Nothing is
-computed here but parabolas and ellipses from covariances."""
+"""Figure of a profile likelihood: profile, covariance and posterior to one scale."""
 
 from __future__ import annotations
 
@@ -25,18 +24,18 @@ _COVARIANCE = "#e07a1f"
 _POSTERIOR = "#7b5ea7"
 _SAMPLES = "#3d0c45"
 _REGIONS = ("#5f8fc4", "#bcd3ea")
-_HIGH, _LOW = 10.0, 5.5  # tops of the axis: of a profile that is limited, and of one that is not
-_MOVES = 0.05  # standard errors, below which another parameter does not follow
-_MOST = 8  # of these
-_THIN = 0.4  # share of the plane that a valley takes up, below which it is drawn straightened too
+_HIGH, _LOW = 10.0, 5.5  # upper ends of the axis, of limited profiles and of others
+_MOVES = 0.05  # smallest change of another parameter that is shown, standard errors
+_MAX_SHOWN = 8  # of these
+_THIN = 0.4  # relative width of a valley below which it is also drawn straightened
 
 
 def profile_figure(profile: Profile | PairProfile) -> Figure:
-    """Chi squared along one parameter and how the others follow, or the regions of two."""
-    return _of_one(profile) if isinstance(profile, Profile) else _of_two(profile)
+    """Chi squared along one parameter and the response of the others, or regions of two."""
+    return _single_figure(profile) if isinstance(profile, Profile) else _pair_figure(profile)
 
 
-def _of_one(profile: Profile) -> Figure:
+def _single_figure(profile: Profile) -> Figure:
     figure = Picture(figsize=(8.5, 7.2), layout="constrained")
     rows = figure.add_gridspec(2, 1, height_ratios=(1.6, 1.0))
     above = figure.add_subplot(rows[0])
@@ -45,7 +44,7 @@ def _of_one(profile: Profile) -> Figure:
     _others(profile, below)
     above.tick_params(labelbottom=False)
     title(above, _title(profile))
-    figure.draw_without_rendering()  # the layout, by which ticks are chosen
+    figure.draw_without_rendering()  # the layout, which the ticks depend on
     neat_axis(below.xaxis, *_label(profile.estimate, profile.name))
     return figure
 
@@ -59,9 +58,9 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
     top = _HIGH if limited else _LOW
     at, item = profile.at, profile.estimate
     for level in profile.levels:
-        axes.axhline(level.rise, color="0.6", lw=0.8, ls=":")
+        axes.axhline(level.delta_chi2, color="0.6", lw=0.8, ls=":")
         axes.annotate(
-            level.name, (1.0, level.rise), xycoords=("axes fraction", "data"), xytext=(4, 0),
+            level.name, (1.0, level.delta_chi2), xycoords=("axes fraction", "data"), xytext=(4, 0),
             textcoords="offset points", va="center", fontsize=8, color="0.4",
         )  # fmt: skip
     if limited:
@@ -93,18 +92,18 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
     axes.set_ylabel(r"$\Delta\chi^2$, all others refitted")
     axes.legend(frameon=False, fontsize=9, loc="upper center", bbox_to_anchor=(0.62, 1.0))
     if not limited:
-        _say(profile, axes)
+        _annotate(profile, axes)
 
 
 def _span(profile: Profile) -> tuple[float, float]:
-    """Limits of the axis, a little beyond what was looked at."""
+    """Limits of the axis, slightly beyond the range."""
     low, high = float(profile.at[0]), float(profile.at[-1])
     margin = 0.02 * (high - low)
     return low - margin, high + margin
 
 
-def _say(profile: Profile, axes: Any) -> None:
-    """How flat a flat profile is, and the slope of one that is nearly so, magnified."""
+def _annotate(profile: Profile, axes: Any) -> None:
+    """The largest delta chi squared of a flat profile, and a magnified inset of a small one."""
     low, high = profile.free
     rise = f"{profile.rise:.1g}" if profile.rise < 1e-3 else f"{profile.rise:.2g}"
     axes.text(
@@ -123,9 +122,9 @@ def _say(profile: Profile, axes: Any) -> None:
 
 
 def _others(profile: Profile, axes: Any) -> None:
-    """How the others follow: in standard errors; those without one, by their values."""
+    """Changes of the others in standard errors; those without one, by their values."""
     shown = np.isfinite(profile.delta) & (profile.delta < _HIGH + 2)
-    if profile.verdict != "limited":  # beyond, it is a bound that moves them
+    if profile.verdict != "limited":  # beyond, a bound causes the changes
         shown &= (profile.at >= profile.free[0]) & (profile.at <= profile.free[1])
     moves, values = {}, {}
     partners = {name for item in profile.combinations for name in item.weights}
@@ -137,22 +136,22 @@ def _others(profile: Profile, axes: Any) -> None:
                 moves[name] = move
         elif name in partners:
             values[name] = series
-    largest = sorted(moves, key=lambda name: -float(np.abs(moves[name][shown]).max()))[:_MOST]
+    largest = sorted(moves, key=lambda name: -float(np.abs(moves[name][shown]).max()))[:_MAX_SHOWN]
     axes.axhline(0, color="0.7", lw=0.8)
     lines = []
-    for place, name in enumerate(name for name in moves if name in largest):
+    for index, name in enumerate(name for name in moves if name in largest):
         label = f"${profile.parameters[name].symbol}$"
         lines += axes.plot(
-            profile.at[shown], moves[name][shown], color=PALETTE[place % len(PALETTE)],
-            ls=DASHES[place // len(PALETTE)], lw=1.4, label=label,
+            profile.at[shown], moves[name][shown], color=PALETTE[index % len(PALETTE)],
+            ls=DASHES[index // len(PALETTE)], lw=1.4, label=label,
         )  # fmt: skip
     axes.set_ylabel("change of the others\n(their standard errors)")
     if values:
         right = axes.twinx()
-        for place, (name, series) in enumerate(values.items()):
+        for index, (name, series) in enumerate(values.items()):
             item = profile.parameters[name]
             lines += right.plot(
-                profile.at[shown], series[shown], ls=("-", "--", ":")[place % 3], color="0.15",
+                profile.at[shown], series[shown], ls=("-", "--", ":")[index % 3], color="0.15",
                 lw=1.8, label=f"${item.symbol}$ (right)",
             )  # fmt: skip
         units = {profile.parameters[name].unit for name in values} - {"", "1"}
@@ -176,11 +175,11 @@ def _others(profile: Profile, axes: Any) -> None:
 
 
 def _label(item: Estimate, name: str) -> tuple[str, str]:
-    """What is written at an axis, and the unit."""
+    """Label and unit of an axis."""
     return (f"${item.symbol}$" if item.symbol == name else f"${item.symbol}$, {name}"), item.unit
 
 
-def _of_two(profile: PairProfile) -> Figure:
+def _pair_figure(profile: PairProfile) -> Figure:
     near = np.isfinite(profile.delta) & (profile.delta < _HIGH)
     height = float(np.ptp(profile.second[near]))
     thin = profile.across is not None and 8 * profile.across < _THIN * height
@@ -203,7 +202,7 @@ def _of_two(profile: PairProfile) -> Figure:
         _limits(axes.set_ylim, shown.min(), shown.max())
     title(panels[0], _title(profile.each[0]), columns=len(panels))
     if thin:
-        title(panels[1], "the same, less the refitted value", columns=len(panels))
+        title(panels[1], "the same, minus the refitted value", columns=len(panels))
     handles = [
         Patch(facecolor=color, edgecolor=_PROFILE, label=level.name)
         for level, color in zip(profile.levels, _REGIONS, strict=True)
@@ -211,8 +210,8 @@ def _of_two(profile: PairProfile) -> Figure:
     figure.legend(
         handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9
     )
-    _say_in_plane(profile, panels[0])
-    figure.draw_without_rendering()  # the layout, by which ticks are chosen
+    _annotate_plane(profile, panels[0])
+    figure.draw_without_rendering()  # the layout, which the ticks depend on
     refitted = f"${other.symbol}$ \N{MINUS SIGN} refitted ${other.symbol}$", other.unit
     for axes, second in zip(panels, (labels[1], refitted), strict=False):
         neat_axis(axes.xaxis, *labels[0])
@@ -226,10 +225,10 @@ def _limits(setter: Any, low: float, high: float) -> None:
 
 
 def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
-    """Regions, ellipse, samples and valley; `below` is what the second counts from."""
+    """Regions, ellipse, samples and valley; `below` is subtracted from the second."""
     first, second = profile.first, profile.second - below(profile.first)
     delta = np.ma.masked_invalid(profile.delta)
-    edges = [level.rise_of_two for level in profile.levels]
+    edges = [level.delta_chi2_pair for level in profile.levels]
     axes.contourf(first, second, delta, levels=[-1, *edges], colors=_REGIONS, zorder=1)
     axes.contour(first, second, delta, levels=edges, colors=_PROFILE, linewidths=0.9, zorder=3)
     if len(profile.samples):
@@ -247,18 +246,18 @@ def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
         angle = np.linspace(0, 2 * np.pi, 361)
         circle = np.stack([np.cos(angle), np.sin(angle)])
         root = np.linalg.cholesky(profile.covariance)
-        for place, edge in enumerate(edges):
+        for index, edge in enumerate(edges):
             a, b = np.array(profile.best)[:, None] + np.sqrt(edge) * (root @ circle)
             axes.plot(
                 a, b - below(a), "--", color=_COVARIANCE, lw=1.3, zorder=5,
-                label=None if place else "68 %, 95 % of the covariance",
+                label=None if index else "68 %, 95 % of the covariance",
             )  # fmt: skip
     a, b = np.array(profile.best)
     axes.plot(a, b - below(np.array(a)), "+", color="black", markersize=10, mew=1.6, zorder=6)
 
 
-def _say_in_plane(profile: PairProfile, axes: Any) -> None:
-    """What the valley is, where one is drawn."""
+def _annotate_plane(profile: PairProfile, axes: Any) -> None:
+    """Note on the valley, where one is drawn."""
     along = profile.each[0]
     if along.verdict not in ("flat", "hardly"):
         return

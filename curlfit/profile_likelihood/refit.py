@@ -1,9 +1,9 @@
-"""Fits with parameters held: the same throw, law and noise, all other parameters fitted again.
+"""Constrained fits: some parameters fixed, all others fitted again with the same law and noise.
 
-The fits run side by side (see `curlfit.inference.least_squares`), each begun at the nearest one
-that is known, along the linear response of the other parameters. Whether neighbours belong to one
-valley is checked by the envelope theorem: the slope of the least chi squared is its partial slope,
-which is known at each place, and has to lead from one to the next.
+The fits run as one batch, each started from the nearest known one along the linear response of the
+other parameters. Whether neighbours belong to one valley is checked by the envelope theorem: the
+slope of the profile is the partial derivative of chi squared, known at each point, whose integral
+has to match the difference of chi squared.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ Progress = Callable[[int], None]
 Point = tuple[float, ...]
 
 _ROUNDS = 8
-_LESS = 1e-3  # fall of chi squared that counts
+_BETTER = 1e-3  # decrease of chi squared that counts
 _NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
 _ROUNDING = 1e-9  # of the largest singular value
 
 
-class Place(NamedTuple):
-    """An optimum with some parameters held."""
+class ConstrainedFit(NamedTuple):
+    """An optimum with some parameters fixed."""
 
     held: Floats
     chi_squared: float
     values: Floats
     """all parameters"""
     slope: Floats
-    """of chi squared by the held ones"""
+    """of chi squared by the fixed ones"""
     finished: bool
 
 
 class Refit:
-    """A fit that is fitted again with parameters held. Values count in the frame of its problem."""
+    """A fit to be repeated with parameters fixed, in the coordinates of its problem."""
 
     def __init__(self, fit: FitResult, progress: Progress | None) -> None:
         self.fit, self._progress, self.done = fit, progress, 0
@@ -65,7 +65,7 @@ class Refit:
             raise UnusableFitError("the fit has no path")
         self.solution: Solution = solution
         self.first = self.chi_squared  # of the fit as it was given
-        self.lowest: Place | None = None
+        self.lowest: ConstrainedFit | None = None
 
     @property
     def chi_squared(self) -> float:
@@ -96,10 +96,10 @@ class Refit:
         each = unstacked(found)
         return [one if there else None for one, there in zip(each, whole, strict=True)]
 
-    def places(
+    def optima(
         self, names: Sequence[str], points: Floats, starts: Sequence[Floats]
-    ) -> list[Place | None]:
-        """The optima with `names` held at each of the points; None where there is no path."""
+    ) -> list[ConstrainedFit | None]:
+        """The optima with `names` fixed at each of the points; None where there is no path."""
         tasks = []
         for point, start in zip(points, starts, strict=True):
             parameters = self.parameters
@@ -107,29 +107,29 @@ class Refit:
                 parameters = parameters.with_fixed(name, float(value))
             tasks.append((parameters, start))
         return [
-            None if solution is None else self.place(names, solution)
+            None if solution is None else self.optimum(names, solution)
             for solution in self._solved(tasks)
         ]
 
-    def place(self, names: Sequence[str], solution: Solution) -> Place:
-        """An optimum as a place."""
+    def optimum(self, names: Sequence[str], solution: Solution) -> ConstrainedFit:
+        """An optimum as a constrained fit."""
         index = [self.parameters.index(name) for name in names]
         slope = 2 * np.einsum("cn,cni->i", solution.residual, solution.jacobian)
         values = np.asarray(solution.values)
-        place = Place(
+        optimum = ConstrainedFit(
             values[index], float(solution.chi_squared), values, slope[index],
             bool(solution.success),
         )  # fmt: skip
-        if self.lowest is None or place.chi_squared < self.lowest.chi_squared:
-            self.lowest = place
-        return place
+        if self.lowest is None or optimum.chi_squared < self.lowest.chi_squared:
+            self.lowest = optimum
+        return optimum
 
     def improved(self) -> bool:
-        """Whether a better fit was met on the way, which is then the one to count from."""
-        if self.lowest is None or self.lowest.chi_squared > self.chi_squared - _LESS:
+        """Whether a better fit was found, which then replaces the fit."""
+        if self.lowest is None or self.lowest.chi_squared > self.chi_squared - _BETTER:
             return False
         (solution,) = self._solved([(self.parameters, self.lowest.values)])
-        if solution is None or solution.chi_squared > self.chi_squared - _LESS:
+        if solution is None or solution.chi_squared > self.chi_squared - _BETTER:
             return False
         self.solution, self.lowest = solution, None
         return True
@@ -141,10 +141,10 @@ class Refit:
         return self.parameters.free & ((values <= low + near) | (values >= high - near))
 
     def response(self, names: Sequence[str]) -> tuple[Floats, Floats]:
-        """How the others follow held parameters, shape (parameters, held), and what is left.
+        """Response of other parameters to fixed ones, shape (parameters, fixed), and of residuals.
 
-        The second is the slope of the residuals by each held one, the others following: its
-        inverse is the standard error with the other held ones fixed.
+        The second is the norm of the derivative of the residuals by each fixed one, the others
+        responding; its inverse is the standard error with the other fixed ones held.
         """
         index = [self.parameters.index(name) for name in names]
         moving = self.parameters.free & ~self.at_bound(self.values)
@@ -159,15 +159,15 @@ class Refit:
         return rows, np.linalg.norm(own + others @ follow, axis=0)
 
 
-class Held:
-    """The optima with some parameters held, as far as they are known, by the held values."""
+class ConstrainedFits:
+    """Known optima with some parameters fixed, by the fixed values."""
 
     def __init__(self, refit: Refit, names: Sequence[str]) -> None:
         self.refit, self.names = refit, tuple(names)
         self._response = refit.response(names)[0]
-        best = refit.place(names, refit.solution)
+        best = refit.optimum(names, refit.solution)
         self.best = best
-        self.known: dict[Point, Place | None] = {tuple(map(float, best.held)): best}
+        self.known: dict[Point, ConstrainedFit | None] = {tuple(map(float, best.held)): best}
         self._tried: set[tuple[Point, Point, float]] = set()
         self._scale = np.array([refit.fit.parameters[name].typical for name in names])
         self.levels = levels_for(names, refit.fit.parameters)
@@ -181,31 +181,31 @@ class Held:
         ]
         if not new:
             return
-        good = [place for place in self.known.values() if place is not None and place.finished]
+        good = [fit for fit in self.known.values() if fit is not None and fit.finished]
         good = good or [self.best]
-        held = np.stack([place.held for place in good]) / self._scale
+        held = np.stack([fit.held for fit in good]) / self._scale
         starts = []
         for point in new:
             nearest = int(np.argmin(((held - point / self._scale) ** 2).sum(1)))
             starts.append(self._from(good[nearest], point))
-        found = self.refit.places(self.names, np.stack(new), starts)
-        self.known |= {tuple(point): place for point, place in zip(new, found, strict=True)}
+        found = self.refit.optima(self.names, np.stack(new), starts)
+        self.known |= {tuple(point): optimum for point, optimum in zip(new, found, strict=True)}
 
-    def _from(self, place: Place, point: Floats) -> Floats:
+    def _from(self, optimum: ConstrainedFit, point: Floats) -> Floats:
         low, high = self.refit.parameters.lower, self.refit.parameters.upper
-        return np.clip(place.values + self._response @ (point - place.held), low, high)
+        return np.clip(optimum.values + self._response @ (point - optimum.held), low, high)
 
-    def at(self, point: Sequence[float] | Floats) -> Place | None:
-        """What is known of a point."""
+    def at(self, point: Sequence[float] | Floats) -> ConstrainedFit | None:
+        """The fit at a known point."""
         return self.known[tuple(point)]
 
     def delta(self, point: Sequence[float] | Floats) -> float:
-        """By how much chi squared is above the fit's at a known point; NaN without a path."""
-        place = self.known[tuple(point)]
-        return math.nan if place is None else place.chi_squared - self.refit.chi_squared
+        """Delta chi squared at a known point; NaN without a path."""
+        optimum = self.known[tuple(point)]
+        return math.nan if optimum is None else optimum.chi_squared - self.refit.chi_squared
 
     def settle(self, neighbours: Sequence[tuple[Point, Point]]) -> None:
-        """Try again where neighbours are not of one valley, each from where the other is."""
+        """Fit again where neighbours are not of one valley, each started from the other."""
         for _ in range(_ROUNDS):
             tries = []
             for first, second in neighbours:
@@ -214,32 +214,33 @@ class Held:
                     tries.append((second, one))
                 if other is not None and (one is None or not self._agree(one, other)):
                     tries.append((first, other))
-            # not twice from the same place
+            # not twice from the same optimum
             tries = [
-                (point, place)
-                for point, place in tries
-                if (point, tuple(place.held), place.chi_squared) not in self._tried
+                (point, optimum)
+                for point, optimum in tries
+                if (point, tuple(optimum.held), optimum.chi_squared) not in self._tried
             ]
             if not tries:
                 return
-            self._tried |= {(point, tuple(place.held), place.chi_squared) for point, place in tries}
+            self._tried |= {(point, tuple(fit.held), fit.chi_squared) for point, fit in tries}
             points = np.array([point for point, _ in tries])
-            starts = [self._from(place, np.array(point)) for point, place in tries]
+            starts = [self._from(optimum, np.array(point)) for point, optimum in tries]
             better = False
-            found = self.refit.places(self.names, points, starts)
-            for (point, _), place in zip(tries, found, strict=True):
+            found = self.refit.optima(self.names, points, starts)
+            for (point, _), optimum in zip(tries, found, strict=True):
                 known = self.known[point]
-                if place is not None and (
-                    known is None or place.chi_squared < known.chi_squared - _LESS
+                if optimum is not None and (
+                    known is None or optimum.chi_squared < known.chi_squared - _BETTER
                 ):
-                    self.known[point] = place
+                    self.known[point] = optimum
                     better = True
             if not better:
                 return
 
-    def _agree(self, one: Place, other: Place) -> bool:
-        """Whether the slopes of the misfit lead from one place to the other (trapezoid rule)."""
-        rise = other.chi_squared - one.chi_squared
-        led = (one.slope + other.slope) @ (other.held - one.held) / 2
-        large = max(one.chi_squared, other.chi_squared) - self.refit.chi_squared
-        return one.finished and other.finished and bool(abs(rise - led) <= 0.1 + 0.1 * large)
+    def _agree(self, first: ConstrainedFit, second: ConstrainedFit) -> bool:
+        """Whether the slopes of chi squared integrate to its difference (trapezoidal rule)."""
+        difference = second.chi_squared - first.chi_squared
+        predicted = (first.slope + second.slope) @ (second.held - first.held) / 2
+        large = max(first.chi_squared, second.chi_squared) - self.refit.chi_squared
+        agree = bool(abs(difference - predicted) <= 0.1 + 0.1 * large)
+        return first.finished and second.finished and agree

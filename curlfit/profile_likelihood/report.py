@@ -1,4 +1,4 @@
-"""What a profile likelihood says, as text. Nothing is computed here."""
+"""Report of a profile likelihood as text."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from rich.padding import Padding
 from rich.text import Text
 
 from curlfit.output.console import terminal
-from curlfit.output.text import STYLE, compact, listed, number, plain_table
+from curlfit.output.text import STYLE, compact, format_estimate, join_words, plain_table
 from curlfit.profile_likelihood.result import Interval, PairProfile, Profile
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import Estimate
     from curlfit.profile_likelihood.result import Level
 
-_AGREE = 0.1  # standard errors between limits that are called the same
-_AGREE_OF_TWO = 0.5  # the same of chi squared within the ellipse
+_AGREE = 0.1  # largest difference of agreeing limits, standard errors
+_AGREE_PAIR = 0.5  # largest difference of chi squared within an agreeing ellipse
 _STYLE = {"limited": "", "hardly": STYLE["weak"], "flat": STYLE["not identifiable"]}
 
 
@@ -34,14 +34,14 @@ def report(profile: Profile | PairProfile) -> RenderableType:
     parts: list[RenderableType] = [_heading(profile)]
     if isinstance(profile, PairProfile):
         parts.append(_region(profile))
-        parts.append(Padding(Text(about_two(profile)), (0, 0, 1, 0)))
+        parts.append(Padding(Text(describe_pair(profile)), (0, 0, 1, 0)))
     else:
         parts.append(_intervals(profile))
     for one in each:
-        said = _limits(one) if isinstance(profile, Profile) else []
-        said = said if one.verdict == "limited" else [about(one)]
+        remarks = _limits(one) if isinstance(profile, Profile) else []
+        remarks = remarks if one.verdict == "limited" else [describe_undetermined(one)]
         style = _STYLE.get(one.verdict, STYLE["weak"])
-        parts += [Padding(Text(line, style=style), (0, 0, 1, 0)) for line in said]
+        parts += [Padding(Text(line, style=style), (0, 0, 1, 0)) for line in remarks]
     warnings = dict.fromkeys(line for one in each for line in one.warnings)
     parts += [
         Padding(Text(f"Warning: {warning}.", style="yellow"), (0, 0, 1, 0)) for warning in warnings
@@ -50,8 +50,8 @@ def report(profile: Profile | PairProfile) -> RenderableType:
     return Group(*parts)
 
 
-def about(profile: Profile) -> str:
-    """That a parameter is not determined, in words, and what it would take."""
+def describe_undetermined(profile: Profile) -> str:
+    """Why a parameter is not determined, in words, and what would determine it."""
     span = _span(profile, *profile.free)
     name = profile.name
     if profile.verdict == "narrow":
@@ -66,11 +66,11 @@ def about(profile: Profile) -> str:
             f"range {span}."
         )
     else:
-        times, all_of_it = profile.quieter(1.0), profile.quieter(profile.levels[-1].rise)
+        times, all_of_it = profile.quieter(1.0), profile.quieter(profile.levels[-1].delta_chi2)
         text = (
             f"{name} is hardly determined: chi squared changes by no more than {profile.rise:.2g} "
             f"over {span}. For a limit at 68 % the noise would have to be "
-            f"{_times(times)} smaller, or such rows {_times(times**2)} as many; at 95 %, "
+            f"{_times(times)} smaller, or the rows {_times(times**2)} as many; at 95 %, "
             f"{_times(all_of_it)} and {_times(all_of_it**2)}."
         )
     if profile.combinations:
@@ -78,36 +78,36 @@ def about(profile: Profile) -> str:
             f"{item.expression} = {compact(item.value, item.stderr)}"
             for item in profile.combinations
         ]
-        text += f" Only {listed(known)} {'are' if len(known) > 1 else 'is'} determined."
+        text += f" Only {join_words(known)} {'are' if len(known) > 1 else 'is'} determined."
     for end, names in zip(profile.free, profile.stops, strict=True):
         if names:
-            come = "comes to its bound" if len(names) == 1 else "come to their bounds"
-            text += f" It ends at {_short(end)}, where {listed(list(names))} {come}."
+            come = "reaches its bound" if len(names) == 1 else "reach their bounds"
+            text += f" It ends at {_short(end)}, where {join_words(list(names))} {come}."
     return text + _open_ends(profile)
 
 
-def about_two(profile: PairProfile) -> str:
-    """The region of two parameters beside the ellipse, in words."""
+def describe_pair(profile: PairProfile) -> str:
+    """Comparison of the region of two parameters with the ellipse, in words."""
     one, other = profile.names
     if profile.ellipse is None:
         text = "There is no ellipse of the covariance to compare with."
-    elif profile.ellipse <= _AGREE_OF_TWO:
+    elif profile.ellipse <= _AGREE_PAIR:
         text = (
-            "The covariance's ellipse holds: within its 95 % chi squared differs by no more than "
-            f"{profile.ellipse:.1g}."
+            "The ellipse of the covariance is accurate: within its 95 % chi squared differs by at "
+            f"most {profile.ellipse:.1g}."
         )
     else:
         size = f"up to {profile.ellipse:.2g}" if profile.ellipse < 100 else "more than 100"
         text = (
-            "The covariance's ellipse does not hold: within its 95 % chi squared differs by "
-            f"{size}; the contours tell."
+            "The ellipse of the covariance is not accurate: within its 95 % chi squared differs by "
+            f"{size}. Use the contours."
         )
     if profile.across is None:
-        text += f" {other} is not determined even where {one} is held."
+        text += f" {other} is not determined even with {one} fixed."
     elif profile.each[0].verdict in ("flat", "hardly"):
         text += (
-            f" Both lie in a valley, drawn as a line: where {one} is held, {other} is known to "
-            f"{profile.across:.2g}."
+            f" Both lie in a valley, drawn as a line: with {one} fixed, the standard error of "
+            f"{other} is {profile.across:.2g}."
         )
     return text
 
@@ -122,8 +122,8 @@ def _heading(profile: Profile | PairProfile) -> RenderableType:
         f"{one.data['rows']} rows, t = {one.data['from']:g} .. {one.data['to']:g} s; chi squared "
         f"of the best fit {one.chi_squared:.4g}, of {one.n_observations} values\n"
     )
-    places = one.at.size if isinstance(profile, Profile) else int(profile.delta.size)
-    text.append(f"All other parameters fitted again at {places} values")
+    points = one.at.size if isinstance(profile, Profile) else int(profile.delta.size)
+    text.append(f"All other parameters fitted again at {points} values")
     if isinstance(profile, Profile):
         text.append(f", {_span(one, one.at[0], one.at[-1])}")
     return text
@@ -151,29 +151,28 @@ def _intervals(profile: Profile) -> RenderableType:
 
 
 def _limits(profile: Profile) -> list[str]:
-    """What the intervals of a parameter that the data limit have to be read with."""
-    said = []
+    """Remarks on the intervals of a parameter that the data limit."""
+    remarks = []
     apart = profile.departure
     if apart:
         far = max(apart.values())
         if profile.loss != "linear":
-            said.append(
+            remarks.append(
                 f"Profile and covariance differ by up to {far:.2g} standard errors: the covariance "
-                "goes by the scatter that was found, the profile by the noise that the loss stands "
-                "for."
+                "uses the scatter of the residuals, the profile the noise implied by the loss."
             )
         elif far <= _AGREE:
-            said.append(
+            remarks.append(
                 "Profile and covariance agree: no limit differs by more than "
                 f"{max(far, 0.01):.1g} standard errors."
             )
         else:
-            said.append(
+            remarks.append(
                 f"Profile and covariance differ, by up to {far:.2g} standard errors: chi "
-                "squared is not quadratic, as the covariance takes it to be. Use the profile."
+                "squared is not quadratic, as the covariance assumes. Use the profile."
             )
     else:
-        said.append(
+        remarks.append(
             f"The covariance has no standard error for it ({profile.estimate.verdict}); the "
             "profile needs none."
         )
@@ -182,23 +181,23 @@ def _limits(profile: Profile) -> list[str]:
         ("lower", widest.low, widest.low_by), ("upper", widest.high, widest.high_by),
     ):  # fmt: skip
         if by == "bound":
-            said.append(
+            remarks.append(
                 f"No {side} limit from these data: its {side} bound, {_short(end)}, is within 95 %."
             )
         elif by == "range":
-            said.append(f"No {side} limit from these data, as far as {_short(end)}.")
+            remarks.append(f"No {side} limit from these data, as far as {_short(end)}.")
     for names, end, side in zip(profile.stops, profile.free, ("Below", "Above"), strict=True):
         if names and profile.free[0] < profile.free[1] and widest.low <= end <= widest.high:
-            held = "is at its bound" if len(names) == 1 else "are at their bounds"
-            said.append(
-                f"{side} {_short(end)} {listed(list(names))} {held}, which makes the profile "
+            bound = "is at its bound" if len(names) == 1 else "are at their bounds"
+            remarks.append(
+                f"{side} {_short(end)} {join_words(list(names))} {bound}, which makes the profile "
                 "steeper there."
             )
-    return said
+    return remarks
 
 
 def _open_ends(profile: Profile) -> str:
-    """Of a parameter that is not determined: what ends the range where nothing else does."""
+    """Ends of the range of an undetermined parameter without any limit."""
     low, high = profile.estimate.lower, profile.estimate.upper
     ends = [
         (side, end)
@@ -215,12 +214,12 @@ def _region(profile: PairProfile) -> RenderableType:
     table.add_column("region spans", no_wrap=True)
     for level in profile.levels:
         table.add_column(level.name, no_wrap=True)
-    for place, one in enumerate(profile.each):
+    for index, one in enumerate(profile.each):
         unit = "" if one.estimate.unit in ("", "1") else f" ({one.estimate.unit})"
         cells = ["-", "-"]
         if one.verdict == "limited":
             digits = _scale(one)
-            cells = [_ends(profile.extent[level.name][place], digits) for level in profile.levels]
+            cells = [_ends(profile.extent[level.name][index], digits) for level in profile.levels]
         table.add_row(f"{one.name}{unit}", *cells)
     return Padding(table, (1, 0, 1, 0))
 
@@ -229,24 +228,22 @@ def _notes(each: list[Profile]) -> list[str]:
     found = []
     if any(one.estimate.verdict == "at bound" for one in each):
         found.append(
-            "at a bound the thresholds of chi squared are too high, and the limits hold with more "
-            "confidence than is said"
+            "at a bound the thresholds of chi squared are too high, and the limits have more than "
+            "the stated confidence"
         )
     if each[0].loss != "linear":
-        found.append(
-            f"chi squared stands for minus twice the log-likelihood of the {each[0].loss} loss"
-        )
+        found.append(f"chi squared means minus twice the log-likelihood of the {each[0].loss} loss")
     return found
 
 
 def _scale(profile: Profile) -> float:
-    """The size that limits are rounded by: some standard error."""
+    """Scale of the rounding of limits: about a standard error."""
     first = profile.intervals[0]
     return (first.high - first.low) / 2 or abs(first.high) / 100
 
 
 def _ends(interval: Interval, scale: float) -> str:
-    low, high = number(interval.low, scale)[0], number(interval.high, scale)[0]
+    low, high = format_estimate(interval.low, scale)[0], format_estimate(interval.high, scale)[0]
     if interval.low_by in ("bound", "range") and interval.high_by in ("bound", "range"):
         return "no limit"
     if interval.low_by in ("bound", "range"):
@@ -264,13 +261,14 @@ def _gaussian(item: Estimate, level: Level, scale: float) -> str:
 
 
 def _from_to(low: float, high: float, scale: float) -> str:
-    return f"{number(low, scale)[0]} .. {number(high, scale)[0]}"
+    return f"{format_estimate(low, scale)[0]} .. {format_estimate(high, scale)[0]}"
 
 
 def _span(profile: Profile, low: float, high: float) -> str:
-    """Part of the range, to some thousandths of it."""
+    """Part of the range, rounded to some thousandths of it."""
     scale = (profile.at[-1] - profile.at[0]) / 50
-    return " .. ".join(number(end, scale)[0] if end else "0" for end in (float(low), float(high)))
+    ends = (float(low), float(high))
+    return " .. ".join(format_estimate(end, scale)[0] if end else "0" for end in ends)
 
 
 def _short(value: float) -> str:

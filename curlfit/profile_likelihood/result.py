@@ -1,4 +1,4 @@
-"""Profile likelihoods as frozen records, and their one versioned form in JSON."""
+"""Profile likelihoods as frozen records, in JSON."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from curlfit.errors import DataError, InputError
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.identifiability import Combination, student_quantile
 from curlfit.inference.parameters import ParameterSet
-from curlfit.output.files import Migration, known, read_json, strict, write_json
+from curlfit.output.files import Migration, json_safe, known_fields, read_json, write_json
 
 Floats = NDArray[np.float64]
 
@@ -24,20 +24,20 @@ SCHEMA = 1
 MIGRATIONS: dict[int, Migration] = {}
 
 
-_FEWEST, _MOST = 5, 2001  # places along a parameter
+_MIN_POINTS, _MAX_POINTS = 5, 2001  # of a parameter
 
 
 class Level(NamedTuple):
-    """A level of confidence, and what chi squared rises by at its limits.
+    """A level of confidence and its thresholds of delta chi squared.
 
     These are the quantiles of Wilks (1938) where sigma was given; where it was estimated, those of
     Student's t and Fisher's F (Bates and Watts 1988, sect. 6.1).
     """
 
     name: str
-    rise: float
+    delta_chi2: float
     """for one parameter: 1 or 3.84 where sigma was given"""
-    rise_of_two: float
+    delta_chi2_pair: float
     """for two parameters together: 2.30 or 5.99 where sigma was given"""
     sigmas: float
     """half the width of the covariance's interval, in standard errors"""
@@ -46,7 +46,7 @@ class Level(NamedTuple):
 
 
 def levels_of(dof: float | None) -> tuple[Level, ...]:
-    """68 % and 95 % for a standard error of so many degrees of freedom; None: sigma was given."""
+    """68 % and 95 % for standard errors of `dof` degrees of freedom; None where sigma was given."""
     found = []
     for name, level, quantiles in (
         ("68 %", math.erf(math.sqrt(0.5)), ("16", "84")), ("95 %", 0.95, ("2.5", "97.5")),
@@ -60,8 +60,8 @@ def levels_of(dof: float | None) -> tuple[Level, ...]:
 
 
 def levels_for(names: Sequence[str], parameters: Mapping[str, Estimate]) -> tuple[Level, ...]:
-    """Those for some parameters of a fit: by the fewest degrees of freedom of their standard
-    errors, or of all where none of them has one."""
+    """The levels for some parameters of a fit, by the fewest degrees of freedom of their standard
+    errors, or of all parameters where these have none."""
     known = [item.dof for name, item in parameters.items() if name in names and item.dof]
     known = known or [item.dof for item in parameters.values() if item.dof]
     return levels_of(min(known, default=None))
@@ -69,15 +69,15 @@ def levels_for(names: Sequence[str], parameters: Mapping[str, Estimate]) -> tupl
 
 @dataclass(frozen=True)
 class Interval:
-    """The values of a parameter that the misfit allows at a level of confidence.
+    """A confidence interval of a parameter.
 
     Attributes
     ----------
     level : "68 %" or "95 %".
     low, high : its ends.
-    low_by, high_by : what ends it: "data" (the misfit rises), "others" (it rises beyond a place
+    low_by, high_by : what limits it: "data" (chi squared), "others" (chi squared beyond a value
         where other parameters reach their bounds), "bound" (the parameter's own), "range" (nothing
-        did, up to the end of what was looked at).
+        up to the end of the range).
     """
 
     level: str
@@ -89,30 +89,30 @@ class Interval:
 
 @dataclass(frozen=True)
 class Profile:
-    """The least misfit at fixed values of one parameter, all others fitted again at each.
+    """The minimum of chi squared at fixed values of one parameter, all others fitted again.
 
     Attributes
     ----------
     name : of the parameter. best : its value in the fit.
-    law, load, loss, data : what was fitted to what; `data` has "file", "rows", "from", "to".
+    law, load, loss, data : of the fit; `data` has "file", "rows", "from", "to".
     parameters : of the fit, by name.
     chi_squared : of the fit, of `n_observations` values. Under a robust loss it is minus twice the
-        logarithm of the likelihood that the loss stands for.
-    at : values of the parameter, growing, shape (n,). More of them where the misfit is steep.
-    delta : by how much chi squared is above the fit's there; NaN where the law admits no motion.
+        logarithm of the likelihood of that loss.
+    at : values of the parameter, increasing, shape (n,), denser where the profile is steep.
+    delta : chi squared there minus that of the fit; NaN where the law admits no motion.
     others : by name, the other free parameters there.
     intervals : at its `levels`, 68 % and 95 %.
-    free : (low, high), the part of the range along which no other parameter is stopped by a bound
-        that it is off elsewhere. stops : the names of those that are, beyond either end of it.
-    rise : the most that chi squared rises within that part.
-    verdict : "limited" (the data set limits), "hardly" (chi squared rises by less than 1 within the
-        free part, which is most of the interval: the data do not tell), "flat" (the same, and it
-        does not rise at all), "narrow" (the range that was asked for is too narrow to tell).
-    combinations : of the fit, those that the parameter takes part in.
-    posterior : None, or "at", "height" (-2 log of the marginal density, laid on the profile),
+    free : (low, high), the part of the range in which no other parameter reaches a bound.
+    stops : the names of those that reach one, beyond either end of it.
+    rise : the largest delta chi squared within that part.
+    verdict : "limited" (the data set limits), "hardly" (delta chi squared is below 1 within the
+        free part, which is most of the interval: hardly determined), "flat" (the same, and zero to
+        rounding: not determined), "narrow" (the given range is too narrow for a verdict).
+    combinations : those of the fit that contain the parameter.
+    posterior : None, or "at", "height" (-2 log of the marginal density, shifted onto the profile),
         "error" (its standard deviation), by bin of the chain.
     quantiles : of the posterior by level, keys "2.5", "16", "50", "84", "97.5"; empty without one.
-    warnings : what the reader has to mind.
+    warnings : for the reader.
     """
 
     name: str
@@ -139,7 +139,7 @@ class Profile:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of what is held."""
+        """Of the profiled parameters."""
         return (self.name,)
 
     @property
@@ -149,14 +149,14 @@ class Profile:
 
     @property
     def levels(self) -> tuple[Level, ...]:
-        """What chi squared rises by at the limits of its intervals."""
+        """Levels of its intervals."""
         return levels_for([self.name], self.parameters)
 
     @property
     def departure(self) -> dict[str, float]:
-        """By level, the farthest that a limit set by the misfit is from the covariance's.
+        """By level, the largest difference of a limit to that of the covariance.
 
-        In standard errors; empty where the fit has none.
+        In standard errors, for limits set by chi squared; empty where the fit has none.
         """
         stderr = self.estimate.stderr
         if not stderr:
@@ -176,33 +176,33 @@ class Profile:
         return found
 
     def quieter(self, rise: float) -> float:
-        """How many times smaller the noise would have to be for chi squared to rise so much.
+        """Factor by which the noise would have to be smaller for a delta chi squared of `rise`.
 
-        Chi squared goes with the inverse square of sigma.
+        Chi squared is proportional to the inverse square of sigma.
         """
         return math.sqrt(rise / self.rise) if self.rise > 0 else math.inf
 
     def to_json(self) -> dict[str, Any]:
         """The record as written to `profile.json`."""
-        return {"schema": SCHEMA, "kind": "one"} | _plain(self)
+        return {"schema": SCHEMA, "kind": "one"} | _as_dict(self)
 
     def summary(self) -> dict[str, Any]:
         """The JSON record without the series."""
-        return _without(strict(self.to_json()), "at", "delta", "others", "posterior")
+        return _without(json_safe(self.to_json()), "at", "delta", "others", "posterior")
 
     @classmethod
     def from_json(cls, found: dict[str, Any]) -> Profile:
         """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
         posterior = found["posterior"]
         return cls(
-            **known(cls, found)
-            | _common(found)
+            **known_fields(cls, found)
+            | _common_fields(found)
             | {
                 "at": array(found["at"]),
                 "delta": array(found["delta"]),
                 "others": arrays(found["others"]),
                 "intervals": tuple(
-                    Interval(**known(Interval, item)) for item in found["intervals"]
+                    Interval(**known_fields(Interval, item)) for item in found["intervals"]
                 ),
                 "free": tuple(found["free"]),
                 "stops": tuple(tuple(names) for names in found["stops"]),
@@ -217,26 +217,26 @@ class Profile:
 
 @dataclass(frozen=True)
 class PairProfile:
-    """The least misfit at fixed values of two parameters, all others fitted again at each.
+    """The minimum of chi squared at fixed values of two parameters, all others fitted again.
 
-    The places follow the valley: in each column the first parameter is fixed, and the second counts
-    from where the profile of the first alone puts it.
+    The points follow the valley: in each row the first parameter is fixed, and the second varies
+    about its value in the profile of the first.
 
     Attributes
     ----------
-    names : of the two.
-    each : the profiles of either alone. That of the first is the misfit along the bottom of the
-        valley, with the way of the second in its `others`.
-    first, second : values of both, shape (n, m). Places beyond a bound of the second lie on it.
-    delta : by how much chi squared is above the fit's there; NaN where the law admits no motion.
-    across : standard error of the second while the first is held, at the best fit; None where the
-        data do not tell.
-    extent : by level, for each of the two, the interval that the region of that confidence spans.
+    names : of both.
+    each : the profiles of either alone. That of the first is chi squared along the bottom of the
+        valley, with the second in its `others`.
+    first, second : values of both, shape (n, m). Points beyond a bound of the second lie on it.
+    delta : chi squared there minus that of the fit; NaN where the law admits no motion.
+    across : standard error of the second with the first fixed, at the best fit; None where the
+        data do not determine it.
+    extent : by level, the extent of its region in each of both.
     covariance : of both, shape (2, 2); None where one of them has no standard error.
-    ellipse : the most that `delta` differs from the covariance's ellipse within its 95 %; None
-        without one.
+    ellipse : the largest difference of `delta` to the quadratic form of the covariance within its
+        95 % ellipse; None without one.
     samples : of the posterior, shape (samples, 2); empty without a chain.
-    warnings : what the reader has to mind.
+    warnings : for the reader.
     """
 
     names: tuple[str, str]
@@ -258,7 +258,7 @@ class PairProfile:
 
     @property
     def levels(self) -> tuple[Level, ...]:
-        """What chi squared rises by on the edges of its regions."""
+        """Levels of its regions."""
         return levels_for(self.names, self.parameters)
 
     @property
@@ -274,11 +274,11 @@ class PairProfile:
     def to_json(self) -> dict[str, Any]:
         """The record as written to `profile.json`."""
         each = [profile.to_json() for profile in self.each]
-        return {"schema": SCHEMA, "kind": "two"} | _plain(self) | {"each": each}
+        return {"schema": SCHEMA, "kind": "two"} | _as_dict(self) | {"each": each}
 
     def summary(self) -> dict[str, Any]:
         """The JSON record without the series."""
-        found = _without(strict(self.to_json()), "first", "second", "delta", "samples")
+        found = _without(json_safe(self.to_json()), "first", "second", "delta", "samples")
         return found | {"each": [profile.summary() for profile in self.each]}
 
     @classmethod
@@ -286,11 +286,11 @@ class PairProfile:
         """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
         covariance = found["covariance"]
         extent = {
-            level: tuple(Interval(**known(Interval, item)) for item in items)
+            level: tuple(Interval(**known_fields(Interval, item)) for item in items)
             for level, items in found["extent"].items()
         }
         return cls(
-            **known(cls, found)
+            **known_fields(cls, found)
             | {name: array(found[name]) for name in ("first", "second", "delta")}
             | {
                 "names": tuple(found["names"]),
@@ -333,9 +333,9 @@ def require_usable(
     ranges: Mapping[str, tuple[float, float]],
     best: Mapping[str, float] | None = None,
 ) -> None:
-    """Raise `InputError` where names, points and ranges cannot be had of these parameters.
+    """Raise `InputError` where names, points or ranges are not valid for these parameters.
 
-    `best` are the fitted values, where they are known; a range has to hold them.
+    `best` are the fitted values, if known; a range must contain them.
     """
     if not 1 <= len(names) <= 2:
         raise InputError(f"--param: {len(names)} names; expected one or two")
@@ -348,10 +348,10 @@ def require_usable(
             )
     if len(set(names)) < len(names):
         raise InputError(f"--param {names[0]} is given twice")
-    if points is not None and not _FEWEST <= points <= _MOST:
-        raise InputError(f"--points {points}: expected {_FEWEST} to {_MOST}")
+    if points is not None and not _MIN_POINTS <= points <= _MAX_POINTS:
+        raise InputError(f"--points {points}: expected {_MIN_POINTS} to {_MAX_POINTS}")
     if len(parameters.fixed) + len(names) == len(parameters):
-        raise InputError("nothing else is left to fit; free another parameter")
+        raise InputError("no other parameter is left to fit; free one")
     for name, (low, high) in ranges.items():
         if name not in names:
             raise InputError(f"--range of {name}: expected one of {', '.join(names)}")
@@ -360,12 +360,12 @@ def require_usable(
             raise InputError(f"--range {low:g},{high:g} of {name} is empty; expected LOW,HIGH")
         if low < item.lower or high > item.upper:
             raise InputError(
-                f"--range {low:g},{high:g} of {name} leaves its bounds "
-                f"{item.lower:g}:{item.upper:g}; --bound moves them"
+                f"--range {low:g},{high:g} of {name} exceeds its bounds "
+                f"{item.lower:g}:{item.upper:g}; --bound changes them"
             )
         if best is not None and not low <= best[name] <= high:
             raise InputError(
-                f"--range {low:g},{high:g} of {name} leaves out the best estimate, {best[name]:.6g}"
+                f"--range {low:g},{high:g} of {name} excludes the best estimate, {best[name]:.6g}"
             )
 
 
@@ -379,31 +379,31 @@ def arrays(found: Mapping[str, Any]) -> dict[str, Floats]:
     return {name: array(values) for name, values in found.items()}
 
 
-def _common(found: dict[str, Any]) -> dict[str, Any]:
+def _common_fields(found: dict[str, Any]) -> dict[str, Any]:
     return {
         "parameters": {
             name: Estimate.from_json(item) for name, item in found["parameters"].items()
         },
         "combinations": tuple(
-            Combination(**known(Combination, item)) for item in found["combinations"]
+            Combination(**known_fields(Combination, item)) for item in found["combinations"]
         ),
         "warnings": tuple(found["warnings"]),
     }
 
 
-def _plain(record: Any) -> dict[str, Any]:
+def _as_dict(record: Any) -> dict[str, Any]:
     """The fields of a record with arrays as lists."""
     found = {item.name: getattr(record, item.name) for item in fields(record)}
-    return {name: _listed(value) for name, value in found.items()}
+    return {name: _as_list(value) for name, value in found.items()}
 
 
-def _listed(value: Any) -> Any:
+def _as_list(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, dict):
-        return {name: _listed(item) for name, item in value.items()}
+        return {name: _as_list(item) for name, item in value.items()}
     if isinstance(value, tuple):
-        return [_listed(item) for item in value]
+        return [_as_list(item) for item in value]
     return asdict(value) if isinstance(value, Estimate | Combination | Interval) else value
 
 

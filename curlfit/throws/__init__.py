@@ -1,1 +1,1 @@
-"""Throws: measured or simulated paths, and what can be seen in them without a law."""
+"""Throws: measured or simulated paths, and their inspection before a fit."""

@@ -8,12 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from curlfit.output.figures import (
-    CHANNEL_COLOR,
-    CHANNEL_LABEL,
-    Picture,
-    title,
-)
+from curlfit.output.figures import CHANNEL_COLOR, CHANNEL_LABEL, Picture, title
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
@@ -25,11 +20,11 @@ if TYPE_CHECKING:
 
 
 def throw_figure(throw: Throw) -> Figure:
-    """What was measured over time, a panel for each channel."""
-    seen = throw.seen
-    figure = Picture(figsize=(8, 1.8 * len(seen) + 0.6), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(len(seen), 1, sharex=True))
-    for axes, name in zip(panels, seen, strict=True):
+    """Measured channels over time, a panel for each."""
+    channels = throw.seen
+    figure = Picture(figsize=(8, 1.8 * len(channels) + 0.6), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(len(channels), 1, sharex=True))
+    for axes, name in zip(panels, channels, strict=True):
         axes.plot(throw.t, getattr(throw, name), ".", color=CHANNEL_COLOR[name], markersize=3)
         axes.set_ylabel(f"${CHANNEL_LABEL[name]}$ ({UNITS[name]})")
         axes.grid(alpha=0.3)

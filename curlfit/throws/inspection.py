@@ -1,4 +1,4 @@
-"""What can be said of a throw before any fit: its clock, its noise, its faults, and its rest."""
+"""Inspection of a throw before a fit: intervals in time, scatter, jumps, rest."""
 
 from __future__ import annotations
 
@@ -8,51 +8,52 @@ import numpy as np
 
 from curlfit.throws.throw import Floats, Throw, scatter
 
-_PAUSE = 2.5  # usual intervals from which one is a pause
-_FEW_PLACES = 4  # rows below which the places tell no speed
-_STILL_ROWS, _STILL_TIME = 4, 0.2  # rows at rest and s of it from which rest counts as seen
-_STILL_SPEED = 0.03  # m/s below which a stone that brakes at 0.1 m/s^2 rests within 0.3 s and 5 mm
-_SWAY = 0.001  # m by which a camera may drift, whatever the scatter from row to row
-_SURE = 3.0  # standard errors
-_END_ROWS, _END_TIME = 6, 1.0  # rows, and s of them, that tell the speed at the end
+_PAUSE = 2.5  # median intervals above which an interval is a pause
+_MIN_POSITIONS = 4  # below which they determine no speed
+_MIN_REST_ROWS, _MIN_REST_TIME = 4, 0.2  # rows and s at rest from which rest is detected
+# m/s; under 0.1 m/s^2 of deceleration the stone then rests within 0.3 s and 5 mm
+_MAX_REST_SPEED = 0.03
+_CAMERA_DRIFT = 0.001  # m, beside the scatter from row to row
+_CONFIDENCE = 3.0  # in standard errors
+_END_ROWS, _END_TIME = 6, 1.0  # rows and s that the final speed is estimated from
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Intervals from row to row in s, and the pauses that stand out from them.
+    """Intervals from row to row in s, and pauses, which are much longer.
 
-    `longest` and `after` are the length of the longest pause and when it began, None without one.
+    `longest_pause` and `pause_start` are duration and start of the longest; None without one.
     """
 
-    usual: float
-    least: float
-    most: float
+    median: float
+    shortest: float
+    longest: float
     pauses: int
-    longest: float | None
-    after: float | None
+    longest_pause: float | None
+    pause_start: float | None
 
     @property
-    def even(self) -> bool:
-        """Whether all intervals are the same."""
-        return self.most - self.least <= 1e-6 * self.usual
+    def regular(self) -> bool:
+        """Whether all intervals are equal."""
+        return self.longest - self.shortest <= 1e-6 * self.median
 
 
 @dataclass(frozen=True)
 class Rest:
-    """How the throw ends.
+    """The end of the throw.
 
     Attributes
     ----------
-    since : time in s of the first row at rest; None where rest was not seen.
-    within : m around their middle in which the places at rest lie.
-    speed : m/s at the last row where rest was not seen, or as measured there; None where hardly any
-        place was seen and no speed.
-    error : standard error of `speed` in m/s, 0 of a measured one.
-    measured : whether `speed` is a measured one.
+    time : of the first row at rest, s; None where rest was not observed.
+    radius : largest distance of the positions at rest from their median, m.
+    speed : at the last row where rest was not observed, or as measured there, m/s; None where too
+        few positions and no speed were measured.
+    error : standard error of `speed` in m/s, 0 where it was measured.
+    measured : whether `speed` was measured.
     """
 
-    since: float | None = None
-    within: float = 0.0
+    time: float | None = None
+    radius: float = 0.0
     speed: float | None = None
     error: float = 0.0
     measured: bool = False
@@ -60,10 +61,10 @@ class Rest:
 
 @dataclass(frozen=True)
 class Inspection:
-    """Facts about a throw.
+    """Findings on a throw.
 
-    `clock` is None for a single row. `noise` is the scatter from row to row by channel (SI), for
-    those that have any; `jumps` counts steps far from those around them, by channel.
+    `clock` is None for a single row. `noise` is the scatter from row to row by channel (SI), where
+    there is any; `jumps` counts outlying steps by channel.
     """
 
     clock: Clock | None
@@ -72,8 +73,8 @@ class Inspection:
     rest: Rest
 
 
-def inspected(throw: Throw) -> Inspection:
-    """The facts about a throw."""
+def inspect_throw(throw: Throw) -> Inspection:
+    """Inspect a throw."""
     noise, jumps = {}, {}
     for channel in throw.seen:
         values = getattr(throw, channel)
@@ -91,23 +92,23 @@ def _clock(t: Floats) -> Clock | None:
     step = np.diff(t)
     if not len(step):
         return None
-    usual = float(np.median(step))
-    pauses = np.flatnonzero(step > max(_PAUSE * usual, 1.5 * float(np.quantile(step, 0.9))))
-    longest = int(pauses[np.argmax(step[pauses])]) if len(pauses) else None
+    median = float(np.median(step))
+    pauses = np.flatnonzero(step > max(_PAUSE * median, 1.5 * float(np.quantile(step, 0.9))))
+    longest_pause = int(pauses[np.argmax(step[pauses])]) if len(pauses) else None
     return Clock(
-        usual=usual,
-        least=float(step.min()),
-        most=float(step.max()),
+        median=median,
+        shortest=float(step.min()),
+        longest=float(step.max()),
         pauses=len(pauses),
-        longest=None if longest is None else float(step[longest]),
-        after=None if longest is None else float(t[longest]),
+        longest_pause=None if longest_pause is None else float(step[longest_pause]),
+        pause_start=None if longest_pause is None else float(t[longest_pause]),
     )
 
 
 def _jumps(t: Floats, values: Floats, noise: float) -> int:
-    """Steps that differ from the median step around them by much more than the noise.
+    """Number of steps that differ from the neighbouring median by much more than the noise.
 
-    A step over a pause may be of any size.
+    Steps over a pause are not counted.
     """
     step = np.diff(values)
     if len(step) < 8:
@@ -116,77 +117,77 @@ def _jumps(t: Floats, values: Floats, noise: float) -> int:
     off = np.abs(step - around)
     if not off.any():
         return 0
-    usual = 6 * float(np.median(np.abs(step[step != 0])))  # numbers may be rounded coarsely
+    usual = 6 * float(np.median(np.abs(step[step != 0])))  # for coarsely rounded numbers
     far = off > np.maximum(max(12 * noise, usual), 3 * np.abs(around)) + 1e-9
     return int((far & (np.diff(t) < _PAUSE * np.median(np.diff(t)))).sum())
 
 
 def _rest(throw: Throw) -> Rest:
-    seen = np.isfinite(throw.x) & np.isfinite(throw.y)
-    if seen.sum() < _FEW_PLACES:
+    finite = np.isfinite(throw.x) & np.isfinite(throw.y)
+    if finite.sum() < _MIN_POSITIONS:
         known = throw.speed[np.isfinite(throw.speed)]
         return Rest(speed=float(known[-1]), measured=True) if len(known) else Rest()
-    t, places = throw.t[seen], np.stack([throw.x[seen], throw.y[seen]])
-    sure = _surely_still(t, places)
-    if sure is None:
-        speed, error = _speed_at_the_end(t, places)
+    t, positions = throw.t[finite], np.stack([throw.x[finite], throw.y[finite]])
+    first = _first_row_at_rest(t, positions)
+    if first is None:
+        speed, error = _final_speed(t, positions)
         return Rest(speed=speed, error=error)
-    still = places[:, sure:]
-    off = np.hypot(*(still - np.median(still, axis=1, keepdims=True)))
-    return Rest(since=float(t[sure]), within=float(off.max()))
+    at_rest = positions[:, first:]
+    off = np.hypot(*(at_rest - np.median(at_rest, axis=1, keepdims=True)))
+    return Rest(time=float(t[first]), radius=float(off.max()))
 
 
-def _surely_still(t: Floats, places: Floats) -> int | None:
-    """The first of some last rows whose line shows no speed, and excludes one that matters.
+def _first_row_at_rest(t: Floats, positions: Floats) -> int | None:
+    """First of the last rows whose regression line excludes all but a negligible speed.
 
-    A stone that still moves is slow for a moment: it stays within its noise of where it ends, but
-    the line through those rows has a slope, or an error that leaves room for one. Of all last rows
-    those are taken that leave the least room.
+    A slowly moving stone may stay within the noise of its last position, but the line through those
+    rows then has a slope, or a standard error that allows for one. Of all numbers of last rows that
+    with the smallest upper limit of the speed is taken.
     """
     late = t - t[-1]
-    place = places - places[:, -1:]
+    position = positions - positions[:, -1:]
     # Sums over the rows from each one to the last.
     n, st, stt, sp, stp, spp = (
         np.cumsum(part[..., ::-1], -1)[..., ::-1]
-        for part in (np.ones_like(t), late, late**2, place, late * place, place**2)
+        for part in (np.ones_like(t), late, late**2, position, late * position, position**2)
     )
-    enough = (n >= _STILL_ROWS) & (late < -_STILL_TIME)
+    enough = (n >= _MIN_REST_ROWS) & (late < -_MIN_REST_TIME)
     if not enough.any():
         return None
     n, st, stt, sp, stp, spp = (part[..., enough] for part in (n, st, stt, sp, stp, spp))
     spread = stt - st**2 / n
     slope = (stp - st * sp / n) / spread
-    left = np.maximum(spp - sp**2 / n - slope**2 * spread, 0.0) / (n - 2)
-    noise = np.maximum(left, np.reshape(scatter(places), (2, 1)) ** 2)
-    error = np.sqrt(noise / spread + (_SWAY / late[enough]) ** 2)
-    none = (np.abs(slope) < _SURE * error).all(0)
-    most = np.where(none, np.hypot(*(np.abs(slope) + _SURE * error)), np.inf)
-    least = int(np.argmin(most))
-    return int(np.flatnonzero(enough)[least]) if most[least] < _STILL_SPEED else None
+    variance = np.maximum(spp - sp**2 / n - slope**2 * spread, 0.0) / (n - 2)
+    noise = np.maximum(variance, np.reshape(scatter(positions), (2, 1)) ** 2)
+    error = np.sqrt(noise / spread + (_CAMERA_DRIFT / late[enough]) ** 2)
+    compatible = (np.abs(slope) < _CONFIDENCE * error).all(0)
+    limit = np.where(compatible, np.hypot(*(np.abs(slope) + _CONFIDENCE * error)), np.inf)
+    best = int(np.argmin(limit))
+    return int(np.flatnonzero(enough)[best]) if limit[best] < _MAX_REST_SPEED else None
 
 
-def _speed_at_the_end(t: Floats, places: Floats) -> tuple[float, float]:
-    """The speed at the last row and its standard error, from a parabola through the last rows.
+def _final_speed(t: Floats, positions: Floats) -> tuple[float, float]:
+    """Speed at the last row and its standard error, from a parabola through the last rows.
 
-    Where a cubic ends with another speed than noise explains, that is part of the error.
+    A difference to the speed from a cubic that noise does not explain is part of the error.
     """
     last = max(min(len(t), _END_ROWS), int((t > t[-1] - _END_TIME).sum()))
-    late, places = t[-last:] - t[-1], places[:, -last:]
-    noise = scatter(places)
+    late, positions = t[-last:] - t[-1], positions[:, -last:]
+    noise = scatter(positions)
     (velocity, variance), (other, its_variance) = (
-        _slope_at_the_end(late, places, min(degree, last - 2), noise) for degree in (2, 3)
+        _final_slope(late, positions, min(degree, last - 2), noise) for degree in (2, 3)
     )
     bias = np.maximum((other - velocity) ** 2 - np.maximum(its_variance - variance, 0.0), 0.0)
     speed = float(np.hypot(*velocity))
     along = velocity**2 / speed**2 if speed > 0 else np.full(2, 0.5)
-    return speed, float(np.sqrt(along @ (variance + bias) + (_SWAY / late[0]) ** 2))
+    return speed, float(np.sqrt(along @ (variance + bias) + (_CAMERA_DRIFT / late[0]) ** 2))
 
 
-def _slope_at_the_end(
-    late: Floats, places: Floats, degree: int, noise: Floats
+def _final_slope(
+    late: Floats, positions: Floats, degree: int, noise: Floats
 ) -> tuple[Floats, Floats]:
-    """Slopes of polynomials at 0 and their variances, for noise that is no less than given."""
+    """Slopes of polynomials at 0 and their variances, for noise of at least the given size."""
     powers = np.vander(late, degree + 1, increasing=True)
-    found, *_ = np.linalg.lstsq(powers, places.T, rcond=None)
-    left = ((places.T - powers @ found) ** 2).sum(0) / (len(late) - degree - 1)
-    return found[1], np.linalg.inv(powers.T @ powers)[1, 1] * np.maximum(left, noise**2)
+    found, *_ = np.linalg.lstsq(powers, positions.T, rcond=None)
+    residual = ((positions.T - powers @ found) ** 2).sum(0) / (len(late) - degree - 1)
+    return found[1], np.linalg.inv(powers.T @ powers)[1, 1] * np.maximum(residual, noise**2)

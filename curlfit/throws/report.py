@@ -1,4 +1,4 @@
-"""What `curlfit check` says of a file, as text. Nothing is computed here but dots."""
+"""Report of a data file by `curlfit check`, with small curves in Braille dots."""
 
 from __future__ import annotations
 
@@ -15,58 +15,58 @@ from curlfit.throws.inspection import Clock, Inspection, Rest
 from curlfit.throws.throw import CHANNELS, UNITS
 
 if TYPE_CHECKING:
-    from curlfit.throws.readers.parsed_file import Reading
+    from curlfit.throws.readers.parsed_file import ParsedFile
     from curlfit.throws.throw import Floats, Throw
 
 _DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
-_CURVES = ("y", "x", "phi", "speed", "omega")  # in the order in which they are drawn
+_CURVES = ("y", "x", "phi", "speed", "omega")  # in the order of drawing
 
 
 def print_inspection(
-    reading: Reading,
+    parsed: ParsedFile,
     throw: Throw,
     inspection: Inspection,
     settings: Mapping[str, Any],
     console: Console | None = None,
 ) -> None:
-    """Print how a file was understood: its columns, the facts, the reader's notes, small curves.
+    """Print the columns of a file, the findings on its throw, the notes of the reader, curves.
 
-    `settings` are those that a fit of it would begin with.
+    `settings` are those that a fit of the file would have.
     """
     console = console or terminal(highlight=False)
 
-    def say(line: str) -> None:
+    def write(line: str) -> None:
         console.print(line, markup=False)
 
-    say(
-        f"{reading.source}: {reading.format}, {len(throw)} rows, "
+    write(
+        f"{parsed.source}: {parsed.format}, {len(throw)} rows, "
         f"t = {throw.t[0]:.6g} .. {throw.t[-1]:.6g} s"
     )
-    console.print(_columns(reading))
+    console.print(_columns(parsed))
     console.print()
     for line in facts(throw, inspection, settings):
-        say(line)
+        write(line)
     if throw.notes:
         console.print("\nNotes")
         for note in throw.notes:
-            say(f"- {note}")
+            write(f"- {note}")
     for channel in _CURVES:
         values = getattr(throw, channel)
         if np.isfinite(values).any():
             span = f"{np.nanmin(values):.4g} .. {np.nanmax(values):.4g}"
-            say(f"\n{channel} ({UNITS[channel]}): {span}")
+            write(f"\n{channel} ({UNITS[channel]}): {span}")
             for line in braille(throw.t, values):
-                say(line)
+                write(line)
 
 
-def _columns(reading: Reading) -> PlainTable:
+def _columns(parsed: ParsedFile) -> PlainTable:
     table = PlainTable()
     for name in ("column", "quantity", "unit", "factor", "rows", "gaps", "range in the file"):
         right = name in ("factor", "rows", "gaps")
         table.add_column(name, justify="right" if right else "left", no_wrap=True)
-    for header, column, values in reading.series:
-        seen = values[np.isfinite(values)] / column.factor
-        span = f"{seen.min():.6g} .. {seen.max():.6g}" if len(seen) else "-"
+    for header, column, values in parsed.series:
+        finite = values[np.isfinite(values)] / column.factor
+        span = f"{finite.min():.6g} .. {finite.max():.6g}" if len(finite) else "-"
         cells = (
             header, column.quantity, column.unit, f"{column.factor:.6g}", str(len(values)),
             str(int((~np.isfinite(values)).sum())), span,
@@ -76,7 +76,7 @@ def _columns(reading: Reading) -> PlainTable:
 
 
 def facts(throw: Throw, inspection: Inspection, settings: Mapping[str, Any]) -> Iterator[str]:
-    """What there is to know of a throw before a fit, a line each."""
+    """Findings on a throw before a fit, a line each."""
     if inspection.clock is not None:
         yield from _clock(inspection.clock)
     for name, row in (("first row", 0), ("last row", -1)):
@@ -87,7 +87,7 @@ def facts(throw: Throw, inspection: Inspection, settings: Mapping[str, Any]) -> 
         )
         yield ", ".join([f"{name:<10} t {throw.t[row]:.6g} s", *values])
     for channel, count in inspection.jumps.items():
-        yield f"jumps      {count} in {channel}: steps far from those around them"
+        yield f"jumps      {count} in {channel}: steps that differ from the neighbouring ones"
     if inspection.noise:
         listed = (f"{c} {noise:.2g} {UNITS[c]}" for c, noise in inspection.noise.items())
         yield "scatter    " + ", ".join(listed) + " (from row to row)"
@@ -100,35 +100,35 @@ def facts(throw: Throw, inspection: Inspection, settings: Mapping[str, Any]) -> 
 
 
 def _clock(clock: Clock) -> Iterator[str]:
-    spread = "" if clock.even else f" ({clock.least:.4g} .. {clock.most:.4g} s)"
-    yield f"interval   {clock.usual:.6g} s{spread}, {1 / clock.usual:.6g} rows a second"
-    if clock.longest is not None:
+    spread = "" if clock.regular else f" ({clock.shortest:.4g} .. {clock.longest:.4g} s)"
+    yield f"interval   {clock.median:.6g} s{spread}, {1 / clock.median:.6g} rows a second"
+    if clock.longest_pause is not None:
         yield (
-            f"pauses     {clock.pauses}, the longest {clock.longest:.4g} s "
-            f"after t = {clock.after:.6g} s"
+            f"pauses     {clock.pauses}, the longest {clock.longest_pause:.4g} s "
+            f"after t = {clock.pause_start:.6g} s"
         )
 
 
 def _rest(rest: Rest) -> str:
-    if rest.since is not None:
-        return f"reached at t = {rest.since:.5g} s, within {1000 * rest.within:.2g} mm"
+    if rest.time is not None:
+        return f"reached at t = {rest.time:.5g} s, within {1000 * rest.radius:.2g} mm"
     if rest.speed is None:
-        return "not known: the place is hardly seen"
+        return "unknown: too few positions"
     if rest.measured and rest.speed == 0:
         return "at the last row"
     if rest.measured:
         return f"not reached: {rest.speed:.3g} m/s at the end"
     speed = f"{compact(rest.speed, rest.error)} m/s at the last row"
     if rest.speed < 2 * rest.error:
-        return f"not certain: {speed}"
-    return f"not seen: {speed}"
+        return f"uncertain: {speed}"
+    return f"not observed: {speed}"
 
 
 def braille(t: Floats, values: Floats, width: int = 60, height: int = 4) -> list[str]:
     """A curve over time in Braille dots, `height` lines of `width` signs."""
-    seen = np.isfinite(values)
-    t, values = t[seen], values[seen]
-    if 8 <= len(t) < 8 * width:  # a line, broken where rows are missing
+    finite = np.isfinite(values)
+    t, values = t[finite], values[finite]
+    if 8 <= len(t) < 8 * width:  # a line, with gaps where rows are missing
         dense = np.linspace(t[0], t[-1], 8 * width)
         pause = np.append(np.diff(t), 0.0)[np.searchsorted(t, dense, "right") - 1]
         near = pause <= 2.5 * np.median(np.diff(t))

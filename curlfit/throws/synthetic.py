@@ -1,4 +1,4 @@
-"""Synthetic throws: a law's own path with noise on it, as arrays or as a data file."""
+"""Synthetic throws: the path under a law with Gaussian noise, as arrays or as a data file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from curlfit.stone import Stone
 from curlfit.throws.throw import Floats, Reference, Throw
 
 _MOST_ROWS = 2_000_000
-_RISE = 1e-6  # of the energy from row to row; velocities are good to less
+_ENERGY_GAIN = 1e-6  # from row to row, relative; above the error of the velocities
 
 
 def law_with(
@@ -28,12 +28,12 @@ def law_with(
     Parameters
     ----------
     unbounded : let coefficients be negative, as in a fit.
-    others : in place of defaults; of a fit, which may have had other bounds.
+    others : values in place of defaults, from a fit that may have had other bounds.
 
     Raises
     ------
     InputError : an unknown law or coefficient, a value that is not finite or outside its bounds, or
-        values that make no law of friction.
+        values that are not those of friction.
     """
     kind: type[Law] = find_law(law) if isinstance(law, str) else law
     known = {item.name: item for item in kind.coefficients()}
@@ -74,12 +74,12 @@ def synthetic_throw(
 ) -> Throw:
     """A throw from the origin with independent Gaussian noise on x, y (m) and phi (rad).
 
-    The true coefficients go along as the throw's reference. A note says where the stone gains
-    energy, which no friction gives.
+    The true coefficients are the reference of the throw. A note reports where the stone gains
+    energy, which friction cannot provide.
 
     Raises
     ------
-    InputError : a value that makes no throw, or a law that admits no motion there.
+    InputError : an impossible value, or a law that admits no motion from this start.
     """
     for name, value, least in (
         ("v0", v0, 0.0), ("until", until, None), ("dt", dt, None),
@@ -110,13 +110,13 @@ def synthetic_throw(
             + no_motion_because(load)
         )
     energy = path.vx**2 + path.vy**2 + (stone.rho * path.omega) ** 2
-    rise = np.flatnonzero(np.diff(energy) > _RISE * energy[:-1])
+    gains = np.flatnonzero(np.diff(energy) > _ENERGY_GAIN * energy[:-1])
     notes: tuple[str, ...] = ()
-    if len(rise):
-        first, most = t[rise[0]], t[int(np.argmax(energy))]
+    if len(gains):
+        first, most = t[gains[0]], t[int(np.argmax(energy))]
         notes = (
             f"friction drives the stone: its energy grows from t = {first:g} s on, at t = {most:g} "
-            f"s to {energy.max() / energy[0]:.3g} times that of the start; ice does not do that",
+            f"s to {energy.max() / energy[0]:.3g} times its initial value, which is unphysical",
         )
     random = np.random.default_rng(seed)
     names = [item.name for item in law.coefficients()]
@@ -157,9 +157,9 @@ def write_table(throw: Throw) -> str:
             lines.append(f"# reference.note = {_toml(throw.reference.note)}")
     lines.append("t,x,y,phi")
     for row in zip(throw.t, throw.x, throw.y, throw.phi, strict=True):
-        time, *place = row
+        time, *position = row
         lines.append(
-            ",".join([f"{time:.9g}", *("" if math.isnan(v) else f"{v:.9f}" for v in place)])
+            ",".join([f"{time:.9g}", *("" if math.isnan(v) else f"{v:.9f}" for v in position)])
         )
     return "\n".join(lines).replace("-0.000000000", "0.000000000") + "\n"
 

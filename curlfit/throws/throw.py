@@ -1,4 +1,4 @@
-"""A throw: what was measured of one stone, in SI units and radians."""
+"""A throw: the measurements of one stone, in SI units and radians."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Floats = NDArray[np.float64]
 CHANNELS = ("x", "y", "phi", "speed", "omega")
 MOST_ROWS = 6000
 """Rows from which a fit condenses its data."""
-_REST_ROWS = 200
-_FEW_ROWS = 10  # below which a series does not show its noise
-_STILL = 0.003  # m from where it ends within which a stone counts as at rest
+_REST_ROWS = 200  # of a condensed throw, after the stone came to rest
+_MIN_ROWS = 10  # of a series whose scatter is estimated
+_REST_DISTANCE = 0.003  # m from its last position within which a stone is at rest
 UNITS = {"t": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
 
 
@@ -30,12 +30,12 @@ class Reference:
 
     Attributes
     ----------
-    source : what to call them, such as "eq. 28". law : whose coefficients they are.
+    source : their name, such as "eq. 28". law : the law of the coefficients.
     values : by name, or by expression such as "mu1_eta + mu2_eta".
-    stone : constants of the stone (R, rho, h in m, m in kg) with which the values follow, where
+    stone : constants of the stone (R, rho, h in m, m in kg) from which the values follow, where
         these are not the constants printed beside them.
-    rounding : half of what the printed constants were rounded by, the same units.
-    note : why they differ, a clause.
+    rounding : rounding error (half a unit) of the printed constants, in the same units.
+    note : the reason of the difference, a clause.
     """
 
     source: str
@@ -46,7 +46,7 @@ class Reference:
     note: str = ""
 
     def of(self, expression: str, weights: dict[str, float]) -> float | None:
-        """The value of a weighted sum, as given or from its parts; None where unknown."""
+        """The value of a weighted sum, as given or from its terms; None where unknown."""
         if expression in self.values:
             return self.values[expression]
         if not weights.keys() <= self.values.keys():
@@ -63,17 +63,17 @@ class Throw:
     Attributes
     ----------
     t : times in s, shape (n,), strictly increasing; the origin does not matter.
-    x, y : place of the stone's centre in m, shape (n,); NaN where it was not seen.
-    phi : angle of the stone in rad, not wrapped, shape (n,); NaN where not seen.
-    speed, omega : speed of the centre in m/s (>= 0) and spin in rad/s where they were measured
-        themselves (a radar, a gyroscope), shape (n,); NaN where not. All NaN where not given.
-    sigma : standard deviation of the noise by channel, each of shape (n,); a channel that is
-        missing here has an unknown one, which a fit estimates.
-    name : what to call the throw, a file name for instance.
+    x, y : position of the stone's centre in m, shape (n,); NaN where not measured.
+    phi : angle of the stone in rad, unwrapped, shape (n,); NaN where not measured.
+    speed, omega : speed of the centre in m/s (>= 0) and spin in rad/s where measured directly (by
+        radar, gyroscope), shape (n,); NaN where not. All NaN if not given.
+    sigma : standard deviation of the noise by channel, each of shape (n,); that of other
+        channels is unknown and estimated by a fit.
+    name : of the throw, a file name for instance.
     reference : values to show beside a fit.
-    defaults : settings the data file carries (`until`, `stone`, `law`, `load`).
-    notes : what the reader has to say (ignored columns and the like).
-    lines : line of the file each row came from, for messages.
+    defaults : settings in the data file (`until`, `stone`, `law`, `load`).
+    notes : remarks of the reader (ignored columns and the like).
+    lines : line of each row in the file, for messages.
 
     Raises
     ------
@@ -147,7 +147,7 @@ class Throw:
         sigma: dict[str, ArrayLike] | None = None,
         **more: Any,
     ) -> Throw:
-        """A throw from arrays or lists; what was not measured is left out.
+        """A throw from arrays or lists; channels that were not measured are omitted.
 
         `sigma` values may be single numbers. `more` are other attributes, `name` for instance.
         """
@@ -180,49 +180,48 @@ class Throw:
 
     @cached_property
     def observed(self) -> Floats:
-        """All channels as one array of shape (5, n), in the order of `CHANNELS`; not to be
-        written to."""
+        """All channels as a read-only array of shape (5, n), in the order of `CHANNELS`."""
         whole = np.stack([getattr(self, name) for name in CHANNELS])
         whole.flags.writeable = False
         return whole
 
     @cached_property
     def finite(self) -> NDArray[np.bool_]:
-        """Where there is a value, shape (5, n); not to be written to."""
+        """Whether there is a value, read-only, shape (5, n)."""
         found = np.isfinite(self.observed)
         found.flags.writeable = False
         return found
 
     @cached_property
     def seen(self) -> tuple[str, ...]:
-        """Channels of which there is a value."""
+        """Channels with at least one value."""
         there: Any = self.finite.any(1)
         return tuple(name for name, some in zip(CHANNELS, there, strict=True) if some)
 
     @cached_property
     def n_observations(self) -> int:
-        """Numbers measured: finite values of all channels."""
+        """Number of finite values of all channels."""
         return int(np.count_nonzero(self.finite))
 
     @property
     def stops(self) -> bool:
-        """Whether the last row says when the stone came to rest.
+        """Whether the last row gives the time of rest.
 
-        So it does where its speed is 0, with a sigma, and no other speed was measured.
+        It does where its speed is 0, with a sigma, and no other speed was measured.
         """
         if "speed" not in self.sigma or self.speed[-1] != 0:
             return False
         return int(np.isfinite(self.speed).sum()) == 1
 
     def require_motion(self) -> None:
-        """Raise `DataError` where the place never changes by more than the data's own scatter."""
+        """Raise `DataError` where the motion is within the scatter of the data."""
         if not {"x", "y"} & set(self.seen):
             return
         for row, values in enumerate((self.x, self.y)):
             seen = values[self.finite[row]]
             if len(seen) < 2:
                 continue
-            # Independent noise spreads as much over the whole throw as from row to row.
+            # Independent noise has the same spread over the whole throw as from row to row.
             if np.ptp(seen) > 1e-6 and seen.std() > 3 * scatter(seen):
                 return
         raise self._error(
@@ -230,19 +229,19 @@ class Throw:
         )
 
     def condensed(self, most: int = MOST_ROWS) -> Throw:
-        """At most about `most` rows: means over blocks of rows, with a note on what was done.
+        """At most about `most` rows: means over blocks of rows, with a note.
 
-        A block's mean time, place and angle lie on the path but for its bend within the block.
-        Noise falls as in any mean, and given sigmas with it. Rows after the stone came to rest,
-        which say the same over and over, make long blocks.
+        Mean time, position and angle of a block lie on the path up to its curvature within the
+        block. The noise and given sigmas decrease as for any mean. Rows after the stone came to
+        rest, which repeat one measurement, are averaged over long blocks.
         """
         n = len(self)
         if n <= most:
             return self
         rest = int(np.searchsorted(self.t, last_motion(self.t, self.x, self.y), side="right"))
         block = max(1, -(-rest // (most - _REST_ROWS)))
-        still = max(block, -(-(n - rest) // _REST_ROWS))  # not noisier than the others
-        pieces = [(0, rest, -(-rest // block)), (rest, n, -(-(n - rest) // still))]
+        rest_block = max(block, -(-(n - rest) // _REST_ROWS))  # not noisier than the others
+        pieces = [(0, rest, -(-rest // block)), (rest, n, -(-(n - rest) // rest_block))]
         starts = np.concatenate(
             [
                 np.linspace(low, high, count, endpoint=False).astype(int)
@@ -251,28 +250,28 @@ class Throw:
         )
 
         def mean(values: Floats) -> Floats:
-            seen = np.isfinite(values)
-            count = np.add.reduceat(seen.astype(float), starts)
-            total = np.add.reduceat(np.where(seen, values, 0.0), starts)
+            finite = np.isfinite(values)
+            count = np.add.reduceat(finite.astype(float), starts)
+            total = np.add.reduceat(np.where(finite, values, 0.0), starts)
             return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
         sigma = {}
         for name, values in self.sigma.items():
-            seen = np.add.reduceat(np.isfinite(getattr(self, name)).astype(float), starts)
-            sigma[name] = np.sqrt(mean(values**2) / np.maximum(seen, 1))
+            finite = np.add.reduceat(np.isfinite(getattr(self, name)).astype(float), starts)
+            sigma[name] = np.sqrt(mean(values**2) / np.maximum(finite, 1))
         step = float(np.median(np.diff(self.t)))
         note = (
-            f"{n} rows made into {len(starts)}: means over {block} rows "
+            f"{n} rows condensed to {len(starts)}: means over {block} rows "
             f"({1000 * block * step:.3g} ms) up to t = {self.t[min(rest, n - 1)]:.6g} s"
         )
         if rest < n:
             note += (
-                f", over {still} rows after that, when the stone was at rest and every row repeats "
-                f"one measurement, which counts as {pieces[1][2]}"
+                f", over {rest_block} rows after that, when the stone was at rest and every row "
+                f"repeats one measurement, which counts as {pieces[1][2]}"
             )
-        # A deceleration of 0.2 m/s^2, twice the usual, bends the path by a T^2/24 within a block.
+        # A deceleration a = 0.2 m/s^2, twice the usual, displaces a mean over T by a T^2/24.
         bend = 0.2 * (block * step) ** 2 / 24
-        note += f"; within a moving block the path bends by some {bend:.1g} m, too little to matter"
+        note += f"; means of moving rows lie off the path by some {bend:.1g} m, which is negligible"
         return replace(
             self,
             t=mean(self.t),
@@ -303,7 +302,7 @@ class Throw:
         )
 
     def with_defaults(self, **defaults: Any) -> Throw:
-        """The throw with other defaults in place of some of its own."""
+        """The throw with some defaults replaced."""
         return replace(self, defaults={**self.defaults, **defaults})
 
     def with_sigma(self, sigma: dict[str, float]) -> Throw:
@@ -325,7 +324,7 @@ def check_sigma(sigma: Mapping[str, float]) -> None:
 
 
 def _first(bad: NDArray[np.bool_]) -> list[tuple[str, int]]:
-    """Name and row of the first fault in the times, or in the channels; none where all is well."""
+    """Name and row of the first fault in the times or channels; empty without one."""
     if not bad.any():
         return []
     channel, row = np.argwhere(np.atleast_2d(bad))[0]
@@ -335,29 +334,29 @@ def _first(bad: NDArray[np.bool_]) -> list[tuple[str, int]]:
 def scatter(values: Floats) -> Any:
     """Standard deviation of the noise on smooth series along the last axis, from third differences.
 
-    These see little of the path's own bend, which second differences take for noise. 0 where there
-    are too few rows to tell.
+    Second differences would count the curvature of the path as noise. 0 where there are too few
+    rows.
     """
-    if values.shape[-1] < _FEW_ROWS:
+    if values.shape[-1] < _MIN_ROWS:
         return np.zeros(values.shape[:-1])[()]
     bend = values[..., 3:] - values[..., :-3] + 3 * (values[..., 1:-2] - values[..., 2:-1])
     return _median(np.abs(bend)) / (0.6745 * math.sqrt(20))
 
 
 def _median(values: Floats) -> Any:
-    """Along the last axis, several times as fast as numpy's for a few hundred values."""
+    """Along the last axis; several times as fast as numpy's for a few hundred values."""
     ordered, n = np.sort(values, -1), values.shape[-1]
     return (ordered[..., (n - 1) // 2] + ordered[..., n // 2]) / 2
 
 
 def last_motion(t: Floats, x: Floats, y: Floats) -> float:
-    """Time of the last row in which the place still changed; the last time if that is unknown."""
-    both = np.isfinite(x) & np.isfinite(y)
-    if both.sum() <= 8:
+    """Time of the last row in motion; the last time where that is unknown."""
+    complete = np.isfinite(x) & np.isfinite(y)
+    if complete.sum() <= 8:
         return float(t[-1])
-    places, t = np.stack([x, y])[:, both], t[both]
+    positions, t = np.stack([x, y])[:, complete], t[complete]
     tail = slice(-max(3, len(t) // 50), None)
-    left = np.hypot(*(places - _median(places[:, tail])[:, None]))
-    near = max(_STILL, 5 * math.hypot(*scatter(places)))
-    moving = np.flatnonzero(left > near)
+    distance = np.hypot(*(positions - _median(positions[:, tail])[:, None]))
+    near = max(_REST_DISTANCE, 5 * math.hypot(*scatter(positions)))
+    moving = np.flatnonzero(distance > near)
     return float(t[moving[-1]]) if len(moving) else float(t[-1])

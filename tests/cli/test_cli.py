@@ -244,7 +244,7 @@ def test_check_shows_what_was_understood(tmp_path):
 @pytest.mark.parametrize(
     ("name", "flags", "words"),
     [
-        ("semicolons", (), "phi: 2 jumps of 360 degrees undone"),
+        ("semicolons", (), "phi: 2 jumps of 360 degrees removed"),
         ("tracker", ("--axes", "x-left"), "not how the stone turns"),
         ("two", ("--stone-index", 2), "taken: 2 mass B"),
         ("shot", ("--format", "digitalcurling"), "team1 stone 1, the one thrown"),

@@ -253,7 +253,7 @@ def refused(folder, *words):
         (["--stone", "rho=0.11"], "stone was m = 20.0, R = 0.054, rho = 0.1, h = 0.057, now"),
         (["--bound", "mu2_xi=0:0.3"], "bounds was mu2_xi 0.0:1.0, now mu2_xi 0.0:0.3"),
         (["--fix", "mu1_xi=0"], "bounds was mu1_xi 0.0:1.0, now mu1_xi 0.0:0.0"),
-        (["--no-sample"], "--resume goes on with sampling"),
+        (["--no-sample"], "--resume continues sampling"),
     ],
 )
 def test_a_chain_of_something_else_is_refused(saved, words, said):

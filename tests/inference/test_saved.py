@@ -155,13 +155,13 @@ def test_what_cannot_be_printed_is_said(eq12_fit, tmp_path, words):
 
 
 def test_what_a_killed_run_left_half_written_is_cleared(tmp_path):
-    from curlfit.output.files import prepared_folder
+    from curlfit.output.files import prepare_folder
 
     old, new = tmp_path / ".curlfit-abc-chain.h5", tmp_path / ".curlfit-def-chain.h5"
     for file in (old, new):
         file.write_text("half")
     os.utime(old, (0, 0))
-    prepared_folder(tmp_path)
+    prepare_folder(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == [new.name]
 
 

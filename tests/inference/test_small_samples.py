@@ -72,9 +72,9 @@ def test_levels_are_quantiles_of_t_and_f(dof):
     for item, level in zip(levels_of(dof), (0.682689492137, 0.95), strict=True):
         one = chi2.ppf(level, 1) if dof is None else t.ppf((1 + level) / 2, dof) ** 2
         two = chi2.ppf(level, 2) if dof is None else 2 * f.ppf(level, 2, dof)
-        assert item.rise == pytest.approx(one, rel=1e-9)
-        assert item.rise_of_two == pytest.approx(two, rel=1e-9)
-        assert item.sigmas**2 == pytest.approx(item.rise)
+        assert item.delta_chi2 == pytest.approx(one, rel=1e-9)
+        assert item.delta_chi2_pair == pytest.approx(two, rel=1e-9)
+        assert item.sigmas**2 == pytest.approx(item.delta_chi2)
 
 
 def test_twelve_rows_hold_the_truth_as_often_as_they_say():

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import curlfit
 from curlfit.cli import app
 from curlfit.output.console import PlainTable, terminal
-from curlfit.output.text import compact, number
+from curlfit.output.text import compact, format_estimate
 from curlfit.paper.claim import Claim
 from curlfit.paper.page import claims_table
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
@@ -165,13 +165,13 @@ def test_styles_and_blanks_within_a_line_stay():
 
 
 def test_numbers_of_extreme_size():
-    assert number(0.0556, 0.0012) == ("0.0556", "0.0012")
-    assert number(123456.7, 12.0) == ("123457", "12")
-    assert number(1e300, 3e298) == ("1.00e+300", "3.0e+298")
-    assert number(-2.5e12, 1.0e9) == ("-2.5000e+12", "1.0e+09")
-    assert number(1000.0, 1e20) == ("1.0e+03", "1.0e+20")
+    assert format_estimate(0.0556, 0.0012) == ("0.0556", "0.0012")
+    assert format_estimate(123456.7, 12.0) == ("123457", "12")
+    assert format_estimate(1e300, 3e298) == ("1.00e+300", "3.0e+298")
+    assert format_estimate(-2.5e12, 1.0e9) == ("-2.5000e+12", "1.0e+09")
+    assert format_estimate(1000.0, 1e20) == ("1.0e+03", "1.0e+20")
     assert compact(1e300, 3e298) == "1.00e+300 +- 3.0e+298"
-    assert max(map(len, number(float("inf"), 1.0))) < 12
+    assert max(map(len, format_estimate(float("inf"), 1.0))) < 12
 
 
 def test_the_claims_keep_their_formulas_at_80_columns():

@@ -19,11 +19,11 @@ from typer.testing import CliRunner
 import curlfit
 from curlfit import InputError, UnusableFitError, sheet
 from curlfit.cli import app
-from curlfit.prediction.discrepancy import discrepancy_of, misfit_of
-from curlfit.prediction.ensemble import followed
+from curlfit.prediction.discrepancy import discrepancy_posterior, estimate_discrepancy
+from curlfit.prediction.ensemble import simulate_ensemble
 from curlfit.prediction.figures import prediction_figure
 from curlfit.prediction.request import GUARD, TAKEOUT
-from curlfit.prediction.result import WAYS
+from curlfit.prediction.result import COMPONENTS
 
 STONE = curlfit.Stone(R=0.065)
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}
@@ -129,7 +129,7 @@ def test_a_stone_that_does_not_turn_rests_when_mechanics_say():
 
 def test_a_mirrored_throw_has_a_mirrored_prediction(eq12_fit):
     one = curlfit.predict(eq12_fit, start={"v0": 2.1, "omega0": 1.4, "heading": 0.02, "x0": 0.3})
-    assert one.misfit.found
+    assert one.misfit.detected
     other = curlfit.predict(
         eq12_fit, start={"v0": 2.1, "omega0": -1.4, "heading": -0.02, "x0": -0.3}
     )
@@ -142,7 +142,7 @@ def test_a_mirrored_throw_has_a_mirrored_prediction(eq12_fit):
             other.series[column], one.series[column], rtol=0.08, atol=1e-6, err_msg=column
         )
     assert other.quantities["curl"].value == pytest.approx(-one.quantities["curl"].value)
-    assert any("other way round" in warning for warning in other.warnings)
+    assert any("opposite way" in warning for warning in other.warnings)
 
 
 def test_the_fitted_throw_is_laid_on_a_line(fit, carried):
@@ -281,7 +281,7 @@ def test_chain_and_covariance_say_the_same(eq12_posterior):
     assert (one.draws["source"], other.draws["source"]) == ("chain", "covariance")
     for name, item in one.quantities.items():
         assert other.quantities[name].parameter_sd == pytest.approx(item.parameter_sd, rel=0.1)
-    with pytest.raises(InputError, match="other names"):
+    with pytest.raises(InputError, match="of another fit"):
         curlfit.predict(fit, replace(chain, names=chain.names[::-1]))
 
 
@@ -293,7 +293,7 @@ def test_the_split_that_is_not_known_does_not_widen_the_bands(fit):
         assert free.quantities[name].parameter_sd == pytest.approx(
             held.quantities[name].parameter_sd, rel=0.08
         )
-    assert any("does not matter here" in note for note in free.notes)
+    assert any("has no effect here" in note for note in free.notes)
 
 
 def test_what_is_not_known_and_matters_is_said_and_in_the_bands():
@@ -308,7 +308,7 @@ def test_what_is_not_known_and_matters_is_said_and_in_the_bands():
     again = curlfit.predict(straight)
     assert again.quantities["curl"].parameter_sd < 0.01
     turning = curlfit.predict(straight, start={"omega0": 1.2})
-    assert any("not known, and it matters here" in one for one in turning.warnings)
+    assert any("not determined, which affects this throw" in one for one in turning.warnings)
     assert turning.quantities["curl"].parameter_sd > 0.1
 
 
@@ -317,7 +317,7 @@ def test_a_new_throw_asks_for_a_spin_that_the_fit_does_not_know(fit):
         fit, parameters=fit.parameters
         | {"omega0": replace(fit.parameters["omega0"], verdict="not identifiable")},
     )  # fmt: skip
-    with pytest.raises(InputError, match="does not know the spin"):
+    with pytest.raises(InputError, match="does not determine the spin"):
         curlfit.predict(unknown, start={"v0": 2.0})
 
 
@@ -325,7 +325,7 @@ def test_a_new_throw_asks_for_a_spin_that_the_fit_does_not_know(fit):
 
 
 def test_noise_is_not_taken_for_a_fault_of_the_law():
-    found = [misfit_of(curlfit.fit(thrown(seed=seed))).found for seed in range(20)]
+    found = [estimate_discrepancy(curlfit.fit(thrown(seed=seed))).detected for seed in range(20)]
     assert sum(found) <= 2
 
 
@@ -366,17 +366,17 @@ def game_fit():
 def path_of(fit, values=None):
     t = np.linspace(0, 1.1 * np.ptp(fit.observed["t"]), 331)
     values = fit.values[None] if values is None else values
-    return followed(fit.law_class, fit.load, values, fit.stone, t)
+    return simulate_ensemble(fit.law_class, fit.load, values, fit.stone, t)
 
 
 def test_a_path_under_further_accelerations_is_that_of_mechanics():
     """Constant friction and constant accelerations beside it, by scipy."""
     still = curlfit.fit(thrown(law="coulomb", omega0=0.0), "coulomb", fix={"omega0": 0.0})
     t = np.linspace(0.0, 60.0, 601)
-    law = followed(still.law_class, "uniform", still.values[None], still.stone, t)
+    law = simulate_ensemble(still.law_class, "uniform", still.values[None], still.stone, t)
     across, along, turning = -0.01, 0.02, 0.005
     one = np.tile(np.array([across, along, turning])[:, None], (1, 1, len(t) - 1))
-    found = law.under(one)
+    found = law.with_accelerations(one)
     names = ("heading", "v0", "x0", "y0", "phi0")
     heading, v0, x0, y0, phi0 = (still.parameters[name].value for name in names)
     slowing = still.coefficients["mu"].value * 9.81
@@ -396,21 +396,21 @@ def test_a_path_under_further_accelerations_is_that_of_mechanics():
         found.state[0, 2, shown], phi0 + turning * t[shown] ** 2 / 2, atol=1e-6
     )
     assert found.rest[0] == pytest.approx(rest, abs=1e-6)
-    nothing = law.under(0.0 * one)
+    nothing = law.with_accelerations(0.0 * one)
     np.testing.assert_allclose(nothing.state[:, :3], law.state[:, :3], atol=1e-9)
 
 
 def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(fit):
-    rows = discrepancy_of(fit)._rows
+    model = discrepancy_posterior(fit)._model
     noise, share = np.array([1.2, 0.9, 0.7]), np.ones(3)
     whole = np.concatenate(
-        [part / np.sqrt(square) for part, square in zip(rows.parts, noise, strict=True)]
+        [part / np.sqrt(square) for part, square in zip(model.columns, noise, strict=True)]
     )
-    own, other, data = np.split(whole, [rows.seen, whole.shape[1] - 1], axis=1)
+    own, other, data = np.split(whole, [model.n_parameters, whole.shape[1] - 1], axis=1)
 
     def dense(sizes):
         """Patterson and Thompson's (1971): of what the parameters' columns leave."""
-        prior = np.linalg.inv((rows.basis.T / np.repeat(sizes, 20) ** 2) @ rows.basis)
+        prior = np.linalg.inv((model.basis.T / np.repeat(sizes, 20) ** 2) @ model.basis)
         covariance = np.eye(len(whole)) + other @ prior @ other.T
         inverse = np.linalg.inv(covariance)
         shown = own.T @ inverse @ own
@@ -419,16 +419,16 @@ def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(fit):
         return -(spread + (left.T @ inverse @ left).item()) / 2
 
     places = np.array([[0.01, 0.02, 0.05], [0.3, 0.1, 0.2]])
-    found = rows.likelihood(noise, share, places)
+    found = model.log_likelihood(noise, share, places)
     assert np.diff(found) == pytest.approx(dense(places[1]) - dense(places[0]), rel=1e-6)
 
 
 def test_the_coefficients_of_a_refit_are_not_changed_by_a_missing_acceleration(fit):
     """They are those of least squares by definition; the start follows the acceleration."""
-    found = discrepancy_of(fit)
-    missing = found.drawn(4, np.random.default_rng(2))
+    found = discrepancy_posterior(fit)
+    missing = found.draw(4, np.random.default_rng(2))
     missing = missing._replace(acceleration=0.2 * missing.acceleration, change=0.2 * missing.change)
-    paths = missing.on(path_of(fit, fit.values + missing.change))
+    paths = missing.applied_to(path_of(fit, fit.values + missing.change))
     sigma = {name: fit.sigma[name] for name in ("x", "y", "phi")}
     t = fit.observed["t"]
     coefficients = list(fit.coefficients)
@@ -444,8 +444,8 @@ def test_the_coefficients_of_a_refit_are_not_changed_by_a_missing_acceleration(f
 
 def test_a_coefficient_at_its_bound_is_as_one_fixed_there(game_fit):
     fixed = curlfit.fit(game_throw()[0], stone=STONE, fix={"mu1_xi": 0.0})
-    one, other = misfit_of(game_fit), misfit_of(fixed)
-    for way in WAYS:
+    one, other = estimate_discrepancy(game_fit), estimate_discrepancy(fixed)
+    for way in COMPONENTS:
         assert one.sizes[way] == pytest.approx(other.sizes[way], rel=0.02)
     for name, sigma in (("x", 0.005), ("y", 0.005), ("phi", 0.01)):
         assert one.noise[name] == pytest.approx(sigma, rel=0.15)
@@ -469,25 +469,25 @@ def test_bands_of_a_law_at_its_bound_are_as_wide_as_its_errors(until):
 
 
 def test_a_missing_force_is_less_than_the_friction(game_fit):
-    found = discrepancy_of(game_fit)
-    misfit = found.misfit
+    found = discrepancy_posterior(game_fit)
+    discrepancy = found.summary
     speed = game_fit.fitted["speed"]
     friction = (speed[0] - speed[-1]) / np.ptp(game_fit.observed["t"])
-    assert misfit.friction == pytest.approx(friction / 9.81, rel=0.01)
+    assert discrepancy.friction == pytest.approx(friction / 9.81, rel=0.01)
     slipping = np.mean(np.minimum(STONE.R * np.abs(game_fit.fitted["omega"]) / speed, 1))
     moment = friction * STONE.R / STONE.rho**2 * slipping
     expected = {"across": friction, "along": friction, "turning": moment}
-    made = found.drawn(2000, np.random.default_rng(1)).acceleration
-    for place, way in enumerate(WAYS):
-        assert misfit.ceilings[way] == pytest.approx(expected[way], rel=0.01)
-        assert misfit.sizes[way] <= misfit.ceilings[way]
-        assert (made[:, place].std(0) < 1.5 * misfit.ceilings[way]).all()
+    made = found.draw(2000, np.random.default_rng(1)).acceleration
+    for place, way in enumerate(COMPONENTS):
+        assert discrepancy.ceilings[way] == pytest.approx(expected[way], rel=0.01)
+        assert discrepancy.sizes[way] <= discrepancy.ceilings[way]
+        assert (made[:, place].std(0) < 1.5 * discrepancy.ceilings[way]).all()
 
 
 def test_what_cannot_be_seen_has_the_size_of_the_prior():
     """An exponential one, 5 % above the friction, cut off there; turning shows in no row here."""
     throw = thrown()
-    found = misfit_of(curlfit.fit(
+    found = estimate_discrepancy(curlfit.fit(
         curlfit.Throw.from_arrays(throw.t, throw.x, throw.y), stone=STONE, fix={"omega0": 1.2},
     ))  # fmt: skip
     rate = np.log(20)
@@ -498,10 +498,13 @@ def test_what_cannot_be_seen_has_the_size_of_the_prior():
 
 
 def test_what_is_not_detected_is_not_zero_but_what_the_record_could_not_show(fit):
-    fine = misfit_of(curlfit.fit(thrown(noise=(0.0005, 0.001)), stone=STONE))
-    usual, coarse = misfit_of(fit), misfit_of(curlfit.fit(thrown(noise=(0.05, 0.1)), stone=STONE))
-    assert not any(one.found for one in (fine, usual, coarse))
-    for way in WAYS:
+    fine = estimate_discrepancy(curlfit.fit(thrown(noise=(0.0005, 0.001)), stone=STONE))
+    usual, coarse = (
+        estimate_discrepancy(fit),
+        estimate_discrepancy(curlfit.fit(thrown(noise=(0.05, 0.1)), stone=STONE)),
+    )
+    assert not any(one.detected for one in (fine, usual, coarse))
+    for way in COMPONENTS:
         assert 0 < fine.sizes[way] < 0.8 * usual.sizes[way] < 0.8 * coarse.sizes[way]
     widths = [
         curlfit.predict(one, draws=400).quantities["rest_y"].model_sd
@@ -517,7 +520,7 @@ def test_what_is_missed_along_a_throw_is_missed_along_a_turned_one(eq12):
         s, c = np.sin(turn), np.cos(turn)
         x, y = c * eq12.x + s * eq12.y, c * eq12.y - s * eq12.x
         found.append(curlfit.fit(replace(eq12, x=x, y=y).with_sigma(sigma)))
-    one, other = (misfit_of(fit).sizes for fit in found)
+    one, other = (estimate_discrepancy(fit).sizes for fit in found)
     assert one["across"] < 0.05 * one["along"]
     assert other["along"] == pytest.approx(one["along"], rel=0.05)
     # and the errors of the resting place are turned with the throw
@@ -564,9 +567,9 @@ def test_held_out_rows_of_eq12_are_farther_off_than_its_parameters_say():
 def test_rows_of_another_throw_are_refused(fit):
     with pytest.raises(InputError, match="no rows after t = 20 s"):
         curlfit.predict(fit, check=thrown(), draws=100)
-    with pytest.raises(InputError, match="is not the throw that was fitted"):
+    with pytest.raises(InputError, match="not the throw that was fitted"):
         curlfit.predict(fit, check=thrown(v0=3.0, until=30.0), draws=100)
-    with pytest.raises(InputError, match="leave out its start"):
+    with pytest.raises(InputError, match="leave out the start"):
         curlfit.predict(fit, check=thrown(until=30.0), start={"v0": 2.0}, draws=100)
 
 
@@ -576,16 +579,16 @@ def test_rows_of_another_throw_are_refused(fit):
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        ({"start": {"speed": 2.0}}, "no 'speed'; a throw starts with x0, y0"),
+        ({"start": {"speed": 2.0}}, "unknown 'speed'; expected some of x0, y0"),
         ({"start": {"v0": np.inf}}, "v0 = inf: expected a finite number"),
         ({"start": {"v0": 0.0}}, "expected a speed up to 10"),
         ({"start": {"omega0": 200.0}}, "at most 100"),
         ({"line": "house"}, "expected one of hack, back"),
         ({"target": (0.0, 0.0), "weight": "draw"}, "expected one of them"),
         ({"weight": "peel"}, "expected draw, guard, takeout"),
-        ({"weight": "draw", "tee_speed": 2.0}, "of the weight takeout only"),
-        ({"weight": "draw", "start": {"v0": 2.0}}, "asks for it to be found"),
-        ({"target": (0.0, 0.0), "start": {"heading": 0.1}}, "asks for it to be found"),
+        ({"weight": "draw", "tee_speed": 2.0}, "needs the weight takeout"),
+        ({"weight": "draw", "start": {"v0": 2.0}}, "determines it; leave one out"),
+        ({"target": (0.0, 0.0), "start": {"heading": 0.1}}, "determines it; leave one out"),
         ({"target": (0.0, 300.0)}, "no throw reaches it"),
         ({"target": (0.0, -40.0)}, "behind the start"),
         ({"weight": "draw", "start": {"heading": 2.0}}, "goes along the sheet"),
@@ -609,10 +612,10 @@ def test_extrapolation_is_said(fit):
     def said(**start):
         return " ".join(curlfit.predict(fit, start=start, draws=100).warnings)
 
-    assert "it begins with 3 m/s; the fit saw no more than 2.15" in said(v0=3.0)
-    assert "it spins with 5 rad/s" in said(omega0=5.0)
-    assert "saw no less than" in said(omega0=0.1)
-    assert "slower than anything that was fitted" in said(v0=2.1)
+    assert "initial speed of 3 m/s is above the fitted range, up to 2.15" in said(v0=3.0)
+    assert "initial spin of 5 rad/s" in said(omega0=5.0)
+    assert "is below the fitted range" in said(omega0=0.1)
+    assert "slower than the fitted range" in said(v0=2.1)
     assert "touches the side" in said(v0=2.1, heading=0.15)
 
 
@@ -685,8 +688,8 @@ def test_the_command(folder):
     assert (run.returncode, run.stderr) == (0, "")
     for words in (
         "another throw on this ice", "on the near hog line", "it comes to rest on the tee",
-        "rad/s (fitted)", "Gaussian along what is determined", "It curls", "ft) to the left",
-        "which does not matter here", "from throw to throw", "Written: a-predict/predict.json",
+        "rad/s (fitted)", "Gaussian along determined directions", "It curls", "ft) to the left",
+        "which has no effect here", "from throw to throw", "Written: a-predict/predict.json",
     ):  # fmt: skip
         assert words in " ".join(run.stdout.split()), words
     assert sorted(file.name for file in (folder / "a-predict").iterdir()) == [
@@ -734,7 +737,7 @@ def test_the_same_seed_gives_the_same_prediction(fit, carried):
         (["a-fit", "--target", "0,300"], "no throw reaches it"),
         (["a-fit", "--v0", "-1"], "v0 = -1 m/s"),
         (["a-fit", "--check", "b.csv"], "b.csv: no such file"),
-        (["a-fit", "--check", "a.csv", "--v0", "2"], "leave out its start"),
+        (["a-fit", "--check", "a.csv", "--v0", "2"], "leave out the start"),
         (["a-fit", "--from", "moon"], "expected one of hack"),
         (["a-fit", "--out", "a.csv"], "this is a file, expected a folder"),
         (["a.csv"], "this is not JSON"),

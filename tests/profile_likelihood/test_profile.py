@@ -159,7 +159,7 @@ def test_a_parameter_that_only_moves_the_path_has_its_parabola(fit):
     np.testing.assert_allclose(found.others["y0"], alone.parameters["y0"].value, atol=1e-9)
 
 
-def test_limits_are_where_the_misfit_is_higher_by_the_threshold(fit, sharp):
+def test_limits_are_where_chi_squared_is_higher_by_the_threshold(fit, sharp):
     low, high = sharp.intervals[1].low, sharp.intervals[1].high
     again = curlfit.profile(fit, "mu1_xi", ranges={"mu1_xi": (low, high)}, points=5)
     np.testing.assert_allclose(again.delta[[0, -1]], chi2.ppf(0.95, 1), atol=1e-4)
@@ -231,11 +231,11 @@ def test_under_consistent_load_it_slopes_and_how_much_is_said(sloping):
     assert (np.diff(delta) > 0).all()
     assert 0.05 < sloping.rise < 0.2
     assert sloping.verdict == "hardly"
-    # the misfit goes with the inverse square of the noise
+    # chi squared is proportional to the inverse square of the noise
     assert sloping.quieter(1.0) == pytest.approx(sloping.rise**-0.5)
     text = printed(sloping)
     assert "mu1_eta is hardly determined" in text
-    assert "noise would have to be 3.3 times smaller, or such rows 11 times as many" in text
+    assert "noise would have to be 3.3 times smaller, or the rows 11 times as many" in text
 
 
 def test_with_less_noise_the_consistent_split_is_determined(sloping, eq12):
@@ -303,7 +303,7 @@ def test_the_posterior_lies_on_the_profile(fit):
     assert np.mean(pull**2) < 3
     assert found.quantiles == sampled.posterior.quantiles["mu1_xi"]
     assert "posterior" in printed(found)
-    with pytest.raises(InputError, match="the chain is not of this fit"):
+    with pytest.raises(InputError, match="the chain is of another fit"):
         curlfit.profile(sampled, "mu1_xi", chain=replace(chain, names=("mu", "x0")))
 
 
@@ -396,7 +396,7 @@ def test_options_of_a_fit_are_heeded(tmp_path):
         (["--param", "v0", "--range", "1"], "--range 1: expected LOW,HIGH"),
         (["--param", "v0", "--range", "1,much"], "expected a number"),
         (["--param", "v0", "--range", "1,nan"], "expected a number"),
-        (["--param", "mu1_xi", "--range=-1,0.1"], "leaves its bounds 0:1; --bound moves them"),
+        (["--param", "mu1_xi", "--range=-1,0.1"], "exceeds its bounds 0:1; --bound changes them"),
         (["--param", "v0", "--range", "1,3", "--range", "1,3"], "expected one of each --param"),
         (["--param", "v0", "--points", "2"], "--points 2: expected 5 to 2001"),
         (["--param", "mu", "--law", "nothing"], "unknown law"),
@@ -419,7 +419,7 @@ def test_a_saved_fit_takes_no_options_of_a_fit(fit, tmp_path, monkeypatch):
     for words, message in (
         (["--law", "coulomb"], "--law: a saved fit has its own"),
         (["--stone-index", "2"], "--stone-index: a saved fit has its own"),
-        (["--range", "5,6"], "leaves out the best estimate"),
+        (["--range", "5,6"], "excludes the best estimate"),
     ):
         found = CliRunner().invoke(app, ["profile", "a-fit/fit.json", "--param", "v0", *words])
         assert isinstance(found.exception, InputError)

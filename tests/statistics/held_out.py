@@ -131,7 +131,7 @@ def _judged(predicted: curlfit.Prediction, path: curlfit.Trajectory) -> Answer:
     for level, (low, high, _, sigmas) in LEVELS.items():
         both[level] = {k: quantiles[k][low] <= truth[k] <= quantiles[k][high] for k in ASKED}
         parameters[level] = {k: abs(truth[k] - best[k]) <= sigmas * own[k] for k in ASKED}
-    return Answer(both, parameters, predicted.misfit.found)
+    return Answer(both, parameters, predicted.misfit.detected)
 
 
 def _time_of_rest(path: curlfit.Trajectory) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from curlfit import Throw
-from curlfit.throws.inspection import inspected
+from curlfit.throws.inspection import inspect_throw
 from curlfit.throws.report import braille, facts
 from curlfit.throws.throw import scatter
 
@@ -37,15 +37,15 @@ def test_scatter_is_the_noise_and_not_the_bend(noise):
 
 @pytest.mark.parametrize("noise", [0.0, 0.002])
 def test_rest_is_where_the_stone_stopped(noise):
-    rest = inspected(throw(np.arange(0, 25, 0.02), noise)).rest
+    rest = inspect_throw(throw(np.arange(0, 25, 0.02), noise)).rest
     # within a second of 20 s a stone moves less than 5 cm
-    assert rest.since == pytest.approx(20, abs=np.sqrt(2 * (0.003 + 8 * noise) / SLOWING))
-    assert rest.within < 0.003 + 8 * noise
+    assert rest.time == pytest.approx(20, abs=np.sqrt(2 * (0.003 + 8 * noise) / SLOWING))
+    assert rest.radius < 0.003 + 8 * noise
 
 
 def test_a_moving_end_has_a_speed():
-    rest = inspected(throw(np.arange(0, 15, 0.02))).rest
-    assert rest.since is None
+    rest = inspect_throw(throw(np.arange(0, 15, 0.02))).rest
+    assert rest.time is None
     assert rest.speed == pytest.approx(
         np.hypot(0.5, 0.5 * stone(np.array([15.0]))[0] / 200), rel=0.1
     )
@@ -72,8 +72,8 @@ def test_a_throw_cut_off_is_not_at_rest():
         until = 20 * (1 - (speed / SPEED) ** (1 / power))
         for seed in range(10):
             made, last = ending(power, until, noise, dt, seed)
-            rest = inspected(made).rest
-            assert rest.since is None, (power, noise, dt, speed, seed)
+            rest = inspect_throw(made).rest
+            assert rest.time is None, (power, noise, dt, speed, seed)
             off.append((rest.speed - last) / rest.error)
     # 0.954, were the paths parabolas; the braking of the first grows without limit toward rest
     assert 0.92 < np.mean(np.abs(off) < 2) < 0.98
@@ -87,18 +87,18 @@ def test_a_throw_cut_off_is_not_at_rest():
 )  # fmt: skip
 def test_rest_is_seen_where_it_lasted(power, noise, dt, after):
     for seed in range(20):
-        rest = inspected(ending(power, 20 + after, noise, dt, seed)[0]).rest
-        assert rest.since is not None, seed
-        assert -0.5 - 60 * noise < rest.since - 20 < after, seed
+        rest = inspect_throw(ending(power, 20 + after, noise, dt, seed)[0]).rest
+        assert rest.time is not None, seed
+        assert -0.5 - 60 * noise < rest.time - 20 < after, seed
 
 
 def test_what_is_not_certain_is_said():
     made, _ = ending(1, 20.5, 0.02, 0.1, 3)
-    (line,) = (line for line in facts(made, inspected(made), {}) if line.startswith("rest"))
-    assert re.fullmatch(r"rest       not certain: 0\.\d+\(\d+\) m/s at the last row", line)
+    (line,) = (line for line in facts(made, inspect_throw(made), {}) if line.startswith("rest"))
+    assert re.fullmatch(r"rest       uncertain: 0\.\d+\(\d+\) m/s at the last row", line)
     made, _ = ending(1, 18, 0.002, 0.1, 0)
-    (line,) = (line for line in facts(made, inspected(made), {}) if line.startswith("rest"))
-    assert re.fullmatch(r"rest       not seen: 0\.2\d+\(\d+\) m/s at the last row", line)
+    (line,) = (line for line in facts(made, inspect_throw(made), {}) if line.startswith("rest"))
+    assert re.fullmatch(r"rest       not observed: 0\.2\d+\(\d+\) m/s at the last row", line)
 
 
 def test_pauses_and_jumps_are_counted():
@@ -106,10 +106,10 @@ def test_pauses_and_jumps_are_counted():
     one = throw(t, 0.001)
     spoiled = one.y.copy()
     spoiled[50] += 3.0  # there and back
-    found = inspected(Throw.from_arrays(t, one.x, spoiled))
+    found = inspect_throw(Throw.from_arrays(t, one.x, spoiled))
     assert found.clock.pauses == 1
-    assert found.clock.longest == pytest.approx(1.55)
-    assert found.clock.after == pytest.approx(4.95)
+    assert found.clock.longest_pause == pytest.approx(1.55)
+    assert found.clock.pause_start == pytest.approx(4.95)
     assert found.jumps == {"y": 2}
     lines = list(facts(one, found, {"until": 12}))
     assert "interval   0.05 s (0.05 .. 1.55 s), 20 rows a second" in lines
@@ -121,11 +121,9 @@ def test_a_speed_that_was_measured_says_how_the_throw_ends():
     t = np.arange(0.0, 10.0)
     for last, words in ((0.0, "at the last row"), (0.5, "not reached: 0.5 m/s at the end")):
         one = Throw.from_arrays(t, speed=np.linspace(2.0, last, 10))
-        assert f"rest       {words}" in list(facts(one, inspected(one), {}))
+        assert f"rest       {words}" in list(facts(one, inspect_throw(one), {}))
     spin = Throw.from_arrays(t, omega=t)
-    assert "rest       not known: the place is hardly seen" in list(
-        facts(spin, inspected(spin), {})
-    )
+    assert "rest       unknown: too few positions" in list(facts(spin, inspect_throw(spin), {}))
 
 
 def test_a_line_in_dots_rises_from_corner_to_corner():

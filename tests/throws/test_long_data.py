@@ -37,7 +37,7 @@ def test_means_over_blocks_keep_time_place_and_noise(long):
     rows = long.t <= rest
     assert short.x[short.t <= rest].mean() == pytest.approx(long.x[rows].mean(), abs=2e-3)
     assert "was at rest" in short.notes[-1]
-    assert "30001 rows made into" in short.notes[-1]
+    assert "30001 rows condensed to" in short.notes[-1]
 
 
 def test_the_fit_is_that_of_all_rows_while_the_stone_moves(long):

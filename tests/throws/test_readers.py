@@ -9,7 +9,7 @@ import pytest
 from conftest import DATA
 
 from curlfit import DataError, Throw, load_throw
-from curlfit.throws.readers.columns import understand
+from curlfit.throws.readers.columns import parse_header
 
 PLAIN = "t,x,y,phi\n0,0.1,0,0\n1,0.2,2,1\n2,0.4,3,1.5\n"
 
@@ -65,14 +65,14 @@ def test_the_same_throw_in_many_forms(write, content):
     ],
 )  # fmt: skip
 def test_column_names(header, quantity, factor):
-    column = understand(header)
+    column = parse_header(header)
     assert column.quantity == quantity
     assert column.factor == pytest.approx(factor)
 
 
 @pytest.mark.parametrize("header", ["vx", "x_velocity", "frame", "x_deg", "phi_m", "sigma", ""])
 def test_columns_that_mean_nothing_here(header):
-    assert understand(header) is None
+    assert parse_header(header) is None
 
 
 def test_gaps_and_missing_angle(write):

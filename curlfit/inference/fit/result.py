@@ -20,7 +20,7 @@ from curlfit.friction import LAWS, Law, Parameter, find_law
 from curlfit.inference.identifiability import Combination, student_interval
 from curlfit.inference.noise.models import WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
-from curlfit.output.files import Migration, known, read_json, strict, write_json
+from curlfit.output.files import Migration, json_safe, known_fields, read_json, write_json
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS, Reference, Throw
 
@@ -68,7 +68,7 @@ class Estimate:
     def from_json(cls, found: dict[str, Any]) -> Estimate:
         """The record from JSON, which has infinite bounds as text."""
         bounds = {key: float(found[key]) for key in ("lower", "upper")}
-        return cls(**known(cls, found) | bounds)
+        return cls(**known_fields(cls, found) | bounds)
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ class FitResult:
 
     def summary(self) -> dict[str, Any]:
         """The JSON record without the series of data and fit."""
-        record = strict(self.to_json())
+        record = json_safe(self.to_json())
         return {key: value for key, value in record.items() if key not in ("observed", "fitted")}
 
     @classmethod
@@ -270,26 +270,30 @@ class FitResult:
             **{name: found[name] for name in (*same, "covariance", "information")},
             data=found["data"] | {key: None for key in _LATER if key not in found["data"]},
             lag1=found.get("lag1", {}),
-            stone=Stone(**known(Stone, found["stone"])),
+            stone=Stone(**known_fields(Stone, found["stone"])),
             warnings=tuple(found.get("warnings", ())),
             parameters={
                 name: Estimate.from_json(item) for name, item in found["parameters"].items()
             },
             combinations=tuple(
-                Combination(**known(Combination, item)) for item in found["combinations"]
+                Combination(**known_fields(Combination, item)) for item in found["combinations"]
             ),
             rank=seen["rank"],
             singular_values=tuple(seen["singular_values"]),
             null_directions=tuple(seen["null_directions"]),
-            reference=None if reference is None else Reference(**known(Reference, reference)),
+            reference=None
+            if reference is None
+            else Reference(**known_fields(Reference, reference)),
             observed=_series(found["observed"]),
             fitted=_series(found["fitted"]),
-            posterior=None if posterior is None else Posterior(**known(Posterior, posterior)),
+            posterior=None
+            if posterior is None
+            else Posterior(**known_fields(Posterior, posterior)),
             sampling=found.get("sampling", "none" if posterior is None else "ended"),
             loss=found.get("loss", "linear"),
-            noise=Noise(**known(Noise, found.get("noise", {}))),
+            noise=Noise(**known_fields(Noise, found.get("noise", {}))),
             independence={
-                name: Independence(**known(Independence, item))
+                name: Independence(**known_fields(Independence, item))
                 for name, item in found.get("independence", {}).items()
             },
             outliers=tuple(found.get("outliers", ())),

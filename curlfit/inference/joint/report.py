@@ -9,7 +9,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from curlfit.output.console import terminal
-from curlfit.output.text import STYLE, compact, number, plain_table
+from curlfit.output.text import STYLE, compact, format_estimate, plain_table
 
 if TYPE_CHECKING:
     from curlfit.inference.joint.result import Difference, JointResult
@@ -54,13 +54,13 @@ def _shared(result: JointResult) -> RenderableType:
     differences = {item.expression: item for item in result.differences}
     for name, item in result.coefficients.items():
         hidden = item.verdict == "not identifiable"
-        shown = ("-", "-") if hidden else number(item.value, item.stderr)
+        shown = ("-", "-") if hidden else format_estimate(item.value, item.stderr)
         verdict = Text(item.verdict, style=STYLE[item.verdict])
         table.add_row(name, *shown, verdict, _said(differences.get(name)))
     for one in result.combinations:
         verdict = Text("determined", style=STYLE["determined"])
         said = _said(differences.get(one.expression))
-        table.add_row(one.expression, *number(one.value, one.stderr), verdict, said)
+        table.add_row(one.expression, *format_estimate(one.value, one.stderr), verdict, said)
     return Padding(table, (1, 0))
 
 
@@ -93,7 +93,8 @@ def _throws(result: JointResult) -> RenderableType:
         unit = "mrad" if name == "phi" else "mrad/s" if name == "omega" else "mm"
         table.add_column(f"{name}\n({unit})", justify="right", min_width=6)
     for place, one in enumerate(result.throws):
-        row = [number(one.parameters[name].value, one.parameters[name].stderr)[0] for name in shown]
+        estimates = [one.parameters[name] for name in shown]
+        row = [format_estimate(item.value, item.stderr)[0] for item in estimates]
         for item in result.differences:
             alone = item.each[place]
             row.append("" if alone is None else compact(*alone))

@@ -10,7 +10,7 @@ from typing import Any
 from curlfit.errors import DataError
 from curlfit.inference.fit.result import Estimate, FitResult, load_fit
 from curlfit.inference.identifiability import Combination
-from curlfit.output.files import known, read_json, write_json
+from curlfit.output.files import known_fields, read_json, write_json
 
 SCHEMA = 1
 
@@ -128,13 +128,13 @@ def load_joint(file: str | PathLike[str]) -> JointResult:
                 name: Estimate.from_json(item) for name, item in found["coefficients"].items()
             },
             combinations=tuple(
-                Combination(**known(Combination, item)) for item in found["combinations"]
+                Combination(**known_fields(Combination, item)) for item in found["combinations"]
             ),
             rank=found["identifiability"]["rank"],
             parameters=found["identifiability"]["parameters"],
             differences=tuple(
                 Difference(
-                    **known(Difference, item)
+                    **known_fields(Difference, item)
                     | {"each": tuple(None if one is None else tuple(one) for one in item["each"])}
                 )
                 for item in found["differences"]

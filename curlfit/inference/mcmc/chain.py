@@ -20,7 +20,7 @@ from curlfit.errors import DataError
 from curlfit.friction import Law
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import ParameterSet
-from curlfit.output.files import replaced
+from curlfit.output.files import atomic_write
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
 from curlfit.version import __version__
@@ -94,7 +94,7 @@ class Chain:
         image = BytesIO()
         with h5py.File(image, "w") as out:
             self._write(out, {"compression": "gzip", "shuffle": True} if compressed else {})
-        with replaced(Path(file)) as temporary:
+        with atomic_write(Path(file)) as temporary:
             temporary.write_bytes(image.getbuffer())
 
     def _write(self, out: Any, how: dict[str, Any]) -> None:

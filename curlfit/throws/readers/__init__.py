@@ -1,8 +1,15 @@
-"""Files become throws here; units, column names and separators end at this door."""
+"""Readers: data files of any format, units and axes to throws in SI units."""
 
-from curlfit.throws.readers.load import FORMATS, Part, check_how, load_throw, load_throws, read
-from curlfit.throws.readers.objects import from_table
+from curlfit.throws.readers.load import (
+    FORMATS,
+    Part,
+    check_reader_options,
+    from_table,
+    load_throw,
+    load_throws,
+    read,
+)
 
 __all__ = [
-    "FORMATS", "Part", "check_how", "from_table", "load_throw", "load_throws", "read",
+    "FORMATS", "Part", "check_reader_options", "from_table", "load_throw", "load_throws", "read",
 ]  # fmt: skip

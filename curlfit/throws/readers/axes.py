@@ -1,34 +1,40 @@
-"""Other conventions of axes: which way x and y point, where y is zero, which way angles turn."""
+"""Conventions of axes and angles: directions of x and y, zero of y, sense and unwrapping."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
+
+import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.sheet import LINES
 from curlfit.throws.throw import Floats
 
+_TURN = 2 * math.pi
+MAX_SPIN = 2 * _TURN
+"""rad/s; a thrown stone makes two to four turns, at some 1 rad/s or 60 degrees/s."""
 WORDS = {
-    "y-along": "y points along the throw (as it is here)",
+    "y-along": "y points along the throw (as in curlfit)",
     "y-back": "y points back at the thrower",
     "y-right": "y points to the right, seen along the throw",
     "y-left": "y points to the left",
     "x-along": "x points along the throw",
     "x-back": "x points back at the thrower",
-    "x-right": "x points to the right (as it is here)",
+    "x-right": "x points to the right (as in curlfit)",
     "x-left": "x points to the left",
     "clockwise": "angle and spin are clockwise, seen from above",
     "counter-clockwise": "angle and spin are counter-clockwise, seen from above",
     **{f"from-{line}": f"zero lies at the {line.replace('-', ' ')}" for line in LINES},
 }
-_OTHER = {"counterclockwise": "counter-clockwise", "ccw": "counter-clockwise", "cw": "clockwise"}
-_OTHER |= {"from-center": "from-centre"}
+_SYNONYMS = {"counterclockwise": "counter-clockwise", "ccw": "counter-clockwise", "cw": "clockwise"}
+_SYNONYMS |= {"from-center": "from-centre"}
 # Direction of a word in (right, along).
 _DIRECTIONS = {"right": (1, 0), "left": (-1, 0), "along": (0, 1), "back": (0, -1)}
 
 
-class Frame(NamedTuple):
-    """Axes of a file.
+class AxisConvention(NamedTuple):
+    """Directions of the axes of a file, and its zero.
 
     Attributes
     ----------
@@ -43,13 +49,13 @@ class Frame(NamedTuple):
     zero: float = 0.0
 
     @property
-    def plain(self) -> bool:
-        """Whether these are curlfit's own axes."""
-        return self == Frame()
+    def is_standard(self) -> bool:
+        """Whether these are the axes of curlfit."""
+        return self == AxisConvention()
 
     @property
     def handedness(self) -> int:
-        """1 where y lies to the left of x (seen from above), -1 where the frame is mirrored."""
+        """1 where y lies to the left of x (seen from above), -1 where the axes are mirrored."""
         return self.x[0] * self.y[1] - self.x[1] * self.y[0]
 
     @property
@@ -57,21 +63,20 @@ class Frame(NamedTuple):
         """Whether the file's x runs along the sheet."""
         return self.x[0] == 0
 
-    def place(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Place in curlfit's axes, x to the right and y along the throw."""
+    def to_sheet(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Position with x to the right and y along the throw."""
         right = self.x[0] * x if not self.swapped else self.y[0] * y
         along = self.y[1] * y if not self.swapped else self.x[1] * x
         return right + 0.0, along + self.zero
 
 
-def parse_axes(text: str | None) -> Frame:
-    """A frame from words with commas or spaces between them, such as `x-along,clockwise`.
+def parse_axes(text: str | None) -> AxisConvention:
+    """An axis convention from words separated by commas or spaces, such as `x-along,clockwise`.
 
-    What no word speaks of stays as it is here: `x-left` alone mirrors the frame. Where one axis is
-    turned by a quarter, the other one follows (y lies to the left of x, seen from above) unless a
-    word says otherwise. Angles turn from the file's +x to
-    its +y the short way, so that in a mirrored frame they are clockwise, unless `clockwise` or
-    `counter-clockwise` says what they are seen from above.
+    What no word sets is as in curlfit: `x-left` alone mirrors the axes. Where one axis is turned by
+    90 degrees, the other follows (y lies to the left of x, seen from above) unless a word sets it.
+    Angles count from the file's +x to its +y the short way, so that they are clockwise in mirrored
+    axes, unless `clockwise` or `counter-clockwise` sets their sense seen from above.
 
     Raises
     ------
@@ -81,31 +86,185 @@ def parse_axes(text: str | None) -> Frame:
     turn: int | None = None
     zero: float | None = None
     for given in (text or "").replace(",", " ").lower().replace("_", "-").split():
-        word = _OTHER.get(given, given)
+        word = _SYNONYMS.get(given, given)
         if word not in WORDS:
             raise InputError(f"axes {given!r}: unknown word; expected some of {', '.join(WORDS)}")
         name, _, where = word.partition("-")
         if name in ("x", "y"):
             if axes.get(name, _DIRECTIONS[where]) != _DIRECTIONS[where]:
-                raise InputError(f"axes {text!r}: {name} cannot point two ways")
+                raise InputError(f"axes {text!r}: {name} points in two directions")
             axes[name] = _DIRECTIONS[where]
         elif name == "from":
             if zero is not None:
-                raise InputError(f"axes {text!r}: the zero cannot lie in two places")
+                raise InputError(f"axes {text!r}: two zeros are given")
             zero = LINES[where]
         else:
             if turn is not None:
-                raise InputError(f"axes {text!r}: angles cannot turn both ways")
+                raise InputError(f"axes {text!r}: angles are both clockwise and counter-clockwise")
             turn = -1 if word == "clockwise" else 1
     x, y = axes.get("x"), axes.get("y")
     if x is None:
         x = (1, 0) if y is None or y[0] == 0 else (y[1], -y[0])
     if y is None:
         y = (0, 1) if x[1] == 0 else (-x[1], x[0])
-    frame = Frame(x, y, 1, zero or 0.0)
-    if frame.handedness == 0:
+    convention = AxisConvention(x, y, 1, zero or 0.0)
+    if convention.handedness == 0:
         raise InputError(
             f"axes {text!r}: x and y lie on one line; one runs along the sheet (along, back), the "
             "other across it (right, left)"
         )
-    return frame._replace(turn=frame.handedness if turn is None else turn)
+    return convention._replace(turn=convention.handedness if turn is None else turn)
+
+
+class AmbiguousTurnError(Exception):
+    """About half a turn between two rows, of ambiguous sense. `row` is the later one."""
+
+    def __init__(self, row: int) -> None:
+        super().__init__(row)
+        self.row = row
+
+
+def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> tuple[Floats, int, float]:
+    """The angle without its jumps, their number and their size.
+
+    An angle that stays within one turn (or half a turn, the direction of a line) and jumps against
+    its trend was reduced modulo that period. A measured spin determines the turning between two
+    rows; without one, the turning from row to row must be well below half a period, and gaps are
+    bridged at the neighbouring rate. In an angle that exceeds one turn, single jumps by whole turns
+    are removed.
+
+    Parameters
+    ----------
+    t : times in s, increasing. phi : angle in rad, NaN where not measured.
+    omega : spin in rad/s with the same sign convention, NaN where not measured.
+
+    Raises
+    ------
+    AmbiguousTurnError : the stone turns too fast for the rows.
+    """
+    finite = np.flatnonzero(np.isfinite(phi) & np.isfinite(t))
+    if len(finite) < 3:
+        return phi, 0, _TURN
+    time, angle = t[finite], phi[finite]
+    step, dt = np.diff(angle), np.diff(time)
+    if (dt <= 0).any():
+        return phi, 0, _TURN
+    expected = _integrated_spin(t, omega, time)
+    period, wrapped = _period(angle, step)
+    if expected is not None:
+        true = step - period * np.round((step - expected) / period)
+        if np.median(np.abs(true - expected)) > 0.25 * period:
+            expected = None  # of another sign or clock
+    if expected is None:
+        if wrapped:
+            true = _unwrap_by_rate(time, step, dt, period, finite)
+        else:
+            period, true = _TURN, _remove_jumps(step, dt)
+    jumps = int((np.abs(true - step) > period / 2).sum())
+    if not jumps:
+        return phi, 0, period
+    result = phi.copy()
+    result[finite] = angle[0] + np.concatenate([[0.0], np.cumsum(true)])
+    return result, jumps, period
+
+
+def jump_in_degrees(angle: Floats) -> tuple[int, int] | None:
+    """Row and size (360 or 180) of the first jump of what seems a wrapped angle in degrees.
+
+    None where the numbers do not look like one.
+    """
+    if not np.fmax.reduce(angle) - np.fmin.reduce(angle) > 90:
+        return None
+    finite = np.flatnonzero(np.isfinite(angle))
+    degrees = np.radians(angle[finite])
+    step = np.diff(degrees)
+    period, reduced = _period(degrees, step)
+    if not reduced:
+        return None
+    row = int(finite[np.argmax(np.abs(step) > 0.5 * period) + 1])
+    return row, round(math.degrees(period))
+
+
+def turning_rate(t: Floats, phi: Floats) -> float:
+    """Largest turning rate in rad/s over a tenth of the rows, which averages the noise."""
+    finite = np.isfinite(phi)
+    if not finite.all():
+        t, phi = t[finite], phi[finite]
+    some = slice(None, None, max(1, len(t) // 10))
+    turned, dt = phi[some], t[some]
+    return float(np.abs((turned[1:] - turned[:-1]) / (dt[1:] - dt[:-1])).max(initial=0.0))
+
+
+def spin_quantile(omega: Floats) -> float:
+    """90 % quantile of the absolute spin, rad/s."""
+    return float(np.nanquantile(np.abs(omega), 0.9))
+
+
+def _period(angle: Floats, step: Floats) -> tuple[float, bool]:
+    """The period of an angle, and whether it is wrapped."""
+    span = float(np.ptp(angle))
+    for period in (_TURN / 2, _TURN):
+        large = np.abs(step) > 0.5 * period
+        if not large.any() or not 0.7 * period < span <= 1.02 * period:
+            continue
+        if not ((step > 0).any() and (step < 0).any()):
+            continue  # monotonic
+        if period < _TURN:
+            typical = float(np.median(np.abs(step)))
+            if (np.abs(np.abs(step[large]) - period) > 0.15 * period + typical).any():
+                continue
+        return period, True
+    return _TURN, False
+
+
+def _integrated_spin(t: Floats, omega: Floats | None, time: Floats) -> Floats | None:
+    """Turning between the times, from the spin; None where that is not known throughout."""
+    if omega is None:
+        return None
+    known = np.isfinite(omega)
+    if known.sum() < 2 or t[known][0] > time[0] + 1e-9 or t[known][-1] < time[-1] - 1e-9:
+        return None
+    at, rate = t[known], omega[known]
+    turned = np.concatenate([[0.0], np.cumsum(np.diff(at) * (rate[1:] + rate[:-1]) / 2)])
+    return np.diff(np.interp(time, at, turned))
+
+
+def _unwrap_by_rate(
+    time: Floats, step: Floats, dt: Floats, period: float, finite: np.ndarray
+) -> Floats:
+    near = step - period * np.round(step / period)
+    usual = dt <= 1.5 * np.median(dt)
+    fast = usual & (np.abs(near) > 0.4 * period)
+    if fast.any():
+        raise AmbiguousTurnError(int(finite[np.argmax(fast) + 1]))
+    if usual.all():
+        return near
+    width = min(9, int(usual.sum()))
+    rates = np.convolve(np.pad(near[usual] / dt[usual], width // 2, "edge"), np.ones(width), "same")
+    weight = np.convolve(np.ones(len(rates)), np.ones(width), "same")
+    inner = slice(width // 2, width // 2 + int(usual.sum()))
+    middle = (time[1:] + time[:-1]) / 2
+    expected = np.interp(middle, middle[usual], (rates / weight)[inner]) * dt
+    far = ~usual & (np.abs(expected) * 0.25 > 0.4 * period)
+    if far.any():
+        raise AmbiguousTurnError(int(finite[np.argmax(far) + 1]))
+    bridged = step - period * np.round((step - expected) / period)
+    return np.where(usual, near, bridged)
+
+
+def _remove_jumps(step: Floats, dt: Floats) -> Floats:
+    """Steps of an unwrapped angle, corrected where single ones are off by whole turns."""
+    if len(step) < 5:
+        return step
+    rate = step / dt
+    if np.abs(step).max() + np.abs(rate).max() * dt.max() < 0.85 * _TURN:
+        return step  # no step is as large as a jump
+    padded = np.pad(rate, 2, "edge")
+    pace = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
+    off = step - pace * dt
+    turns = np.round(off / _TURN)
+    odd = np.abs(off) > 0.1 * _TURN
+    clear = (turns != 0) & (np.abs(off - turns * _TURN) < 0.15 * _TURN)
+    if odd.sum() > 0.2 * len(step) or not clear.any():
+        return step
+    return np.where(clear, step - turns * _TURN, step)

@@ -1,4 +1,4 @@
-"""Column names as people write them: quantity, unit, and the factor to SI."""
+"""Column headers: quantity, unit, and the factor to SI."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NAMES = {
     "v": {"pixely", "ypixel", "imagey", "yimage"},
 }  # fmt: skip
 _SIGMA = {"sigma", "sd", "std", "stdev", "err", "error", "unc", "uncertainty"}
-# What a clock of its own may be named after, besides a channel.
+# Names of clocks of single channels, besides those of the channels.
 _CLOCKS = {
     "t_xy": {"xy", "pos", "position", "camera", "cam", "video", "tracker"},
     "t_phi": {"compass", "handle"},
@@ -67,7 +67,7 @@ _SEPARATORS = re.compile(r"[\s_\-./()\[\]{},:·*]+")
 
 
 class Column(NamedTuple):
-    """What a column header means."""
+    """Meaning of a column header."""
 
     quantity: str
     """"t", "x", "y", "phi", "speed", "omega", pixels "u", "v"; "sigma_x" and so on; "t_phi" and so
@@ -75,17 +75,17 @@ class Column(NamedTuple):
     unit: str
     """as written, or the SI unit where none was"""
     factor: float
-    """number in SI = number in the file times this"""
+    """number in SI / number in the file"""
     stated: bool = True
     """whether the header names the unit"""
 
 
 @lru_cache(1024)
-def understand(header: str) -> Column | None:
+def parse_header(header: str) -> Column | None:
     """Meaning of a column header such as `time`, `y_ft`, `x [cm]`, `phi_rev`; None if unknown."""
     words = [word for word in _SEPARATORS.split(header.strip().lower()) if word]
     if words and words[-1] == "1" and len(words) > 2 and "s^" in words[-2]:
-        words = [*words[:-2], words[-2] + "-1"]  # "s^-1" fell apart at its sign
+        words = [*words[:-2], words[-2] + "-1"]  # "s^-1" was split at its sign
     for unit_words in (2, 1, 0):
         if len(words) <= unit_words:
             continue
@@ -116,7 +116,7 @@ def units_of(quantity: str) -> dict[str, float]:
 
 
 def in_unit(quantity: str, unit: str) -> Column:
-    """A quantity in a unit given apart from its name. Raises `InputError` for an unknown unit."""
+    """A quantity in a given unit. Raises `InputError` for an unknown unit."""
     text = "".join(word for word in _SEPARATORS.split(unit.strip().lower()) if word)
     units = units_of(quantity)
     if text not in units and text in _UNITS["pixel"] and quantity in ("x", "y"):

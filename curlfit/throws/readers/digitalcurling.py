@@ -5,11 +5,11 @@ src/trajectory_compressor.cpp, commit 02e51c3). A shot's file `shot_eEEEsSS.json
 `server.log`, is {"tag": "sht", "log": {"end", "shot", "trajectory": ...}}; a trajectory holds
 `seconds_per_frame`, the stones at the `start` and the `finish` by `team0` and `team1` (each
 {"position": {"x", "y"}, "angle"} or null), and `frames`, each a list of what changed:
-{"team", "index", "value"}. A client sees the same in `last_move.trajectory`. Places are in m from
-the hack that is thrown from, y along the throw and x to the right, angles in rad and
+{"team", "index", "value"}. A client sees the same in `last_move.trajectory`. Positions are in m
+from the hack that is thrown from, y along the throw and x to the right, angles in rad and
 counter-clockwise: curlfit's own axes (coordinate.hpp of digitalcurling/DigitalCurling). The log of
-a game, `game.dcl2`, holds no trajectories. A last frame is added when every stone has stopped, so
-that its time is right to one frame only.
+a game, `game.dcl2`, holds no trajectories. The server adds a last frame when every stone has
+stopped, so that its time is accurate to one frame.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ import numpy as np
 
 from curlfit.errors import DataError
 from curlfit.throws.readers.columns import Column
-from curlfit.throws.readers.defaults import defaults_of
-from curlfit.throws.readers.parsed_file import Reading, choice, in_si
+from curlfit.throws.readers.parsed_file import ParsedFile, choose, in_si
+from curlfit.throws.readers.table import defaults_of
 from curlfit.throws.throw import Floats
 
 _EXPECTED = (
     'expected a log of a DigitalCurling 3 shot with a "trajectory" (shot_*.json or server.log)'
 )
 _MOST_NUMBERS = 20_000_000
-_MOVED = 1e-4  # m; places are 32-bit numbers
+_MOVED = 1e-4  # m; positions are 32-bit numbers
 
 
 class Shot(NamedTuple):
-    """One shot of a log: its line, what to call it, and its trajectory as it stands there."""
+    """One shot of a log: its line, its name, and its trajectory as logged."""
 
     line: int
     name: str
@@ -45,53 +45,51 @@ class Shot(NamedTuple):
 
 def read_digitalcurling(
     path: Path, lines: list[str], *, stone_index: int | None = None, shot: int | None = None
-) -> Reading:
-    """The path of one stone of one shot; of the stone that was thrown unless another is wanted.
+) -> ParsedFile:
+    """The path of one stone of one shot, by default of the stone thrown.
 
     Raises
     ------
-    DataError : the file is no log of a shot, or holds several and `shot` does not say which.
+    DataError : the file is not a log of a shot, or holds several and `shot` is not given.
     InputError : there is no such shot or stone.
     """
     shots = shots_of(path, lines)
     if len(shots) > 1 and shot is None:
         listed = "; ".join(f"{k} {item.name}" for k, item in enumerate(shots[:20], 1))
         more = f"; and {len(shots) - 20} more" if len(shots) > 20 else ""
-        raise DataError(
-            f"{len(shots)} shots in it; choose one with --shot: {listed}{more}", file=path
-        )
-    taken = shots[choice("shot", "--shot", shot, [item.name for item in shots], 0)]
+        raise DataError(f"{len(shots)} shots; choose one with --shot: {listed}{more}", file=path)
+    taken = shots[choose("shot", "--shot", shot, [item.name for item in shots], 0)]
     return read_shot(path, lines, taken, stone_index=stone_index)
 
 
 def read_shot(
-    path: Path, lines: list[str], taken: Shot, *, stone_index: int | None = None
-) -> Reading:
+    path: Path, lines: list[str], chosen: Shot, *, stone_index: int | None = None
+) -> ParsedFile:
     """The path of one stone of a shot of this file, as `read_digitalcurling` reads it."""
     comments = [(k, line) for k, line in enumerate(lines[:200], 1) if line.lstrip()[:1] == "#"]
     settings, reference, notes = defaults_of(path, comments)
-    period, places, names = _paths(path, taken)
+    period, positions, names = _paths(path, chosen)
 
-    xy = places[:, :, :2]
+    xy = positions[:, :, :2]
     far = np.hypot(*(np.fmax.reduce(xy, axis=1) - np.fmin.reduce(xy, axis=1)).T)
     moved = np.flatnonzero(far > _MOVED)
     if not len(moved):
-        raise DataError(f"no stone moves in {taken.name}", file=path, line=taken.line)
-    began = {int(k): _first_change(places[k]) for k in moved}
+        raise DataError(f"no stone moves in {chosen.name}", file=path, line=chosen.line)
+    began = {int(k): _first_change(positions[k]) for k in moved}
     first = min(began.values())
     thrown = max((k for k in began if began[k] == first), key=lambda k: far[k])
-    stone = choice("stone", "--stone-index", stone_index, names, thrown)
+    stone = choose("stone", "--stone-index", stone_index, names, thrown)
     if stone not in began:
         movers = ", ".join(f"{k + 1} ({names[k]})" for k in began)
         raise DataError(
             f"stone {stone + 1} ({names[stone]}) does not move; those that do are {movers}",
             file=path,
-            line=taken.line,
+            line=chosen.line,
         )
-    # It is a free throw until another stone moves, and from when it was pushed.
-    seen = np.isfinite(places[stone, :, 0])
+    # A free throw: from its first motion until another stone moves.
+    seen = np.isfinite(positions[stone, :, 0])
     others = [row for k, row in began.items() if k != stone and row > began[stone]]
-    time = period * np.arange(places.shape[1])
+    time = period * np.arange(positions.shape[1])
     from_row = max(began[stone] - 1, 0)
     keep = seen & (np.arange(len(time)) >= from_row)
     if others:
@@ -101,21 +99,21 @@ def read_shot(
         )
     notes.insert(
         0,
-        f"{taken.name}: stone {stone + 1} of {len(names)} ({names[stone]}"
+        f"{chosen.name}: stone {stone + 1} of {len(names)} ({names[stone]}"
         + (", the one thrown)" if stone == thrown else ")")
         + f", {int(keep.sum())} frames of {period:g} s",
     )
-    notes.append("a simulated throw: places are exact to the 32 bits of the log")
-    reading = Reading(path, "digitalcurling", [], [], settings, reference, notes=notes)
-    reading.lines = np.full(int(keep.sum()), taken.line, np.int64)
+    notes.append("a simulated throw: positions are exact to the 32 bits of the log")
+    parsed = ParsedFile(path, "digitalcurling", [], [], settings, reference, notes=notes)
+    parsed.lines = np.full(int(keep.sum()), chosen.line, np.int64)
     for header, column, values in (
         ("seconds_per_frame", Column("t", "s", 1.0), time),
-        ("position.x", Column("x", "m", 1.0), places[stone, :, 0]),
-        ("position.y", Column("y", "m", 1.0), places[stone, :, 1]),
-        ("angle", Column("phi", "rad", 1.0), places[stone, :, 2]),
+        ("position.x", Column("x", "m", 1.0), positions[stone, :, 0]),
+        ("position.y", Column("y", "m", 1.0), positions[stone, :, 1]),
+        ("angle", Column("phi", "rad", 1.0), positions[stone, :, 2]),
     ):
-        reading.series.append(in_si(reading, header, column, np.asarray(values[keep])))
-    return reading
+        parsed.series.append(in_si(parsed, header, column, np.asarray(values[keep])))
+    return parsed
 
 
 def shots_of(path: Path, lines: list[str]) -> list[Shot]:
@@ -123,11 +121,11 @@ def shots_of(path: Path, lines: list[str]) -> list[Shot]:
 
     Raises
     ------
-    DataError : the file is no log, or holds no shot.
+    DataError : the file is not a log, or holds no shot.
     """
     shots = list(_shots(path, lines))
     if not shots:
-        raise DataError(f"no trajectory in it; {_EXPECTED}", file=path)
+        raise DataError(f"no trajectory found; {_EXPECTED}", file=path)
     return shots
 
 
@@ -154,7 +152,7 @@ def _shots(path: Path, lines: list[str]) -> Iterator[Shot]:
 
 
 def _trajectory(item: Any) -> tuple[str, dict[str, Any]] | None:
-    """A trajectory and what to call it, however deep in the entry it lies."""
+    """A trajectory and its name, at any depth of the entry."""
     label: dict[str, Any] = {}
     for _ in range(6):
         if not isinstance(item, dict):
@@ -178,7 +176,7 @@ def _trajectory(item: Any) -> tuple[str, dict[str, Any]] | None:
 
 
 def _paths(path: Path, shot: Shot) -> tuple[float, Floats, list[str]]:
-    """Seconds a frame; x, y, angle of every stone and frame, shape (stones, n, 3); the names."""
+    """Frame interval in s; x, y, angle by stone and frame, shape (stones, n, 3); names."""
 
     def refuse(message: str) -> DataError:
         return DataError(f"{shot.name}: {message}", file=path, line=shot.line)
@@ -197,8 +195,8 @@ def _paths(path: Path, shot: Shot) -> tuple[float, Floats, list[str]]:
     now = np.full((len(slots), 3), math.nan)
     for (team, k), row in index.items():
         now[row] = _stone(start[team][k], refuse)
-    places = np.empty((len(slots), len(frames) + 1, 3))
-    places[:, 0] = now
+    positions = np.empty((len(slots), len(frames) + 1, 3))
+    positions[:, 0] = now
     for count, changes in enumerate(frames, 1):
         if not isinstance(changes, list):
             raise refuse(f"frame {count}: expected a list of changes")
@@ -206,15 +204,15 @@ def _paths(path: Path, shot: Shot) -> tuple[float, Floats, list[str]]:
             if not isinstance(change, dict):
                 raise refuse(f"frame {count}: a change needs team, index and value")
             side: Any = change.get("team")
-            place: Any = change.get("index")
+            number: Any = change.get("index")
             if isinstance(side, int) and not isinstance(side, bool):
                 side = f"team{side}"
-            slot = (side, place) if isinstance(side, str) and isinstance(place, int) else None
+            slot = (side, number) if isinstance(side, str) and isinstance(number, int) else None
             if slot not in index:
-                raise refuse(f"frame {count}: no stone {place!r:.20} of team {side!r:.20}")
+                raise refuse(f"frame {count}: no stone {number!r:.20} of team {side!r:.20}")
             now[index[slot]] = _stone(change.get("value"), refuse)
-        places[:, count] = now
-    return float(period), places, [f"{team} stone {k + 1}" for team, k in slots]
+        positions[:, count] = now
+    return float(period), positions, [f"{team} stone {k + 1}" for team, k in slots]
 
 
 def _stone(value: Any, refuse: Any) -> list[float]:
@@ -236,6 +234,6 @@ def _is_number(value: Any) -> bool:
 
 
 def _first_change(stone: Floats) -> int:
-    """First frame in which a stone is not where it was."""
+    """First frame in which a stone has moved."""
     step = np.abs(np.diff(stone[:, :2], axis=0)).max(axis=1)
     return int(np.argmax(step > 0)) + 1

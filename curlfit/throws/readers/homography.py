@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError
-from curlfit.throws.readers.columns import understand
+from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.text import (
     cells,
     header_cells,
@@ -28,8 +28,8 @@ class Homography(NamedTuple):
     Attributes
     ----------
     matrix : shape (3, 3), acting on (u, v, 1); its third coordinate is positive on the ice.
-    points : how many points it comes from. rms_m, rms_px : root mean square distance between the
-        known points and the mapped ones, on the ice and in the picture.
+    points : number of known points. rms_m, rms_px : root mean square distance between the
+        known points and the mapped ones, on the ice and in the image.
     """
 
     matrix: Floats
@@ -38,7 +38,7 @@ class Homography(NamedTuple):
     rms_px: float
 
     def __call__(self, u: Floats, v: Floats) -> tuple[Floats, Floats]:
-        """Places in m, shape (n,); NaN beyond the horizon."""
+        """Positions in m, shape (n,); NaN beyond the horizon."""
         x, y, w = self.matrix @ np.stack([u, v, np.ones_like(u)])
         w = np.where(w > 1e-9 * np.abs(self.matrix[2]).max(), w, np.nan)
         return x / w, y / w
@@ -59,8 +59,8 @@ def load_homography(file: Path) -> Homography:
 
     Raises
     ------
-    DataError : a column is missing, fewer than four points, points on a line, or points that no
-        picture of a plane agrees with.
+    DataError : a column is missing, fewer than four points, collinear points, or points that no
+        image of a plane fits.
     """
     lines = text_of(file).split("\n")
     first = next(
@@ -73,21 +73,21 @@ def load_homography(file: Path) -> Homography:
     names = header_cells(lines[first], separator)
     if all(is_number(cell) for cell in cells(lines[first], separator)):
         raise DataError(f"the table begins with numbers; {_EXPECTED}", file=file, line=first + 1)
-    places: dict[str, int] = {}
+    columns: dict[str, int] = {}
     factors: dict[str, float] = {}
-    for place, name in enumerate(names):
-        column = understand(name)
+    for index, name in enumerate(names):
+        column = parse_header(name)
         quantity = "v" if name.strip().lower() == "v" else column and column.quantity
-        if quantity in ("u", "v", "x", "y") and quantity not in places:
-            places[quantity] = place
+        if quantity in ("u", "v", "x", "y") and quantity not in columns:
+            columns[quantity] = index
             factors[quantity] = column.factor if column and quantity in "xy" else 1.0
-    missing = [name for name in ("u", "v", "x", "y") if name not in places]
+    missing = [name for name in ("u", "v", "x", "y") if name not in columns]
     if missing:
         raise DataError(
             f"no column for {' and '.join(missing)}; {_EXPECTED}", file=file, line=first + 1
         )
-    numbers, found = read_rows(file, lines, first + 1, names, list(places.values()), separator)
-    values = {name: found[k] * factors[name] for k, name in enumerate(places)}
+    numbers, found = read_rows(file, lines, first + 1, names, list(columns.values()), separator)
+    values = {name: found[k] * factors[name] for k, name in enumerate(columns)}
     stacked = np.stack([values[name] for name in ("u", "v", "x", "y")])
     bad = ~np.isfinite(stacked).all(axis=0) | (np.abs(np.nan_to_num(stacked)) > 1e7).any(axis=0)
     if bad.any():
@@ -112,14 +112,14 @@ def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -
     """
     n = pixels.shape[1]
     if n < 4:
-        raise DataError(f"{n} points; a picture of a plane needs four or more", file=file)
-    for what, points in (("in the picture", pixels), ("on the sheet", metres)):
+        raise DataError(f"{n} points; a homography needs four or more", file=file)
+    for what, points in (("in the image", pixels), ("on the sheet", metres)):
         spread = np.linalg.svd(points - points.mean(axis=1, keepdims=True), compute_uv=False)
         if spread[1] <= 1e-3 * spread[0]:
             raise DataError(
-                f"the points lie on one line {what}; take four corners of an area", file=file
+                f"the points are collinear {what}; take four corners of an area", file=file
             )
-    (a, T), (b, U) = _normalised(pixels), _normalised(metres)
+    (a, T), (b, U) = _normalise(pixels), _normalise(metres)
     rows = []
     for (u, v), (x, y) in zip(a.T, b.T, strict=True):
         rows.append([u, v, 1, 0, 0, 0, -x * u, -x * v, -x])
@@ -128,34 +128,33 @@ def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -
     inner = directions[-1].reshape(3, 3)
     if sizes[7] < 1e-4 * sizes[0] or abs(np.linalg.det(inner)) < 1e-6:
         raise DataError(
-            "three of the points lie on one line, or two are the same; take four corners of an "
-            "area",
+            "three of the points are collinear, or two coincide; take four corners of an area",
             file=file,
         )
     matrix = np.linalg.inv(U) @ inner @ T
     depth = matrix[2] @ np.stack([*pixels, np.ones(n)])
     if not ((depth > 0).all() or (depth < 0).all()):
         raise DataError(
-            "no picture of a plane shows the points in this order; two of them may be mixed up",
+            "no image of a plane has the points in this order; two of them may be interchanged",
             file=file,
         )
     matrix = matrix * np.sign(depth[0]) / np.abs(matrix).max()
-    made = Homography(matrix, n, 0.0, 0.0)
+    fitted = Homography(matrix, n, 0.0, 0.0)
     back = np.linalg.inv(matrix) @ np.stack([*metres, np.ones(n)])
-    rms_m = _rms(np.stack(made(*pixels)) - metres)
+    rms_m = _rms(np.stack(fitted(*pixels)) - metres)
     rms_px = _rms(back[:2] / back[2] - pixels)
     size = _rms(pixels - pixels.mean(axis=1, keepdims=True))
     if not (np.isfinite(rms_m) and rms_px <= 0.1 * size):
         raise DataError(
-            f"the points miss every picture of a plane by {rms_px:.3g} pixels "
-            f"({rms_m:.3g} m); two of them may be mixed up",
+            f"the points do not fit an image of a plane: rms {rms_px:.3g} pixels "
+            f"({rms_m:.3g} m); two of them may be interchanged",
             file=file,
         )
-    return made._replace(rms_m=rms_m, rms_px=rms_px)
+    return fitted._replace(rms_m=rms_m, rms_px=rms_px)
 
 
-def _normalised(points: Floats) -> tuple[Floats, Floats]:
-    """Points about their centre at distance sqrt(2), and the matrix that took them there."""
+def _normalise(points: Floats) -> tuple[Floats, Floats]:
+    """Points centred and scaled to rms distance sqrt(2), and the matrix of that map."""
     centre = points.mean(axis=1)
     scale = np.sqrt(2) / max(_rms(points - centre[:, None]), 1e-300)
     matrix = np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]])

@@ -1,22 +1,24 @@
-"""Which format a file has, and the throw in it."""
+"""Throws from files of any format, and from tables in memory (pandas, polars, xarray)."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import islice
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from curlfit.errors import CurlfitError, InputError
+import numpy as np
+
+from curlfit.errors import CurlfitError, DataError, InputError
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.axes import parse_axes
-from curlfit.throws.readers.columns import parse_units
+from curlfit.throws.readers.columns import Column, in_unit, parse_header, parse_units, with_units
 from curlfit.throws.readers.digitalcurling import read_digitalcurling, read_shot, shots_of
 from curlfit.throws.readers.homography import load_homography
-from curlfit.throws.readers.parsed_file import Reading
+from curlfit.throws.readers.parsed_file import ParsedFile, columns_of, in_si
 from curlfit.throws.readers.table import read_table
 from curlfit.throws.readers.text import text_of
 from curlfit.throws.readers.timings import TIMES, read_timings
@@ -40,34 +42,34 @@ def load_throw(
 ) -> Throw:
     """Read a throw from a file.
 
-    A table has a header and one row a time. Columns `t`, `x`, `y` are needed; `phi`, `speed`,
-    `omega` and `sigma_x` and so on may be there. Common names and units are understood (`time`,
-    `y_ft`, `angle [deg]`, `phi_rev`), and a clock of its own for a channel (`t_phi`). Commas,
-    semicolons, tabs or spaces separate; decimal commas are read where something else separates.
-    Empty cells are gaps. Leading lines `# key = value` are this throw's defaults. Angles that
-    were reduced to one turn are made continuous.
+    A table has a header and one row for each time. Columns `t`, `x`, `y` are required; `phi`,
+    `speed`, `omega`, `sigma_x` and so on are optional. Common names and units are recognised
+    (`time`, `y_ft`, `angle [deg]`, `phi_rev`), and separate clocks of channels (`t_phi`).
+    Separators are commas, semicolons, tabs or spaces; decimal commas are read where the separator
+    is not a comma. Empty cells are gaps. Leading lines `# key = value` are defaults of this throw.
+    Wrapped angles are unwrapped.
 
     Parameters
     ----------
     format : `table`, `tracker` (exports of Tracker), `digitalcurling` (logs of DigitalCurling 3)
-        or `timings`; found by looking at the file if not given.
-    axes : the file's axes where they are not curlfit's, as words with commas between them, such
+        or `timings`; detected from the file if not given.
+    axes : the file's axes where they are not those of curlfit, as words separated by commas, such
         as `x-along,clockwise,from-tee`; see `curlfit.throws.readers.axes.WORDS`.
-    reference : file of known points u, v (pixels), x, y (m), where the places are in pixels.
-    stone_index : which object of a Tracker export or stone of a shot, counting from 1.
-    shot : which shot of a game's log, counting from 1.
-    units : units of columns, over those of the header, such as `t=ms,x=cm,angle=deg`.
+    reference : file of known points u, v (pixels), x, y (m), where positions are in pixels.
+    stone_index : object of a Tracker export or stone of a shot, counting from 1.
+    shot : shot of a game's log, counting from 1.
+    units : units of columns, in place of those of the header, such as `t=ms,x=cm,angle=deg`.
 
     Raises
     ------
-    DataError : naming the file, line and column of the fault, and what was expected.
+    DataError : with the file, line and column of the fault, and what was expected.
     InputError : an argument that cannot be used.
     """
     points = None if reference is None else Path(reference)
-    reading = read(
+    parsed = read(
         file, format, stone_index=stone_index, shot=shot, units=units, pixels=points is not None
     )
-    return assemble(reading, axes=axes, reference=points)
+    return assemble(parsed, axes=axes, reference=points)
 
 
 class Part(NamedTuple):
@@ -75,8 +77,8 @@ class Part(NamedTuple):
 
     Attributes
     ----------
-    shot, stone_index : which one, as `load_throw` takes them; None where the file holds but one.
-    throw : the throw, or why this one cannot be read.
+    shot, stone_index : arguments of `load_throw` for it; None where the file holds only one.
+    throw : the throw, or the error where it cannot be read.
     """
 
     shot: int | None
@@ -96,42 +98,42 @@ def load_throws(
 ) -> list[Part]:
     """Every throw in a file: each shot of a log, or each object of a Tracker export.
 
-    Arguments are those of `load_throw`; `shot` or `stone_index` takes one of them alone.
+    Arguments as for `load_throw`; `shot` or `stone_index` selects a single one.
 
     Raises
     ------
     DataError : the file as a whole cannot be read. InputError : an argument that cannot be used.
     """
     points = None if reference is None else Path(reference)
-    source = _opened(file, format, stone_index=stone_index, shot=shot)
+    source = _open(file, format, stone_index=stone_index, shot=shot)
     pixels = points is not None
-    whole = partial(_read, source, stone_index=stone_index, shot=shot, units=units, pixels=pixels)
-    parts: list[tuple[int | None, int | None, Callable[[], Reading]]]
+    whole = partial(_parse, source, stone_index=stone_index, shot=shot, units=units, pixels=pixels)
+    parts: list[tuple[int | None, int | None, Callable[[], ParsedFile]]]
     parts = [(shot, stone_index, whole)]
-    path, lines, kind = source
-    if kind == "digitalcurling" and shot is None:
+    path, lines, format_name = source
+    if format_name == "digitalcurling" and shot is None:
         shots = shots_of(path, lines)
         if len(shots) > 1:
             parts = [
-                (k, stone_index, partial(read_shot, path, lines, taken, stone_index=stone_index))
-                for k, taken in enumerate(shots, 1)
+                (k, stone_index, partial(read_shot, path, lines, one_shot, stone_index=stone_index))
+                for k, one_shot in enumerate(shots, 1)
             ]
-    elif kind == "tracker" and stone_index is None:
+    elif format_name == "tracker" and stone_index is None:
         count = count_objects(path, lines)
         if count > 1:
             parts = [(None, k, partial(whole, stone_index=k)) for k in range(1, count + 1)]
     found = []
-    for number, index, reading in parts:
+    for number, index, parsed in parts:
         throw: Throw | CurlfitError
         try:
-            throw = assemble(reading(), axes=axes, reference=points)
+            throw = assemble(parsed(), axes=axes, reference=points)
         except CurlfitError as error:
             throw = error
         found.append(Part(number, index, throw))
     return found
 
 
-def check_how(
+def check_reader_options(
     format: str | None = None,
     axes: str | None = None,
     reference: str | PathLike[str] | None = None,
@@ -140,7 +142,7 @@ def check_how(
     shot: int | None = None,
     units: str | None = None,
 ) -> None:
-    """Raise `InputError` where no file at all could be read with these arguments."""
+    """Raise `InputError` where no file could be read with these arguments."""
     _check_format(format)
     for flag, number in (("--shot", shot), ("--stone-index", stone_index)):
         if number is not None and number < 1:
@@ -159,10 +161,10 @@ def read(
     shot: int | None = None,
     units: str | None = None,
     pixels: bool = False,
-) -> Reading:
-    """The columns of a file as they were understood, in SI. Arguments as for `load_throw`."""
-    source = _opened(file, format, stone_index=stone_index, shot=shot)
-    return _read(source, stone_index=stone_index, shot=shot, units=units, pixels=pixels)
+) -> ParsedFile:
+    """The columns of a file in SI. Arguments as for `load_throw`."""
+    source = _open(file, format, stone_index=stone_index, shot=shot)
+    return _parse(source, stone_index=stone_index, shot=shot, units=units, pixels=pixels)
 
 
 def _check_format(format: str | None) -> None:
@@ -170,49 +172,49 @@ def _check_format(format: str | None) -> None:
         raise InputError(f"format {format!r}: expected one of {', '.join(FORMATS)}")
 
 
-class _Opened(NamedTuple):
-    """A file's lines, and the format it has."""
+class _SourceFile(NamedTuple):
+    """Lines and format of a file."""
 
     path: Path
     lines: list[str]
-    kind: str
+    format_name: str
 
 
-def _opened(
+def _open(
     file: str | PathLike[str], format: str | None, *, stone_index: int | None, shot: int | None
-) -> _Opened:
+) -> _SourceFile:
     _check_format(format)
     path = Path(file)
     lines = text_of(path).split("\n")
-    kind = format or guessed(lines)
-    if shot is not None and kind != "digitalcurling":
-        raise InputError(f"--shot: {path} is a {kind} file and holds no shots")
-    if stone_index is not None and kind not in ("digitalcurling", "tracker"):
-        raise InputError(f"--stone-index: {path} is a {kind} file and holds one stone")
-    return _Opened(path, lines, kind)
+    format_name = format or detect_format(lines)
+    if shot is not None and format_name != "digitalcurling":
+        raise InputError(f"--shot: {path} is a {format_name} file and holds no shots")
+    if stone_index is not None and format_name not in ("digitalcurling", "tracker"):
+        raise InputError(f"--stone-index: {path} is a {format_name} file and holds one stone")
+    return _SourceFile(path, lines, format_name)
 
 
-def _read(
-    source: _Opened,
+def _parse(
+    source: _SourceFile,
     *,
     stone_index: int | None,
     shot: int | None,
     units: str | None,
     pixels: bool,
-) -> Reading:
-    path, lines, kind = source
-    wanted = parse_units(units)
-    if kind == "digitalcurling":
+) -> ParsedFile:
+    path, lines, format_name = source
+    column_units = parse_units(units)
+    if format_name == "digitalcurling":
         return read_digitalcurling(path, lines, stone_index=stone_index, shot=shot)
-    if kind == "timings":
+    if format_name == "timings":
         return read_timings(path, lines)
-    if kind == "tracker":
-        return read_tracker(path, lines, wanted, stone_index=stone_index, pixels=pixels)
-    return read_table(path, lines, wanted, pixels=pixels)
+    if format_name == "tracker":
+        return read_tracker(path, lines, column_units, stone_index=stone_index, pixels=pixels)
+    return read_table(path, lines, column_units, pixels=pixels)
 
 
-def guessed(lines: list[str]) -> str:
-    """The format that the first lines of a file look like."""
+def detect_format(lines: list[str]) -> str:
+    """The format of a file, from its first lines."""
     shown = (line for line in lines[:200] if line.strip() and not line.lstrip().startswith("#"))
     head = list(islice(shown, _HEAD))
     if not head:
@@ -225,6 +227,135 @@ def guessed(lines: list[str]) -> str:
     return "tracker" if looks_like_tracker(head[:3]) else "table"
 
 
-__all__ = [
-    "FORMATS", "Part", "check_how", "guessed", "load_throw", "load_throws", "parse_axes", "read",
-]  # fmt: skip
+def from_table(
+    table: Any,
+    *,
+    axes: str | None = None,
+    units: str | None = None,
+    reference: str | PathLike[str] | None = None,
+    name: str = "table",
+) -> Throw:
+    """A throw from a table in memory.
+
+    Parameters
+    ----------
+    table : a pandas or polars DataFrame, an xarray Dataset, or a mapping of names to arrays of
+        one length. Columns are named as in files, units in the names; a variable's
+        `attrs["units"]` takes precedence. The index of a frame, or the coordinate of a dataset,
+        is the time where no column is. Times may be dates or durations.
+    axes, units, reference : as for `load_throw`.
+    name : what to call the throw.
+
+    Raises
+    ------
+    DataError, InputError : not a table, a column that is missing or not numeric.
+    """
+    column_units = parse_units(units)
+    values, stated, notes = _variables(table, name)
+    names = list(values)
+    columns, ignored = columns_of(name, names, column_units, pixels=reference is not None)
+    parsed = ParsedFile(name, "table", [], ignored, notes=notes)
+    lengths = {len(values[names[index]]) for index in columns}
+    if len(lengths) > 1:
+        raise DataError(
+            f"columns of different lengths ({', '.join(map(str, sorted(lengths)))})", file=name
+        )
+    if lengths == {0}:
+        raise DataError("no rows", file=name)
+    for index, column in columns.items():
+        header = names[index]
+        if header in stated and column.quantity.removeprefix("sigma_") not in column_units:
+            column = _with_stated_unit(name, header, column, stated[header])
+        numbers = _numbers(values[header], column, name, header)
+        parsed.series.append(in_si(parsed, header, column, numbers))
+    return assemble(parsed, axes=axes, reference=None if reference is None else Path(reference))
+
+
+def _variables(table: Any, name: str) -> tuple[dict[str, Any], dict[str, str], list[str]]:
+    """Columns by name, their stated units, and notes."""
+    values: dict[str, Any] = {}
+    stated: dict[str, str] = {}
+    notes: list[str] = []
+    if hasattr(table, "data_vars") and hasattr(table, "coords"):
+        for key in [*table.coords, *table.data_vars]:
+            variable = table[key]
+            if len(variable.dims) != 1:
+                notes.append(f"variable {key} has {len(variable.dims)} dimensions and was ignored")
+                continue
+            values[str(key)] = np.asarray(variable.values)
+            unit = variable.attrs.get("units", variable.attrs.get("unit"))
+            if isinstance(unit, str) and unit.strip():
+                stated[str(key)] = unit
+        used = {str(key): table[key].dims[0] for key in [*table.coords, *table.data_vars]
+                if str(key) in values and parse_header(str(key)) is not None}  # fmt: skip
+        if len(set(used.values())) > 1:
+            raise DataError(
+                "variables along different dimensions ("
+                + ", ".join(f"{key} along {dim}" for key, dim in used.items())
+                + "); merge them to one",
+                file=name,
+            )
+        return values, stated, notes
+    if hasattr(table, "columns") and hasattr(table, "__getitem__"):
+        keys = list(table.columns)
+        if len({str(key) for key in keys}) < len(keys):
+            raise DataError("two columns of the same name", file=name)
+        index = getattr(table, "index", None)
+        known = {c.quantity for key in keys if (c := parse_header(str(key))) is not None}
+        if index is not None and not known & {"t"} and getattr(index, "nlevels", 1) == 1:
+            own = getattr(index, "name", None)
+            meaning = parse_header(str(own)) if own is not None else None
+            dated = getattr(getattr(index, "dtype", None), "kind", "") in "mM"
+            if (meaning is not None and meaning.quantity == "t") or dated:
+                label = str(own) if meaning is not None and meaning.quantity == "t" else "time"
+                values[label] = np.asarray(index)
+        values |= {str(key): np.asarray(table[key]) for key in keys}
+        return values, stated, notes
+    if isinstance(table, Mapping):
+        return {str(key): _fill_masked(table[key]) for key in table}, stated, notes
+    raise InputError(
+        f"{type(table).__name__}: expected a DataFrame, a Dataset or a mapping of names to arrays"
+    )
+
+
+def _with_stated_unit(name: str, header: str, column: Column, unit: str) -> Column:
+    try:
+        return with_units(column, {column.quantity.removeprefix("sigma_"): unit})
+    except InputError:
+        try:
+            return in_unit(column.quantity, unit)
+        except InputError as error:
+            raise DataError(str(error), file=name, column=header) from None
+
+
+def _numbers(values: Any, column: Column, name: str, header: str) -> np.ndarray:
+    """Numbers in the column's unit; dates and durations as seconds."""
+    if values.ndim != 1:
+        raise DataError(f"{values.ndim} dimensions, expected one", file=name, column=header)
+    if values.dtype.kind in "mM" and column.quantity.startswith("t"):
+        blank = np.isnat(values)
+        if blank.all():
+            raise DataError("every time is missing", file=name, column=header)
+        origin = values[~blank][0] if values.dtype.kind == "M" else np.timedelta64(0, "ns")
+        numbers = (values - origin) / np.timedelta64(1, "s") / column.factor
+        return np.where(blank, np.nan, numbers)
+    try:
+        numbers = np.array([np.nan if _blank(v) else v for v in values.tolist()], dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise DataError("expected numbers", file=name, column=header) from None
+    if np.isinf(numbers).any():
+        row = int(np.argmax(np.isinf(numbers)))
+        raise DataError(f"row {row}: {numbers[row]} found, expected a finite number",
+                        file=name, column=header)  # fmt: skip
+    return numbers
+
+
+def _blank(value: Any) -> bool:
+    return value is None or type(value).__name__ == "NAType"  # of pandas
+
+
+def _fill_masked(values: Any) -> np.ndarray:
+    """An array with masked entries as NaN."""
+    if isinstance(values, np.ma.MaskedArray):
+        return np.ma.filled(values.astype(float), np.nan)
+    return np.asarray(values)

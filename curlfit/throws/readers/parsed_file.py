@@ -1,4 +1,4 @@
-"""What a reader found in a file, before axes, pixels, clocks and wraps are dealt with."""
+"""The columns of a file, before clocks, pixels, unwrapping and axes are applied."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError, InputError
-from curlfit.throws.readers.columns import Column, understand, with_units
+from curlfit.throws.readers.columns import Column, parse_header, with_units
 from curlfit.throws.readers.text import EXPECTED
 from curlfit.throws.throw import Floats, Reference
 
 
 class Series(NamedTuple):
-    """One column that was understood; `values` in SI (pixels for u and v), shape (n,)."""
+    """One column of known quantity; `values` in SI (pixels for u and v), shape (n,)."""
 
     header: str
     column: Column
@@ -24,15 +24,15 @@ class Series(NamedTuple):
 
 
 @dataclass
-class Reading:
-    """Columns of one file, as they stand there but in SI.
+class ParsedFile:
+    """Columns of one file, in SI.
 
     Attributes
     ----------
     source : the file, or a name. format : which reader it was.
     series : the columns, all of one length.
-    ignored : headers that mean nothing here.
-    settings : defaults that the file carries. notes : what the reader has to say.
+    ignored : headers of unknown quantity.
+    settings : defaults that the file carries. notes : remarks of the reader.
     lines : line of each row, None where there are none.
     """
 
@@ -46,7 +46,7 @@ class Reading:
     lines: np.ndarray | None = None
 
     def error(self, message: str, row: int | None = None, quantity: str | None = None) -> DataError:
-        """An error with its place in the file."""
+        """An error with its location in the file."""
         header = next((s.header for s in self.series if s.column.quantity == quantity), quantity)
         line = None if row is None or self.lines is None else int(self.lines[row])
         if row is not None and line is None:
@@ -62,10 +62,10 @@ def columns_of(
     line: int | None = None,
     pixels: bool = False,
 ) -> tuple[dict[int, Column], list[str]]:
-    """Columns to read by their place, and the names of the others.
+    """Columns to read by index, and the names of the others.
 
-    `pixels` says that a homography will be used: x and y without a unit are then pixels, and v is
-    no speed.
+    With `pixels`, positions are in pixels: x and y without a unit are then pixels, and v is not a
+    speed.
 
     Raises
     ------
@@ -75,17 +75,17 @@ def columns_of(
     ignored: list[str] = []
     taken: dict[str, str] = {}
     bare = [str(name).strip().lower() for name in names]
-    meant = {column.quantity for name in names if (column := understand(name)) is not None}
+    meant = {column.quantity for name in names if (column := parse_header(name)) is not None}
     velocities = not pixels and {"x", "y"} <= meant and "u" in bare
     pixels = pixels or ("u" in bare and "v" in bare and not velocities)
-    for place, name in enumerate(names):
-        column = understand(name)
-        if column is None or (velocities and bare[place] in ("u", "v")):
+    for index, name in enumerate(names):
+        column = parse_header(name)
+        if column is None or (velocities and bare[index] in ("u", "v")):
             if name:
                 ignored.append(name)
             continue
-        if pixels and bare[place] in ("v", "sigma_v"):
-            column = Column(bare[place], "px", 1.0)
+        if pixels and bare[index] in ("v", "sigma_v"):
+            column = Column(bare[index], "px", 1.0)
         column = with_units(column, units)
         if pixels and not column.stated and column.quantity.removeprefix("sigma_") in ("x", "y"):
             axis = "u" if column.quantity.endswith("x") else "v"
@@ -98,19 +98,19 @@ def columns_of(
                 line=line,
             )
         taken[column.quantity] = name
-        columns[place] = column
-    missing = missing_from(taken)
+        columns[index] = column
+    missing = missing_columns(taken)
     if missing:
         raise DataError(
-            f"no column for {' and '.join(missing)} among {_listed(names)}; {EXPECTED}",
+            f"no column for {' and '.join(missing)} among {_list_names(names)}; {EXPECTED}",
             file=source,
             line=line,
         )
     return columns, ignored
 
 
-def missing_from(quantities: Any) -> list[str]:
-    """What a throw needs and these quantities do not give."""
+def missing_columns(quantities: Any) -> list[str]:
+    """Quantities that a throw needs and the columns do not have."""
     found = set(quantities)
     if {"u", "v"} & found:
         missing = [axis for axis in ("u", "v") if axis not in found]
@@ -129,16 +129,16 @@ def missing_from(quantities: Any) -> list[str]:
 
 
 def clock_of(quantity: str, quantities: Any) -> str:
-    """The column that holds the times of a quantity: its own clock, or t."""
+    """The column with the times of a quantity: its own clock, or t."""
     base = quantity.removeprefix("sigma_")
-    place = {"u": "t_x", "v": "t_y"}.get(base, f"t_{base}")
-    if place in quantities:
-        return place
+    clock = {"u": "t_x", "v": "t_y"}.get(base, f"t_{base}")
+    if clock in quantities:
+        return clock
     return "t_xy" if base in ("x", "y", "u", "v") and "t_xy" in quantities else "t"
 
 
-def in_si(reading: Reading, header: str, column: Column, values: Floats) -> Series:
-    """A column with its values in SI; refuses what is out of all range."""
+def in_si(parsed: ParsedFile, header: str, column: Column, values: Floats) -> Series:
+    """A column with its values in SI; refuses values out of any range."""
     scaled = values
     if column.factor != 1:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -147,29 +147,29 @@ def in_si(reading: Reading, header: str, column: Column, values: Floats) -> Seri
     if bad.any():
         row = int(np.argmax(bad))
         raise DataError(
-            f"{values[row]:g} {column.unit} found, expected a number of the size of a throw",
-            file=reading.source,
-            line=None if reading.lines is None else int(reading.lines[row]),
+            f"{values[row]:g} {column.unit} found, expected at most 1e12",
+            file=parsed.source,
+            line=None if parsed.lines is None else int(parsed.lines[row]),
             column=header,
         )
     return Series(header, column, scaled)
 
 
-def choice(what: str, flag: str, wanted: int | None, options: Sequence[str], default: int) -> int:
-    """Index of the option that was wanted (counting from 1), or the default.
+def choose(what: str, flag: str, number: int | None, options: Sequence[str], default: int) -> int:
+    """Index of option `number` (counting from 1), or the default.
 
     Raises
     ------
     InputError : there is no such option; the message lists them.
     """
-    if wanted is None:
+    if number is None:
         return default
-    if not 1 <= wanted <= len(options):
-        listed = "; ".join(f"{place} {name}" for place, name in enumerate(options, 1))
-        raise InputError(f"{flag} {wanted}: there is no such {what}; expected one of {listed}")
-    return wanted - 1
+    if not 1 <= number <= len(options):
+        listed = "; ".join(f"{index} {name}" for index, name in enumerate(options, 1))
+        raise InputError(f"{flag} {number}: there is no such {what}; expected one of {listed}")
+    return number - 1
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     short = [str(name)[:40] for name in names[:20]]
     return ", ".join([*short, f"and {len(names) - 20} more"] if len(names) > 20 else short)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import tomllib
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
-from curlfit.errors import DataError
-from curlfit.throws.readers.defaults import defaults_of
-from curlfit.throws.readers.parsed_file import Reading, columns_of, in_si
+from curlfit.errors import DataError, InputError
+from curlfit.friction import check_load, find_law
+from curlfit.stone import Stone
+from curlfit.throws.readers.axes import parse_axes
+from curlfit.throws.readers.parsed_file import ParsedFile, columns_of, in_si
 from curlfit.throws.readers.text import (
     EXPECTED,
     cells,
@@ -16,10 +22,13 @@ from curlfit.throws.readers.text import (
     read_rows,
     separator_of,
 )
+from curlfit.throws.throw import Reference
+
+_SETTINGS = ("until", "law", "load", "stone", "sigma", "seed", "reference", "axes")
 
 
 def first_lines(path: Path, lines: list[str]) -> tuple[int, list[tuple[int, str]]]:
-    """Index of the first line that is no comment, and the comments before it with their numbers.
+    """Index of the first line that is not a comment, and the comments before it, numbered.
 
     Raises
     ------
@@ -38,7 +47,7 @@ def first_lines(path: Path, lines: list[str]) -> tuple[int, list[tuple[int, str]
 
 def read_table(
     path: Path, lines: list[str], units: Mapping[str, str], *, pixels: bool = False
-) -> Reading:
+) -> ParsedFile:
     """Columns of a text table.
 
     Raises
@@ -55,9 +64,120 @@ def read_table(
     numbers, values = read_rows(path, lines, header + 1, names, list(columns), separator)
     if not len(numbers):
         raise DataError("a header but no rows of numbers", file=path, line=header + 1)
-    reading = Reading(path, "table", [], ignored, settings, reference, notes=notes, lines=numbers)
-    reading.series = [
-        in_si(reading, names[place], column, values[slot])
-        for slot, (place, column) in enumerate(columns.items())
+    parsed = ParsedFile(path, "table", [], ignored, settings, reference, notes=notes, lines=numbers)
+    parsed.series = [
+        in_si(parsed, names[index], column, values[row])
+        for row, (index, column) in enumerate(columns.items())
     ]
-    return reading
+    return parsed
+
+
+def defaults_of(
+    path: Path, comments: Iterable[tuple[int, str]]
+) -> tuple[dict[str, Any], Reference | None, list[str]]:
+    """Settings, a reference and notes from comments with their line numbers.
+
+    Comments that are not `key = value` are skipped.
+
+    Raises
+    ------
+    DataError : a setting that cannot be read or used.
+    """
+    numbers, bodies, notes = [], [], []
+    for number, line in comments:
+        body = line.lstrip().lstrip("#").strip()
+        key = body.split("=", 1)[0].strip().split(".")[0]
+        if "=" not in body or not key.isidentifier():
+            continue
+        if key not in _SETTINGS:
+            notes.append(f"line {number}: setting {key!r} is not known and was ignored")
+            continue
+        numbers.append(number)
+        bodies.append(body)
+    try:
+        common = _settings(tuple(bodies))
+    except (ValueError, RecursionError, InputError):
+        _raise_at_fault(path, numbers, bodies)
+        raise
+    # A copy: the cached settings are shared by all files with the same comments.
+    settings = {k: dict(v) if isinstance(v, dict) else v for k, v in common.items()}
+    reference = settings.pop("reference", None)
+    return settings, None if reference is None else _reference(path, reference), notes
+
+
+@lru_cache(64)
+def _settings(bodies: tuple[str, ...]) -> dict[str, Any]:
+    """The settings in some lines, each of them valid TOML."""
+    text = "\n".join(bodies)
+    if any(mark in text for mark in ("[", '"""', "'''")):  # values that may extend over lines
+        for body in bodies:
+            tomllib.loads(body)
+    found = tomllib.loads(text)
+    _check(found)
+    return found
+
+
+def _raise_at_fault(path: Path, numbers: list[int], bodies: list[str]) -> None:
+    """Raise `DataError` with the first line that makes the settings unusable."""
+    for last, (number, body) in enumerate(zip(numbers, bodies, strict=True), 1):
+        try:
+            _settings(tuple(bodies[:last]))
+        except InputError as error:
+            raise DataError(str(error), file=path, line=number) from None
+        except (ValueError, RecursionError):
+            raise DataError(
+                f"cannot read the setting {body!r}; expected key = value as in TOML, "
+                "text in quotes, each key once",
+                file=path,
+                line=number,
+            ) from None
+
+
+def _check(settings: dict[str, Any]) -> None:
+    """Raise `InputError` for settings that cannot be used."""
+    kinds = (("stone", dict), ("sigma", dict), ("law", str), ("load", str), ("axes", str))
+    for key, expected in kinds:
+        if not isinstance(settings.get(key, expected()), expected):
+            raise InputError(f"{key} = {settings[key]!r} cannot be used")
+    numbers = {f"stone.{name}": value for name, value in settings.get("stone", {}).items()}
+    numbers |= {f"sigma.{name}": value for name, value in settings.get("sigma", {}).items()}
+    numbers |= {"until": settings["until"]} if "until" in settings else {}
+    for key, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+            raise InputError(f"{key} = {value!r}: expected a number")
+    check_seed(settings.get("seed", 0))
+    Stone().with_values(settings.get("stone", {}))
+    if "law" in settings:
+        find_law(settings["law"], from_files=False)
+    if "load" in settings:
+        check_load(settings["load"])
+    parse_axes(settings.get("axes"))
+
+
+def _reference(path: Path, found: Any) -> Reference:
+    try:
+        return Reference(
+            source=str(found.get("source", "reference")),
+            law=str(found["law"]),
+            values={str(name): float(value) for name, value in found["values"].items()},
+            note=str(found.get("note", "")),
+            **{key: _stone_constants(found.get(key, {})) for key in ("stone", "rounding")},
+        )
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
+        raise DataError(
+            'a reference needs reference.law = "NAME" and reference.values.NAME = number, and may '
+            "have reference.stone.NAME and reference.rounding.NAME, NAME being R, rho, h or m",
+            file=path,
+        ) from None
+
+
+def _stone_constants(found: dict[str, Any]) -> dict[str, float]:
+    Stone().with_values(found)  # names and signs
+    return {str(name): float(value) for name, value in found.items()}
+
+
+def check_seed(seed: object) -> int:
+    """The seed; raises `InputError` where it is not one."""
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**32:
+        raise InputError(f"seed = {seed!r}: expected a whole number from 0 to {2**32 - 1}")
+    return seed

@@ -1,4 +1,4 @@
-"""Text of a file, its lines and cells, and numbers as people write them."""
+"""Text of a file: lines, cells and numbers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ GAPS = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 EXPECTED = "expected a header such as t,x,y,phi (time in s, position in m, angle in rad)"
 _MOST_BYTES = 1_000_000_000
 _CHUNK = 20_000
-# A line that is blank or may be a comment: one that begins with a space, say
+# A line that is blank or may be a comment
 _ODD_LINE = re.compile(r"\n[\s#]")
 # "t (s)" in a table that spaces separate
 _UNIT_APART = re.compile(r"[ \t]+([(\[][^()\[\]]*[)\]])")
@@ -58,7 +58,7 @@ def text_of(path: Path) -> str:
 
 
 def separator_of(line: str) -> str | None:
-    """What separates the cells of a header line; None for spaces."""
+    """Separator of the cells of a header line; None for spaces."""
     bare = re.sub(r"\([^()]*\)|\[[^\[\]]*\]", "", line)
     return next((mark for mark in ("\t", ";", ",") if mark in bare), None)
 
@@ -80,8 +80,8 @@ def cells(line: str, separator: str | None) -> list[str]:
     return [cell.strip() for cell in line.split(separator)]
 
 
-def number(cell: str, *, decimal_comma: bool) -> float | None:
-    """A cell as a number, None where it is none."""
+def parse_number(cell: str, *, decimal_comma: bool) -> float | None:
+    """A cell as a number; None where it is not one."""
     text = cell.replace(",", ".") if decimal_comma and "." not in cell else cell
     if "_" in text:
         return None
@@ -93,7 +93,7 @@ def number(cell: str, *, decimal_comma: bool) -> float | None:
 
 def is_number(cell: str) -> bool:
     """Whether a cell is a number, with a decimal point or a decimal comma."""
-    return number(cell, decimal_comma=True) is not None
+    return parse_number(cell, decimal_comma=True) is not None
 
 
 def read_rows(
@@ -101,7 +101,7 @@ def read_rows(
     lines: Sequence[str],
     first: int,
     names: Sequence[str],
-    places: Sequence[int],
+    columns: Sequence[int],
     separator: str | None,
 ) -> tuple[np.ndarray, list[Floats]]:
     """Numbers in some columns of a table's rows, as written; gaps are NaN.
@@ -109,45 +109,45 @@ def read_rows(
     Parameters
     ----------
     lines : all lines of the file. first : index of the first line below the header; blank lines
-        and comments there are passed over.
-    names : all cells of the header. places : which of them to read.
+        and comments there are skipped.
+    names : all cells of the header. columns : indices of those to read.
 
     Returns
     -------
-    Line numbers, shape (n,), and one array of shape (n,) a place.
+    Line numbers, shape (n,), and an array of shape (n,) for each column.
 
     Raises
     ------
-    DataError : a row with another number of cells, or a cell that is no finite number.
+    DataError : a row with another number of cells, or a cell that is not a finite number.
     """
     last = len(lines)
     while last > first and not lines[last - 1]:
         last -= 1
-    kept: Sequence[int] = range(first, last)
+    indices: Sequence[int] = range(first, last)
     if _ODD_LINE.search("\n".join(["", *lines[first:last]])):
-        kept = [
-            index for index in kept
+        indices = [
+            index for index in indices
             if (line := lines[index]) and not line.isspace() and line.lstrip()[0] != "#"
         ]  # fmt: skip
-    decimal_comma = separator != "," and any("," in lines[index] for index in kept)
+    decimal_comma = separator != "," and any("," in lines[index] for index in indices)
     parts = []
-    for start in range(0, len(kept), _CHUNK):
-        chunk = kept[start : start + _CHUNK]
+    for start in range(0, len(indices), _CHUNK):
+        chunk = indices[start : start + _CHUNK]
         rows = [lines[index] for index in chunk]
-        found = _clean(rows, len(names), places, separator, decimal_comma)
+        found = _read_fast(rows, len(names), columns, separator, decimal_comma)
         if found is None:
-            found = _careful(path, rows, chunk, names, places, separator, decimal_comma)
+            found = _read_cells(path, rows, chunk, names, columns, separator, decimal_comma)
         parts.append(found)
-    numbers = np.asarray(kept, np.int64) + 1
+    numbers = np.asarray(indices, np.int64) + 1
     if not parts:
-        return numbers, [np.zeros(0) for _ in places]
+        return numbers, [np.zeros(0) for _ in columns]
     return numbers, list(np.concatenate(parts, axis=1))
 
 
-def _clean(
-    rows: list[str], width: int, places: Sequence[int], separator: str | None, decimal_comma: bool
+def _read_fast(
+    rows: list[str], width: int, columns: Sequence[int], separator: str | None, decimal_comma: bool
 ) -> Floats | None:
-    """The fast way: numbers and empty cells only. None where anything else is met."""
+    """Rows of numbers and empty cells only, read at once; None where there is anything else."""
     text = "\n".join(rows)
     if '"' in text or "_" in text:
         return None
@@ -159,37 +159,37 @@ def _clean(
     try:
         every = np.loadtxt(rows, delimiter=separator, comments=None, ndmin=2)
     except ValueError:
-        found = _with_gaps(rows, width, places, separator)
+        found = _read_with_gaps(rows, width, columns, separator)
     else:
-        found = every[:, list(places)].T if every.shape[1] == width else None
+        found = every[:, list(columns)].T if every.shape[1] == width else None
     return None if found is None or np.isinf(found).any() else found
 
 
-def _with_gaps(
-    rows: list[str], width: int, places: Sequence[int], separator: str | None
+def _read_with_gaps(
+    rows: list[str], width: int, columns: Sequence[int], separator: str | None
 ) -> Floats | None:
-    """The same where some cells are empty, or columns that are not wanted hold words."""
+    """The same where some cells are empty, or unread columns hold text."""
     split = [row.split(separator) for row in rows]
     if any(len(row) != width for row in split):
         return None
-    columns = list(zip(*split, strict=True))
+    by_column = list(zip(*split, strict=True))
     try:
-        return np.array([[float(c or "nan") for c in columns[place]] for place in places])
+        return np.array([[float(c or "nan") for c in by_column[column]] for column in columns])
     except ValueError:
         return None
 
 
-def _careful(
+def _read_cells(
     path: Path,
     rows: list[str],
     indices: Sequence[int],
     names: Sequence[str],
-    places: Sequence[int],
+    columns: Sequence[int],
     separator: str | None,
     decimal_comma: bool,
 ) -> Floats:
-    """The way that takes every spelling, and knows the place of a fault."""
-    found = np.full((len(places), len(rows)), math.nan)
+    """Rows read cell by cell: every notation, and faults with their location."""
+    found = np.full((len(columns), len(rows)), math.nan)
     for row, (index, line) in enumerate(zip(indices, rows, strict=True)):
         row_cells = cells(line, separator)
         if len(row_cells) > len(names) and not any(row_cells[len(names) :]):
@@ -205,21 +205,21 @@ def _careful(
                 file=path,
                 line=index + 1,
             )
-        for slot, place in enumerate(places):
-            cell = row_cells[place]
+        for slot, column in enumerate(columns):
+            cell = row_cells[column]
             if cell.lower() in GAPS:
                 continue
-            value = number(cell, decimal_comma=decimal_comma)
+            value = parse_number(cell, decimal_comma=decimal_comma)
             if value is None or not math.isfinite(value):
                 raise DataError(
-                    f"{_shown(cell)} found, expected a finite number",
+                    f"{_quote(cell)} found, expected a finite number",
                     file=path,
                     line=index + 1,
-                    column=names[place],
+                    column=names[column],
                 )
             found[slot, row] = value
     return found
 
 
-def _shown(cell: str) -> str:
+def _quote(cell: str) -> str:
     return repr(cell if len(cell) <= 40 else cell[:37] + "...")

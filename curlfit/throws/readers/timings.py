@@ -1,4 +1,4 @@
-"""A stop-watch's throw: times between the lines, and where the stone came to rest."""
+"""Stop-watch records: times between the lines, and the position at rest."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from curlfit.errors import DataError
 from curlfit.sheet import HOG_TO_HOG, LINES
 from curlfit.throws.readers.columns import Column, in_unit
-from curlfit.throws.readers.defaults import defaults_of
-from curlfit.throws.readers.parsed_file import Reading, Series
-from curlfit.throws.readers.text import number
+from curlfit.throws.readers.parsed_file import ParsedFile, Series
+from curlfit.throws.readers.table import defaults_of
+from curlfit.throws.readers.text import parse_number
 
 TIMES = ("back_to_hog", "hog_to_hog", "hog_to_rest")
 _KEYS = {
@@ -42,17 +42,17 @@ class _Entry(NamedTuple):
     unit: str
 
 
-def read_timings(path: Path, lines: list[str]) -> Reading:
-    """A few rows: y at the lines and at rest, x on the line of delivery and at rest.
+def read_timings(path: Path, lines: list[str]) -> ParsedFile:
+    """Rows at the lines and at rest: y there, x on the line of delivery and at rest.
 
     The stone crosses the back line (if timed), both hog lines, and rests; y is counted from the
-    hack. The noise of y at a line is the timing error times the speed there, for which an even
-    deceleration is good enough. The last row's speed of 0 says when the stone came to rest (see
-    `Throw.stops`), and its noise likewise is the timing error times the loss of speed.
+    hack. The noise of y at a line is the timing error times the speed there under constant
+    deceleration. The last row's speed of 0 gives the time of rest (see `Throw.stops`); its noise
+    is the timing error times the deceleration.
 
     Raises
     ------
-    DataError : an unknown line, a missing hog_to_hog, or a value that cannot be.
+    DataError : an unknown line, a missing hog_to_hog, or an impossible value.
     """
     found, notes = _entries(path, lines)
     comments = [(k, line) for k, line in enumerate(lines, 1) if line.lstrip().startswith("#")]
@@ -70,7 +70,7 @@ def read_timings(path: Path, lines: list[str]) -> Reading:
     for key in ("curl", "rest", "turns"):
         if key in found and slide is None:
             raise DataError(
-                f"{key} is where the stone rests, and hog_to_rest is missing",
+                f"{key} is measured at rest, and hog_to_rest is missing",
                 file=path,
                 line=found[key].line,
             )
@@ -109,22 +109,22 @@ def read_timings(path: Path, lines: list[str]) -> Reading:
         f"y from the hack: back line {LINES['back']:.3f}, hog lines {LINES['hog']:.3f} and "
         f"{LINES['far-hog']:.3f}, far tee {LINES['far-tee']:.3f} m (hog to hog "
         f"{HOG_TO_HOG:.3f} m); t = 0 at the near hog line",
-        f"times to {sigma_t:g} s, places at rest to {sigma_rest:g} m"
-        + (f", turns to {sigma_turns / (2 * math.pi):g}" if "turns" in found else ""),
-        "x = 0 up to the near hog line: curl counts from the line of delivery, and where that "
-        "points was not measured (--fix heading=0)",
+        f"sigma of times {sigma_t:g} s, of positions at rest {sigma_rest:g} m"
+        + (f", of turns {sigma_turns / (2 * math.pi):g}" if "turns" in found else ""),
+        "x = 0 up to the near hog line: curl is measured from the line of delivery, whose "
+        "direction was not measured (--fix heading=0)",
     ]
-    reading = Reading(path, "timings", [], [], settings, reference, notes=[*more, *notes])
-    reading.lines = np.asarray(numbers, np.int64)
+    parsed = ParsedFile(path, "timings", [], [], settings, reference, notes=[*more, *notes])
+    parsed.lines = np.asarray(numbers, np.int64)
     units = {"t": "s", "speed": "m/s", "phi": "rad"}
-    reading.series = [
+    parsed.series = [
         Series(name, Column(name, units.get(name.removeprefix("sigma_"), "m"), 1.0),
                np.asarray(values, float))
         for name, values in columns.items()
         if not name.startswith("sigma_") or np.isfinite(columns[name[6:]]).any()
     ]  # fmt: skip
-    reading.series = [s for s in reading.series if np.isfinite(s.values).any()]
-    return reading
+    parsed.series = [s for s in parsed.series if np.isfinite(s.values).any()]
+    return parsed
 
 
 def _entries(path: Path, lines: list[str]) -> tuple[dict[str, _Entry], list[str]]:
@@ -152,7 +152,7 @@ def _entries(path: Path, lines: list[str]) -> tuple[dict[str, _Entry], list[str]
 
 def _value(path: Path, line: int, key: str, text: str) -> _Entry:
     match = _VALUE.match(text)
-    value = None if match is None else number(match["number"], decimal_comma=True)
+    value = None if match is None else parse_number(match["number"], decimal_comma=True)
     if match is None or value is None or not abs(value) < 1e6:
         raise DataError(f"{text[:40]!r} found, expected a number", file=path, line=line, column=key)
     unit, quantity = match["unit"].strip().strip(";,").strip(), _KEYS[key]

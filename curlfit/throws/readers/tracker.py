@@ -1,9 +1,9 @@
 """Text exports of Tracker, the video tool of Open Source Physics.
 
-Above the header stands a row with the name of the object, such as `mass_A`; several objects lie
-side by side. Tracker itself computes `v`, `ω` and the angles `θ_{r}`, `θ` of a point mass from its
-places, so these say nothing new of a stone, and nothing of how it turns: where a column agrees with
-the places it is left out, and otherwise it is taken for a measurement.
+A row with the name of the object, such as `mass_A`, precedes the header; several objects are side
+by side. Tracker computes `v`, `ω` and the angles `θ_{r}`, `θ` of a point mass from its positions,
+so these carry no further information on a stone, and none on its rotation: a column that agrees
+with the positions is left out, any other is taken as a measurement.
 """
 
 from __future__ import annotations
@@ -17,10 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError
-from curlfit.throws.readers.columns import Column, understand
-from curlfit.throws.readers.defaults import defaults_of
-from curlfit.throws.readers.parsed_file import Reading, Series, choice, columns_of, in_si
-from curlfit.throws.readers.table import first_lines
+from curlfit.throws.readers.columns import Column, parse_header
+from curlfit.throws.readers.parsed_file import ParsedFile, Series, choose, columns_of, in_si
+from curlfit.throws.readers.table import defaults_of, first_lines
 from curlfit.throws.readers.text import (
     EXPECTED,
     cells,
@@ -54,65 +53,65 @@ def read_tracker(
     *,
     stone_index: int | None = None,
     pixels: bool = False,
-) -> Reading:
-    """Columns of one object of a Tracker export, the first unless another is wanted.
+) -> ParsedFile:
+    """Columns of one object of a Tracker export, by default the first.
 
     Raises
     ------
-    DataError : naming the line and column of the fault, and what was expected.
+    DataError : with the line and column of the fault, and what was expected.
     InputError : there is no such object.
     """
     first, comments = first_lines(path, lines)
     settings, reference, notes = defaults_of(path, comments)
     header, separator, names, blocks = _layout(path, lines, first)
     titled = any(title for title, _ in blocks)
-    called = [title or f"object {k}" for k, (title, _) in enumerate(blocks, 1)]
-    wanted = choice("object", "--stone-index", stone_index, called, 0)
-    _, places = blocks[wanted]
+    labels = [title or f"object {k}" for k, (title, _) in enumerate(blocks, 1)]
+    selected = choose("object", "--stone-index", stone_index, labels, 0)
+    _, indices = blocks[selected]
     if len(blocks) > 1:
-        listed = ", ".join(f"{k} {name}" for k, name in enumerate(called, 1))
+        listed = ", ".join(f"{k} {name}" for k, name in enumerate(labels, 1))
         notes.append(
-            f"{len(blocks)} objects: {listed}; taken: {wanted + 1} {called[wanted]} "
-            "(--stone-index takes another)"
+            f"{len(blocks)} objects: {listed}; taken: {selected + 1} {labels[selected]} "
+            "(--stone-index selects another)"
         )
     elif titled:
-        notes.append(f"object: {called[0]}")
-    own = [names[place] for place in places]
-    if "t" not in _quantities(own):  # one column of times for all
+        notes.append(f"object: {labels[0]}")
+    headers = [names[index] for index in indices]
+    if "t" not in _quantities(headers):  # one column of times for all
         shared = next((p for p in range(len(names)) if _quantities([names[p]]) == ["t"]), None)
         if shared is not None:
-            places, own = [shared, *places], [names[shared], *own]
-    has_angle = "phi" in _quantities(own)
-    readable = own if has_angle else [_POLAR.sub("θ", name) for name in own]
+            indices, headers = [shared, *indices], [names[shared], *headers]
+    has_angle = "phi" in _quantities(headers)
+    readable = headers if has_angle else [_POLAR.sub("θ", name) for name in headers]
     columns, ignored = columns_of(path, readable, units, line=header + 1, pixels=pixels)
     numbers, values = read_rows(
-        path, lines, header + 1, names, [places[k] for k in columns], separator
+        path, lines, header + 1, names, [indices[k] for k in columns], separator
     )
     if not len(numbers):
         raise DataError("a header but no rows of numbers", file=path, line=header + 1)
-    reading = Reading(path, "tracker", [], ignored, settings, reference, notes, numbers)
+    parsed = ParsedFile(path, "tracker", [], ignored, settings, reference, notes, numbers)
     series = [
-        in_si(reading, own[k], column, values[slot])
+        in_si(parsed, headers[k], column, values[slot])
         for slot, (k, column) in enumerate(_in_units_of_the_file(columns).items())
     ]
     blank = ~np.any([np.isfinite(s.values) for s in series if s.column.quantity != "t"], axis=0)
     if blank.any() and not blank.all():  # frames in which this object was not marked
-        notes.append(f"{int(blank.sum())} rows without {called[wanted]} left out")
+        notes.append(f"{int(blank.sum())} rows without {labels[selected]} left out")
         series = [s._replace(values=s.values[~blank]) for s in series]
-        reading.lines = numbers[~blank]
-    reading.series = series
-    _leave_out_derived(reading)
-    return reading
+        parsed.lines = numbers[~blank]
+    parsed.series = series
+    _leave_out_derived(parsed)
+    return parsed
 
 
 def count_objects(path: Path, lines: list[str]) -> int:
-    """How many objects the file holds. Raises `DataError` where it has no header."""
+    """Number of objects in the file. Raises `DataError` where it has no header."""
     first, _ = first_lines(path, lines)
     return len(_layout(path, lines, first).blocks)
 
 
 class _Layout(NamedTuple):
-    """Line of the header, what separates its cells, these, and title and places by object."""
+    """Line, separator and cells of the header; title and column indices of each object."""
 
     header: int
     separator: str | None
@@ -145,12 +144,12 @@ def _known(names: Sequence[str]) -> int:
 
 
 def _quantities(names: Sequence[str]) -> list[str]:
-    found = [understand(name) for name in names]
+    found = [parse_header(name) for name in names]
     return [column.quantity for column in found if column is not None]
 
 
 def _blocks(names: list[str], titles: list[str]) -> list[tuple[str, list[int]]]:
-    """Title and places of the columns of each object."""
+    """Title and column indices of each object."""
     starts = [k for k, title in enumerate(titles[: len(names)]) if title]
     if len(starts) < 2:
         # a repeated quantity begins the next object
@@ -175,7 +174,7 @@ def _blocks(names: list[str], titles: list[str]) -> list[tuple[str, list[int]]]:
 
 
 def _in_units_of_the_file(columns: Mapping[int, Column]) -> dict[int, Column]:
-    """The same, `v` and `ω` without a unit being in the file's lengths and angles a time."""
+    """The columns, with `v` and `ω` without a unit in units of the file's x, phi and t."""
     found = {column.quantity: column for column in columns.values()}
     lengths = {found[axis].factor for axis in ("x", "y") if axis in found}
     result = dict(columns)
@@ -189,12 +188,12 @@ def _in_units_of_the_file(columns: Mapping[int, Column]) -> dict[int, Column]:
     return result
 
 
-def _leave_out_derived(reading: Reading) -> None:
-    """Take away what Tracker computed from the places, whatever unit it is in.
+def _leave_out_derived(parsed: ParsedFile) -> None:
+    """Remove columns that Tracker computed from the positions, in any unit.
 
-    Tracker computes from more digits than it prints, so the places allow for their rounding.
+    Tracker computes from more digits than it prints, so the rounding of positions is allowed for.
     """
-    series = {s.column.quantity: s for s in reading.series}
+    series = {s.column.quantity: s for s in parsed.series}
     if not {"t", "x", "y"} <= series.keys() or len(series["t"].values) < 5:
         return
     x, y = (_Rounded(series[axis].values, _rounding(series[axis])) for axis in ("x", "y"))
@@ -209,30 +208,30 @@ def _leave_out_derived(reading: Reading) -> None:
             (vx, off_x), (vy, off_y) = _rate(series["t"], x), _rate(series["t"], y)
             speed = _Rounded(np.hypot(vx, vy), np.hypot(off_x, off_y))
             if _proportional(series["speed"], speed):
-                drop["speed"] = "computed from the places"
+                drop["speed"] = "computed from the positions"
         if "omega" in series:
             if _proportional(series["omega"], _rate(series["t"], direction.unwrapped())):
-                drop["omega"] = "the turning of the direction from the origin to the stone"
+                drop["omega"] = "the rate of the direction from the origin to the stone"
             elif "phi" in series:
                 phi = _Rounded(series["phi"].values, _rounding(series["phi"]))
                 if _proportional(series["omega"], _rate(series["t"], phi.unwrapped())):
                     drop["omega"] = "computed from the angle"
     for quantity, why in drop.items():
-        reading.notes.append(f"{series[quantity].header} left out: {why}")
-    reading.series = [s for s in reading.series if s.column.quantity not in drop]
+        parsed.notes.append(f"{series[quantity].header} left out: {why}")
+    parsed.series = [s for s in parsed.series if s.column.quantity not in drop]
 
 
 class _Rounded(NamedTuple):
-    """Numbers in SI, and how far each may be off as its digits end; both of shape (n,)."""
+    """Numbers in SI and their rounding errors, both of shape (n,)."""
 
     values: Floats
     half: Floats
 
     def unwrapped(self) -> _Rounded:
-        """An angle without its jumps by whole turns."""
-        seen = np.isfinite(self.values)
+        """The unwrapped angle."""
+        finite = np.isfinite(self.values)
         values = self.values.copy()
-        values[seen] = np.unwrap(values[seen])
+        values[finite] = np.unwrap(values[finite])
         return _Rounded(values, self.half)
 
 
@@ -241,7 +240,7 @@ def _rate(time: Series, of: _Rounded) -> _Rounded:
     t, half = time.values, _rounding(time)
     step = np.diff(t)
     if np.ptp(step) < 1e-6 * np.abs(step).max():
-        half = np.zeros_like(t)  # even steps show no rounding
+        half = np.zeros_like(t)  # even steps are not rounded
     rate, off = np.full((2, len(t)), np.nan)
     span = t[2:] - t[:-2]
     rate[1:-1] = (of.values[2:] - of.values[:-2]) / span
@@ -251,13 +250,13 @@ def _rate(time: Series, of: _Rounded) -> _Rounded:
 
 
 def _proportional(series: Series, computed: _Rounded) -> bool:
-    """Whether a column says what was computed, in some unit."""
+    """Whether a column agrees with what was computed, in some unit."""
     values, size = series.values, np.abs(computed.values)
-    seen = np.isfinite(values) & np.isfinite(size)
-    if not seen.any():
+    finite = np.isfinite(values) & np.isfinite(size)
+    if not finite.any():
         return False
-    scale = float(np.quantile(size[seen], 0.95))
-    large = seen & (size > 0.3 * scale)
+    scale = float(np.quantile(size[finite], 0.95))
+    large = finite & (size > 0.3 * scale)
     unit = float(np.median(values[large] / computed.values[large])) if large.any() else 0.0
     if unit <= 0:
         return False
@@ -266,16 +265,16 @@ def _proportional(series: Series, computed: _Rounded) -> bool:
 
 
 def _is_direction(series: Series, direction: _Rounded) -> bool:
-    """Whether an angle is that of the place seen from the origin, in radians or in degrees."""
+    """Whether an angle is the direction of the position, in radians or degrees."""
     units = (1.0,) if series.column.stated else (1.0, math.pi / 180)
     half = _rounding(series)
     for unit in units:
         off = unit * series.values - direction.values
         limit = 1e-3 + direction.half + unit * half
-        seen = np.isfinite(off) & np.isfinite(limit)
-        if not seen.any():
+        finite = np.isfinite(off) & np.isfinite(limit)
+        if not finite.any():
             continue
-        best = np.argmin(np.where(seen, limit, np.inf))
+        best = np.argmin(np.where(finite, limit, np.inf))
         off = np.remainder(off - off[best] + np.pi, 2 * np.pi) - np.pi
         if _small(off, limit + limit[best]):
             return True
@@ -283,15 +282,15 @@ def _is_direction(series: Series, direction: _Rounded) -> bool:
 
 
 def _small(off: Floats, limit: Floats) -> bool:
-    seen = np.isfinite(off) & np.isfinite(limit)
-    return bool(seen.sum() > 2 and np.mean(np.abs(off[seen]) < limit[seen]) > 0.9)
+    finite = np.isfinite(off) & np.isfinite(limit)
+    return bool(finite.sum() > 2 and np.mean(np.abs(off[finite]) < limit[finite]) > 0.9)
 
 
 def _rounding(series: Series) -> Floats:
     """Half a unit of the last digit printed of each number, in SI.
 
     Tracker prints a fixed number of decimals or of significant digits: both are found from the
-    numbers, and the coarser counts. A column of few different numbers does not show it.
+    numbers, and the coarser is taken. A column of few distinct numbers does not show them.
     """
     factor = series.column.factor
     values = np.nan_to_num(series.values / factor)

@@ -1,0 +1,104 @@
+"""`curlfit show` and `curlfit plot`: saved results printed and drawn again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import typer
+
+import curlfit
+from curlfit.options.settings import chain_beside, kind_of
+
+if TYPE_CHECKING:
+    from curlfit.inference.fit.result import FitResult
+    from curlfit.inference.mcmc.chain import Chain
+
+
+class _Kind(NamedTuple):
+    """Public names of what loads, prints and draws a result, and the method of its record."""
+
+    load: str
+    print: str
+    draw: str
+    record: str
+
+
+_KINDS = {
+    "joint": _Kind("load_joint", "print_joint", "joint_figure", "to_json"),
+    "compare": _Kind("load_comparison", "print_comparison", "comparison_figure", "to_json"),
+    "predict": _Kind("load_prediction", "print_prediction", "prediction_figure", "summary"),
+    "profile": _Kind("load_profile", "print_profile", "profile_figure", "summary"),
+    "design": _Kind("load_design", "print_design", "design_figures", "to_json"),
+    "fit": _Kind("load_fit", "print_fit", "fit_figure", "summary"),
+}
+
+
+def show(
+    folder: Annotated[
+        Path,
+        typer.Argument(help="Folder of results, or the JSON file in it.", metavar="DIR"),
+    ],
+    as_json: Annotated[bool, typer.Option("--json", help="Print the JSON record.")] = False,
+) -> None:
+    """Print the report again of a saved fit, joint fit, comparison, prediction, profile, design."""
+    from curlfit.output.console import terminal
+    from curlfit.output.files import json_safe
+
+    kind = kind_of(folder)
+    names = _KINDS[kind]
+    result: Any
+    if kind == "fit":
+        result, _ = _load_fit(folder)
+    else:
+        result = getattr(curlfit, names.load)(folder)
+    if as_json:
+        print(json.dumps(json_safe(getattr(result, names.record)()), indent=1))
+    else:
+        getattr(curlfit, names.print)(result, terminal())
+
+
+def plot(
+    folder: Annotated[Path, typer.Argument(help="Folder of results.", metavar="DIR")],
+    out: Annotated[Path | None, typer.Option(help="Folder for the figures. [default: DIR]")] = None,
+    format: Annotated[str, typer.Option(help="png, pdf or svg.")] = "png",
+) -> None:
+    """Draw the figures again of a saved fit, joint fit, comparison, prediction, profile, design."""
+    from curlfit.errors import InputError
+    from curlfit.output.figures import save_figure
+    from curlfit.output.files import prepare_folder
+
+    if format not in ("png", "pdf", "svg"):
+        raise InputError(f"--format {format}: expected png, pdf or svg")
+    kind = kind_of(folder)
+    target = out or (folder if folder.is_dir() else folder.parent)
+    if kind == "design":
+        from curlfit.optimal_design.figures import save_figures
+
+        written = save_figures(curlfit.load_design(folder), prepare_folder(target), format)
+    elif kind == "fit":
+        result, chain = _load_fit(folder)
+        if chain is None and result.posterior is not None:
+            chain = curlfit.load_chain(chain_beside(folder))
+        written = [prepare_folder(target) / f"fit.{format}"]
+        save_figure(curlfit.fit_figure(result), written[0])
+        if chain is not None:
+            written.append(target / f"corner.{format}")
+            save_figure(curlfit.corner_figure(result, chain), written[1])
+    else:
+        names = _KINDS[kind]
+        figure = getattr(curlfit, names.draw)(getattr(curlfit, names.load)(folder))
+        written = [prepare_folder(target) / f"{kind}.{format}"]
+        save_figure(figure, written[0])
+    typer.echo("Written: " + ", ".join(map(str, written)))
+
+
+def _load_fit(folder: Path) -> tuple[FitResult, Chain | None]:
+    """A saved fit; of one whose sampling was interrupted, with the chain so far."""
+    result = curlfit.load_fit(folder)
+    if result.sampling == "unfinished":
+        from curlfit.inference.mcmc.sampler import so_far
+
+        return so_far(result, chain_beside(folder)) or (result, None)
+    return result, None
