@@ -53,7 +53,8 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     ) -> SolverState:
         """Required by optimistix."""
         size = f_struct.size
-        return SolverState(begin(y, self.bounds), jnp.zeros(size), jnp.zeros((size, y.size)))
+        unknown = jnp.full((size, 1 + y.size), jnp.nan)
+        return SolverState(begin(y, self.bounds), unknown[:, 0], unknown[:, 1:])
 
     def step(
         self, fn: Any, y: Array, args: Any, options: Any, state: SolverState, tags: Any

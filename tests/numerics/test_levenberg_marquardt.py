@@ -89,3 +89,14 @@ def test_a_start_without_a_path_is_no_success():
     nowhere = searched(lambda z: np.full(31, np.nan), lambda z: np.full((31, 4), np.nan))
     assert nowhere.done.all()
     assert not nowhere.success.any()
+
+
+def test_a_start_without_a_derivative_has_no_residual():
+    """Where it is not known, nothing finite may stand for it."""
+    bounds = lm.Bounds(*(jnp.array(each) for each in (LOWER, UPPER, np.ones(4))))
+    found = optx.least_squares(
+        lambda z, _: jnp.sqrt(jnp.abs(z)) + 1, BoundedLevenbergMarquardt(bounds, TOLERANCE),
+        jnp.zeros(4), max_steps=100, throw=False,
+    )  # fmt: skip
+    assert found.result != optx.RESULTS.successful
+    assert np.isnan(found.state.residual).all()
