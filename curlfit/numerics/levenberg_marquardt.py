@@ -27,14 +27,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-MOST_EVALUATIONS = 100
+MOST_EVALUATIONS = 200
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e8
 """Of Marquardt's damping, relative to the squared columns."""
-_LESS, _MORE = 0.1, 30.0  # factors of the damping after an accepted and a rejected trial
+_LESS, _MORE = 0.1, 3.0  # factors of the damping after a step as predicted, and a rejected one ...
+_FASTER = 2.0  # ... and of that factor after each further rejection
 _ROUNDING = 1e-10  # share of chi squared by which a change may be rounding
+_STEEPER = 30.0  # factor of the damping of a step that leads uphill
 _UPHILL = 1e-8  # share of chi squared that a projected step may lose
 _HEAVY = 1.0  # damping above which a small reduction says nothing of the optimum
-_STALLED = 1e-6  # share of chi squared that may be left to gain where no trial is accepted
+_STALLED = 1e-6  # share of chi squared, or of values, left to gain where no trial is accepted
 _SMALL = 1e-10  # step by which nothing changes, over the size of the values
 _REGULAR = 1e-14  # damping that keeps the normal matrix of an exact ridge regular
 
@@ -77,10 +79,12 @@ class Search(NamedTuple):
     model: QuadraticModel
     """at the best values"""
     damping: Any
+    growth: Any
+    """of the damping if the trial is rejected"""
     reduction: Any
     """of chi squared that the step to the trial predicts; inf before the first"""
-    decrement: Any
-    """the same of the first step from the best values, which is the least damped"""
+    settled: Any
+    """whether the first step from the best values, the least damped, promises next to nothing"""
     evaluations: Any
     done: Any
     success: Any
@@ -121,8 +125,9 @@ def begin(values: Any, bounds: Bounds) -> Search:
             xp.full(each, xp.inf), xp.zeros(start.shape), xp.zeros((*start.shape, start.shape[-1]))
         ),
         damping=xp.full(each, _FIRST_DAMPING),
+        growth=xp.full(each, _MORE),
         reduction=xp.full(each, xp.inf),
-        decrement=xp.full(each, xp.inf),
+        settled=xp.zeros(each, bool),
         evaluations=xp.zeros(each, int),
         done=xp.zeros(each, bool),
         success=xp.zeros(each, bool),
@@ -146,13 +151,17 @@ def advance(
         xp.where(accepted[..., None], at_trial.gradient, search.model.gradient),
         xp.where(accepted[..., None, None], at_trial.hessian, search.model.hessian),
     )
-    damping = xp.where(
-        accepted, xp.maximum(search.damping * _LESS, _LEAST_DAMPING), search.damping * _MORE
-    )
+    # Nielsen (1999): by how much of the reduction that was predicted came true.
+    known = xp.isfinite(before) & xp.isfinite(at_trial.chi_squared) & ~rounding
+    fall = xp.where(known, before, 1.0) - xp.where(known, at_trial.chi_squared, 0.0)
+    gain = xp.where(known, fall / xp.maximum(search.reduction, 1e-300), 1.0)
+    factor = xp.where(accepted, xp.clip(1 - (2 * gain - 1) ** 3, _LESS, 2.0), search.growth)
+    damping = xp.maximum(search.damping * factor, _LEAST_DAMPING)
+    growth = xp.where(accepted, _MORE, search.growth * _FASTER)
     last_reduction = xp.where(accepted, search.reduction, xp.inf)
     return _proposed(
         search._replace(
-            values=values, model=model, damping=damping, reduction=last_reduction,
+            values=values, model=model, damping=damping, growth=growth, reduction=last_reduction,
             evaluations=search.evaluations + 1,
         ),
         bounds, tolerance, accepted,
@@ -186,10 +195,10 @@ def _proposed(
         return ~lost & (reduction < -_UPHILL * chi_squared) & (damping <= _MOST_DAMPING)
 
     def shorter(carry: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
-        damping = xp.where(uphill(carry), carry[0] * _MORE, carry[0])
+        damping = xp.where(uphill(carry), carry[0] * _STEEPER, carry[0])
         return damping, *_bounded_step(values, model, damping, bounds)
 
-    # Cut off at a bound a step may lead uphill; a shorter one does not.
+    # A step to a bound may lead uphill; a shorter one does not.
     carry = (search.damping, *_bounded_step(values, model, search.damping, bounds))
     damping, trial, reduction = _repeat(lambda carry: uphill(carry).any(), shorter, carry)
     lost |= damping > _MOST_DAMPING
@@ -200,44 +209,61 @@ def _proposed(
     last = reduction <= tolerance.extrapolated * chi_squared
     last &= (after <= tolerance.remaining * chi_squared) & light & ~lost
     no_shorter = (before <= _ROUNDING * chi_squared) & (reduction >= before) & light
-    decrement = xp.where(accepted, reduction, search.decrement)
+    step = xp.abs(trial - values) / (bounds.typical + xp.abs(values))
+    small = (step <= _SMALL).all(-1) & (damping <= _FIRST_DAMPING)
     # Of a model that is not smooth, trials may be rejected however short the steps are.
-    stalled = (damping > _MOST_DAMPING) & (decrement <= _STALLED * chi_squared)
-    step = xp.abs(trial - values) / bounds.typical
-    small = (step <= _SMALL * (1 + xp.abs(values) / bounds.typical)).all(-1)
-    small &= damping <= _FIRST_DAMPING
+    little = (reduction <= _STALLED * chi_squared) | (step <= _STALLED).all(-1)
+    settled = xp.where(accepted, little, search.settled)
+    stalled = (damping > _MOST_DAMPING) & settled
     success = (~lost & (last | no_shorter | small)) | stalled
     extrapolation = xp.where(last[..., None], trial - values, 0.0)
     found = search._replace(
         values=values + extrapolation, trial=trial, damping=damping, reduction=reduction,
-        decrement=decrement, done=lost | success, success=success,
+        settled=settled, done=lost | success, success=success,
     )  # fmt: skip
     return found, Outcome(accepted, extrapolation)
 
 
 def _bounded_step(values: Any, model: QuadraticModel, damping: Any, bounds: Bounds) -> Any:
-    """The damped step cut off at the bounds: where it leads, and how far down chi squared.
+    """The damped step within the bounds: where it leads, and how far down chi squared.
 
-    A parameter at a bound that is pushed against it takes no part.
+    A parameter at a bound that is pushed against it takes no part. One that would pass its bound
+    goes to the bound, and the others follow it (active sets).
     """
     xp = _namespace(values)
-    lower, upper, typical = bounds
     gradient, hessian = model.gradient, model.hessian
-    held = (values <= lower) & (gradient >= 0) | (values >= upper) & (gradient <= 0)
-    held |= lower >= upper
+    lower, upper = ((end - values) / bounds.typical for end in (bounds.lower, bounds.upper))
+    held = (lower >= 0) & (gradient >= 0) | (upper <= 0) & (gradient <= 0) | (lower >= upper)
     square = xp.where(held, 0.0, xp.diagonal(hessian, axis1=-2, axis2=-1))
     size = xp.sqrt(xp.maximum(square, 1e-24 * square.max(-1, keepdims=True) + 1e-300))
-    free = xp.where(held, 0.0, 1 / size)
-    # Of unit diagonal, so that what damps it keeps it regular.
-    matrix = hessian * free[..., :, None] * free[..., None, :]
-    diagonal = xp.where(held, 1.0, damping[..., None] + _REGULAR)
-    matrix = matrix + xp.eye(values.shape[-1]) * diagonal[..., None]
-    move = xp.linalg.solve(matrix, -(gradient * free)[..., None])[..., 0] * free
-    trial = xp.clip(values + move * typical, lower, upper)
-    step = (trial - values) / typical
-    change = (hessian @ step[..., None])[..., 0]
+
+    def solved(held: Any, step: Any) -> Any:
+        free = xp.where(held, 0.0, 1 / size)
+        # Of unit diagonal, so that what damps it keeps it regular.
+        matrix = hessian * free[..., :, None] * free[..., None, :]
+        diagonal = xp.where(held, 1.0, damping[..., None] + _REGULAR)
+        matrix = matrix + xp.eye(values.shape[-1]) * diagonal[..., None]
+        right = -(gradient + _product(hessian, step)) * free
+        return xp.where(held, step, xp.linalg.solve(matrix, right[..., None])[..., 0] * free)
+
+    def outside(carry: tuple[Any, Any]) -> Any:
+        held, step = carry
+        return ~held & ((step < lower) | (step > upper))
+
+    def narrower(carry: tuple[Any, Any]) -> tuple[Any, Any]:
+        held, step = carry[0] | outside(carry), xp.clip(carry[1], lower, upper)
+        return held, solved(held, xp.where(held, step, 0.0))
+
+    first = (held, solved(held, xp.zeros(values.shape)))
+    _, step = _repeat(lambda carry: outside(carry).any(), narrower, first)
+    trial = xp.clip(values + step * bounds.typical, bounds.lower, bounds.upper)
+    step = (trial - values) / bounds.typical
     # Not as the difference of two chi squared, of which rounding leaves nothing near the optimum.
-    return trial, -2 * (gradient * step).sum(-1) - (step * change).sum(-1)
+    return trial, -2 * (gradient * step).sum(-1) - (step * _product(hessian, step)).sum(-1)
+
+
+def _product(matrix: Any, vector: Any) -> Any:
+    return (matrix @ vector[..., None])[..., 0]
 
 
 def _repeat(condition: Callable[..., Any], body: Callable[..., Any], carry: tuple[Any, ...]) -> Any:
