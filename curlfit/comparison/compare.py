@@ -33,7 +33,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from curlfit.errors import UnusableFitError
@@ -45,10 +44,9 @@ from curlfit.inference.noise.correlated import log_determinant, whitened, whiten
 from curlfit.inference.noise.losses import likeliest_sigma, log_density, robust_sigma
 from curlfit.inference.noise.models import Noise
 from curlfit.inference.parameters import options_of, require_known
+from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS, Throw, scatter
-
-Floats = NDArray[np.float64]
 
 _FOLLOWS = 0.1  # rms of a residual over what there is to explain, up to which a law follows a path
 _MEDIAN = 5  # rows of a running median that takes out single outliers

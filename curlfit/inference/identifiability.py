@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-Floats = NDArray[np.float64]
+from curlfit.numerics.arrays import Booleans, Floats
 
 _UNSEEN = 1e-3  # known to no better than a thousand typical sizes
 _ROUNDING = 1e-9  # of the largest singular value
@@ -66,7 +66,7 @@ class Identifiability:
     singular_values: Floats
     null_directions: tuple[dict[str, float], ...]
     covariance: Floats
-    unseen: NDArray[np.bool_]
+    unseen: Booleans
     combinations: tuple[Combination, ...]
 
 
@@ -107,13 +107,13 @@ def directions(information: Floats, typical: Floats) -> tuple[Floats, Floats, Fl
     return rows[seen], singular[seen], rows[~seen]
 
 
-def visible(singular: Floats) -> NDArray[np.bool_]:
+def visible(singular: Floats) -> Booleans:
     """Which directions the data see, from the singular values of Jacobians by typical sizes."""
-    found: NDArray[np.bool_] = singular > np.maximum(_UNSEEN, _ROUNDING * singular[..., :1])
+    found: Booleans = singular > np.maximum(_UNSEEN, _ROUNDING * singular[..., :1])
     return found
 
 
-def inverted(singular: Floats, counts: NDArray[np.bool_]) -> Floats:
+def inverted(singular: Floats, counts: Booleans) -> Floats:
     """1/singular where it counts, else 0: a pseudoinverse's singular values."""
     return np.where(counts, 1 / np.where(counts, singular, 1.0), 0.0)
 
@@ -176,7 +176,7 @@ def analyse_many(
     if slack is not None:
         covariance = covariance + slack @ slack.mT
 
-    def part(some: NDArray[np.bool_]) -> Floats:
+    def part(some: Booleans) -> Floats:
         """How far each parameter takes part in some directions, 0 to 1."""
         return np.sqrt((right**2 * some[..., None]).sum(1))
 
@@ -216,7 +216,7 @@ def grouped(keys: Iterable[Iterable[NDArray[Any]]]) -> list[list[int]]:
 
 def _combinations(
     dim: Floats,
-    weak: NDArray[np.bool_],
+    weak: Booleans,
     names: Sequence[str],
     values: Floats,
     typical: Floats,
@@ -342,7 +342,7 @@ def _echelon(rows: Floats) -> Floats:
     return rows
 
 
-def _named(row: Floats, names: Sequence[str], where: NDArray[np.bool_]) -> dict[str, float]:
+def _named(row: Floats, names: Sequence[str], where: Booleans) -> dict[str, float]:
     chosen = [name for name, take in zip(names, where, strict=True) if take]
     return {
         name: float(weight) for name, weight in zip(chosen, row, strict=True) if abs(weight) > 0

@@ -20,17 +20,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 from numpy.polynomial.chebyshev import chebder, chebint, chebval, chebvander
-from numpy.typing import NDArray
 
 from curlfit.friction import Coefficient, Law, Load
 from curlfit.inference.identifiability import inverted, triangle
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import BATCH, compiled, in_batches
 from curlfit.stone import Stone
 from curlfit.throws.throw import last_motion
-
-Floats = NDArray[np.float64]
 
 _GRID = 128
 _BLOCKS = 64  # of rows that a throw is condensed to
@@ -51,7 +49,7 @@ class SmoothPath(NamedTuple):
     curves: Floats
     """Chebyshev coefficients over 0..span of x, y, phi, shape (throws, 3, coefficients). Where only
     the speed or the spin was measured, y or phi is its integral"""
-    known: NDArray[np.bool_]
+    known: Booleans
     """whether anything is known of x, y, phi, shape (throws, 3)"""
     rms: Floats
     """of the data about the polynomials, floored, inf where not seen; shape (throws, channels)"""
@@ -194,7 +192,7 @@ def _moving(path: SmoothPath, spin: float) -> _Moving:
 
 
 def _design(
-    slopes: Floats, use: NDArray[np.bool_], problems: Problem, path: SmoothPath, moving: _Moving
+    slopes: Floats, use: Booleans, problems: Problem, path: SmoothPath, moving: _Moving
 ) -> tuple[Floats, Floats]:
     """Linear least squares for coefficients, x0, vx0, y0, vy0, phi0 and omega0, in few rows.
 
@@ -246,9 +244,7 @@ def _design(
     return design[..., :-1], design[..., -1]
 
 
-def _condensed(
-    use: NDArray[np.bool_], problems: Problem, path: SmoothPath
-) -> tuple[Floats, Floats, Floats]:
+def _condensed(use: Booleans, problems: Problem, path: SmoothPath) -> tuple[Floats, Floats, Floats]:
     """Blocks of rows of each throw: how many rows are used, the means of their times, and values at
     these times, each of shape (throws, channels, blocks).
 

@@ -28,9 +28,9 @@ from curlfit.inference.likelihood import weighted_residuals
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
 from curlfit.numerics import levenberg_marquardt as lm
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import BATCH, compiled, in_batches, stacked
 
-Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _PRECISE = lm.Tolerance(1e-14, 1e-18)  # for one throw
@@ -145,7 +145,7 @@ def multistart(
     return best, tried
 
 
-def needs_restart(solutions: Solution, paths: SmoothPath, problems: Problem) -> NDArray[np.bool_]:
+def needs_restart(solutions: Solution, paths: SmoothPath, problems: Problem) -> Booleans:
     """Which of many optima are so bad that another start is worth trying."""
     observed, weight = problems.observed[:, :3], problems.weight[:, :3]
     there = weight > 0
@@ -159,9 +159,7 @@ def needs_restart(solutions: Solution, paths: SmoothPath, problems: Problem) -> 
     return ~np.asarray(solutions.success) | (off & (n >= 3)).any(-1)
 
 
-def residual_sigma(
-    solutions: Solution, problems: Problem, free: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def residual_sigma(solutions: Solution, problems: Problem, free: Booleans) -> NDArray[np.float64]:
     """sqrt(sum of squares/(n - p)) by channel of many throws, p the parameters it pays for itself.
 
     Parameters
@@ -269,7 +267,7 @@ class _Searches:
         """Where to evaluate, and what."""
         return self.state.trial[now], jax.tree.map(itemgetter(run_of(now)), self.problems)
 
-    def advance(self, now: Indices, residual: Floats, jacobian: Floats) -> NDArray[np.bool_]:
+    def advance(self, now: Indices, residual: Floats, jacobian: Floats) -> Booleans:
         """Take the answers of a pass; which of the searches are done."""
         state, bounds = self._of(run_of(now))
         with np.errstate(invalid="ignore", over="ignore"):  # where there is no path
@@ -282,7 +280,7 @@ class _Searches:
         self.residual[run], self.jacobian[run] = residual, jacobian
         return self._put(now, state, outcome)
 
-    def revise(self, revision: Revision) -> NDArray[np.bool_]:
+    def revise(self, revision: Revision) -> Booleans:
         """Begin again from the best values, as a revision has it; which are done at once."""
         now, problems, scale = revision
         run = run_of(now)
@@ -318,7 +316,7 @@ class _Searches:
             self.bounds.typical,
         )
 
-    def _put(self, now: Indices, state: lm.Search, outcome: lm.Outcome | None) -> NDArray[np.bool_]:
+    def _put(self, now: Indices, state: lm.Search, outcome: lm.Outcome | None) -> Booleans:
         run = run_of(now)
         for leaf, new in zip(*map(jax.tree.leaves, (self.state, state)), strict=True):
             leaf[run] = new

@@ -26,16 +26,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
 from curlfit.inference.noise.correlated import whitened
 from curlfit.inference.noise.losses import signed_root
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import BATCH, compiled, in_batches, unstacked
-
-Floats = NDArray[np.float64]
 
 SIGMA_FLOOR = 1e-7
 """Least standard deviation of noise (m and rad): the precision of the computed path."""

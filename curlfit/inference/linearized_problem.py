@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.inference.identifiability import Identifiability, slack, visible
-
-Floats = NDArray[np.float64]
+from curlfit.numerics.arrays import Booleans, Floats
 
 _LOOSE = 0.1  # typical sizes a parameter may be inside its bound before it counts as held by it
 _NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
@@ -31,9 +29,9 @@ class LinearizedProblem(NamedTuple):
     lower: Floats
     upper: Floats
     typical: Floats
-    free: NDArray[np.bool_]
+    free: Booleans
 
-    def at_bound(self) -> NDArray[np.bool_]:
+    def at_bound(self) -> Booleans:
         """Free parameters at a bound that the data push against it, however little.
 
         Along a valley that falls without end the push may be tiny. It is told from the end of an
@@ -44,12 +42,12 @@ class LinearizedProblem(NamedTuple):
         least = np.clip(_PUSHED * rest, _LEAST_PUSH, _CLEAR_PUSH)
         return low & (push > least) | high & (push < -least)
 
-    def movable(self) -> NDArray[np.bool_]:
+    def movable(self) -> Booleans:
         """Free parameters but those that only a bound keeps from moving on, however little."""
         push, low, high = self._pushes()
         return self.free & ~(low & (push > 0)) & ~(high & (push < 0))
 
-    def _pushes(self) -> tuple[Floats, NDArray[np.bool_], NDArray[np.bool_]]:
+    def _pushes(self) -> tuple[Floats, Booleans, Booleans]:
         """The push against lower bounds, and which parameters are at a lower, an upper bound."""
         near = _NEAR * self.typical
         return (
@@ -58,7 +56,7 @@ class LinearizedProblem(NamedTuple):
             self.free & (self.values >= self.upper - near),
         )
 
-    def open(self, at_bound: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Floats]:
+    def open(self, at_bound: Booleans) -> tuple[Booleans, Floats]:
         """The parameters of one optimum that can move, and what those held at a bound add to their
         spread.
 
@@ -82,7 +80,7 @@ class LinearizedProblem(NamedTuple):
             held[held] = ~loose
         return open_, found.columns
 
-    def newton_decrement(self, where: NDArray[np.bool_]) -> Floats:
+    def newton_decrement(self, where: Booleans) -> Floats:
         """Length of the Gauss-Newton step that is left, in sigmas, along what is seen.
 
         A direction that counts as unseen would have to be followed over a thousand typical sizes.

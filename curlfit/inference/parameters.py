@@ -9,14 +9,11 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import DataError, InputError
 from curlfit.friction import Law, Parameter
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.throw import Throw
-
-Floats = NDArray[np.float64]
-
 
 LOSSES = ("linear", "huber", "soft-l1", "cauchy", "student")
 """How large residuals may count; `curlfit.inference.noise.losses` has the formulas."""
@@ -188,13 +185,13 @@ class ParameterSet:
         return self._array("typical")
 
     @cached_property
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> Booleans:
         """True for the parameters to be determined."""
         free = np.array([name not in self.fixed for name in self.names])
         free.flags.writeable = False
         return free
 
-    def names_where(self, mask: NDArray[np.bool_]) -> list[str]:
+    def names_where(self, mask: Booleans) -> list[str]:
         """Names of the parameters that a mask picks out."""
         return [name for name, take in zip(self.names, mask, strict=True) if take]
 

@@ -10,15 +10,13 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.inference.noise.correlated import whitener_of
 from curlfit.inference.noise.models import Noise
 from curlfit.inference.parameters import LOSSES, START
+from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS, Throw
-
-Floats = NDArray[np.float64]
 
 _SHORTEST = 256  # data are padded to a power of two from here up, so that few shapes are compiled
 

@@ -22,8 +22,6 @@ from curlfit.prediction.result import (
 from curlfit.sheet import STONE_RADIUS, TEE, WIDTH
 from curlfit.throws.throw import Throw
 
-Floats = NDArray[np.float64]
-
 _MAX_CHECKED = 2000  # measured rows that a prediction is compared with
 _EXTRAPOLATION = 1.02  # of the fitted range of speed or spin, beyond which a note is given
 _RELEVANT = 1e-3  # m and rad; smaller effects of null directions on the rest are negligible

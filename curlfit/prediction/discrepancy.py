@@ -50,12 +50,11 @@ from curlfit.inference.identifiability import directions
 from curlfit.inference.likelihood import linearize
 from curlfit.inference.noise.models import independences
 from curlfit.inference.problem import Origin, build_problem
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import stacked
 from curlfit.prediction.ensemble import TrajectoryEnsemble, simulate_ensemble
 from curlfit.stone import GRAVITY
 from curlfit.throws.throw import CHANNELS
-
-Floats = NDArray[np.float64]
 
 _PRIOR_TAIL = 0.05  # probability of the prior of the sizes above the ceiling, where it is truncated
 _EDGES = np.geomspace(0.002, 1.0, 13)
@@ -288,7 +287,7 @@ class _LinearModel:
         return cast(Floats, -(log_determinant + chi_squared + constant) / 2)
 
     def maximize_posterior(
-        self, noise: Floats, shares: Floats, sizes: Floats, estimated: NDArray[np.bool_]
+        self, noise: Floats, shares: Floats, sizes: Floats, estimated: Booleans
     ) -> tuple[Floats, Floats]:
         """Noise (squared, over that of the fit) of the estimated channels and sizes at the mode."""
         from scipy.optimize import minimize
@@ -386,7 +385,7 @@ def _response(fit: FitResult, names: tuple[str, ...]) -> Floats:
     return np.array(found)
 
 
-def _adjustable(fit: FitResult) -> NDArray[np.bool_]:
+def _adjustable(fit: FitResult) -> Booleans:
     """Which parameters are neither fixed nor at a bound."""
     return np.array([item.verdict not in ("fixed", "at bound") for item in fit.parameters.values()])
 

@@ -18,11 +18,10 @@ from curlfit.friction import Law, Load, check_load
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import split
 from curlfit.inference.parameters import START
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import compiled
 from curlfit.prediction.request import ThrowStart
 from curlfit.stone import Stone
-
-Floats = NDArray[np.float64]
 
 VARIED = {"v0": 0.01, "omega0": 0.1}
 """Changes of the start for the sensitivity of the resting place, in m/s and rad/s."""
@@ -268,7 +267,7 @@ def _running_sum(steps: Floats) -> Floats:
     return np.concatenate([np.zeros_like(steps[:, :1]), np.cumsum(steps, 1)], 1)
 
 
-def _forward_filled(values: Floats, known: NDArray[np.bool_]) -> Floats:
+def _forward_filled(values: Floats, known: Booleans) -> Floats:
     """Values, unknown ones replaced by the last known before them."""
     last = np.maximum.accumulate(np.where(known, np.arange(values.shape[1]), 0), 1)
     return np.take_along_axis(values, last, 1)

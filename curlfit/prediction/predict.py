@@ -21,13 +21,13 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, no_motion_because
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.mcmc.sampler import ridge_move
+from curlfit.numerics.arrays import Floats
 from curlfit.prediction.diagnostics import (
     compare_held_out,
     discrepancy_remarks,
@@ -47,8 +47,6 @@ from curlfit.prediction.result import (
 )
 from curlfit.sheet import END, HOUSE, LINES, STONE_RADIUS, TEE
 from curlfit.throws.throw import Throw
-
-Floats = NDArray[np.float64]
 
 LEVELS = ("2.5", "16", "50", "84", "97.5")
 _BAND_POINTS = 121

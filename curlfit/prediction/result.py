@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import DataError
+from curlfit.numerics.arrays import Floats
 from curlfit.output.files import Migration, json_safe, known_fields, read_json, write_json
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
-
-Floats = NDArray[np.float64]
 
 SCHEMA = 1
 MIGRATIONS: dict[int, Migration] = {}

@@ -13,18 +13,16 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.inference.fit.fit import fit as least_squares
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.mcmc.chain import Chain
+from curlfit.numerics.arrays import Floats
 from curlfit.profile_likelihood.refit import ConstrainedFits, Point, Progress, Refit
 from curlfit.profile_likelihood.result import Interval, PairProfile, Profile, require_usable
 from curlfit.profile_likelihood.single import HIGH, REACH, ROUNDS, interval_at, profile_one
 from curlfit.throws.throw import Throw
-
-Floats = NDArray[np.float64]
 
 POINTS = 41
 POINTS_OF_PAIR = 25

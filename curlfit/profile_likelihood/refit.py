@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import UnusableFitError
 from curlfit.friction import check_load
@@ -21,13 +20,13 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Origin, build_problem
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import unstacked
 from curlfit.profile_likelihood.result import levels_for
 
 # isort: split
 import jax
 
-Floats = NDArray[np.float64]
 Progress = Callable[[int], None]
 Point = tuple[float, ...]
 
@@ -134,7 +133,7 @@ class Refit:
         self.solution, self.lowest = solution, None
         return True
 
-    def at_bound(self, values: Floats) -> NDArray[np.bool_]:
+    def at_bound(self, values: Floats) -> Booleans:
         """Which free parameters are at a bound."""
         near = _NEAR * self.parameters.typical
         low, high = self.parameters.lower, self.parameters.upper

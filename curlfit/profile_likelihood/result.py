@@ -10,15 +10,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import DataError, InputError
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.identifiability import Combination, student_quantile
 from curlfit.inference.parameters import ParameterSet
+from curlfit.numerics.arrays import Floats
 from curlfit.output.files import Migration, json_safe, known_fields, read_json, write_json
-
-Floats = NDArray[np.float64]
 
 SCHEMA = 1
 MIGRATIONS: dict[int, Migration] = {}

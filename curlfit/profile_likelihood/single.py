@@ -8,16 +8,14 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.mcmc.chain import Chain
+from curlfit.numerics.arrays import Floats
 from curlfit.profile_likelihood.refit import ConstrainedFit, ConstrainedFits, Point, Refit
 from curlfit.profile_likelihood.result import Interval, Level, Profile
-
-Floats = NDArray[np.float64]
 
 REACH = 4.0  # standard errors to either side of the best value
 HIGH = 1.5  # delta chi squared at the ends of a range, over that of a 95 % region of two

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from curlfit.throws.throw import Floats, Throw, scatter
+from curlfit.numerics.arrays import Floats
+from curlfit.throws.throw import Throw, scatter
 
 _PAUSE = 2.5  # median intervals above which an interval is a pause
 _MIN_POSITIONS = 4  # below which they determine no speed

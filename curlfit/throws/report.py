@@ -15,8 +15,10 @@ from curlfit.throws.inspection import Clock, Inspection, Rest
 from curlfit.throws.throw import CHANNELS, UNITS
 
 if TYPE_CHECKING:
+    from curlfit.numerics.arrays import Floats
     from curlfit.throws.readers.parsed_file import ParsedFile
-    from curlfit.throws.throw import Floats, Throw
+    from curlfit.throws.throw import Throw
+
 
 _DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 _CURVES = ("y", "x", "phi", "speed", "omega")  # in the order of drawing

@@ -9,8 +9,9 @@ import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.friction import Law, check_load, find_law, no_motion_because
+from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
-from curlfit.throws.throw import Floats, Reference, Throw
+from curlfit.throws.throw import Reference, Throw
 
 _MOST_ROWS = 2_000_000
 _ENERGY_GAIN = 1e-6  # from row to row, relative; above the error of the velocities

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from curlfit.errors import DataError, InputError
-
-Floats = NDArray[np.float64]
+from curlfit.numerics.arrays import Booleans, Floats
 
 CHANNELS = ("x", "y", "phi", "speed", "omega")
 MOST_ROWS = 6000
@@ -186,7 +185,7 @@ class Throw:
         return whole
 
     @cached_property
-    def finite(self) -> NDArray[np.bool_]:
+    def finite(self) -> Booleans:
         """Whether there is a value, read-only, shape (5, n)."""
         found = np.isfinite(self.observed)
         found.flags.writeable = False
@@ -323,7 +322,7 @@ def check_sigma(sigma: Mapping[str, float]) -> None:
             raise InputError(f"sigma of {name} = {value:g}: expected a positive number")
 
 
-def _first(bad: NDArray[np.bool_]) -> list[tuple[str, int]]:
+def _first(bad: Booleans) -> list[tuple[str, int]]:
     """Name and row of the first fault in the times or channels; empty without one."""
     if not bad.any():
         return []

@@ -15,8 +15,7 @@ from curlfit.inference.linearized_problem import LinearizedProblem
 from curlfit.inference.noise.losses import precision, root_slope
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
-
-Floats = NDArray[np.float64]
+from curlfit.numerics.arrays import Booleans, Floats
 
 _CURVED = 0.003  # typical sizes of a standard error, below which chi squared is quadratic
 _UNKNOWN = 3.0  # the same, above which nothing is known anyway
@@ -30,8 +29,8 @@ class Covariance(NamedTuple):
     values: Floats
     """in the data's coordinates"""
     identifiability: Identifiability
-    at_bound: NDArray[np.bool_]
-    open: NDArray[np.bool_]
+    at_bound: Booleans
+    open: Booleans
     slack: Floats
     """what parameters at a bound add to the spread of the open ones (`LinearizedProblem.open`)"""
     newton_decrement: float
@@ -57,7 +56,7 @@ def covariances(
     problems: Sequence[Problem],
     solutions: Sequence[Solution],
     statistics: ResidualStatistics,
-    estimated: NDArray[np.bool_],
+    estimated: Booleans,
     loss: str,
 ) -> list[Covariance]:
     """Those of many throws of one law; those of one set of open parameters are found together.

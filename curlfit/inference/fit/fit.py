@@ -9,7 +9,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
@@ -37,8 +36,6 @@ from curlfit.inference.problem import problem_shape
 from curlfit.numerics.compiled import BATCH, gc_paused, stacked, unstacked
 from curlfit.stone import Stone
 from curlfit.throws.throw import Reference, Throw
-
-Floats = NDArray[np.float64]
 
 _OPEN = ("not identifiable", "weak")  # verdicts that another measurement might change
 _ROWS = 2 * BATCH * 256  # of throws that are fitted together, for the sake of memory

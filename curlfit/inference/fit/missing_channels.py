@@ -19,9 +19,8 @@ from curlfit.inference.identifiability import analyse
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS
-
-Floats = NDArray[np.float64]
 
 NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01, "speed": 0.02, "omega": 0.02}
 """Of a channel that is imagined: m, m, rad, m/s, rad/s."""

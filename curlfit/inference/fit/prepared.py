@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.friction import Law
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Origin
+from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
-
-Floats = NDArray[np.float64]
 
 
 class PreparedThrow(NamedTuple):

@@ -15,9 +15,8 @@ from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.losses import MAD_TO_SIGMA, robust_sigma
 from curlfit.inference.noise.models import Independence, independences, lag1_of
 from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS, Throw
-
-Floats = NDArray[np.float64]
 
 _FEWEST = 10  # values of a channel in which outliers are looked for
 _FEW = 50  # values that one of them pulls the fit of

@@ -13,18 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import DataError
 from curlfit.friction import LAWS, Law, Parameter, find_law
 from curlfit.inference.identifiability import Combination, student_interval
 from curlfit.inference.noise.models import WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
+from curlfit.numerics.arrays import Floats
 from curlfit.output.files import Migration, json_safe, known_fields, read_json, write_json
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS, Reference, Throw
-
-Floats = NDArray[np.float64]
 
 SCHEMA = 1
 _LATER = ("law_file",)  # entries of `data` that the first records of schema 1 lack

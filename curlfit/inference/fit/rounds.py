@@ -17,7 +17,6 @@ from operator import itemgetter
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load
@@ -39,8 +38,6 @@ from curlfit.inference.parameters import LOSSES
 from curlfit.inference.problem import Problem, build_problem
 from curlfit.numerics.compiled import stacked
 from curlfit.throws.throw import CHANNELS
-
-Floats = NDArray[np.float64]
 
 _ROBUST_FITS = 4  # sigma from the bulk, then the fit
 

@@ -12,7 +12,6 @@ from curlfit.numerics.compiled import BATCH, stacked
 # isort: split
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
 from curlfit.inference.fit.covariance import (
@@ -36,9 +35,8 @@ from curlfit.inference.linearized_problem import classify
 from curlfit.inference.noise.models import Noise
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS
-
-Floats = NDArray[np.float64]
 
 _CONVERGED = 0.01  # standard errors to the optimum
 _MISLEADING = 4.0  # factor by which the rise of chi squared is off where a standard error is by two

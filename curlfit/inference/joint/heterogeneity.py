@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.identifiability import Combination, visible
 from curlfit.inference.joint.result import Difference
 from curlfit.inference.joint.solver import JointSolution, Layout
-
-Floats = NDArray[np.float64]
+from curlfit.numerics.arrays import Floats
 
 
 def differences_of(

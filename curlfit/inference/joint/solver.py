@@ -16,7 +16,6 @@ from curlfit.inference.likelihood import linearize
 
 # isort: split
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.friction import Law, Load
 from curlfit.inference.identifiability import r_factors
@@ -24,9 +23,9 @@ from curlfit.inference.least_squares import Solution
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
 from curlfit.numerics import levenberg_marquardt as lm
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import in_batches
 
-Floats = NDArray[np.float64]
 Progress = Callable[[int, float], None]
 
 _TOGETHER = 4  # throws are computed in multiples of this many, so that few shapes are compiled
@@ -62,7 +61,7 @@ class Layout:
         )
 
     @property
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> Booleans:
         """Which parameters are to be determined."""
         return np.asarray(self.bounds.upper > self.bounds.lower)
 

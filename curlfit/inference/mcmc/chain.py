@@ -20,12 +20,12 @@ from curlfit.errors import DataError
 from curlfit.friction import Law
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import ParameterSet
+from curlfit.numerics.arrays import Floats
 from curlfit.output.files import atomic_write
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
 from curlfit.version import __version__
 
-Floats = NDArray[np.float64]
 _BEFORE = {"noise": "white"}  # what a chain is of that does not say so
 _DIGEST = "#"  # begins a text that stands for numbers too many to be shown
 

@@ -16,7 +16,8 @@ from emcee.moves import Move
 from emcee.state import State
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from curlfit.numerics.arrays import Booleans, Floats
+
 Indices = NDArray[np.int64]
 
 _DEGREES = 8.0  # of freedom of the Student proposal: tails heavier than any Gaussian posterior
@@ -83,7 +84,7 @@ class RidgeMove(Move):
         within = ((across >= self.low) & (across <= self.high)).all(1) & (off >= 0).all(1)
         return np.where(within, value - off.sum(1), -np.inf)
 
-    def propose(self, model: Any, state: State) -> tuple[State, NDArray[np.bool_]]:
+    def propose(self, model: Any, state: State) -> tuple[State, Booleans]:
         """One Metropolis-Hastings step of every walker, on its own."""
         old = state.coords
         new = self.draw(len(old), model.random)
@@ -112,7 +113,7 @@ class EnsembleMove(Move):
     def __init__(self, ensembles: int, *, evolution: bool) -> None:
         self.ensembles, self.evolution = ensembles, evolution
 
-    def propose(self, model: Any, state: State) -> tuple[State, NDArray[np.bool_]]:
+    def propose(self, model: Any, state: State) -> tuple[State, Booleans]:
         """One step of each half of every ensemble."""
         walkers, dimension = state.coords.shape
         size = walkers // self.ensembles

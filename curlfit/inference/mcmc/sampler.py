@@ -20,8 +20,9 @@ from curlfit.inference.fit.result import FitResult, Posterior
 from curlfit.inference.identifiability import directions
 from curlfit.inference.likelihood import log_posterior
 from curlfit.inference.mcmc.chain import Chain, SamplerState, load_chain, require_same, subject_of
-from curlfit.inference.mcmc.proposals import EnsembleMove, Floats, Indices, RidgeMove
+from curlfit.inference.mcmc.proposals import EnsembleMove, Indices, RidgeMove
 from curlfit.inference.problem import Origin, build_problem
+from curlfit.numerics.arrays import Floats
 
 ENSEMBLES = 4
 R_HAT = 1.01

@@ -16,13 +16,11 @@ from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from curlfit.inference.noise.models import Noise, ar1_correlation, matern
+from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS
-
-Floats = NDArray[np.float64]
 
 _GRID = 400  # times at which a discrepancy is drawn
 _MODES = 32  # of a discrepancy that are kept

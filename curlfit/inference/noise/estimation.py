@@ -13,13 +13,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import InputError
 from curlfit.inference.noise.models import Noise, ar1_correlation, matern
+from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS, Throw
-
-Floats = NDArray[np.float64]
 
 _FEWEST = 20  # values of a channel from which its noise is estimated
 _MOST = 300  # values of a channel used; more are condensed to means

@@ -18,13 +18,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import beta, erf, kv
 
 from curlfit.inference.parameters import LOSSES
+from curlfit.numerics.arrays import Floats
 
-Floats = NDArray[np.float64]
 _HUBER = 1.345
 _CAUCHY = 2.385
 _DEGREES = 4.0

@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 
 from curlfit.errors import InputError
 from curlfit.inference.parameters import NOISES
+from curlfit.numerics.arrays import Floats
 
 if TYPE_CHECKING:
     pass
 
-Floats = NDArray[np.float64]
 
 _SURE = 3.5  # standard deviations from which independence is excluded
 _MATTERS = 0.2  # lag-1 correlation below which errors would hardly change

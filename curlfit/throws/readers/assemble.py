@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from curlfit.errors import DataError, InputError
+from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.axes import (
     MAX_SPIN,
     AmbiguousTurnError,
@@ -20,7 +21,7 @@ from curlfit.throws.readers.axes import (
 )
 from curlfit.throws.readers.homography import load_homography
 from curlfit.throws.readers.parsed_file import ParsedFile, clock_of
-from curlfit.throws.throw import CHANNELS, Floats, Throw
+from curlfit.throws.throw import CHANNELS, Throw
 
 
 def assemble(

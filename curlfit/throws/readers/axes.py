@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.numerics.arrays import Floats
 from curlfit.sheet import LINES
-from curlfit.throws.throw import Floats
 
 _TURN = 2 * math.pi
 MAX_SPIN = 2 * _TURN

@@ -23,10 +23,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError
+from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import Column
 from curlfit.throws.readers.parsed_file import ParsedFile, choose, in_si
 from curlfit.throws.readers.table import defaults_of
-from curlfit.throws.throw import Floats
 
 _EXPECTED = (
     'expected a log of a DigitalCurling 3 shot with a "trajectory" (shot_*.json or server.log)'

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError
+from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.text import (
     cells,
@@ -17,7 +18,6 @@ from curlfit.throws.readers.text import (
     separator_of,
     text_of,
 )
-from curlfit.throws.throw import Floats
 
 _EXPECTED = "expected a header u,v,x,y (pixels, and metres on the sheet) and four points or more"
 

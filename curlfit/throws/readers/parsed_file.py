@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError, InputError
+from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import Column, parse_header, with_units
 from curlfit.throws.readers.text import EXPECTED
-from curlfit.throws.throw import Floats, Reference
+from curlfit.throws.throw import Reference
 
 
 class Series(NamedTuple):

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from curlfit.errors import DataError
-from curlfit.throws.throw import Floats
+from curlfit.numerics.arrays import Floats
 
 GAPS = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 EXPECTED = "expected a header such as t,x,y,phi (time in s, position in m, angle in rad)"

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError
+from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import Column, parse_header
 from curlfit.throws.readers.parsed_file import ParsedFile, Series, choose, columns_of, in_si
 from curlfit.throws.readers.table import defaults_of, first_lines
@@ -28,7 +29,6 @@ from curlfit.throws.readers.text import (
     read_rows,
     separator_of,
 )
-from curlfit.throws.throw import Floats
 
 _FEW_VALUES = 5
 _MOST_DIGITS = 13
