@@ -10,8 +10,8 @@ from typing import Any
 
 from curlfit.errors import InputError
 from curlfit.friction import Law, NetLaw, check_load, find_law
-from curlfit.inference.noise.models import check_noise
-from curlfit.inference.parameters import START, ParameterSet, check_loss
+from curlfit.inference.noise.models import check_loss, check_noise
+from curlfit.inference.parameters import START, ParameterSet
 from curlfit.stone import Stone
 from curlfit.throws.readers import check_reader_options
 from curlfit.throws.throw import Throw, check_sigma

@@ -257,8 +257,8 @@ def _fit_jointly(
     """Fit several throws jointly and print the report; write `joint.json`, figures, single fits."""
     from curlfit.errors import InputError
     from curlfit.friction import check_load, find_law
-    from curlfit.inference.noise.models import check_noise
-    from curlfit.inference.parameters import ParameterSet, check_loss
+    from curlfit.inference.noise.models import check_loss, check_noise
+    from curlfit.inference.parameters import ParameterSet
     from curlfit.output.files import prepare_folder
 
     if len({file.stem for file in files}) < len(files):

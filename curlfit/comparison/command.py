@@ -62,8 +62,8 @@ def compare(
     """
     from curlfit.errors import InputError
     from curlfit.friction import LAWS, check_load, find_law
-    from curlfit.inference.noise.models import check_noise
-    from curlfit.inference.parameters import ParameterSet, check_loss, options_of, require_known
+    from curlfit.inference.noise.models import check_loss, check_noise
+    from curlfit.inference.parameters import ParameterSet, options_of, require_known
     from curlfit.output.files import prepare_folder
 
     flags = {

@@ -40,7 +40,7 @@ from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, find_law
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR
-from curlfit.inference.noise.correlated import log_determinant, whitened, whitener_of
+from curlfit.inference.noise.correlated import whitener_of
 from curlfit.inference.noise.losses import likeliest_sigma, log_density, robust_sigma
 from curlfit.inference.noise.models import Noise
 from curlfit.inference.parameters import options_of, require_known
@@ -269,10 +269,9 @@ def _log_likelihood_of_correlated(result: FitResult) -> dict[str, float]:
             off = result.observed[name] - result.fitted[name]
             residual[row] = np.where(there, off, 0.0) * weight[row]
     whitener = whitener_of(result.noise, t - t[0], weight)
-    white, determinant = (
-        np.asarray(whitened(jnp.asarray(residual), whitener)),
-        log_determinant(whitener),
-    )
+    assert whitener is not None
+    white = np.asarray(whitener.whiten(jnp.asarray(residual)))
+    determinant = whitener.log_determinant()
     found = {}
     for row, name in enumerate(CHANNELS):
         if name in result.rms:

@@ -15,21 +15,6 @@ from curlfit.friction import Law, Parameter
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.throw import Throw
 
-LOSSES = ("linear", "huber", "soft-l1", "cauchy", "student")
-"""How large residuals may count; `curlfit.inference.noise.losses` has the formulas."""
-
-
-NOISES = ("white", "ar1", "gp")
-"""How noise is correlated from row to row; `curlfit.inference.noise.models` has the formulas."""
-
-
-def check_loss(loss: str) -> str:
-    """The name of a loss, if it is one. Raises `InputError`."""
-    if loss not in LOSSES:
-        raise InputError(f"unknown loss {loss!r}; expected one of {', '.join(LOSSES)}")
-    return loss
-
-
 START = (
     Parameter("x0", "m", -math.inf, math.inf, 1.0, "x_0", "place at the first time, to the right"),
     Parameter("y0", "m", -math.inf, math.inf, 1.0, "y_0", "place at the first time, along"),

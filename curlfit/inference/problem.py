@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.inference.noise.correlated import whitener_of
-from curlfit.inference.noise.models import Noise
-from curlfit.inference.parameters import LOSSES, START
+from curlfit.inference.noise.models import LOSSES, Noise
+from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS, Throw

@@ -267,8 +267,8 @@ def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Fi
     InputError : the data, a setting or a value cannot be used.
     """
     from curlfit.friction import check_load, find_law
-    from curlfit.inference.noise.models import check_noise
-    from curlfit.inference.parameters import ParameterSet, check_loss
+    from curlfit.inference.noise.models import check_loss, check_noise
+    from curlfit.inference.parameters import ParameterSet
 
     throw, settings, stone = prepare(data, config, flags)
     law = find_law(settings.get("law", "front-back"))

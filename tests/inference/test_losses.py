@@ -22,7 +22,7 @@ from curlfit.inference.noise.losses import (
     root_slope,
     signed_root,
 )
-from curlfit.inference.parameters import LOSSES
+from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.report import outliers
 
 ROBUST = LOSSES[1:]

@@ -30,8 +30,7 @@ from curlfit.inference.least_squares import (
     run_of,
     starts,
 )
-from curlfit.inference.noise.models import check_noise
-from curlfit.inference.parameters import check_loss
+from curlfit.inference.noise.models import check_loss, check_noise
 from curlfit.inference.problem import problem_shape
 from curlfit.numerics.compiled import BATCH, gc_paused, stacked, unstacked
 from curlfit.stone import Stone

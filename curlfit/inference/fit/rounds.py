@@ -30,11 +30,10 @@ from curlfit.inference.least_squares import (
     run_of,
 )
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, raw_residuals
-from curlfit.inference.noise.correlated import whitener_of
-from curlfit.inference.noise.estimation import fitted_noise
+from curlfit.inference.noise.correlated import WHITENERS, whitener_of
+from curlfit.inference.noise.estimation import channel_residuals
 from curlfit.inference.noise.losses import robust_sigma
-from curlfit.inference.noise.models import Noise
-from curlfit.inference.parameters import LOSSES
+from curlfit.inference.noise.models import LOSSES, Noise
 from curlfit.inference.problem import Problem, build_problem
 from curlfit.numerics.compiled import stacked
 from curlfit.throws.throw import CHANNELS
@@ -142,16 +141,17 @@ class Rounds:
             moving = np.flatnonzero(paths[place, CHANNELS.index("speed"), :n] > 0)
             span = float(throw.t[moving[-1]] - throw.t[0]) if len(moving) else 0.0
             try:
-                noise, sigma = fitted_noise(
-                    self.noises[index].kind, throw, solutions.residual[place, :, :n],
+                channels = channel_residuals(
+                    throw, solutions.residual[place, :, :n],
                     solutions.jacobian[place, :, :n][..., self.free[index]],
-                    problems.weight[place, :, :n], span,
+                    problems.weight[place, :, :n],
                 )  # fmt: skip
             except InputError as error:
                 self.failures[int(index)] = error
                 continue
             estimated.append(index)
-            self.noises[index] = noise
+            kind = self.noises[index].kind
+            self.noises[index], sigma = WHITENERS[kind].estimate(channels, span)
             for row in np.flatnonzero(self.unknown[index]):
                 name = self.channels[row]
                 self.sigma[index, row] = sigma.get(name, self.sigma[index, row]) + SIGMA_FLOOR

@@ -22,8 +22,7 @@ from curlfit.inference.initial_values import smooth, start_values
 from curlfit.inference.joint.heterogeneity import differences_of
 from curlfit.inference.joint.result import JointResult
 from curlfit.inference.linearized_problem import LinearizedProblem, classify
-from curlfit.inference.noise.models import check_noise
-from curlfit.inference.parameters import check_loss
+from curlfit.inference.noise.models import check_loss, check_noise
 from curlfit.inference.problem import problem_shape
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw

@@ -21,7 +21,7 @@ from jaxtyping import Array, ArrayLike
 from scipy.optimize import brentq
 from scipy.special import beta, erf, kv
 
-from curlfit.inference.parameters import LOSSES
+from curlfit.inference.noise.models import LOSSES
 from curlfit.numerics.arrays import Floats
 
 _HUBER = 1.345

@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.errors import InputError
-from curlfit.inference.parameters import NOISES
 from curlfit.numerics.arrays import Floats
 
 if TYPE_CHECKING:
@@ -33,6 +32,20 @@ if TYPE_CHECKING:
 
 _SURE = 3.5  # standard deviations from which independence is excluded
 _MATTERS = 0.2  # lag-1 correlation below which errors would hardly change
+
+
+LOSSES = ("linear", "huber", "soft-l1", "cauchy", "student")
+"""How large residuals may count; `curlfit.inference.noise.losses` has the formulas."""
+
+NOISES = ("white", "ar1", "gp")
+"""How noise is correlated from row to row."""
+
+
+def check_loss(loss: str) -> str:
+    """The name of a loss, if it is one. Raises `InputError`."""
+    if loss not in LOSSES:
+        raise InputError(f"unknown loss {loss!r}; expected one of {', '.join(LOSSES)}")
+    return loss
 
 
 def check_noise(kind: str, loss: str = "linear") -> str:
