@@ -16,7 +16,9 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +27,14 @@ import numpy as np
 from curlfit.errors import DataError
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import Column
-from curlfit.throws.readers.parsed_file import ParsedFile, choose, in_si
+from curlfit.throws.readers.parsed_file import (
+    FilePart,
+    Format,
+    ParsedFile,
+    ReadOptions,
+    choose,
+    in_si,
+)
 from curlfit.throws.readers.table import defaults_of
 
 _EXPECTED = (
@@ -43,29 +52,48 @@ class Shot(NamedTuple):
     trajectory: dict[str, Any]
 
 
-def read_digitalcurling(
-    path: Path, lines: list[str], *, stone_index: int | None = None, shot: int | None = None
-) -> ParsedFile:
+def read_digitalcurling(path: Path, lines: list[str], options: ReadOptions) -> ParsedFile:
     """The path of one stone of one shot, by default of the stone thrown.
 
     Raises
     ------
-    DataError : the file is not a log of a shot, or holds several and `shot` is not given.
+    DataError : the file is not a log of a shot, or holds several and `options.shot` is not given.
     InputError : there is no such shot or stone.
     """
+    shot = options.shot
     shots = shots_of(path, lines)
     if len(shots) > 1 and shot is None:
         listed = "; ".join(f"{k} {item.name}" for k, item in enumerate(shots[:20], 1))
         more = f"; and {len(shots) - 20} more" if len(shots) > 20 else ""
         raise DataError(f"{len(shots)} shots; choose one with --shot: {listed}{more}", file=path)
     taken = shots[choose("shot", "--shot", shot, [item.name for item in shots], 0)]
-    return read_shot(path, lines, taken, stone_index=stone_index)
+    return _read_shot(path, lines, taken, options.stone_index)
 
 
-def read_shot(
-    path: Path, lines: list[str], chosen: Shot, *, stone_index: int | None = None
-) -> ParsedFile:
-    """The path of one stone of a shot of this file, as `read_digitalcurling` reads it."""
+def _recognizes(head: list[str]) -> bool:
+    first = head[0].lstrip()
+    return first.startswith("{") or bool(re.match(r"\[\s*([{\[]|$)", first))
+
+
+def _parts(path: Path, lines: list[str], options: ReadOptions) -> list[FilePart]:
+    """Every shot."""
+    shots = shots_of(path, lines) if options.shot is None else []
+    index = options.stone_index
+    if len(shots) < 2:
+        whole = partial(read_digitalcurling, path, lines, options)
+        return [FilePart(options.shot, index, whole)]
+    return [
+        FilePart(number, index, partial(_read_shot, path, lines, shot, index))
+        for number, shot in enumerate(shots, 1)
+    ]
+
+
+DIGITALCURLING = Format(
+    "digitalcurling", _recognizes, read_digitalcurling, _parts, ("shot", "stone_index")
+)
+
+
+def _read_shot(path: Path, lines: list[str], chosen: Shot, stone_index: int | None) -> ParsedFile:
     comments = [(k, line) for k, line in enumerate(lines[:200], 1) if line.lstrip()[:1] == "#"]
     settings, reference, notes = defaults_of(path, comments)
     period, positions, names = _paths(path, chosen)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from itertools import islice
 from os import PathLike
@@ -16,18 +15,27 @@ from curlfit.errors import CurlfitError, DataError, InputError
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.axes import parse_axes
 from curlfit.throws.readers.columns import Column, in_unit, parse_header, parse_units, with_units
-from curlfit.throws.readers.digitalcurling import read_digitalcurling, read_shot, shots_of
+from curlfit.throws.readers.digitalcurling import DIGITALCURLING
 from curlfit.throws.readers.homography import load_homography
-from curlfit.throws.readers.parsed_file import ParsedFile, columns_of, in_si
-from curlfit.throws.readers.table import read_table
+from curlfit.throws.readers.parsed_file import (
+    FilePart,
+    Format,
+    ParsedFile,
+    ReadOptions,
+    columns_of,
+    in_si,
+)
+from curlfit.throws.readers.table import TABLE
 from curlfit.throws.readers.text import text_of
-from curlfit.throws.readers.timings import TIMES, read_timings
-from curlfit.throws.readers.tracker import count_objects, looks_like_tracker, read_tracker
+from curlfit.throws.readers.timings import TIMINGS
+from curlfit.throws.readers.tracker import TRACKER
 from curlfit.throws.throw import Throw
 
-FORMATS = ("table", "tracker", "digitalcurling", "timings")
+_READERS = (DIGITALCURLING, TIMINGS, TRACKER, TABLE)
+"""Formats in the order in which a file is held against them; the last is that of any other."""
+_BY_NAME = {reader.name: reader for reader in reversed(_READERS)}
+FORMATS = tuple(_BY_NAME)
 _HEAD = 30  # lines that show the format
-_TIMED = re.compile(rf"^[^\S\n]*[\"']?({'|'.join(TIMES)})\b", re.I | re.M)
 
 
 def load_throw(
@@ -105,23 +113,11 @@ def load_throws(
     DataError : the file as a whole cannot be read. InputError : an argument that cannot be used.
     """
     points = None if reference is None else Path(reference)
-    source = _open(file, format, stone_index=stone_index, shot=shot)
-    pixels = points is not None
-    whole = partial(_parse, source, stone_index=stone_index, shot=shot, units=units, pixels=pixels)
-    parts: list[tuple[int | None, int | None, Callable[[], ParsedFile]]]
-    parts = [(shot, stone_index, whole)]
-    path, lines, format_name = source
-    if format_name == "digitalcurling" and shot is None:
-        shots = shots_of(path, lines)
-        if len(shots) > 1:
-            parts = [
-                (k, stone_index, partial(read_shot, path, lines, one_shot, stone_index=stone_index))
-                for k, one_shot in enumerate(shots, 1)
-            ]
-    elif format_name == "tracker" and stone_index is None:
-        count = count_objects(path, lines)
-        if count > 1:
-            parts = [(None, k, partial(whole, stone_index=k)) for k in range(1, count + 1)]
+    options = ReadOptions(parse_units(units), points is not None, stone_index, shot)
+    source = _open(file, format, options)
+    parts = [FilePart(shot, stone_index, partial(source.parse, options))]
+    if source.format.parts is not None:
+        parts = source.format.parts(source.path, source.lines, options)
     found = []
     for number, index, parsed in parts:
         throw: Throw | CurlfitError
@@ -163,8 +159,8 @@ def read(
     pixels: bool = False,
 ) -> ParsedFile:
     """The columns of a file in SI. Arguments as for `load_throw`."""
-    source = _open(file, format, stone_index=stone_index, shot=shot)
-    return _parse(source, stone_index=stone_index, shot=shot, units=units, pixels=pixels)
+    options = ReadOptions(parse_units(units), pixels, stone_index, shot)
+    return _open(file, format, options).parse(options)
 
 
 def _check_format(format: str | None) -> None:
@@ -177,40 +173,22 @@ class _SourceFile(NamedTuple):
 
     path: Path
     lines: list[str]
-    format_name: str
+    format: Format
+
+    def parse(self, options: ReadOptions) -> ParsedFile:
+        return self.format.parse(self.path, self.lines, options)
 
 
-def _open(
-    file: str | PathLike[str], format: str | None, *, stone_index: int | None, shot: int | None
-) -> _SourceFile:
+def _open(file: str | PathLike[str], format: str | None, options: ReadOptions) -> _SourceFile:
     _check_format(format)
     path = Path(file)
     lines = text_of(path).split("\n")
-    format_name = format or detect_format(lines)
-    if shot is not None and format_name != "digitalcurling":
-        raise InputError(f"--shot: {path} is a {format_name} file and holds no shots")
-    if stone_index is not None and format_name not in ("digitalcurling", "tracker"):
-        raise InputError(f"--stone-index: {path} is a {format_name} file and holds one stone")
-    return _SourceFile(path, lines, format_name)
-
-
-def _parse(
-    source: _SourceFile,
-    *,
-    stone_index: int | None,
-    shot: int | None,
-    units: str | None,
-    pixels: bool,
-) -> ParsedFile:
-    path, lines, format_name = source
-    column_units = parse_units(units)
-    if format_name == "digitalcurling":
-        return read_digitalcurling(path, lines, stone_index=stone_index, shot=shot)
-    if format_name == "timings":
-        return read_timings(path, lines)
-    if format_name == "tracker":
-        return read_tracker(path, lines, column_units, stone_index=stone_index, pixels=pixels)
-    return read_table(path, lines, column_units, pixels=pixels)
+    source = _SourceFile(path, lines, _BY_NAME[format or detect_format(lines)])
+    for name, what in (("shot", "no shots"), ("stone_index", "one stone")):
+        if getattr(options, name) is not None and name not in source.format.selections:
+            flag = name.replace("_", "-")
+            raise InputError(f"--{flag}: {path} is a {source.format.name} file and holds {what}")
+    return source
 
 
 def detect_format(lines: list[str]) -> str:
@@ -218,13 +196,8 @@ def detect_format(lines: list[str]) -> str:
     shown = (line for line in lines[:200] if line.strip() and not line.lstrip().startswith("#"))
     head = list(islice(shown, _HEAD))
     if not head:
-        return "table"
-    first = head[0].lstrip()
-    if first.startswith("{") or re.match(r"\[\s*([{\[]|$)", first):
-        return "digitalcurling"
-    if _TIMED.search("\n".join(head)):
-        return "timings"
-    return "tracker" if looks_like_tracker(head[:3]) else "table"
+        return TABLE.name
+    return next(reader.name for reader in _READERS if reader.recognizes(head))
 
 
 def from_table(

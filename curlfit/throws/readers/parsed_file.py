@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -53,6 +53,42 @@ class ParsedFile:
         if row is not None and line is None:
             message = f"row {row}: {message}"
         return DataError(message, file=self.source, line=line, column=header)
+
+
+class ReadOptions(NamedTuple):
+    """How to read a file: units by column, whether positions are pixels, and which throw of it."""
+
+    units: Mapping[str, str]
+    pixels: bool = False
+    stone_index: int | None = None
+    shot: int | None = None
+
+
+class FilePart(NamedTuple):
+    """One throw of a file: the options that select it, and what reads it."""
+
+    shot: int | None
+    stone_index: int | None
+    parse: Callable[[], ParsedFile]
+
+
+class Format(NamedTuple):
+    """A format of data files.
+
+    Attributes
+    ----------
+    name : as of `--format`.
+    recognizes : whether a file is of this format, from its first lines but comments and blanks.
+    parse : reads one throw.
+    parts : every throw of a file; None where that can only be one.
+    selections : the options that select one of several throws.
+    """
+
+    name: str
+    recognizes: Callable[[list[str]], bool]
+    parse: Callable[[Path, list[str], ReadOptions], ParsedFile]
+    parts: Callable[[Path, list[str], ReadOptions], list[FilePart]] | None = None
+    selections: tuple[str, ...] = ()
 
 
 def columns_of(

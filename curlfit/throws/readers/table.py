@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from curlfit.errors import DataError, InputError
 from curlfit.friction import check_load, find_law
 from curlfit.stone import Stone
 from curlfit.throws.readers.axes import parse_axes
-from curlfit.throws.readers.parsed_file import ParsedFile, columns_of, in_si
+from curlfit.throws.readers.parsed_file import Format, ParsedFile, ReadOptions, columns_of, in_si
 from curlfit.throws.readers.text import (
     EXPECTED,
     cells,
@@ -45,9 +45,7 @@ def first_lines(path: Path, lines: list[str]) -> tuple[int, list[tuple[int, str]
     raise DataError(f"{what}; {EXPECTED}", file=path)
 
 
-def read_table(
-    path: Path, lines: list[str], units: Mapping[str, str], *, pixels: bool = False
-) -> ParsedFile:
+def read_table(path: Path, lines: list[str], options: ReadOptions) -> ParsedFile:
     """Columns of a text table.
 
     Raises
@@ -60,7 +58,9 @@ def read_table(
     names = header_cells(lines[header], separator)
     if all(is_number(cell) for cell in cells(lines[header], separator)):
         raise DataError(f"the table begins with numbers; {EXPECTED}", file=path, line=header + 1)
-    columns, ignored = columns_of(path, names, units, line=header + 1, pixels=pixels)
+    columns, ignored = columns_of(
+        path, names, options.units, line=header + 1, pixels=options.pixels
+    )
     numbers, values = read_rows(path, lines, header + 1, names, list(columns), separator)
     if not len(numbers):
         raise DataError("a header but no rows of numbers", file=path, line=header + 1)
@@ -70,6 +70,9 @@ def read_table(
         for row, (index, column) in enumerate(columns.items())
     ]
     return parsed
+
+
+TABLE = Format("table", lambda _: True, read_table)
 
 
 def defaults_of(

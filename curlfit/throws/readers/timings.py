@@ -12,11 +12,12 @@ import numpy as np
 from curlfit.errors import DataError
 from curlfit.sheet import HOG_TO_HOG, LINES
 from curlfit.throws.readers.columns import Column, in_unit
-from curlfit.throws.readers.parsed_file import ParsedFile, Series
+from curlfit.throws.readers.parsed_file import Format, ParsedFile, ReadOptions, Series
 from curlfit.throws.readers.table import defaults_of
 from curlfit.throws.readers.text import parse_number
 
 TIMES = ("back_to_hog", "hog_to_hog", "hog_to_rest")
+_TIMED = re.compile(rf"^[^\S\n]*[\"']?({'|'.join(TIMES)})\b", re.I | re.M)
 _KEYS = {
     **dict.fromkeys(TIMES, "t"),
     "curl": "x",
@@ -42,7 +43,7 @@ class _Entry(NamedTuple):
     unit: str
 
 
-def read_timings(path: Path, lines: list[str]) -> ParsedFile:
+def read_timings(path: Path, lines: list[str], _: ReadOptions) -> ParsedFile:
     """Rows at the lines and at rest: y there, x on the line of delivery and at rest.
 
     The stone crosses the back line (if timed), both hog lines, and rests; y is counted from the
@@ -125,6 +126,13 @@ def read_timings(path: Path, lines: list[str]) -> ParsedFile:
     ]  # fmt: skip
     parsed.series = [s for s in parsed.series if np.isfinite(s.values).any()]
     return parsed
+
+
+def _recognizes(head: list[str]) -> bool:
+    return bool(_TIMED.search("\n".join(head)))
+
+
+TIMINGS = Format("timings", _recognizes, read_timings)
 
 
 def _entries(path: Path, lines: list[str]) -> tuple[dict[str, _Entry], list[str]]:

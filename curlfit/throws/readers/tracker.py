@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +20,16 @@ import numpy as np
 from curlfit.errors import DataError
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import Column, parse_header
-from curlfit.throws.readers.parsed_file import ParsedFile, Series, choose, columns_of, in_si
+from curlfit.throws.readers.parsed_file import (
+    FilePart,
+    Format,
+    ParsedFile,
+    ReadOptions,
+    Series,
+    choose,
+    columns_of,
+    in_si,
+)
 from curlfit.throws.readers.table import defaults_of, first_lines
 from curlfit.throws.readers.text import (
     EXPECTED,
@@ -35,10 +45,8 @@ _MOST_DIGITS = 13
 _POLAR = re.compile(r"(θ|theta)_?\{?r\}?(?![a-z])", re.I)
 
 
-def looks_like_tracker(head: Sequence[str]) -> bool:
+def _recognizes(head: list[str]) -> bool:
     """Whether the first lines are a title and a header, or a header with two objects."""
-    if not head:
-        return False
     first = _header(head[0])
     if _known(first) >= 2:
         names = [name.lower() for name in first if name]
@@ -46,14 +54,7 @@ def looks_like_tracker(head: Sequence[str]) -> bool:
     return len(head) > 1 and _known(_header(head[1])) >= 2 and not any(map(is_number, first))
 
 
-def read_tracker(
-    path: Path,
-    lines: list[str],
-    units: Mapping[str, str],
-    *,
-    stone_index: int | None = None,
-    pixels: bool = False,
-) -> ParsedFile:
+def read_tracker(path: Path, lines: list[str], options: ReadOptions) -> ParsedFile:
     """Columns of one object of a Tracker export, by default the first.
 
     Raises
@@ -66,7 +67,7 @@ def read_tracker(
     header, separator, names, blocks = _layout(path, lines, first)
     titled = any(title for title, _ in blocks)
     labels = [title or f"object {k}" for k, (title, _) in enumerate(blocks, 1)]
-    selected = choose("object", "--stone-index", stone_index, labels, 0)
+    selected = choose("object", "--stone-index", options.stone_index, labels, 0)
     _, indices = blocks[selected]
     if len(blocks) > 1:
         listed = ", ".join(f"{k} {name}" for k, name in enumerate(labels, 1))
@@ -83,7 +84,9 @@ def read_tracker(
             indices, headers = [shared, *indices], [names[shared], *headers]
     has_angle = "phi" in _quantities(headers)
     readable = headers if has_angle else [_POLAR.sub("θ", name) for name in headers]
-    columns, ignored = columns_of(path, readable, units, line=header + 1, pixels=pixels)
+    columns, ignored = columns_of(
+        path, readable, options.units, line=header + 1, pixels=options.pixels
+    )
     numbers, values = read_rows(
         path, lines, header + 1, names, [indices[k] for k in columns], separator
     )
@@ -104,10 +107,20 @@ def read_tracker(
     return parsed
 
 
-def count_objects(path: Path, lines: list[str]) -> int:
-    """Number of objects in the file. Raises `DataError` where it has no header."""
-    first, _ = first_lines(path, lines)
-    return len(_layout(path, lines, first).blocks)
+def _parts(path: Path, lines: list[str], options: ReadOptions) -> list[FilePart]:
+    """Every object. Raises `DataError` where the file has no header."""
+    indices: list[int | None] = [options.stone_index]
+    if options.stone_index is None:
+        first, _ = first_lines(path, lines)
+        count = len(_layout(path, lines, first).blocks)
+        indices = list(range(1, count + 1)) if count > 1 else [None]
+    return [
+        FilePart(None, k, partial(read_tracker, path, lines, options._replace(stone_index=k)))
+        for k in indices
+    ]
+
+
+TRACKER = Format("tracker", _recognizes, read_tracker, _parts, ("stone_index",))
 
 
 class _Layout(NamedTuple):
