@@ -183,8 +183,8 @@ def _moving(path: SmoothPath, spin: float) -> _Moving:
     values, slopes = _bases(path.curves.shape[-1])
     pace = path.curves @ slopes.T * (2 / path.span[:, None, None])
     grid = path.span[:, None] * np.linspace(0, 1, _GRID)
-    unplaced, turning = ~path.known[:, :2].any(1), path.known[:, 2, None]
-    pace[unplaced, 1] = _USUAL_SPEED * (1 - 0.9 * np.linspace(0, 1, _GRID))
+    unknown_y, turning = ~path.known[:, 1], path.known[:, 2, None]
+    pace[unknown_y, 1] = _USUAL_SPEED * (1 - 0.9 * np.linspace(0, 1, _GRID))
     omega = np.where(turning, pace[:, 2], spin)
     turned = np.where(turning, path.curves[:, 2] @ (values - values[0]).T, spin * grid)
     velocity = pace[:, :2]

@@ -33,8 +33,8 @@ from curlfit.numerics.compiled import BATCH, compiled, in_batches, stacked
 
 Indices = NDArray[np.intp]
 
-_PRECISE = lm.Tolerance(1e-14, 1e-18)  # for one throw
-_QUICK = lm.Tolerance(1e-8, 1e-10)  # for many: within 1e-5 standard errors
+_PRECISE = lm.Control(1e-2, 1e-14, 1e-18)  # for one throw
+_QUICK = lm.Control(1e-4, 1e-8, 1e-10)  # for many: within 1e-5 standard errors
 _NOTHING = 1e-7  # of the longest column of a Jacobian, below which another is but rounding
 _ROUNDING = 1e-12  # squares of columns of length 1 that may be but rounding
 _POOR = (3.0, 0.02)  # rms over a polynomial's, and over the range: both, and more starts are tried
@@ -134,7 +134,9 @@ def multistart(
     best: Solution | None = None
     tried = 0
     for values in tries:
-        if best is not None and not needs_restart(stacked([best]), path, stacked([problem]))[0]:
+        # Where the first start does not do, a later one may end in a local minimum that looks well.
+        one = None if best is None or tried > 1 else stacked([best])
+        if one is not None and not needs_restart(one, path, stacked([problem]))[0]:
             break
         tried += 1
         other = minimize(law, load, values, parameters, problem)
@@ -258,7 +260,7 @@ class _Searches:
     def __init__(self, tasks: Tasks) -> None:
         self.problems: Problem = jax.tree.map(np.array, tasks.problems)
         self.bounds = lm.Bounds(tasks.lower, tasks.upper, tasks.typical)
-        self.state = lm.begin(tasks.start, self.bounds)
+        self.state = lm.begin(tasks.start, self.bounds, _QUICK)
         shape = self.problems.observed.shape
         self.residual = np.full(shape, np.nan)
         self.jacobian = np.full((*shape, len(tasks.typical)), np.nan)
@@ -288,7 +290,7 @@ class _Searches:
         if scale is None:
             for leaf, new in zip(*map(jax.tree.leaves, (self.problems, problems)), strict=True):
                 leaf[run] = new
-            return self._put(now, lm.begin(state.values, bounds), None)
+            return self._put(now, lm.begin(state.values, bounds, _QUICK), None)
         self.problems.weight[run] = problems.weight
         self.residual[run] *= scale
         self.jacobian[run] *= scale[..., None]

@@ -16,8 +16,8 @@ from jaxtyping import Array
 
 from curlfit.numerics.levenberg_marquardt import (
     Bounds,
+    Control,
     Search,
-    Tolerance,
     advance,
     begin,
     quadratic_model,
@@ -38,14 +38,14 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     """The method as a solver of optimistix, for residuals that are one array."""
 
     bounds: Bounds
-    tolerance: Tolerance
+    control: Control
     rtol: float
     atol: float
     norm: Callable[..., Any]
 
-    def __init__(self, bounds: Bounds, tolerance: Tolerance) -> None:
-        self.bounds, self.tolerance = bounds, tolerance
-        self.rtol = self.atol = tolerance.remaining  # required by optimistix
+    def __init__(self, bounds: Bounds, control: Control) -> None:
+        self.bounds, self.control = bounds, control
+        self.rtol = self.atol = control.remaining  # required by optimistix
         self.norm = optx.max_norm
 
     def init(
@@ -54,7 +54,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         """Required by optimistix."""
         size = f_struct.size
         unknown = jnp.full((size, 1 + y.size), jnp.nan)
-        return SolverState(begin(y, self.bounds), unknown[:, 0], unknown[:, 1:])
+        return SolverState(begin(y, self.bounds, self.control), unknown[:, 0], unknown[:, 1:])
 
     def step(
         self, fn: Any, y: Array, args: Any, options: Any, state: SolverState, tags: Any
@@ -67,7 +67,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
         jacobian, (residual, aux) = jax.jacfwd(residual_of, has_aux=True)(state.search.trial)
         model = quadratic_model(residual, jacobian, self.bounds.typical)
-        search, outcome = advance(state.search, model, self.bounds, self.tolerance)
+        search, outcome = advance(state.search, model, self.bounds, self.control)
         residual = jnp.where(outcome.accepted, residual, state.residual)
         jacobian = jnp.where(outcome.accepted, jacobian, state.jacobian)
         residual = residual + jacobian @ outcome.extrapolation

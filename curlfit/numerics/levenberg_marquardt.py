@@ -28,8 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 
 MOST_EVALUATIONS = 200
-_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e8
-"""Of Marquardt's damping, relative to the squared columns."""
+_LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e8  # relative to the squared columns (Marquardt)
 _LESS, _MORE = 0.1, 3.0  # factors of the damping after a step as predicted, and a rejected one ...
 _FASTER = 2.0  # ... and of that factor after each further rejection
 _ROUNDING = 1e-10  # share of chi squared by which a change may be rounding
@@ -41,13 +40,15 @@ _SMALL = 1e-10  # step by which nothing changes, over the size of the values
 _REGULAR = 1e-14  # damping that keeps the normal matrix of an exact ridge regular
 
 
-class Tolerance(NamedTuple):
-    """When a search has converged, as shares of chi squared."""
+class Control(NamedTuple):
+    """How a search begins, and when it has converged."""
 
+    damping: float
+    """of the first step, relative to the squared columns: the larger, the more careful"""
     extrapolated: float
-    """that the last step, which is not evaluated, may gain"""
+    """share of chi squared that the last step, which is not evaluated, may gain"""
     remaining: float
-    """that the step after it might gain"""
+    """share of chi squared that the step after it might gain"""
 
 
 class Bounds(NamedTuple):
@@ -113,7 +114,7 @@ def quadratic_model(residual: Any, jacobian: Any, typical: Any) -> QuadraticMode
     )
 
 
-def begin(values: Any, bounds: Bounds) -> Search:
+def begin(values: Any, bounds: Bounds, control: Control) -> Search:
     """A search from values of shape (..., parameters)."""
     xp = _namespace(values)
     start = xp.clip(values, bounds.lower, bounds.upper)
@@ -124,7 +125,7 @@ def begin(values: Any, bounds: Bounds) -> Search:
         model=QuadraticModel(
             xp.full(each, xp.inf), xp.zeros(start.shape), xp.zeros((*start.shape, start.shape[-1]))
         ),
-        damping=xp.full(each, _FIRST_DAMPING),
+        damping=xp.full(each, control.damping),
         growth=xp.full(each, _MORE),
         reduction=xp.full(each, xp.inf),
         settled=xp.zeros(each, bool),
@@ -135,7 +136,7 @@ def begin(values: Any, bounds: Bounds) -> Search:
 
 
 def advance(
-    search: Search, at_trial: QuadraticModel, bounds: Bounds, tolerance: Tolerance
+    search: Search, at_trial: QuadraticModel, bounds: Bounds, control: Control
 ) -> tuple[Search, Outcome]:
     """Judge the trial by the model there, and choose the next."""
     xp = _namespace(search.values)
@@ -164,25 +165,25 @@ def advance(
             values=values, model=model, damping=damping, growth=growth, reduction=last_reduction,
             evaluations=search.evaluations + 1,
         ),
-        bounds, tolerance, accepted,
+        bounds, control, accepted,
     )  # fmt: skip
 
 
 def reweighted(
-    search: Search, model: QuadraticModel, bounds: Bounds, tolerance: Tolerance
+    search: Search, model: QuadraticModel, bounds: Bounds, control: Control
 ) -> tuple[Search, Outcome]:
     """Go on from the best values under other weights, by the model there."""
     xp = _namespace(search.values)
-    first = xp.full(search.damping.shape, _FIRST_DAMPING * _LESS)
+    first = xp.full(search.damping.shape, control.damping * _LESS)
     anew = search._replace(
         model=model, damping=first, reduction=xp.full(first.shape, xp.inf),
         evaluations=xp.ones(first.shape, int),
     )  # fmt: skip
-    return _proposed(anew, bounds, tolerance, xp.ones(first.shape, bool))
+    return _proposed(anew, bounds, control, xp.ones(first.shape, bool))
 
 
 def _proposed(
-    search: Search, bounds: Bounds, tolerance: Tolerance, accepted: Any
+    search: Search, bounds: Bounds, control: Control, accepted: Any
 ) -> tuple[Search, Outcome]:
     """The search with its next trial, or done; its `reduction` is that of the step before."""
     xp = _namespace(search.values)
@@ -206,11 +207,11 @@ def _proposed(
     light = damping <= _HEAVY
     ratio = xp.where(xp.isfinite(before), reduction / xp.maximum(before, 1e-300), 1.0)
     after = reduction * xp.where(ratio < 1, ratio, 1.0)
-    last = reduction <= tolerance.extrapolated * chi_squared
-    last &= (after <= tolerance.remaining * chi_squared) & light & ~lost
+    last = reduction <= control.extrapolated * chi_squared
+    last &= (after <= control.remaining * chi_squared) & light & ~lost
     no_shorter = (before <= _ROUNDING * chi_squared) & (reduction >= before) & light
     step = xp.abs(trial - values) / (bounds.typical + xp.abs(values))
-    small = (step <= _SMALL).all(-1) & (damping <= _FIRST_DAMPING)
+    small = (step <= _SMALL).all(-1) & (damping <= control.damping)
     # Of a model that is not smooth, trials may be rejected however short the steps are.
     little = (reduction <= _STALLED * chi_squared) | (step <= _STALLED).all(-1)
     settled = xp.where(accepted, little, search.settled)

@@ -238,7 +238,7 @@ def test_outliers_change_neither_the_first_law_nor_its_coefficients(loss, clean,
         assert one["expression"] == other["expression"]
         assert abs(other["value"] - one["value"]) < one["stderr"]
     for name, noise in (("x", 0.005), ("y", 0.005), ("phi", 0.01)):
-        assert after.best.misfit[name] == pytest.approx(noise, rel=0.25)
+        assert after.best.residual_size[name] == pytest.approx(noise, rel=0.25)
         assert after.best.rms[name] > 5 * noise
     after.save(tmp_path / "compare.json")
     assert load_comparison(tmp_path).to_json() == after.to_json()

@@ -12,7 +12,7 @@ from rich.console import Console
 from scipy.stats import binomtest, chi2, f, t
 
 import curlfit
-from curlfit.inference.fit.summary import _Draft
+from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.report import identifiability, report
 from curlfit.profile_likelihood.result import levels_of
@@ -58,13 +58,13 @@ def test_degrees_of_freedom_are_welch_s():
     squares, counts = (4.0, 0.25), (5, 9)
     variance = np.zeros((2, 2, 2))
     variance[0, 0, 0], variance[1, 1, 1] = (s / n for s, n in zip(squares, counts, strict=True))
-    draft = SimpleNamespace(variance=variance, dof=np.array([4.0, 8.0]))
+    covariance = SimpleNamespace(variance=variance, dof=np.array([4.0, 8.0]))
     parts = np.array([variance[0, 0, 0], variance[1, 1, 1]])
     expected = parts.sum() ** 2 / (parts**2 / (np.array(counts) - 1)).sum()
     weights = np.array([1.0, -1.0])
-    assert _Draft.degrees_of_freedom(draft, weights) == pytest.approx(expected)
-    draft.dof = np.array([np.inf, np.inf])
-    assert _Draft.degrees_of_freedom(draft, weights) is None
+    assert Covariance.degrees_of_freedom(covariance, weights) == pytest.approx(expected)
+    covariance.dof = np.array([np.inf, np.inf])
+    assert Covariance.degrees_of_freedom(covariance, weights) is None
 
 
 @pytest.mark.parametrize("dof", [3.0, 12.5, 200.0, None])

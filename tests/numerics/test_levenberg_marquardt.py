@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from curlfit.numerics import levenberg_marquardt as lm
 from curlfit.numerics.bounded_solver import BoundedLevenbergMarquardt
 
-TOLERANCE = lm.Tolerance(1e-14, 1e-18)
+CONTROL = lm.Control(1e-2, 1e-14, 1e-18)
 LOWER, UPPER = np.array([0, -0.005, -0.3, 0]), np.array([np.inf, 0.005, 0.3, np.inf])
 
 
@@ -35,7 +35,7 @@ def test_the_optimum_within_bounds_is_that_of_scipy(seed):
     residual, _ = problem(seed)
     bounds = lm.Bounds(jnp.array(LOWER), jnp.array(UPPER), jnp.ones(4))
     found = optx.least_squares(
-        lambda z, _: residual(z, jnp), BoundedLevenbergMarquardt(bounds, TOLERANCE),
+        lambda z, _: residual(z, jnp), BoundedLevenbergMarquardt(bounds, CONTROL),
         jnp.zeros(4), max_steps=100,
     )  # fmt: skip
     start = np.clip(np.zeros(4), LOWER + 1e-6, UPPER - 1e-6)
@@ -53,11 +53,11 @@ def test_the_optimum_within_bounds_is_that_of_scipy(seed):
 def searched(residual, jacobian):
     """The search of one problem, by NumPy, along a leading axis."""
     bounds = lm.Bounds(LOWER[None], UPPER[None], np.ones(4))
-    search = lm.begin(np.zeros((1, 4)), bounds)
+    search = lm.begin(np.zeros((1, 4)), bounds, CONTROL)
     while not search.done.all():
         (z,) = search.trial
         model = lm.quadratic_model(residual(z)[None], jacobian(z)[None], bounds.typical)
-        search, _ = lm.advance(search, model, bounds, TOLERANCE)
+        search, _ = lm.advance(search, model, bounds, CONTROL)
     return search
 
 
@@ -67,7 +67,7 @@ def test_arrays_of_numpy_and_of_jax_take_the_same_steps(seed):
     search = searched(residual, jacobian)
     bounds = lm.Bounds(jnp.array(LOWER), jnp.array(UPPER), jnp.ones(4))
     found = optx.least_squares(
-        lambda z, _: residual(z, jnp), BoundedLevenbergMarquardt(bounds, TOLERANCE),
+        lambda z, _: residual(z, jnp), BoundedLevenbergMarquardt(bounds, CONTROL),
         jnp.zeros(4), max_steps=100,
     )  # fmt: skip
     assert search.success.all()
@@ -95,7 +95,7 @@ def test_a_start_without_a_derivative_has_no_residual():
     """Where it is not known, nothing finite may stand for it."""
     bounds = lm.Bounds(*(jnp.array(each) for each in (LOWER, UPPER, np.ones(4))))
     found = optx.least_squares(
-        lambda z, _: jnp.sqrt(jnp.abs(z)) + 1, BoundedLevenbergMarquardt(bounds, TOLERANCE),
+        lambda z, _: jnp.sqrt(jnp.abs(z)) + 1, BoundedLevenbergMarquardt(bounds, CONTROL),
         jnp.zeros(4), max_steps=100, throw=False,
     )  # fmt: skip
     assert found.result != optx.RESULTS.successful

@@ -494,7 +494,7 @@ def test_a_fit_is_what_is_taken_to_be_true(eq12_fit, tmp_path):
     [
         (["--law", "glue"], "unknown law 'glue'"),
         (["--set", "mu=1"], "no coefficient 'mu'"),
-        (["--v0", "fast"], "--v0 fast: expected numbers with commas between"),
+        (["--v0", "fast"], "--v0 fast: expected numbers separated by commas"),
         (["--v0", "2,-1"], "v0 = 2,-1: expected positive numbers"),
         (["--rate", "0"], "rate = 0: expected positive numbers"),
         (["--rate", "1e6"], "rows; expected 2 to"),

@@ -29,7 +29,7 @@ from curlfit.numerics.compiled import in_batches
 Progress = Callable[[int, float], None]
 
 _TOGETHER = 4  # throws are computed in multiples of this many, so that few shapes are compiled
-_TOLERANCE = lm.Tolerance(1e-12, 1e-16)
+_CONTROL = lm.Control(1e-3, 1e-12, 1e-16)
 
 
 class Layout:
@@ -128,7 +128,7 @@ def minimize_jointly(
     batch = -(-count // _TOGETHER) * _TOGETHER
     rows, columns = layout.index[:, :, None], layout.index[:, None, :]
     typical = layout.bounds.typical
-    search = lm.begin(start, layout.bounds)
+    search = lm.begin(start, layout.bounds, _CONTROL)
     residual = np.full(problems.observed.shape, np.nan)
     jacobian = np.full((*residual.shape, p), np.nan)
     while not search.done:
@@ -143,7 +143,7 @@ def minimize_jointly(
             np.add.at(gradient, layout.index, each.gradient)
             np.add.at(hessian, (rows, columns), each.hessian)
             model = lm.QuadraticModel(each.chi_squared.sum(), gradient, hessian)
-            search, outcome = lm.advance(search, model, layout.bounds, _TOLERANCE)
+            search, outcome = lm.advance(search, model, layout.bounds, _CONTROL)
         if outcome.accepted:
             residual, jacobian = here
         if outcome.extrapolation.any():
