@@ -21,6 +21,15 @@ README = (Path(__file__).parents[2] / "README.md").read_text()
 LAW = re.search(r"<!-- law -->\n```python\n(.*?)```", README, re.S)[1]
 
 
+@pytest.fixture(scope="module", autouse=True)
+def shipped_laws_only():
+    """Laws of these files are known to no other test."""
+    before = dict(LAWS)
+    yield
+    for name in LAWS.keys() - before.keys():
+        del LAWS[name]
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("own")
