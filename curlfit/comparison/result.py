@@ -9,11 +9,10 @@ from typing import Any
 
 from curlfit.errors import DataError
 from curlfit.inference.fit.result import FitResult
-from curlfit.output.files import Migration, known_fields, read_json, write_json
+from curlfit.output.files import known_fields, read_json, write_json
 from curlfit.stone import Stone
 
 SCHEMA = 1
-MIGRATIONS: dict[int, Migration] = {}  # see `curlfit.inference.fit.result`
 PLACE = ("x", "y", "phi")
 
 
@@ -150,7 +149,7 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
     path = Path(file)
     if path.is_dir():
         path = path / "compare.json"
-    found = read_json(path, SCHEMA, MIGRATIONS)
+    found = read_json(path, SCHEMA)
     try:
         tuples = ("combinations", "sides", "negative", "at_bound", "not_identifiable", "warnings")
         return Comparison(

@@ -10,11 +10,10 @@ from typing import Any
 
 from curlfit.errors import DataError
 from curlfit.inference.identifiability import Combination
-from curlfit.output.files import Migration, known_fields, read_json, write_json
+from curlfit.output.files import known_fields, read_json, write_json
 from curlfit.stone import Stone
 
 SCHEMA = 1
-MIGRATIONS: dict[int, Migration] = {}
 
 
 @dataclass(frozen=True)
@@ -152,7 +151,7 @@ def load_design(file: str | PathLike[str]) -> Design:
     path = Path(file)
     if path.is_dir():
         path = path / "design.json"
-    data = read_json(path, SCHEMA, MIGRATIONS)
+    data = read_json(path, SCHEMA)
     try:
         return Design.from_json(data)
     except (KeyError, TypeError, ValueError, AttributeError) as error:

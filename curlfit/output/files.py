@@ -8,15 +8,13 @@ import os
 import re
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from curlfit.errors import DataError, InputError
-
-Migration = Callable[[dict[str, Any]], dict[str, Any]]
 
 _PREFIX = ".curlfit-"  # of temporary names
 
@@ -80,12 +78,8 @@ def _remove_stale_files(folder: Path) -> None:
 _KINDS = ("compare", "predict", "profile", "design")  # of records beside fits
 
 
-def read_json(file: Path, schema: int, migrations: Mapping[int, Migration]) -> dict[str, Any]:
-    """Read a record that `write_json` wrote, as one of the given schema.
-
-    Parameters
-    ----------
-    migrations : by schema, the conversion of its records to the next schema.
+def read_json(file: Path, schema: int) -> dict[str, Any]:
+    """Read a record of a schema that `write_json` wrote.
 
     Raises
     ------
@@ -109,12 +103,9 @@ def read_json(file: Path, schema: int, migrations: Mapping[int, Migration]) -> d
             f"this version reads up to {schema}",
             file=file,
         )
-    while version < schema:
-        if version not in migrations:
-            raise DataError(f"schema {version} found, which was never written", file=file)
-        record = migrations[version](record)
-        version += 1
-    return record | {"schema": schema}
+    if version < schema:
+        raise DataError(f"schema {version} found, which was never written", file=file)
+    return record
 
 
 def known_fields(record: type, entries: Mapping[str, Any]) -> dict[str, Any]:

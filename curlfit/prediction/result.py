@@ -13,12 +13,11 @@ import numpy as np
 
 from curlfit.errors import DataError
 from curlfit.numerics.arrays import Floats
-from curlfit.output.files import Migration, json_safe, known_fields, read_json, write_json
+from curlfit.output.files import json_safe, known_fields, read_json, write_json
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
 
 SCHEMA = 1
-MIGRATIONS: dict[int, Migration] = {}
 _SERIES = ("series", "band", "measured")
 PREDICTED = ("x", "y", "phi")
 """Predicted channels."""
@@ -225,7 +224,7 @@ def load_prediction(file: str | PathLike[str]) -> Prediction:
     path = Path(file)
     if path.is_dir():
         path = path / "predict.json"
-    found = read_json(path, SCHEMA, MIGRATIONS)
+    found = read_json(path, SCHEMA)
     try:
         return Prediction.from_json(found)
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -16,11 +16,9 @@ from curlfit.inference.fit.result import Estimate
 from curlfit.inference.identifiability import Combination, student_quantile
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
-from curlfit.output.files import Migration, json_safe, known_fields, read_json, write_json
+from curlfit.output.files import json_safe, known_fields, read_json, write_json
 
 SCHEMA = 1
-MIGRATIONS: dict[int, Migration] = {}
-
 
 _MIN_POINTS, _MAX_POINTS = 5, 2001  # of a parameter
 
@@ -315,7 +313,7 @@ def load_profile(file: str | PathLike[str]) -> Profile | PairProfile:
     path = Path(file)
     if path.is_dir():
         path = path / "profile.json"
-    found = read_json(path, SCHEMA, MIGRATIONS)
+    found = read_json(path, SCHEMA)
     try:
         return (PairProfile if found["kind"] == "two" else Profile).from_json(found)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:

@@ -19,8 +19,6 @@ from typer.testing import CliRunner
 import curlfit
 from curlfit import DataError, InputError, load_comparison, load_fit
 from curlfit.cli import app
-from curlfit.comparison import result as comparison
-from curlfit.inference.fit import result as results
 from curlfit.output.figures import save_figure
 from curlfit.paper import printed as paper
 
@@ -246,33 +244,6 @@ def test_records_that_have_more_than_this_version_knows(eq12_posterior, compared
         record["candidates"][0]["new"] = record["stone"]["new"] = 1
 
     assert load_comparison(record_of(compared, tmp_path, later_still)).best == compared.best
-
-
-@pytest.mark.parametrize("module", [results, comparison])
-def test_older_schemas_are_brought_up_to_date_step_by_step(
-    eq12_fit, compared, tmp_path, monkeypatch, module
-):
-    what, load = (eq12_fit, load_fit) if module is results else (compared, load_comparison)
-    text = "status" if module is results else "side"
-    steps = []
-
-    def second(record):
-        steps.append(record["schema"])
-        return {**record, "schema": 2, text: "two"}
-
-    def third(record):
-        steps.append(record["schema"])
-        return {**record, "schema": 3, text: record[text] + ", three"}
-
-    file = record_of(what, tmp_path, lambda record: None)
-    monkeypatch.setattr(module, "SCHEMA", 3)
-    monkeypatch.setattr(module, "MIGRATIONS", {1: second, 2: third})
-    assert getattr(load(file), text) == "two, three"
-    assert steps == [1, 2]
-    assert json.loads(file.read_text())["schema"] == 1
-    monkeypatch.setattr(module, "MIGRATIONS", {2: third})
-    with pytest.raises(DataError, match="schema 1 found, which"):
-        load(file)
 
 
 @pytest.mark.parametrize(

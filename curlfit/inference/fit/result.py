@@ -20,15 +20,12 @@ from curlfit.inference.identifiability import Combination, student_interval
 from curlfit.inference.noise.models import WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.numerics.arrays import Floats
-from curlfit.output.files import Migration, json_safe, known_fields, read_json, write_json
+from curlfit.output.files import json_safe, known_fields, read_json, write_json
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS, Reference, Throw
 
 SCHEMA = 1
 _LATER = ("law_file",)  # entries of `data` that the first records of schema 1 lack
-MIGRATIONS: dict[int, Migration] = {}
-"""By schema, what makes a record of it into one of the next. Entries that were added within a
-schema have defaults in `FitResult.from_json`."""
 
 
 @dataclass(frozen=True)
@@ -314,7 +311,7 @@ def load_fit(file: str | PathLike[str]) -> FitResult:
     path = Path(file)
     if path.is_dir():
         path = path / "fit.json"
-    found = read_json(path, SCHEMA, MIGRATIONS)
+    found = read_json(path, SCHEMA)
     try:
         return FitResult.from_json(found)
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -115,7 +115,7 @@ def load_joint(file: str | PathLike[str]) -> JointResult:
     path = Path(file)
     if path.is_dir():
         path = path / "joint.json"
-    found = read_json(path, SCHEMA, {})
+    found = read_json(path, SCHEMA)
     try:
         return JointResult(
             law=found["law"],
