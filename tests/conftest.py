@@ -41,7 +41,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest files first, lest one of them run on alone at the end.
+    """The longest files first, so that none of them runs on alone at the end.
 
     What compares all laws comes later, when the README's commands have compiled them.
     """

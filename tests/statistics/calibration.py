@@ -362,7 +362,7 @@ def evenness(items: Sequence[Quantity]) -> str:
 def pooled(answers: Answers, sense: int) -> str:
     """Coverage of all parameters' intervals in the throws of one sense.
 
-    Parameters of a throw go together, so that a throw counts once in what chance explains.
+    Parameters of a throw are correlated, so that a throw counts once in what chance explains.
     """
     cells, throws = [], 0
     for place, (nominal, _) in enumerate(LEVELS.values()):
