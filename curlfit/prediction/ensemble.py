@@ -19,7 +19,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import split
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.compiled import compiled
+from curlfit.numerics.compiled import compiled, in_batches
 from curlfit.prediction.request import ThrowStart
 from curlfit.stone import Stone
 
@@ -195,7 +195,6 @@ class ThrowFamily:
         known = new and abs(fitted_spin) > _MIN_SPIN
         self.spin_ratio = start.values["omega0"] / fitted_spin if known else 1.0
         self._grid: Floats | None = None
-        self._size = 0
 
     def with_start(self, values: Floats) -> Floats:
         """Parameter vectors with the start of this throw."""
@@ -225,15 +224,13 @@ class ThrowFamily:
 
     def simulate(self, values: Floats) -> TrajectoryEnsemble:
         """The trajectories of vectors from `with_start`, on one grid for all calls."""
-        self._size = max(self._size, len(values))  # one shape, one compiled program
-        padded = np.concatenate([values, np.repeat(values[:1], self._size - len(values), 0)])
         law, load = self.fit.law_class, check_load(self.fit.load)
 
         def on_grid(t: Floats) -> TrajectoryEnsemble:
-            return simulate_ensemble(law, load, padded, self.fit.stone, t)
+            return simulate_ensemble(law, load, values, self.fit.stone, t)
 
         if self._grid is not None:
-            return on_grid(self._grid).select(slice(0, len(values)))
+            return on_grid(self._grid)
         duration = self._estimated_duration()
         for step in _GRID_STEPS:
             grid: Floats = step * np.arange(_GRID_TIMES, dtype=np.float64)
@@ -244,7 +241,7 @@ class ThrowFamily:
             if (late & np.isfinite(ensemble.state).all((1, 2))).mean() < _MAX_LATE:
                 break
         self._grid = grid
-        return ensemble.select(slice(0, len(values)))
+        return ensemble
 
     def _estimated_duration(self) -> float:
         """Approximate duration of the throw in s, from the deceleration of the fitted one."""
@@ -259,7 +256,10 @@ def simulate_ensemble(
     law: type[Law], load: Load, values: Floats, stone: Stone, t: Floats
 ) -> TrajectoryEnsemble:
     """The trajectories of parameter vectors, at evenly spaced times from 0."""
-    return TrajectoryEnsemble(t, np.asarray(_propagated(law, load, values, stone, t)))
+    # In batches of one size, so that any number of throws runs the same program.
+    return TrajectoryEnsemble(
+        t, in_batches(lambda some: _propagated(law, load, some, stone, t), (values,))
+    )
 
 
 def _running_sum(steps: Floats) -> Floats:
