@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from curlfit.errors import DataError, InputError
+from curlfit.output.files import RECORDS
 
 if TYPE_CHECKING:
     from curlfit.friction import Law, Load
@@ -289,7 +290,7 @@ def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Fi
 
 def kind_of(folder: Path) -> str:
     """Kind of the results in a folder, by the name of its JSON file."""
-    for kind in ("fit", "compare", "joint", "predict", "profile", "design"):
+    for kind in RECORDS:
         if folder.name == f"{kind}.json" or (folder / f"{kind}.json").is_file():
             return kind
     return "fit"

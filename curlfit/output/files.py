@@ -75,7 +75,8 @@ def _remove_stale_files(folder: Path) -> None:
                 file.unlink()
 
 
-_KINDS = ("compare", "predict", "profile", "design")  # of records beside fits
+RECORDS = ("fit", "compare", "joint", "predict", "profile", "design")
+"""Kinds of saved results; that of a folder is the name of its JSON file."""
 
 
 def read_json(file: Path, schema: int) -> dict[str, Any]:
@@ -85,7 +86,7 @@ def read_json(file: Path, schema: int) -> dict[str, Any]:
     ------
     DataError : the file is not there, is not such a record, or is of a schema that cannot be read.
     """
-    kind = next((f"{name}.json" for name in _KINDS if name in file.name), "fit.json")
+    kind = next((f"{name}.json" for name in RECORDS if name in file.name), "fit.json")
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
