@@ -166,7 +166,7 @@ def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
     return settings
 
 
-class PreparedThrow(NamedTuple):
+class ConfiguredThrow(NamedTuple):
     """A throw with the settings for its fit."""
 
     throw: Throw
@@ -180,7 +180,7 @@ def reader_arguments(configured: Mapping[str, Any], flags: Mapping[str, Any]) ->
     return {key: settings[key] for key in READER_OPTIONS if key in settings}
 
 
-def prepare(data: Path, config: Path | None, flags: Mapping[str, Any]) -> PreparedThrow:
+def prepare(data: Path, config: Path | None, flags: Mapping[str, Any]) -> ConfiguredThrow:
     """The throw and its settings: its own, then those of the configuration, then the flags.
 
     Raises
@@ -196,13 +196,13 @@ def prepare(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Prepar
 
 def apply_settings(
     throw: Throw, configured: Mapping[str, Any], flags: Mapping[str, Any]
-) -> PreparedThrow:
+) -> ConfiguredThrow:
     """`prepare` for a throw that was read already."""
     from curlfit.stone import Stone
 
     settings = merge(check_settings(throw.defaults, throw.name), configured, flags)
     stone = Stone().with_values(settings.get("stone", {}))
-    return PreparedThrow(throw.with_sigma(settings.get("sigma", {})), settings, stone)
+    return ConfiguredThrow(throw.with_sigma(settings.get("sigma", {})), settings, stone)
 
 
 def fit_flags(
