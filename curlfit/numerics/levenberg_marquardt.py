@@ -176,8 +176,8 @@ def reweighted(
     xp = _namespace(search.values)
     first = xp.full(search.damping.shape, control.damping * _LESS)
     anew = search._replace(
-        model=model, damping=first, reduction=xp.full(first.shape, xp.inf),
-        evaluations=xp.ones(first.shape, int),
+        model=model, damping=first, growth=xp.full(first.shape, _MORE),
+        reduction=xp.full(first.shape, xp.inf), evaluations=xp.ones(first.shape, int),
     )  # fmt: skip
     return _proposed(anew, bounds, control, xp.ones(first.shape, bool))
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
+from operator import itemgetter
 from typing import Any
 
 import jax
@@ -13,7 +14,7 @@ import numpy as np
 from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
 from curlfit.inference.fit.missing_channels import remedies
-from curlfit.inference.fit.prepared import PreparedThrow
+from curlfit.inference.fit.prepared import PreparedThrow, local_bounds
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import LeastSquaresFit, summarize, summarize_many
@@ -223,11 +224,7 @@ def _fitted_together(
     """Throws of one shape, side by side, by index; those are left out that have to be fitted
     alone."""
     law, load, throws = rounds.law, rounds.load, rounds.throws
-    sets = [one.parameters for one in throws]
-    offset = np.stack([one.offset for one in throws])
-    lower, upper = (
-        np.stack([getattr(item, name) for item in sets]) - offset for name in ("lower", "upper")
-    )
+    _, lower, upper = local_bounds(throws)
     paths = smooth(rounds.problems)
     begin = start_values(law, load, rounds.problems, paths, lower, upper)
     if start:
@@ -238,18 +235,16 @@ def _fitted_together(
 
     def revise(which: Indices, solutions: Solution) -> list[Revision]:
         if not checked_once[which].all():
-            here: Callable[[Any], Any] = _rows(which)
-            bad = needs_restart(
-                solutions, jax.tree.map(here, paths), jax.tree.map(here, rounds.problems)
-            )
+            here = jax.tree.map(itemgetter(run_of(which)), (paths, rounds.problems))
+            bad = needs_restart(solutions, *here)
             poor[which] |= bad & ~checked_once[which]
             checked_once[which] = True
         if poor[which].any():
             good = ~poor[which]
-            which, solutions = which[good], jax.tree.map(lambda leaf: leaf[good], solutions)
+            which, solutions = which[good], jax.tree.map(itemgetter(good), solutions)
         return rounds.revise(which, solutions) if len(which) else []
 
-    tasks = Tasks(rounds.problems, begin, lower, upper, sets[0].typical)
+    tasks = Tasks(rounds.problems, begin, lower, upper, throws[0].parameters.typical)
     solutions = minimize_many(law, load, tasks, revise)
     each = unstacked(solutions)
     usable = np.flatnonzero(solutions.success & ~poor)
@@ -258,11 +253,6 @@ def _fitted_together(
         for index in usable
         if index not in rounds.failures
     }
-
-
-def _rows(which: Indices) -> Callable[[Any], Any]:
-    run = run_of(which)
-    return lambda leaf: leaf[run]
 
 
 def _alone(prepared: PreparedThrow, law: type[Law], load: Load, **choices: Any) -> Any:

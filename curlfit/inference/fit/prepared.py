@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,3 +79,12 @@ class PreparedThrow(NamedTuple):
         for name, value in start.items():
             absolute[self.parameters.index(name)] = value
         return np.clip(absolute, self.parameters.lower, self.parameters.upper) - self.offset
+
+
+def local_bounds(throws: Sequence[PreparedThrow]) -> tuple[Floats, Floats, Floats]:
+    """From the problems' coordinates to the data's, and the bounds in the former, of many throws;
+    each of shape (throws, parameters)."""
+    offset = np.stack([one.offset for one in throws])
+    lower = np.stack([one.parameters.lower for one in throws]) - offset
+    upper = np.stack([one.parameters.upper for one in throws]) - offset
+    return offset, lower, upper

@@ -33,7 +33,7 @@ from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, raw_residual
 from curlfit.inference.noise.correlated import WHITENERS, whitener_of
 from curlfit.inference.noise.estimation import channel_residuals
 from curlfit.inference.noise.losses import robust_sigma
-from curlfit.inference.noise.models import LOSSES, Noise
+from curlfit.inference.noise.models import LOSSES, Noise, time_of_motion
 from curlfit.inference.problem import Problem, build_problem
 from curlfit.numerics.compiled import stacked
 from curlfit.throws.throw import CHANNELS
@@ -138,8 +138,7 @@ class Rounds:
         for place, index in enumerate(now):
             throw = self.throws[index].throw
             n = len(throw)
-            moving = np.flatnonzero(paths[place, CHANNELS.index("speed"), :n] > 0)
-            span = float(throw.t[moving[-1]] - throw.t[0]) if len(moving) else 0.0
+            span = time_of_motion(throw.t, paths[place, CHANNELS.index("speed"), :n])
             try:
                 channels = channel_residuals(
                     throw, solutions.residual[place, :, :n],

@@ -20,7 +20,7 @@ from curlfit.inference.fit.covariance import (
     nonquadratic_parameters,
     one_sigma_points,
 )
-from curlfit.inference.fit.prepared import PreparedThrow
+from curlfit.inference.fit.prepared import PreparedThrow, local_bounds
 from curlfit.inference.fit.residuals import (
     ResidualStatistics,
     correlation_warnings,
@@ -32,7 +32,7 @@ from curlfit.inference.fit.residuals import (
 from curlfit.inference.fit.result import Estimate, FitResult
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.linearized_problem import classify
-from curlfit.inference.noise.models import Noise
+from curlfit.inference.noise.models import Noise, time_of_motion
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
@@ -84,8 +84,7 @@ def summarize_many(
     paths = predict_many(law, load, solutions.values, problems, batch) if curves else None
     statistics = residual_statistics(problems, solutions, paths)
     sets = [fit.prepared.parameters for fit in fits]
-    # from the problems' coordinates to the data's
-    offset = np.stack([fit.prepared.offset for fit in fits])
+    offset, lower, upper = local_bounds([fit.prepared for fit in fits])
     channels = CHANNELS[: problems.observed.shape[1]]
     found = covariances(
         sets,
@@ -95,9 +94,6 @@ def summarize_many(
         statistics,
         estimated=np.array([[name in fit.sigma for name in channels] for fit in fits]),
         loss=fits[0].loss,
-    )
-    lower, upper = (
-        np.stack([getattr(item, name) for item in sets]) - offset for name in ("lower", "upper")
     )
     around = one_sigma_points(found, solutions.values, lower, upper, sets[0].typical)
     of_owners = jax.tree.map(lambda leaf: leaf[around.owner], problems)
@@ -233,8 +229,7 @@ def _memory_warnings(noise: Noise, t: Floats, curves: dict[str, Floats]) -> list
     memory = max(noise.memory.values(), default=0.0)
     if not memory:
         return []
-    moving = np.flatnonzero(curves["speed"] > 0)
-    span = float(t[moving[-1]] - t[0]) if len(moving) else 0.0
+    span = time_of_motion(t, curves["speed"])
     if memory <= _LASTING * span:
         return []
     return [

@@ -86,6 +86,12 @@ class Noise:
 WHITE = Noise()
 
 
+def time_of_motion(t: Floats, speed: Floats) -> float:
+    """Time from the first row to the last in which a stone moves, s."""
+    moving = np.flatnonzero(speed > 0)
+    return float(t[moving[-1]] - t[0]) if len(moving) else 0.0
+
+
 def matern(gap: Floats, memory: float) -> Floats:
     """Correlation of a discrepancy over gaps in s."""
     q = math.sqrt(5) * np.abs(gap) / memory
