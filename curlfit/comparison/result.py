@@ -7,9 +7,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from curlfit.errors import DataError
 from curlfit.inference.fit.result import FitResult
-from curlfit.output.files import known_fields, read_json, write_json
+from curlfit.output.files import known_fields, load_record, write_json
 from curlfit.stone import Stone
 
 SCHEMA = 1
@@ -146,11 +145,8 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
     ------
     DataError : it is not there, or is not a record that this version can read.
     """
-    path = Path(file)
-    if path.is_dir():
-        path = path / "compare.json"
-    found = read_json(path, SCHEMA)
-    try:
+
+    def build(found: dict[str, Any], path: Path) -> Comparison:
         tuples = ("combinations", "sides", "negative", "at_bound", "not_identifiable", "warnings")
         return Comparison(
             data=found["data"],
@@ -169,7 +165,5 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
             noise=found.get("noise", "white"),
             effective=found.get("effective", {}),
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(
-            f"not a complete compare.json of curlfit ({type(error).__name__}: {error})", file=path
-        ) from None
+
+    return load_record(file, "compare", SCHEMA, build)

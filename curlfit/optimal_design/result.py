@@ -8,9 +8,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from curlfit.errors import DataError
 from curlfit.inference.identifiability import Combination
-from curlfit.output.files import known_fields, read_json, write_json
+from curlfit.output.files import known_fields, load_record, write_json
 from curlfit.stone import Stone
 
 SCHEMA = 1
@@ -148,16 +147,7 @@ def load_design(file: str | PathLike[str]) -> Design:
     ------
     DataError : missing, not a file of curlfit, or of a schema that this version cannot read.
     """
-    path = Path(file)
-    if path.is_dir():
-        path = path / "design.json"
-    data = read_json(path, SCHEMA)
-    try:
-        return Design.from_json(data)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(
-            f"not a complete design.json of curlfit ({type(error).__name__}: {error})", file=path
-        ) from None
+    return load_record(file, "design", SCHEMA, lambda entries, _: Design.from_json(entries))
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,12 @@ import os
 import re
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import fields
+from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from curlfit.errors import DataError, InputError
 
@@ -75,6 +76,8 @@ def _remove_stale_files(folder: Path) -> None:
                 file.unlink()
 
 
+Result = TypeVar("Result")
+
 RECORDS = ("fit", "compare", "joint", "predict", "profile", "design")
 """Kinds of saved results; that of a folder is the name of its JSON file."""
 
@@ -107,6 +110,36 @@ def read_json(file: Path, schema: int) -> dict[str, Any]:
     if version < schema:
         raise DataError(f"schema {version} found, which was never written", file=file)
     return record
+
+
+def load_record(
+    file: str | PathLike[str],
+    kind: str,
+    schema: int,
+    build: Callable[[dict[str, Any], Path], Result],
+) -> Result:
+    """A saved result, from its JSON file or the folder with it.
+
+    Parameters
+    ----------
+    build : makes it from the entries of the file, whose path is given too.
+
+    Raises
+    ------
+    DataError : as `read_json`; entries are missing or of another kind.
+    """
+    path = Path(file)
+    if path.is_dir():
+        path = path / f"{kind}.json"
+    entries = read_json(path, schema)
+    try:
+        return build(entries, path)
+    except DataError:  # of a file beside it
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise DataError(
+            f"not a complete {kind}.json of curlfit ({type(error).__name__}: {error})", file=path
+        ) from None
 
 
 def known_fields(record: type, entries: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.errors import DataError
 from curlfit.numerics.arrays import Floats
-from curlfit.output.files import json_safe, known_fields, read_json, write_json
+from curlfit.output.files import json_safe, known_fields, load_record, write_json
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
 
@@ -221,16 +220,7 @@ def load_prediction(file: str | PathLike[str]) -> Prediction:
     ------
     DataError : it is not there, is not a prediction, or has a schema this version cannot read.
     """
-    path = Path(file)
-    if path.is_dir():
-        path = path / "predict.json"
-    found = read_json(path, SCHEMA)
-    try:
-        return Prediction.from_json(found)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(
-            f"not a complete predict.json of curlfit ({type(error).__name__}: {error})", file=path
-        ) from None
+    return load_record(file, "predict", SCHEMA, lambda entries, _: Prediction.from_json(entries))
 
 
 def _number(value: float | None) -> float:

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.errors import DataError, InputError
+from curlfit.errors import InputError
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.identifiability import Combination, student_quantile
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
-from curlfit.output.files import json_safe, known_fields, read_json, write_json
+from curlfit.output.files import json_safe, known_fields, load_record, write_json
 
 SCHEMA = 1
 
@@ -310,16 +310,11 @@ def load_profile(file: str | PathLike[str]) -> Profile | PairProfile:
     ------
     DataError : it is not there, is not a profile, or has a schema this version cannot read.
     """
-    path = Path(file)
-    if path.is_dir():
-        path = path / "profile.json"
-    found = read_json(path, SCHEMA)
-    try:
-        return (PairProfile if found["kind"] == "two" else Profile).from_json(found)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        raise DataError(
-            f"not a complete profile.json of curlfit ({type(error).__name__}: {error})", file=path
-        ) from None
+
+    def build(entries: dict[str, Any], _: Path) -> Profile | PairProfile:
+        return (PairProfile if entries["kind"] == "two" else Profile).from_json(entries)
+
+    return load_record(file, "profile", SCHEMA, build)
 
 
 def require_usable(

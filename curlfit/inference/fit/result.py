@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.errors import DataError
 from curlfit.friction import LAWS, Law, Parameter, find_law
 from curlfit.inference.identifiability import Combination, student_interval
 from curlfit.inference.noise.models import WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.numerics.arrays import Floats
-from curlfit.output.files import json_safe, known_fields, read_json, write_json
+from curlfit.output.files import json_safe, known_fields, load_record, write_json
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS, Reference, Throw
 
@@ -308,16 +307,7 @@ def load_fit(file: str | PathLike[str]) -> FitResult:
     ------
     DataError : it is not there, is not a curlfit result, or has a schema this version cannot read.
     """
-    path = Path(file)
-    if path.is_dir():
-        path = path / "fit.json"
-    found = read_json(path, SCHEMA)
-    try:
-        return FitResult.from_json(found)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(
-            f"not a complete fit.json of curlfit ({type(error).__name__}: {error})", file=path
-        ) from None
+    return load_record(file, "fit", SCHEMA, lambda entries, _: FitResult.from_json(entries))
 
 
 def _series(found: dict[str, list[float | None]]) -> dict[str, Floats]:

@@ -7,10 +7,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from curlfit.errors import DataError
 from curlfit.inference.fit.result import Estimate, FitResult, load_fit
 from curlfit.inference.identifiability import Combination
-from curlfit.output.files import known_fields, read_json, write_json
+from curlfit.output.files import known_fields, load_record, write_json
 
 SCHEMA = 1
 
@@ -112,11 +111,8 @@ def load_joint(file: str | PathLike[str]) -> JointResult:
     ------
     DataError : a file is not there, or is not a record that this version can read.
     """
-    path = Path(file)
-    if path.is_dir():
-        path = path / "joint.json"
-    found = read_json(path, SCHEMA)
-    try:
+
+    def build(found: dict[str, Any], path: Path) -> JointResult:
         return JointResult(
             law=found["law"],
             load=found["load"],
@@ -143,9 +139,5 @@ def load_joint(file: str | PathLike[str]) -> JointResult:
                 load_fit(path.parent / Path(item["file"]).stem) for item in found["throws"]
             ),
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        if isinstance(error, DataError):
-            raise
-        raise DataError(
-            f"not a complete joint.json of curlfit ({type(error).__name__}: {error})", file=path
-        ) from None
+
+    return load_record(file, "joint", SCHEMA, build)
