@@ -13,7 +13,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from curlfit.dynamics.trajectory import InitialState, simulate
+from curlfit.dynamics.trajectory import InitialState, forces_on, ordered_trajectory
 
 # isort: split
 import jax
@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, check_load
 from curlfit.numerics.arrays import Floats
@@ -64,12 +65,13 @@ def aim(
     heading: float | None = None,
     speed: float = 0.0,
     load: str = "uniform",
+    environment: Environment | None = None,
 ) -> Aim:
     """The throw that comes to rest at a target, or passes it at a given speed.
 
     Parameters
     ----------
-    law, stone, load : as in `simulate`.
+    law, stone, load, environment : as in `simulate`.
     target : position (x, y) in m.
     omega0 : spin at the start in rad/s.
     start : initial position (x, y) in m.
@@ -97,15 +99,35 @@ def aim(
         raise InputError(f"a speed of {speed:g} m/s at the target; expected 0 to {FASTEST:g} m/s")
     if heading is not None and not abs(heading) < math.pi / 2:
         raise InputError(f"heading = {heading:g} rad: expected one that goes along the sheet")
-    endpoint = partial(_endpoint, law, stone, check_load(load), omega0, speed)
-    distance = math.hypot(across, along)
+    distance, surroundings = math.hypot(across, along), environment or Environment()
+    direct = math.atan2(across, along)
+    guess = direct if heading is None else heading
+    for _ in range(_MAX_ITERATIONS):
+        # The heading enters through the direction of the slope alone.
+        forces = np.asarray(forces_on(stone, surroundings, jnp.asarray(guess)))
+        endpoint = partial(_endpoint, law, stone, check_load(load), forces, omega0, speed)
+        v0 = _speed_to_reach(endpoint, distance if heading is None else along, heading, speed)
+        if heading is not None:
+            return Aim(v0, heading)
+        found = direct - math.atan2(*endpoint(v0).position)
+        if abs(found - guess) < _TOLERANCE / distance or environment is None:
+            break
+        guess = found
+    return Aim(v0, found)
+
+
+def _speed_to_reach(
+    endpoint: Callable[[float], _Endpoint], distance: float, heading: float | None, speed: float
+) -> float:
+    """The initial speed that carries the stone over a distance: along the sheet for a heading, else
+    in a straight line."""
 
     def overshoot(v: float) -> tuple[float, float]:
         """Distance beyond the target, and its derivative with respect to the speed."""
         position, slope = endpoint(v)
         if heading is not None:
             ahead = np.array([-math.sin(heading), math.cos(heading)])
-            return float(ahead @ position) - along, float(ahead @ slope)
+            return float(ahead @ position) - distance, float(ahead @ slope)
         size = float(np.hypot(*position))
         return size - distance, float(position @ slope) / size if size > 0 else 0.0
 
@@ -127,11 +149,7 @@ def aim(
         raise InputError(
             f"no throw reaches it: even one of {FASTEST:g} m/s {what} {-largest:.3g} m short"
         )
-    v0 = _root(overshoot, low, float(high))
-    if heading is None:
-        position = endpoint(v0).position
-        heading = math.atan2(across, along) - math.atan2(*position)
-    return Aim(v0, heading)
+    return _root(overshoot, low, float(high))
 
 
 def _root(f: Callable[[float], tuple[float, float]], low: float, high: float) -> float:
@@ -153,14 +171,14 @@ def _root(f: Callable[[float], tuple[float, float]], low: float, high: float) ->
 
 
 def _endpoint(
-    law: Law, stone: Stone, load: Load, omega: float, speed: float, v: float
+    law: Law, stone: Stone, load: Load, forces: Floats, omega: float, speed: float, v: float
 ) -> _Endpoint:
     if v <= speed:
         return _Endpoint(np.zeros(2), np.zeros(2))
     first, last = 0.0, 60.0
     while True:
         path, slopes = _speed_and_position(
-            law, stone, load, v, omega, np.linspace(first, last, _GRID_SIZE)
+            law, stone, load, forces, v, omega, np.linspace(first, last, _GRID_SIZE)
         )
         slow = np.flatnonzero(path[2] <= speed)
         if len(slow):
@@ -175,7 +193,7 @@ def _endpoint(
     for _ in range(2):
         k = max(int(slow[0]), 1)
         times = np.linspace(times[k - 1], times[k], _GRID_SIZE)
-        path, slopes = _speed_and_position(law, stone, load, v, omega, times)
+        path, slopes = _speed_and_position(law, stone, load, forces, v, omega, times)
         slow = np.flatnonzero(path[2] <= speed)
         slow = slow if len(slow) else np.array([_GRID_SIZE - 1])
     k = max(int(slow[0]), 1)
@@ -189,23 +207,25 @@ def _endpoint(
 
 @compiled("law", "load")
 def _speed_and_position_compiled(
-    law: type[Law], load: Load, coefficients: Array, stone: Stone, v: Array, omega: Array,
-    times: Array,
+    law: type[Law], load: Load, coefficients: Array, stone: Stone, forces: Array, v: Array,
+    omega: Array, times: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
     def path(v: Array) -> Array:
-        start = InitialState(v=v, omega=omega)
-        found = simulate(law.from_vector(coefficients), stone, start, times, load=load, t0=0.0)
+        start = jax.tree.map(jnp.asarray, InitialState(v=v, omega=omega))
+        found = ordered_trajectory(
+            law.from_vector(coefficients), stone, forces, start, times, jnp.zeros(()), load=load
+        )
         return jnp.stack([found.x, found.y, found.speed, found.vx, found.vy])
 
     return jax.jvp(path, (v,), (jnp.ones(()),))
 
 
 def _speed_and_position(
-    law: Law, stone: Stone, load: Load, v: float, omega: float, times: Floats
+    law: Law, stone: Stone, load: Load, forces: Floats, v: float, omega: float, times: Floats
 ) -> tuple[Floats, Floats]:
     """x, y, speed, vx, vy at times, shape (5, n), and their derivatives by the initial speed."""
     coefficients = np.array([float(getattr(law, item.name)) for item in law.coefficients()])
     path, slopes = _speed_and_position_compiled(
-        type(law), load, coefficients, stone, float(v), float(omega), times
+        type(law), load, coefficients, stone, forces, float(v), float(omega), times
     )
     return np.asarray(path), np.asarray(slopes)

@@ -2,7 +2,9 @@
 
 With speed `v`, heading `b` (beta of eq. 24) and spin `omega`
 
-    dv/dt = a_eta,  v db/dt = a_xi,  domega/dt = alpha,  dx/dt = v sin b,  dy/dt = v cos b.
+    dv/dt = a_eta,  v db/dt = a_xi,  domega/dt = alpha,  dx/dt = v sin b,  dy/dt = v cos b,
+
+where a_eta and a_xi are those of friction, of gravity on ice that is not level, and of the air.
 
 The time scales of this motion are the time to rest, the turning of the velocity and the passage of
 |epsilon| = 1, where one point of the ring stops sliding and friction has a logarithmic kink. Each
@@ -93,6 +95,7 @@ class HeadingFrame(NamedTuple):
 def rates(
     law: Law,
     stone: Stone,
+    forces: Array,
     load: Load,
     turning_limit: Array,
     frame: HeadingFrame,
@@ -102,17 +105,23 @@ def rates(
 ) -> State:
     """Time derivative of the state; `frame` is that of a nearby heading.
 
+    `forces` are the accelerations by gravity along +x and +y of the state's frame, m/s^2, and the
+    deceleration by the air over v^2, 1/m, shape (3, batch).
+
     A stone that spins almost in place, under a transverse force, moves on circles of radius
     v^2/a_xi. Where its velocity turns faster than `turning_limit` (rad/s), it is held at their
     centre.
     """
     a = accelerations(law, stone, load, state.v, state.omega, state.phi, time, clustering)
     moving = state.v > 0
-    turning = jnp.where(moving, a.xi / jnp.where(moving, state.v, 1.0), 0.0)
+    _, s, c = frame.rotated_to(state.heading)
+    g_x, g_y, drag = forces
+    a_xi = a.xi + c * g_x - s * g_y
+    a_eta = a.eta + jnp.where(moving, s * g_x + c * g_y, 0.0) - drag * state.v**2
+    turning = jnp.where(moving, a_xi / jnp.where(moving, state.v, 1.0), 0.0)
     stationary = jnp.abs(turning) > turning_limit
     along, turning = (jnp.where(stationary, 0.0, value) for value in (state.v, turning))
-    _, s, c = frame.rotated_to(state.heading)
-    return State(along * s, along * c, state.omega, turning, a.eta, a.angular)
+    return State(along * s, along * c, state.omega, turning, a_eta, a.angular)
 
 
 def turning_limit(law: Law, stone: Stone, span: Array, state: State, rate: State) -> Array:

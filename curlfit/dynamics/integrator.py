@@ -118,6 +118,7 @@ def _update(whole: _Dual, part: _Dual, function: Callable[[Array, Array], Array]
 
 def _integrate_batch(
     system: Callable[[Any], tuple[Law, Stone]],
+    forces: Callable[[Any], Array],
     parameters: _Dual,
     start: _Dual,
     *,
@@ -129,7 +130,8 @@ def _integrate_batch(
 
     Parameters
     ----------
-    system : law and stone from the value of `parameters`.
+    system, forces : law and stone, and forces besides friction (`equations.rates`), from the value
+        of `parameters`.
     start : speed and spin, shape (2, batch).
     times : in s, non-decreasing from row to row, shape (n, batch or 1); inf for unused rows, which
         cost nothing and are 0.
@@ -162,7 +164,10 @@ def _integrate_batch(
         limit = jnp.where(dt.value > 0, limit, jnp.inf)
 
         def derivative(parameters: Any, frame: HeadingFrame, state: Array, time: Array) -> State:
-            return rates(*system(parameters), load, limit, frame, clustering, State(*state), time)
+            outer = forces(parameters)
+            return rates(
+                *system(parameters), outer, load, limit, frame, clustering, State(*state), time
+            )
 
         # A loop over the stages, not six copies of them, keeps the compiled program small.
         def stage(index: Array, carry: tuple[_Dual, _Dual]) -> tuple[_Dual, _Dual]:
@@ -344,10 +349,11 @@ def _mappable(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _values(law: type[Law], load: Load, velocities: bool, *arrays: Array) -> Solution:
-    coefficients, stone, start, times = arrays
+    coefficients, stone, forces, start, times = arrays
     path, rest = _integrate_batch(
         lambda parameters: (law.from_vector(parameters[0]), Stone(*parameters[1])),
-        _Dual((coefficients, stone)),
+        lambda parameters: parameters[2],
+        _Dual((coefficients, stone, forces)),
         _Dual(start),
         times=times,
         load=load,
@@ -373,19 +379,25 @@ def _values_and_jacobian(
     *constants, start = duals
     free = [item for is_active, item in zip(active, constants, strict=False) if is_active]
 
-    def system(parameters: list[Array]) -> tuple[Law, Stone]:
+    def unpacked(parameters: list[Array]) -> list[Array]:
         remaining = iter(parameters)
-        coefficients, stone = (
+        return [
             next(remaining) if is_active else item.value
             for is_active, item in zip(active, constants, strict=False)
-        )
+        ]
+
+    def system(parameters: list[Array]) -> tuple[Law, Stone]:
+        coefficients, stone, _ = unpacked(parameters)
         return law.from_vector(coefficients), Stone(*stone)
+
+    def forces(parameters: list[Array]) -> Array:
+        return unpacked(parameters)[2]
 
     parameters = _Dual(
         [item.value for item in free], [item.tangents for item in free] if free else None
     )
     path, rest = _integrate_batch(
-        system, parameters, start, times=times, load=load, velocities=velocities
+        system, forces, parameters, start, times=times, load=load, velocities=velocities
     )
     return (path.value, rest.value), (path.tangents, rest.tangents)
 
@@ -395,7 +407,7 @@ def integrate(
     law: type[Law],
     load: Load,
     velocities: bool,
-    inputs: tuple[Array, Array, Array],
+    inputs: tuple[Array, Array, Array, Array],
     times: Array,
 ) -> Solution:
     """One motion from the origin along +y.
@@ -403,8 +415,9 @@ def integrate(
     Parameters
     ----------
     velocities : whether to return these, which takes as long again as the positions.
-    inputs : the law's coefficients, the stone's fields and (v0, omega0), as vectors. Inputs
-        without tangents cost nothing; a `vmap` becomes one batch.
+    inputs : the law's coefficients, the stone's fields, the forces besides friction (see
+        `equations.rates`) and (v0, omega0), as vectors. Inputs without tangents cost nothing; a
+        `vmap` becomes one batch.
     times : in s, >= 0, non-decreasing, shape (n,). Rows at inf, which may stand at the end, cost
         nothing and are 0.
     """

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from curlfit.environment import Environment
 from curlfit.friction import Law, Load, check_load
 from curlfit.stone import Stone
 
@@ -83,18 +84,31 @@ class Trajectory:
         return Trajectory(*arrays)
 
 
+jax.tree_util.register_dataclass(
+    Environment, data_fields=["slope_x", "slope_y", "drag"], meta_fields=[]
+)
+
+
+def forces_on(stone: Stone, environment: Environment, heading: Array) -> Array:
+    """Forces besides friction, as `integrate` takes them, in the frame of an initial heading."""
+    right, along = environment.gravity_along(jnp.sin(heading), jnp.cos(heading))
+    return jnp.stack([right, along, environment.drag_rate(stone.m)])
+
+
 def _motion(
-    law: Law, stone: Stone, start: InitialState, times: Array, load: Load, velocities: bool
-) -> tuple[list[Array], Array]:
+    law: Law, stone: Stone, forces: Array, start: InitialState, times: Array, load: Load,
+    velocities: bool,
+) -> tuple[list[Array], Array]:  # fmt: skip
     """x, y, phi, with vx, vy, omega if requested, and the time of rest."""
     inputs = (
         jnp.stack(jax.tree.leaves(law)),
         jnp.stack(jax.tree.leaves(stone)),
+        forces,
         jnp.stack([start.v, start.omega]),
     )
     channels, rest = integrate(type(law), load, velocities, inputs, times)
-    # The ice is homogeneous and isotropic: initial position, heading and angle only translate and
-    # rotate the path (u to the right of the initial heading, w along it).
+    # Friction is the same everywhere and in all directions: initial position, heading and angle
+    # only translate and rotate the path (u to the right of the initial heading, w along it).
     s, c = jnp.sin(start.heading), jnp.cos(start.heading)
     u, w, turned, *rates = channels
     out = [start.x + c * u + s * w, start.y - s * u + c * w, start.phi + turned]
@@ -105,21 +119,27 @@ def _motion(
 
 
 @partial(jax.jit, static_argnames="load")
-def _simulate(
-    law: Law, stone: Stone, start: InitialState, times: Array, t0: Array, *, load: Load
-) -> Trajectory:
-    (x, y, phi, *rates), rest = _motion(law, stone, start, times - t0, load, velocities=True)
+def ordered_trajectory(
+    law: Law, stone: Stone, forces: Array, start: InitialState, times: Array, t0: Array, *,
+    load: Load,
+) -> Trajectory:  # fmt: skip
+    """Like `simulate`, for arrays of floats, `forces_on` the stone, and non-decreasing times; rows
+    at inf are unused, and are 0."""
+    (x, y, phi, *rates), rest = _motion(
+        law, stone, forces, start, times - t0, load, velocities=True
+    )
     vx, vy, omega = rates
     return Trajectory(t=times, x=x, y=y, phi=phi, vx=vx, vy=vy, omega=omega, rest=t0 + rest)
 
 
-def positions(law: Law, stone: Stone, start: InitialState, times: Array, *, load: Load) -> Array:
+def positions(
+    law: Law, stone: Stone, forces: Array, start: InitialState, times: Array, *, load: Load
+) -> Array:
     """x, y and phi alone, shape (3, n), of a stone that starts at time 0.
 
-    Like `simulate`, within compiled code, for non-decreasing times, without derivatives with
-    respect to them.
+    Like `ordered_trajectory`, without derivatives with respect to the times.
     """
-    channels, _ = _motion(law, stone, start, times, load, velocities=False)
+    channels, _ = _motion(law, stone, forces, start, times, load, velocities=False)
     return jnp.stack(channels)
 
 
@@ -131,13 +151,13 @@ def simulate(
     *,
     load: str = "uniform",
     t0: ArrayLike | None = None,
-    ordered: bool = False,
+    environment: Environment | None = None,
 ) -> Trajectory:
     """The trajectory of a stone under a friction law.
 
     Works under `jit` and `vmap`, and differentiates forward and in reverse with respect to the
-    law's coefficients, the stone and the start. Derivatives of position and angle with respect to
-    `times` are exact, those of velocity with respect to `times` are taken as zero.
+    law's coefficients, the stone, the start and the environment. Derivatives of position and angle
+    with respect to `times` are exact, those of velocity with respect to `times` are taken as zero.
 
     Parameters
     ----------
@@ -146,8 +166,7 @@ def simulate(
         rest.
     load : "uniform" or "consistent" (eq. 8-9).
     t0 : time of `start` in s; the first of `times` if not given.
-    ordered : times are non-decreasing, so that compiled code need not sort them; rows at inf are
-        then unused, and are 0.
+    environment : slope of the ice and drag of the air; none of them by default.
 
     Returns
     -------
@@ -162,15 +181,19 @@ def simulate(
     checked = check_load(load)
     times = jnp.asarray(times, float)
     t0 = jnp.min(times) if t0 is None else jnp.asarray(t0, float)
-    as_floats = jax.tree.map(lambda value: jnp.asarray(value, float), (law, stone, start))
-    if ordered:
-        return _simulate(*as_floats, times, t0, load=checked)
+    law, stone, start, environment = jax.tree.map(
+        lambda value: jnp.asarray(value, float), (law, stone, start, environment or Environment())
+    )
+    arrays = (law, stone, forces_on(stone, environment, start.heading), start)
     finite = jnp.where(times == jnp.inf, _REST_TIME, times)
     if _non_decreasing(times):
-        path = _simulate(*as_floats, finite, t0, load=checked)
+        path = ordered_trajectory(*arrays, finite, t0, load=checked)
     else:
         order = jnp.argsort(finite)
-        path, back = _simulate(*as_floats, finite[order], t0, load=checked), jnp.argsort(order)
+        path, back = (
+            ordered_trajectory(*arrays, finite[order], t0, load=checked),
+            jnp.argsort(order),
+        )
         path = jax.tree.map(lambda values: values[back] if values.ndim else values, path)
     return replace(path, t=times)
 

@@ -23,8 +23,10 @@ from numpy.polynomial.chebyshev import chebder, chebint, chebval, chebvander
 
 from curlfit.friction import Coefficient, Law, Load
 from curlfit.inference.identifiability import inverted, triangle
+from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
+from curlfit.inference.system import assumed_conditions
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import BATCH, compiled, in_batches
 from curlfit.stone import Stone
@@ -114,8 +116,7 @@ def _forces(
 
 
 def start_values(
-    law: type[Law],
-    load: Load,
+    model: Model,
     problems: Problem,
     path: SmoothPath,
     lower: Floats,
@@ -133,6 +134,7 @@ def start_values(
     spin : in rad/s, where the angle was never seen.
     batch : how many are computed together.
     """
+    law, load = model.law, model.load
     k = len(law.coefficients())
     moving = _moving(path, spin)
     use = (problems.weight > 0) & (problems.times <= path.span[:, None])[:, None]
@@ -167,7 +169,8 @@ def start_values(
     slow = (v > 0.02) & (np.hypot(vx0, vy0) < 0.2 * v)
     vx0, vy0 = np.where(slow, first, (vx0, vy0))
     begin = np.stack([x0, y0, np.arctan2(vx0, vy0), np.hypot(vx0, vy0), phi0, omega0], -1)
-    return np.clip(np.hstack([found[:, :k], begin]), lower, upper)
+    conditions = assumed_conditions(model, problems)
+    return np.clip(np.hstack([found[:, :k], conditions, begin]), lower, upper)
 
 
 class _Moving(NamedTuple):

@@ -21,10 +21,10 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from curlfit.friction import Law, Load
 from curlfit.inference.identifiability import inverted
 from curlfit.inference.initial_values import SmoothPath, default_guess, start_values
 from curlfit.inference.likelihood import weighted_residuals
+from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
 from curlfit.numerics import levenberg_marquardt as lm
@@ -60,9 +60,9 @@ class Solution(NamedTuple):
         return (self.residual**2).sum((-1, -2))
 
 
-@compiled("law", "load")
+@compiled("model")
 def _minimize(
-    law: type[Law], load: Load, start: Array, lower: Array, upper: Array, typical: Array,
+    model: Model, start: Array, lower: Array, upper: Array, typical: Array,
     problem: Problem,
 ) -> Solution:  # fmt: skip
     # Loaded only where the program is made: that takes as long as all else there is to load.
@@ -71,7 +71,7 @@ def _minimize(
     from curlfit.numerics.bounded_solver import BoundedLevenbergMarquardt
 
     def residual(values: Array, problem: Problem) -> Array:
-        return weighted_residuals(law, load, values, problem)
+        return weighted_residuals(model, values, problem)
 
     found: Any = optx.least_squares(
         residual,
@@ -92,29 +92,27 @@ def _minimize(
 
 
 def minimize(
-    law: type[Law], load: Load, start: Floats, parameters: ParameterSet, problem: Problem
+    model: Model, start: Floats, parameters: ParameterSet, problem: Problem
 ) -> Solution | None:
     """The optimum reached from one start; None where that start leads nowhere."""
     solution: Solution = jax.tree.map(
         np.asarray,
-        _minimize(
-            law, load, start, parameters.lower, parameters.upper, parameters.typical, problem
-        ),
+        _minimize(model, start, parameters.lower, parameters.upper, parameters.typical, problem),
     )
     return solution if np.isfinite(solution.chi_squared) else None
 
 
 def starts(
-    law: type[Law], load: Load, problem: Problem, path: SmoothPath, parameters: ParameterSet
+    model: Model, problem: Problem, path: SmoothPath, parameters: ParameterSet
 ) -> list[Floats]:
     """Initial values in the order in which to try them; `path` is that of the problem alone."""
     spins = (1.0,) if path.known[0, 2] else (1.0, -1.0)
     bounds = parameters.lower[None], parameters.upper[None]
     one = stacked([problem])
-    first = [start_values(law, load, one, path, *bounds, spin=s, batch=1)[0] for s in spins]
+    first = [start_values(model, one, path, *bounds, spin=s, batch=1)[0] for s in spins]
     others = []
-    k = len(law.coefficients())
-    defaults = np.array([default_guess(item) for item in law.coefficients()])
+    k = len(model.law.coefficients())
+    defaults = np.array([default_guess(item) for item in model.law.coefficients()])
     for factor in (1.0, 0.3, 3.0):
         values = first[0].copy()
         values[:k] = defaults * factor
@@ -123,8 +121,7 @@ def starts(
 
 
 def multistart(
-    law: type[Law],
-    load: Load,
+    model: Model,
     tries: list[Floats],
     parameters: ParameterSet,
     problem: Problem,
@@ -139,7 +136,7 @@ def multistart(
         if one is not None and not needs_restart(one, path, stacked([problem]))[0]:
             break
         tried += 1
-        other = minimize(law, load, values, parameters, problem)
+        other = minimize(model, values, parameters, problem)
         if other is not None and (
             best is None or other.chi_squared < (1 - 1e-9) * best.chi_squared
         ):
@@ -214,8 +211,7 @@ Revise = Callable[[Indices, Solution], list[Revision]]
 
 
 def minimize_many(
-    law: type[Law],
-    load: Load,
+    model: Model,
     tasks: Tasks,
     revise: Revise | None = None,
     progress: Callable[[int], None] | None = None,
@@ -232,7 +228,7 @@ def minimize_many(
     while going.any():
         now = np.flatnonzero(going)[:BATCH]
         trial, problems = searches.trials(now)
-        found = in_batches(partial(linearize, law, load), (trial, problems))
+        found = in_batches(partial(linearize, model), (trial, problems))
         done = now[searches.advance(now, *found)]
         while revise is not None and len(done):
             going[done] = False

@@ -1,4 +1,4 @@
-"""The parameters of a fit: the law's coefficients and the start, with bounds and what is fixed."""
+"""The parameters of a fit, with bounds and what is fixed."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from curlfit.errors import DataError, InputError
 from curlfit.friction import Law, Parameter
+from curlfit.inference.conditions import CONDITIONS
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.throw import Throw
 
@@ -35,9 +36,17 @@ START = (
 )
 
 
+def parameter_names(law: type[Law]) -> list[str]:
+    """All that may be a parameter of a fit of a law, in their order."""
+    return [item.name for item in (*law.coefficients(), *CONDITIONS, *START)]
+
+
 @dataclass(frozen=True)
 class ParameterSet:
-    """All parameters of a fit in their order, coefficients first, and the values of fixed ones."""
+    """All parameters of a fit in their order, and the values of fixed ones.
+
+    Coefficients come first, then the conditions that are parameters, then the initial state.
+    """
 
     parameters: tuple[Parameter, ...]
     fixed: dict[str, float]
@@ -50,25 +59,30 @@ class ParameterSet:
         fix: Mapping[str, float] | None = None,
         bounds: Mapping[str, tuple[float, float]] | None = None,
         unbounded: bool = False,
+        free: Iterable[str] = (),
     ) -> ParameterSet:
         """Parameters of a fit of `law`.
 
+        Optional coefficients are held at their default, and conditions (slope of the ice and so
+        on, see `curlfit.inference.conditions`) at what is assumed of them, unless they are named in
+        one of the arguments.
+
         Parameters
         ----------
-        fix : parameters held at a value. Optional coefficients are held at their default unless
-            named here or in `bounds`.
+        fix : parameters held at a value.
         bounds : (lower, upper) by name, in place of the law's own.
         unbounded : let coefficients be negative, within [-upper, upper]; exponents and the like
             keep their bounds.
+        free : optional coefficients and conditions that are estimated.
 
         Raises
         ------
-        InputError : an unknown name, an empty interval, a fixed value outside its bounds, or
-            nothing left to fit.
+        InputError : an unknown name, a name both fixed and free, an empty interval, a fixed value
+            outside its bounds, or nothing left to fit.
         """
         fixed, limits = (tuple((choice or {}).items()) for choice in (fix, bounds))
         key: Any = law
-        return cls._built(key, fixed, limits, unbounded)
+        return cls._built(key, fixed, limits, unbounded, tuple(free))
 
     @classmethod
     @lru_cache(64)
@@ -78,23 +92,28 @@ class ParameterSet:
         fixed: tuple[tuple[str, float], ...],
         limits: tuple[tuple[str, tuple[float, float]], ...],
         unbounded: bool,
+        free: tuple[str, ...],
     ) -> ParameterSet:
         fix, bounds = dict(fixed), dict(limits)
         coefficients: tuple[Parameter, ...] = law.coefficients()
         if unbounded:
             coefficients = tuple(item.unbounded() for item in law.coefficients())
         for one in law.coefficients():
-            if one.optional and one.name not in bounds:
+            if one.optional and one.name not in (*bounds, *free):
                 fix.setdefault(one.name, one.default)
         parameters = []
-        known = {item.name for item in (*coefficients, *START)}
-        for name in (*fix, *bounds):
-            if name not in known:
+        for name in (*fix, *bounds, *free):
+            if name not in parameter_names(law):
                 raise InputError(
                     f"law {law.name} has no parameter {name!r}; it has "
                     + ", ".join(item.name for item in (*coefficients, *START))
+                    + "; conditions are "
+                    + ", ".join(item.name for item in CONDITIONS)
                 )
-        for item in (*coefficients, *START):
+            if name in fix and name in free:
+                raise InputError(f"{name} is both fixed and free; expected one of them")
+        conditions = [item for item in CONDITIONS if item.name in (*fix, *bounds, *free)]
+        for item in (*coefficients, *conditions, *START):
             lower, upper = bounds.get(item.name, (item.lower, item.upper))
             if not lower < upper:
                 raise InputError(
@@ -148,6 +167,12 @@ class ParameterSet:
     def names(self) -> tuple[str, ...]:
         """Names in order."""
         return tuple(item.name for item in self.parameters)
+
+    @cached_property
+    def conditions(self) -> tuple[str, ...]:
+        """Names of the conditions among the parameters."""
+        known = {item.name for item in CONDITIONS}
+        return tuple(name for name in self.names if name in known)
 
     def _array(self, attribute: str) -> Floats:
         values = np.array([getattr(item, attribute) for item in self.parameters])
@@ -220,7 +245,7 @@ Options = Mapping[str, Mapping[str, Any]]
 
 def require_known(laws: Iterable[type[Law]], options: Options) -> None:
     """Raise `InputError` where an option names a parameter that none of some laws has."""
-    known = dict.fromkeys(item.name for law in laws for item in (*law.coefficients(), *START))
+    known = dict.fromkeys(name for law in laws for name in parameter_names(law))
     for option, values in options.items():
         for name in values:
             if name not in known:
@@ -232,7 +257,7 @@ def require_known(laws: Iterable[type[Law]], options: Options) -> None:
 
 def options_of(law: type[Law], options: Options) -> dict[str, dict[str, Any]]:
     """What options say of the parameters that a law has."""
-    own = {item.name for item in (*law.coefficients(), *START)}
+    own = parameter_names(law)
     return {
         option: {name: value for name, value in values.items() if name in own}
         for option, values in options.items()

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from curlfit.environment import Environment
 from curlfit.inference.noise.correlated import whitener_of
 from curlfit.inference.noise.models import LOSSES, Noise
 from curlfit.inference.parameters import START
@@ -19,6 +20,10 @@ from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS, Throw
 
 _SHORTEST = 256  # data are padded to a power of two from here up, so that few shapes are compiled
+
+
+LEVEL_AND_STILL = Environment(*map(np.asarray, (0.0, 0.0, 0.0)))
+"""Level ice in still air, as arrays."""
 
 
 class Problem(NamedTuple):
@@ -35,6 +40,7 @@ class Problem(NamedTuple):
     weight: Any
     """1/sigma, 0 where not observed, of the same shape"""
     stone: Stone
+    environment: Environment
     loss: Any = 0
     """index of the loss in `LOSSES`"""
     stop: Any = -1
@@ -98,6 +104,7 @@ def build_problem(
         observed=observed,
         weight=weight,
         stone=_as_arrays(*map(float, vars(stone).values())),
+        environment=LEVEL_AND_STILL,
         loss=np.asarray(LOSSES.index(loss)),
         stop=np.asarray(n - 1 if throw.stops else -1),
         whitener=None if noise is None else whitener_of(noise, times, weight),

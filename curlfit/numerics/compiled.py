@@ -45,7 +45,7 @@ def compiled(
 
     Parameters
     ----------
-    static : names of arguments that are laws (classes) or strings, not arrays.
+    static : names of arguments that are laws (classes), strings or tuples of these, not arrays.
     optimize : whether a faster program is worth a longer compilation, with more memory.
     """
     return lambda function: _CompiledFunction(function, static, optimize)
@@ -108,7 +108,7 @@ class _CompiledFunction:
         """The file of the program; None where it is not to be stored."""
         folder = cache.folder("programs")
         words = []
-        for value in fixed:
+        for value in jax.tree.leaves(fixed):
             if isinstance(value, type):
                 if not value.shipped():  # type: ignore[attr-defined]
                     return None  # a user's law may change from run to run

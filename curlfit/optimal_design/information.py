@@ -25,8 +25,9 @@ from curlfit.errors import InputError
 from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.identifiability import visible
 from curlfit.inference.likelihood import linearize, predict_channels
+from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
-from curlfit.inference.problem import Problem
+from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import BATCH
 from curlfit.stone import Stone
@@ -117,7 +118,7 @@ def record_information(
         batch = some + [some[-1]] * (BATCH - len(some))
         own = [throws[index] for index, _ in batch]
         values = np.stack([_vector(coefficients, throw) for throw in own])
-        _, found = linearize(law, load, values, _problems(batch, own, channels))
+        _, found = linearize(Model(law, load), values, _problems(batch, own, channels))
         jacobian = np.asarray(found) * typical
         for column, (index, _) in enumerate(some):
             if not np.isfinite(jacobian[column]).all():
@@ -150,8 +151,9 @@ def _problems(
         times[column] = np.pad(clock, (0, _ROWS - len(clock)), mode="edge")
     stones = [throw.stone.as_dict() for throw in own]
     stone = Stone(**{name: np.array([float(one[name]) for one in stones]) for name in stones[0]})  # type: ignore[arg-type]
+    level = jax.tree.map(lambda value: np.full(n, value), LEVEL_AND_STILL)
     return Problem(
-        times, np.zeros_like(weight), weight, stone, np.zeros(n, int), np.full(n, -1, int)
+        times, np.zeros_like(weight), weight, stone, level, np.zeros(n, int), np.full(n, -1, int)
     )
 
 
@@ -164,10 +166,10 @@ def _rest_time(
     problem = Problem(
         times, np.zeros((3, _ROWS)), np.ones((3, _ROWS)),
         jax.tree.map(lambda value: np.asarray(float(value)), throw.stone),
-        np.asarray(0), np.asarray(0),
+        LEVEL_AND_STILL, np.asarray(0), np.asarray(0),
     )  # fmt: skip
     x, y, _, early, _ = np.asarray(
-        predict_channels(law, load, _vector(coefficients, throw), problem)
+        predict_channels(Model(law, load), _vector(coefficients, throw), problem)
     )[:, 0]
     rest = times[0] * throw.v0 / (throw.v0 - early)
     if math.isnan(rest):

@@ -19,7 +19,8 @@ from curlfit.friction.front_back import FrontBack, FrontBackFirstOrder
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import predict_channels
-from curlfit.inference.problem import Problem
+from curlfit.inference.model import Model
+from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.paper.claim import Claim
 from curlfit.paper.kinematics import RADIUS, Kinematics
@@ -213,12 +214,12 @@ def _trajectory_differences() -> tuple[tuple[float, float], tuple[float, float]]
     stone = Stone(R=0.054, rho=RHO)
     t = np.linspace(0, 20, 201)
     padded = np.pad(t, (0, 55), mode="edge")  # the shape of a fit's times
-    problem = Problem(padded, np.zeros((3, 256)), np.zeros((3, 256)), stone)
+    problem = Problem(padded, np.zeros((3, 256)), np.zeros((3, 256)), stone, LEVEL_AND_STILL)
     mu = (0.0018, 0.058, 0.009, 0.009)
     start = np.array([*mu, 0.0, 0.0, 0.0, SPEED, 0.0, 1.0])
     closed = first_order_motion(FrontBackFirstOrder(*mu), stone, SPEED, 1.0, t)
     integrated, ring = (
-        np.asarray(predict_channels(law, "uniform", start, problem))[:, : len(t)]
+        np.asarray(predict_channels(Model(law, "uniform"), start, problem))[:, : len(t)]
         for law in (FrontBackFirstOrder, FrontBack)
     )
 

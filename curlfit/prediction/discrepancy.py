@@ -44,7 +44,6 @@ from curlfit.prediction.result import CEILING, COMPONENTS, Discrepancy
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.friction import check_load
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import directions
 from curlfit.inference.likelihood import linearize
@@ -370,7 +369,7 @@ def _response(fit: FitResult, names: tuple[str, ...]) -> Floats:
     """
     since = fit.observed["t"] - fit.observed["t"][0]
     t = np.linspace(0.0, _TIME_MARGIN * since[-1], _TIMES)
-    path = simulate_ensemble(fit.law_class, check_load(fit.load), fit.values[None], fit.stone, t)
+    path = simulate_ensemble(fit.model, fit.values[None], fit.stone, t)
     small = 1e-3 * GRAVITY * _friction_coefficient(fit) * np.array([1.0, -1.0])
     unit = np.einsum("e,wv,ks->wkevs", small, np.eye(len(COMPONENTS)), _shapes())
     each = MissingAccelerations(unit.reshape(-1, len(COMPONENTS), len(_SPEEDS)), np.zeros(0))
@@ -420,7 +419,7 @@ def _path_jacobian(fit: FitResult) -> tuple[Floats, Floats]:
     values = fit.values - origin.offset(len(fit.values))
     n = len(throw)
     one = stacked([problem])
-    jacobian = linearize(fit.law_class, check_load(fit.load), values[None], one)[1]
+    jacobian = linearize(fit.model, values[None], one)[1]
     weighted = np.asarray(jacobian)[0, :, :n]
     weight = np.asarray(problem.weight)[:, :n]
     return weighted / np.where(weight > 0, weight, 1.0)[..., None], weight

@@ -14,10 +14,11 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from curlfit.friction import Law, Load, check_load
+from curlfit.environment import Environment
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import split
+from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
+from curlfit.inference.system import System
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import compiled, in_batches
 from curlfit.prediction.request import ThrowStart
@@ -224,10 +225,9 @@ class ThrowFamily:
 
     def simulate(self, values: Floats) -> TrajectoryEnsemble:
         """The trajectories of vectors from `with_start`, on one grid for all calls."""
-        law, load = self.fit.law_class, check_load(self.fit.load)
 
         def on_grid(t: Floats) -> TrajectoryEnsemble:
-            return simulate_ensemble(law, load, values, self.fit.stone, t)
+            return simulate_ensemble(self.fit.model, values, self.fit.stone, t)
 
         if self._grid is not None:
             return on_grid(self._grid)
@@ -252,13 +252,11 @@ class ThrowFamily:
         )
 
 
-def simulate_ensemble(
-    law: type[Law], load: Load, values: Floats, stone: Stone, t: Floats
-) -> TrajectoryEnsemble:
+def simulate_ensemble(model: Model, values: Floats, stone: Stone, t: Floats) -> TrajectoryEnsemble:
     """The trajectories of parameter vectors, at evenly spaced times from 0."""
     # In batches of one size, so that any number of throws runs the same program.
     return TrajectoryEnsemble(
-        t, in_batches(lambda some: _propagated(law, load, some, stone, t), (values,))
+        t, in_batches(lambda some: _propagated(model, some, stone, t), (values,))
     )
 
 
@@ -299,11 +297,14 @@ def _rest_times(t: Floats, state: Floats, speed: Floats) -> Floats:
     return cast(Floats, t[last] + np.where(np.isnan(tau), step / 2, tau))
 
 
-@compiled("law", "load")
-def _propagated(law: type[Law], load: Load, values: Array, stone: Stone, times: Array) -> Array:
+@compiled("model")
+def _propagated(model: Model, values: Array, stone: Stone, times: Array) -> Array:
     def one(values: Array) -> Array:
-        friction, start = split(law, values)
-        path = simulate(friction, stone, start, times, load=load, t0=0.0)
+        system = System.of(model, values, stone, Environment())
+        path = simulate(
+            system.law, system.stone, system.start, times, load=model.load, t0=0.0,
+            environment=system.environment,
+        )  # fmt: skip
         return jnp.stack([path.x, path.y, path.phi, path.vx, path.vy, path.omega])
 
     return jax.vmap(one)(values)

@@ -6,10 +6,11 @@ import math
 from typing import Any, NamedTuple
 
 from curlfit.dynamics.aim import aim
+from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import split
 from curlfit.inference.parameters import START
+from curlfit.inference.system import System
 from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HOG
 from curlfit.throws.throw import Throw
 
@@ -140,11 +141,12 @@ def start_of(fit: FitResult, request: ThrowRequest) -> ThrowStart:
     goal = request.target_point()
     if goal is not None:
         x, y, speed = goal
-        law, _ = split(fit.law_class, fit.values)
+        system = System.of(fit.model, fit.values, fit.stone, Environment())
         found = aim(
-            law, fit.stone, (x or 0.0, TEE + y), omega0=values["omega0"],
+            system.law, system.stone, (x or 0.0, TEE + y), omega0=values["omega0"],
             start=(values["x0"], values["y0"]),
             heading=values["heading"] if x is None else None, speed=speed, load=fit.load,
+            environment=system.environment if fit.model.conditions else None,
         )  # fmt: skip
         values |= {"v0": found.v0, "heading": found.heading}
     return ThrowStart(values, (0.0, 0.0), line)

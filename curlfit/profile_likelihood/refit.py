@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import UnusableFitError
-from curlfit.friction import check_load
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.parameters import ParameterSet
@@ -57,7 +56,7 @@ class Refit:
         origin = Origin.of(fit.throw)
         self.offset = origin.offset(len(whole))
         self.parameters = whole.shifted(-self.offset)
-        self.law, self.load = fit.law_class, check_load(fit.load)
+        self.model = fit.model
         self.problem = build_problem(fit.throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise)
         (solution,) = self._solved([(self.parameters, fit.values - self.offset)])
         if solution is None:
@@ -90,7 +89,7 @@ class Refit:
             if self._progress is not None:
                 self._progress(self.done)
 
-        found = minimize_many(self.law, self.load, work, progress=arrived)
+        found = minimize_many(self.model, work, progress=arrived)
         whole = np.isfinite(found.residual).all((1, 2))
         each = unstacked(found)
         return [one if there else None for one, there in zip(each, whole, strict=True)]

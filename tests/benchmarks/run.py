@@ -200,6 +200,7 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     from curlfit import fit, sample
     from curlfit.inference.fit.prepared import PreparedThrow
     from curlfit.inference.likelihood import log_posterior
+    from curlfit.inference.model import Model
     from curlfit.inference.problem import build_problem
 
     result = fit(throw)
@@ -221,7 +222,8 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     first = random.permutation(chain.flat)[:walkers] - offset
 
     def log_prob(values: Any) -> Any:
-        return np.asarray(log_posterior(law, "uniform", values, local.lower, local.upper, problem))
+        model = Model(law, "uniform")
+        return np.asarray(log_posterior(model, values, local.lower, local.upper, problem))
 
     stock = emcee.EnsembleSampler(walkers, len(local), log_prob, vectorize=True)
     begin = time.perf_counter()
@@ -254,6 +256,7 @@ def _nuts(law: Any, problem: Any, local: Any, centre: Any) -> float:
     from numpyro.infer import MCMC, NUTS, init_to_value
 
     from curlfit.inference.likelihood import log_likelihood
+    from curlfit.inference.model import Model
 
     scale = local.typical * 1e-3
     low, high = (local.lower - centre) / scale, (local.upper - centre) / scale
@@ -269,7 +272,7 @@ def _nuts(law: Any, problem: Any, local: Any, centre: Any) -> float:
             )  # fmt: skip
             parts.append(numpyro.sample(f"z{place}", prior))
         values = centre + scale * jax.numpy.stack(parts)
-        numpyro.factor("path", log_likelihood(law, "uniform", values, problem))
+        numpyro.factor("path", log_likelihood(Model(law, "uniform"), values, problem))
 
     near = np.where(bounded, np.clip(0.0, low + 1e-3, high - 1e-3), 0.0)
     kernel = NUTS(

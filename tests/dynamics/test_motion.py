@@ -16,6 +16,7 @@ from curlfit import LAWS, InitialState, Stone, Throw, simulate
 from curlfit.dynamics import equations
 from curlfit.dynamics.contact import accelerations
 from curlfit.inference.likelihood import log_likelihood, predict_channels
+from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, build_problem
 from curlfit.paper.printed import first_order_motion
 
@@ -283,7 +284,7 @@ def test_unknown_load_is_refused():
 
 def test_padded_rows_cost_and_change_nothing():
     """A problem repeats its last time up to its length; neither path nor slopes depend on that."""
-    law, load = LAWS["front-back"], "uniform"
+    model = Model(LAWS["front-back"], "uniform")
     t = np.linspace(0.0, 30.0, 37)  # at rest from 25 s on
     throw = Throw.from_arrays(t, *np.random.default_rng(1).normal(size=(3, 37)))
     origin = Origin.of(throw)
@@ -295,12 +296,12 @@ def test_padded_rows_cost_and_change_nothing():
     values = np.array([0.004, 0.02, 0.012, 0.006, 0.1, -0.2, 0.03, 2.1, 0.4, 1.5])
     for slopes in (jax.jacfwd, jax.grad):
         both = [
-            jax.jit(slopes(partial(log_likelihood, law, load)))(values, problem)
+            jax.jit(slopes(partial(log_likelihood, model)))(values, problem)
             for problem in (padded, bare)
         ]
         assert np.isfinite(both).all()
         np.testing.assert_allclose(*both, rtol=1e-9)
-    long, short = (np.asarray(predict_channels(law, load, values, one)) for one in (padded, bare))
+    long, short = (np.asarray(predict_channels(model, values, one)) for one in (padded, bare))
     np.testing.assert_allclose(long[:, :37], short, rtol=1e-12, atol=1e-14)
 
 

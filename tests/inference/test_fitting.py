@@ -15,7 +15,7 @@ import curlfit
 from curlfit import DataError, InputError, Stone, Throw, fit, law_with, synthetic_throw
 from curlfit.inference.fit.result import load_fit
 from curlfit.inference.least_squares import Solution, residual_sigma
-from curlfit.inference.problem import Problem
+from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.inference.report import print_fit
 
 NAMES = ("mu1_xi", "mu2_xi")
@@ -275,7 +275,7 @@ def test_what_no_row_shows_pays_for_no_residual():
         jacobian = np.stack(columns, -1)[None, None]
         solution = Solution(np.zeros((1, 2)), np.ones((1, 1, 6)), jacobian, 1, True)
         ones = np.ones((1, 1, 6))
-        problem = Problem(t[None], ones, ones, Stone())
+        problem = Problem(t[None], ones, ones, Stone(), LEVEL_AND_STILL)
         (found,) = residual_sigma(solution, problem, np.ones((1, 2), bool))
         assert found[0] == pytest.approx(np.sqrt(6 / (6 - paid)), rel=1e-12)
 

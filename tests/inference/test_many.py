@@ -9,6 +9,7 @@ import curlfit
 from curlfit import LAWS, InputError, Stone
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.likelihood import linearize, predict_channels
+from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, build_problem
 from curlfit.numerics.compiled import BATCH, stacked
 
@@ -125,7 +126,9 @@ def test_paths_side_by_side_are_those_of_single_throws():
     problem = build_problem(throw, stone, Origin.of(throw), dict.fromkeys(("x", "y", "phi"), 1.0))
     defaults = [item.default for item in law.coefficients()]
     values = np.array([*defaults, 0.0, 0.0, 0.0, 2.1, 0.0, -2.6])
-    residual, _ = linearize(law, "uniform", np.tile(values, (BATCH, 1)), stacked([problem] * BATCH))
-    single = np.asarray(predict_channels(law, "uniform", values, problem))[:3]
+    residual, _ = linearize(
+        Model(law, "uniform"), np.tile(values, (BATCH, 1)), stacked([problem] * BATCH)
+    )
+    single = np.asarray(predict_channels(Model(law, "uniform"), values, problem))[:3]
     expected = np.where(problem.weight > 0, single - problem.observed, 0.0)
     np.testing.assert_allclose(residual, np.tile(expected, (BATCH, 1, 1)), atol=1e-10)

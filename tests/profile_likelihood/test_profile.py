@@ -79,7 +79,7 @@ def scipy_minimum(fit, held):
         whole = values.copy()
         whole[free] = some
         one = whole[None], stacked([problem])
-        return raw_residuals(fit.law_class, fit.load, *one, batch=1).ravel()
+        return raw_residuals(fit.model, *one, batch=1).ravel()
 
     found = least_squares(
         residual, values[free], bounds=(low, high), x_scale=parameters.typical[free] / 100,

@@ -31,6 +31,7 @@ from curlfit.inference.least_squares import (
     run_of,
     starts,
 )
+from curlfit.inference.model import Model
 from curlfit.inference.noise.models import check_loss, check_noise
 from curlfit.inference.problem import problem_shape
 from curlfit.numerics.compiled import BATCH, gc_paused, stacked, unstacked
@@ -90,7 +91,8 @@ def fit(
     prepared = PreparedThrow.of(
         throw, law, stone, until, fix=fix, bounds=bounds, unbounded=unbounded
     )
-    rounds = Rounds(law, load, [prepared], loss=loss, noise=noise)
+    model = Model(law, load, prepared.parameters.conditions)
+    rounds = Rounds(model, [prepared], loss=loss, noise=noise)
     found = _fitted_alone(rounds, start)
     result = summarize(found)
     if not result.converged:
@@ -105,30 +107,30 @@ def fit(
     if open_:
         local = prepared.local_parameters
         values, n = found.solution.values, len(prepared.throw)
-        remedy = remedies(law, load, values, found.problem, local, n, open_, fix or ())
+        remedy = remedies(model, values, found.problem, local, n, open_, fix or ())
         result = replace(result, remedies=remedy)
     return result
 
 
 def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSquaresFit:
     """The only throw of some rounds, with all the starts there are."""
-    (prepared,), law, load = rounds.throws, rounds.law, rounds.load
+    (prepared,), model = rounds.throws, rounds.model
     parameters = prepared.local_parameters
     (problem,) = unstacked(rounds.problems)
     path = smooth(rounds.problems)
-    tries = starts(law, load, problem, path, parameters)
+    tries = starts(model, problem, path, parameters)
     if start:
         tries.insert(0, prepared.with_start(tries[0], start))
-    solution, tried = multistart(law, load, tries, parameters, problem, path)
+    solution, tried = multistart(model, tries, parameters, problem, path)
     if solution is None:
         raise UnusableFitError(
-            f"{prepared.throw.name}: law {law.name} with {load} load gives no finite path from any "
-            "start" + no_motion_because(load)
+            f"{prepared.throw.name}: law {model.law.name} with {model.load} load gives no finite "
+            "path from any start" + no_motion_because(model.load)
         )
     only = np.zeros(1, int)
     while rounds.revise(only, stacked([solution])):
         (problem,) = unstacked(rounds.problems)
-        solution = minimize(law, load, solution.values, parameters, problem) or solution
+        solution = minimize(model, solution.values, parameters, problem) or solution
     for failure in rounds.failures.values():
         raise failure
     return rounds.record(0, solution, tried)
@@ -206,7 +208,8 @@ def fit_throws(
     for (_, rows), alike in by_shape.items():
         rest = iter(alike.items())
         while part := dict(islice(rest, max(BATCH, _ROWS // rows))):
-            rounds = Rounds(law, checked, list(part.values()), loss=loss, noise=noise, batch=BATCH)
+            model = Model(law, checked, next(iter(part.values())).parameters.conditions)
+            rounds = Rounds(model, list(part.values()), loss=loss, noise=noise, batch=BATCH)
             solved = _fitted_together(rounds, start)
             results = summarize_many(list(solved.values()), curves=curves)
             found |= zip((list(part)[row] for row in solved), results, strict=True)
@@ -223,10 +226,10 @@ def _fitted_together(
 ) -> dict[int, LeastSquaresFit]:
     """Throws of one shape, side by side, by index; those are left out that have to be fitted
     alone."""
-    law, load, throws = rounds.law, rounds.load, rounds.throws
+    model, throws = rounds.model, rounds.throws
     _, lower, upper = local_bounds(throws)
     paths = smooth(rounds.problems)
-    begin = start_values(law, load, rounds.problems, paths, lower, upper)
+    begin = start_values(model, rounds.problems, paths, lower, upper)
     if start:
         begin = np.stack(
             [one.with_start(values, start) for one, values in zip(throws, begin, strict=True)]
@@ -245,7 +248,7 @@ def _fitted_together(
         return rounds.revise(which, solutions) if len(which) else []
 
     tasks = Tasks(rounds.problems, begin, lower, upper, throws[0].parameters.typical)
-    solutions = minimize_many(law, load, tasks, revise)
+    solutions = minimize_many(model, tasks, revise)
     each = unstacked(solutions)
     usable = np.flatnonzero(solutions.success & ~poor)
     return {

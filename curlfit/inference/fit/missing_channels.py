@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.friction import Law, Load
 from curlfit.inference.identifiability import analyse
 from curlfit.inference.likelihood import predict_channels
+from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
@@ -28,8 +28,7 @@ _STEP = 1e-4  # of a typical size, for differences: the path is accurate to 1e-8
 
 
 def remedies(
-    law: type[Law],
-    load: Load,
+    model: Model,
     values: Floats,
     problem: Problem,
     parameters: ParameterSet,
@@ -55,7 +54,7 @@ def remedies(
     weight[: len(problem.weight)] = problem.weight[:, :rows]
     missing = [name for row, name in enumerate(CHANNELS) if not weight[row].any()]
     free = np.array([place for place, name in enumerate(parameters.names) if name not in held])
-    jacobian = _slopes(law, load, values, problem, parameters, free)[:, :rows]
+    jacobian = _slopes(model, values, problem, parameters, free)[:, :rows]
     names = [parameters.names[place] for place in free]
 
     def determined(channels: Sequence[str]) -> set[str]:
@@ -88,8 +87,7 @@ def remedies(
 
 
 def _slopes(
-    law: type[Law],
-    load: Load,
+    model: Model,
     values: Floats,
     problem: Problem,
     parameters: ParameterSet,
@@ -104,6 +102,6 @@ def _slopes(
         ends = np.tile(values, (2, 1))
         ends[:, place] += np.array([1, -1]) * _STEP * parameters.typical[place]
         ends = np.clip(ends, lower, upper)
-        up, down = (np.asarray(predict_channels(law, load, end, problem)) for end in ends)
+        up, down = (np.asarray(predict_channels(model, end, problem)) for end in ends)
         columns.append((up - down) / (ends[0, place] - ends[1, place]))
     return np.stack(columns, -1)

@@ -14,8 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.friction import LAWS, Law, Parameter, find_law
+from curlfit.friction import LAWS, Law, Parameter, check_load, find_law
+from curlfit.inference.conditions import CONDITIONS
 from curlfit.inference.identifiability import Combination, student_interval
+from curlfit.inference.model import Model
 from curlfit.inference.noise.models import WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.numerics.arrays import Floats
@@ -170,6 +172,11 @@ class FitResult:
         return find_law(self.law if self.law in LAWS else self.data.get("law_file") or self.law)
 
     @property
+    def model(self) -> Model:
+        """Law, load and the conditions among the parameters."""
+        return Model(self.law_class, check_load(self.load), self.parameter_set.conditions)
+
+    @property
     def values(self) -> Floats:
         """The fitted parameter vector."""
         return np.array([item.value for item in self.parameters.values()])
@@ -177,8 +184,13 @@ class FitResult:
     @property
     def coefficients(self) -> dict[str, Estimate]:
         """The law's own parameters."""
-        start = {item.name for item in START}
-        return {name: item for name, item in self.parameters.items() if name not in start}
+        others = {item.name for item in (*CONDITIONS, *START)}
+        return {name: item for name, item in self.parameters.items() if name not in others}
+
+    @property
+    def conditions(self) -> dict[str, Estimate]:
+        """Conditions that are parameters of the fit."""
+        return {name: self.parameters[name] for name in self.parameter_set.conditions}
 
     @property
     def parameter_set(self) -> ParameterSet:

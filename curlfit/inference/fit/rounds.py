@@ -19,7 +19,6 @@ import jax
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.friction import Law, Load
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.summary import LeastSquaresFit
 from curlfit.inference.least_squares import (
@@ -30,6 +29,7 @@ from curlfit.inference.least_squares import (
     run_of,
 )
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, raw_residuals
+from curlfit.inference.model import Model
 from curlfit.inference.noise.correlated import WHITENERS, whitener_of
 from curlfit.inference.noise.estimation import channel_residuals
 from curlfit.inference.noise.losses import robust_sigma
@@ -53,8 +53,7 @@ class Rounds:
 
     def __init__(
         self,
-        law: type[Law],
-        load: Load,
+        model: Model,
         throws: Sequence[PreparedThrow],
         *,
         loss: str = "linear",
@@ -63,7 +62,7 @@ class Rounds:
         batch: int = 1,
     ) -> None:
         """`shape` is that of all problems; `batch` the number of paths followed side by side."""
-        self.law, self.load, self.throws, self.batch = law, load, throws, batch
+        self.model, self.throws, self.batch = model, throws, batch
         self.loss = loss
         even = [throw.even_sigma() for throw in throws]
         blank = None if noise == "white" else Noise(noise)
@@ -100,8 +99,7 @@ class Rounds:
         """What the fit of a throw ended with."""
         return LeastSquaresFit(
             prepared=self.throws[index],
-            law=self.law,
-            load=self.load,
+            model=self.model,
             loss=self.loss,
             noise=self.noises[index],
             problem=jax.tree.map(itemgetter(index), self.problems),
@@ -121,7 +119,7 @@ class Rounds:
 
     def _bulk(self, now: Indices, solutions: Solution) -> Revision:
         problems = self._problems_of(now)
-        residual = raw_residuals(self.law, self.load, solutions.values, problems, self.batch)
+        residual = raw_residuals(self.model, solutions.values, problems, self.batch)
         for place, throw in enumerate(now):
             for row in np.flatnonzero(self.unknown[throw]):
                 there = problems.weight[place, row] > 0
@@ -133,7 +131,7 @@ class Rounds:
 
     def _correlated(self, now: Indices, solutions: Solution) -> Revision:
         problems = self._problems_of(now)
-        paths = predict_many(self.law, self.load, solutions.values, problems, self.batch)
+        paths = predict_many(self.model, solutions.values, problems, self.batch)
         estimated = []
         for place, index in enumerate(now):
             throw = self.throws[index].throw

@@ -13,7 +13,6 @@ from curlfit.numerics.compiled import BATCH, stacked
 import jax
 import numpy as np
 
-from curlfit.friction import Law, Load
 from curlfit.inference.fit.covariance import (
     Covariance,
     covariances,
@@ -32,6 +31,7 @@ from curlfit.inference.fit.residuals import (
 from curlfit.inference.fit.result import Estimate, FitResult
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.linearized_problem import classify
+from curlfit.inference.model import Model
 from curlfit.inference.noise.models import Noise, time_of_motion
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
@@ -47,8 +47,7 @@ class LeastSquaresFit(NamedTuple):
     """What a fit ended with, and what was fitted."""
 
     prepared: PreparedThrow
-    law: type[Law]
-    load: Load
+    model: Model
     loss: str
     noise: Noise
     problem: Problem
@@ -68,7 +67,7 @@ def summarize(fit: LeastSquaresFit) -> FitResult:
 def summarize_many(
     fits: Sequence[LeastSquaresFit], batch: int = 4 * BATCH, *, curves: bool = True
 ) -> list[FitResult]:
-    """The same for fits of one law, load, loss and noise model, to problems of one shape.
+    """The same for fits of one model, loss and noise model, to problems of one shape.
 
     Parameters
     ----------
@@ -80,8 +79,8 @@ def summarize_many(
         return []
     problems = stacked([fit.problem for fit in fits])
     solutions = stacked([fit.solution for fit in fits])
-    law, load = fits[0].law, fits[0].load
-    paths = predict_many(law, load, solutions.values, problems, batch) if curves else None
+    model = fits[0].model
+    paths = predict_many(model, solutions.values, problems, batch) if curves else None
     statistics = residual_statistics(problems, solutions, paths)
     sets = [fit.prepared.parameters for fit in fits]
     offset, lower, upper = local_bounds([fit.prepared for fit in fits])
@@ -97,7 +96,7 @@ def summarize_many(
     )
     around = one_sigma_points(found, solutions.values, lower, upper, sets[0].typical)
     of_owners = jax.tree.map(lambda leaf: leaf[around.owner], problems)
-    chi_squared = chi_squared_of_many(law, load, around.point, of_owners, batch)
+    chi_squared = chi_squared_of_many(model, around.point, of_owners, batch)
     delta = chi_squared - solutions.chi_squared[around.owner]
     # Of throws fitted together chi squared of each has a slope at the joint optimum.
     jacobian, residual = statistics.r_factor[..., :-1], statistics.r_factor[..., -1:]
@@ -114,7 +113,7 @@ def _record(
     found: Covariance,
     nonquadratic: dict[str, float],
 ) -> FitResult:
-    law, prepared, noise = fit.law, fit.prepared, fit.noise
+    law, prepared, noise = fit.model.law, fit.prepared, fit.noise
     throw, parameters = prepared.throw, prepared.parameters
     known, n = found.identifiability, len(throw)
     curves = {}
@@ -144,7 +143,7 @@ def _record(
     reference = throw.reference
     return FitResult(
         law=law.name,
-        load=fit.load,
+        load=fit.model.load,
         stone=prepared.stone,
         data={
             "file": throw.name,
@@ -207,7 +206,7 @@ def _status(fit: LeastSquaresFit, newton_decrement: float, *, converged: bool) -
 def _parameter_warnings(fit: LeastSquaresFit, found: Covariance) -> list[str]:
     """Coefficients that make no law, and parameters at a bound."""
     warnings = []
-    fault = fit.law.from_vector(fit.solution.values).fault()
+    fault = fit.model.law.from_vector(fit.solution.values).fault()
     if fault is not None:
         warnings.append(f"{fault}; the fitted coefficients make no law of friction")
     for item, stuck in zip(fit.prepared.parameters.parameters, found.at_bound, strict=True):

@@ -22,6 +22,7 @@ from curlfit.inference.initial_values import smooth, start_values
 from curlfit.inference.joint.heterogeneity import differences_of
 from curlfit.inference.joint.result import JointResult
 from curlfit.inference.linearized_problem import LinearizedProblem, classify
+from curlfit.inference.model import Model
 from curlfit.inference.noise.models import check_loss, check_noise
 from curlfit.inference.problem import problem_shape
 from curlfit.stone import Stone
@@ -72,21 +73,22 @@ def fit_together(
     ]
     channels, rows = zip(*(problem_shape(one.throw) for one in prepared), strict=True)
     shape = max(channels), max(rows)
-    rounds = Rounds(law, checked, prepared, loss=loss, noise=noise, shape=shape)
+    model = Model(law, checked, prepared[0].parameters.conditions)
+    rounds = Rounds(model, prepared, loss=loss, noise=noise, shape=shape)
     local = [one.local_parameters for one in prepared]
     layout = Layout(local, shared)
     initial = []
     for one, parameters, problem in zip(prepared, local, unstacked(rounds.problems), strict=True):
         alone = stacked([problem])
         ends = parameters.lower[None], parameters.upper[None]
-        (values,) = start_values(law, checked, alone, smooth(alone), *ends, batch=1)
+        (values,) = start_values(model, alone, smooth(alone), *ends, batch=1)
         initial.append(one.with_start(values, start))
     best = layout.joined(np.stack(initial))
-    solution = minimize_jointly(law, checked, rounds.problems, layout, best, progress)
+    solution = minimize_jointly(model, rounds.problems, layout, best, progress)
     every = np.arange(len(prepared))
     while np.isfinite(solution.chi_squared) and rounds.revise(every, solution.each):
         best = solution.values
-        solution = minimize_jointly(law, checked, rounds.problems, layout, best, progress)
+        solution = minimize_jointly(model, rounds.problems, layout, best, progress)
     for failure in rounds.failures.values():
         raise failure
     if not np.isfinite(solution.chi_squared):
@@ -164,8 +166,8 @@ def _result(
                 f"{item.stderr:.2g}, not the one of the shared fit",
             )
     return JointResult(
-        law=rounds.law.name,
-        load=rounds.load,
+        law=rounds.model.law.name,
+        load=rounds.model.load,
         share=shared,
         converged=bool(converged),
         status=f"{'converged' if converged else 'not converged'} ({solution.steps} steps)",

@@ -17,9 +17,9 @@ from curlfit.inference.likelihood import linearize
 # isort: split
 import numpy as np
 
-from curlfit.friction import Law, Load
 from curlfit.inference.identifiability import r_factors
 from curlfit.inference.least_squares import Solution
+from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
 from curlfit.numerics import levenberg_marquardt as lm
@@ -110,8 +110,7 @@ class JointSolution(NamedTuple):
 
 
 def minimize_jointly(
-    law: type[Law],
-    load: Load,
+    model: Model,
     problems: Problem,
     layout: Layout,
     start: Floats,
@@ -133,7 +132,7 @@ def minimize_jointly(
     jacobian = np.full((*residual.shape, p), np.nan)
     while not search.done:
         here: tuple[Floats, Floats] = in_batches(
-            partial(linearize, law, load), (search.trial[layout.index], problems), batch
+            partial(linearize, model), (search.trial[layout.index], problems), batch
         )
         with np.errstate(invalid="ignore", over="ignore"):  # where there is no path
             each = lm.quadratic_model(
@@ -142,8 +141,8 @@ def minimize_jointly(
             gradient, hessian = np.zeros(len(typical)), np.zeros((len(typical), len(typical)))
             np.add.at(gradient, layout.index, each.gradient)
             np.add.at(hessian, (rows, columns), each.hessian)
-            model = lm.QuadraticModel(each.chi_squared.sum(), gradient, hessian)
-            search, outcome = lm.advance(search, model, layout.bounds, _CONTROL)
+            whole = lm.QuadraticModel(each.chi_squared.sum(), gradient, hessian)
+            search, outcome = lm.advance(search, whole, layout.bounds, _CONTROL)
         if outcome.accepted:
             residual, jacobian = here
         if outcome.extrapolation.any():

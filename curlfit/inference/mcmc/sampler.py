@@ -15,7 +15,6 @@ from emcee.state import State
 from scipy.optimize import linprog
 
 from curlfit.errors import DataError, InputError, UnusableFitError
-from curlfit.friction import check_load
 from curlfit.inference.fit.result import FitResult, Posterior
 from curlfit.inference.identifiability import directions
 from curlfit.inference.likelihood import log_posterior
@@ -157,7 +156,7 @@ class _Run:
 
     def __init__(self, fit: FitResult, seed: int) -> None:
         self.seed, self.subject = seed, subject_of(fit, seed)
-        self._law, self._load = fit.law_class, check_load(fit.load)
+        self._model = fit.model
         throw, parameters = fit.throw, fit.parameter_set
         origin = Origin.of(throw)
         self._problem = build_problem(throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise)
@@ -289,9 +288,7 @@ class _Run:
         values = self._whole(free_values)
         try:
             return np.asarray(
-                log_posterior(
-                    self._law, self._load, values, self._lower, self._upper, self._problem
-                )
+                log_posterior(self._model, values, self._lower, self._upper, self._problem)
             )
         except KeyboardInterrupt:
             # emcee would print its own account of it; this step is thrown away.

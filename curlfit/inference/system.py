@@ -1,0 +1,68 @@
+"""What a parameter vector stands for.
+
+A parameter vector holds the law's coefficients, then the conditions that are parameters of the
+fit, then `x0 y0 heading v0 phi0 omega0`, in the coordinates of a `Problem`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from curlfit.dynamics.trajectory import InitialState
+
+# isort: split
+import numpy as np
+
+from curlfit.environment import Environment
+from curlfit.friction import Law
+from curlfit.inference.model import Model
+from curlfit.inference.parameters import START
+from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Floats
+from curlfit.stone import UNITS as STONE_UNITS
+from curlfit.stone import Stone
+
+
+class System(NamedTuple):
+    """A stone on the ice, and how it is measured."""
+
+    law: Law
+    stone: Stone
+    environment: Environment
+    start: InitialState
+    length_scale: Any
+    """measured over true lengths"""
+    time_scale: Any
+    """measured over true times"""
+
+    @classmethod
+    def of(cls, model: Model, values: Any, stone: Stone, environment: Environment) -> System:
+        """From a parameter vector, and what holds where a condition is no parameter."""
+        k = len(model.law.coefficients())
+        given = {name: values[k + index] for index, name in enumerate(model.conditions)}
+        first = k + len(model.conditions)
+        x0, y0, heading, v0, phi0, omega0 = (values[first + index] for index in range(len(START)))
+        return cls(
+            model.law.from_vector(values),
+            _replaced(stone, given),
+            _replaced(environment, given),
+            InitialState(x=x0, y=y0, heading=heading, v=v0, phi=phi0, omega=omega0),
+            given.get("length_scale", 1.0),
+            given.get("time_scale", 1.0),
+        )
+
+
+def _replaced(record: Any, values: dict[str, Any]) -> Any:
+    return replace(record, **{name: values[name] for name in vars(record) if name in values})
+
+
+def assumed_conditions(model: Model, problems: Problem) -> Floats:
+    """The model's conditions as many throws assume them, shape (throws, conditions)."""
+    found = np.ones((len(problems.times), len(model.conditions)))
+    for column, name in enumerate(model.conditions):
+        if name in STONE_UNITS:
+            found[:, column] = getattr(problems.stone, name)
+        elif not name.endswith("_scale"):
+            found[:, column] = getattr(problems.environment, name)
+    return found
