@@ -27,7 +27,14 @@ def fit_files(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list
     """
     rows, names, parts = [], columns(plan), _read(files, plan)
     throws = [part.throw for _, part in parts if isinstance(part.throw, Throw)]
-    fits = iter(fit_throws(throws, curves=False, stones=plan.stones(throws), **plan.choices()))
+    fits = iter(
+        fit_throws(
+            throws,
+            curves=plan.systematics is not None,
+            stones=plan.stones(throws),
+            **plan.choices(),
+        )
+    )
     sums = tuple(plan.sums())
     for file, part in parts:
         row: dict[str, Any] = dict.fromkeys(names)
@@ -77,6 +84,9 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
         name = combination.expression
         if name in sums:
             row |= {name: combination.value, f"{name} stderr": combination.stderr}
+    if plan.systematics is not None:
+        for name, error in result.systematics.errors.items():
+            row |= {f"{name}{' ' if name in sums else '_'}systematic": error}
     if plan.posterior and result.converged:
         from curlfit.inference.mcmc.sampler import sample
 

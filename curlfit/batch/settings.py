@@ -10,8 +10,9 @@ from typing import Any
 
 from curlfit.errors import InputError
 from curlfit.friction import Law, NetLaw, check_load, find_law
+from curlfit.inference.conditions import check_systematics
 from curlfit.inference.noise.models import check_loss, check_noise
-from curlfit.inference.parameters import START, ParameterSet
+from curlfit.inference.parameters import ParameterSet
 from curlfit.stone import Stone
 from curlfit.throws.readers import check_reader_options
 from curlfit.throws.throw import Throw, check_sigma
@@ -32,6 +33,7 @@ class BatchSettings:
     stone : values (m, kg) over those of the throw's own file.
     sigma : noise by channel, over that of the file.
     how : how to read a file, as the arguments of `load_throw`.
+    systematics : widths as in `fit`; None for a table without systematic errors.
     posterior : sample the posterior of each throw as well; hundreds of times slower.
     """
 
@@ -43,6 +45,9 @@ class BatchSettings:
     fix: Mapping[str, float] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     unbounded: bool = False
+    free: Sequence[str] = ()
+    priors: Mapping[str, str] = field(default_factory=dict)
+    systematics: Mapping[str, float] | None = None
     start: Mapping[str, float] = field(default_factory=dict)
     loss: str = "linear"
     noise: str = "white"
@@ -58,15 +63,23 @@ class BatchSettings:
         check_sigma(self.sigma)
         check_reader_options(**self.how)
         check_noise(self.noise, check_loss(self.loss))
-        parameters = ParameterSet.build(
-            law, fix=dict(self.fix), bounds=dict(self.bounds), unbounded=self.unbounded
-        )
-        parameters.require("--start", self.start)
+        check_systematics(self.systematics or {})
+        self.parameters().require("--start", self.start)
         return law
+
+    def parameters(self) -> ParameterSet:
+        """Those of each throw's fit."""
+        return ParameterSet.build(
+            find_law(self.law), fix=dict(self.fix), bounds=dict(self.bounds),
+            unbounded=self.unbounded, free=self.free, priors=self.priors,
+        )  # fmt: skip
 
     def choices(self) -> dict[str, Any]:
         """As arguments of `fit_throws`."""
-        names = ("law", "load", "until", "fix", "bounds", "unbounded", "start", "loss", "noise")
+        names = (
+            "law", "load", "until", "fix", "bounds", "unbounded", "free", "priors", "systematics",
+            "start", "loss", "noise",
+        )  # fmt: skip
         return {name: getattr(self, name) for name in names}
 
     def stones(self, throws: Sequence[Throw]) -> list[Stone]:
@@ -88,13 +101,17 @@ class BatchSettings:
 
 def columns(plan: BatchSettings) -> list[str]:
     """Columns of the table of results; those of text, which may have commas, come last."""
-    names = [item.name for item in (*plan.checked().coefficients(), *START)]
+    plan.checked()
+    names = plan.parameters().names
     found = ["file", "shot", "stone_index", "status", "n_observations", "rms_x", "rms_y", "rms_phi"]
     quantiles = QUANTILES if plan.posterior else ()
+    systematic = plan.systematics is not None
     for name in names:
         found += [name, f"{name}_stderr", f"{name}_verdict", *(f"{name}_{q}" for q in quantiles)]
+        found += [f"{name}_systematic"] * systematic
     for name in plan.sums():
         found += [name, f"{name} stderr", *(f"{name} {q}" for q in quantiles)]
+        found += [f"{name} systematic"] * systematic
     return [*found, "combinations", "warnings", "reason"]
 
 

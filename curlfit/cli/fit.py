@@ -37,6 +37,9 @@ def fit(
     fix: o.Fix = None,
     bound: o.Bound = None,
     unbounded: o.Unbounded = False,
+    free: o.Free = None,
+    prior: o.PriorText = None,
+    systematic: o.Systematic = None,
     start: o.Start = None,
     sigma: o.Sigma = None,
     loss: o.Loss = None,
@@ -101,7 +104,8 @@ def fit(
     flags = s.fit_flags(
         o.reader_options(format, axes, units, reference, stone_index, shot),
         law=law, load=load, until=until, stone=stone, sigma=sigma, fix=fix, bound=bound,
-        start=start, unbounded=unbounded, loss=loss, noise=noise, seed=seed,
+        start=start, unbounded=unbounded, free=free, prior=prior, loss=loss, noise=noise, seed=seed,
+        systematic=s.pairs("--systematic", systematic or ()),
     )  # fmt: skip
     if len(data) > 1:
         if resume:
@@ -257,6 +261,7 @@ def _fit_jointly(
     """Fit several throws jointly and print the report; write `joint.json`, figures, single fits."""
     from curlfit.errors import InputError
     from curlfit.friction import check_load, find_law
+    from curlfit.inference.conditions import check_systematics
     from curlfit.inference.noise.models import check_loss, check_noise
     from curlfit.inference.parameters import ParameterSet
     from curlfit.output.files import prepare_folder
@@ -283,11 +288,9 @@ def _fit_jointly(
             raise InputError(
                 f"--share {name}: law {law.name} has no such coefficient; it has {', '.join(own)}"
             )
-    choices: dict[str, Any] = {
-        "fix": settings.get("fix"),
-        "bounds": settings.get("bound"),
-        "unbounded": bool(settings.get("unbounded", False)),
-    }
+    systematics = settings.get("systematic", {})
+    check_systematics(systematics)
+    choices = s.parameter_choices(settings)
     start = settings.get("start", {})
     ParameterSet.build(law, **choices).require("--start", start)
     throws = []
@@ -319,7 +322,7 @@ def _fit_jointly(
 
         result = fit_together(
             throws, law, share=names, load=load, start=start, loss=loss, noise=noise,
-            progress=show_step, **choices,
+            systematics=systematics, progress=show_step, **choices,
         )  # fmt: skip
     written = [folder / "joint.json"]
     result.save(written[0])

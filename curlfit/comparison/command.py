@@ -31,6 +31,8 @@ def compare(
     fix: o.Fix = None,
     bound: o.Bound = None,
     unbounded: o.Unbounded = False,
+    free: o.Free = None,
+    prior: o.PriorText = None,
     start: o.Start = None,
     sigma: o.Sigma = None,
     loss: o.Loss = None,
@@ -76,6 +78,8 @@ def compare(
         "bound": s.intervals("--bound", bound or ()),
         "start": s.pairs("--start", start or ()),
         "unbounded": unbounded or None,
+        "free": s.names(free or ()) or None,
+        "prior": s.texts("--prior", prior or ()),
         "loss": loss,
         "noise": noise,
     }
@@ -90,11 +94,14 @@ def compare(
     cut = throw.until(settings.get("until"))
     cut.require_motion()
     laws_of = chosen or list(LAWS.values())
-    options = {name: settings.get(name, {}) for name in ("fix", "bound", "start")}
+    options = {name: settings.get(name, {}) for name in ("fix", "bound", "start", "prior")}
+    options["free"] = dict.fromkeys(settings.get("free", ()), True)
     require_known(laws_of, {f"--{name}": values for name, values in options.items()})
     for law in laws_of:
         own = options_of(law, options)
-        ParameterSet.for_throw(law, cut, fix=own["fix"], bounds=own["bound"])
+        ParameterSet.for_throw(
+            law, cut, fix=own["fix"], bounds=own["bound"], free=own["free"], priors=own["prior"]
+        )
     folder = prepare_folder(out or Path(f"{data.stem}-compare"))
 
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -127,6 +134,8 @@ def compare(
             fix=options["fix"],
             bounds=options["bound"],
             unbounded=bool(settings.get("unbounded", False)),
+            free=tuple(options["free"]),
+            priors=options["prior"],
             start=options["start"],
             loss=loss,
             noise=noise,

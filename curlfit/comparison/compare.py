@@ -37,6 +37,7 @@ from scipy.ndimage import median_filter
 
 from curlfit.errors import UnusableFitError
 from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, find_law
+from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR
@@ -44,6 +45,7 @@ from curlfit.inference.noise.correlated import whitener_of
 from curlfit.inference.noise.losses import likeliest_sigma, log_density, robust_sigma
 from curlfit.inference.noise.models import Noise
 from curlfit.inference.parameters import options_of, require_known
+from curlfit.inference.priors import Prior
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS, Throw, scatter
@@ -81,6 +83,8 @@ def compare(
     fix: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     unbounded: bool = False,
+    free: Sequence[str] = (),
+    priors: Mapping[str, str | Prior] | None = None,
     start: Mapping[str, float] | None = None,
     loss: str = "linear",
     noise: str = "white",
@@ -93,7 +97,8 @@ def compare(
     throw, stone, until, loss, noise : as in `fit`; noise is estimated for each law anew.
     laws : names or classes; where not given, curlfit's own but those that approximate another.
     load : "uniform", "consistent" or "both".
-    fix, bounds, start : as in `fit`, for those of the laws that have such a parameter.
+    fix, bounds, free, priors, start : as in `fit`, for those of the laws that have such a
+        parameter.
     unbounded : let the coefficients of all laws be negative, and rank them all the same.
     progress : called with what is being fitted, how many are done, and of how many.
 
@@ -103,7 +108,10 @@ def compare(
         be fitted by any.
     """
     todo = plan(laws, load)
-    options = {"fix": fix or {}, "bounds": bounds or {}, "start": start or {}}
+    options: dict[str, Mapping[str, Any]] = {
+        "fix": fix or {}, "bounds": bounds or {}, "start": start or {},
+        "free": dict.fromkeys(free, True), "priors": priors or {},
+    }  # fmt: skip
     require_known([law for law, _ in todo], options)
     found: list[tuple[Candidate, FitResult | None]] = []
     for done, (law, one_load) in enumerate(todo):
@@ -111,7 +119,7 @@ def compare(
             progress(law.name, done, len(todo))
         choices: dict[str, Any] = {
             "load": one_load, "stone": stone, "until": until, "unbounded": unbounded,
-            "loss": loss, "noise": noise, **options_of(law, options),
+            "loss": loss, "noise": noise, "systematics": {ALL: 0.0}, **options_of(law, options),
         }  # fmt: skip
         candidate, result = _candidate(throw, law, choices, signs_free=False)
         found.append((candidate, result))

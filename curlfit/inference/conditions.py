@@ -7,8 +7,11 @@ systematic error, to first order, of the width given here (`curlfit.inference.fi
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+from curlfit.errors import InputError
 from curlfit.friction import Parameter
 
 
@@ -61,3 +64,29 @@ CONDITIONS = (
     ),
 )  # fmt: skip
 WIDTHS = {item.name: item.width for item in CONDITIONS}
+ALL = "all"
+
+
+def check_systematics(given: Mapping[str, float]) -> None:
+    """Raise `InputError` for a width that is negative or of no condition; `ALL` stands for those
+    that are not named."""
+    for name, width in given.items():
+        if name != ALL and name not in WIDTHS:
+            raise InputError(
+                f"systematic: no condition {name!r}; there are {', '.join(WIDTHS)}, and {ALL}"
+            )
+        if not 0 <= width < math.inf:
+            raise InputError(f"systematic: {name} = {width:g}; expected a width of 0 or more")
+
+
+def if_off(name: str, width: float) -> str:
+    """That a condition is one width off what is assumed, as the beginning of a sentence."""
+    texts = {
+        "slope_x": f"if the ice falls {1e3 * width:g} mm/m to the right",
+        "slope_y": f"if the ice falls {1e3 * width:g} mm/m along the throw",
+        "drag": f"if the air drags with a coefficient of {width:g}",
+        "length_scale": f"if measured lengths are {100 * width:g} % too long",
+        "time_scale": f"if measured times are {100 * width:g} % too long",
+    }
+    item = next(one for one in CONDITIONS if one.name == name)
+    return texts.get(name, f"if the {item.meaning} is {1e3 * width:g} mm larger")

@@ -26,6 +26,7 @@ from curlfit.inference.initial_values import SmoothPath, default_guess, start_va
 from curlfit.inference.likelihood import weighted_residuals
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
+from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics import levenberg_marquardt as lm
 from curlfit.numerics.arrays import Booleans, Floats
@@ -53,17 +54,24 @@ class Solution(NamedTuple):
     """of the weighted residual by parameter, shape (channels, n, parameters)"""
     steps: Any
     success: Any
+    penalty: Any = 0.0
+    """the priors' part of the objective"""
 
     @property
     def chi_squared(self) -> Any:
         """Sum of the squared residuals."""
         return (self.residual**2).sum((-1, -2))
 
+    @property
+    def objective(self) -> Any:
+        """What the optimum minimizes: chi squared of the data and of the priors."""
+        return self.chi_squared + self.penalty
+
 
 @compiled("model")
 def _minimize(
     model: Model, start: Array, lower: Array, upper: Array, typical: Array,
-    problem: Problem,
+    problem: Problem, penalty: Penalty | None,
 ) -> Solution:  # fmt: skip
     # Loaded only where the program is made: that takes as long as all else there is to load.
     import optimistix as optx
@@ -75,7 +83,7 @@ def _minimize(
 
     found: Any = optx.least_squares(
         residual,
-        BoundedLevenbergMarquardt(lm.Bounds(lower, upper, typical), _PRECISE),
+        BoundedLevenbergMarquardt(lm.Bounds(lower, upper, typical), _PRECISE, penalty),
         start,
         args=problem,
         max_steps=lm.MOST_EVALUATIONS,
@@ -88,6 +96,7 @@ def _minimize(
         jacobian=found.state.jacobian.reshape(*shape, -1),
         steps=found.stats["num_steps"],
         success=found.result == optx.RESULTS.successful,
+        penalty=0.0 if penalty is None else penalty.chi_squared(found.value),
     )
 
 
@@ -97,7 +106,15 @@ def minimize(
     """The optimum reached from one start; None where that start leads nowhere."""
     solution: Solution = jax.tree.map(
         np.asarray,
-        _minimize(model, start, parameters.lower, parameters.upper, parameters.typical, problem),
+        _minimize(
+            model,
+            start,
+            parameters.lower,
+            parameters.upper,
+            parameters.typical,
+            problem,
+            parameters.penalty,
+        ),
     )
     return solution if np.isfinite(solution.chi_squared) else None
 
@@ -137,9 +154,7 @@ def multistart(
             break
         tried += 1
         other = minimize(model, values, parameters, problem)
-        if other is not None and (
-            best is None or other.chi_squared < (1 - 1e-9) * best.chi_squared
-        ):
+        if other is not None and (best is None or other.objective < (1 - 1e-9) * best.objective):
             best = other
     return best, tried
 
@@ -194,6 +209,8 @@ class Tasks(NamedTuple):
     upper: Floats
     typical: Floats
     """shape (parameters,)"""
+    penalty: Penalty | None = None
+    """each field of the shape of the start"""
 
 
 class Revision(NamedTuple):
@@ -256,6 +273,7 @@ class _Searches:
     def __init__(self, tasks: Tasks) -> None:
         self.problems: Problem = jax.tree.map(np.array, tasks.problems)
         self.bounds = lm.Bounds(tasks.lower, tasks.upper, tasks.typical)
+        self.penalty = tasks.penalty
         self.state = lm.begin(tasks.start, self.bounds, _QUICK)
         shape = self.problems.observed.shape
         self.residual = np.full(shape, np.nan)
@@ -269,7 +287,7 @@ class _Searches:
         """Take the answers of a pass; which of the searches are done."""
         state, bounds = self._of(run_of(now))
         with np.errstate(invalid="ignore", over="ignore"):  # where there is no path
-            model = self._model(residual, jacobian)
+            model = self._model(run_of(now), state.trial, residual, jacobian)
             state, outcome = lm.advance(state, model, bounds, _QUICK)
         better = outcome.accepted
         if not better.all():
@@ -290,7 +308,7 @@ class _Searches:
         self.problems.weight[run] = problems.weight
         self.residual[run] *= scale
         self.jacobian[run] *= scale[..., None]
-        model = self._model(self.residual[run], self.jacobian[run])
+        model = self._model(run, state.values, self.residual[run], self.jacobian[run])
         return self._put(now, *lm.reweighted(state, model, bounds, _QUICK))
 
     def solution(self, which: Indices) -> Solution:
@@ -298,7 +316,7 @@ class _Searches:
         run = run_of(which)
         return Solution(
             self.state.values[run], self.residual[run], self.jacobian[run],
-            self.state.evaluations[run], self.state.success[run],
+            self.state.evaluations[run], self.state.success[run], self._penalty_chi_squared(run),
         )  # fmt: skip
 
     def _of(self, run: Indices | slice) -> tuple[lm.Search, lm.Bounds]:
@@ -306,13 +324,28 @@ class _Searches:
         state: lm.Search = jax.tree.map(itemgetter(run), self.state)
         return state, lm.Bounds(lower[run], upper[run], typical)
 
-    def _model(self, residual: Floats, jacobian: Floats) -> lm.QuadraticModel:
+    def _penalty(self, run: Indices | slice) -> Penalty | None:
+        found: Penalty | None = jax.tree.map(itemgetter(run), self.penalty)
+        return found
+
+    def _penalty_chi_squared(self, run: Indices | slice) -> Floats:
+        penalty, values = self._penalty(run), self.state.values[run]
+        return np.zeros(len(values)) if penalty is None else penalty.chi_squared(values)
+
+    def _model(
+        self, run: Indices | slice, values: Floats, residual: Floats, jacobian: Floats
+    ) -> lm.QuadraticModel:
         count, channels, rows, size = jacobian.shape
-        return lm.quadratic_model(
+        model = lm.quadratic_model(
             residual.reshape(count, channels * rows),
             jacobian.reshape(count, channels * rows, size),
             self.bounds.typical,
         )
+        penalty = self._penalty(run)
+        if penalty is None:
+            return model
+        found: lm.QuadraticModel = penalty.added_to(model, values, self.bounds.typical)
+        return found
 
     def _put(self, now: Indices, state: lm.Search, outcome: lm.Outcome | None) -> Booleans:
         run = run_of(now)

@@ -27,6 +27,7 @@ from jaxtyping import Array
 from curlfit.inference.model import Model
 from curlfit.inference.noise.correlated import whitened
 from curlfit.inference.noise.losses import signed_root
+from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.inference.system import System
 from curlfit.numerics.arrays import Floats
@@ -156,13 +157,17 @@ def log_likelihood(model: Model, values: Array, problem: Problem) -> Array:
 
 @compiled("model")
 def log_posterior(
-    model: Model, values: Array, lower: Array, upper: Array, problem: Problem
-) -> Array:
-    """Log-posterior of many parameter vectors, shape (walkers, parameters), under a flat prior."""
+    model: Model, values: Array, lower: Array, upper: Array, problem: Problem,
+    penalty: Penalty | None,
+) -> Array:  # fmt: skip
+    """Log-posterior of many parameter vectors, shape (walkers, parameters): flat within the bounds
+    but for the priors in the penalty."""
     inside = ((values >= lower) & (values <= upper)).all(-1)
     # A vector outside the bounds is never followed: it could hold up all the others.
     safe = jnp.clip(values, lower, upper)
     value = jax.vmap(lambda one: log_likelihood(model, one, problem))(safe)
+    if penalty is not None:
+        value = value - 0.5 * penalty.chi_squared(safe)
     return jnp.where(inside, value, -jnp.inf)
 
 

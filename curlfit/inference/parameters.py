@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from curlfit.errors import DataError, InputError
 from curlfit.friction import Law, Parameter
 from curlfit.inference.conditions import CONDITIONS
+from curlfit.inference.priors import Penalty, Prior, parse_priors, penalty_of
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.throw import Throw
 
@@ -50,6 +51,9 @@ class ParameterSet:
 
     parameters: tuple[Parameter, ...]
     fixed: dict[str, float]
+    priors: dict[str, Prior] = field(default_factory=dict)
+    offset: Floats | float = 0.0
+    """from values of this set to those that the priors are of"""
 
     @classmethod
     def build(
@@ -60,6 +64,7 @@ class ParameterSet:
         bounds: Mapping[str, tuple[float, float]] | None = None,
         unbounded: bool = False,
         free: Iterable[str] = (),
+        priors: Mapping[str, str | Prior] | None = None,
     ) -> ParameterSet:
         """Parameters of a fit of `law`.
 
@@ -74,15 +79,18 @@ class ParameterSet:
         unbounded : let coefficients be negative, within [-upper, upper]; exponents and the like
             keep their bounds.
         free : optional coefficients and conditions that are estimated.
+        priors : prior densities by name, see `curlfit.inference.priors`; the parameters are
+            estimated.
 
         Raises
         ------
-        InputError : an unknown name, a name both fixed and free, an empty interval, a fixed value
-            outside its bounds, or nothing left to fit.
+        InputError : an unknown name, a name both fixed and free, a text that is no prior, an empty
+            interval, a fixed value outside its bounds, or nothing left to fit.
         """
         fixed, limits = (tuple((choice or {}).items()) for choice in (fix, bounds))
         key: Any = law
-        return cls._built(key, fixed, limits, unbounded, tuple(free))
+        known = tuple(parse_priors(priors).items())
+        return cls._built(key, fixed, limits, unbounded, tuple(free), known)
 
     @classmethod
     @lru_cache(64)
@@ -93,8 +101,10 @@ class ParameterSet:
         limits: tuple[tuple[str, tuple[float, float]], ...],
         unbounded: bool,
         free: tuple[str, ...],
+        known: tuple[tuple[str, Prior], ...],
     ) -> ParameterSet:
-        fix, bounds = dict(fixed), dict(limits)
+        fix, bounds, priors = dict(fixed), dict(limits), dict(known)
+        free = (*free, *priors)
         coefficients: tuple[Parameter, ...] = law.coefficients()
         if unbounded:
             coefficients = tuple(item.unbounded() for item in law.coefficients())
@@ -111,10 +121,13 @@ class ParameterSet:
                     + ", ".join(item.name for item in CONDITIONS)
                 )
             if name in fix and name in free:
-                raise InputError(f"{name} is both fixed and free; expected one of them")
+                other = "has a prior" if name in priors else "is free"
+                raise InputError(f"{name} is fixed and {other}; expected one of them")
         conditions = [item for item in CONDITIONS if item.name in (*fix, *bounds, *free)]
         for item in (*coefficients, *conditions, *START):
             lower, upper = bounds.get(item.name, (item.lower, item.upper))
+            if item.name in priors:
+                lower, upper = priors[item.name].bounds(lower, upper)
             if not lower < upper:
                 raise InputError(
                     f"bound of {item.name}: {lower:g}:{upper:g} is empty; expected LOW:HIGH"
@@ -131,7 +144,7 @@ class ParameterSet:
             parameters.append(replace(item, lower=lower, upper=upper))
         if len(fix) == len(parameters):
             raise InputError("every parameter is fixed; nothing is left to fit")
-        return cls(tuple(parameters), fix)
+        return cls(tuple(parameters), fix, priors)
 
     @classmethod
     def for_throw(cls, law: type[Law], throw: Throw, **choices: Any) -> ParameterSet:
@@ -195,6 +208,11 @@ class ParameterSet:
         return self._array("typical")
 
     @cached_property
+    def penalty(self) -> Penalty | None:
+        """What the priors add to chi squared; None without priors."""
+        return penalty_of(self.parameters, self.priors, self.offset)
+
+    @cached_property
     def free(self) -> Booleans:
         """True for the parameters to be determined."""
         free = np.array([name not in self.fixed for name in self.names])
@@ -228,7 +246,7 @@ class ParameterSet:
             for item, shift in zip(self.parameters, by, strict=True)
         )
         fixed = {name: value + by[self.index(name)] for name, value in self.fixed.items()}
-        return ParameterSet(moved, fixed)
+        return replace(self, parameters=moved, fixed=fixed, offset=self.offset - by)
 
     def with_fixed(self, name: str, value: float) -> ParameterSet:
         """The same with one more parameter fixed."""
@@ -236,7 +254,7 @@ class ParameterSet:
             replace(item, lower=value, upper=value) if item.name == name else item
             for item in self.parameters
         )
-        return ParameterSet(parameters, {**self.fixed, name: value})
+        return replace(self, parameters=parameters, fixed={**self.fixed, name: value})
 
 
 Options = Mapping[str, Mapping[str, Any]]

@@ -9,13 +9,15 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from curlfit.inference.conditions import if_off
+from curlfit.inference.parameters import START
 from curlfit.output.console import terminal
 from curlfit.output.text import STYLE, decimals, format_estimate, join_words, plain_table
 from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
-    from curlfit.inference.fit.result import Estimate, FitResult, Posterior
+    from curlfit.inference.fit.result import Estimate, FitResult, Posterior, Systematics
 
 _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
@@ -35,6 +37,8 @@ def print_fit(fit: FitResult, console: Console | None = None) -> None:
 def report(fit: FitResult) -> RenderableType:
     """The report of a fit, for a rich console."""
     parts: list[RenderableType] = [_heading(fit), _coefficients(fit), *_student(fit)]
+    if fit.systematics.errors:
+        parts.append(Padding(Text(systematics(fit.systematics)), (0, 0, 1, 0)))
     parts += [*_beside_reference(fit), _quality(fit)]
     parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
     if fit.posterior is not None:
@@ -170,6 +174,9 @@ def _coefficients(fit: FitResult) -> RenderableType:
     table.add_column("parameter", no_wrap=True)
     table.add_column("estimate", justify="right", no_wrap=True)
     table.add_column("std. error", justify="right", no_wrap=True)
+    errors = fit.systematics.errors
+    if errors:
+        table.add_column("systematic", justify="right", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
     posterior, reference = fit.posterior, fit.reference
     if posterior is not None:
@@ -181,7 +188,10 @@ def _coefficients(fit: FitResult) -> RenderableType:
         name: str, unit: str, value: str, stderr: str, verdict: str, weights: dict[str, float]
     ) -> None:
         label = f"{name} ({unit})" if unit not in ("", "1") else name
-        cells: list[str | Text] = [label, value, stderr, Text(verdict, style=STYLE[verdict])]
+        cells: list[str | Text] = [label, value, stderr]
+        if errors:
+            cells.append(f"{errors[name]:.2g}" if name in errors else "-")
+        cells.append(Text(verdict, style=STYLE[verdict]))
         if posterior is not None:
             cells.append(_interval(posterior, name))
         if reference is not None:
@@ -189,8 +199,7 @@ def _coefficients(fit: FitResult) -> RenderableType:
             cells.append("" if known is None else f"{known:g}")
         table.add_row(*cells)
 
-    names = list(fit.parameters)
-    first_start = names[len(fit.coefficients)]
+    first_start = START[0].name
     for name, item in fit.parameters.items():
         if name == first_start:
             for one in fit.combinations:
@@ -198,6 +207,30 @@ def _coefficients(fit: FitResult) -> RenderableType:
                 row(one.expression, "", *shown, "determined", one.weights)
         row(name, item.unit, *_estimate(item), item.verdict, {name: 1.0})
     return Padding(table, (1, 0))
+
+
+def systematics(found: Systematics) -> str:
+    """The largest systematic error of each coefficient or combination, in sentences."""
+    starts = {item.name for item in START}
+    named: dict[str, list[str]] = {}
+    for name, shifts in found.shifts.items():
+        condition = max(shifts, key=lambda one: abs(shifts[one]))
+        size = abs(shifts[condition])
+        if name in starts or not size:
+            continue
+        verb = "higher" if shifts[condition] > 0 else "lower"
+        named.setdefault(condition, []).append(f"{name} is {size:.2g} {verb}")
+    if not named:
+        return ""
+    sentences = [
+        f"{if_off(condition, found.widths[condition])}, {join_words(parts)}"
+        for condition, parts in named.items()
+    ]
+    return (
+        "Systematic errors come from conditions that the fit holds, the largest first: "
+        + "; ".join(sentences)
+        + ". `--systematic` sets their widths; `--prior` or `--free` make them parameters."
+    )
 
 
 def _estimate(item: Estimate) -> tuple[str, str]:
@@ -240,6 +273,7 @@ def _memory(fit: FitResult, channel: str) -> str:
 def identifiability(fit: FitResult) -> str:
     """What the path determines and what it does not, in sentences."""
     free = [name for name, item in fit.parameters.items() if item.verdict != "fixed"]
+    by_prior = [name for name, item in fit.parameters.items() if item.verdict == "prior"]
     held = [name for name in free if name not in fit.covariance["names"]]
     text = f"The path determines {fit.rank} of {len(free) - len(held)} parameters"
     text += f" ({', '.join(held)} at a bound not counted)." if held else "."
@@ -252,6 +286,11 @@ def identifiability(fit: FitResult) -> str:
             + "."
         )
         text += _instead(fit, unseen)
+    if by_prior:
+        text += (
+            f" {join_words(by_prior)} {'rest' if len(by_prior) > 1 else 'rests'} on the priors: "
+            "the path alone does not determine " + ("them." if len(by_prior) > 1 else "it.")
+        )
     weak = [name for name in free if fit.parameters[name].verdict == "weak"]
     for reason in dict.fromkeys(fit.parameters[name].reason for name in weak):
         alike = [name for name in weak if fit.parameters[name].reason == reason]

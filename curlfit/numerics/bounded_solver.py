@@ -39,12 +39,14 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     bounds: Bounds
     control: Control
+    penalty: Any
+    """what is added to chi squared, as `added_to(model, values, typical)`; None for nothing"""
     rtol: float
     atol: float
     norm: Callable[..., Any]
 
-    def __init__(self, bounds: Bounds, control: Control) -> None:
-        self.bounds, self.control = bounds, control
+    def __init__(self, bounds: Bounds, control: Control, penalty: Any = None) -> None:
+        self.bounds, self.control, self.penalty = bounds, control, penalty
         self.rtol = self.atol = control.remaining  # required by optimistix
         self.norm = optx.max_norm
 
@@ -67,6 +69,8 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
         jacobian, (residual, aux) = jax.jacfwd(residual_of, has_aux=True)(state.search.trial)
         model = quadratic_model(residual, jacobian, self.bounds.typical)
+        if self.penalty is not None:
+            model = self.penalty.added_to(model, state.search.trial, self.bounds.typical)
         search, outcome = advance(state.search, model, self.bounds, self.control)
         residual = jnp.where(outcome.accepted, residual, state.residual)
         jacobian = jnp.where(outcome.accepted, jacobian, state.jacobian)

@@ -26,6 +26,33 @@ Bound = Annotated[
     typer.Option(help="Bounds of a parameter, in place of the default ones.", metavar="NAME=LO:HI"),
 ]
 Unbounded = Annotated[bool, typer.Option("--unbounded", help="Let coefficients be negative.")]
+Free = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Estimate what is held otherwise: `slope_x`, `slope_y` (fall of the ice, m/m), `drag` "
+        "(of the air), `R`, `rho`, `h` (of the stone), `length_scale`, `time_scale` (measured over "
+        "true), or an optional coefficient of the law.",
+        metavar="NAME,...",
+    ),
+]
+PriorText = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--prior",
+        help="Prior of a parameter, which is then estimated: `rho=0.1+-0.0025`, "
+        "`mu2_xi=lognormal:0.05,0.3` (median, sigma of the logarithm), `drag=half-normal:0.8`, "
+        "`h=uniform:0.05,0.065`.",
+        metavar="NAME=PRIOR",
+    ),
+]
+Systematic = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Standard uncertainty of a condition that is held, for the systematic errors: "
+        "`slope_x=2e-4`; 0 where it is known, `all=0` for none. [default: in `curlfit laws`]",
+        metavar="NAME=V",
+    ),
+]
 Start = Annotated[
     list[str] | None,
     typer.Option(help="Initial value; derived from the data if not given.", metavar="NAME=V"),

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 READER_OPTIONS = ("format", "axes", "units", "reference", "stone_index", "shot")
 """Settings of the readers."""
 _SETTINGS = (
-    "law", "load", "until", "stone", "sigma", "fix", "bound", "start", "unbounded", "loss", "noise",
-    "seed", *READER_OPTIONS,
+    "law", "load", "until", "stone", "sigma", "fix", "bound", "start", "unbounded", "free", "prior",
+    "systematic", "loss", "noise", "seed", *READER_OPTIONS,
 )  # fmt: skip
 
 
@@ -40,6 +40,24 @@ def pairs(option: str, items: Sequence[str]) -> dict[str, float]:
                 raise InputError(f"{option}: {name.strip()} is given twice")
             found[name.strip()] = number(option, name.strip(), text)
     return found
+
+
+def texts(option: str, items: Sequence[str]) -> dict[str, str]:
+    """`NAME=TEXT`, any number of times."""
+    found: dict[str, str] = {}
+    for item in items:
+        name, equals, text = item.partition("=")
+        if not equals or not name.strip() or not text.strip():
+            raise InputError(f"{option} {item}: expected NAME=PRIOR")
+        if name.strip() in found:
+            raise InputError(f"{option}: {name.strip()} is given twice")
+        found[name.strip()] = text.strip()
+    return found
+
+
+def names(items: Sequence[str]) -> list[str]:
+    """`NAME[,NAME...]`, any number of times."""
+    return [name.strip() for item in items for name in item.split(",") if name.strip()]
 
 
 def intervals(option: str, items: Sequence[str]) -> dict[str, tuple[float, float]]:
@@ -143,7 +161,15 @@ def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
     """The settings; raises `InputError` where one has a wrong type."""
     from curlfit.throws.readers.table import check_seed
 
-    for key in ("stone", "sigma", "fix", "start"):
+    free = settings.get("free", [])
+    if not isinstance(free, list) or not all(isinstance(name, str) for name in free):
+        raise InputError(f"{origin}: free = {free!r}; expected a list of names")
+    for name, value in settings.get("prior", {}).items():
+        if not isinstance(value, str):
+            raise InputError(
+                f"{origin}: prior.{name} = {value!r}; expected a text such as '1+-0.1'"
+            )
+    for key in ("stone", "sigma", "fix", "start", "systematic"):
         for name, value in settings.get(key, {}).items():
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise InputError(f"{origin}: {key}.{name} = {value!r}; expected a number")
@@ -217,6 +243,8 @@ def fit_flags(
     bound: list[str] | None,
     start: list[str] | None,
     unbounded: bool,
+    free: list[str] | None,
+    prior: list[str] | None,
     **others: Any,
 ) -> dict[str, Any]:
     """The flags of a fit as settings."""
@@ -231,7 +259,20 @@ def fit_flags(
         "bound": intervals("--bound", bound or ()),
         "start": pairs("--start", start or ()),
         "unbounded": unbounded or None,
+        "free": names(free or ()) or None,
+        "prior": texts("--prior", prior or ()),
         **others,
+    }
+
+
+def parameter_choices(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What settings say of the parameters, as arguments of `fit`."""
+    return {
+        "fix": settings.get("fix"),
+        "bounds": settings.get("bound"),
+        "unbounded": bool(settings.get("unbounded", False)),
+        "free": tuple(settings.get("free", ())),
+        "priors": settings.get("prior", {}),
     }
 
 
@@ -256,7 +297,7 @@ class FitRequest(NamedTuple):
         return fit(
             self.throw, self.law, load=self.load, stone=self.stone,
             until=self.settings.get("until"), start=self.settings.get("start"), loss=self.loss,
-            noise=self.noise, **self.choices,
+            noise=self.noise, systematics=self.settings.get("systematic"), **self.choices,
         )  # fmt: skip
 
 
@@ -268,6 +309,7 @@ def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Fi
     InputError : the data, a setting or a value cannot be used.
     """
     from curlfit.friction import check_load, find_law
+    from curlfit.inference.conditions import check_systematics
     from curlfit.inference.noise.models import check_loss, check_noise
     from curlfit.inference.parameters import ParameterSet
 
@@ -276,11 +318,8 @@ def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Fi
     load = check_load(settings.get("load", "uniform"))
     loss = check_loss(settings.get("loss", "linear"))
     noise = check_noise(settings.get("noise", "white"), loss)
-    choices: dict[str, Any] = {
-        "fix": settings.get("fix"),
-        "bounds": settings.get("bound"),
-        "unbounded": bool(settings.get("unbounded", False)),
-    }
+    check_systematics(settings.get("systematic", {}))
+    choices = parameter_choices(settings)
     cut = throw.until(settings.get("until"))
     cut.require_motion()
     parameters = ParameterSet.for_throw(law, cut, **choices)

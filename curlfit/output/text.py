@@ -8,6 +8,7 @@ from curlfit.output.console import PlainTable
 
 STYLE = {
     "determined": "green",
+    "prior": "green",
     "weak": "yellow",
     "not identifiable": "bold red",
     "at bound": "yellow",

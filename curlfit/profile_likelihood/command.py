@@ -56,6 +56,8 @@ def profile(
     fix: o.Fix = None,
     bound: o.Bound = None,
     unbounded: o.Unbounded = False,
+    free: o.Free = None,
+    prior: o.PriorText = None,
     start: o.Start = None,
     sigma: o.Sigma = None,
     loss: o.Loss = None,
@@ -93,7 +95,7 @@ def profile(
     flags = s.fit_flags(
         o.reader_options(format, axes, units, reference, stone_index, shot),
         law=law, load=load, until=until, stone=stone, sigma=sigma, fix=fix, bound=bound,
-        start=start, unbounded=unbounded, loss=loss, noise=noise,
+        start=start, unbounded=unbounded, free=free, prior=prior, loss=loss, noise=noise,
     )  # fmt: skip
     if len(span or ()) > len(param):
         raise InputError(f"--range is given {len(span or ())} times; expected one of each --param")

@@ -68,7 +68,7 @@ class Refit:
     @property
     def chi_squared(self) -> float:
         """Of the best fit."""
-        return float(self.solution.chi_squared)
+        return float(self.solution.objective)
 
     @property
     def values(self) -> Floats:
@@ -81,7 +81,8 @@ class Refit:
             lambda leaf: np.broadcast_to(leaf, (len(sets), *np.shape(leaf))), self.problem
         )
         lower, upper = (np.stack([getattr(one, end) for one in sets]) for end in ("lower", "upper"))
-        work = Tasks(everywhere, np.stack(starts), lower, upper, self.parameters.typical)
+        penalty = jax.tree.map(lambda *parts: np.stack(parts), *(one.penalty for one in sets))
+        work = Tasks(everywhere, np.stack(starts), lower, upper, self.parameters.typical, penalty)
         before = self.done
 
         def arrived(count: int) -> None:
@@ -114,8 +115,11 @@ class Refit:
         index = [self.parameters.index(name) for name in names]
         slope = 2 * np.einsum("cn,cni->i", solution.residual, solution.jacobian)
         values = np.asarray(solution.values)
+        if self.parameters.penalty is not None:
+            residual, by_parameter = self.parameters.penalty.residual_and_slope(values)
+            slope = slope + 2 * residual * by_parameter
         optimum = ConstrainedFit(
-            values[index], float(solution.chi_squared), values, slope[index],
+            values[index], float(solution.objective), values, slope[index],
             bool(solution.success),
         )  # fmt: skip
         if self.lowest is None or optimum.chi_squared < self.lowest.chi_squared:

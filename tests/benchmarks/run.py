@@ -223,7 +223,7 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
 
     def log_prob(values: Any) -> Any:
         model = Model(law, "uniform")
-        return np.asarray(log_posterior(model, values, local.lower, local.upper, problem))
+        return np.asarray(log_posterior(model, values, local.lower, local.upper, problem, None))
 
     stock = emcee.EnsembleSampler(walkers, len(local), log_prob, vectorize=True)
     begin = time.perf_counter()

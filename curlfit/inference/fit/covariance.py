@@ -14,6 +14,7 @@ from curlfit.inference.least_squares import Solution
 from curlfit.inference.linearized_problem import LinearizedProblem
 from curlfit.inference.noise.losses import precision, root_slope
 from curlfit.inference.parameters import ParameterSet
+from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
 
@@ -36,11 +37,14 @@ class Covariance(NamedTuple):
     newton_decrement: float
     """standard errors to the optimum"""
     variance: Floats
-    """the covariance's part from each channel's noise, shape (channels, open, open)"""
+    """the covariance's part from each channel's noise, and last from the priors, shape
+    (channels + 1, open, open)"""
     dof: Floats
-    """degrees of freedom of each channel's sigma; infinite where it was given"""
+    """degrees of freedom of each channel's sigma, infinite where it was given, and of the priors"""
     leverage: Floats
     """of each value on its own fitted one, 0 to 1, shape (channels, n)"""
+    of_data: Identifiability
+    """what the data say without the priors"""
 
     def degrees_of_freedom(self, weights: Floats) -> float | None:
         """Of the variance of a weighted sum of the open parameters (Satterthwaite 1946, eq. 17);
@@ -58,12 +62,14 @@ def covariances(
     statistics: ResidualStatistics,
     estimated: Booleans,
     loss: str,
+    penalty: Penalty | None = None,
 ) -> list[Covariance]:
     """Those of many throws of one law; those of one set of open parameters are found together.
 
     Parameters
     ----------
     sets, values : in the data's coordinates. estimated : channels whose sigma was not given.
+    penalty : of the priors, in the problems' coordinates.
     """
     linearized = LinearizedProblem(
         statistics.r_factor[..., -1], statistics.r_factor[..., :-1], values,
@@ -86,7 +92,7 @@ def covariances(
         first, (open_, _) = sets[throws[0]], open_and_slack[throws[0]]
         jacobians = np.stack(
             [
-                statistics.r_factor[throw, :, :-1] if loss == "linear"
+                statistics.of_data[throw, :, :-1] if loss == "linear"
                 else _robust_jacobian(
                     problems[throw], solutions[throw], statistics.residual[throw], loss
                 )
@@ -94,10 +100,14 @@ def covariances(
             ]
         )  # fmt: skip
         slack = np.stack([open_and_slack[throw][1] for throw in throws])
-        known = analyse_many(
-            jacobians[..., open_], first.names_where(open_), values[throws][:, open_],
-            first.typical[open_], slack,
+        about = (
+            first.names_where(open_), values[throws][:, open_], first.typical[open_], slack
         )  # fmt: skip
+        known = of_data = analyse_many(jacobians[..., open_], *about)
+        if penalty is not None:
+            slopes = penalty.residual_and_slope(np.stack([one.values for one in solutions]))[1]
+            rows = slopes[throws][..., None] * np.eye(slopes.shape[-1])
+            known = analyse_many(np.concatenate([jacobians, rows], 1)[..., open_], *about)
         by_channel = np.stack([solutions[throw].jacobian[..., open_] for throw in throws])
         matrix = np.stack([item.covariance for item in known])[:, None]
         matrix = matrix - (slack @ slack.mT)[:, None]
@@ -106,6 +116,10 @@ def covariances(
         # n - p by channel, p the parameters that it pays for itself
         dof = np.maximum(statistics.number[throws] - leverage.sum(-1), 1.0)
         dof = np.where(estimated[throws], efficiency * dof, np.inf)
+        dof = np.concatenate([dof, np.full((len(dof), 1), np.inf)], -1)
+        variance = part @ matrix
+        of_priors = matrix - variance.sum(1, keepdims=True) if penalty is not None else 0 * matrix
+        variance = np.concatenate([variance, of_priors], 1)
         for row, throw in enumerate(throws):
             found[throw] = Covariance(
                 values=values[throw],
@@ -114,9 +128,10 @@ def covariances(
                 open=open_,
                 slack=slack[row],
                 newton_decrement=float(decrement[throw]),
-                variance=part[row] @ matrix[row],
+                variance=variance[row],
                 dof=dof[row],
                 leverage=leverage[row],
+                of_data=of_data[row],
             )
     return [found[throw] for throw in range(len(sets))]
 

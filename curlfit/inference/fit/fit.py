@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from operator import itemgetter
@@ -13,11 +13,13 @@ import numpy as np
 
 from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
+from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.missing_channels import remedies
-from curlfit.inference.fit.prepared import PreparedThrow, local_bounds
+from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import LeastSquaresFit, summarize, summarize_many
+from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.initial_values import smooth, start_values
 from curlfit.inference.least_squares import (
     Indices,
@@ -33,6 +35,7 @@ from curlfit.inference.least_squares import (
 )
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import check_loss, check_noise
+from curlfit.inference.priors import Prior
 from curlfit.inference.problem import problem_shape
 from curlfit.numerics.compiled import BATCH, gc_paused, stacked, unstacked
 from curlfit.stone import Stone
@@ -52,9 +55,12 @@ def fit(
     fix: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     unbounded: bool = False,
+    free: Sequence[str] = (),
+    priors: Mapping[str, str | Prior] | None = None,
     start: Mapping[str, float] | None = None,
     loss: str = "linear",
     noise: str = "white",
+    systematics: Mapping[str, float] | None = None,
 ) -> FitResult:
     """Fit a friction law and the start of the throw to a measured path by least squares.
 
@@ -67,12 +73,20 @@ def fit(
     until : use rows with t <= `until` (s).
     fix, bounds : parameters held at a value, and (lower, upper) in place of the law's own.
     unbounded : let coefficients be negative.
+    free : optional coefficients and conditions (`slope_x`, `rho`, ...; see
+        `curlfit.inference.conditions`) that are estimated. Others are held.
+    priors : prior densities by the name of the parameter, such as {"rho": "0.1+-0.0025"}; the forms
+        are "MEAN+-SD", "lognormal:MEDIAN,SIGMA", "half-normal:SD" and "uniform:LOW,HIGH". They make
+        the parameters free.
     start : initial values of some parameters; the rest is found from the data. Not needed.
     loss : "linear" is least squares; "huber", "soft-l1", "cauchy" and "student" (4 degrees of
         freedom) are robust to outliers.
     noise : "white" is independent from row to row; "ar1" has a correlation that decays
         exponentially; "gp" is white on top of a smooth discrepancy, as of a law that is not exact
         (see `curlfit.inference.noise.models`).
+    systematics : standard uncertainties of conditions that are held, such as {"slope_x": 2e-4}, in
+        place of those of `curlfit.inference.conditions`; 0 where one is known, "all" for all that
+        are not named. They enter the systematic errors alone.
 
     Returns
     -------
@@ -89,17 +103,19 @@ def fit(
     loss, noise = check_loss(loss), check_noise(noise, loss)
     load = check_load(load or throw.defaults.get("load", "uniform"))
     prepared = PreparedThrow.of(
-        throw, law, stone, until, fix=fix, bounds=bounds, unbounded=unbounded
-    )
+        throw, law, stone, until, fix=fix, bounds=bounds, unbounded=unbounded, free=free,
+        priors=priors,
+    )  # fmt: skip
     model = Model(law, load, prepared.parameters.conditions)
     rounds = Rounds(model, [prepared], loss=loss, noise=noise)
     found = _fitted_alone(rounds, start)
-    result = summarize(found)
+    result = summarize(found, widths_of(model, systematics))
     if not result.converged:
         return result
     if result.reference is not None:
         choices: dict[str, Any] = {
             "until": until, "fix": fix, "bounds": bounds, "unbounded": unbounded, "loss": loss,
+            "free": free, "priors": priors, "systematics": {"all": 0.0},
             "noise": noise, "start": prepared.parameters.values_of(result.values),
         }  # fmt: skip
         result = replace(result, reference_fits=_reference_fits(throw, law, load, result, choices))
@@ -142,7 +158,7 @@ def _reference_fits(
     """The same fit with other constants of the stone: what the values then are."""
     assert result.reference is not None
     throw, found = replace(throw, reference=None), []
-    for constants in _other_stones(result.reference, result.stone):
+    for constants in _other_stones(result.reference, result.stone, result.conditions):
         other = fit(throw, law, load=load, stone=result.stone.with_values(constants), **choices)
         each = {name: item.value for name, item in other.coefficients.items()}
         each |= {item.expression: item.value for item in other.combinations}
@@ -150,8 +166,13 @@ def _reference_fits(
     return tuple(found)
 
 
-def _other_stones(reference: Reference, stone: Stone) -> list[dict[str, float]]:
-    """Constants to fit with again: those of the reference, and one more by its rounding each."""
+def _other_stones(
+    reference: Reference, stone: Stone, parameters: Collection[str]
+) -> list[dict[str, float]]:
+    """Constants to fit with again: those of the reference, and one more by its rounding each; none
+    where they are parameters of the fit."""
+    if set(parameters) & {*reference.stone, *reference.rounding}:
+        return []
     now = stone.as_dict()
     own = {name: value for name, value in reference.stone.items() if value != now[name]}
     if not own:
@@ -171,6 +192,7 @@ def fit_throws(
     loss: str = "linear",
     noise: str = "white",
     curves: bool = True,
+    systematics: Mapping[str, float] | None = None,
     **choices: Any,
 ) -> list[FitResult | CurlfitError]:
     """The fit of each throw by itself, many at a time, or why there is none.
@@ -184,7 +206,8 @@ def fit_throws(
     stones : one for each throw; its own where not given.
     curves : whether the fits shall hold the fitted curves; they always do under a robust loss or
         correlated noise.
-    choices : `until`, `fix`, `bounds` and `unbounded` as in `fit`.
+    systematics : as in `fit`, but none where not given; they need the curves.
+    choices : `until`, `fix`, `bounds`, `unbounded`, `free` and `priors` as in `fit`.
 
     Raises
     ------
@@ -211,12 +234,20 @@ def fit_throws(
             model = Model(law, checked, next(iter(part.values())).parameters.conditions)
             rounds = Rounds(model, list(part.values()), loss=loss, noise=noise, batch=BATCH)
             solved = _fitted_together(rounds, start)
-            results = summarize_many(list(solved.values()), curves=curves)
+            widths = {} if systematics is None else widths_of(model, systematics)
+            results = summarize_many(list(solved.values()), curves=curves, widths=widths)
             found |= zip((list(part)[row] for row in solved), results, strict=True)
             for row, (index, prepared) in enumerate(part.items()):
                 if row not in solved:
                     found[index] = rounds.failures.get(row) or _alone(
-                        prepared, law, checked, start=start, loss=loss, noise=noise, **choices
+                        prepared,
+                        law,
+                        checked,
+                        start=start,
+                        loss=loss,
+                        noise=noise,
+                        systematics={ALL: 0.0} if systematics is None else systematics,
+                        **choices,
                     )
     return [found[index] for index in range(len(throws))]
 
@@ -247,7 +278,8 @@ def _fitted_together(
             which, solutions = which[good], jax.tree.map(itemgetter(good), solutions)
         return rounds.revise(which, solutions) if len(which) else []
 
-    tasks = Tasks(rounds.problems, begin, lower, upper, throws[0].parameters.typical)
+    typical = throws[0].parameters.typical
+    tasks = Tasks(rounds.problems, begin, lower, upper, typical, penalties(throws))
     solutions = minimize_many(model, tasks, revise)
     each = unstacked(solutions)
     usable = np.flatnonzero(solutions.success & ~poor)

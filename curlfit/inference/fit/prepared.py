@@ -9,8 +9,10 @@ import numpy as np
 
 from curlfit.friction import Law
 from curlfit.inference.parameters import ParameterSet
+from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Origin
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.compiled import stacked
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
 
@@ -79,6 +81,13 @@ class PreparedThrow(NamedTuple):
         for name, value in start.items():
             absolute[self.parameters.index(name)] = value
         return np.clip(absolute, self.parameters.lower, self.parameters.upper) - self.offset
+
+
+def penalties(throws: Sequence[PreparedThrow]) -> Penalty | None:
+    """Of the priors of many throws, in the problems' coordinates; None without priors."""
+    each = [one.local_parameters.penalty for one in throws]
+    known = [one for one in each if one is not None]
+    return stacked(known) if known else None
 
 
 def local_bounds(throws: Sequence[PreparedThrow]) -> tuple[Floats, Floats, Floats]:

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from curlfit.inference.identifiability import r_factors
+from curlfit.inference.identifiability import r_factors, triangle
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.losses import MAD_TO_SIGMA, robust_sigma
 from curlfit.inference.noise.models import Independence, independences, lag1_of
+from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS, Throw
@@ -34,7 +35,10 @@ class ResidualStatistics(NamedTuple):
     residual: Floats
     """data less path, 0 where nothing was observed, shape (channels, n)"""
     r_factor: Floats
-    """of the Jacobian and, last column, the residual over its sigma: as few rows as columns"""
+    """of the Jacobian and, last column, the residual over its sigma: as few rows as columns; with
+    the priors"""
+    of_data: Floats
+    """the same without the priors"""
     number: NDArray[np.int64]
     """of the values of each channel, shape (channels,)"""
     rms: Floats
@@ -54,9 +58,9 @@ class ResidualStatistics(NamedTuple):
 
 
 def residual_statistics(
-    problems: Problem, solutions: Solution, paths: Floats | None
+    problems: Problem, solutions: Solution, paths: Floats | None, penalty: Penalty | None = None
 ) -> ResidualStatistics:
-    """Those of many throws."""
+    """Those of many throws; the penalty is that of their priors."""
     there = problems.weight > 0
     count = there.sum(-1)
     if paths is None:
@@ -66,10 +70,17 @@ def residual_statistics(
     rms = np.sqrt((residual**2).sum(-1) / np.maximum(count, 1))
     # What was observed, without the gaps.
     order = np.argsort(~there, -1, kind="stable")
+    of_data = r_factors(solutions.jacobian, solutions.residual)
+    whole = of_data
+    if penalty is not None:
+        prior, slope = penalty.residual_and_slope(solutions.values)
+        rows = np.concatenate([slope[..., None] * np.eye(slope.shape[-1]), prior[..., None]], -1)
+        whole = triangle(np.concatenate([of_data, rows], 1))
     return ResidualStatistics(
         path=paths,
         residual=residual,
-        r_factor=r_factors(solutions.jacobian, solutions.residual),
+        r_factor=whole,
+        of_data=of_data,
         number=count,
         rms=rms,
         lag1=lag1_of(np.take_along_axis(residual, order, -1), count),

@@ -20,6 +20,7 @@ from curlfit.inference.identifiability import Combination, student_interval
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
+from curlfit.inference.priors import parse_priors
 from curlfit.numerics.arrays import Floats
 from curlfit.output.files import json_safe, known_fields, load_record, write_json
 from curlfit.stone import Stone
@@ -37,11 +38,13 @@ class Estimate:
     ----------
     stderr : standard error; None where the data do not determine the parameter, where it sits at a
         bound, or where it was fixed.
-    verdict : "determined", "weak", "not identifiable", "at bound" or "fixed".
+    verdict : "determined"; "prior" (determined, but not without the priors); "weak"; "not
+        identifiable"; "at bound" or "fixed".
     reason : of a weak parameter: its standard error is no smaller than its typical size, or chi
         squared is so far from quadratic that the standard error is wrong by a factor of two or
         more. Else empty.
     dof : degrees of freedom of the standard error; None where it has none or sigma was given.
+    prior : its prior as it is written (`curlfit.inference.priors`); empty without one.
     """
 
     value: float
@@ -55,6 +58,7 @@ class Estimate:
     typical: float
     reason: str = ""
     dof: float | None = None
+    prior: str = ""
 
     def interval(self, level: float = 0.95) -> tuple[float, float] | None:
         """Confidence interval by Student's t; None where there is no standard error."""
@@ -102,6 +106,28 @@ class Posterior:
 
 
 @dataclass(frozen=True)
+class Systematics:
+    """What conditions that a fit holds do to its estimates (`curlfit.inference.fit.systematics`).
+
+    Attributes
+    ----------
+    widths : standard uncertainty of each held condition, SI.
+    shifts : by determined parameter or combination and by condition: how far the true value lies
+        from the estimate where the condition is one width more than assumed.
+    """
+
+    widths: dict[str, float] = field(default_factory=dict)
+    shifts: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Systematic error of each parameter or combination: the shifts in quadrature."""
+        return {
+            name: math.hypot(*shifts.values()) for name, shifts in self.shifts.items() if shifts
+        }
+
+
+@dataclass(frozen=True)
 class FitResult:
     """A fitted throw. `save` writes it, `load_fit` reads it.
 
@@ -134,6 +160,8 @@ class FitResult:
         "sigmas"}, the farthest first.
     remedies : what else would have to be measured, see `curlfit.inference.fit.missing_channels`.
     sampling : "none", "unfinished" (begun, or to be begun) or "ended".
+    systematics : errors by the conditions that the fit holds, such as level ice.
+    chi_squared, prior_chi_squared : of the data, and of the priors.
     """
 
     law: str
@@ -165,6 +193,9 @@ class FitResult:
     remedies: tuple[dict[str, Any], ...] = ()
     sampling: str = "none"
     reference_fits: tuple[dict[str, Any], ...] = ()
+    systematics: Systematics = field(default_factory=Systematics)
+    chi_squared: float = math.nan
+    prior_chi_squared: float = 0.0
 
     @property
     def law_class(self) -> type[Law]:
@@ -202,6 +233,7 @@ class FitResult:
                 for name, item in self.parameters.items()
             ),
             {name: item.value for name, item in self.parameters.items() if item.verdict == "fixed"},
+            parse_priors({name: one.prior for name, one in self.parameters.items() if one.prior}),
         )
 
     @property
@@ -255,6 +287,9 @@ class FitResult:
             "information": self.information,
             "reference": None if self.reference is None else asdict(self.reference),
             "reference_fits": list(self.reference_fits),
+            "systematics": asdict(self.systematics),
+            "chi_squared": self.chi_squared,
+            "prior_chi_squared": self.prior_chi_squared,
             "sampling": self.sampling,
             "posterior": None if self.posterior is None else asdict(self.posterior),
             "observed": {name: series.tolist() for name, series in self.observed.items()},
@@ -305,6 +340,9 @@ class FitResult:
             outliers=tuple(found.get("outliers", ())),
             remedies=tuple(found.get("remedies", ())),
             reference_fits=tuple(found.get("reference_fits", ())),
+            systematics=Systematics(**known_fields(Systematics, found.get("systematics", {}))),
+            chi_squared=_finite(found.get("chi_squared")),
+            prior_chi_squared=_finite(found.get("prior_chi_squared", 0.0)),
         )
 
     def save(self, file: str | PathLike[str]) -> None:
@@ -320,6 +358,10 @@ def load_fit(file: str | PathLike[str]) -> FitResult:
     DataError : it is not there, is not a curlfit result, or has a schema this version cannot read.
     """
     return load_record(file, "fit", SCHEMA, lambda entries, _: FitResult.from_json(entries))
+
+
+def _finite(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def _series(found: dict[str, list[float | None]]) -> dict[str, Floats]:

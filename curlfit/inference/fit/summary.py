@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,13 +13,14 @@ from curlfit.numerics.compiled import BATCH, stacked
 import jax
 import numpy as np
 
+from curlfit.friction import Parameter
 from curlfit.inference.fit.covariance import (
     Covariance,
     covariances,
     nonquadratic_parameters,
     one_sigma_points,
 )
-from curlfit.inference.fit.prepared import PreparedThrow, local_bounds
+from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.residuals import (
     ResidualStatistics,
     correlation_warnings,
@@ -28,12 +29,14 @@ from curlfit.inference.fit.residuals import (
     outliers_of,
     residual_statistics,
 )
-from curlfit.inference.fit.result import Estimate, FitResult
+from curlfit.inference.fit.result import Estimate, FitResult, Systematics
+from curlfit.inference.fit.systematics import residual_changes, shifts, shifts_by_name
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.linearized_problem import classify
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import Noise, time_of_motion
 from curlfit.inference.parameters import ParameterSet
+from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS
@@ -58,14 +61,18 @@ class LeastSquaresFit(NamedTuple):
     """starts that led to it"""
 
 
-def summarize(fit: LeastSquaresFit) -> FitResult:
+def summarize(fit: LeastSquaresFit, widths: Mapping[str, float] | None = None) -> FitResult:
     """The record of a fit from its optimum."""
-    (result,) = summarize_many([fit], batch=1)
+    (result,) = summarize_many([fit], batch=1, widths=widths)
     return result
 
 
 def summarize_many(
-    fits: Sequence[LeastSquaresFit], batch: int = 4 * BATCH, *, curves: bool = True
+    fits: Sequence[LeastSquaresFit],
+    batch: int = 4 * BATCH,
+    *,
+    curves: bool = True,
+    widths: Mapping[str, float] | None = None,
 ) -> list[FitResult]:
     """The same for fits of one model, loss and noise model, to problems of one shape.
 
@@ -74,6 +81,8 @@ def summarize_many(
     batch : paths that are followed side by side.
     curves : whether the records shall hold the fitted curves. Only white noise and least squares
         do without.
+    widths : of held conditions whose systematic errors the records shall hold, as
+        `systematics.widths_of` gives them; only with curves.
     """
     if not fits:
         return []
@@ -81,7 +90,8 @@ def summarize_many(
     solutions = stacked([fit.solution for fit in fits])
     model = fits[0].model
     paths = predict_many(model, solutions.values, problems, batch) if curves else None
-    statistics = residual_statistics(problems, solutions, paths)
+    penalty = penalties([fit.prepared for fit in fits])
+    statistics = residual_statistics(problems, solutions, paths, penalty)
     sets = [fit.prepared.parameters for fit in fits]
     offset, lower, upper = local_bounds([fit.prepared for fit in fits])
     channels = CHANNELS[: problems.observed.shape[1]]
@@ -93,18 +103,38 @@ def summarize_many(
         statistics,
         estimated=np.array([[name in fit.sigma for name in channels] for fit in fits]),
         loss=fits[0].loss,
+        penalty=penalty,
     )
     around = one_sigma_points(found, solutions.values, lower, upper, sets[0].typical)
     of_owners = jax.tree.map(lambda leaf: leaf[around.owner], problems)
     chi_squared = chi_squared_of_many(model, around.point, of_owners, batch)
     delta = chi_squared - solutions.chi_squared[around.owner]
+    if penalty is not None:
+        there, best = Penalty(*(part[around.owner] for part in penalty)), solutions.values
+        delta += there.chi_squared(around.point) - there.chi_squared(best[around.owner])
     # Of throws fitted together chi squared of each has a slope at the joint optimum.
     jacobian, residual = statistics.r_factor[..., :-1], statistics.r_factor[..., -1:]
     gradient = 2 * (jacobian.mT @ residual)[..., 0]
     step = around.point - solutions.values[around.owner]
     delta = delta - (gradient[around.owner] * step).sum(-1)
     nonquadratic = nonquadratic_parameters(found, around, delta)
-    return list(map(_record, fits, statistics.each(len(fits)), found, nonquadratic))
+    changes = {}
+    if paths is not None and widths:
+        loss = fits[0].loss
+        changes = residual_changes(model, problems, solutions, paths, widths, loss, batch)
+    systematics = []
+    for throw, one in enumerate(found):
+        by_condition = shifts(
+            statistics.r_factor[throw, :, :-1][:, one.open],
+            {
+                name: np.einsum("cn,cnp->p", change[throw], solutions.jacobian[throw])[one.open]
+                for name, change in changes.items()
+            },
+            sets[0].typical[one.open],
+        )
+        shifted = shifts_by_name(one.identifiability, by_condition) if changes else {}
+        systematics.append(Systematics(dict(widths or {}) if changes else {}, shifted))
+    return list(map(_record, fits, statistics.each(len(fits)), found, nonquadratic, systematics))
 
 
 def _record(
@@ -112,6 +142,7 @@ def _record(
     statistics: ResidualStatistics,
     found: Covariance,
     nonquadratic: dict[str, float],
+    systematics: Systematics,
 ) -> FitResult:
     law, prepared, noise = fit.model.law, fit.prepared, fit.noise
     throw, parameters = prepared.throw, prepared.parameters
@@ -123,7 +154,9 @@ def _record(
     rms = {name: float(v) for name, v in statistics.by_channel(statistics.rms).items()}
     lag1 = {name: float(v) for name, v in statistics.by_channel(statistics.lag1, 3).items()}
     converged = found.newton_decrement < _CONVERGED
-    outliers = outliers_of(throw, statistics.residual, lag1, found.dof, found.leverage, fit.loss)
+    outliers = outliers_of(
+        throw, statistics.residual, lag1, found.dof[:-1], found.leverage, fit.loss
+    )
     warnings = _parameter_warnings(fit, found) + correlation_warnings(statistics, noise.kind)
     if nonquadratic:
         warnings.append(
@@ -163,6 +196,9 @@ def _record(
         sigma=fit.sigma,
         lag1=lag1,
         parameters=_estimates(parameters, found, nonquadratic),
+        systematics=systematics,
+        chi_squared=float(fit.solution.chi_squared),
+        prior_chi_squared=float(fit.solution.penalty),
         combinations=tuple(
             replace(
                 item,
@@ -251,8 +287,10 @@ def _estimates(
                 item.typical, bool(found.at_bound[row]), found.identifiability, int(index[row])
             )
         )
-        reason = ""
-        if verdict == "weak":
+        reason, prior = "", parameters.priors.get(item.name)
+        if verdict == "determined" and not _determined_by_data(item, found, int(index[row])):
+            verdict, reason = "prior", "without the priors the data do not determine it"
+        elif verdict == "weak":
             reason = f"its standard error is no smaller than its typical size, {item.typical:g}"
         elif verdict == "determined" and nonquadratic.get(item.name, 1.0) > _MISLEADING:
             verdict, reason = "weak", "chi squared is far from quadratic within its standard error"
@@ -268,5 +306,11 @@ def _estimates(
             lower=item.lower,
             upper=item.upper,
             typical=item.typical,
+            prior="" if prior is None else str(prior),
         )
     return estimates
+
+
+def _determined_by_data(item: Parameter, found: Covariance, index: int) -> bool:
+    """Whether an open parameter would be determined without the priors."""
+    return classify(item.typical, False, found.of_data, index)[1] == "determined"

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from curlfit.inference.joint.solver import JointSolution, Layout, Progress, minimize_jointly
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import stacked, unstacked
 
 # isort: split
@@ -14,16 +15,24 @@ import numpy as np
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.inference.fit.prepared import PreparedThrow
-from curlfit.inference.fit.result import Estimate
+from curlfit.inference.fit.result import Estimate, Systematics
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import summarize
+from curlfit.inference.fit.systematics import (
+    residual_changes,
+    shifts,
+    shifts_by_name,
+    widths_of,
+)
 from curlfit.inference.identifiability import analyse
 from curlfit.inference.initial_values import smooth, start_values
 from curlfit.inference.joint.heterogeneity import differences_of
 from curlfit.inference.joint.result import JointResult
+from curlfit.inference.likelihood import predict_many
 from curlfit.inference.linearized_problem import LinearizedProblem, classify
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import check_loss, check_noise
+from curlfit.inference.priors import Prior
 from curlfit.inference.problem import problem_shape
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
@@ -40,9 +49,12 @@ def fit_together(
     fix: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     unbounded: bool = False,
+    free: Sequence[str] = (),
+    priors: Mapping[str, str | Prior] | None = None,
     start: Mapping[str, float] | None = None,
     loss: str = "linear",
     noise: str = "white",
+    systematics: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> JointResult:
     """Fit one law to several throws, with some or all of its coefficients in common.
@@ -50,10 +62,10 @@ def fit_together(
     Parameters
     ----------
     throws : at least two; each has its own start, noise and, where its file says so, stone.
-    law, load, stone, until, fix, bounds, unbounded, start, loss, noise : as in `fit`, for all
-        throws.
+    law, load, stone, until, fix, bounds, unbounded, free, priors, start, loss, noise, systematics :
+        as in `fit`, for all throws. A prior of what the throws have in common counts once.
     share : "all" coefficients, or the names of those that the throws have in common; the others
-        are each throw's own.
+        are each throw's own. Conditions, such as the slope of the ice, are always in common.
     progress : called with the number of steps done and chi squared.
 
     Raises
@@ -68,9 +80,13 @@ def fit_together(
         raise InputError(f"{len(throws)} throw to fit together; expected two or more")
     shared = _shared(law, share)
     prepared = [
-        PreparedThrow.of(throw, law, stone, until, fix=fix, bounds=bounds, unbounded=unbounded)
+        PreparedThrow.of(
+            throw, law, stone, until, fix=fix, bounds=bounds, unbounded=unbounded, free=free,
+            priors=priors,
+        )
         for throw in throws
-    ]
+    ]  # fmt: skip
+    shared = (*shared, *prepared[0].parameters.conditions)
     channels, rows = zip(*(problem_shape(one.throw) for one in prepared), strict=True)
     shape = max(channels), max(rows)
     model = Model(law, checked, prepared[0].parameters.conditions)
@@ -96,7 +112,7 @@ def fit_together(
             f"law {law.name} with {load} load gives no finite path for these throws"
             + no_motion_because(checked)
         )
-    return _result(rounds, layout, shared, solution)
+    return _result(rounds, layout, shared, solution, widths_of(model, systematics))
 
 
 def _shared(law: type[Law], share: str | Sequence[str]) -> tuple[str, ...]:
@@ -112,7 +128,11 @@ def _shared(law: type[Law], share: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def _result(
-    rounds: Rounds, layout: Layout, shared: tuple[str, ...], solution: JointSolution
+    rounds: Rounds,
+    layout: Layout,
+    shared: tuple[str, ...],
+    solution: JointSolution,
+    widths: Mapping[str, float],
 ) -> JointResult:
     bounds, free = layout.bounds, layout.free
     matrix, right = solution.r_factor(layout)
@@ -127,6 +147,13 @@ def _result(
     known = analyse(
         matrix[:, open_], list(names[open_]), values[open_], bounds.typical[open_], slack
     )
+    # Without its priors, which the rows before the last stand for.
+    of_data = analyse(
+        matrix[: -len(names), open_] if layout.penalty is not None else matrix[:, open_],
+        list(names[open_]), values[open_], bounds.typical[open_], slack,
+    )  # fmt: skip
+    shifted = _shifts(rounds, layout, solution, widths, open_, matrix[:, open_])
+    systematic = shifts_by_name(known, shifted)
     single = [
         summarize(rounds.record(throw, one)) for throw, one in enumerate(unstacked(solution.each))
     ]
@@ -138,6 +165,9 @@ def _result(
         index = index_of.get(layout.names[joint], -1)
         stderr, verdict = classify(item.typical, bool(at_bound[joint]), known, index)
         reason = item.reason if verdict == item.verdict else ""
+        if verdict == "determined":
+            alone = classify(item.typical, bool(at_bound[joint]), of_data, index)
+            verdict = verdict if alone[1] == "determined" else "prior"
         value = float(values[joint])
         return replace(item, value=value, stderr=stderr, verdict=verdict, reason=reason)
 
@@ -147,7 +177,19 @@ def _result(
             name: estimate(item, int(layout.index[throw, column]))
             for column, (name, item) in enumerate(result.parameters.items())
         }
-        throws.append(replace(result, parameters=estimates, combinations=known.combinations))
+        own_shifts = {
+            name: systematic[joint]
+            for name, joint in zip(estimates, names[layout.index[throw]], strict=True)
+            if joint in systematic
+        } | {item.expression: systematic[item.expression] for item in known.combinations}
+        throws.append(
+            replace(
+                result,
+                parameters=estimates,
+                combinations=known.combinations,
+                systematics=Systematics(dict(widths), own_shifts),
+            )
+        )
     coefficients = {name: throws[0].parameters[name] for name in shared}
     decrement = linearized.newton_decrement(linearized.movable())
     reduced = solution.chi_squared / solution.each.residual.size
@@ -178,4 +220,33 @@ def _result(
         parameters=int(open_.sum()),
         differences=differences,
         throws=tuple(throws),
+        systematics=Systematics(
+            dict(widths),
+            {
+                name: systematic[name]
+                for name in (*shared, *(item.expression for item in known.combinations))
+                if name in systematic
+            },
+        ),
     )
+
+
+def _shifts(
+    rounds: Rounds,
+    layout: Layout,
+    solution: JointSolution,
+    widths: Mapping[str, float],
+    open_: Booleans,
+    factor: Floats,
+) -> dict[str, Floats]:
+    """Shifts of the open parameters by conditions that all throws have in common."""
+    model, problems, each = rounds.model, rounds.problems, solution.each
+    batch = len(each.values)
+    paths = predict_many(model, each.values, problems, batch)
+    changes = residual_changes(model, problems, each, paths, widths, rounds.loss, batch)
+    gradients = {}
+    for name, change in changes.items():
+        total = np.zeros(len(layout.names))
+        np.add.at(total, layout.index, np.einsum("tcn,tcnp->tp", change, each.jacobian))
+        gradients[name] = total[open_]
+    return shifts(factor, gradients, layout.bounds.typical[open_])

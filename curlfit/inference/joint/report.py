@@ -8,6 +8,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from curlfit.inference.report import systematics
 from curlfit.output.console import terminal
 from curlfit.output.text import STYLE, compact, format_estimate, plain_table
 
@@ -38,6 +39,8 @@ def report(result: JointResult) -> RenderableType:
             (0, 0, 1, 0),
         )
     )
+    if said := systematics(result.systematics):
+        parts.append(Padding(Text(said), (0, 0, 1, 0)))
     parts += [
         Padding(Text(f"Warning: {warning}.", style="yellow"), (0, 0, 1, 0))
         for warning in result.warnings
@@ -47,7 +50,9 @@ def report(result: JointResult) -> RenderableType:
 
 def _shared(result: JointResult) -> RenderableType:
     table = plain_table()
-    for head, justify in (("shared", "left"), ("estimate", "right"), ("std. error", "right")):
+    heads = [("shared", "left"), ("estimate", "right"), ("std. error", "right")]
+    errors = result.systematics.errors
+    for head, justify in heads + [("systematic", "right")] * bool(errors):
         table.add_column(head, justify=justify, no_wrap=True, min_width=10)  # type: ignore[arg-type]
     table.add_column("verdict", no_wrap=True, min_width=16)
     table.add_column("differs between throws")
@@ -56,12 +61,17 @@ def _shared(result: JointResult) -> RenderableType:
         hidden = item.verdict == "not identifiable"
         shown = ("-", "-") if hidden else format_estimate(item.value, item.stderr)
         verdict = Text(item.verdict, style=STYLE[item.verdict])
-        table.add_row(name, *shown, verdict, _said(differences.get(name)))
+        table.add_row(name, *shown, *_error(errors, name), verdict, _said(differences.get(name)))
     for one in result.combinations:
         verdict = Text("determined", style=STYLE["determined"])
         said = _said(differences.get(one.expression))
-        table.add_row(one.expression, *format_estimate(one.value, one.stderr), verdict, said)
+        shown = format_estimate(one.value, one.stderr)
+        table.add_row(one.expression, *shown, *_error(errors, one.expression), verdict, said)
     return Padding(table, (1, 0))
+
+
+def _error(errors: dict[str, float], name: str) -> list[str]:
+    return [f"{errors[name]:.2g}" if name in errors else "-"] if errors else []
 
 
 def _said(item: Difference | None) -> Text:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from curlfit.inference.fit.result import Estimate, FitResult, load_fit
+from curlfit.inference.fit.result import Estimate, FitResult, Systematics, load_fit
 from curlfit.inference.identifiability import Combination
 from curlfit.output.files import known_fields, load_record, write_json
 
@@ -56,6 +56,7 @@ class JointResult:
     rank, parameters : directions that the throws see together, of how many free parameters.
     differences : of each determined shared coefficient or combination.
     throws : a `FitResult` for each throw; its standard errors are those of the joint fit.
+    systematics : errors of what is shared by the conditions that the fit holds.
     """
 
     law: str
@@ -70,6 +71,7 @@ class JointResult:
     parameters: int
     differences: tuple[Difference, ...]
     throws: tuple[FitResult, ...]
+    systematics: Systematics = field(default_factory=Systematics)
 
     def to_json(self) -> dict[str, Any]:
         """The record as written to `joint.json`, without the single throws."""
@@ -87,6 +89,7 @@ class JointResult:
             "differences": [
                 asdict(item) | {"significant": item.significant} for item in self.differences
             ],
+            "systematics": asdict(self.systematics),
             "throws": [
                 {
                     "file": item.data["file"],
@@ -138,6 +141,7 @@ def load_joint(file: str | PathLike[str]) -> JointResult:
             throws=tuple(
                 load_fit(path.parent / Path(item["file"]).stem) for item in found["throws"]
             ),
+            systematics=Systematics(**known_fields(Systematics, found.get("systematics", {}))),
         )
 
     return load_record(file, "joint", SCHEMA, build)

@@ -21,6 +21,7 @@ from curlfit.inference.identifiability import r_factors
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
+from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics import levenberg_marquardt as lm
 from curlfit.numerics.arrays import Booleans, Floats
@@ -40,6 +41,7 @@ class Layout:
     index : shape (throws, parameters of a throw).
     names : of the joint vector, the shared parameters first.
     bounds : of the joint vector; of shared parameters where all throws admit them.
+    penalty : of the joint vector, by the priors; None without any.
     """
 
     def __init__(self, sets: Sequence[ParameterSet], shared: Sequence[str]) -> None:
@@ -59,6 +61,13 @@ class Layout:
             self._intersection([item.upper for item in sets], np.minimum),
             self.joined(np.stack([item.typical for item in sets])),
         )
+        penalties = [item.penalty for item in sets]
+        self.penalty = None
+        if penalties[0] is not None:
+            # The prior of a shared parameter counts once.
+            self.penalty = Penalty(
+                *(self.joined(np.stack(part)) for part in zip(*penalties, strict=True))
+            )
 
     @property
     def free(self) -> Booleans:
@@ -98,7 +107,7 @@ class JointSolution(NamedTuple):
         return float(self.each.chi_squared.sum())
 
     def r_factor(self, layout: Layout) -> tuple[Floats, Floats]:
-        """A small matrix and right side with the same normal equations."""
+        """A small matrix and right side with the same normal equations, those of priors last."""
         count, p = layout.index.shape
         matrix = np.zeros((count * (p + 1), len(layout.names)))
         right = np.zeros(count * (p + 1))
@@ -106,7 +115,10 @@ class JointSolution(NamedTuple):
             rows = slice(throw * (p + 1), throw * (p + 1) + len(factor))
             matrix[rows, layout.index[throw]] = factor[:, :p]
             right[rows] = factor[:, p]
-        return matrix, right
+        if layout.penalty is None:
+            return matrix, right
+        residual, slope = layout.penalty.residual_and_slope(self.values)
+        return np.concatenate([matrix, np.diag(slope)]), np.concatenate([right, residual])
 
 
 def minimize_jointly(
@@ -142,6 +154,8 @@ def minimize_jointly(
             np.add.at(gradient, layout.index, each.gradient)
             np.add.at(hessian, (rows, columns), each.hessian)
             whole = lm.QuadraticModel(each.chi_squared.sum(), gradient, hessian)
+            if layout.penalty is not None:
+                whole = layout.penalty.added_to(whole, search.trial, typical)
             search, outcome = lm.advance(search, whole, layout.bounds, _CONTROL)
         if outcome.accepted:
             residual, jacobian = here
@@ -153,6 +167,7 @@ def minimize_jointly(
     steps, success = int(search.evaluations), bool(search.success)
     each_values = search.values[layout.index]
     solutions = Solution(
-        each_values, residual, jacobian, np.full(count, steps), np.full(count, success)
-    )
+        each_values, residual, jacobian, np.full(count, steps), np.full(count, success),
+        np.zeros(count),
+    )  # fmt: skip
     return JointSolution(search.values, solutions, steps, success)

@@ -183,6 +183,7 @@ def subject_of_fit(
         "bounds": "; ".join(
             f"{item.name} {item.lower!r}:{item.upper!r}" for item in parameters.parameters
         ),
+        "priors": "; ".join(f"{name} {prior}" for name, prior in parameters.priors.items()),
     }
 
 

@@ -48,9 +48,9 @@ def sample(
 ) -> tuple[FitResult, Chain]:
     """Sample the posterior about a fit, until it is converged.
 
-    The prior is even within the bounds of the parameters. Noise is of the fit's sigmas,
-    independent or as the fit's noise model has it, Gaussian or as its loss has it. Ctrl-C ends the
-    run and keeps what there is.
+    Where the fit has no prior, it is flat within the bounds of the parameter. Noise is of the fit's
+    sigmas, independent or as the fit's noise model has it, Gaussian or as its loss has it. Ctrl-C
+    ends the run and keeps what there is.
 
     Parameters
     ----------
@@ -162,6 +162,7 @@ class _Run:
         self._problem = build_problem(throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise)
         self._offset = origin.offset(len(parameters))
         self._base = fit.values - self._offset
+        self._penalty = parameters.shifted(-self._offset).penalty
         self._lower, self._upper = parameters.lower - self._offset, parameters.upper - self._offset
         self.names, self.free = parameters.names, parameters.free
         self._move = ridge_move(fit, self._offset)
@@ -288,7 +289,9 @@ class _Run:
         values = self._whole(free_values)
         try:
             return np.asarray(
-                log_posterior(self._model, values, self._lower, self._upper, self._problem)
+                log_posterior(
+                    self._model, values, self._lower, self._upper, self._problem, self._penalty
+                )
             )
         except KeyboardInterrupt:
             # emcee would print its own account of it; this step is thrown away.

@@ -1,0 +1,130 @@
+"""Systematic errors: what the conditions that a fit holds do to its estimates, to first order.
+
+If a condition c is not as assumed but off by d, the measured path is off by (df/dc) d, and least
+squares turns that into a shift of the estimates, -(J^T J)^+ J^T (df/dc) d from the estimate to the
+true value. Shifts by different conditions are independent and add in quadrature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from curlfit.inference.likelihood import predict_many
+
+# isort: split
+import numpy as np
+
+from curlfit.inference.conditions import ALL, WIDTHS, check_systematics
+from curlfit.inference.identifiability import Identifiability, inverted, visible
+from curlfit.inference.least_squares import Solution
+from curlfit.inference.model import Model
+from curlfit.inference.noise.correlated import whitened
+from curlfit.inference.noise.losses import root_slope
+from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Floats
+from curlfit.numerics.compiled import unstacked
+from curlfit.stone import UNITS as STONE_UNITS
+
+_STEP = 1e-2  # of a width, for differences: the path is accurate to 1e-7 of it
+
+
+def widths_of(model: Model, given: Mapping[str, float] | None = None) -> dict[str, float]:
+    """Standard uncertainty of each condition that a model holds.
+
+    Parameters
+    ----------
+    given : in place of `WIDTHS`; 0 where a condition is known. "all" stands for those not named.
+
+    Raises
+    ------
+    InputError : a name that is no condition, or a negative width.
+    """
+    given = dict(given or {})
+    check_systematics(given)
+    common = given.pop(ALL, None)
+    found = {name: width if common is None else common for name, width in WIDTHS.items()} | given
+    return {name: width for name, width in found.items() if width and name not in model.conditions}
+
+
+def residual_changes(
+    model: Model,
+    problems: Problem,
+    solutions: Solution,
+    paths: Floats,
+    widths: Mapping[str, float],
+    loss: str,
+    batch: int,
+) -> dict[str, Floats]:
+    """Change of the weighted residuals of many throws for one width of each condition.
+
+    Parameters
+    ----------
+    paths : at the optima, shape (throws, 5, n).
+    widths : as `widths_of` gives them.
+
+    Returns
+    -------
+    By condition, each of the shape of the residuals, (throws, channels, n).
+    """
+    channels = problems.observed.shape[1]
+    found = {}
+    for name, width in widths.items():
+        if name == "length_scale":
+            change = np.zeros_like(paths)
+            first = len(model.law.coefficients()) + len(model.conditions)
+            change[:, :2] = paths[:, :2] - solutions.values[:, first : first + 2, None]
+            change = change * width
+        else:
+            changed = _changed(problems, name, _STEP * width)
+            change = (predict_many(model, solutions.values, changed, batch) - paths) / _STEP
+        change = change[:, :channels] * problems.weight
+        if problems.whitener is not None:
+            pairs = zip(change, unstacked(problems.whitener), strict=True)
+            change = np.array([whitened(*pair) for pair in pairs])
+        if loss != "linear":
+            residual = (paths[:, :channels] - problems.observed) * problems.weight
+            change = change * root_slope(residual, loss)
+        found[name] = change
+    return found
+
+
+def _changed(problems: Problem, name: str, by: float) -> Problem:
+    """Problems with a condition off by something."""
+    if name == "time_scale":
+        return problems._replace(times=problems.times / (1 + by))
+    group = "stone" if name in STONE_UNITS else "environment"
+    record = getattr(problems, group)
+    values = {key: value + by * (key == name) for key, value in vars(record).items()}
+    return problems._replace(**{group: type(record)(**values)})
+
+
+def shifts(factor: Floats, gradients: Mapping[str, Floats], typical: Floats) -> dict[str, Floats]:
+    """From the estimates to the true values, by condition, along what the data see.
+
+    Parameters
+    ----------
+    factor : R factor of the Jacobian by the open parameters.
+    gradients : J^T times the change of the residuals, by condition.
+    typical : sizes of the open parameters.
+    """
+    _, singular, right = np.linalg.svd(factor * typical, full_matrices=False)
+    inverse = right.T * inverted(singular, visible(singular))
+    return {
+        name: -typical * (inverse @ (inverse.T @ (typical * gradient)))
+        for name, gradient in gradients.items()
+    }
+
+
+def shifts_by_name(
+    known: Identifiability, by_condition: Mapping[str, Floats]
+) -> dict[str, dict[str, float]]:
+    """Shifts of each seen parameter and each combination, by condition."""
+    unit = np.eye(len(known.names))
+    weights = {name: unit[row] for row, name in enumerate(known.names) if not known.unseen[row]}
+    for item in known.combinations:
+        row = [item.weights.get(name, 0.0) for name in known.names]
+        weights[item.expression] = np.array(row)
+    return {
+        name: {condition: float(row @ shift) for condition, shift in by_condition.items()}
+        for name, row in weights.items()
+    }

@@ -1,0 +1,175 @@
+"""What is known of a parameter before the path is looked at."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from curlfit.errors import InputError
+from curlfit.friction import Parameter
+from curlfit.numerics.arrays import Floats
+
+FORMS = "MEAN+-SD, lognormal:MEDIAN,SIGMA, half-normal:SD or uniform:LOW,HIGH"
+_FINITE = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_NORMAL = re.compile(rf"\s*(?:normal:)?\s*({_FINITE})\s*(?:\+-|\+/-|±|,)\s*({_FINITE})\s*")
+_OTHERS = {"lognormal": 2, "half-normal": 1, "uniform": 2}
+
+
+@dataclass(frozen=True)
+class Prior:
+    """The prior density of one parameter.
+
+    Attributes
+    ----------
+    kind : "normal", "lognormal", "half-normal" or "uniform".
+    values : mean and standard deviation; median and standard deviation of the logarithm; standard
+        deviation (of the normal density whose upper half it is); lower and upper end.
+    """
+
+    kind: str
+    values: tuple[float, ...]
+
+    @classmethod
+    def parse(cls, name: str, text: str) -> Prior:
+        """A prior as it is written, one of `FORMS`. Raises `InputError` for anything else."""
+        normal = _NORMAL.fullmatch(text)
+        if normal:
+            found = cls("normal", (float(normal[1]), float(normal[2])))
+        else:
+            kind, _, rest = text.strip().partition(":")
+            try:
+                values = tuple(float(part) for part in rest.split(","))
+            except ValueError:
+                values = ()
+            if len(values) != _OTHERS.get(kind.strip(), -1):
+                raise InputError(f"prior of {name}: {text!r} is no prior; expected {FORMS}")
+            found = cls(kind.strip(), values)
+        found._check(name)
+        return found
+
+    def _check(self, name: str) -> None:
+        fault = None
+        if not all(map(math.isfinite, self.values)):
+            fault = "expected finite numbers"
+        elif self.kind == "uniform" and not self.values[0] < self.values[1]:
+            fault = "is empty; expected LOW below HIGH"
+        elif self.kind != "uniform" and not self.values[-1] > 0:
+            fault = "expected a positive width"
+        elif self.kind == "lognormal" and not self.values[0] > 0:
+            fault = "expected a positive median"
+        if fault:
+            raise InputError(f"prior of {name}: {self} {fault}")
+
+    def __str__(self) -> str:
+        """As it is written."""
+        if self.kind == "normal":
+            return f"{self.values[0]:.10g}+-{self.values[1]:.10g}"
+        return f"{self.kind}:" + ",".join(f"{value:.10g}" for value in self.values)
+
+    @property
+    def mode(self) -> float:
+        """Where the density is largest; the middle of a uniform one."""
+        if self.kind == "lognormal":
+            median, sigma = self.values
+            return median * math.exp(-(sigma**2))
+        return {"half-normal": 0.0, "uniform": sum(self.values) / 2}.get(self.kind, self.values[0])
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation."""
+        if self.kind == "lognormal":
+            median, sigma = self.values
+            return median * math.exp(sigma**2 / 2) * math.sqrt(math.expm1(sigma**2))
+        if self.kind == "uniform":
+            return (self.values[1] - self.values[0]) / math.sqrt(12)
+        return self.values[-1] * (math.sqrt(1 - 2 / math.pi) if self.kind == "half-normal" else 1.0)
+
+    def bounds(self, lower: float, upper: float) -> tuple[float, float]:
+        """The bounds of the parameter, within the support of the density."""
+        if self.kind == "uniform":
+            return max(lower, self.values[0]), min(upper, self.values[1])
+        if self.kind == "half-normal":
+            return max(lower, 0.0), upper
+        if self.kind == "lognormal":  # a density of zero at zero, which no step may reach
+            return max(lower, self.values[0] * 1e-9), upper
+        return lower, upper
+
+
+def parse_priors(given: Mapping[str, str | Prior] | None) -> dict[str, Prior]:
+    """Priors by the name of the parameter. Raises `InputError` where one is none."""
+    return {
+        name: one if isinstance(one, Prior) else Prior.parse(name, str(one))
+        for name, one in (given or {}).items()
+    }
+
+
+class Penalty(NamedTuple):
+    """Twice the negative logarithm of priors, as squared residuals of single parameters.
+
+    Works on NumPy and on JAX, for one parameter vector and for many along the leading axes.
+    """
+
+    location: Any
+    """of the parameter, or of its logarithm; shape (..., parameters), as the others"""
+    weight: Any
+    """1 over the standard deviation, 0 where there is no prior"""
+    logarithmic: Any
+    """1 where the logarithm is normal"""
+
+    def residual_and_slope(self, values: Any) -> tuple[Any, Any]:
+        """Residuals of the priors, and the derivative of each by its parameter."""
+        xp = values.__array_namespace__()
+        logarithmic = self.logarithmic > 0
+        positive = xp.where(logarithmic, xp.maximum(values, 1e-300), 1.0)
+        argument = xp.where(logarithmic, xp.log(positive), values)
+        return (argument - self.location) * self.weight, self.weight / positive
+
+    def chi_squared(self, values: Any) -> Any:
+        """Sum of the squared residuals."""
+        return (self.residual_and_slope(values)[0] ** 2).sum(-1)
+
+    def added_to(self, model: Any, values: Any, typical: Any) -> Any:
+        """A `QuadraticModel` of the data about some values, with the priors."""
+        xp = values.__array_namespace__()
+        residual, slope = self.residual_and_slope(values)
+        slope = slope * typical
+        return model._replace(
+            chi_squared=model.chi_squared + (residual**2).sum(-1),
+            gradient=model.gradient + slope * residual,
+            hessian=model.hessian + xp.eye(values.shape[-1]) * (slope**2)[..., None],
+        )
+
+
+def penalty_of(
+    parameters: Iterable[Parameter], priors: Mapping[str, Prior], offset: Floats | float = 0.0
+) -> Penalty | None:
+    """The penalty of some priors; None without any.
+
+    That of a lognormal density is exact about its mode: with u = ln(p/median) and s = sigma,
+    u^2/(2 s^2) + u = (u + s^2)^2/(2 s^2) - s^2/2.
+
+    Parameters
+    ----------
+    offset : from the values that are penalized to those that the priors are of.
+    """
+    if not priors:
+        return None
+    names = [item.name for item in parameters]
+    location, weight, logarithmic = np.zeros((3, len(names)))
+    offset = np.zeros(len(names)) + offset
+    for name, prior in priors.items():
+        index = names.index(name)
+        if prior.kind == "uniform":
+            continue
+        weight[index] = 1 / prior.values[-1]
+        if prior.kind == "lognormal":
+            logarithmic[index] = 1.0
+            location[index] = math.log(prior.mode)
+        else:
+            location[index] = prior.mode - offset[index]
+    return Penalty(location, weight, logarithmic)
