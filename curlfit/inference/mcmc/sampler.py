@@ -13,14 +13,12 @@ from curlfit.inference.mcmc.checkpoint import Keeper
 from curlfit.inference.mcmc.run import Run
 from curlfit.inference.mcmc.summary import summarised
 
-EFFECTIVE = 4000.0
-
 
 def sample(
     fit: FitResult,
     *,
     seed: int = 0,
-    effective: float = EFFECTIVE,
+    effective: float = 4000.0,
     most_steps: int = 2_000,
     progress: Callable[[float, int, float], None] | None = None,
     checkpoint: str | PathLike[str] | None = None,
