@@ -98,7 +98,7 @@ def _load_fit(folder: Path) -> tuple[FitResult, Chain | None]:
     """A saved fit; of one whose sampling was interrupted, with the chain so far."""
     result = curlfit.load_fit(folder)
     if result.sampling == "unfinished":
-        from curlfit.inference.mcmc.sampler import so_far
+        from curlfit.inference.mcmc.summary import so_far
 
         return so_far(result, chain_beside(folder)) or (result, None)
     return result, None

@@ -26,7 +26,7 @@ from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, no_motion_because
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.mcmc.chain import Chain
-from curlfit.inference.mcmc.sampler import ridge_move
+from curlfit.inference.mcmc.ridge import ridge_move
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction.diagnostics import (
     compare_held_out,

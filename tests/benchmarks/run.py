@@ -7,6 +7,7 @@ Prints a table in Markdown; `README.md` beside this keeps the tables with date a
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 import statistics
@@ -353,8 +354,17 @@ def roof() -> None:
 ALL = {f.__name__: f for f in (answering, forward, roof, batch, posterior)}
 
 
-def main(names: list[str]) -> None:
+def main() -> None:
     """Run the benchmarks asked for, or all."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    about = "; ".join(f"{name}: {(f.__doc__ or '').splitlines()[0]}" for name, f in ALL.items())
+    parser.add_argument("benchmark", nargs="*", help=f"{about} All, if none is named.")
+    asked = parser.parse_args().benchmark
+    unknown = set(asked) - set(ALL)
+    if unknown:
+        parser.error(f"unknown benchmark {', '.join(sorted(unknown))}; expected {', '.join(ALL)}")
     import jax
 
     sys.path.insert(0, str(HERE))
@@ -362,7 +372,7 @@ def main(names: list[str]) -> None:
     device = jax.devices()[0]
     print(f"{date.today()}, {platform.processor() or platform.machine()}, {os.cpu_count()} cores, ")
     print(f"{device.platform} {device.device_kind}, Python {platform.python_version()}, {packages}")
-    for name in names or list(ALL):
+    for name in asked or ALL:
         print(f"\n{(ALL[name].__doc__ or '').splitlines()[0]}\n")
         row(name, "measured", "ratio")
         row("---", "---", "---")
@@ -370,4 +380,4 @@ def main(names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

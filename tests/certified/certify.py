@@ -1,7 +1,7 @@
 """Certified fits: data files, and their least-squares solutions to at least 11 digits.
 
     python tests/certified/certify.py            # all cases; writes certified.json
-    python tests/certified/certify.py NAME ...   # some of them
+    python tests/certified/certify.py CASE ...   # some of them
     python tests/certified/certify.py --data     # write the data files first
 
 Shares no code with curlfit. README.md beside this file tells how and how well.
@@ -9,8 +9,8 @@ Shares no code with curlfit. README.md beside this file tells how and how well.
 
 from __future__ import annotations
 
+import argparse
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -495,15 +495,23 @@ CASES = {
 }  # fmt: skip
 
 
-def main(words: list[str]) -> None:
-    names = [word for word in words if not word.startswith("-")] or list(CASES)
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("case", nargs="*", help=f"of {', '.join(CASES)}; all, if none is named")
+    parser.add_argument("--data", action="store_true", help="write the data files first")
+    asked = parser.parse_args()
+    unknown = set(asked.case) - set(CASES)
+    if unknown:
+        parser.error(f"unknown case {', '.join(sorted(unknown))}; expected {', '.join(CASES)}")
     target = HERE / "certified.json"
     found = json.loads(target.read_text())["cases"] if target.exists() else {}
     gap = check_forces()
     print(f"ring sums against elliptic integrals: {gap:.1g}")
-    for name in names:
+    for name in asked.case or CASES:
         case = CASES[name]
-        if "--data" in words and not case.file:
+        if asked.data and not case.file:
             write(name, case)
         found[name] = certify(name, case)
         print(name, json.dumps(found[name]["digits"]), flush=True)
@@ -512,4 +520,4 @@ def main(words: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

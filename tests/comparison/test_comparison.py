@@ -13,7 +13,7 @@ from scipy.stats import t
 
 import curlfit
 from curlfit import LAWS
-from curlfit.comparison import compare as comparison
+from curlfit.comparison.capability import sides_of_curl
 from curlfit.comparison.compare import compare, plan
 from curlfit.comparison.report import conclusions, print_comparison
 from curlfit.comparison.result import load_comparison
@@ -59,9 +59,9 @@ def test_sides_a_law_can_curl_to(of_eq12):
     assert of_eq12.of("semi-empirical").sides == ("left",)
     assert of_eq12.of("front-back").sides == ("left", "right")
     result = of_eq12.fits[0]
-    assert comparison._sides(LAWS["coulomb"], "consistent", _as(result, "coulomb")) == ("right",)
-    assert comparison._sides(LAWS["power"], "consistent", _as(result, "power")) == ("right",)
-    assert comparison._sides(LAWS["pressure"], "consistent", _as(result, "pressure")) == (
+    assert sides_of_curl(LAWS["coulomb"], "consistent", _as(result, "coulomb")) == ("right",)
+    assert sides_of_curl(LAWS["power"], "consistent", _as(result, "power")) == ("right",)
+    assert sides_of_curl(LAWS["pressure"], "consistent", _as(result, "pressure")) == (
         "left",
         "right",
     )

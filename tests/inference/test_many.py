@@ -96,13 +96,13 @@ def test_a_comparison_accounts_for_noise_and_fixed_parameters(throws):
 
 
 def test_log_likelihood_of_correlated_noise_is_that_of_its_covariance(throws):
-    from curlfit.comparison.compare import _log_likelihood
+    from curlfit.comparison.criteria import log_likelihood
 
     for kind in ("ar1", "gp"):
         fit = curlfit.fit(throws[1], noise=kind)
         t = fit.observed["t"] - fit.observed["t"][0]
         gaps = np.abs(t[:, None] - t)
-        for name, found in _log_likelihood(fit).items():
+        for name, found in log_likelihood(fit).items():
             residual = fit.observed[name] - fit.fitted[name]
             if kind == "ar1":
                 covariance = np.exp(-gaps / fit.noise.memory[name])

@@ -17,8 +17,8 @@ from conftest import DATA
 
 from curlfit import DataError, InputError, load_chain, load_fit, sample
 from curlfit.cli import app
-from curlfit.inference.mcmc import chain
-from curlfit.inference.mcmc import sampler as sampling
+from curlfit.inference.mcmc import chain, checkpoint
+from curlfit.inference.mcmc import run as sampling
 
 ENDLESS = ("--effective", "100000000", "--max-steps", "1000000")
 
@@ -158,7 +158,7 @@ def test_the_change_of_moves_is_resumed_too(eq12_fit, tmp_path, monkeypatch, ste
     assert "ensemble moves did most of the work" in result.posterior.status
     file = tmp_path / "chain.h5"
     done = []
-    real = sampling._Keeper.keep
+    real = checkpoint.Keeper.keep
 
     def crash(keeper, run):
         keeper._next = 0
@@ -168,7 +168,7 @@ def test_the_change_of_moves_is_resumed_too(eq12_fit, tmp_path, monkeypatch, ste
             raise MemoryError
 
     with monkeypatch.context() as patch:
-        patch.setattr(sampling._Keeper, "keep", crash)
+        patch.setattr(checkpoint.Keeper, "keep", crash)
         with pytest.raises(MemoryError):
             sample(eq12_fit, **choices, checkpoint=file)
     assert load_chain(file).state.bold == (steps < 20)
@@ -200,9 +200,9 @@ def test_resuming_nothing_is_a_first_run(eq12_fit, short, tmp_path):
 
 
 def test_checkpoints_are_written_from_the_first_step_on(eq12_fit, tmp_path, monkeypatch):
-    monkeypatch.setattr(sampling, "_EVERY", 0.0)
+    monkeypatch.setattr(checkpoint, "_EVERY", 0.0)
     clock = (0.001 * tick for tick in count())  # a write takes 1 ms; the steps are still quicker
-    monkeypatch.setattr(sampling, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(checkpoint, "monotonic", lambda: next(clock))
     kept = []
     real = chain.Chain.save
 

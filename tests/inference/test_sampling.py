@@ -10,8 +10,8 @@ from scipy import stats
 import curlfit
 from curlfit import Stone, fit, law_with, load_chain, sample, synthetic_throw
 from curlfit.inference.fit.result import load_fit
+from curlfit.inference.mcmc.convergence import r_hat
 from curlfit.inference.mcmc.proposals import EnsembleMove, RidgeMove
-from curlfit.inference.mcmc.sampler import r_hat
 
 
 def test_the_ridge_is_explored_to_its_ends_evenly(eq12_posterior):

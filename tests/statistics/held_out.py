@@ -2,13 +2,14 @@
 
     python tests/statistics/held_out.py THROWS [CASE]
 
-runs all cases, or one by its number, and writes their tables into README.md beside this file. What
-is compared is the true path, so that no measuring noise is in the comparison, and each throw gives
-one answer to each question, so that counts are binomial.
+writes the tables of all cases, or of one, into README.md beside this file. What is compared is the
+true path, so that no measuring noise is in the comparison, and each throw gives one answer to each
+question, so that counts are binomial.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from collections import Counter
@@ -180,7 +181,20 @@ def write(throws: int, chosen: int | None) -> None:
         put(f"held-out {number}", table(case, found, left))
 
 
+def main() -> None:
+    """Run what is asked for, and write tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("throws", type=int, help="counted in each case")
+    numbers = range(1, len(CASES) + 1)
+    titles = "; ".join(f"{number}: {case.title}" for number, case in enumerate(CASES, 1))
+    parser.add_argument("case", type=int, nargs="?", choices=numbers, help=f"one of {titles}")
+    asked = parser.parse_args()
+    if asked.throws < 1:
+        parser.error("expected at least one throw")
+    write(asked.throws, asked.case)
+
+
 if __name__ == "__main__":
-    if len(sys.argv) not in (2, 3):
-        sys.exit(__doc__)
-    write(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) == 3 else None)
+    main()

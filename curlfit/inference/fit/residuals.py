@@ -164,7 +164,7 @@ def given_sigma_warnings(
     for row, name in enumerate(CHANNELS):
         if name not in throw.sigma:
             continue
-        there = np.flatnonzero(np.isfinite(throw.observed[row]))
+        there = np.flatnonzero(throw.finite[row])
         rest = [index for index in there if (name, float(throw.t[index])) not in excluded]
         if not rest:
             continue

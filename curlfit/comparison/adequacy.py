@@ -1,0 +1,130 @@
+"""Whether a law follows the path, and how much of its curl it explains.
+
+How large residuals are is said by their rms, under a robust loss by that of their bulk, and the
+path to be explained is then seen through a running median: outliers are no law's fault.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from scipy.ndimage import median_filter
+
+from curlfit.comparison.result import PLACE
+from curlfit.inference.fit.result import FitResult
+from curlfit.inference.noise.losses import robust_sigma
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.throws.throw import scatter
+
+_FOLLOWS = 0.1  # rms of a residual over what there is to explain, up to which a law follows a path
+_MEDIAN = 5  # rows of a running median that takes out single outliers
+_NOISE = 1.5  # rms of a residual over the noise of the data, up to which it does in any case
+_UNCLEAR = 3.0  # the same, up to which correlated noise may explain it
+_DEGREE = 5  # of a polynomial in time from which noise is told
+
+
+def adequacy(result: FitResult) -> tuple[float | None, bool | None]:
+    """Share of the curl explained, and whether the law follows the path."""
+    path = _Path.of(result)
+    t, place = path.t, path.place
+    x, y, phi = (result.observed[name] for name in PLACE)
+    off = np.stack([(x - result.fitted["x"])[place], (y - result.fitted["y"])[place]], 1)
+    residuals = {"across": off @ path.across, "along": off @ path.along}
+    noise = {
+        name: _noise(t, path.measured @ axis, result.loss)
+        for name, axis in (("across", path.across), ("along", path.along))
+    }
+    wanted = {"across": path.curl, "along": _uneven(t, path.seen @ path.along)}
+    times, turned = result.observed["t"], np.isfinite(phi)
+    if turned.sum() > 3:
+        residuals["phi"] = (phi - result.fitted["phi"])[turned]
+        noise["phi"] = _noise(times[turned], phi[turned], result.loss)
+        wanted["phi"] = _uneven(times[turned], _seen(phi[turned], result.loss))
+    size = sizes(result, residuals)
+    correlated = result.noise.kind == "ar1" or any(
+        item.doubtful for item in result.independence.values()
+    )
+    answers = []
+    for name in residuals:
+        answer: bool | None = size[name] <= max(_FOLLOWS * wanted[name], _NOISE * noise[name])
+        if not answer and correlated and size[name] <= _UNCLEAR * noise[name]:
+            answer = None
+        answers.append(answer)
+    follows = False if False in answers else None if None in answers else True
+    if path.curl <= 3 * noise["across"]:
+        return None, follows
+    missed = max(size["across"] ** 2 - noise["across"] ** 2, 0.0)
+    return float(1 - missed / (path.curl**2 - noise["across"] ** 2)), follows
+
+
+def bend(result: FitResult) -> tuple[float, str | None]:
+    """rms departure of the path from a straight line, m, and the side to which it bends, if it
+    bends by more than its noise."""
+    path = _Path.of(result)
+    if path.curl <= 3 * _noise(path.t, path.measured @ path.across, result.loss):
+        return path.curl, None
+    curvature = np.polyfit(path.seen @ path.along, path.seen @ path.across, 2)[0]
+    return path.curl, "right" if curvature > 0 else "left"
+
+
+class _Path(NamedTuple):
+    """The rows whose place was measured."""
+
+    t: Floats
+    place: Booleans
+    """which rows they are"""
+    measured: Floats
+    seen: Floats
+    """the same as far as it is to be explained"""
+    along: Floats
+    across: Floats
+    """unit vectors; across is to the right"""
+    curl: float
+    """rms departure sideways"""
+
+    @classmethod
+    def of(cls, result: FitResult) -> _Path:
+        x, y = result.observed["x"], result.observed["y"]
+        place = np.isfinite(x) & np.isfinite(y)
+        measured = np.stack([x[place], y[place]], 1)
+        seen = np.stack([_seen(values, result.loss) for values in measured.T], 1)
+        along = np.linalg.svd(seen - seen.mean(0), full_matrices=False)[2][0]
+        along = along if along @ (seen[-1] - seen[0]) > 0 else -along
+        across = np.array([along[1], -along[0]])
+        curl = float((seen @ across).std())
+        return cls(result.observed["t"][place], place, measured, seen, along, across, curl)
+
+
+def _seen(values: Floats, loss: str) -> Floats:
+    """What there is to explain of a series: without its outliers, where the loss is robust."""
+    return values if loss == "linear" else median_filter(values, _MEDIAN, mode="nearest")
+
+
+def _noise(t: Floats, values: Floats, loss: str) -> float:
+    """Standard deviation of the noise on a smooth series: of its scatter from row to row, or about
+    a polynomial in time where that is larger, which correlated noise makes it."""
+    by_row = float(scatter(values))
+    if len(values) <= 3 * _DEGREE:
+        return by_row
+    fitted = Polynomial.fit(t, _seen(values, loss), _DEGREE)
+    size = _rms if loss == "linear" else robust_sigma
+    free = 1 - (_DEGREE + 1) / len(values)
+    return max(by_row, size(values - fitted(t)) / math.sqrt(free))
+
+
+def _uneven(t: Floats, values: Floats) -> float:
+    """rms departure from even motion."""
+    return float(np.std(values - np.polyval(np.polyfit(t, values, 1), t)))
+
+
+def sizes(result: FitResult, residuals: dict[str, Floats]) -> dict[str, float]:
+    """rms, or the same of the bulk where the loss is robust."""
+    size = _rms if result.loss == "linear" else robust_sigma
+    return {name: size(values) for name, values in residuals.items()}
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,80 @@
+"""Whether a sample has converged: autocorrelation time, effective samples and R-hat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import emcee
+import numpy as np
+
+from curlfit.numerics.arrays import Floats
+
+BLOCK = 20  # steps between the first looks at convergence; later a fifth of those done
+_R_HAT = 1.01
+_SHORTEST_IN_TIMES = 30.0  # steps over autocorrelation time, below which no estimate is trusted
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is known of a sample: times in steps, one number a parameter, after the discarded."""
+
+    discarded: int
+    times: Floats
+    effective: Floats
+    r_hat: Floats
+    steps: int
+
+    @property
+    def least_effective(self) -> float:
+        """Effective samples of the parameter that has fewest."""
+        return float(self.effective.min())
+
+    @property
+    def worst_r_hat(self) -> float:
+        """R-hat of the parameter where it is largest."""
+        return float(self.r_hat.max())
+
+    @property
+    def long_enough(self) -> bool:
+        """Whether it is long enough for its autocorrelation times to be trusted."""
+        return self.steps - self.discarded >= _SHORTEST_IN_TIMES * float(self.times.max())
+
+    def good(self, effective: float) -> bool:
+        """Whether it has converged, with so many effective samples."""
+        return self.long_enough and self.least_effective >= effective and self.worst_r_hat < _R_HAT
+
+
+def steps_to_discard(steps: int) -> int:
+    """Steps to leave out at first."""
+    return min(max(BLOCK // 2, steps // 10), steps // 2)
+
+
+def diagnose(values: Floats, ensembles: int) -> Diagnosis:
+    """Autocorrelation time, effective samples and R-hat of values (steps, walkers, parameters)."""
+    steps, walkers, dimension = values.shape
+    discarded = steps_to_discard(steps)
+    kept = values[discarded:]
+    with np.errstate(invalid="ignore"):  # a walker that never moved; counted as no information
+        times = emcee.autocorr.integrated_time(kept, tol=0, has_walkers=True)
+    times = np.maximum(np.nan_to_num(times, nan=float(len(kept))), 1.0)
+    effective = kept.shape[0] * walkers / times
+    groups = kept.reshape(len(kept), ensembles, -1, dimension)
+    # Each ensemble is cut in two, so that a drift shows as well as a disagreement.
+    half = len(kept) // 2
+    parts = np.concatenate([groups[:half], groups[half : 2 * half]], 1)
+    return Diagnosis(discarded, times, effective, r_hat(parts), steps)
+
+
+def r_hat(groups: Floats) -> Floats:
+    """Potential scale reduction of Gelman and Rubin (1992).
+
+    Parameters
+    ----------
+    groups : shape (steps, groups, walkers, parameters); the walkers of a group count as one chain.
+    """
+    n = groups.shape[0] * groups.shape[2]
+    means = groups.mean((0, 2))
+    within = groups.var((0, 2)).mean(0) * n / (n - 1)
+    between = means.var(0, ddof=1)
+    return cast(Floats, np.sqrt((n - 1) / n + between / np.where(within > 0, within, 1.0)))

@@ -1,0 +1,101 @@
+"""The ridge of a fit's optimum, as proposals and first places of walkers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linprog
+
+from curlfit.errors import UnusableFitError
+from curlfit.inference.fit.result import FitResult
+from curlfit.inference.identifiability import directions
+from curlfit.inference.mcmc.proposals import Indices, RidgeMove
+from curlfit.numerics.arrays import Floats
+
+_MARGIN = 4.0  # standard errors by which the proposal reaches past the ridge's ends
+
+
+def ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
+    """The proposal from what the fit knows of its surroundings."""
+    parameters = fit.parameter_set
+    free = parameters.free
+    typical = parameters.typical[free]
+    centre = (fit.values - offset)[free]
+    lower = ((parameters.lower - offset)[free] - centre) / typical
+    upper = ((parameters.upper - offset)[free] - centre) / typical
+    information = typical[:, None] * np.array(fit.information["matrix"]) * typical
+    gradient = np.array(fit.information["gradient"]) * typical
+    verdicts = [fit.parameters[name].verdict for name in fit.information["names"]]
+    at_bound = np.array([verdict == "at bound" for verdict in verdicts])
+    pushed, open_ = np.flatnonzero(at_bound), np.flatnonzero(~at_bound)
+
+    block = information[np.ix_(open_, open_)]
+    seen, singular, null = directions(block, np.ones(len(open_)))
+    spread = 1 / singular
+    rows = np.zeros((len(seen), len(centre)))
+    rows[:, open_] = seen
+    # As a pushed parameter leaves its bound, the others follow along their regression on it.
+    rows[:, pushed] = (seen @ information[np.ix_(open_, pushed)]) / singular[:, None] ** 2
+    wide = np.zeros((len(null), len(centre)))
+    wide[:, open_] = null
+    reach = np.zeros(len(centre))
+    reach[open_] = _MARGIN * np.sqrt(((seen.T * spread) ** 2).sum(1))
+    pivots, low, high = _pivots(wide, lower, upper, reach)
+    # Off its bound the log-posterior falls with slope and curvature; either sets the distance.
+    curvature = np.diag(information)[pushed] - ((rows[:, pushed] * singular[:, None]) ** 2).sum(0)
+    push = np.abs(gradient[pushed]) + np.sqrt(np.maximum(curvature, 0.0))
+    off = -np.sign(gradient[pushed]) / push
+    return RidgeMove(centre, typical, rows, spread, pivots, low, high, pushed, off)
+
+
+def _pivots(
+    null: Floats, lower: Floats, upper: Floats, reach: Floats
+) -> tuple[Indices, Floats, Floats]:
+    """A bounded parameter for each unseen direction, and how far the ridge lets it go."""
+    pivots: list[int] = []
+    rest = null.copy()
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    for _ in range(len(null)):
+        size = np.where(bounded, (rest**2).sum(0), 0.0)
+        if size.max() < 1e-12:
+            raise UnusableFitError(
+                "a direction that the data do not see has no bounds; give some with --bound"
+            )
+        pivot = int(np.argmax(size))
+        pivots.append(pivot)
+        column = rest[:, pivot] / np.linalg.norm(rest[:, pivot])
+        rest = rest - np.outer(column, column @ rest)
+    walls = np.concatenate([null.T, -null.T])
+    room = np.concatenate([upper + reach, reach - lower])
+    finite = np.isfinite(room)
+    low, high = np.zeros(len(pivots)), np.zeros(len(pivots))
+    for place, pivot in enumerate(pivots):
+        for ends, sign in ((low, 1.0), (high, -1.0)):
+            found = linprog(
+                sign * null[:, pivot], A_ub=walls[finite], b_ub=room[finite], bounds=(None, None)
+            )
+            ends[place] = np.clip(sign * found.fun, lower[pivot], upper[pivot])
+    return np.array(pivots, int), low, high
+
+
+def first_walkers(
+    move: RidgeMove,
+    log_prob: Callable[[Floats], Floats],
+    walkers: int,
+    lower: Floats,
+    upper: Floats,
+    random: Any,
+) -> Floats:
+    """Starting places drawn from the proposal, of finite posterior."""
+    found: list[Floats] = []
+    for _ in range(50):
+        coords = move.draw(walkers, random)
+        # Near a bound a proposal falls outside half the time; fold it back in.
+        folded = np.where(coords < lower, 2 * lower - coords, coords)
+        folded = np.where(folded > upper, 2 * upper - folded, folded)
+        found.extend(folded[np.isfinite(log_prob(folded))])
+        if len(found) >= walkers:
+            return np.array(found[:walkers])
+    raise UnusableFitError("no point of finite posterior was found near the fit")

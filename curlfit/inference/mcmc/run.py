@@ -1,0 +1,186 @@
+"""A run of the sampler: moves, steps, and what is needed to interrupt it and go on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import emcee
+import numpy as np
+from emcee.state import State
+
+from curlfit.errors import DataError
+from curlfit.inference.fit.result import FitResult
+from curlfit.inference.likelihood import log_posterior
+from curlfit.inference.mcmc.chain import Chain, SamplerState, require_same, subject_of
+from curlfit.inference.mcmc.convergence import BLOCK, Diagnosis, diagnose, steps_to_discard
+from curlfit.inference.mcmc.proposals import EnsembleMove
+from curlfit.inference.mcmc.ridge import first_walkers, ridge_move
+from curlfit.inference.problem import Origin, build_problem
+from curlfit.numerics.arrays import Floats
+
+ENSEMBLES = 4
+_BOLD = (0.8, 0.1, 0.1)  # shares of the moves: ridge, stretch, differential evolution
+_WARY = (0.2, 0.4, 0.4)  # the same where ridge proposals are accepted less often than
+_TOO_FEW = 0.2
+
+
+class _Step(NamedTuple):
+    """One step of all walkers, and the sampler after it, which only the last step keeps."""
+
+    values: Floats
+    log_posterior: Floats
+    state: SamplerState | None
+
+
+class Run:
+    """A chain in the making. It may be interrupted at any point: the steps that are done stand."""
+
+    def __init__(self, fit: FitResult, seed: int) -> None:
+        self.seed, self.subject = seed, subject_of(fit, seed)
+        self._model = fit.model
+        throw, parameters = fit.throw, fit.parameter_set
+        origin = Origin.of(throw)
+        self._problem = build_problem(throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise)
+        self._offset = origin.offset(len(parameters))
+        self._base = fit.values - self._offset
+        self._penalty = parameters.shifted(-self._offset).penalty
+        self._lower, self._upper = parameters.lower - self._offset, parameters.upper - self._offset
+        self.names, self.free = parameters.names, parameters.free
+        self._move = ridge_move(fit, self._offset)
+        self._dimension = int(self.free.sum())
+        self._walkers = ENSEMBLES * max(32, 4 * ((2 * self._dimension + 3) // 4))
+        self._bold = True
+        self._interrupted = False
+        self._done: list[_Step] = []
+        self._state: Any = None
+        self._sampler: Any = None
+
+    @property
+    def steps(self) -> int:
+        """Number of steps done."""
+        return len(self._done)
+
+    @property
+    def block_is_over(self) -> bool:
+        """Whether it is time to judge."""
+        state = self._done[-1].state if self._done else None
+        return state is not None and state.left == 0
+
+    @property
+    def is_astray(self) -> bool:
+        """Whether the posterior is not what the fit foresaw."""
+        return self._bold and self._move.acceptance < _TOO_FEW
+
+    def take_up(self, chain: Chain, file: Path) -> None:
+        """Go on where a stored chain ended. Raises `DataError` where it is of something else."""
+        require_same(chain.subject, self.subject, file)
+        state = chain.state
+        if state is None or not len(chain.values):
+            raise DataError("cannot be resumed: the sampler's state is not in it", file=file)
+        self._bold = state.bold
+        self._move.tried, self._move.taken = state.tried, state.taken
+        self._state = State(state.coords, log_prob=chain.log_posterior[-1].copy())
+        self._sampler = self._sampler_with(state.random)
+        earlier = zip(chain.values[:-1], chain.log_posterior[:-1], strict=True)
+        self._done = [_Step(values, log, None) for values, log in earlier]
+        self._done.append(_Step(chain.values[-1], chain.log_posterior[-1], state))
+
+    def begin(self) -> None:
+        """Find first places for the walkers, unless a chain was taken up."""
+        if self._state is not None:
+            return
+        random = np.random.RandomState(self.seed)  # emcee takes no other
+        ends = self._lower[self.free], self._upper[self.free]
+        coords = first_walkers(self._move, self._log_prob, self._walkers, *ends, random)
+        self._state = State(coords, log_prob=self._log_prob(coords))
+        self._sampler = self._sampler_with(random.get_state(legacy=True))
+        self._heed()
+
+    def start_over(self) -> None:
+        """Forget the steps so far, which were on the way, and rely on the ensemble moves."""
+        self._bold = False
+        self._done.clear()
+        self._sampler = self._sampler_with(self._sampler.random_state)
+
+    def block(self) -> Iterator[None]:
+        """Do the steps up to the next look at convergence."""
+        before = self._done[-1].state if self._done else None
+        todo = (before.left if before else 0) or max(BLOCK, self.steps // 5)
+        for place, state in enumerate(
+            self._sampler.sample(
+                self._state, iterations=todo, store=False, skip_initial_state_check=True
+            ),
+            start=1,
+        ):
+            self._heed()
+            self._state = state
+            coords = state.coords.copy()
+            after = SamplerState(
+                coords, self._sampler.random_state, todo - place, self._bold,
+                self._move.tried, self._move.taken,
+            )  # fmt: skip
+            step = _Step(self._whole(coords) + self._offset, state.log_prob.copy(), after)
+            self._done.append(step)  # at one stroke
+            if self.steps > 1:
+                self._done[-2] = self._done[-2]._replace(state=None)
+            yield
+
+    def diagnosis(self) -> Diagnosis:
+        """Convergence of the steps so far."""
+        return diagnose(np.stack([step.values[:, self.free] for step in self._done]), ENSEMBLES)
+
+    def chain(self) -> Chain:
+        """The steps so far."""
+        values = np.stack([step.values for step in self._done])
+        return Chain(
+            names=self.names,
+            values=values,
+            log_posterior=np.stack([step.log_posterior for step in self._done]),
+            accepted=np.any(np.diff(values, axis=0) != 0, axis=2).sum(0),
+            discarded=steps_to_discard(len(values)),
+            ensembles=ENSEMBLES,
+            seed=self.seed,
+            subject=self.subject,
+            state=self._done[-1].state,
+        )
+
+    def _sampler_with(self, random: Any) -> Any:
+        shares = _BOLD if self._bold else _WARY
+        moves = (
+            self._move,
+            EnsembleMove(ENSEMBLES, evolution=False),
+            EnsembleMove(ENSEMBLES, evolution=True),
+        )
+        made = emcee.EnsembleSampler(
+            self._walkers,
+            self._dimension,
+            self._log_prob,
+            vectorize=True,
+            moves=list(zip(moves, shares, strict=True)),
+        )
+        made.random_state = random
+        return made
+
+    def _whole(self, free_values: Floats) -> Floats:
+        values = np.tile(self._base, (len(free_values), 1))
+        values[:, self.free] = free_values
+        return values
+
+    def _log_prob(self, free_values: Floats) -> Floats:
+        values = self._whole(free_values)
+        try:
+            return np.asarray(
+                log_posterior(
+                    self._model, values, self._lower, self._upper, self._problem, self._penalty
+                )
+            )
+        except KeyboardInterrupt:
+            # emcee would print its own account of it; this step is thrown away.
+            self._interrupted = True
+            return np.full(len(values), -np.inf)
+
+    def _heed(self) -> None:
+        if self._interrupted:
+            raise KeyboardInterrupt

@@ -1,0 +1,82 @@
+"""A chain as the posterior in the record of its fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from curlfit.errors import InputError
+from curlfit.inference.fit.result import FitResult, Posterior
+from curlfit.inference.mcmc.chain import Chain, load_chain, subject_of
+from curlfit.inference.mcmc.convergence import diagnose
+
+_QUANTILES = ("2.5", "16", "50", "84", "97.5")
+
+
+def so_far(fit: FitResult, file: str | PathLike[str]) -> tuple[FitResult, Chain] | None:
+    """An unfinished sample that was left on disk: the fit with a posterior that says so, and the
+    chain. None where `file` is missing, too short to be judged, or of another fit or version."""
+    if not Path(file).is_file():
+        return None
+    chain = load_chain(file)
+    try:
+        same = chain.subject == subject_of(fit, chain.seed)
+    except InputError:  # the file of a user's own law is gone
+        return None
+    if not same or len(chain.values) < 4:
+        return None
+    return replace(summarised(fit, chain, "not finished"), sampling="unfinished"), chain
+
+
+def summarised(
+    fit: FitResult, chain: Chain, ended: str, effective: float | None = None
+) -> FitResult:
+    """The fit with the summary of a chain, which ended as `ended` says, with so many effective
+    samples `effective` wanted; None where that is not known."""
+    free = fit.parameter_set.free
+    names = fit.parameter_set.names_where(free)
+    diagnosis = diagnose(chain.values[:, :, free], chain.ensembles)
+    quantities = {name: chain.of({name: 1.0}) for name in names}
+    correlation = np.atleast_2d(np.corrcoef(np.stack(list(quantities.values()))))
+    quantities |= {item.expression: chain.of(item.weights) for item in fit.combinations}
+    levels = [float(level) / 100 for level in _QUANTILES]
+    steps, walkers, _ = chain.values.shape
+    status = ended
+    if ended != "converged":
+        wanted = "" if effective is None else f" of {effective:.0f} wanted"
+        status += (
+            f": {diagnosis.least_effective:.0f} effective samples{wanted}, "
+            f"R-hat {diagnosis.worst_r_hat:.3f}"
+        )
+    if chain.state is not None and not chain.state.bold:
+        status += (
+            "; it is not of the shape that the fit foresaw, so ensemble moves did most of the work"
+        )
+    posterior = Posterior(
+        samples=len(chain.flat),
+        steps=steps,
+        discarded=chain.discarded,
+        walkers=walkers,
+        ensembles=chain.ensembles,
+        seed=chain.seed,
+        acceptance=float(chain.accepted.mean() / max(steps - 1, 1)),
+        ess=dict(zip(names, map(float, diagnosis.effective), strict=True)),
+        r_hat=dict(zip(names, map(float, diagnosis.r_hat), strict=True)),
+        autocorrelation_time=dict(zip(names, map(float, diagnosis.times), strict=True)),
+        quantiles={
+            name: dict(zip(_QUANTILES, map(float, np.quantile(values, levels)), strict=True))
+            for name, values in quantities.items()
+        },
+        mean={name: float(values.mean()) for name, values in quantities.items()},
+        sd={name: float(values.std()) for name, values in quantities.items()},
+        correlation={
+            name: dict(zip(names, map(float, row), strict=True))
+            for name, row in zip(names, correlation, strict=True)
+        },
+        converged=effective is not None and diagnosis.good(effective),
+        status=status,
+    )
+    return fit.with_posterior(posterior)
