@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, Group, RenderableType
@@ -19,6 +20,7 @@ from curlfit.throws.throw import UNITS
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import Estimate, FitResult, Posterior, Systematics
 
+_NOTABLE = 0.1  # of a standard error: a systematic shift that is named
 _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
     "Sampling was not finished; the same `curlfit fit` command with --resume goes on with it."
@@ -38,7 +40,8 @@ def report(fit: FitResult) -> RenderableType:
     """The report of a fit, for a rich console."""
     parts: list[RenderableType] = [_heading(fit), _coefficients(fit), *_student(fit)]
     if fit.systematics.errors:
-        parts.append(Padding(Text(systematics(fit.systematics)), (0, 0, 1, 0)))
+        said = systematics(fit.systematics, _reported(fit))
+        parts.append(Padding(Text(said), (0, 0, 1, 0)))
     parts += [*_beside_reference(fit), _quality(fit)]
     parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
     if fit.posterior is not None:
@@ -209,14 +212,19 @@ def _coefficients(fit: FitResult) -> RenderableType:
     return Padding(table, (1, 0))
 
 
-def systematics(found: Systematics) -> str:
-    """The largest systematic error of each coefficient or combination, in sentences."""
-    starts = {item.name for item in START}
+def systematics(found: Systematics, reported: Mapping[str, tuple[float, float | None]]) -> str:
+    """The largest systematic error of each coefficient or combination, in sentences.
+
+    Parameters
+    ----------
+    reported : value and standard error by name.
+    """
     named: dict[str, list[str]] = {}
-    for name, shifts in found.shifts.items():
-        condition = max(shifts, key=lambda one: abs(shifts[one]))
-        size = abs(shifts[condition])
-        if name in starts or not size:
+    for name, (_, stderr) in reported.items():
+        shifts = found.shifts.get(name, {})
+        condition = max(shifts, key=lambda one: abs(shifts[one]), default="")
+        size = abs(shifts.get(condition, 0.0))
+        if stderr is None or size < _NOTABLE * stderr:
             continue
         verb = "higher" if shifts[condition] > 0 else "lower"
         named.setdefault(condition, []).append(f"{name} is {size:.2g} {verb}")
@@ -227,7 +235,7 @@ def systematics(found: Systematics) -> str:
         for condition, parts in named.items()
     ]
     return (
-        "Systematic errors come from conditions that the fit holds, the largest first: "
+        "Systematic errors are those of conditions that the fit holds; the largest: "
         + "; ".join(sentences)
         + ". `--systematic` sets their widths; `--prior` or `--free` make them parameters."
     )

@@ -134,7 +134,7 @@ def _result(
     solution: JointSolution,
     widths: Mapping[str, float],
 ) -> JointResult:
-    bounds, free = layout.bounds, layout.free
+    bounds, free, model = layout.bounds, layout.free, rounds.model
     matrix, right = solution.r_factor(layout)
     offset = layout.joined(np.stack([one.offset for one in rounds.throws]))
     linearized = LinearizedProblem(
@@ -207,9 +207,16 @@ def _result(
                 f"(p = {item.p_value:.1g}); its error about the mean of such throws is "
                 f"{item.stderr:.2g}, not the one of the shared fit",
             )
+    spins = {one.parameters["omega0"].value > 0 for one in throws}
+    if any(item.significant for item in differences) and len(spins) > 1 and not model.has_slope:
+        warnings.insert(
+            0,
+            "throws of both spins differ; where the ice is not level they do, and `--free slope_x` "
+            "fits the slope that they have in common",
+        )
     return JointResult(
-        law=rounds.model.law.name,
-        load=rounds.model.load,
+        law=model.law.name,
+        load=model.load,
         share=shared,
         converged=bool(converged),
         status=f"{'converged' if converged else 'not converged'} ({solution.steps} steps)",

@@ -39,7 +39,9 @@ def report(result: JointResult) -> RenderableType:
             (0, 0, 1, 0),
         )
     )
-    if said := systematics(result.systematics):
+    estimates = (*result.coefficients.items(), *((o.expression, o) for o in result.combinations))
+    known = {name: (item.value, item.stderr) for name, item in estimates}
+    if said := systematics(result.systematics, known):
         parts.append(Padding(Text(said), (0, 0, 1, 0)))
     parts += [
         Padding(Text(f"Warning: {warning}.", style="yellow"), (0, 0, 1, 0))
