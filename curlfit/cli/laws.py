@@ -20,6 +20,14 @@ def laws(
             help="Only these; FILE.py:CLASS for a law of your own.", metavar="[NAME]..."
         ),
     ] = None,
+    conditions: Annotated[
+        bool,
+        typer.Option(
+            "--conditions",
+            help="The conditions that a fit holds (level ice, still air, the stone, the scales), and "
+            "their standard uncertainties.",
+        ),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="As JSON, for programs.")] = False,
 ) -> None:
     """List the friction laws: formula, coefficients, source, direction of curl.
@@ -27,8 +35,14 @@ def laws(
     n is the normal load at a point of the ring, n0 its mean, v the sliding velocity there, xi to
     the right of the stone's motion and eta along it.
     """
+    from curlfit.errors import InputError
     from curlfit.friction import LAWS, find_law
 
+    if conditions:
+        if names:
+            raise InputError("--conditions are those of any law; give no names")
+        _print_conditions(as_json=as_json)
+        return
     chosen = [find_law(name) for name in names] if names else list(LAWS.values())
     if as_json:
         typer.echo(json.dumps([_record(law) for law in chosen], indent=1))
@@ -37,6 +51,21 @@ def laws(
 
     width = terminal().width
     typer.echo("\n\n".join(_text(law, width) for law in chosen))
+
+
+def _print_conditions(*, as_json: bool) -> None:
+    from curlfit.inference.conditions import CONDITIONS
+    from curlfit.output.console import terminal
+
+    if as_json:
+        typer.echo(json.dumps([asdict(item) for item in CONDITIONS], indent=1))
+        return
+    width = terminal().width
+    longest = max(len(item.name) for item in CONDITIONS)
+    for item in CONDITIONS:
+        unit = "" if item.unit == "1" else f" {item.unit}"
+        text = f"{item.meaning}; standard uncertainty {item.width:g}{unit} ({item.basis})"
+        typer.echo("\n".join(_wrap(f"{item.name:<{longest}}  ", text, width)))
 
 
 def _record(law: type[Law]) -> dict[str, object]:

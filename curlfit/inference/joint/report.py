@@ -39,8 +39,8 @@ def report(result: JointResult) -> RenderableType:
             (0, 0, 1, 0),
         )
     )
-    estimates = (*result.coefficients.items(), *((o.expression, o) for o in result.combinations))
-    known = {name: (item.value, item.stderr) for name, item in estimates}
+    known = {name: (item.value, item.stderr) for name, item in result.coefficients.items()}
+    known |= {item.expression: (item.value, item.stderr) for item in result.combinations}
     if said := systematics(result.systematics, known):
         parts.append(Padding(Text(said), (0, 0, 1, 0)))
     parts += [
