@@ -24,8 +24,8 @@ def laws(
         bool,
         typer.Option(
             "--conditions",
-            help="The conditions that a fit holds (level ice, still air, the stone, the scales), and "
-            "their standard uncertainties.",
+            help="The conditions that a fit holds (level ice, still air, the stone, the scales), "
+            "and their standard uncertainties.",
         ),
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="As JSON, for programs.")] = False,

@@ -32,11 +32,11 @@ class Condition(Parameter):
 CONDITIONS = (
     Condition(
         "slope_x", "m/m", -0.02, 0.02, 1e-3, r"s_x", "fall of the ice to the right", 1e-4,
-        "our judgement: 1 mm in 10 m, what a careful ice maker reaches with a level",
+        "judgement: 1 mm in 10 m, what a careful ice maker reaches with a level",
     ),
     Condition(
         "slope_y", "m/m", -0.02, 0.02, 1e-3, r"s_y", "fall of the ice along the sheet", 1e-4,
-        "our judgement: 1 mm in 10 m, what a careful ice maker reaches with a level",
+        "judgement: 1 mm in 10 m, what a careful ice maker reaches with a level",
     ),
     Condition(
         "drag", "1", 0.0, 5.0, 1.0, r"C_d", "drag coefficient in still air", 0.8,
@@ -44,7 +44,7 @@ CONDITIONS = (
     ),
     Condition(
         "R", "m", 0.01, 0.14, 0.01, "R", "radius of the contact ring", 0.0015,
-        "our judgement: running bands are 12 to 13 cm wide",
+        "judgement: running bands are 12 to 13 cm wide",
     ),
     Condition(
         "rho", "m", 0.01, 0.2, 0.01, r"\rho", "radius of gyration", 0.0025,
@@ -52,11 +52,11 @@ CONDITIONS = (
     ),
     Condition(
         "h", "m", 0.005, 0.2, 0.01, "h", "height of the centre of mass", 0.003,
-        "our judgement: 3 mm",
+        "judgement: 3 mm",
     ),
     Condition(
         "length_scale", "1", 0.2, 5.0, 0.05, r"\lambda", "measured over true lengths", 0.002,
-        "our judgement: 1 cm in 5 m",
+        "judgement: 1 cm in 5 m",
     ),
     Condition(
         "time_scale", "1", 0.2, 5.0, 0.05, r"\tau", "measured over true times", 0.001,
