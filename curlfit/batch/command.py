@@ -31,9 +31,9 @@ def batch(
     ] = Path("results.csv"),
     law: Annotated[str, typer.Option(help="Friction law, as in `curlfit fit`.")] = "front-back",
     load: Annotated[str, typer.Option(help="`uniform` or `consistent` (eq. 8-9).")] = "uniform",
-    until: Annotated[
-        float | None, typer.Option(help="Use the rows with t up to this, in s.", metavar="S")
-    ] = None,
+    since: o.Since = None,
+    until: o.Until = None,
+    exclude: o.Exclude = None,
     fix: o.Fix = None,
     bound: o.Bound = None,
     unbounded: o.Unbounded = False,
@@ -118,7 +118,9 @@ def batch(
     wanted: dict[str, Any] = {
         "law": law,
         "load": load,
+        "since": since,
         "until": until,
+        "exclude": s.periods("--exclude", exclude or ()),
         "fix": s.pairs("--fix", fix or ()),
         "bounds": s.intervals("--bound", bound or ()),
         "unbounded": unbounded,

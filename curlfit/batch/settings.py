@@ -39,7 +39,9 @@ class BatchSettings:
 
     law: str = "front-back"
     load: str = "uniform"
+    since: float | None = None
     until: float | None = None
+    exclude: Sequence[Sequence[float]] = ()
     stone: Mapping[str, float] = field(default_factory=dict)
     sigma: Mapping[str, float] = field(default_factory=dict)
     fix: Mapping[str, float] = field(default_factory=dict)
@@ -77,7 +79,7 @@ class BatchSettings:
     def choices(self) -> dict[str, Any]:
         """As arguments of `fit_throws`."""
         names = (
-            "law", "load", "until", "fix", "bounds", "unbounded", "free", "priors", "systematics",
+            "law", "load", "since", "until", "exclude", "fix", "bounds", "unbounded", "free", "priors", "systematics",
             "start", "loss", "noise",
         )  # fmt: skip
         return {name: getattr(self, name) for name in names}

@@ -33,7 +33,9 @@ def fit(
     ],
     law: o.Law = None,
     load: o.LoadName = None,
+    since: o.Since = None,
     until: o.Until = None,
+    exclude: o.Exclude = None,
     fix: o.Fix = None,
     bound: o.Bound = None,
     unbounded: o.Unbounded = False,
@@ -103,8 +105,8 @@ def fit(
         raise InputError("--resume continues sampling, and --no-sample skips it; give one of them")
     flags = s.fit_flags(
         o.reader_options(format, axes, units, reference, stone_index, shot),
-        law=law, load=load, until=until, stone=stone, sigma=sigma, fix=fix, bound=bound,
-        start=start, unbounded=unbounded, free=free, prior=prior, loss=loss, noise=noise, seed=seed,
+        law=law, load=load, since=since, until=until, exclude=exclude, stone=stone, sigma=sigma,
+        fix=fix, bound=bound, start=start, unbounded=unbounded, free=free, prior=prior, loss=loss, noise=noise, seed=seed,
         systematic=s.pairs("--systematic", systematic or ()),
     )  # fmt: skip
     if len(data) > 1:
@@ -295,7 +297,7 @@ def _fit_jointly(
     ParameterSet.build(law, **choices).require("--start", start)
     throws = []
     for job in jobs:
-        cut = job.throw.until(job.settings.get("until"))
+        cut = job.throw.select_rows(**s.row_choices(job.settings))
         cut.require_motion()
         ParameterSet.for_throw(law, cut, **choices)
         throws.append(cut.with_defaults(stone=job.stone.as_dict()))

@@ -50,7 +50,7 @@ def check(
     parsed = read(data, **options, pixels=points is not None)
     throw = assemble(parsed, axes=axes, reference=points and Path(points))
     throw, settings, _ = s.apply_settings(throw, configured, flags)
-    throw.until(settings.get("until")).require_motion()
+    throw.select_rows(**s.row_choices(settings)).require_motion()
     shown = {key: value for key, value in settings.items() if key not in s.READER_OPTIONS}
 
     from curlfit.output.console import terminal

@@ -27,7 +27,9 @@ def compare(
         str | None,
         typer.Option(help="`uniform`, `consistent` (eq. 8-9) or `both`. [default: uniform]"),
     ] = None,
+    since: o.Since = None,
     until: o.Until = None,
+    exclude: o.Exclude = None,
     fix: o.Fix = None,
     bound: o.Bound = None,
     unbounded: o.Unbounded = False,
@@ -71,7 +73,9 @@ def compare(
     flags = {
         **o.reader_options(format, axes, units, reference, stone_index, shot),
         "load": None if load == "both" else load,
+        "since": since,
         "until": until,
+        "exclude": s.periods("--exclude", exclude or ()) or None,
         "stone": s.pairs("--stone", stone or ()),
         "sigma": s.pairs("--sigma", sigma or ()),
         "fix": s.pairs("--fix", fix or ()),
@@ -91,7 +95,7 @@ def compare(
     if names == []:
         raise InputError("--laws: expected names with commas between")
     chosen = [find_law(name) for name in names] if names else None
-    cut = throw.until(settings.get("until"))
+    cut = throw.select_rows(**s.row_choices(settings))
     cut.require_motion()
     laws_of = chosen or list(LAWS.values())
     options = {name: settings.get(name, {}) for name in ("fix", "bound", "start", "prior")}
@@ -130,7 +134,7 @@ def compare(
             chosen,
             load="both" if load == "both" else settings.get("load", "uniform"),
             stone=the_stone,
-            until=settings.get("until"),
+            **s.row_choices(settings),
             fix=options["fix"],
             bounds=options["bound"],
             unbounded=bool(settings.get("unbounded", False)),

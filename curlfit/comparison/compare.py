@@ -67,7 +67,9 @@ def compare(
     *,
     load: str = "uniform",
     stone: Stone | None = None,
+    since: float | None = None,
     until: float | None = None,
+    exclude: Sequence[tuple[float, float]] = (),
     fix: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     unbounded: bool = False,
@@ -82,7 +84,8 @@ def compare(
 
     Parameters
     ----------
-    throw, stone, until, loss, noise : as in `fit`; noise is estimated for each law anew.
+    throw, stone, since, until, exclude, loss, noise : as in `fit`; noise is estimated for each law
+        anew.
     laws : names or classes; where not given, curlfit's own but those that approximate another.
     load : "uniform", "consistent" or "both".
     fix, bounds, free, priors, start : as in `fit`, for those of the laws that have such a
@@ -106,8 +109,9 @@ def compare(
         if progress is not None:
             progress(law.name, done, len(todo))
         choices: dict[str, Any] = {
-            "load": one_load, "stone": stone, "until": until, "unbounded": unbounded,
-            "loss": loss, "noise": noise, "systematics": {ALL: 0.0}, **options_of(law, options),
+            "load": one_load, "stone": stone, "since": since, "until": until, "exclude": exclude,
+            "unbounded": unbounded, "loss": loss, "noise": noise, "systematics": {ALL: 0.0},
+            **options_of(law, options),
         }  # fmt: skip
         one = _fitted(throw, law, choices, signs_free=False)
         found.append(one)

@@ -58,8 +58,15 @@ Start = Annotated[
     list[str] | None,
     typer.Option(help="Initial value; derived from the data if not given.", metavar="NAME=V"),
 ]
+Since = Annotated[
+    float | None, typer.Option(help="Use the rows with t from this, in s.", metavar="S")
+]
 Until = Annotated[
     float | None, typer.Option(help="Use the rows with t up to this, in s.", metavar="S")
+]
+Exclude = Annotated[
+    list[str] | None,
+    typer.Option(help="Leave out the rows of an interval of t, in s.", metavar="A:B"),
 ]
 Sigma = Annotated[
     list[str] | None,

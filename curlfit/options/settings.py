@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 READER_OPTIONS = ("format", "axes", "units", "reference", "stone_index", "shot")
 """Settings of the readers."""
 _SETTINGS = (
-    "law", "load", "until", "stone", "sigma", "fix", "bound", "start", "unbounded", "free", "prior",
-    "systematic", "loss", "noise", "seed", *READER_OPTIONS,
+    "law", "load", "since", "until", "exclude", "stone", "sigma", "fix", "bound", "start",
+    "unbounded", "free", "prior", "systematic", "loss", "noise", "seed", *READER_OPTIONS,
 )  # fmt: skip
 
 
@@ -53,6 +53,31 @@ def texts(option: str, items: Sequence[str]) -> dict[str, str]:
             raise InputError(f"{option}: {name.strip()} is given twice")
         found[name.strip()] = text.strip()
     return found
+
+
+def periods(option: str, items: Sequence[str]) -> list[list[float]]:
+    """`A:B[,A:B...]`, any number of times, in s."""
+    found = []
+    for item in items:
+        for part in item.split(","):
+            low, colon, high = part.partition(":")
+            try:
+                pair = [float(low), float(high)]
+            except ValueError:
+                pair = []
+            if not colon or not pair or not pair[0] < pair[1]:
+                raise InputError(f"{option} {part}: expected A:B, times in s with A before B")
+            found.append(pair)
+    return found
+
+
+def row_choices(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Which rows settings use, as arguments of `Throw.select_rows` and of `fit`."""
+    return {
+        "since": settings.get("since"),
+        "until": settings.get("until"),
+        "exclude": settings.get("exclude", ()),
+    }
 
 
 def names(items: Sequence[str]) -> list[str]:
@@ -159,7 +184,7 @@ def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
 
 def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
     """The settings; raises `InputError` where one has a wrong type."""
-    from curlfit.throws.readers.table import check_seed
+    from curlfit.throws.readers.table import check_intervals, check_seed
 
     free = settings.get("free", [])
     if not isinstance(free, list) or not all(isinstance(name, str) for name in free):
@@ -173,11 +198,10 @@ def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
         for name, value in settings.get(key, {}).items():
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise InputError(f"{origin}: {key}.{name} = {value!r}; expected a number")
-    until = settings.get("until")
-    if until is not None and (
-        isinstance(until, bool) or not isinstance(until, int | float) or not math.isfinite(until)
-    ):
-        raise InputError(f"{origin}: until = {until!r}; expected a time in s")
+    for key in ("since", "until"):
+        time = settings.get(key, 0.0)
+        if isinstance(time, bool) or not isinstance(time, int | float) or not math.isfinite(time):
+            raise InputError(f"{origin}: {key} = {time!r}; expected a time in s")
     for key in ("law", "load", "loss", "noise", "format", "axes", "units", "reference"):
         if not isinstance(settings.get(key, ""), str):
             raise InputError(f"{origin}: {key} = {settings[key]!r}; expected a text in quotes")
@@ -186,6 +210,7 @@ def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
         if isinstance(value, bool) or not isinstance(value, int):
             raise InputError(f"{origin}: {key} = {value!r}; expected a whole number from 1")
     try:
+        check_intervals("exclude", settings.get("exclude", []))
         check_seed(settings.get("seed", 0))
     except InputError as error:
         raise InputError(f"{origin}: {error}") from None
@@ -236,7 +261,9 @@ def fit_flags(
     *,
     law: str | None,
     load: str | None,
+    since: float | None,
     until: float | None,
+    exclude: list[str] | None,
     stone: list[str] | None,
     sigma: list[str] | None,
     fix: list[str] | None,
@@ -252,7 +279,9 @@ def fit_flags(
         **reader_options,
         "law": law,
         "load": load,
+        "since": since,
         "until": until,
+        "exclude": periods("--exclude", exclude or ()) or None,
         "stone": pairs("--stone", stone or ()),
         "sigma": pairs("--sigma", sigma or ()),
         "fix": pairs("--fix", fix or ()),
@@ -277,7 +306,7 @@ def parameter_choices(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class FitRequest(NamedTuple):
-    """A fit to be made; `cut` is the throw up to `until`."""
+    """A fit to be made; `cut` is the throw with the rows to be used."""
 
     throw: Throw
     cut: Throw
@@ -296,8 +325,9 @@ class FitRequest(NamedTuple):
 
         return fit(
             self.throw, self.law, load=self.load, stone=self.stone,
-            until=self.settings.get("until"), start=self.settings.get("start"), loss=self.loss,
-            noise=self.noise, systematics=self.settings.get("systematic"), **self.choices,
+            start=self.settings.get("start"), loss=self.loss, noise=self.noise,
+            systematics=self.settings.get("systematic"), **row_choices(self.settings),
+            **self.choices,
         )  # fmt: skip
 
 
@@ -320,7 +350,7 @@ def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Fi
     noise = check_noise(settings.get("noise", "white"), loss)
     check_systematics(settings.get("systematic", {}))
     choices = parameter_choices(settings)
-    cut = throw.until(settings.get("until"))
+    cut = throw.select_rows(**row_choices(settings))
     cut.require_motion()
     parameters = ParameterSet.for_throw(law, cut, **choices)
     parameters.require("--start", settings.get("start", {}))

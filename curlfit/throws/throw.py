@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -70,7 +70,7 @@ class Throw:
         channels is unknown and estimated by a fit.
     name : of the throw, a file name for instance.
     reference : values to show beside a fit.
-    defaults : settings in the data file (`until`, `stone`, `law`, `load`).
+    defaults : settings in the data file (`since`, `until`, `exclude`, `stone`, `law`, `load`).
     notes : remarks of the reader (ignored columns and the like).
     lines : line of each row in the file, for messages.
 
@@ -284,15 +284,35 @@ class Throw:
             notes=(*self.notes, note),
         )
 
-    def until(self, time: float | None) -> Throw:
-        """The rows with t <= `time`. Raises `InputError` where none is left."""
-        if time is None:
+    def select_rows(
+        self,
+        since: float | None = None,
+        until: float | None = None,
+        exclude: Sequence[Sequence[float]] = (),
+    ) -> Throw:
+        """The rows with since <= t <= until, without those within the intervals to exclude (s).
+
+        Raises
+        ------
+        InputError : an interval is empty, or no row is left.
+        """
+        if since is None and until is None and not len(exclude):
             return self
-        keep = self.t <= time + 1e-9
+        low = -math.inf if since is None else since
+        high = math.inf if until is None else until
+        keep = (self.t >= low - 1e-9) & (self.t <= high + 1e-9)
         if not keep.any():
+            fault = "" if since is None else f"since = {since:g} s"
+            fault += "" if until is None else f"{' and ' * bool(fault)}until = {until:g} s"
             raise InputError(
-                f"until = {time:g} s lies before the first row of {self.name} ({self.t[0]:g} s)"
+                f"{fault} leave no row of {self.name} ({self.t[0]:g} .. {self.t[-1]:g} s)"
             )
+        for begin, end in exclude:
+            if not begin < end:
+                raise InputError(f"exclude {begin:g}:{end:g}: expected A:B with A before B")
+            keep &= (self.t < begin - 1e-9) | (self.t > end + 1e-9)
+        if not keep.any():
+            raise InputError(f"exclude leaves no row of {self.name}")
         return replace(
             self,
             **{name: getattr(self, name)[keep] for name in ("t", *CHANNELS)},

@@ -250,4 +250,4 @@ def test_only_one_speed_of_zero_in_the_last_row_is_a_time_of_rest():
         throw = curlfit.Throw.from_arrays(t, y=t, speed=speed, sigma={"y": 0.1, "speed": 0.1})
         assert throw.stops == stops
         assert not curlfit.Throw.from_arrays(t, y=t, speed=speed).stops
-    assert not throw.until(2).stops
+    assert not throw.select_rows(until=2).stops

@@ -232,7 +232,7 @@ def test_consistent_load_confounds_the_split(eq12):
 
 def test_what_cannot_be_fitted_is_refused(eq12):
     with pytest.raises(DataError, match="4 rows for 10 parameters"):
-        fit(eq12.until(0.3))
+        fit(eq12.select_rows(until=0.3))
     still = Throw.from_arrays(np.arange(30.0), np.ones(30), np.ones(30))
     with pytest.raises(DataError, match="never moves"):
         fit(still)

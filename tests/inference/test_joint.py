@@ -138,7 +138,7 @@ def test_a_coefficient_may_be_each_throw_s_own():
 
 
 def test_throws_of_different_lengths_and_channels_go_together(three):
-    some = [three[0].until(9.0), replace(three[1], phi=np.full(201, np.nan)), three[2]]
+    some = [three[0].select_rows(until=9.0), replace(three[1], phi=np.full(201, np.nan)), three[2]]
     joint = fit_together(some)
     assert joint.converged
     item = joint.coefficients["mu2_xi"]

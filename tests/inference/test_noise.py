@@ -191,7 +191,7 @@ def test_what_cannot_be_combined_is_refused():
     ):
         with pytest.raises(curlfit.InputError, match=words):
             curlfit.fit(throw, **choices)
-    few = replace(throw, notes=()).until(1.0).with_sigma(SIGMA)
+    few = replace(throw, notes=()).select_rows(until=1.0).with_sigma(SIGMA)
     with pytest.raises(curlfit.InputError, match="too few values to estimate"):
         curlfit.fit(few, "coulomb", noise="gp")
     with pytest.raises(curlfit.InputError, match="noise gp"):

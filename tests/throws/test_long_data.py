@@ -41,7 +41,7 @@ def test_means_over_blocks_keep_time_place_and_noise(long):
 
 
 def test_the_fit_is_that_of_all_rows_while_the_stone_moves(long):
-    moving = long.until(22.0)
+    moving = long.select_rows(until=22.0)
     whole = curlfit.fit(replace(moving, notes=()), "front-back")
     assert whole.data["rows"] < 6001
     for name in ("mu1_xi", "mu2_xi", "v0", "omega0"):

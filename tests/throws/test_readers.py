@@ -171,6 +171,6 @@ def test_arrays():
 
 def test_until_cuts_and_refuses():
     throw = load_throw(DATA)
-    assert len(throw.until(20)) == 201
+    assert len(throw.select_rows(until=20)) == 201
     with pytest.raises(ValueError, match="before the first row"):
-        throw.until(-1)
+        throw.select_rows(until=-1)

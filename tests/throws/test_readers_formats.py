@@ -311,7 +311,7 @@ def test_sigma_goes_with_its_axis(write):
 
 
 def test_a_mirrored_file_gives_the_same_fit(write, eq12, eq12_fit):
-    cut = eq12.until(20)
+    cut = eq12.select_rows(until=20)
     columns = {"t": cut.t, "x": cut.y, "y": cut.x, "phi": -np.degrees(cut.phi)}
     mirrored = load_throw(write(table(columns)), axes="x-along,y-right", units="angle=deg")
     fit = curlfit.fit(mirrored, stone=eq12_fit.stone)

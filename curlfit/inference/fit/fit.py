@@ -51,7 +51,9 @@ def fit(
     *,
     load: str | None = None,
     stone: Stone | None = None,
+    since: float | None = None,
     until: float | None = None,
+    exclude: Sequence[tuple[float, float]] = (),
     fix: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     unbounded: bool = False,
@@ -66,11 +68,14 @@ def fit(
 
     Parameters
     ----------
-    throw : the data. Its own defaults (`until`, `stone`, `load`) hold where nothing else is said.
+    throw : the data. Its own defaults (`since`, `until`, `exclude`, `stone`, `load`) hold where
+        nothing else is said.
     law : name or class of the friction law.
     load : "uniform" or "consistent" (eq. 8-9).
     stone : the stone; by default the data file's, and `Stone()` where that says nothing.
-    until : use rows with t <= `until` (s).
+    since, until : use rows with since <= t <= until (s).
+    exclude : intervals (from, to) in s whose rows are not used. The stone moves on in them under
+        the same friction.
     fix, bounds : parameters held at a value, and (lower, upper) in place of the law's own.
     unbounded : let coefficients be negative.
     free : optional coefficients and conditions (`slope_x`, `rho`, ...; see
@@ -103,8 +108,8 @@ def fit(
     loss, noise = check_loss(loss), check_noise(noise, loss)
     load = check_load(load or throw.defaults.get("load", "uniform"))
     prepared = PreparedThrow.of(
-        throw, law, stone, until, fix=fix, bounds=bounds, unbounded=unbounded, free=free,
-        priors=priors,
+        throw, law, stone, since=since, until=until, exclude=exclude, fix=fix, bounds=bounds,
+        unbounded=unbounded, free=free, priors=priors,
     )  # fmt: skip
     model = Model(law, load, prepared.parameters.conditions)
     rounds = Rounds(model, [prepared], loss=loss, noise=noise)
@@ -114,7 +119,8 @@ def fit(
         return result
     if result.reference is not None:
         choices: dict[str, Any] = {
-            "until": until, "fix": fix, "bounds": bounds, "unbounded": unbounded, "loss": loss,
+            "since": since, "until": until, "exclude": exclude, "fix": fix, "bounds": bounds,
+            "unbounded": unbounded, "loss": loss,
             "free": free, "priors": priors, "systematics": {"all": 0.0},
             "noise": noise, "start": prepared.parameters.values_of(result.values),
         }  # fmt: skip
@@ -207,7 +213,8 @@ def fit_throws(
     curves : whether the fits shall hold the fitted curves; they always do under a robust loss or
         correlated noise.
     systematics : as in `fit`, but none where not given; they need the curves.
-    choices : `until`, `fix`, `bounds`, `unbounded`, `free` and `priors` as in `fit`.
+    choices : `since`, `until`, `exclude`, `fix`, `bounds`, `unbounded`, `free` and `priors` as in
+        `fit`.
 
     Raises
     ------

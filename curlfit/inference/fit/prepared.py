@@ -23,7 +23,8 @@ class PreparedThrow(NamedTuple):
     given: Throw
     throw: Throw
     stone: Stone
-    until: float | None
+    rows: dict[str, Any]
+    """`since`, `until` and `exclude`, as `Throw.select_rows` takes them"""
     parameters: ParameterSet
     origin: Origin
 
@@ -33,7 +34,10 @@ class PreparedThrow(NamedTuple):
         throw: Throw,
         law: type[Law],
         stone: Stone | None = None,
+        *,
+        since: float | None = None,
         until: float | None = None,
+        exclude: Sequence[Sequence[float]] = (),
         **choices: Any,
     ) -> PreparedThrow:
         """The throw with its own defaults filled in, and condensed where it is very long.
@@ -47,14 +51,18 @@ class PreparedThrow(NamedTuple):
         given = throw
         if stone is None:
             stone = Stone().with_values(throw.defaults.get("stone", {}))
-        until = throw.defaults.get("until") if until is None else until
+        rows: dict[str, Any] = {
+            "since": throw.defaults.get("since") if since is None else since,
+            "until": throw.defaults.get("until") if until is None else until,
+            "exclude": [list(pair) for pair in exclude or throw.defaults.get("exclude", ())],
+        }
         if not throw.sigma and throw.defaults.get("sigma"):
             throw = throw.with_sigma(throw.defaults["sigma"])
-        throw = throw.until(until)
+        throw = throw.select_rows(**rows)
         throw.require_motion()
         throw = throw.condensed()
         parameters = ParameterSet.for_throw(law, throw, **choices)
-        return cls(given, throw, stone, until, parameters, Origin.of(throw))
+        return cls(given, throw, stone, rows, parameters, Origin.of(throw))
 
     @property
     def offset(self) -> Floats:

@@ -27,7 +27,11 @@ from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS, Reference, Throw
 
 SCHEMA = 1
-_LATER = ("law_file",)  # entries of `data` that the first records of schema 1 lack
+_LATER = (
+    "law_file",
+    "since",
+    "exclude",
+)  # entries of `data` that the first records of schema 1 lack
 
 
 @dataclass(frozen=True)

@@ -184,7 +184,7 @@ def _record(
             "rows": n,
             "from": float(throw.t[0]),
             "to": float(throw.t[-1]),
-            "until": prepared.until,
+            **prepared.rows,
             "sigma": {name: "estimated" if name in fit.sigma else "given" for name in rms},
             "notes": list(throw.notes),
         },

@@ -24,7 +24,18 @@ from curlfit.throws.readers.text import (
 )
 from curlfit.throws.throw import Reference
 
-_SETTINGS = ("until", "law", "load", "stone", "sigma", "seed", "reference", "axes")
+_SETTINGS = (
+    "since",
+    "until",
+    "exclude",
+    "law",
+    "load",
+    "stone",
+    "sigma",
+    "seed",
+    "reference",
+    "axes",
+)
 
 
 def first_lines(path: Path, lines: list[str]) -> tuple[int, list[tuple[int, str]]]:
@@ -144,10 +155,11 @@ def _check(settings: dict[str, Any]) -> None:
             raise InputError(f"{key} = {settings[key]!r} cannot be used")
     numbers = {f"stone.{name}": value for name, value in settings.get("stone", {}).items()}
     numbers |= {f"sigma.{name}": value for name, value in settings.get("sigma", {}).items()}
-    numbers |= {"until": settings["until"]} if "until" in settings else {}
+    numbers |= {key: settings[key] for key in ("since", "until") if key in settings}
     for key, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
             raise InputError(f"{key} = {value!r}: expected a number")
+    check_intervals("exclude", settings.get("exclude", []))
     check_seed(settings.get("seed", 0))
     Stone().with_values(settings.get("stone", {}))
     if "law" in settings:
@@ -177,6 +189,16 @@ def _reference(path: Path, found: Any) -> Reference:
 def _stone_constants(found: dict[str, Any]) -> dict[str, float]:
     Stone().with_values(found)  # names and signs
     return {str(name): float(value) for name, value in found.items()}
+
+
+def check_intervals(key: str, found: object) -> None:
+    """Raise `InputError` where a setting is no list of pairs of times."""
+    pairs = found if isinstance(found, list) else [None]
+    for pair in pairs:
+        numbers = pair if isinstance(pair, list) and len(pair) == 2 else [None]
+        for value in numbers:
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise InputError(f"{key} = {found!r}: expected [[A, B], ...], times in s")
 
 
 def check_seed(seed: object) -> int:
