@@ -1,4 +1,5 @@
-"""Forces on a stone besides friction: gravity along ice that is not level, and the air."""
+"""What acts on a stone besides its law of friction: gravity along ice that is not level, the air,
+and what changes the friction on the way."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ Curling (World Curling), R2(a)"""
 
 @dataclass(frozen=True)
 class Environment:
-    """What acts on a stone besides friction; by default nothing, on level ice.
+    """What acts on a stone besides its law of friction; by default nothing, on level ice.
 
     Attributes
     ----------
@@ -24,11 +25,18 @@ class Environment:
         m: gravity accelerates the stone by g times the slope.
     drag : drag coefficient of the stone in still air, for its cross section `FRONTAL_AREA`; a short
         cylinder has about 0.8.
+    wear : relative change of the friction for each metre along the throw, 1/m, from its start.
+    sweep : friction over that of ice that is not swept, for swept_from < t <= swept_to, in s on the
+        clock of the throw. The distribution of the load on the ring does not change.
     """
 
     slope_x: Any = 0.0
     slope_y: Any = 0.0
     drag: Any = 0.0
+    wear: Any = 0.0
+    sweep: Any = 1.0
+    swept_from: Any = math.inf
+    swept_to: Any = math.inf
 
     def gravity_along(self, s: Any, c: Any) -> tuple[Any, Any]:
         """Acceleration by gravity to the right of a heading and along it, m/s^2.

@@ -79,8 +79,8 @@ class BatchSettings:
     def choices(self) -> dict[str, Any]:
         """As arguments of `fit_throws`."""
         names = (
-            "law", "load", "since", "until", "exclude", "fix", "bounds", "unbounded", "free", "priors", "systematics",
-            "start", "loss", "noise",
+            "law", "load", "since", "until", "exclude", "fix", "bounds", "unbounded", "free",
+            "priors", "systematics", "start", "loss", "noise",
         )  # fmt: skip
         return {name: getattr(self, name) for name in names}
 

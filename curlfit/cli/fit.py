@@ -36,6 +36,7 @@ def fit(
     since: o.Since = None,
     until: o.Until = None,
     exclude: o.Exclude = None,
+    sweep: o.Swept = None,
     fix: o.Fix = None,
     bound: o.Bound = None,
     unbounded: o.Unbounded = False,
@@ -105,8 +106,9 @@ def fit(
         raise InputError("--resume continues sampling, and --no-sample skips it; give one of them")
     flags = s.fit_flags(
         o.reader_options(format, axes, units, reference, stone_index, shot),
-        law=law, load=load, since=since, until=until, exclude=exclude, stone=stone, sigma=sigma,
-        fix=fix, bound=bound, start=start, unbounded=unbounded, free=free, prior=prior, loss=loss, noise=noise, seed=seed,
+        law=law, load=load, since=since, until=until, exclude=exclude, swept=sweep,
+        stone=stone, sigma=sigma, fix=fix, bound=bound, start=start, unbounded=unbounded,
+        free=free, prior=prior, loss=loss, noise=noise, seed=seed,
         systematic=s.pairs("--systematic", systematic or ()),
     )  # fmt: skip
     if len(data) > 1:
@@ -294,12 +296,12 @@ def _fit_jointly(
     check_systematics(systematics)
     choices = s.parameter_choices(settings)
     start = settings.get("start", {})
-    ParameterSet.build(law, **choices).require("--start", start)
+    ParameterSet.build(law, **s.is_swept(choices)).require("--start", start)
     throws = []
     for job in jobs:
         cut = job.throw.select_rows(**s.row_choices(job.settings))
         cut.require_motion()
-        ParameterSet.for_throw(law, cut, **choices)
+        ParameterSet.for_throw(law, cut, **s.is_swept(choices))
         throws.append(cut.with_defaults(stone=job.stone.as_dict()))
     folder = prepare_folder(out or Path("joint-fit"))
 

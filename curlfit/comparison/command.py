@@ -30,6 +30,7 @@ def compare(
     since: o.Since = None,
     until: o.Until = None,
     exclude: o.Exclude = None,
+    sweep: o.Swept = None,
     fix: o.Fix = None,
     bound: o.Bound = None,
     unbounded: o.Unbounded = False,
@@ -76,6 +77,7 @@ def compare(
         "since": since,
         "until": until,
         "exclude": s.periods("--exclude", exclude or ()) or None,
+        "swept": s.swept_choice(sweep),
         "stone": s.pairs("--stone", stone or ()),
         "sigma": s.pairs("--sigma", sigma or ()),
         "fix": s.pairs("--fix", fix or ()),
@@ -104,7 +106,13 @@ def compare(
     for law in laws_of:
         own = options_of(law, options)
         ParameterSet.for_throw(
-            law, cut, fix=own["fix"], bounds=own["bound"], free=own["free"], priors=own["prior"]
+            law,
+            cut,
+            fix=own["fix"],
+            bounds=own["bound"],
+            free=own["free"],
+            priors=own["prior"],
+            swept="swept" in settings,
         )
     folder = prepare_folder(out or Path(f"{data.stem}-compare"))
 
@@ -135,6 +143,7 @@ def compare(
             load="both" if load == "both" else settings.get("load", "uniform"),
             stone=the_stone,
             **s.row_choices(settings),
+            swept=settings.get("swept"),
             fix=options["fix"],
             bounds=options["bound"],
             unbounded=bool(settings.get("unbounded", False)),

@@ -70,6 +70,7 @@ def compare(
     since: float | None = None,
     until: float | None = None,
     exclude: Sequence[tuple[float, float]] = (),
+    swept: Sequence[float] | None = None,
     fix: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     unbounded: bool = False,
@@ -84,8 +85,8 @@ def compare(
 
     Parameters
     ----------
-    throw, stone, since, until, exclude, loss, noise : as in `fit`; noise is estimated for each law
-        anew.
+    throw, stone, since, until, exclude, swept, loss, noise : as in `fit`; noise is estimated for
+        each law anew.
     laws : names or classes; where not given, curlfit's own but those that approximate another.
     load : "uniform", "consistent" or "both".
     fix, bounds, free, priors, start : as in `fit`, for those of the laws that have such a
@@ -110,8 +111,8 @@ def compare(
             progress(law.name, done, len(todo))
         choices: dict[str, Any] = {
             "load": one_load, "stone": stone, "since": since, "until": until, "exclude": exclude,
-            "unbounded": unbounded, "loss": loss, "noise": noise, "systematics": {ALL: 0.0},
-            **options_of(law, options),
+            "swept": swept, "unbounded": unbounded, "loss": loss, "noise": noise,
+            "systematics": {ALL: 0.0}, **options_of(law, options),
         }  # fmt: skip
         one = _fitted(throw, law, choices, signs_free=False)
         found.append(one)

@@ -12,7 +12,8 @@ step is a fixed fraction of the shortest of these, so steps shrink geometrically
 the kink they shrink more slowly, for equal errors, down to one step across the kink that is short
 enough for its error to be negligible. A law may name angles turned at which its friction has a
 kink (`corners`) and its own rate of change in time (`quickness`): steps end at these angles,
-resolve this rate, and resolve the rotation up to the last angle. Between steps the path is the
+resolve this rate, and resolve the rotation up to the last angle. Steps end where sweeping begins
+and ends, too, and one of a nanosecond leads to the other friction. Between steps the path is the
 quintic polynomial through position, velocity and acceleration at both ends.
 
 All arrays have the batch, one throw in each column, along the last axis.
@@ -42,6 +43,7 @@ _REST = 1e-10  # remaining motion (m and rad together) of a stone at rest
 _KINK = 2e-5  # singularity distance to which the kink at |epsilon| = 1 is resolved, 1 m remaining
 _MAX_TURNING = 5000.0  # rad of turning of the velocity in one time scale of the motion
 _ANGLE_TOLERANCE = 1e-9  # rad, for reaching an angle of the law's `corners`
+_SWITCH = 1e-9  # s, by which sweeping begins and ends later, so that steps can end there
 _MIN_SPIN = 1e-8  # rad/s, to which the end of the spin is resolved
 
 
@@ -92,6 +94,22 @@ class HeadingFrame(NamedTuple):
         return self._replace(s=scale * self.s, c=scale * self.c)
 
 
+class Forces(NamedTuple):
+    """What acts on a stone besides its law, in the frame of the initial heading (y along it)."""
+
+    g_x: Array
+    """acceleration by gravity, m/s^2"""
+    g_y: Array
+    drag: Array
+    """deceleration by the air over v^2, 1/m"""
+    wear: Array
+    """relative change of the friction with y, 1/m"""
+    sweep: Array
+    """factor of the friction between the next two times, s since the start"""
+    swept_from: Array
+    swept_to: Array
+
+
 def rates(
     law: Law,
     stone: Stone,
@@ -105,8 +123,7 @@ def rates(
 ) -> State:
     """Time derivative of the state; `frame` is that of a nearby heading.
 
-    `forces` are the accelerations by gravity along +x and +y of the state's frame, m/s^2, and the
-    deceleration by the air over v^2, 1/m, shape (3, batch).
+    `forces` are as `Forces` has them, shape (7, batch).
 
     A stone that spins almost in place, under a transverse force, moves on circles of radius
     v^2/a_xi. Where its velocity turns faster than `turning_limit` (rad/s), it is held at their
@@ -115,13 +132,16 @@ def rates(
     a = accelerations(law, stone, load, state.v, state.omega, state.phi, time, clustering)
     moving = state.v > 0
     _, s, c = frame.rotated_to(state.heading)
-    g_x, g_y, drag = forces
-    a_xi = a.xi + c * g_x - s * g_y
-    a_eta = a.eta + jnp.where(moving, s * g_x + c * g_y, 0.0) - drag * state.v**2
+    outer = Forces(*forces)
+    swept = (time > outer.swept_from + _SWITCH) & (time <= outer.swept_to + _SWITCH)
+    factor = jnp.where(swept, outer.sweep, 1.0) * (1 + outer.wear * state.y)
+    a_xi = factor * a.xi + c * outer.g_x - s * outer.g_y
+    a_eta = factor * a.eta + jnp.where(moving, s * outer.g_x + c * outer.g_y, 0.0)
+    a_eta -= outer.drag * state.v**2
     turning = jnp.where(moving, a_xi / jnp.where(moving, state.v, 1.0), 0.0)
     stationary = jnp.abs(turning) > turning_limit
     along, turning = (jnp.where(stationary, 0.0, value) for value in (state.v, turning))
-    return State(along * s, along * c, state.omega, turning, a_eta, a.angular)
+    return State(along * s, along * c, state.omega, turning, a_eta, factor * a.angular)
 
 
 def turning_limit(law: Law, stone: Stone, span: Array, state: State, rate: State) -> Array:
@@ -144,7 +164,9 @@ def at_rest(law: Law, stone: Stone, state: State, rate: State) -> Array:
     return ~moving | (remaining < _REST)
 
 
-def step_size(law: Law, stone: Stone, span: Array, state: State, rate: State, time: Array) -> Array:
+def step_size(
+    law: Law, stone: Stone, forces: Array, span: Array, state: State, rate: State, time: Array
+) -> Array:
     """Next step in s."""
     v, u = state.v, stone.R * state.omega
     decay_rate = _decay_rate(law, stone, state, rate)
@@ -187,6 +209,11 @@ def step_size(law: Law, stone: Stone, span: Array, state: State, rate: State, ti
         time_left = _time_to_angle(angle, state, rate)
         # In two steps, since the prediction improves as the time becomes shorter.
         dt = jnp.where(time_left < dt / 8, time_left, jnp.minimum(dt, 7 / 8 * time_left))
+    outer = Forces(*forces)
+    for switch in (outer.swept_from, outer.swept_to):
+        time_left = switch - time
+        dt = jnp.where(time_left > _SWITCH, jnp.minimum(dt, time_left), dt)
+        dt = jnp.where(jnp.abs(time_left) <= _SWITCH, 2 * _SWITCH, dt)
     return dt
 
 

@@ -130,7 +130,7 @@ def _integrate_batch(
 
     Parameters
     ----------
-    system, forces : law and stone, and forces besides friction (`equations.rates`), from the value
+    system, forces : law and stone, and forces besides the law (`equations.Forces`), from the value
         of `parameters`.
     start : speed and spin, shape (2, batch).
     times : in s, non-decreasing from row to row, shape (n, batch or 1); inf for unused rows, which
@@ -203,7 +203,7 @@ def _integrate_batch(
             parameters: Any, t: Array, frame: HeadingFrame, packed: Array, packed_rate: Array
         ) -> StepState:
             state, rate = State(*packed), State(*packed_rate)
-            dt = step_size(*system(parameters), span, state, rate, t)
+            dt = step_size(*system(parameters), forces(parameters), span, state, rate, t)
             ended = at_rest(law, stone, state, rate) | (t > last)
             dt = jnp.where(ended, 0.0, dt)
             second = second_derivatives(frame, state, rate)
@@ -415,8 +415,8 @@ def integrate(
     Parameters
     ----------
     velocities : whether to return these, which takes as long again as the positions.
-    inputs : the law's coefficients, the stone's fields, the forces besides friction (see
-        `equations.rates`) and (v0, omega0), as vectors. Inputs without tangents cost nothing; a
+    inputs : the law's coefficients, the stone's fields, the forces besides the law (see
+        `equations.Forces`) and (v0, omega0), as vectors. Inputs without tangents cost nothing; a
         `vmap` becomes one batch.
     times : in s, >= 0, non-decreasing, shape (n,). Rows at inf, which may stand at the end, cost
         nothing and are 0.

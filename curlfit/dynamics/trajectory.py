@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
+from curlfit.dynamics.equations import Forces
 from curlfit.dynamics.integrator import integrate
 
 # isort: split
@@ -85,14 +86,21 @@ class Trajectory:
 
 
 jax.tree_util.register_dataclass(
-    Environment, data_fields=["slope_x", "slope_y", "drag"], meta_fields=[]
+    Environment,
+    data_fields=[field.name for field in fields(Environment)],
+    meta_fields=[],
 )
 
 
-def forces_on(stone: Stone, environment: Environment, heading: Array) -> Array:
-    """Forces besides friction, as `integrate` takes them, in the frame of an initial heading."""
+def forces_on(stone: Stone, environment: Environment, heading: Array, t0: Any = 0.0) -> Array:
+    """Forces besides the law, as `integrate` takes them, in the frame of an initial heading."""
     right, along = environment.gravity_along(jnp.sin(heading), jnp.cos(heading))
-    return jnp.stack([right, along, environment.drag_rate(stone.m)])
+    return jnp.stack(
+        Forces(
+            right, along, environment.drag_rate(stone.m), environment.wear, environment.sweep,
+            environment.swept_from - t0, environment.swept_to - t0,
+        )
+    )  # fmt: skip
 
 
 def _motion(
@@ -184,7 +192,7 @@ def simulate(
     law, stone, start, environment = jax.tree.map(
         lambda value: jnp.asarray(value, float), (law, stone, start, environment or Environment())
     )
-    arrays = (law, stone, forces_on(stone, environment, start.heading), start)
+    arrays = (law, stone, forces_on(stone, environment, start.heading, t0), start)
     finite = jnp.where(times == jnp.inf, _REST_TIME, times)
     if _non_decreasing(times):
         path = ordered_trajectory(*arrays, finite, t0, load=checked)

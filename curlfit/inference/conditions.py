@@ -43,6 +43,14 @@ CONDITIONS = (
         "a short cylinder on a plane has 0.6 to 1; without air drag it is zero",
     ),
     Condition(
+        "wear", "1/m", -0.02, 0.05, 0.01, "w", "relative change of the friction along the throw",
+        5e-4, "judgement: 1 % over 20 m",
+    ),
+    Condition(
+        "sweep", "1", 0.0, 2.0, 0.1, "s", "friction while swept, over that before", 0.0,
+        "known where the stone is not swept",
+    ),
+    Condition(
         "R", "m", 0.01, 0.14, 0.01, "R", "radius of the contact ring", 0.0015,
         "judgement: running bands are 12 to 13 cm wide",
     ),
@@ -84,6 +92,7 @@ def if_off(name: str, width: float) -> str:
     texts = {
         "slope_x": f"if the ice falls {1e3 * width:g} mm/m to the right",
         "slope_y": f"if the ice falls {1e3 * width:g} mm/m along the throw",
+        "wear": f"if the friction grows by {100 * width:g} % for each metre along the throw",
         "drag": f"if the air drags with a coefficient of {width:g}",
         "length_scale": f"if measured lengths are {100 * width:g} % too long",
         "time_scale": f"if measured times are {100 * width:g} % too long",

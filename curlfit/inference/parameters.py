@@ -65,6 +65,7 @@ class ParameterSet:
         unbounded: bool = False,
         free: Iterable[str] = (),
         priors: Mapping[str, str | Prior] | None = None,
+        swept: bool = False,
     ) -> ParameterSet:
         """Parameters of a fit of `law`.
 
@@ -81,6 +82,7 @@ class ParameterSet:
         free : optional coefficients and conditions that are estimated.
         priors : prior densities by name, see `curlfit.inference.priors`; the parameters are
             estimated.
+        swept : whether the stone is swept for a while; `sweep` is then a parameter.
 
         Raises
         ------
@@ -89,6 +91,11 @@ class ParameterSet:
         """
         fixed, limits = (tuple((choice or {}).items()) for choice in (fix, bounds))
         key: Any = law
+        named = {*(fix or ()), *(bounds or ()), *free, *(priors or ())}
+        if "sweep" in named and not swept:
+            raise InputError("sweep: when was the stone swept? Expected `swept`, two times in s")
+        if swept and "sweep" not in named:
+            free = (*free, "sweep")
         known = tuple(parse_priors(priors).items())
         return cls._built(key, fixed, limits, unbounded, tuple(free), known)
 

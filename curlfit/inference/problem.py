@@ -6,6 +6,8 @@ so that neither a clock nor a map grid with large numbers costs precision.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -22,8 +24,8 @@ from curlfit.throws.throw import CHANNELS, Throw
 _SHORTEST = 256  # data are padded to a power of two from here up, so that few shapes are compiled
 
 
-LEVEL_AND_STILL = Environment(*map(np.asarray, (0.0, 0.0, 0.0)))
-"""Level ice in still air, as arrays."""
+LEVEL_AND_STILL = Environment(*map(np.asarray, vars(Environment()).values()))
+"""Level ice, even and not swept, in still air; as arrays."""
 
 
 class Problem(NamedTuple):
@@ -81,6 +83,7 @@ def build_problem(
     sigma: dict[str, float],
     loss: str = "linear",
     noise: Noise | None = None,
+    environment: Environment | None = None,
     shape: tuple[int, int] | None = None,
 ) -> Problem:
     """The throw about an origin, padded.
@@ -88,6 +91,7 @@ def build_problem(
     Parameters
     ----------
     sigma : of the channels of which the throw gives none.
+    environment : what is assumed of it, see `environment_of`; level and still if None.
     shape : of the data, channels and rows; as small as may be where not given.
     """
     n = len(throw)
@@ -104,7 +108,7 @@ def build_problem(
         observed=observed,
         weight=weight,
         stone=_as_arrays(*map(float, vars(stone).values())),
-        environment=LEVEL_AND_STILL,
+        environment=environment or LEVEL_AND_STILL,
         loss=np.asarray(LOSSES.index(loss)),
         stop=np.asarray(n - 1 if throw.stops else -1),
         whitener=None if noise is None else whitener_of(noise, times, weight),
@@ -115,6 +119,20 @@ def problem_shape(throw: Throw) -> tuple[int, int]:
     """Channels and padded rows of a throw's problem."""
     channels = 5 if {"speed", "omega"} & set(throw.seen) else 3
     return channels, max(_SHORTEST, 1 << (len(throw) - 1).bit_length())
+
+
+def environment_of(swept: Sequence[float] | None, t0: float) -> Environment:
+    """What is assumed of the environment of a throw, as arrays.
+
+    Parameters
+    ----------
+    swept : when sweeping began and ended, on the clock of the data in s; None without any.
+    t0 : the first time of the data.
+    """
+    if swept is None:
+        return LEVEL_AND_STILL
+    begin, end = (np.asarray(time - t0) for time in swept)
+    return replace(LEVEL_AND_STILL, swept_from=begin, swept_to=end)
 
 
 @lru_cache(64)

@@ -63,6 +63,6 @@ def assumed_conditions(model: Model, problems: Problem) -> Floats:
     for column, name in enumerate(model.conditions):
         if name in STONE_UNITS:
             found[:, column] = getattr(problems.stone, name)
-        elif not name.endswith("_scale"):
+        elif name not in ("length_scale", "time_scale"):
             found[:, column] = getattr(problems.environment, name)
     return found

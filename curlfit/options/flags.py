@@ -64,6 +64,15 @@ Since = Annotated[
 Until = Annotated[
     float | None, typer.Option(help="Use the rows with t up to this, in s.", metavar="S")
 ]
+Swept = Annotated[
+    str | None,
+    typer.Option(
+        "--sweep",
+        help="The stone was swept in this interval of t, in s: the friction meanwhile, over that "
+        "before, is the parameter `sweep`.",
+        metavar="A:B",
+    ),
+]
 Exclude = Annotated[
     list[str] | None,
     typer.Option(help="Leave out the rows of an interval of t, in s.", metavar="A:B"),

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 READER_OPTIONS = ("format", "axes", "units", "reference", "stone_index", "shot")
 """Settings of the readers."""
 _SETTINGS = (
-    "law", "load", "since", "until", "exclude", "stone", "sigma", "fix", "bound", "start",
+    "law", "load", "since", "until", "exclude", "swept", "stone", "sigma", "fix", "bound", "start",
     "unbounded", "free", "prior", "systematic", "loss", "noise", "seed", *READER_OPTIONS,
 )  # fmt: skip
 
@@ -78,6 +78,16 @@ def row_choices(settings: Mapping[str, Any]) -> dict[str, Any]:
         "until": settings.get("until"),
         "exclude": settings.get("exclude", ()),
     }
+
+
+def swept_choice(text: str | None) -> list[float] | None:
+    """`--sweep A:B` as a setting."""
+    if text is None:
+        return None
+    found = periods("--sweep", [text])
+    if len(found) != 1:
+        raise InputError(f"--sweep {text}: expected one interval A:B")
+    return found[0]
 
 
 def names(items: Sequence[str]) -> list[str]:
@@ -211,6 +221,7 @@ def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
             raise InputError(f"{origin}: {key} = {value!r}; expected a whole number from 1")
     try:
         check_intervals("exclude", settings.get("exclude", []))
+        check_intervals("swept", [settings["swept"]] if "swept" in settings else [])
         check_seed(settings.get("seed", 0))
     except InputError as error:
         raise InputError(f"{origin}: {error}") from None
@@ -264,6 +275,7 @@ def fit_flags(
     since: float | None,
     until: float | None,
     exclude: list[str] | None,
+    swept: str | None,
     stone: list[str] | None,
     sigma: list[str] | None,
     fix: list[str] | None,
@@ -282,6 +294,7 @@ def fit_flags(
         "since": since,
         "until": until,
         "exclude": periods("--exclude", exclude or ()) or None,
+        "swept": swept_choice(swept),
         "stone": pairs("--stone", stone or ()),
         "sigma": pairs("--sigma", sigma or ()),
         "fix": pairs("--fix", fix or ()),
@@ -302,7 +315,13 @@ def parameter_choices(settings: Mapping[str, Any]) -> dict[str, Any]:
         "unbounded": bool(settings.get("unbounded", False)),
         "free": tuple(settings.get("free", ())),
         "priors": settings.get("prior", {}),
+        "swept": settings.get("swept"),
     }
+
+
+def is_swept(choices: Mapping[str, Any]) -> dict[str, Any]:
+    """The choices as arguments of `ParameterSet.for_throw`."""
+    return {**choices, "swept": choices["swept"] is not None}
 
 
 class FitRequest(NamedTuple):
@@ -352,7 +371,7 @@ def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Fi
     choices = parameter_choices(settings)
     cut = throw.select_rows(**row_choices(settings))
     cut.require_motion()
-    parameters = ParameterSet.for_throw(law, cut, **choices)
+    parameters = ParameterSet.for_throw(law, cut, **is_swept(choices))
     parameters.require("--start", settings.get("start", {}))
     return FitRequest(throw, cut, settings, law, load, loss, noise, stone, choices, parameters)
 

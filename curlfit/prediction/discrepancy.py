@@ -44,14 +44,14 @@ from curlfit.prediction.result import CEILING, COMPONENTS, Discrepancy
 import numpy as np
 from numpy.typing import NDArray
 
+from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import directions
 from curlfit.inference.likelihood import linearize
 from curlfit.inference.noise.models import independences
-from curlfit.inference.problem import Origin, build_problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import stacked
-from curlfit.prediction.ensemble import TrajectoryEnsemble, simulate_ensemble
+from curlfit.prediction.ensemble import TrajectoryEnsemble, fitted_environment, simulate_ensemble
 from curlfit.stone import GRAVITY
 from curlfit.throws.throw import CHANNELS
 
@@ -369,7 +369,7 @@ def _response(fit: FitResult, names: tuple[str, ...]) -> Floats:
     """
     since = fit.observed["t"] - fit.observed["t"][0]
     t = np.linspace(0.0, _TIME_MARGIN * since[-1], _TIMES)
-    path = simulate_ensemble(fit.model, fit.values[None], fit.stone, t)
+    path = simulate_ensemble(fit.model, fit.values[None], fit.stone, fitted_environment(fit), t)
     small = 1e-3 * GRAVITY * _friction_coefficient(fit) * np.array([1.0, -1.0])
     unit = np.einsum("e,wv,ks->wkevs", small, np.eye(len(COMPONENTS)), _shapes())
     each = MissingAccelerations(unit.reshape(-1, len(COMPONENTS), len(_SPEEDS)), np.zeros(0))
@@ -413,11 +413,9 @@ def _rim_speed_ratio(fit: FitResult) -> float:
 def _path_jacobian(fit: FitResult) -> tuple[Floats, Floats]:
     """Derivative of the path by the parameters, shape (channels, rows, parameters), and 1/sigma, 0
     where there is no value."""
-    throw = fit.throw
-    origin = Origin.of(throw)
-    problem = build_problem(throw, fit.stone, origin, fit.sigma)
+    problem, origin = problem_of(fit)
     values = fit.values - origin.offset(len(fit.values))
-    n = len(throw)
+    n = len(fit.observed["t"])
     one = stacked([problem])
     jacobian = linearize(fit.model, values[None], one)[1]
     weighted = np.asarray(jacobian)[0, :, :n]

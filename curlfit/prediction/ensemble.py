@@ -18,6 +18,7 @@ from curlfit.environment import Environment
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
+from curlfit.inference.problem import LEVEL_AND_STILL, environment_of
 from curlfit.inference.system import System
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import compiled, in_batches
@@ -225,9 +226,11 @@ class ThrowFamily:
 
     def simulate(self, values: Floats) -> TrajectoryEnsemble:
         """The trajectories of vectors from `with_start`, on one grid for all calls."""
+        # Another throw is not swept.
+        environment = LEVEL_AND_STILL if self.new else fitted_environment(self.fit)
 
         def on_grid(t: Floats) -> TrajectoryEnsemble:
-            return simulate_ensemble(self.fit.model, values, self.fit.stone, t)
+            return simulate_ensemble(self.fit.model, values, self.fit.stone, environment, t)
 
         if self._grid is not None:
             return on_grid(self._grid)
@@ -252,11 +255,18 @@ class ThrowFamily:
         )
 
 
-def simulate_ensemble(model: Model, values: Floats, stone: Stone, t: Floats) -> TrajectoryEnsemble:
+def fitted_environment(fit: FitResult) -> Environment:
+    """What is assumed of the environment of the fitted throw, whose first row is at time 0."""
+    return environment_of(fit.data["swept"], float(fit.observed["t"][0]))
+
+
+def simulate_ensemble(
+    model: Model, values: Floats, stone: Stone, environment: Environment, t: Floats
+) -> TrajectoryEnsemble:
     """The trajectories of parameter vectors, at evenly spaced times from 0."""
     # In batches of one size, so that any number of throws runs the same program.
     return TrajectoryEnsemble(
-        t, in_batches(lambda some: _propagated(model, some, stone, t), (values,))
+        t, in_batches(lambda some: _propagated(model, some, stone, environment, t), (values,))
     )
 
 
@@ -298,9 +308,11 @@ def _rest_times(t: Floats, state: Floats, speed: Floats) -> Floats:
 
 
 @compiled("model")
-def _propagated(model: Model, values: Array, stone: Stone, times: Array) -> Array:
+def _propagated(
+    model: Model, values: Array, stone: Stone, environment: Environment, times: Array
+) -> Array:
     def one(values: Array) -> Array:
-        system = System.of(model, values, stone, Environment())
+        system = System.of(model, values, stone, environment)
         path = simulate(
             system.law, system.stone, system.start, times, load=model.load, t0=0.0,
             environment=system.environment,

@@ -55,6 +55,7 @@ def profile(
     since: o.Since = None,
     until: o.Until = None,
     exclude: o.Exclude = None,
+    sweep: o.Swept = None,
     fix: o.Fix = None,
     bound: o.Bound = None,
     unbounded: o.Unbounded = False,
@@ -96,8 +97,9 @@ def profile(
 
     flags = s.fit_flags(
         o.reader_options(format, axes, units, reference, stone_index, shot),
-        law=law, load=load, since=since, until=until, exclude=exclude, stone=stone, sigma=sigma,
-        fix=fix, bound=bound, start=start, unbounded=unbounded, free=free, prior=prior, loss=loss, noise=noise,
+        law=law, load=load, since=since, until=until, exclude=exclude, swept=sweep,
+        stone=stone, sigma=sigma, fix=fix, bound=bound, start=start, unbounded=unbounded,
+        free=free, prior=prior, loss=loss, noise=noise,
     )  # fmt: skip
     if len(span or ()) > len(param):
         raise InputError(f"--range is given {len(span or ())} times; expected one of each --param")

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import UnusableFitError
+from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.parameters import ParameterSet
-from curlfit.inference.problem import Origin, build_problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import unstacked
 from curlfit.profile_likelihood.result import levels_for
@@ -53,11 +53,10 @@ class Refit:
     def __init__(self, fit: FitResult, progress: Progress | None) -> None:
         self.fit, self._progress, self.done = fit, progress, 0
         whole = fit.parameter_set
-        origin = Origin.of(fit.throw)
+        self.problem, origin = problem_of(fit)
         self.offset = origin.offset(len(whole))
         self.parameters = whole.shifted(-self.offset)
         self.model = fit.model
-        self.problem = build_problem(fit.throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise)
         (solution,) = self._solved([(self.parameters, fit.values - self.offset)])
         if solution is None:
             raise UnusableFitError("the fit has no path")

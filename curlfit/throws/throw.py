@@ -302,17 +302,17 @@ class Throw:
         high = math.inf if until is None else until
         keep = (self.t >= low - 1e-9) & (self.t <= high + 1e-9)
         if not keep.any():
-            fault = "" if since is None else f"since = {since:g} s"
-            fault += "" if until is None else f"{' and ' * bool(fault)}until = {until:g} s"
+            limits = {"since": since, "until": until}
+            said = " and ".join(f"{key} = {v:g} s" for key, v in limits.items() if v is not None)
             raise InputError(
-                f"{fault} leave no row of {self.name} ({self.t[0]:g} .. {self.t[-1]:g} s)"
+                f"no row of {self.name} is left by {said}; it has {self.t[0]:g} .. {self.t[-1]:g} s"
             )
         for begin, end in exclude:
             if not begin < end:
                 raise InputError(f"exclude {begin:g}:{end:g}: expected A:B with A before B")
             keep &= (self.t < begin - 1e-9) | (self.t > end + 1e-9)
         if not keep.any():
-            raise InputError(f"exclude leaves no row of {self.name}")
+            raise InputError(f"no row of {self.name} is left by what is excluded")
         return replace(
             self,
             **{name: getattr(self, name)[keep] for name in ("t", *CHANNELS)},

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import DATA
 
-from curlfit import DataError, Throw, load_throw
+from curlfit import DataError, InputError, Throw, load_throw
 from curlfit.throws.readers.columns import parse_header
 
 PLAIN = "t,x,y,phi\n0,0.1,0,0\n1,0.2,2,1\n2,0.4,3,1.5\n"
@@ -172,5 +172,26 @@ def test_arrays():
 def test_until_cuts_and_refuses():
     throw = load_throw(DATA)
     assert len(throw.select_rows(until=20)) == 201
-    with pytest.raises(ValueError, match="before the first row"):
+    with pytest.raises(ValueError, match=r"no row .* until = -1 s; it has 0 \.\. 22.9 s"):
         throw.select_rows(until=-1)
+
+
+def test_rows_are_chosen_by_their_times():
+    throw = load_throw(DATA)
+    some = throw.select_rows(since=1.0, until=5.0, exclude=[(2.0, 3.0), (4.55, 4.95)])
+    expected = [t for t in throw.t if 1 <= t <= 5 and not 2 <= t <= 3 and not 4.55 < t < 4.95]
+    np.testing.assert_array_equal(some.t, expected)
+    np.testing.assert_array_equal(some.y, np.interp(some.t, throw.t, throw.y))
+    for exclude, fault in (([(3, 2)], "A before B"), ([(-1, 50)], "is left by what is excluded")):
+        with pytest.raises(InputError, match=fault):
+            throw.select_rows(exclude=exclude)
+    with pytest.raises(InputError, match="since = 40 s"):
+        throw.select_rows(since=40)
+
+
+def test_rows_are_chosen_in_the_file(write):
+    throw = load_throw(write("# since = 0.5\n# exclude = [[1.0, 1.2]]\n" + PLAIN))
+    assert throw.defaults == {"since": 0.5, "exclude": [[1.0, 1.2]]}
+    for bad in ("exclude = [1, 2]", "exclude = '1:2'", "since = 'now'", "exclude = [[1]]"):
+        with pytest.raises(DataError, match=bad.split(" ")[0]):
+            load_throw(write(f"# {bad}\n" + PLAIN))

@@ -54,6 +54,7 @@ def fit(
     since: float | None = None,
     until: float | None = None,
     exclude: Sequence[tuple[float, float]] = (),
+    swept: Sequence[float] | None = None,
     fix: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     unbounded: bool = False,
@@ -76,6 +77,8 @@ def fit(
     since, until : use rows with since <= t <= until (s).
     exclude : intervals (from, to) in s whose rows are not used. The stone moves on in them under
         the same friction.
+    swept : when sweeping began and ended (s); `sweep`, the friction meanwhile over that before, is
+        then a parameter.
     fix, bounds : parameters held at a value, and (lower, upper) in place of the law's own.
     unbounded : let coefficients be negative.
     free : optional coefficients and conditions (`slope_x`, `rho`, ...; see
@@ -108,8 +111,8 @@ def fit(
     loss, noise = check_loss(loss), check_noise(noise, loss)
     load = check_load(load or throw.defaults.get("load", "uniform"))
     prepared = PreparedThrow.of(
-        throw, law, stone, since=since, until=until, exclude=exclude, fix=fix, bounds=bounds,
-        unbounded=unbounded, free=free, priors=priors,
+        throw, law, stone, since=since, until=until, exclude=exclude, swept=swept, fix=fix,
+        bounds=bounds, unbounded=unbounded, free=free, priors=priors,
     )  # fmt: skip
     model = Model(law, load, prepared.parameters.conditions)
     rounds = Rounds(model, [prepared], loss=loss, noise=noise)
@@ -119,7 +122,8 @@ def fit(
         return result
     if result.reference is not None:
         choices: dict[str, Any] = {
-            "since": since, "until": until, "exclude": exclude, "fix": fix, "bounds": bounds,
+            "since": since, "until": until, "exclude": exclude, "swept": swept,
+            "fix": fix, "bounds": bounds,
             "unbounded": unbounded, "loss": loss,
             "free": free, "priors": priors, "systematics": {"all": 0.0},
             "noise": noise, "start": prepared.parameters.values_of(result.values),
@@ -213,8 +217,8 @@ def fit_throws(
     curves : whether the fits shall hold the fitted curves; they always do under a robust loss or
         correlated noise.
     systematics : as in `fit`, but none where not given; they need the curves.
-    choices : `since`, `until`, `exclude`, `fix`, `bounds`, `unbounded`, `free` and `priors` as in
-        `fit`.
+    choices : `since`, `until`, `exclude`, `swept`, `fix`, `bounds`, `unbounded`, `free` and
+        `priors` as in `fit`.
 
     Raises
     ------

@@ -7,10 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from curlfit.environment import Environment
+from curlfit.errors import InputError
 from curlfit.friction import Law
+from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
-from curlfit.inference.problem import Origin
+from curlfit.inference.problem import Origin, Problem, build_problem, environment_of
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import stacked
 from curlfit.stone import Stone
@@ -25,6 +28,7 @@ class PreparedThrow(NamedTuple):
     stone: Stone
     rows: dict[str, Any]
     """`since`, `until` and `exclude`, as `Throw.select_rows` takes them"""
+    swept: tuple[float, float] | None
     parameters: ParameterSet
     origin: Origin
 
@@ -38,6 +42,7 @@ class PreparedThrow(NamedTuple):
         since: float | None = None,
         until: float | None = None,
         exclude: Sequence[Sequence[float]] = (),
+        swept: Sequence[float] | None = None,
         **choices: Any,
     ) -> PreparedThrow:
         """The throw with its own defaults filled in, and condensed where it is very long.
@@ -61,8 +66,15 @@ class PreparedThrow(NamedTuple):
         throw = throw.select_rows(**rows)
         throw.require_motion()
         throw = throw.condensed()
-        parameters = ParameterSet.for_throw(law, throw, **choices)
-        return cls(given, throw, stone, rows, parameters, Origin.of(throw))
+        swept = throw.defaults.get("swept") if swept is None else swept
+        period = None if swept is None else check_period(swept)
+        parameters = ParameterSet.for_throw(law, throw, swept=period is not None, **choices)
+        return cls(given, throw, stone, rows, period, parameters, Origin.of(throw))
+
+    @property
+    def environment(self) -> Environment:
+        """What is assumed of the environment, in the problem's coordinates."""
+        return environment_of(self.swept, self.origin.t)
 
     @property
     def offset(self) -> Floats:
@@ -89,6 +101,24 @@ class PreparedThrow(NamedTuple):
         for name, value in start.items():
             absolute[self.parameters.index(name)] = value
         return np.clip(absolute, self.parameters.lower, self.parameters.upper) - self.offset
+
+
+def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
+    """The problem that a fit has solved, with its noise and loss, and its origin."""
+    throw = fit.throw
+    origin = Origin.of(throw)
+    environment = environment_of(fit.data["swept"], origin.t)
+    problem = build_problem(
+        throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise, environment=environment
+    )
+    return problem, origin
+
+
+def check_period(swept: Sequence[float]) -> tuple[float, float]:
+    """The times between which a stone is swept. Raises `InputError` where they are none."""
+    if len(swept) != 2 or not swept[0] < swept[1]:
+        raise InputError(f"swept = {swept!r}: expected two times in s, the earlier first")
+    return float(swept[0]), float(swept[1])
 
 
 def penalties(throws: Sequence[PreparedThrow]) -> Penalty | None:

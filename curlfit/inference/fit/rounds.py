@@ -68,10 +68,13 @@ class Rounds:
         blank = None if noise == "white" else Noise(noise)
         self.problems: Problem = stacked(
             [
-                build_problem(one.throw, one.stone, one.origin, sigma, noise=blank, shape=shape)
+                build_problem(
+                    one.throw, one.stone, one.origin, sigma, noise=blank,
+                    environment=one.environment, shape=shape,
+                )
                 for one, sigma in zip(throws, even, strict=True)
             ]
-        )
+        )  # fmt: skip
         self.channels = CHANNELS[: self.problems.observed.shape[1]]
         self.unknown = np.array([[name in sigma for name in self.channels] for sigma in even])
         self.sigma = np.array([[sigma.get(name, 0.0) for name in self.channels] for sigma in even])

@@ -185,6 +185,7 @@ def _record(
             "from": float(throw.t[0]),
             "to": float(throw.t[-1]),
             **prepared.rows,
+            "swept": prepared.swept,
             "sigma": {name: "estimated" if name in fit.sigma else "given" for name in rms},
             "notes": list(throw.notes),
         },

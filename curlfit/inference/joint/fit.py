@@ -48,6 +48,7 @@ def fit_together(
     since: float | None = None,
     until: float | None = None,
     exclude: Sequence[tuple[float, float]] = (),
+    swept: Sequence[float] | None = None,
     fix: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     unbounded: bool = False,
@@ -64,9 +65,9 @@ def fit_together(
     Parameters
     ----------
     throws : at least two; each has its own start, noise and, where its file says so, stone.
-    law, load, stone, since, until, exclude, fix, bounds, unbounded, free, priors, start, loss,
-    noise, systematics : as in `fit`, for all throws. A prior of what the throws have in common
-        counts once.
+    law, load, stone, since, until, exclude, swept, fix, bounds, unbounded, free, priors, start,
+    loss, noise, systematics : as in `fit`, for all throws. A prior of what the throws have in
+        common counts once.
     share : "all" coefficients, or the names of those that the throws have in common; the others
         are each throw's own. Conditions, such as the slope of the ice, are always in common.
     progress : called with the number of steps done and chi squared.
@@ -84,8 +85,8 @@ def fit_together(
     shared = _shared(law, share)
     prepared = [
         PreparedThrow.of(
-            throw, law, stone, since=since, until=until, exclude=exclude, fix=fix, bounds=bounds,
-            unbounded=unbounded, free=free, priors=priors,
+            throw, law, stone, since=since, until=until, exclude=exclude, swept=swept, fix=fix,
+            bounds=bounds, unbounded=unbounded, free=free, priors=priors,
         )
         for throw in throws
     ]  # fmt: skip

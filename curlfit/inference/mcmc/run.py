@@ -11,13 +11,13 @@ import numpy as np
 from emcee.state import State
 
 from curlfit.errors import DataError
+from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import log_posterior
 from curlfit.inference.mcmc.chain import Chain, SamplerState, require_same, subject_of
 from curlfit.inference.mcmc.convergence import BLOCK, Diagnosis, diagnose, steps_to_discard
 from curlfit.inference.mcmc.proposals import EnsembleMove
 from curlfit.inference.mcmc.ridge import first_walkers, ridge_move
-from curlfit.inference.problem import Origin, build_problem
 from curlfit.numerics.arrays import Floats
 
 ENSEMBLES = 4
@@ -40,9 +40,8 @@ class Run:
     def __init__(self, fit: FitResult, seed: int) -> None:
         self.seed, self.subject = seed, subject_of(fit, seed)
         self._model = fit.model
-        throw, parameters = fit.throw, fit.parameter_set
-        origin = Origin.of(throw)
-        self._problem = build_problem(throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise)
+        parameters = fit.parameter_set
+        self._problem, origin = problem_of(fit)
         self._offset = origin.offset(len(parameters))
         self._base = fit.values - self._offset
         self._penalty = parameters.shifted(-self._offset).penalty

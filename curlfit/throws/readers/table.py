@@ -25,17 +25,9 @@ from curlfit.throws.readers.text import (
 from curlfit.throws.throw import Reference
 
 _SETTINGS = (
-    "since",
-    "until",
-    "exclude",
-    "law",
-    "load",
-    "stone",
-    "sigma",
-    "seed",
-    "reference",
+    "since", "until", "exclude", "swept", "law", "load", "stone", "sigma", "seed", "reference",
     "axes",
-)
+)  # fmt: skip
 
 
 def first_lines(path: Path, lines: list[str]) -> tuple[int, list[tuple[int, str]]]:
@@ -160,6 +152,7 @@ def _check(settings: dict[str, Any]) -> None:
         if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
             raise InputError(f"{key} = {value!r}: expected a number")
     check_intervals("exclude", settings.get("exclude", []))
+    check_intervals("swept", [settings["swept"]] if "swept" in settings else [])
     check_seed(settings.get("seed", 0))
     Stone().with_values(settings.get("stone", {}))
     if "law" in settings:
