@@ -26,9 +26,10 @@ _TIMES = 32  # at which the friction may change
 _SMOOTH = 2  # terms of friction that changes smoothly with time
 _STEP = 1e-4  # relative change of the friction, for differences
 _SURE = 30.0
-"""Twice the gain of the log-likelihood by the best of some 500 intervals: at most 18 in 50 synthetic
-throws that nothing had changed, under wrong laws and correlated noise too, and at least 54 in 18 that
-were swept for 2 to 6 s, with friction less by a tenth to a third (noise of 5 mm)."""
+"""Twice the gain of the log-likelihood by the best of some 500 intervals: at most 18 in 50
+synthetic throws in which nothing had changed, under wrong laws and correlated noise too, and at
+least 54 in 18 that were swept for 2 to 6 s, with friction less by a tenth to a third (noise of 5
+mm)."""
 
 
 class FrictionChange(NamedTuple):
@@ -42,7 +43,7 @@ class FrictionChange(NamedTuple):
 
     def warning(self) -> str:
         """In words, with the flags that go with it."""
-        begin, end = f"{self.begin:.2g}", f"{self.end:.2g}"
+        begin, end = f"{self.begin:.1f}", f"{self.end:.1f}"
         return (
             f"the friction changes at once, by a factor of about {self.factor:.2f} between {begin} "
             f"and {end} s: sweeping, or a touched stone; `--sweep {begin}:{end}` makes the factor "
