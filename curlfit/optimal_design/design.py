@@ -23,6 +23,7 @@ from curlfit.friction import Law, Load, check_load
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import Identifiability, analyse
 from curlfit.inference.linearized_problem import classify
+from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.optimal_design.information import (
@@ -40,6 +41,7 @@ from curlfit.optimal_design.selection import (
     select_design,
 )
 from curlfit.optimal_design.separability import CoefficientPair, analyse_separation
+from curlfit.optimal_design.systematics import scenarios
 from curlfit.sheet import LINES, TEE, TEE_TO_BACK
 from curlfit.stone import Stone
 from curlfit.throws.synthetic import law_with
@@ -149,6 +151,12 @@ def design(
     curves = _curves(
         model, candidate_set, factors, records, candidates, best, load, record, quantities
     )
+    progress("systematic errors")
+    made = next(iter(best.values())).throws
+    found = scenarios(
+        Model(kind, load), values, [candidates[index] for index in made], free, sigma, quantities,
+        record,
+    )  # fmt: skip
     separation = None
     if pair is not None:
         separation = analyse_separation(
@@ -179,6 +187,7 @@ def design(
         curves=curves,
         separation=separation,
         notes=_notes(rates, until, records),
+        scenarios=found,
     )  # fmt: skip
 
 

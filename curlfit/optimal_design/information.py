@@ -23,8 +23,10 @@ import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, no_motion_because
+from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import visible
-from curlfit.inference.likelihood import linearize, predict_channels
+from curlfit.inference.least_squares import Indices
+from curlfit.inference.likelihood import linearize, predict_channels, predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
@@ -55,6 +57,8 @@ class PlannedThrow(NamedTuple):
     rate: float
     """rows per second, Hz"""
     stone: Stone
+    heading: float = 0.0
+    """initial direction, rad; pi is back along the sheet"""
 
 
 class RecordInformation(NamedTuple):
@@ -69,7 +73,8 @@ class RecordInformation(NamedTuple):
     """from the first row to rest, m"""
     factors: Floats
     """by channel, for noise of 1 m, 1 rad ...: R factor of the information on coefficients and
-    initial state, by typical sizes; shape (channels, parameters, parameters)"""
+    initial state, by typical sizes, and then on the conditions that are looked at, by their widths;
+    shape (channels, parameters, parameters)"""
 
 
 def record_information(
@@ -80,6 +85,7 @@ def record_information(
     *,
     until: float | None = None,
     channels: int = 3,
+    widths: Mapping[str, float] | None = None,
 ) -> list[RecordInformation]:
     """The information of each of several throws.
 
@@ -88,6 +94,7 @@ def record_information(
     coefficients : of the law, shape (k,).
     until : end of the records in s; the time of rest if None.
     channels : number of the channels x, y, phi, speed, omega: 3 or 5.
+    widths : of conditions to look at, see `curlfit.inference.conditions`.
 
     Raises
     ------
@@ -118,8 +125,13 @@ def record_information(
         batch = some + [some[-1]] * (BATCH - len(some))
         own = [throws[index] for index, _ in batch]
         values = np.stack([_vector(coefficients, throw) for throw in own])
-        _, found = linearize(Model(law, load), values, _problems(batch, own, channels))
+        problems, model = _problems(batch, own, channels), Model(law, load)
+        _, found = linearize(model, values, problems)
         jacobian = np.asarray(found) * typical
+        if widths:
+            paths = predict_many(model, values, problems)
+            changes = residual_changes(model, problems, values, paths, widths, "linear", BATCH)
+            jacobian = np.concatenate([jacobian, np.stack(list(changes.values()), -1)], -1)
         for column, (index, _) in enumerate(some):
             if not np.isfinite(jacobian[column]).all():
                 raise _no_motion(law, load, throws[index])
@@ -135,7 +147,7 @@ def _r_factor(matrix: Floats) -> Floats:
 
 
 def _vector(coefficients: Floats, throw: PlannedThrow) -> Floats:
-    start = {"v0": throw.v0, "omega0": throw.omega0}
+    start = {"v0": throw.v0, "omega0": throw.omega0, "heading": throw.heading}
     return np.array([*coefficients, *(start.get(item.name, 0.0) for item in START)])
 
 
@@ -207,6 +219,16 @@ def coefficient_information(
     -------
     Upper triangular, shape (free, free), by typical sizes.
     """
+    return marginal_factor(law, record, sigma, np.flatnonzero(free))
+
+
+def marginal_factor(
+    law: type[Law], record: RecordInformation, sigma: Mapping[str, float], columns: Indices
+) -> Floats:
+    """R factor of the information on some columns of a record's, marginal over the initial state.
+
+    Parameters and result as of `coefficient_information`, for columns in place of coefficients.
+    """
     k = len(law.coefficients())
     rows = [
         record.factors[row] / sigma[name]
@@ -218,13 +240,13 @@ def coefficient_information(
         "x0": "x" in sigma, "y0": "y" in sigma, "phi0": "phi" in sigma,
         "heading": {"x", "y"} <= sigma.keys(),
     }  # fmt: skip
-    columns = [k + column for column, item in enumerate(START) if estimated.get(item.name, True)]
-    coefficients, start = stacked[:, :k][:, free], stacked[:, columns]
+    state = [k + column for column, item in enumerate(START) if estimated.get(item.name, True)]
+    wanted, start = stacked[:, columns], stacked[:, state]
     left, singular, _ = np.linalg.svd(start, full_matrices=False)
     left = left[:, singular > _ROUNDING * singular[0]]
     for _ in range(2):  # twice, against rounding
-        coefficients = coefficients - left @ (left.T @ coefficients)
-    factor = _r_factor(coefficients)
+        wanted = wanted - left @ (left.T @ wanted)
+    factor = _r_factor(wanted)
     full = np.zeros((factor.shape[1], factor.shape[1]))
     full[: len(factor)] = factor
     return full

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from rich.console import Console, Group, JustifyMethod, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from curlfit.inference.conditions import WIDTHS, if_off
 from curlfit.output.console import terminal
 from curlfit.output.text import STYLE, join_words, plain_table
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
         ExpectedErrors,
         LoadScenario,
         Proof,
+        Scenario,
         Separation,
     )
 
@@ -30,6 +32,7 @@ _CRITERIA = {
 }
 _WEAK = 0.05  # relative error above which a difference is weakly determined
 _SCATTER = 0.01  # relative, of the ice from throw to throw
+_WORTH = 1.2  # factor by which a systematic error has to become smaller
 _MAX_LISTED = 24  # candidates; the others are in design.json
 _LENGTH_AND_ANGLE = {"x": ("m", "mm", "um"), "phi": ("rad", "mrad", "urad")}
 _UNITS = {
@@ -48,6 +51,9 @@ def report(design: Design) -> RenderableType:
     """The report of a design, for a rich console."""
     parts: list[RenderableType] = [_heading(design), _best(design)]
     parts += [_paragraph(line) for line in _summary(design)]
+    if design.scenarios:
+        parts += [Text("Systematic errors of these throws", style="bold"), _scenarios(design)]
+        parts.append(_paragraph(_recommended(design.scenarios)))
     parts += [Text("Expected errors from a single throw", style="bold"), _single_throws(design)]
     if design.separation is not None:
         parts += _separation(design, design.separation)
@@ -115,6 +121,44 @@ def _heading(design: Design) -> RenderableType:
         f"h = {stone.h:g} m"
     )
     return text
+
+
+def _scenarios(design: Design) -> RenderableType:
+    """The systematic error of each quantity, thrown one way and the other."""
+    table = plain_table()
+    table.add_column("coefficient", no_wrap=True)
+    for one in design.scenarios:
+        table.add_column(one.name, justify="right", no_wrap=True)
+    for name in design.quantities:
+        table.add_row(name, *(two_digits(one.systematic[name]) for one in design.scenarios))
+    return Padding(table, (1, 0))
+
+
+def _recommended(scenarios: Sequence[Scenario]) -> str:
+    """Which way of throwing is worth it, and the largest of what is left."""
+    planned, *others = scenarios
+    first = planned.systematic
+    gains = {
+        one.name: max(first[name] / max(error, 1e-300) for name, error in one.systematic.items())
+        for one in others
+    }
+    # Of ways that gain about the same, the simplest.
+    best = next(name for name, gain in gains.items() if gain > 0.8 * max(gains.values()))
+    chosen = next(one for one in others if one.name == best)
+    left = []
+    for name, shifts in chosen.shifts.items():
+        condition = max(shifts, key=lambda key: abs(shifts[key]))
+        verb = "higher" if shifts[condition] > 0 else "lower"
+        text = if_off(condition, WIDTHS[condition])
+        left.append(f"{text}, {name} is {two_digits(abs(shifts[condition]))} {verb}")
+    said = "What is left" if gains[best] > _WORTH else "The largest shifts"
+    remains = f"{said}: {'; '.join(left)}."
+    if gains[best] <= _WORTH:
+        return f"Throwing with both spins or in both directions cancels little. {remains}"
+    return (
+        f"Throw with {best}, in equal shares: the systematic errors, mostly by ice that is not "
+        f"level, become smaller by up to a factor of {gains[best]:.2g}. {remains}"
+    )
 
 
 def _best(design: Design) -> RenderableType:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from os import PathLike
@@ -72,6 +73,29 @@ class ExpectedErrors:
 
 
 @dataclass(frozen=True)
+class Scenario:
+    """Errors of the best throws, thrown in equal shares with one or both senses of spin, and in one
+    or both directions of the sheet.
+
+    Attributes
+    ----------
+    name : such as "both spins".
+    stderr : standard error by quantity.
+    shifts : by quantity and by condition that a fit holds, for one width of it (see
+        `curlfit.inference.conditions`).
+    """
+
+    name: str
+    stderr: dict[str, float | None]
+    shifts: dict[str, dict[str, float]]
+
+    @property
+    def systematic(self) -> dict[str, float]:
+        """Systematic error by quantity: the shifts in quadrature."""
+        return {name: math.hypot(*shifts.values()) for name, shifts in self.shifts.items()}
+
+
+@dataclass(frozen=True)
 class Design:
     """The expected errors of planned throws.
 
@@ -91,6 +115,7 @@ class Design:
     separation : separability of two coefficients, if requested or if only their sum is
         determined.
     notes : caveats, as sentences.
+    scenarios : systematic errors of the D-best throws, as planned and thrown otherwise.
     """
 
     law: str
@@ -111,6 +136,7 @@ class Design:
     curves: dict[str, dict[str, list[float | None]]]
     separation: Separation | None
     notes: tuple[str, ...]
+    scenarios: tuple[Scenario, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """The record as written to `design.json`."""
@@ -132,6 +158,9 @@ class Design:
                 },
                 "separation": None if separation is None else Separation.from_json(separation),
                 "notes": tuple(data["notes"]),
+                "scenarios": tuple(
+                    Scenario(**known_fields(Scenario, item)) for item in data.get("scenarios", ())
+                ),
             }
         )
 

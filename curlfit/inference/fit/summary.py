@@ -121,7 +121,7 @@ def summarize_many(
     changes = {}
     if paths is not None and widths:
         loss = fits[0].loss
-        changes = residual_changes(model, problems, solutions, paths, widths, loss, batch)
+        changes = residual_changes(model, problems, solutions.values, paths, widths, loss, batch)
     systematics = []
     for throw, one in enumerate(found):
         by_condition = shifts(

@@ -16,7 +16,6 @@ import numpy as np
 
 from curlfit.inference.conditions import ALL, WIDTHS, check_systematics
 from curlfit.inference.identifiability import Identifiability, inverted, visible
-from curlfit.inference.least_squares import Solution
 from curlfit.inference.model import Model
 from curlfit.inference.noise.correlated import whitened
 from curlfit.inference.noise.losses import root_slope
@@ -49,7 +48,7 @@ def widths_of(model: Model, given: Mapping[str, float] | None = None) -> dict[st
 def residual_changes(
     model: Model,
     problems: Problem,
-    solutions: Solution,
+    values: Floats,
     paths: Floats,
     widths: Mapping[str, float],
     loss: str,
@@ -59,7 +58,7 @@ def residual_changes(
 
     Parameters
     ----------
-    paths : at the optima, shape (throws, 5, n).
+    values : of the parameters, shape (throws, parameters), and their `paths`, (throws, 5, n).
     widths : as `widths_of` gives them.
 
     Returns
@@ -72,11 +71,11 @@ def residual_changes(
         if name == "length_scale":
             change = np.zeros_like(paths)
             first = len(model.law.coefficients()) + len(model.conditions)
-            change[:, :2] = paths[:, :2] - solutions.values[:, first : first + 2, None]
+            change[:, :2] = paths[:, :2] - values[:, first : first + 2, None]
             change = change * width
         else:
             changed = _changed(problems, name, _STEP * width)
-            change = (predict_many(model, solutions.values, changed, batch) - paths) / _STEP
+            change = (predict_many(model, values, changed, batch) - paths) / _STEP
         change = change[:, :channels] * problems.weight
         if problems.whitener is not None:
             pairs = zip(change, unstacked(problems.whitener), strict=True)

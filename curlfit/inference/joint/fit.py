@@ -254,7 +254,7 @@ def _shifts(
     model, problems, each = rounds.model, rounds.problems, solution.each
     batch = len(each.values)
     paths = predict_many(model, each.values, problems, batch)
-    changes = residual_changes(model, problems, each, paths, widths, rounds.loss, batch)
+    changes = residual_changes(model, problems, each.values, paths, widths, rounds.loss, batch)
     gradients = {}
     for name, change in changes.items():
         total = np.zeros(len(layout.names))
