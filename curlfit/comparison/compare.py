@@ -25,6 +25,7 @@ from curlfit.comparison.criteria import (
     residuals_of,
     with_criteria,
 )
+from curlfit.comparison.evidence import effective_parameters
 from curlfit.comparison.result import PLACE, Candidate, Comparison
 from curlfit.errors import UnusableFitError
 from curlfit.friction import LAWS, Law, NetLaw, find_law
@@ -160,7 +161,9 @@ def _fitted(throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free
                 {"expression": item.expression, "value": item.value, "stderr": item.stderr}
                 for item in result.combinations
             ),
-            n_parameters=result.rank + len(result.sigma) + noise_parameters(result.noise),
+            n_parameters=effective_parameters(result)
+            + len(result.sigma)
+            + noise_parameters(result.noise),
             rms=result.rms,
             bulk=None if result.loss == "linear" else sizes(result, residuals_of(result)),
             curl_explained=explained,
@@ -231,6 +234,8 @@ def _ranked(found: list[_Fitted]) -> Comparison:
     found = sorted(found, key=order)
     ranked = [one.candidate for one in found if _counts(one.candidate)] or [found[0].candidate]
     least = {name: min(getattr(item, name) for item in ranked) for name in ("aicc", "bic")}
+    evidence = max(item.log_evidence or -math.inf for item in ranked)
+    total = sum(math.exp((item.log_evidence or -math.inf) - evidence) for item in ranked)
     candidates, rank = [], 0
     for item in (one.candidate for one in found):
         if item.bic is not None and item.aicc is not None:
@@ -238,10 +243,12 @@ def _ranked(found: list[_Fitted]) -> Comparison:
                 item,
                 delta_aicc=item.aicc - least["aicc"],
                 delta_bic=item.bic - least["bic"],
+                delta_evidence=(item.log_evidence or -math.inf) - evidence,
             )
         if _counts(item):
             rank += 1
-            item = replace(item, rank=rank)
+            weight = math.exp(item.delta_evidence or 0.0) / total
+            item = replace(item, rank=rank, weight=weight)
         candidates.append(item)
     first = fits[0]
     curl, side = bend(first)

@@ -1,10 +1,10 @@
 """Information criteria: log-likelihoods, and the numbers of values and parameters that count.
 
-What the path determines counts, not what the law has: the rank of the Jacobian, and one for each
-noise that was estimated. Where the residuals of the law that fits best are correlated from row to
-row, the log-likelihood of each channel counts by its effective number of values over the number of
-its rows (the variance inflation of QAICc: Burnham and Anderson 2002, sect. 2.5), for all laws
-alike. That is an approximation, and the report says so.
+What the path determines counts, not what the law has: the effective number of parameters (see
+`evidence`), and one for each noise that was estimated. Where the residuals of the law that fits
+best are correlated from row to row, the log-likelihood of each channel counts by its effective
+number of values over the number of its rows (the variance inflation of QAICc: Burnham and Anderson
+2002, sect. 2.5), for all laws alike. That is an approximation, and the report says so.
 
 Under a robust loss the likelihood is that of the noise which the loss stands for, at its likeliest
 sigma (see `losses.log_density`); all laws are fitted and ranked under the same.
@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from curlfit.comparison.evidence import log_evidence
 from curlfit.comparison.result import Candidate
 from curlfit.inference.likelihood import SIGMA_FLOOR
 
@@ -105,9 +106,9 @@ def with_criteria(
     likelihood: Mapping[str, float],
     effective: Mapping[str, float],
 ) -> Candidate:
-    """AICc (Hurvich and Tsai 1989) and BIC (Schwarz 1978) by the effective number of values, from
-    the log-likelihood of each channel."""
-    k, n = candidate.n_parameters or 0, result.n_observations
+    """AICc (Hurvich and Tsai 1989), BIC (Schwarz 1978) and evidence by the effective number of
+    values, from the log-likelihood of each channel."""
+    k, n = candidate.n_parameters or 0.0, result.n_observations
     values = {name: len(residual) for name, residual in residuals_of(result).items()}
     counted = {name: effective.get(name, float(values[name])) for name in values}
     twice = 2 * sum(part * counted[name] / values[name] for name, part in likelihood.items())
@@ -115,4 +116,5 @@ def with_criteria(
         candidate,
         aicc=2 * k - twice + 2 * k * (k + 1) / max(n - k - 1, 1),
         bic=k * float(np.log(sum(counted.values()))) - twice,
+        log_evidence=log_evidence(result, twice / 2, sum(counted.values()) / sum(values.values())),
     )

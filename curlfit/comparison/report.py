@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from curlfit.comparison.result import Candidate, Comparison
 
 
+_PROBABLE = 0.01  # weight of a law that is named
+
+
 def print_comparison(comparison: Comparison, console: Console | None = None) -> None:
     """Print the report of a comparison."""
     console = console or terminal()
@@ -51,7 +54,7 @@ def _ranks(comparison: Comparison) -> RenderableType:
     table.add_column("", justify="right", no_wrap=True)
     table.add_column("law", no_wrap=True)
     table.add_column("load", no_wrap=True)
-    right = ("k", "dBIC", "dAICc", "x (mm)", "y (mm)", "phi (mrad)", "curl")
+    right = ("k", "dBIC", "dlnZ", "x (mm)", "y (mm)", "phi (mrad)", "curl")
     for head in right:
         table.add_column(head, justify="right", no_wrap=True)
     table.add_column("follows", no_wrap=True)
@@ -69,9 +72,9 @@ def _ranks(comparison: Comparison) -> RenderableType:
             rank,
             name,
             item.load,
-            str(item.n_parameters),
+            "" if item.n_parameters is None else f"{item.n_parameters:.3g}",
             _difference(item.delta_bic),
-            _difference(item.delta_aicc),
+            _difference(item.delta_evidence),
             *(f"{1000 * size[c]:.3g}" if c in size else "" for c in ("x", "y", "phi")),
             "" if item.curl_explained is None else _share(item.curl_explained),
             _FOLLOWS[item.follows],
@@ -82,9 +85,10 @@ def _ranks(comparison: Comparison) -> RenderableType:
         measure = "size of the bulk"
         by = f" BIC and AICc are of noise as the {comparison.loss} loss has it."
     note = Text(
-        f"k: what is determined, with noises; x, y, phi: {measure} of the residuals; curl: share "
-        "of the bend explained; ccw curls: ways the law can bend a counter-clockwise throw. A law "
-        "follows the path where no residual is above a tenth of the departure from straight, even "
+        "k: what is determined, with noises; dlnZ: log evidence less the largest (AICc is in "
+        f"compare.json); x, y, phi: {measure} of the residuals; curl: share of the bend "
+        "explained; ccw curls: ways the law can bend a counter-clockwise throw. A law follows the "
+        "path where no residual is above a tenth of the departure from straight, even "
         f"motion, or above the noise.{by}",
         style="dim",
     )
@@ -161,9 +165,22 @@ def conclusions(comparison: Comparison) -> list[str]:
                 f"{item.label}: follows the path only with negative "
                 f"{join_words(list(item.negative))}."
             )
+    if weights := [item for item in within if item.weight is not None]:
+        lines.append(_about_evidence(weights))
     if comparison.effective:
         lines.append(_about_correlation(comparison))
     return lines
+
+
+def _about_evidence(ranked: list[Candidate]) -> str:
+    """The laws that the evidence leaves, and their probabilities."""
+    ordered = sorted(ranked, key=lambda item: -(item.weight or 0.0))
+    named = [item for item in ordered if (item.weight or 0.0) > _PROBABLE] or ordered[:1]
+    said = join_words([f"{item.label} has {_share(item.weight or 0.0)}" for item in named])
+    return (
+        f"By their evidence, with equal probabilities of the {len(ranked)} before, {said}. That is "
+        "among these laws alone, and none of them may be right."
+    )
 
 
 def _about_correlation(comparison: Comparison) -> str:

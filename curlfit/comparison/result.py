@@ -27,7 +27,7 @@ class Candidate:
     status, converged : of the fit; all that follows is None or empty where there is none.
     coefficients : by name, {"value", "stderr", "verdict", "unit"}; see `FitResult`.
     combinations : expression and value, where single coefficients are not identifiable.
-    n_parameters : effective number: rank of the Jacobian plus noises estimated.
+    n_parameters : effective number (see `curlfit.comparison.evidence`), with noises estimated.
     rms : by channel, m, m, rad. bulk : the same of the bulk of the residuals (1.4826 times their
         median size), under a robust loss.
     curl_explained : share of the path's curl that the law gives, 1 at best; None where the path
@@ -36,7 +36,11 @@ class Candidate:
         even motion, or within its noise; None where correlated noise may explain the residual.
     log_likelihood : of noise as the noise model and the loss have it.
     aicc, bic : the same, by the effective number of values (see `Comparison.effective`).
-    delta_aicc, delta_bic : above the best of the ranked candidates.
+    log_evidence : of the likelihood averaged over the prior, up to a constant common to all.
+    delta_aicc, delta_bic : above the best of the ranked candidates. delta_evidence : log evidence
+        below the largest of these.
+    weight : probability of the law by its evidence, if the ranked candidates had equal ones before;
+        None if not ranked.
     rank : place by BIC among the candidates within their laws' bounds, from 1; None if not ranked.
     sides : to which sides the law can curl a slowing counter-clockwise stone on this path, within
         its bounds: a part of ("left", "right").
@@ -53,7 +57,7 @@ class Candidate:
     converged: bool = False
     coefficients: dict[str, dict[str, Any]] | None = None
     combinations: tuple[dict[str, Any], ...] = ()
-    n_parameters: int | None = None
+    n_parameters: float | None = None
     rms: dict[str, float] | None = None
     bulk: dict[str, float] | None = None
     curl_explained: float | None = None
@@ -63,6 +67,9 @@ class Candidate:
     bic: float | None = None
     delta_aicc: float | None = None
     delta_bic: float | None = None
+    log_evidence: float | None = None
+    delta_evidence: float | None = None
+    weight: float | None = None
     rank: int | None = None
     sides: tuple[str, ...] = ()
     negative: tuple[str, ...] = ()

@@ -1,0 +1,173 @@
+"""Evidence: the likelihood of a law, averaged over what its parameters may be before the data.
+
+Prior. A parameter to which the fit gives a prior has that one. Any other coefficient has a normal
+density about zero, cut off at its bounds, whose standard deviation is three times the larger of its
+typical size and its default: it says no more than the order of magnitude. The initial state, and
+conditions without a prior, have a flat density that is the same for all laws, so that evidences of
+one throw compare, and ratios of them are Bayes factors (Kass and Raftery 1995).
+
+Integral. Chi squared is taken as quadratic (Laplace), which leaves a Gaussian integral over the box
+of the bounds. It is exact along ridges, where the prior alone limits it, and at bounds: a parameter
+that the data push against its bound contributes the integral over its half-line, and the others the
+probability of the box under their joint normal density.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import log_ndtr
+from scipy.stats import multivariate_normal
+
+from curlfit.friction import Coefficient
+from curlfit.inference.fit.result import FitResult
+from curlfit.numerics.arrays import Booleans, Floats
+
+_ORDER = 3.0  # standard deviation of a coefficient's prior over its typical size or default
+_FAR = 8.0  # standard deviations within which a bound matters
+_LEAST = 1e-12  # probability of a box
+
+
+class _Gaussian(NamedTuple):
+    """Exponent c + b d - d A d/2 of an integrand, in d, the free parameters less the estimates."""
+
+    constant: float
+    linear: Floats
+    precision: Floats
+
+
+class _PriorTerms(NamedTuple):
+    mean: Floats
+    precision: Floats
+    """0 where the density is flat"""
+    log_density: float
+    """of the flat ones, and of what the bounds cut off the others"""
+
+
+def log_evidence(result: FitResult, log_likelihood: float, share: float = 1.0) -> float:
+    """Logarithm of the evidence, up to a constant that is the same for all laws.
+
+    Parameters
+    ----------
+    log_likelihood : at the fit. share : effective over all values, by which the information
+        counts.
+    """
+    names = result.information["names"]
+    values = np.array([result.parameters[name].value for name in names])
+    lower, upper = (
+        np.array([getattr(result.parameters[name], end) for name in names])
+        for end in ("lower", "upper")
+    )
+    prior, (information, gradient) = _prior(result, names), _of_data(result, names)
+    off = prior.mean - values
+    whole = _Gaussian(
+        log_likelihood + prior.log_density - 0.5 * float(off @ (prior.precision * off)),
+        share * gradient + prior.precision * off,
+        share * information + np.diag(prior.precision),
+    )
+    pushed = np.array([result.parameters[name].verdict == "at bound" for name in names])
+    return _integral(whole, lower - values, upper - values, pushed)
+
+
+def effective_parameters(result: FitResult) -> float:
+    """Number of parameters away from their bounds that the data rather than the prior determine:
+    the trace of J^T J (J^T J + P)^-1, P the precision of the prior."""
+    names = result.information["names"]
+    free = [
+        index for index, name in enumerate(names) if result.parameters[name].verdict != "at bound"
+    ]
+    information = _of_data(result, names)[0][np.ix_(free, free)]
+    prior = _prior(result, names).precision[free]
+    size = np.sqrt(np.maximum(np.diag(information) + prior, 1e-300))
+    scaled, own = information / np.outer(size, size), np.diag(prior / size**2)
+    return float(np.trace(np.linalg.lstsq(scaled + own, scaled, rcond=1e-13)[0]))
+
+
+def _prior(result: FitResult, names: list[str]) -> _PriorTerms:
+    coefficients = {item.name: item for item in result.law_class.coefficients()}
+    priors = result.parameter_set.priors
+    mean, precision = np.zeros((2, len(names)))
+    log_density = 0.0
+    for index, name in enumerate(names):
+        known, item = priors.get(name), result.parameters[name]
+        if known is not None and known.kind == "uniform":
+            log_density -= math.log(item.upper - item.lower)
+            continue
+        if known is not None:
+            mean[index] = 0.0 if known.kind == "half-normal" else known.mode
+            sd = known.values[-1] if known.kind != "lognormal" else known.sd
+        elif name in coefficients:
+            sd = _ORDER * _size(coefficients[name])
+        else:
+            continue
+        precision[index] = 1 / sd**2
+        ends = (np.array([item.lower, item.upper]) - mean[index]) / sd
+        log_density -= math.log(sd) + 0.5 * math.log(2 * math.pi) + _log_between(*ends)
+    return _PriorTerms(mean, precision, log_density)
+
+
+def _size(item: Coefficient) -> float:
+    return max(item.typical, abs(item.default))
+
+
+def _log_between(low: float, high: float) -> float:
+    """Logarithm of the probability of an interval under the standard normal density."""
+    if low > 0:
+        low, high = -high, -low
+    return float(log_ndtr(high) + np.log1p(-np.exp(log_ndtr(low) - log_ndtr(high))))
+
+
+def _of_data(result: FitResult, names: list[str]) -> tuple[Floats, Floats]:
+    """Information and gradient of the log-likelihood, without the priors that the fit has."""
+    information = np.array(result.information["matrix"])
+    gradient = np.array(result.information["gradient"])
+    penalty = result.parameter_set.penalty
+    if penalty is None:
+        return information, gradient
+    free = [result.parameter_set.index(name) for name in names]
+    residual, slope = penalty.residual_and_slope(result.values)
+    return (
+        information - np.diag(slope[free] ** 2),
+        gradient + (residual * slope)[free],
+    )
+
+
+def _integral(gaussian: _Gaussian, lower: Floats, upper: Floats, pushed: Booleans) -> float:
+    """Logarithm of the integral over a box."""
+    inner, outer = np.flatnonzero(~pushed), np.flatnonzero(pushed)
+    size = np.sqrt(np.maximum(np.diag(gaussian.precision), 1e-300))
+    matrix = gaussian.precision / np.outer(size, size)
+    linear = gaussian.linear / size
+    block = matrix[np.ix_(inner, inner)]
+    squares, axes = np.linalg.eigh(block)
+    seen = squares > 1e-14 * squares.max(initial=0.0)
+    inverse = (axes[:, seen] / squares[seen]) @ axes[:, seen].T
+    mean = inverse @ linear[inner]
+    total = gaussian.constant + 0.5 * float(linear[inner] @ mean)
+    total += 0.5 * (seen.sum() * math.log(2 * math.pi) - float(np.log(squares[seen]).sum()))
+    total -= float(np.log(size[inner]).sum())
+    total += _log_box(mean, inverse, (lower * size)[inner], (upper * size)[inner])
+    # Each pushed parameter over its half-line, the others following.
+    for index in outer:
+        cross = matrix[index, inner]
+        stiffness = max(float(matrix[index, index] - cross @ inverse @ cross), 1e-12)
+        push = abs(float(linear[index] - cross @ mean))
+        root = math.sqrt(stiffness)
+        total += push**2 / (2 * stiffness) + float(log_ndtr(-push / root))
+        total += 0.5 * math.log(2 * math.pi / stiffness) - math.log(size[index])
+    return total
+
+
+def _log_box(mean: Floats, covariance: Floats, lower: Floats, upper: Floats) -> float:
+    """Logarithm of the probability of a box."""
+    sd = np.sqrt(np.diag(covariance))
+    near = (lower > mean - _FAR * sd) | (upper < mean + _FAR * sd)
+    if not near.any():
+        return 0.0
+    some = np.ix_(near, near)
+    found = multivariate_normal(mean[near], covariance[some], allow_singular=True, seed=1).cdf(
+        upper[near], lower_limit=lower[near]
+    )
+    return math.log(max(float(found), _LEAST))

@@ -1,0 +1,125 @@
+"""The evidence of laws against integrals done otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import truncnorm
+
+import curlfit
+from curlfit.comparison.criteria import log_likelihood
+from curlfit.comparison.evidence import (
+    _Gaussian,
+    _integral,
+    effective_parameters,
+    log_evidence,
+)
+from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.likelihood import chi_squared_of_many
+from curlfit.numerics.compiled import BATCH, stacked
+
+FIXED = {"mu1_xi": 0.0018, "mu2_xi": 0.058, "x0": 0.0, "y0": 0.0, "heading": 0.0, "phi0": 0.0,
+         "omega0": 1.0}  # fmt: skip
+
+
+@pytest.mark.parametrize("width", [0.1, 1e-3, 1e-5])
+def test_a_ridge_within_a_box(width):
+    # a + b is known to `width`, each has a prior of mean 0.1 and standard deviation 0.3, in 0..1
+    information, prior = np.ones((2, 2)) / width**2, np.eye(2) / 0.3**2
+    whole = _Gaussian(0.0, prior @ [-0.1, -0.1], information + prior)
+    found = _integral(whole, np.full(2, -0.1), np.full(2, 0.9), np.zeros(2, bool))
+
+    def along(difference):
+        total = width * np.linspace(-8, 8, 4001)
+        a, b = (total + difference) / 2, (total - difference) / 2
+        exponent = -(total**2) / (2 * width**2) - (a**2 + b**2 + 0.2 * (a + b)) / (2 * 0.3**2)
+        inside = (a >= -0.1) & (b >= -0.1) & (a <= 0.9) & (b <= 0.9)
+        return np.trapezoid(np.exp(exponent) * inside, total)
+
+    differences = np.linspace(-1.0, 1.0, 4001)
+    values = [along(one) for one in differences]
+    assert found == pytest.approx(np.log(np.trapezoid(values, differences) / 2), abs=2e-3)
+
+
+@pytest.mark.parametrize("push", [0.1, 3.0, 300.0])
+def test_a_parameter_pushed_against_its_bound(push):
+    whole = _Gaussian(2.0, np.array([-push]), np.array([[4.0]]))
+    found = _integral(whole, np.zeros(1), np.full(1, np.inf), np.ones(1, bool))
+    expected = quad(lambda d: np.exp(-push * d - 2 * d**2), 0, 10 / push + 1e-9, limit=200)[0]
+    if push < 1:
+        expected = quad(lambda d: np.exp(-push * d - 2 * d**2), 0, 10)[0]
+    assert found == pytest.approx(2.0 + np.log(expected), abs=1e-4)
+
+
+@pytest.fixture(scope="module")
+def few(eq12):
+    """A throw of which three parameters are unknown, two of them along a ridge."""
+    random = np.random.default_rng(5)
+    law = curlfit.LAWS["front-back"](0.0018, 0.058, 0.009, 0.009)
+    t = np.arange(0.0, 15.0, 0.1)
+    start = curlfit.InitialState(v=2.0, omega=1.0)
+    path = curlfit.simulate(law, curlfit.Stone(), start, t).to_numpy()
+    noisy = [series + random.normal(0, 0.3, len(t)) for series in (path.x, path.y, path.phi)]
+    throw = curlfit.Throw.from_arrays(t, *noisy, sigma=dict.fromkeys(("x", "y", "phi"), 0.3))
+    return curlfit.fit(throw, fix=FIXED, systematics={"all": 0.0})
+
+
+def test_the_evidence_of_a_law_against_quadrature(few):
+    problem, origin = problem_of(few)
+    names = list(few.parameters)
+    values = few.values - origin.offset(len(few.values))
+    total = few.combinations[0]
+    sums = total.value + total.stderr * np.linspace(-6, 6, 25)
+    speeds = few.parameters["v0"].value + few.parameters["v0"].stderr * np.linspace(-6, 6, 25)
+    # of the difference of the two only the prior, and the bounds, depend
+    grid = np.stack(np.meshgrid(sums, speeds, indexing="ij"), -1).reshape(-1, 2)
+    points = np.tile(values, (len(grid), 1))
+    points[:, names.index("mu1_eta")] = points[:, names.index("mu2_eta")] = grid[:, 0] / 2
+    points[:, names.index("v0")] = grid[:, 1]
+    problems = stacked([problem] * len(grid))
+    chi_squared = chi_squared_of_many(few.model, points, problems, BATCH)
+    likelihood = np.exp(-0.5 * (chi_squared - few.chi_squared)).reshape(25, 25).sum(1)
+    likelihood *= speeds[1] - speeds[0]
+    prior = truncnorm(0, 1 / 0.03, scale=0.03)  # three times the typical size, 0.01, within 0..1
+    density = []
+    for one in sums:
+        differences = np.linspace(-one, one, 2001)
+        both = prior.pdf((one + differences) / 2) * prior.pdf((one - differences) / 2)
+        density.append(np.trapezoid(both, differences) / 2)
+    expected = np.log(np.sum(likelihood * density) * (sums[1] - sums[0]))
+    given = sum(log_likelihood(few).values())
+    assert log_evidence(few, given) - given == pytest.approx(expected, abs=0.02)
+
+
+def test_the_number_of_parameters_does_not_jump(few):
+    counts = []
+    for factor in 10.0 ** np.arange(-8, 9, 0.5):
+        scaled = (factor * np.array(few.information["matrix"])).tolist()
+        counts.append(
+            effective_parameters(replace(few, information={**few.information, "matrix": scaled}))
+        )
+    # The initial speed, whose prior is flat, counts always, what is along the ridge never.
+    assert counts[0] == pytest.approx(1.0, abs=0.01)
+    assert counts[-1] == pytest.approx(2.0, abs=1e-6)
+    assert np.all(np.diff(counts) > -1e-9)
+    assert np.diff(counts).max() < 0.6
+
+
+def test_a_prior_of_the_user_takes_the_place_of_the_default(few):
+    throw = few.throw
+    narrow = curlfit.fit(
+        throw, fix=FIXED, priors={"mu1_eta": "0.009+-1e-5"}, systematics={"all": 0.0}
+    )
+    given = sum(log_likelihood(narrow).values())
+    # The prior puts the likelihood's peak where it is: less is averaged away.
+    assert log_evidence(narrow, given) > log_evidence(few, sum(log_likelihood(few).values())) + 0.5
+
+
+def test_laws_that_are_the_same_on_a_path_have_the_same_evidence(eq12):
+    found = curlfit.compare(eq12, ["coulomb", "pressure"])
+    coulomb, pressure = found.of("coulomb"), found.of("pressure")
+    assert coulomb.log_evidence == pytest.approx(pressure.log_evidence, abs=1e-3)
+    assert coulomb.weight == pytest.approx(0.5, abs=1e-3)
