@@ -23,6 +23,7 @@ from curlfit.inference.likelihood import SIGMA_FLOOR
 import jax.numpy as jnp
 import numpy as np
 
+from curlfit.inference.fit.prepared import motion_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.noise.correlated import whitener_of
 from curlfit.inference.noise.losses import likeliest_sigma, log_density
@@ -32,8 +33,10 @@ from curlfit.throws.throw import CHANNELS
 
 
 def noise_parameters(noise: Noise) -> int:
-    """Parameters of a noise model beside sigma: each memory of "ar1", the one size of "gp"."""
-    return len(noise.memory) + bool(noise.sizes)
+    """Parameters of a noise model beside sigma: each memory of "ar1", the one size of "gp"
+    and the three of "discrepancy"."""
+    sizes = len(noise.sizes) if noise.kind == "discrepancy" else bool(noise.sizes)
+    return len(noise.memory) + sizes
 
 
 def residuals_of(result: FitResult) -> dict[str, Floats]:
@@ -70,7 +73,7 @@ def _of_correlated(result: FitResult) -> dict[str, float]:
             weight[row, there] = 1 / (result.sigma[name] if sigma is None else sigma[there])
             off = result.observed[name] - result.fitted[name]
             residual[row] = np.where(there, off, 0.0) * weight[row]
-    whitener = whitener_of(result.noise, t - t[0], weight)
+    whitener = whitener_of(result.noise, t - t[0], weight, motion_of(result))
     assert whitener is not None
     white = np.asarray(whitener.whiten(jnp.asarray(residual)))
     determinant = whitener.log_determinant()

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.environment import Environment
-from curlfit.inference.noise.correlated import whitener_of
+from curlfit.inference.noise.correlated import Motion, whitener_of
 from curlfit.inference.noise.models import LOSSES, Noise
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
@@ -84,6 +84,7 @@ def build_problem(
     loss: str = "linear",
     noise: Noise | None = None,
     environment: Environment | None = None,
+    motion: Motion | None = None,
     shape: tuple[int, int] | None = None,
 ) -> Problem:
     """The throw about an origin, padded.
@@ -92,6 +93,7 @@ def build_problem(
     ----------
     sigma : of the channels of which the throw gives none.
     environment : what is assumed of it, see `environment_of`; level and still if None.
+    motion : that a noise with a size belongs to.
     shape : of the data, channels and rows; as small as may be where not given.
     """
     n = len(throw)
@@ -111,7 +113,7 @@ def build_problem(
         environment=environment or LEVEL_AND_STILL,
         loss=np.asarray(LOSSES.index(loss)),
         stop=np.asarray(n - 1 if throw.stops else -1),
-        whitener=None if noise is None else whitener_of(noise, times, weight),
+        whitener=None if noise is None else whitener_of(noise, times, weight, motion),
     )
 
 

@@ -273,6 +273,8 @@ def _memory(fit: FitResult, channel: str) -> str:
     """The correlation of a channel's noise, in a few words."""
     if channel in fit.noise.memory:
         return f"memory {fit.noise.memory[channel]:.2g} s"
+    if fit.noise.kind == "discrepancy":
+        return "discrepancy"
     if channel in fit.noise.sizes:
         return f"smooth, {fit.noise.sizes[channel]:.2g} {UNITS[channel]}"
     return "independent"

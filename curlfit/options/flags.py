@@ -104,9 +104,10 @@ NoiseModel = Annotated[
     typer.Option(
         help="Correlation of the noise from row to row: `white` has none; `ar1` has an exponential "
         "autocorrelation, as from a filter or a swaying camera; `gp` is white noise plus a smooth "
-        "discrepancy, as from an inexact law. Estimated from the residuals. "
+        "discrepancy, as from an inexact law; `discrepancy` is white noise plus accelerations that "
+        "the law lacks, as functions of speed. Estimated from the residuals. "
         "[default: white]",
-        metavar="white|ar1|gp",
+        metavar="white|ar1|gp|discrepancy",
     ),
 ]
 Config = Annotated[

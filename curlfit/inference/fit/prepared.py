@@ -11,13 +11,14 @@ from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.friction import Law
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.noise.correlated import Motion
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Origin, Problem, build_problem, environment_of
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import stacked
 from curlfit.stone import Stone
-from curlfit.throws.throw import Throw
+from curlfit.throws.throw import CHANNELS, Throw
 
 
 class PreparedThrow(NamedTuple):
@@ -109,9 +110,16 @@ def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
     origin = Origin.of(throw)
     environment = environment_of(fit.data["swept"], origin.t)
     problem = build_problem(
-        throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise, environment=environment
-    )
+        throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise, environment=environment,
+        motion=motion_of(fit) if fit.noise.sizes else None,
+    )  # fmt: skip
     return problem, origin
+
+
+def motion_of(fit: FitResult) -> Motion:
+    """The motion that a fit has found, the times since its first row."""
+    t = fit.observed["t"]
+    return Motion(t - t[0], np.array([fit.fitted[name] for name in CHANNELS]), fit.stone)
 
 
 def check_period(swept: Sequence[float]) -> tuple[float, float]:

@@ -30,7 +30,7 @@ from curlfit.inference.least_squares import (
 )
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, raw_residuals
 from curlfit.inference.model import Model
-from curlfit.inference.noise.correlated import WHITENERS, whitener_of
+from curlfit.inference.noise.correlated import WHITENERS, Motion, whitener_of
 from curlfit.inference.noise.estimation import channel_residuals
 from curlfit.inference.noise.losses import robust_sigma
 from curlfit.inference.noise.models import LOSSES, Noise, time_of_motion
@@ -90,9 +90,10 @@ class Rounds:
     def revise(self, which: Indices, solutions: Solution) -> list[Revision]:
         """The throws to fit again, and how; nothing where the fits are done."""
         revisions = []
-        for number in np.unique(self._next[which]):
+        due = self._next[which]  # as it is now: each throw goes through one round
+        for number in np.unique(due):
             if number < len(self._rounds):
-                here = self._next[which] == number
+                here = due == number
                 self._next[which[here]] += 1
                 found = jax.tree.map(itemgetter(here), solutions)
                 revisions.append(self._rounds[number](which[here], found))
@@ -135,7 +136,7 @@ class Rounds:
     def _correlated(self, now: Indices, solutions: Solution) -> Revision:
         problems = self._problems_of(now)
         paths = predict_many(self.model, solutions.values, problems, self.batch)
-        estimated = []
+        estimated, motions = [], {}
         for place, index in enumerate(now):
             throw = self.throws[index].throw
             n = len(throw)
@@ -151,7 +152,11 @@ class Rounds:
                 continue
             estimated.append(index)
             kind = self.noises[index].kind
-            self.noises[index], sigma = WHITENERS[kind].estimate(channels, span)
+            motion = Motion(
+                self.problems.times[index, :n], paths[place, :, :n], self.throws[index].stone
+            )
+            self.noises[index], sigma = WHITENERS[kind].estimate(channels, span, motion)
+            motions[int(index)] = motion
             for row in np.flatnonzero(self.unknown[index]):
                 name = self.channels[row]
                 self.sigma[index, row] = sigma.get(name, self.sigma[index, row]) + SIGMA_FLOOR
@@ -159,8 +164,9 @@ class Rounds:
         self._reweighted(now)
         for index in now:
             whitener = whitener_of(
-                self.noises[index], self.problems.times[index], self.problems.weight[index]
-            )
+                self.noises[index], self.problems.times[index], self.problems.weight[index],
+                motions[int(index)],
+            )  # fmt: skip
             pairs = zip(*map(jax.tree.leaves, (self.problems.whitener, whitener)), strict=True)
             for leaf, new in pairs:
                 leaf[index] = new

@@ -19,9 +19,11 @@ import numpy as np
 from jaxtyping import Array
 from scipy.linalg import eigh
 
+from curlfit.inference.noise import accelerations
 from curlfit.inference.noise.estimation import ChannelResiduals, most_likely
 from curlfit.inference.noise.models import Noise, ar1_correlation, matern
 from curlfit.numerics.arrays import Floats
+from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
 
 _LASTING = (1e-3, 10.0)  # correlation time of "ar1" noise over the time of motion
@@ -31,17 +33,28 @@ _PURE = 300.0  # greatest discrepancy over the independent noise
 _NEGLIGIBLE = 0.05  # the same, below which there is none
 
 
+class Motion(NamedTuple):
+    """The motion that a fit has found."""
+
+    times: Floats
+    """of the rows, s since the first, shape (n,)"""
+    path: Floats
+    """x, y, phi, speed and spin at the times of the rows, shape (5, n)"""
+    stone: Stone
+
+
 class Whitener(Protocol):
     """What makes residuals with correlated noise independent: a NamedTuple of arrays."""
 
     @classmethod
-    def of(cls, noise: Noise, times: Floats, weight: Floats) -> Self:
+    def of(cls, noise: Noise, times: Floats, weight: Floats, motion: Motion | None) -> Self:
         """That of a noise; it changes nothing where the noise has no memory and no size.
 
         Parameters
         ----------
         times : s since the first row, shape (n,).
         weight : 1/sigma, 0 where nothing was observed, shape (channels, n).
+        motion : of the stone; None for a noise that has no size yet.
         """
 
     def whiten(self, residual: Array) -> Array:
@@ -52,7 +65,7 @@ class Whitener(Protocol):
 
     @staticmethod
     def estimate(
-        channels: Sequence[ChannelResiduals], span: float
+        channels: Sequence[ChannelResiduals], span: float, motion: Motion
     ) -> tuple[Noise, dict[str, float]]:
         """The noise of greatest restricted likelihood, and the sigmas that belong to it.
 
@@ -60,6 +73,7 @@ class Whitener(Protocol):
         ----------
         channels : residuals of a fit with white noise, of the channels to estimate a noise of.
         span : time after the first row for which the stone moves, s.
+        motion : of the stone in that fit.
 
         Returns
         -------
@@ -82,7 +96,7 @@ class AR1Whitener(NamedTuple):
     """1 over the part of sigma that it does not predict"""
 
     @classmethod
-    def of(cls, noise: Noise, times: Floats, weight: Floats) -> Self:
+    def of(cls, noise: Noise, times: Floats, weight: Floats, motion: Motion | None) -> Self:
         before = np.tile(np.arange(weight.shape[1]), (len(weight), 1))
         carry, scale = np.zeros_like(weight), np.ones_like(weight)
         for row, name in enumerate(CHANNELS[: len(weight)]):
@@ -103,7 +117,7 @@ class AR1Whitener(NamedTuple):
 
     @staticmethod
     def estimate(
-        channels: Sequence[ChannelResiduals], span: float
+        channels: Sequence[ChannelResiduals], span: float, motion: Motion
     ) -> tuple[Noise, dict[str, float]]:
         """One scale for all sigmas that were not given, and a memory for each channel."""
 
@@ -145,7 +159,7 @@ class DiscrepancyWhitener(NamedTuple):
     """1 - 1/sqrt(1 + s^2) by direction, shape (channels, k)"""
 
     @classmethod
-    def of(cls, noise: Noise, times: Floats, weight: Floats) -> Self:
+    def of(cls, noise: Noise, times: Floats, weight: Floats, motion: Motion | None) -> Self:
         directions = np.zeros((*weight.shape, _MODES))
         shrink = np.zeros((len(weight), _MODES))
         if not noise.sizes:
@@ -168,7 +182,7 @@ class DiscrepancyWhitener(NamedTuple):
 
     @staticmethod
     def estimate(
-        channels: Sequence[ChannelResiduals], span: float
+        channels: Sequence[ChannelResiduals], span: float, motion: Motion
     ) -> tuple[Noise, dict[str, float]]:
         """One scale for all discrepancies, and one for all sigmas that were not given."""
         squares = [_independent_square(item) for item in channels]
@@ -201,12 +215,72 @@ class DiscrepancyWhitener(NamedTuple):
         return Noise("gp", sizes=sizes, span=span), sigma
 
 
-WHITENERS: dict[str, type[Whitener]] = {"ar1": AR1Whitener, "gp": DiscrepancyWhitener}
+class AccelerationWhitener(NamedTuple):
+    """Of missing accelerations every direction in all channels together is scaled down, as by
+    `DiscrepancyWhitener` in one."""
+
+    directions: Any
+    """orthonormal, shape (channels, n, k)"""
+    shrink: Any
+    """shape (k,)"""
+
+    @classmethod
+    def of(cls, noise: Noise, times: Floats, weight: Floats, motion: Motion | None) -> Self:
+        count = len(accelerations.COMPONENTS) * accelerations.SHAPES
+        if not noise.sizes or motion is None:
+            return cls(np.zeros((*weight.shape, count)), np.zeros(count))
+        responses = accelerations.Responses.of(*motion)
+        sizes = np.repeat([noise.sizes[name] for name in accelerations.COMPONENTS],
+                          accelerations.SHAPES)  # fmt: skip
+        rows = np.stack([responses.at(times, row) for row in range(len(weight))])
+        matrix = (weight[..., None] * rows * sizes).reshape(-1, count)
+        left, singular, _ = np.linalg.svd(matrix, full_matrices=False)
+        directions = np.zeros((weight.size, count))
+        directions[:, : left.shape[1]] = left
+        shrink = np.zeros(count)
+        shrink[: len(singular)] = 1 - 1 / np.sqrt(1 + singular**2)
+        return cls(directions.reshape(*weight.shape, count), shrink)
+
+    def whiten(self, residual: Array) -> Array:
+        along = jnp.einsum("cnk,cn->k", self.directions, residual) * self.shrink
+        return residual - jnp.einsum("cnk,k->cn", self.directions, along)
+
+    def log_determinant(self) -> Floats:
+        # of all channels together, to which the first stands for the others
+        found = np.zeros(self.directions.shape[0])
+        found[0] = np.log1p(-self.shrink).sum()
+        return found
+
+    @staticmethod
+    def estimate(
+        channels: Sequence[ChannelResiduals], span: float, motion: Motion
+    ) -> tuple[Noise, dict[str, float]]:
+        """Sizes of the accelerations, and one scale for all sigmas that were not given."""
+        squares = [_independent_square(item) for item in channels]
+        responses = accelerations.Responses.of(*motion)
+        found = accelerations.estimate(channels, squares, responses)
+        sigma = {
+            item.name: math.sqrt(own) * found.scale * item.scale
+            for item, own in zip(channels, squares, strict=True)
+            if not item.given
+        }
+        return Noise("discrepancy", sizes=found.sizes, span=span), sigma
 
 
-def whitener_of(noise: Noise, times: Floats, weight: Floats) -> Whitener | None:
+WHITENERS: dict[str, type[Whitener]] = {
+    "ar1": AR1Whitener,
+    "gp": DiscrepancyWhitener,
+    "discrepancy": AccelerationWhitener,
+}
+
+
+def whitener_of(
+    noise: Noise, times: Floats, weight: Floats, motion: Motion | None = None
+) -> Whitener | None:
     """What makes a noise independent, see `Whitener.of`; None where it is white."""
-    return WHITENERS[noise.kind].of(noise, times, weight) if noise.kind in WHITENERS else None
+    if noise.kind not in WHITENERS:
+        return None
+    return WHITENERS[noise.kind].of(noise, times, weight, motion)
 
 
 def whitened(residual: Array, whitener: Whitener | None) -> Array:

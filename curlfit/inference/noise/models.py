@@ -1,6 +1,6 @@
 """Noise that is correlated from row to row: models of it, and tests of independence.
 
-Three models, by channel:
+The models:
 
 - "white": independent from row to row.
 - "ar1": the correlation decays exponentially, as exp(-gap/memory) between rows (an
@@ -12,6 +12,8 @@ Three models, by channel:
   which change over the whole throw. So its correlation time is the time for which the stone moves;
   to estimate it as well is to take what is left of a slow discrepancy, once the fit has hidden most
   of it, for a small quick one.
+- "discrepancy": independent noise, and accelerations that the law lacks, as functions of speed,
+  carried to all channels by the equations of motion (`curlfit.inference.noise.accelerations`).
 """
 
 from __future__ import annotations
@@ -37,7 +39,7 @@ _MATTERS = 0.2  # lag-1 correlation below which errors would hardly change
 LOSSES = ("linear", "huber", "soft-l1", "cauchy", "student")
 """How large residuals may count; `curlfit.inference.noise.losses` has the formulas."""
 
-NOISES = ("white", "ar1", "gp")
+NOISES = ("white", "ar1", "gp", "discrepancy")
 """How noise is correlated from row to row."""
 
 
@@ -66,9 +68,10 @@ class Noise:
 
     Attributes
     ----------
-    kind : "white", "ar1" or "gp".
+    kind : "white", "ar1", "gp" or "discrepancy".
     memory : of "ar1" by channel, its correlation time in s.
-    sizes : of "gp" by channel, standard deviation of the discrepancy (SI).
+    sizes : of "gp" by channel, standard deviation of the discrepancy (SI); of "discrepancy" by
+        component (`across`, `along`, `angular`), that of what is missing, over the friction.
     span : of "gp", the time in s after the first row for which the stone moves: the correlation
         time of the discrepancy, which is constant from then on.
     """

@@ -1,0 +1,199 @@
+"""Model discrepancy: accelerations that the law lacks, and what they do to a path.
+
+A law that is not exact lacks an acceleration across the velocity, one along it and an angular one.
+What it lacks recurs at the same speed, so each is a function of speed: a Gaussian process in the
+logarithm of the speed (friction laws are powers of it), of Matern covariance (order 5/2, length a
+factor e in speed). Mirroring a throw reverses the first and the last with the spin.
+
+Response. The friction of the law is taken as a function of speed along the path. A stone then
+passes through the same speeds at other times; with s = int a_along/v' dt, to first order,
+
+    dv = v' s,  db = int (a_across/v - b' a_along/v') dt + b' s,
+    domega = int (a_angular - omega' a_along/v') dt + omega' s,
+
+for the speed v, the heading b and the spin omega at a given time, of which position and angle are
+the integrals.
+
+Sizes. That of each component has an exponential prior, as penalised-complexity priors have it
+(Simpson et al. 2017, Statistical Science 32, 1), of which 5 % lie above the friction: a missing
+force of the contact is no larger than the contact force itself. For the rotation that is the moment
+of friction, mu g R/rho^2, times the mean of R omega/v, the ratio by which the sliding speed varies
+along the ring. Times the restricted likelihood this is a posterior of the sizes, whose second
+moments make the covariance of the discrepancy: sizes are averaged over, not put in at their best.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
+
+from curlfit.inference.noise.estimation import ChannelResiduals
+from curlfit.numerics.arrays import Floats
+from curlfit.stone import GRAVITY, Stone
+from curlfit.throws.throw import CHANNELS
+
+COMPONENTS = ("across", "along", "angular")
+SHAPES = 12  # basis functions of speed
+_TAIL = 0.05  # probability of the prior of a size above the friction
+_GRID = 400  # times of the path
+_SPEEDS = np.geomspace(0.02, 10.0, 161)  # m/s, at which shapes are tabulated
+_SLOWEST = 0.02  # of the initial speed, below which accelerations are those there
+_EDGES = np.geomspace(0.002, 1.0, 11)
+SIZES = np.sqrt(_EDGES[1:] * _EDGES[:-1])
+"""Over the friction: sizes in the middle of equal parts of the logarithm."""
+_ROUNDS = 3
+
+
+class Responses(NamedTuple):
+    """What accelerations of the size of the friction do to a path."""
+
+    t: Floats
+    """s since the first row"""
+    by_channel: Floats
+    """derivatives by components and shapes, shape (channels, times, 3 * SHAPES)"""
+    friction: float
+    """coefficient of friction, from the mean deceleration"""
+
+    @classmethod
+    def of(cls, times: Floats, path: Floats, stone: Stone) -> Responses:
+        """Those of a path: x, y, phi, speed and spin at times, shape (5, n)."""
+        distinct = np.flatnonzero(np.diff(times, prepend=-np.inf) > 0)
+        moving = np.flatnonzero(path[3, distinct] > 0)
+        last = distinct[min(int(moving[-1]) + 1 if len(moving) else 1, len(distinct) - 1)]
+        distinct = distinct[distinct <= last]
+        t = np.linspace(0.0, times[last], _GRID)
+        rates = CubicSpline(times[distinct], path[:3, distinct], axis=1)(t, 1)
+        speed = np.interp(t, times[distinct], path[3, distinct])
+        omega = np.interp(t, times[distinct], path[4, distinct])
+        speed = np.maximum(speed, _SLOWEST * speed[0])
+        heading = np.unwrap(np.arctan2(rates[0], rates[1]))
+        slow = np.gradient(speed, t)
+        mean = max((speed[0] - speed[-1]) / t[-1], 1e-6)
+        # a deceleration that vanishes would let a stone stay at one speed for ever
+        slow = np.minimum(slow, -0.1 * mean)
+        ratio = float(np.mean(np.minimum(stone.R * np.abs(omega) / speed, 1.0)))
+        scale = mean * np.array([1.0, 1.0, stone.R / stone.rho**2 * max(ratio, 0.01)])
+        shape = np.array([np.interp(np.log(speed), np.log(_SPEEDS), row) for row in _shapes()])
+        found = np.zeros((len(CHANNELS), 3, SHAPES, _GRID))
+        turn, spin_up = np.gradient(heading, t), np.gradient(omega, t)
+        for component, size in enumerate(scale):
+            across, along, angular = (size * shape * (component == k) for k in range(3))
+            s = _integral(along / slow, t)
+            heading_change = _integral(across / speed - turn * along / slow, t) + turn * s
+            spin_change = _integral(angular - spin_up * along / slow, t) + spin_up * s
+            speed_change = slow * s
+            sine, cosine = np.sin(heading), np.cos(heading)
+            found[:, component] = (
+                _integral(speed_change * sine + speed * cosine * heading_change, t),
+                _integral(speed_change * cosine - speed * sine * heading_change, t),
+                _integral(spin_change, t),
+                speed_change,
+                spin_change,
+            )
+        by_channel = found.reshape(len(CHANNELS), 3 * SHAPES, _GRID).swapaxes(1, 2)
+        return cls(t, by_channel, mean / GRAVITY)
+
+    def at(self, times: Floats, channel: int) -> Floats:
+        """Those of a channel at some times, constant after the path's end."""
+        columns = [np.interp(times, self.t, column) for column in self.by_channel[channel].T]
+        return np.array(columns).T
+
+
+class Estimate(NamedTuple):
+    """The discrepancy and the noise of a throw."""
+
+    sizes: dict[str, float]
+    """root mean square of each component's size over its posterior, over the friction"""
+    scale: float
+    """of the independent noise, over what it was taken to be"""
+
+
+def estimate(
+    channels: Sequence[ChannelResiduals], squares: Sequence[float], responses: Responses
+) -> Estimate:
+    """Sizes of the discrepancy, and one scale for all sigmas that were not given.
+
+    Parameters
+    ----------
+    channels : residuals of a fit with white noise.
+    squares : variance of the independent noise of each, over that which the fit assumed.
+    """
+    blocks = []
+    for item, square in zip(channels, squares, strict=True):
+        response = responses.at(item.t, CHANNELS.index(item.name))
+        weight = math.sqrt(item.block) * item.uneven / item.scale
+        blocks.append(
+            np.hstack([item.both[:, 1:], weight[:, None] * response, item.both[:, :1]])
+            / math.sqrt(square)
+        )
+    given = [item.given for item in channels]
+    count = sum(len(block) for block, known in zip(blocks, given, strict=True) if not known)
+    grid = np.stack(np.meshgrid(*[SIZES] * 3, indexing="ij"), -1).reshape(-1, 3)
+    n_nuisance = channels[0].both.shape[1] - 1
+
+    def log_posterior(scale: float, sizes: Floats) -> Floats:
+        rows = np.concatenate(
+            [block / (1.0 if own else scale) for block, own in zip(blocks, given, strict=True)]
+        )
+        likelihood = _log_likelihood(np.linalg.qr(rows, mode="r"), sizes, n_nuisance)
+        return likelihood - count * math.log(scale) + _log_prior(sizes)
+
+    scale, sizes = 1.0, grid[np.argmax(log_posterior(1.0, grid))][None]
+    for _ in range(_ROUNDS if count else 0):
+        best = minimize_scalar(
+            lambda log, sizes=sizes: -float(log_posterior(math.exp(log), sizes)[0]),
+            bounds=(-3.0, 3.0), method="bounded",
+        )  # fmt: skip
+        scale = math.exp(best.x)
+        sizes = grid[np.argmax(log_posterior(scale, grid))][None]
+    logs = log_posterior(scale, grid)
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    rms = np.sqrt(weights @ grid**2)
+    return Estimate(dict(zip(COMPONENTS, map(float, rms), strict=True)), scale)
+
+
+def _log_likelihood(factor: Floats, sizes: Floats, n_nuisance: int) -> Floats:
+    """Logarithm of the restricted likelihood at sizes, shape (sizes, 3), up to a constant.
+
+    Parameters
+    ----------
+    factor : R factor of the columns over their noise: of the parameters, of the shapes, residuals.
+    """
+    spent = np.log(np.abs(np.diag(factor)[:n_nuisance])).sum()
+    left = factor[n_nuisance:, n_nuisance:]
+    weighted = left[:, :-1] * np.repeat(sizes, SHAPES, axis=1)[:, None]
+    lower = np.linalg.cholesky(np.eye(3 * SHAPES) + weighted.mT @ weighted)
+    white = np.linalg.solve(lower, weighted.mT @ left[:, -1:])[..., 0]
+    log_determinant = 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(1)
+    found: Floats = (
+        (white**2).sum(1) - log_determinant - float(left[:, -1] @ left[:, -1])
+    ) / 2 - spent
+    return found
+
+
+def _log_prior(sizes: Floats) -> Floats:
+    """Logarithm of the prior density of the logarithms of the sizes."""
+    rate = -math.log(_TAIL)
+    found: Floats = (np.log(sizes) - rate * sizes).sum(-1)
+    return found
+
+
+def _integral(values: Floats, t: Floats) -> Floats:
+    """From the first time, along the last axis, by the trapezoidal rule."""
+    steps = (values[..., 1:] + values[..., :-1]) / 2 * np.diff(t)
+    return np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(steps, -1)], -1)
+
+
+@cache
+def _shapes() -> Any:
+    """Leading Karhunen-Loeve functions of an acceleration of size 1, shape (functions, speeds)."""
+    gap = np.abs(np.log(_SPEEDS[:, None] / _SPEEDS)) * math.sqrt(5)
+    squares, vectors = np.linalg.eigh((1 + gap + gap**2 / 3) * np.exp(-gap))
+    return (np.sqrt(np.maximum(squares, 0.0)) * vectors).T[: -SHAPES - 1 : -1]
