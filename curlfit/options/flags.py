@@ -49,7 +49,8 @@ Systematic = Annotated[
     list[str] | None,
     typer.Option(
         help="Standard uncertainty of a condition that is held, for the systematic errors: "
-        "`slope_x=2e-4`; 0 where it is known, `all=0` for none. `curlfit laws --conditions` lists the defaults.",
+        "`slope_x=2e-4`; 0 where it is known, `all=0` for none. `curlfit laws --conditions` lists "
+        "the defaults.",
         metavar="NAME=V",
     ),
 ]
