@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from io import StringIO
 
 import numpy as np
@@ -230,6 +231,7 @@ def test_what_rests_on_a_prior_is_said_to(split, without, tmp_path):
     assert other.stderr == pytest.approx(0.001, rel=1e-3)
     assert split.parameters["mu1_xi"].verdict == "determined"
     said = shown(split)
+    assert "The path and the priors determine 10 of 10 parameters." in said
     assert "mu1_eta and mu2_eta rest on the priors: the path alone does not determine them" in said
     split.save(tmp_path / "fit.json")
     again = load_fit(tmp_path)
@@ -310,3 +312,22 @@ def test_many_throws_side_by_side_are_each_fitted_as_alone(throw, split):
             assert abs(other.value - item.value) < 1e-3 * item.stderr, name
             assert other.stderr == pytest.approx(item.stderr, rel=1e-4)
             assert (other.verdict, other.prior) == (item.verdict, item.prior)
+
+
+def test_a_prior_does_not_make_the_estimated_noise_larger(throw):
+    """The first fit weights 1 m like 1 rad: there the prior would outweigh the data."""
+    priors = {"mu2_xi": "0.06+-0.002"}
+    throws = [replace(one, sigma={}) for one in (throw, thrown(omega0=-1.5, seed=2))]
+    plain = [curlfit.fit(one, fix=SPLIT) for one in throws]
+    for fits in (
+        [curlfit.fit(one, fix=SPLIT, priors=priors) for one in throws],
+        fit_throws(throws, fix=SPLIT, priors=priors),
+        curlfit.fit_together(throws, share=[], fix=SPLIT, priors=priors).throws,
+    ):
+        for fit, without in zip(fits, plain, strict=True):
+            assert fit.sigma == pytest.approx(without.sigma, rel=1e-4)
+            item, other = fit.parameters["mu2_xi"], without.parameters["mu2_xi"]
+            weight = 1 / (1 + (other.stderr / 0.002) ** 2)
+            expected = weight * other.value + (1 - weight) * 0.06
+            assert item.value == pytest.approx(expected, abs=0.01 * other.stderr)
+            assert fit.prior_chi_squared == pytest.approx(25, rel=0.1)
