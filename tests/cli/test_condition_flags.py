@@ -104,13 +104,15 @@ def test_settings_of_a_file_mean_what_the_flags_mean(typed, folder):
 
 
 def test_several_throws_share_the_conditions(typed, folder):
-    out = typed("fit", "a.csv", "b.csv", *COULOMB, *FLAGS, "--systematic", "rho=0", "--no-figures")
+    out = typed("fit", "a.csv", "b.csv", "--free", "slope_x", "--prior",
+ "mu1_xi=0.01+-0.001", "--systematic", "rho=0", "--no-figures")  # fmt: skip
     joint = load_joint(folder / "joint-fit")
+    assert joint.coefficients["mu1_xi"].prior == "0.01+-0.001"
     assert abs(joint.coefficients["slope_x"].value - 2e-4) < 4e-5
     assert {"slope_x", "rho"}.isdisjoint(joint.systematics.widths)
-    assert joint.systematics.errors["mu"] > 0
+    assert joint.systematics.errors["mu1_xi"] > 0
     said = body(out)
-    assert "shared: mu, slope_x" in said
+    assert "shared: mu1_xi, mu2_xi, mu1_eta, mu2_eta, slope_x" in said
     assert "Systematic errors are those of conditions that the fit holds" in said
     assert " ".join(typed("show", "joint-fit").split()) == said
     saved = load_fit(folder / "joint-fit" / "a")

@@ -167,13 +167,6 @@ def test_a_condition_is_fixed_at_a_value_or_estimated(name):
     if item.stderr is not None:
         assert item.value == pytest.approx(true[name], abs=1e-3 * item.stderr)
 
-    prior = f"{true[name]!r}+-{WIDTHS[name]!r}"
-    item = curlfit.fit(throw, fix=SPLIT | others, priors={name: prior}).parameters[name]
-    assert item.verdict == ("determined" if ALONE[name] == "determined" else "prior")
-    assert item.value == pytest.approx(true[name], abs=0.005 * WIDTHS[name])
-    errors = [WIDTHS[name], free.parameters[name].stderr or np.inf]
-    assert item.stderr == pytest.approx(1 / np.linalg.norm(1 / np.array(errors)), rel=0.02)
-
 
 def test_in_the_mirror_the_slope_changes_sign_and_the_coefficients_stay():
     throw = measured({"slope_x": 2e-4}, noise=1.0)
