@@ -39,8 +39,7 @@ def print_fit(fit: FitResult, console: Console | None = None) -> None:
 def report(fit: FitResult) -> RenderableType:
     """The report of a fit, for a rich console."""
     parts: list[RenderableType] = [_heading(fit), _coefficients(fit), *_student(fit)]
-    if fit.systematics.errors:
-        said = systematics(fit.systematics, _reported(fit))
+    if said := systematics(fit.systematics, _reported(fit)):
         parts.append(Padding(Text(said), (0, 0, 1, 0)))
     parts += [*_beside_reference(fit), _quality(fit)]
     parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))

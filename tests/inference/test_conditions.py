@@ -116,6 +116,12 @@ def test_widths_may_be_given_and_conditions_may_be_known():
     assert wide.shifts["mu1_xi"]["slope_x"] == pytest.approx(2 * shift, rel=1e-4)
     only = curlfit.fit(throw, fix=SPLIT, systematics={"all": 0, "slope_x": 1e-4}).systematics
     assert only.errors["mu1_xi"] == pytest.approx(abs(shift), rel=1e-6)
+    small = curlfit.fit(throw, fix=SPLIT, systematics={"all": 0, "slope_x": 1e-9})
+    text = StringIO()
+    print_fit(small, Console(width=110, file=text))
+    assert "systematic  verdict" in text.getvalue()
+    assert "Systematic errors" not in text.getvalue()  # none that counts
+    assert "\n\n\n" not in text.getvalue()
     none = curlfit.fit(throw, fix=SPLIT, systematics={"all": 0})
     assert (none.systematics.widths, none.systematics.errors) == ({}, {})
     text = StringIO()
