@@ -211,6 +211,8 @@ class Tasks(NamedTuple):
     """shape (parameters,)"""
     penalty: Penalty | None = None
     """each field of the shape of the start"""
+    revised_penalty: Penalty | None = None
+    """the same once a problem is revised; needed where there is a penalty and a revision"""
 
 
 class Revision(NamedTuple):
@@ -273,7 +275,8 @@ class _Searches:
     def __init__(self, tasks: Tasks) -> None:
         self.problems: Problem = jax.tree.map(np.array, tasks.problems)
         self.bounds = lm.Bounds(tasks.lower, tasks.upper, tasks.typical)
-        self.penalty = tasks.penalty
+        self.penalty: Penalty | None = jax.tree.map(np.array, tasks.penalty)
+        self.revised_penalty = tasks.revised_penalty
         self.state = lm.begin(tasks.start, self.bounds, _QUICK)
         shape = self.problems.observed.shape
         self.residual = np.full(shape, np.nan)
@@ -301,6 +304,9 @@ class _Searches:
         now, problems, scale = revision
         run = run_of(now)
         state, bounds = self._of(run)
+        if self.penalty is not None and self.revised_penalty is not None:
+            for part, new in zip(self.penalty, self.revised_penalty, strict=True):
+                part[run] = new[run]
         if scale is None:
             for leaf, new in zip(*map(jax.tree.leaves, (self.problems, problems)), strict=True):
                 leaf[run] = new

@@ -13,7 +13,7 @@ import numpy as np
 from curlfit.errors import DataError, InputError
 from curlfit.friction import Law, Parameter
 from curlfit.inference.conditions import CONDITIONS
-from curlfit.inference.priors import Penalty, Prior, parse_priors, penalty_of
+from curlfit.inference.priors import NO_PRIOR, Penalty, Prior, parse_priors, penalty_of
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.throw import Throw
 
@@ -254,6 +254,10 @@ class ParameterSet:
         )
         fixed = {name: value + by[self.index(name)] for name, value in self.fixed.items()}
         return replace(self, parameters=moved, fixed=fixed, offset=self.offset - by)
+
+    def without_priors(self) -> ParameterSet:
+        """The same, bounds too, with priors that say nothing."""
+        return replace(self, priors=dict.fromkeys(self.priors, NO_PRIOR))
 
     def with_fixed(self, name: str, value: float) -> ParameterSet:
         """The same with one more parameter fixed."""

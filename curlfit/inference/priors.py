@@ -145,6 +145,10 @@ class Penalty(NamedTuple):
         )
 
 
+NO_PRIOR = Prior("normal", (0.0, math.inf))
+"""Adds nothing to chi squared, in the form of one that does."""
+
+
 def penalty_of(
     parameters: Iterable[Parameter], priors: Mapping[str, Prior], offset: Floats | float = 0.0
 ) -> Penalty | None:

@@ -39,8 +39,7 @@ def print_fit(fit: FitResult, console: Console | None = None) -> None:
 def report(fit: FitResult) -> RenderableType:
     """The report of a fit, for a rich console."""
     parts: list[RenderableType] = [_heading(fit), _coefficients(fit), *_student(fit)]
-    if fit.systematics.errors:
-        said = systematics(fit.systematics, _reported(fit))
+    if said := systematics(fit.systematics, _reported(fit)):
         parts.append(Padding(Text(said), (0, 0, 1, 0)))
     parts += [*_beside_reference(fit), _quality(fit)]
     parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
@@ -285,7 +284,9 @@ def identifiability(fit: FitResult) -> str:
     free = [name for name, item in fit.parameters.items() if item.verdict != "fixed"]
     by_prior = [name for name, item in fit.parameters.items() if item.verdict == "prior"]
     held = [name for name in free if name not in fit.covariance["names"]]
-    text = f"The path determines {fit.rank} of {len(free) - len(held)} parameters"
+    given = any(item.prior for item in fit.parameters.values())
+    what = "The path and the priors determine" if given else "The path determines"
+    text = f"{what} {fit.rank} of {len(free) - len(held)} parameters"
     text += f" ({', '.join(held)} at a bound not counted)." if held else "."
     unseen = [name for name in free if fit.parameters[name].verdict == "not identifiable"]
     if unseen:

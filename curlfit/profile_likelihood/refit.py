@@ -130,7 +130,7 @@ class Refit:
         if self.lowest is None or self.lowest.chi_squared > self.chi_squared - _BETTER:
             return False
         (solution,) = self._solved([(self.parameters, self.lowest.values)])
-        if solution is None or solution.chi_squared > self.chi_squared - _BETTER:
+        if solution is None or solution.objective > self.chi_squared - _BETTER:
             return False
         self.solution, self.lowest = solution, None
         return True

@@ -92,8 +92,8 @@ class Profile:
     name : of the parameter. best : its value in the fit.
     law, load, loss, data : of the fit; `data` has "file", "rows", "from", "to".
     parameters : of the fit, by name.
-    chi_squared : of the fit, of `n_observations` values. Under a robust loss it is minus twice the
-        logarithm of the likelihood of that loss.
+    chi_squared : of the fit, of `n_observations` values and its priors. Under a robust loss it is
+        minus twice the logarithm of the likelihood of that loss, and of the priors.
     at : values of the parameter, increasing, shape (n,), denser where the profile is steep.
     delta : chi squared there minus that of the fit; NaN where the law admits no motion.
     others : by name, the other free parameters there.

@@ -120,7 +120,7 @@ def _search_range(fits: ConstrainedFits, name: str) -> tuple[float, float]:
     index = fits.refit.parameters.index(name)
     bounds = fits.refit.parameters.lower[index], fits.refit.parameters.upper[index]
     best = float(fits.best.held[0])
-    if item.verdict == "determined" and item.stderr:
+    if item.verdict in ("determined", "prior") and item.stderr:
         step, most, parallel = REACH * item.stderr, _LAST * item.typical, 1
     else:
         step, most, parallel = _FIRST * item.typical, _LAST * item.typical, _PARALLEL

@@ -153,7 +153,7 @@ def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSqu
     tries = starts(model, problem, path, parameters)
     if start:
         tries.insert(0, prepared.with_start(tries[0], start))
-    solution, tried = multistart(model, tries, parameters, problem, path)
+    solution, tried = multistart(model, tries, prepared.first_parameters, problem, path)
     if solution is None:
         raise UnusableFitError(
             f"{prepared.throw.name}: law {model.law.name} with {model.load} load gives no finite "
@@ -296,7 +296,8 @@ def _fitted_together(
         return rounds.revise(which, solutions) if len(which) else []
 
     typical = throws[0].parameters.typical
-    tasks = Tasks(rounds.problems, begin, lower, upper, typical, penalties(throws))
+    priors = penalties(throws, first=True), penalties(throws)
+    tasks = Tasks(rounds.problems, begin, lower, upper, typical, *priors)
     solutions = minimize_many(model, tasks, revise)
     each = unstacked(solutions)
     usable = np.flatnonzero(solutions.success & ~poor)

@@ -87,6 +87,13 @@ class PreparedThrow(NamedTuple):
         """The parameters in the problem's coordinates."""
         return self.parameters.shifted(-self.offset)
 
+    @property
+    def first_parameters(self) -> ParameterSet:
+        """The same for the first fit. Where that weights channels evenly, 1 m like 1 rad, priors
+        would outweigh the data, and what they spoil would pass for noise: they count later."""
+        local = self.local_parameters
+        return local.without_priors() if self.even_sigma() else local
+
     def even_sigma(self) -> dict[str, float]:
         """Sigma of the first fit for the channels whose own is unknown: even weights."""
         given = [float(np.nanmedian(series)) for series in self.throw.sigma.values()]
@@ -129,9 +136,12 @@ def check_period(swept: Sequence[float]) -> tuple[float, float]:
     return float(swept[0]), float(swept[1])
 
 
-def penalties(throws: Sequence[PreparedThrow]) -> Penalty | None:
-    """Of the priors of many throws, in the problems' coordinates; None without priors."""
-    each = [one.local_parameters.penalty for one in throws]
+def penalties(throws: Sequence[PreparedThrow], *, first: bool = False) -> Penalty | None:
+    """Of the priors of many throws, in the problems' coordinates; None without priors.
+
+    `first` is for the first fit, see `PreparedThrow.first_parameters`.
+    """
+    each = [(one.first_parameters if first else one.local_parameters).penalty for one in throws]
     known = [one for one in each if one is not None]
     return stacked(known) if known else None
 

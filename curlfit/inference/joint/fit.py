@@ -96,7 +96,9 @@ def fit_together(
     model = Model(law, checked, prepared[0].parameters.conditions)
     rounds = Rounds(model, prepared, loss=loss, noise=noise, shape=shape)
     local = [one.local_parameters for one in prepared]
-    layout = Layout(local, shared)
+    layout, first = (
+        Layout(sets, shared) for sets in (local, [one.first_parameters for one in prepared])
+    )
     initial = []
     for one, parameters, problem in zip(prepared, local, unstacked(rounds.problems), strict=True):
         alone = stacked([problem])
@@ -104,7 +106,7 @@ def fit_together(
         (values,) = start_values(model, alone, smooth(alone), *ends, batch=1)
         initial.append(one.with_start(values, start))
     best = layout.joined(np.stack(initial))
-    solution = minimize_jointly(model, rounds.problems, layout, best, progress)
+    solution = minimize_jointly(model, rounds.problems, first, best, progress)
     every = np.arange(len(prepared))
     while np.isfinite(solution.chi_squared) and rounds.revise(every, solution.each):
         best = solution.values
@@ -186,6 +188,10 @@ def _result(
             for name, joint in zip(estimates, names[layout.index[throw]], strict=True)
             if joint in systematic
         } | {item.expression: systematic[item.expression] for item in known.combinations}
+        prior = rounds.throws[throw].local_parameters.penalty
+        if prior is not None:  # of its own parameters and of the shared ones
+            own_prior = float(prior.chi_squared(solution.each.values[throw]))
+            result = replace(result, prior_chi_squared=own_prior)
         throws.append(
             replace(
                 result,

@@ -218,6 +218,8 @@ def require_same(stored: Mapping[str, str], now: Mapping[str, str], file: Path) 
             raise DataError(f"cannot be resumed: not the same {name} as before", file=file)
         if name == "bounds":
             value, was = _first_difference(value, was)
+        if name == "priors":
+            value, was = value or "none", was or "none"
         raise DataError(f"cannot be resumed: {name} was {was or 'unknown'}, now {value}", file=file)
 
 

@@ -33,6 +33,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
+from curlfit.inference.identifiability import triangle
 from curlfit.inference.noise.estimation import ChannelResiduals
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import GRAVITY, Stone
@@ -141,7 +142,7 @@ def estimate(
         rows = np.concatenate(
             [block / (1.0 if own else scale) for block, own in zip(blocks, given, strict=True)]
         )
-        likelihood = _log_likelihood(np.linalg.qr(rows, mode="r"), sizes, n_nuisance)
+        likelihood = _log_likelihood(triangle(rows), sizes, n_nuisance)
         return likelihood - count * math.log(scale) + _log_prior(sizes)
 
     scale, sizes = 1.0, grid[np.argmax(log_posterior(1.0, grid))][None]

@@ -1,0 +1,333 @@
+"""Priors: their densities against scipy, and what they do to fits against closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from io import StringIO
+
+import numpy as np
+import pytest
+from rich.console import Console
+from scipy import stats
+from scipy.optimize import minimize_scalar
+
+import curlfit
+from curlfit import LAWS, DataError, InputError, Stone, load_fit, sample, synthetic_throw
+from curlfit.friction import Parameter
+from curlfit.inference.fit.fit import fit_throws
+from curlfit.inference.priors import Prior, parse_priors, penalty_of
+from curlfit.inference.report import print_fit
+
+NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01}
+SPLIT = {"mu1_eta": 0.009}  # held, so that all others are determined
+
+
+def thrown(**choices):
+    throw = synthetic_throw(
+        LAWS["front-back"](), Stone(), noise_xy=0.005, noise_phi=0.01,
+        **{"v0": 2.1, "omega0": 1.2, "heading": 0.02, "seed": 1} | choices,
+    )  # fmt: skip
+    return throw.with_sigma(NOISE)
+
+
+@pytest.fixture(scope="module")
+def throw():
+    return thrown()
+
+
+@pytest.fixture(scope="module")
+def without(throw):
+    return curlfit.fit(throw, fix=SPLIT)
+
+
+def shown(fit):
+    text = StringIO()
+    print_fit(fit, Console(width=110, file=text))
+    return " ".join(text.getvalue().split())
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "values"),
+    [
+        ("0.1+-0.0025", "normal", (0.1, 0.0025)),
+        (" 0.1 +/- 2.5e-3 ", "normal", (0.1, 0.0025)),
+        ("-1e-4±2e-4", "normal", (-1e-4, 2e-4)),
+        ("normal: 0.1, 0.0025", "normal", (0.1, 0.0025)),
+        ("lognormal:0.05,0.3", "lognormal", (0.05, 0.3)),
+        ("half-normal:0.8", "half-normal", (0.8,)),
+        ("uniform:-1,2", "uniform", (-1.0, 2.0)),
+    ],
+)
+def test_a_prior_is_read_and_written(text, kind, values):
+    prior = Prior.parse("rho", text)
+    assert (prior.kind, prior.values) == (kind, values)
+    assert Prior.parse("rho", str(prior)) == prior
+    assert parse_priors({"rho": text, "h": prior}) == {"rho": prior, "h": prior}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is no prior; expected MEAN"),
+        ("0.1", "is no prior; expected MEAN"),
+        ("gamma:1,2", "is no prior; expected MEAN"),
+        ("lognormal:1", "lognormal:MEDIAN,SIGMA"),
+        ("half-normal:1,2", "half-normal:SD"),
+        ("uniform:a,b", "uniform:LOW,HIGH"),
+        ("normal:1", "is no prior; expected MEAN"),
+        ("0.1+-0", "expected a positive width"),
+        ("0.1+--1", "expected a positive width"),
+        ("half-normal:0", "expected a positive width"),
+        ("half-normal:inf", "expected finite numbers"),
+        ("uniform:0,nan", "expected finite numbers"),
+        ("lognormal:0.05,-1", "expected a positive width"),
+        ("lognormal:-0.05,1", "expected a positive median"),
+        ("uniform:2,1", "is empty; expected LOW below HIGH"),
+    ],
+)
+def test_what_is_no_prior_is_refused_by_the_parameter_s_name(text, said):
+    with pytest.raises(InputError, match="prior of rho: ") as refused:
+        Prior.parse("rho", text)
+    assert said in str(refused.value)
+
+
+def test_priors_of_no_parameter_and_of_fixed_ones_are_refused(throw):
+    for choices, said in (
+        ({"priors": {"mu": "1+-1"}}, "no parameter 'mu'.*conditions are slope_x"),
+        ({"priors": {"mu1_xi": "1+-1"}, "fix": {"mu1_xi": 0.1}}, "mu1_xi is fixed and has a prior"),
+        ({"free": ["rho"], "fix": {"rho": 0.1}}, "rho is fixed and is free"),
+        ({"priors": {"mu1_xi": "uniform:2,3"}}, "bound of mu1_xi: 2:1 is empty"),
+    ):
+        with pytest.raises(InputError, match=said):
+            curlfit.fit(throw, **choices)
+
+
+@pytest.mark.parametrize(
+    ("text", "density"),
+    [
+        ("0.1+-0.0025", stats.norm(0.1, 0.0025)),
+        ("lognormal:0.05,0.3", stats.lognorm(0.3, scale=0.05)),
+        ("half-normal:0.8", stats.halfnorm(scale=0.8)),
+        ("uniform:0.01,0.3", stats.uniform(0.01, 0.29)),
+    ],
+)
+def test_penalties_are_twice_the_negative_log_densities_of_scipy(text, density):
+    prior = Prior.parse("a", text)
+    parameters = [Parameter("a", "1", -1.0, 1.0, 1.0, "a", "a"),
+                  Parameter("b", "1", -1.0, 1.0, 1.0, "b", "b")]  # fmt: skip
+    offset = np.array([0.0 if prior.kind == "lognormal" else 0.7, 0.0])
+    penalty = penalty_of(parameters, {"a": prior}, offset)
+    assert penalty_of(parameters, {}) is None
+    at = np.linspace(0.02, 0.25, 7)
+    values = np.stack([at - offset[0], np.full(7, 0.3)], -1)
+    found, exact = penalty.chi_squared(values), -2 * density.logpdf(at)
+    np.testing.assert_allclose(np.diff(found), np.diff(exact), rtol=1e-10, atol=1e-10)
+    assert prior.sd == pytest.approx(density.std(), rel=1e-10)
+    if prior.kind != "uniform":
+        # of the mode nothing is added, so that chi squared is comparable
+        mode = values.copy()
+        mode[:, 0] = prior.mode - offset[0]
+        np.testing.assert_allclose(penalty.chi_squared(mode), 0, atol=1e-20)
+    residual, slope = penalty.residual_and_slope(values)
+    step = 1e-7 * np.array([1.0, 0.0])
+    change = penalty.residual_and_slope(values + step)[0] - residual
+    np.testing.assert_allclose(slope[:, 0], change[:, 0] / 1e-7, rtol=1e-5, atol=1e-6)
+    low, high = prior.bounds(-1.0, 1.0)
+    assert density.cdf(low) == pytest.approx(max(0.0, density.cdf(-1.0)), abs=1e-12)
+    assert density.cdf(high) == pytest.approx(density.cdf(1.0), abs=1e-12)
+
+
+def test_a_normal_prior_is_one_more_datum(throw, without):
+    before = without.parameters["mu1_xi"]
+    centre, width = before.value + 2 * before.stderr, before.stderr
+    fit = curlfit.fit(throw, fix=SPLIT, priors={"mu1_xi": f"{centre}+-{width}"})
+    names, matrix = without.information["names"], np.array(without.information["matrix"])
+    row = names.index("mu1_xi")
+    more = matrix.copy()
+    more[row, row] += 1 / width**2
+    covariance = np.linalg.inv(more)
+    shift = covariance[row] * (centre - before.value) / width**2
+    assert shift[row] == pytest.approx(before.stderr, rel=1e-6)
+    for place, name in enumerate(names):
+        old, new = without.parameters[name], fit.parameters[name]
+        assert new.stderr == pytest.approx(np.sqrt(covariance[place, place]), rel=2e-3)
+        assert new.value - old.value == pytest.approx(shift[place], abs=1e-2 * old.stderr)
+    item = fit.parameters["mu1_xi"]
+    assert (item.verdict, item.prior) == ("determined", f"{centre:.10g}+-{width:.10g}")
+    # the prior is 1 sd off, and so are the data: 1 each
+    assert fit.prior_chi_squared == pytest.approx(1.0, rel=0.02)
+    assert fit.chi_squared == pytest.approx(without.chi_squared + 1.0, abs=0.02)
+    # the information that is kept has the prior in it, and vanishes at the optimum
+    np.testing.assert_allclose(fit.information["matrix"], more, rtol=0.05, atol=1e-3 * more.max())
+    error = np.sqrt(np.diag(covariance))
+    assert np.abs(np.array(fit.information["gradient"]) * error).max() < 1e-2
+
+
+def test_a_narrow_prior_holds_the_value_and_a_wide_one_says_nothing(throw, without):
+    narrow = curlfit.fit(throw, fix=SPLIT, priors={"mu2_xi": "0.051+-1e-9"})
+    item = narrow.parameters["mu2_xi"]
+    assert item.value == pytest.approx(0.051, abs=2e-9)
+    assert item.stderr == pytest.approx(1e-9, rel=1e-3)
+    held = curlfit.fit(throw, fix=SPLIT | {"mu2_xi": 0.051})
+    wide = curlfit.fit(throw, fix=SPLIT, priors={"mu2_xi": "0.3+-100"})
+    for fit, same in ((narrow, held), (wide, without)):
+        for name, item in same.parameters.items():
+            if item.stderr is not None:
+                found = fit.parameters[name]
+                assert abs(found.value - item.value) < 1e-3 * item.stderr, name
+                assert found.stderr == pytest.approx(item.stderr, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "density"),
+    [
+        ("lognormal:0.0503,0.002", stats.lognorm(0.002, scale=0.0503)),
+        ("half-normal:0.0006", stats.halfnorm(scale=0.0006)),
+    ],
+)
+def test_optima_are_those_of_scipy_on_chi_squared_and_log_density(throw, without, text, density):
+    name = "mu2_xi"
+    before = without.parameters[name]
+
+    def objective(value):
+        fit = curlfit.fit(throw, fix=SPLIT | {name: value}, systematics={"all": 0})
+        return fit.chi_squared - 2 * density.logpdf(value)
+
+    fit = curlfit.fit(throw, fix=SPLIT, priors={name: text})
+    found = fit.parameters[name]
+    assert abs(found.value - before.value) > before.stderr  # the prior matters
+    ends = found.value + 3 * before.stderr * np.array([-1, 1])
+    best = minimize_scalar(objective, bounds=ends, method="bounded", options={"xatol": 1e-9})
+    assert abs(found.value - best.x) < 2e-3 * before.stderr
+    step = 0.3 * before.stderr
+    rise = objective(best.x + step) + objective(best.x - step) - 2 * best.fun
+    assert found.stderr == pytest.approx(np.sqrt(2 / (rise / step**2)), rel=0.01)
+
+
+def test_a_uniform_prior_is_its_bounds(throw, without):
+    high = without.parameters["mu2_xi"].value - without.parameters["mu2_xi"].stderr
+    one = curlfit.fit(throw, fix=SPLIT, priors={"mu2_xi": f"uniform:0.04,{high!r}"})
+    other = curlfit.fit(throw, fix=SPLIT, bounds={"mu2_xi": (0.04, high)})
+    assert one.parameters["mu2_xi"].verdict == "at bound"
+    assert one.prior_chi_squared == 0
+    for name, item in other.parameters.items():
+        assert one.parameters[name].value == pytest.approx(item.value, rel=1e-6, abs=1e-9)
+        assert one.parameters[name].verdict == item.verdict
+
+
+@pytest.fixture(scope="module")
+def split(throw):
+    """The split of the longitudinal friction, which the path does not determine."""
+    return curlfit.fit(throw, priors={"mu1_eta": "0.008+-0.001"})
+
+
+def test_what_rests_on_a_prior_is_said_to(split, without, tmp_path):
+    item, other = split.parameters["mu1_eta"], split.parameters["mu2_eta"]
+    assert (item.verdict, other.verdict) == ("prior", "prior")
+    assert item.value == pytest.approx(0.008, abs=1e-7)
+    assert item.stderr == pytest.approx(0.001, rel=1e-4)
+    total = SPLIT["mu1_eta"] + without.parameters["mu2_eta"].value
+    assert item.value + other.value == pytest.approx(total, abs=1e-7)
+    assert other.stderr == pytest.approx(0.001, rel=1e-3)
+    assert split.parameters["mu1_xi"].verdict == "determined"
+    said = shown(split)
+    assert "The path and the priors determine 10 of 10 parameters." in said
+    assert "mu1_eta and mu2_eta rest on the priors: the path alone does not determine them" in said
+    split.save(tmp_path / "fit.json")
+    again = load_fit(tmp_path)
+    assert again.parameter_set.priors == {"mu1_eta": Prior("normal", (0.008, 0.001))}
+    assert again.to_json() == split.to_json()
+    assert shown(again) == said
+    assert (again.chi_squared, again.prior_chi_squared) == (
+        split.chi_squared, split.prior_chi_squared,
+    )  # fmt: skip
+
+
+def test_the_posterior_has_the_prior_in_it_and_a_chain_of_another_is_refused(
+    split, throw, tmp_path
+):
+    file = tmp_path / "chain.h5"
+    found, _ = sample(split, effective=600, checkpoint=file, seed=3)
+    for name in ("mu1_eta", "mu2_eta", "mu1_xi", "mu2_xi"):
+        item, ess = split.parameters[name], found.posterior.ess[name]
+        assert abs(found.posterior.mean[name] - item.value) < 4.5 * item.stderr / np.sqrt(ess)
+        assert found.posterior.sd[name] == pytest.approx(item.stderr, rel=4.5 / np.sqrt(2 * ess))
+    for priors, said in (
+        ({"mu1_eta": "0.008+-0.002"}, r"priors was mu1_eta 0.008\+-0.001, now mu1_eta 0.008\+-0.0"),
+        ({}, r"priors was mu1_eta 0.008\+-0.001, now none"),
+    ):
+        with pytest.raises(DataError, match=said):
+            sample(curlfit.fit(throw, priors=priors), checkpoint=file, resume=True, seed=3)
+
+
+def test_a_profile_has_the_prior_in_it(throw, without, split):
+    before = without.parameters["mu1_xi"]
+    prior = {"mu1_xi": f"{before.value + before.stderr}+-{before.stderr}"}
+    for fit, name in (
+        (curlfit.fit(throw, fix=SPLIT, priors=prior), "mu1_xi"),
+        (split, "mu1_eta"),
+        (split, "mu2_eta"),
+    ):
+        item = fit.parameters[name]
+        found = curlfit.profile(fit, name, points=9)
+        narrow = found.intervals[0]  # where chi squared, the prior counted, is 1 higher
+        assert narrow.low == pytest.approx(item.value - item.stderr, abs=0.02 * item.stderr)
+        assert narrow.high == pytest.approx(item.value + item.stderr, abs=0.02 * item.stderr)
+
+
+def test_throws_together_count_the_prior_of_what_they_share_once(throw):
+    throws = [throw, thrown(omega0=-1.5, seed=2)]
+    joint = curlfit.fit_together(throws, fix=SPLIT).coefficients["mu1_xi"]
+    prior = f"{joint.value + 2 * joint.stderr!r}+-{joint.stderr!r}"
+    found = curlfit.fit_together(throws, fix=SPLIT, priors={"mu1_xi": prior})
+    item = found.coefficients["mu1_xi"]
+    assert item.stderr == pytest.approx(joint.stderr / np.sqrt(2), rel=5e-3)
+    assert item.value - joint.value == pytest.approx(joint.stderr, rel=0.02)
+    assert item.verdict == "determined"
+    rests = curlfit.fit_together(throws, priors={"mu1_eta": "0.008+-0.001"})
+    assert rests.coefficients["mu2_eta"].verdict == "prior"
+    assert rests.coefficients["mu1_eta"].stderr == pytest.approx(0.001, rel=1e-3)
+
+
+def test_of_a_parameter_of_their_own_throws_have_a_prior_each(throw):
+    throws = [throw, thrown(omega0=-1.5, seed=2)]
+    free = curlfit.fit_together(throws, share=[], fix=SPLIT)
+    widths = [one.parameters["v0"].stderr for one in free.throws]
+    prior = {"v0": f"2.1+-{widths[0]!r}"}
+    found = curlfit.fit_together(throws, share=[], fix=SPLIT, priors=prior)
+    for one, width in zip(found.throws, widths, strict=True):
+        assert one.parameters["v0"].stderr == pytest.approx(
+            1 / np.hypot(1 / width, 1 / widths[0]), rel=0.02
+        )
+
+
+def test_many_throws_side_by_side_are_each_fitted_as_alone(throw, split):
+    priors = {"mu1_eta": "0.008+-0.001", "mu2_xi": "lognormal:0.06,0.004"}
+    throws = [throw, thrown(omega0=-1.5, seed=2)]
+    for one, many in zip(throws, fit_throws(throws, priors=priors), strict=True):
+        alone = curlfit.fit(one, priors=priors)
+        assert many.prior_chi_squared == pytest.approx(alone.prior_chi_squared, rel=1e-3)
+        for name, item in alone.parameters.items():
+            other = many.parameters[name]
+            assert abs(other.value - item.value) < 1e-3 * item.stderr, name
+            assert other.stderr == pytest.approx(item.stderr, rel=1e-4)
+            assert (other.verdict, other.prior) == (item.verdict, item.prior)
+
+
+def test_a_prior_does_not_make_the_estimated_noise_larger(throw):
+    """The first fit weights 1 m like 1 rad: there the prior would outweigh the data."""
+    priors = {"mu2_xi": "0.06+-0.002"}
+    throws = [replace(one, sigma={}) for one in (throw, thrown(omega0=-1.5, seed=2))]
+    plain = [curlfit.fit(one, fix=SPLIT) for one in throws]
+    for fits in (
+        [curlfit.fit(one, fix=SPLIT, priors=priors) for one in throws],
+        fit_throws(throws, fix=SPLIT, priors=priors),
+        curlfit.fit_together(throws, share=[], fix=SPLIT, priors=priors).throws,
+    ):
+        for fit, without in zip(fits, plain, strict=True):
+            assert fit.sigma == pytest.approx(without.sigma, rel=1e-4)
+            item, other = fit.parameters["mu2_xi"], without.parameters["mu2_xi"]
+            weight = 1 / (1 + (other.stderr / 0.002) ** 2)
+            expected = weight * other.value + (1 - weight) * 0.06
+            assert item.value == pytest.approx(expected, abs=0.01 * other.stderr)
+            assert fit.prior_chi_squared == pytest.approx(25, rel=0.1)
