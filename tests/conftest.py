@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
@@ -35,6 +36,7 @@ def pytest_configure(config: pytest.Config) -> None:
     unrolled loops, which make it no faster. Neither changes what it computes.
     """
     os.environ.pop("COLUMNS", None)  # reports are as wide as anywhere else
+    gc.set_threshold(100_000)  # as in `compiled.gc_paused`, for the tests' own programs
     if hasattr(config, "workerinput"):
         return
     lowered = jax.jit(lambda x: x).lower(0.0)
