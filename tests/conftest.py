@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -28,16 +30,23 @@ LONG = ("test_readme", "test_laws", "test_motion", "test_prediction", "test_hard
 
 def pytest_configure(config: pytest.Config) -> None:
     """Have the tests' own programs compile as curlfit's do (see `curlfit.numerics.compiled`), in
-    half the time, where this JAX knows how: set for the workers, before they start."""
+    half the time, where this JAX knows how: set for the workers, before they start.
+
+    Each program compiles in one piece, since all processors are busy with tests, and without
+    unrolled loops, which make it no faster. Neither changes what it computes.
+    """
     os.environ.pop("COLUMNS", None)  # reports are as wide as anywhere else
+    gc.set_threshold(100_000)  # as in `compiled.gc_paused`, for the tests' own programs
     if hasattr(config, "workerinput"):
         return
     lowered = jax.jit(lambda x: x).lower(0.0)
     with suppress(jax.errors.JaxRuntimeError):
-        lowered.compile(compiler_options={"xla_cpu_use_fusion_emitters": False})
+        options = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_parallel_codegen_split_count": 1}
+        lowered.compile(compiler_options=options)
+        flags = [f"--{name}={str(value).lower()}" for name, value in options.items()]
+        flags.append("--xla_backend_extra_options=xla_cpu_disable_loop_unrolling")
         # first, for of two that contradict each other XLA takes the last
-        given = os.environ.get("XLA_FLAGS", "")
-        os.environ["XLA_FLAGS"] = f"--xla_cpu_use_fusion_emitters=false {given}".strip()
+        os.environ["XLA_FLAGS"] = " ".join((*flags, os.environ.get("XLA_FLAGS", ""))).strip()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -152,6 +161,9 @@ def follow(
     return found
 
 
+_TRIALS = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])  # of the load
+
+
 @dataclass
 class Reference:
     """A local law on a dense ring, in plain numpy, for scipy's order-8 integrator.
@@ -172,12 +184,13 @@ class Reference:
     def __post_init__(self) -> None:
         s, w = np.polynomial.legendre.leggauss(self.nodes)
         self.s, self.w = (s + 1) / 2, w / 2
+        self.points = lru_cache(self.points)  # type: ignore[method-assign]
 
-    def ring(self, v: float, u: float, turned: float = 0.0, time: float = 0.0) -> Ring:
-        slow = np.pi if u >= 0 else 0.0
+    def points(self, slow: float, edges: tuple[float, ...]) -> tuple[np.ndarray, ...]:
+        """Polar angles, their cosines and sines, and weights."""
         alpha, weight = [], []
         for half in (1, -1):
-            gaps = [abs(abs(edge) - slow) for edge in self.edges(turned) if edge * half > 0]
+            gaps = [abs(abs(edge) - slow) for edge in edges if edge * half > 0]
             # |alpha| is pi s^3 away from the slow place
             ends = [0.0, *sorted((gap / np.pi) ** (1 / 3) for gap in gaps), 1.0]
             for low, high in pairwise(ends):
@@ -185,32 +198,42 @@ class Reference:
                 alpha.append(half * np.abs(slow - np.pi * s**3))
                 weight.append((high - low) * self.w * 3 * s**2 / 2)
         a, w = np.concatenate(alpha), np.concatenate(weight)
-        xi, eta = np.cos(a), np.sin(a)
+        return a, np.cos(a), np.sin(a), w
+
+    def ring(self, v: float, u: float, turned: float = 0.0, time: float = 0.0) -> Ring:
+        slow = np.pi if u >= 0 else 0.0
+        a, xi, eta, w = self.points(slow, tuple(self.edges(turned)))
         v_xi, v_eta = -u * eta, v + u * xi
         return Ring(a, xi, eta, v_xi, v_eta, np.hypot(v_xi, v_eta), w, turned, time)
 
     def force(self, v: float, u: float, turned: float = 0.0, time: float = 0.0) -> np.ndarray:
-        """Force over m g (right, forward) and moment over m g R."""
-        ring = self.ring(v, u, turned, time)
-        return self.net(ring, self.tilt(ring))
+        """Force over m g (right, forward) and moment over m g R.
+
+        The load (p, q) = -2 (h/R) T of eq. 8-9 is found by Newton's method from differences.
+        """
+        ring, tilt = self.ring(v, u, turned, time), np.zeros(2)
+        if self.h is None:
+            return self.net(ring, tilt)
+        size = -2 * self.h / self.R
+        force, *moved = self.net(ring, _TRIALS)
+        slope = np.array([(other - force)[:2] for other in moved]).T * (size / _TRIALS[1, 0])
+        inverse = np.linalg.inv(np.eye(2) - slope)
+        for _ in range(100):
+            change = inverse @ (size * force[:2] - tilt)
+            if np.abs(change).max() < 1e-14:
+                return force
+            tilt = tilt + change
+            force = self.net(ring, tilt)
+        raise AssertionError("the load does not settle")
 
     def net(self, ring: Ring, tilt: np.ndarray) -> np.ndarray:
-        """The same under the load 1 + p xi + q eta."""
-        load = 1 + tilt[0] * ring.xi + tilt[1] * ring.eta
+        """The same under the load 1 + p xi + q eta, of one or many (p, q) on the last axis."""
+        p, q = tilt[..., :1], tilt[..., 1:]
+        load = 1 + p * ring.xi + q * ring.eta
         t_xi, t_eta = self.traction(ring, load)
-        w = ring.weight * load
-        return np.array([w @ t_xi, w @ t_eta, w @ (ring.xi * t_eta - ring.eta * t_xi)])
-
-    def tilt(self, ring: Ring) -> np.ndarray:
-        """(p, q) = -2 (h/R) T of eq. 8-9, by repetition."""
-        tilt = np.zeros(2)
-        if self.h is None:
-            return tilt
-        for _ in range(100):
-            before, tilt = tilt, -2 * self.h / self.R * self.net(ring, tilt)[:2]
-            if np.abs(tilt - before).max() < 1e-14:
-                return tilt
-        raise AssertionError("the load does not settle")
+        n_xi, n_eta = load * t_xi, load * t_eta
+        moment = ring.xi * n_eta - ring.eta * n_xi
+        return np.array([n_xi @ ring.weight, n_eta @ ring.weight, moment @ ring.weight]).T
 
     def path(self, start: curlfit.InitialState, times: np.ndarray) -> np.ndarray:
         """x, y, phi at the times, shape (3, n); held after rest."""

@@ -14,6 +14,7 @@ from curlfit.dynamics.law_structure import (
     UNIT_POINT,
     depends_on_load,
     depends_on_turned_and_time,
+    example_law,
     is_mirror_symmetric,
     is_piecewise_tensor,
 )
@@ -155,14 +156,15 @@ def _balanced_tilt(law: LocalLaw, ring: _Ring, stone: Stone) -> tuple[Array, tup
     return jnp.where((tilt**2).sum(0) <= 1, tilt, jnp.nan), jacobian
 
 
-_STONE = len(Stone.__dataclass_fields__)
+_STONE = tuple(Stone.__dataclass_fields__)
 _Inputs = tuple[Array, ...]  # the law's coefficients, the stone's fields, v, omega, turned, time
 
 
 def _unpack(kind: type[Law], inputs: _Inputs) -> tuple[Any, ...]:
     k = len(kind.coefficients())
-    stone: Any = Stone(*inputs[k : k + _STONE])  # type: ignore[arg-type]
-    return (kind.from_vector(inputs), stone, *inputs[k + _STONE :])
+    end = k + len(_STONE)
+    stone: Any = Stone(*inputs[k:end])  # type: ignore[arg-type]
+    return (kind.from_vector(inputs), stone, *inputs[end:])
 
 
 def _ring(kind: Any, load: Load, inputs: _Inputs, clustering: NodeClustering) -> _Ring:
@@ -184,12 +186,20 @@ def _solve_load(kind: type[Law], load: Load, inputs: _Inputs, clustering: NodeCl
     return _balanced_tilt(law, _ring(kind, load, inputs, clustering), stone)
 
 
+def _moves_the_ring(kind: type[Law]) -> list[bool]:
+    """Which inputs enter the points of the ring, or the means over it."""
+    assert issubclass(kind, LocalLaw)
+    edges = any(example_law(kind).edges(1.0))
+    return [edges] * len(kind.coefficients()) + [name == "R" for name in _STONE] + [True] * 4
+
+
 def _accelerations(
     kind: type[Law],
     load: Load,
     inputs: _Inputs,
     clustering: NodeClustering,
     balance: Any,
+    ring: _Ring | None = None,
     *,
     differentiate_load: bool,
 ) -> tuple[Array, Array, Array]:
@@ -198,7 +208,7 @@ def _accelerations(
     if isinstance(law, NetLaw):
         net = law.accelerations(Motion(jnp.where(v > 0, v, 1.0), omega, turned, time), stone)
         return tuple(jnp.where(v > 0, value, 0.0) for value in net)  # type: ignore[return-value]
-    ring = _ring(kind, load, inputs, clustering)
+    ring = _ring(kind, load, inputs, clustering) if ring is None else ring
     tilt: Any = _NO_TILT
     if balance is not None:
         tilt, jacobian = balance
@@ -224,7 +234,10 @@ def _differentiable_jvp(
     inputs enter little of the sum."""
     inputs, clustering = primals
     balance = _solve_load(kind, load, inputs, clustering)
-    out = _accelerations(kind, load, inputs, clustering, balance, differentiate_load=False)
+    net = issubclass(kind, NetLaw)
+    ring = None if net else _ring(kind, load, inputs, clustering)
+    out = _accelerations(kind, load, inputs, clustering, balance, ring, differentiate_load=False)
+    moves_the_ring = [True] * len(inputs) if net else _moves_the_ring(kind)
     law, stone, *_ = _unpack(kind, inputs)
     dependences = [True] * (len(inputs) - 2) + depends_on_turned_and_time(law, stone)
     tangent_out = tuple(jnp.zeros_like(value) for value in out)
@@ -234,7 +247,10 @@ def _differentiable_jvp(
 
         def along(value: Array, index: int = index) -> tuple[Array, Array, Array]:
             shifted = (*inputs[:index], value, *inputs[index + 1 :])
-            return _accelerations(kind, load, shifted, clustering, balance, differentiate_load=True)
+            same = None if moves_the_ring[index] else ring
+            return _accelerations(
+                kind, load, shifted, clustering, balance, same, differentiate_load=True
+            )
 
         _, slope = jax.jvp(along, (inputs[index],), (jnp.ones_like(inputs[index]),))
         tangent_out = tuple(c + s * tangent for c, s in zip(tangent_out, slope, strict=True))

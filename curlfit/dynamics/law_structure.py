@@ -119,7 +119,8 @@ def _is_linear(function: Callable[..., Any], size: int, parameters: int) -> bool
     return not any(depends_on(function, *inputs)[size:])
 
 
-def _example_law(kind: type[LocalLaw]) -> LocalLaw:
+def example_law(kind: type[LocalLaw]) -> LocalLaw:
+    """A law with coefficients that are all different."""
     return kind.from_vector([0.1 + 0.01 * index for index, _ in enumerate(kind.coefficients())])
 
 
@@ -145,7 +146,7 @@ def _close(a: Any, b: Any) -> bool:
 @cache
 def is_piecewise_tensor(kind: type[LocalLaw], load: Load) -> bool:
     """Whether traction on each half is a constant tensor times the direction of sliding."""
-    law = _example_law(kind)
+    law = example_law(kind)
     if any(law.edges(1.0)):
         return False
     free = {"front", "turned", "time", "e_xi", "e_eta"}
@@ -171,7 +172,7 @@ def is_piecewise_tensor(kind: type[LocalLaw], load: Load) -> bool:
 @cache
 def is_mirror_symmetric(kind: type[LocalLaw], load: Load) -> bool:
     """Whether friction behind is the mirror image of that in front, as under an isotropic law."""
-    law = _example_law(kind)
+    law = example_law(kind)
     if load != "uniform" or any(law.edges(1.0)):
         return False
     names = ("e_xi", "slide_xi", "eta", "angle", "front")  # differ between the halves

@@ -105,12 +105,12 @@ def _forces(
     """
 
     def of_one(coefficients: Array, stone: Stone, path: Array) -> tuple[Array, Array]:
-        def along(coefficients: Array) -> Array:
-            friction = law.from_vector(coefficients)
-            one = partial(accelerations, friction, stone, load)
-            return jnp.stack(jax.vmap(one)(*path))
+        def along(coefficients: Array) -> tuple[Array, Array]:
+            found = jnp.stack(accelerations(law.from_vector(coefficients), stone, load, *path))
+            return found, found
 
-        return along(coefficients), jax.jacfwd(along)(coefficients)
+        by_coefficient, found = jax.jacfwd(along, has_aux=True)(coefficients)
+        return found, by_coefficient
 
     return jax.vmap(of_one)(coefficients, stones, paths)
 

@@ -200,7 +200,7 @@ def _proposed(
         return damping, *_bounded_step(values, model, damping, bounds)
 
     # A step to a bound may lead uphill; a shorter one does not.
-    carry = (search.damping, *_bounded_step(values, model, search.damping, bounds))
+    carry = (search.damping, values, xp.zeros_like(chi_squared))
     damping, trial, reduction = _repeat(lambda carry: uphill(carry).any(), shorter, carry)
     lost |= damping > _MOST_DAMPING
 
@@ -255,8 +255,7 @@ def _bounded_step(values: Any, model: QuadraticModel, damping: Any, bounds: Boun
         held, step = carry[0] | outside(carry), xp.clip(carry[1], lower, upper)
         return held, solved(held, xp.where(held, step, 0.0))
 
-    first = (held, solved(held, xp.zeros(values.shape)))
-    _, step = _repeat(lambda carry: outside(carry).any(), narrower, first)
+    _, step = _repeat(lambda carry: outside(carry).any(), narrower, (held, xp.zeros_like(values)))
     trial = xp.clip(values + step * bounds.typical, bounds.lower, bounds.upper)
     step = (trial - values) / bounds.typical
     # Not as the difference of two chi squared, of which rounding leaves nothing near the optimum.
@@ -268,8 +267,16 @@ def _product(matrix: Any, vector: Any) -> Any:
 
 
 def _repeat(condition: Callable[..., Any], body: Callable[..., Any], carry: tuple[Any, ...]) -> Any:
+    """Once, and then for as long as the condition holds: a compiled program has the body but once,
+    which it would have twice with a first time before the loop."""
     if isinstance(carry[0], jax.core.Tracer):
-        return jax.lax.while_loop(condition, body, carry)
+        _, carry = jax.lax.while_loop(
+            lambda state: state[0] | condition(state[1]),
+            lambda state: (jnp.zeros((), bool), body(state[1])),
+            (jnp.ones((), bool), carry),
+        )
+        return carry
+    carry = body(carry)
     while condition(carry):
         carry = body(carry)
     return carry

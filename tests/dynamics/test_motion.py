@@ -23,6 +23,7 @@ from curlfit.paper.printed import first_order_motion
 STONE = Stone(R=0.054, rho=0.1)
 PAPER = (0.0004, 0.0555, 0.009, 0.0083)
 FRONT_BACK = LAWS["front-back"](*PAPER)
+ROWS = 61  # of most paths, so that one program is enough for each load
 
 
 def places(path):
@@ -44,7 +45,7 @@ def places(path):
 )
 def test_path_agrees_with_order_8_integration_on_a_dense_ring(mu, h, v, omega, heading, until):
     start = InitialState(x=1.0, y=-2.0, heading=heading, v=v, phi=0.5, omega=omega)
-    times = np.linspace(0, until, 101)
+    times = np.linspace(0, until, ROWS)
     load = "uniform" if h is None else "consistent"
     stone = Stone(R=0.054, rho=0.1, h=h or 0.057)
     path = simulate(LAWS["front-back"](*mu), stone, start, times, load=load)
@@ -53,7 +54,7 @@ def test_path_agrees_with_order_8_integration_on_a_dense_ring(mu, h, v, omega, h
 
 
 def test_error_falls_with_the_fifth_power_of_the_step(monkeypatch):
-    times = np.linspace(0, 20, 21)
+    times = np.linspace(0, 20, ROWS)
     start = InitialState(v=2.06, omega=1.005)
     exact = Reference(front_back(*PAPER)).path(start, times)
     errors = []
@@ -103,7 +104,7 @@ def test_path_agrees_with_diffrax():
         a = accelerations(FRONT_BACK, STONE, "consistent", v, omega, phi)
         return jnp.stack([v * jnp.sin(beta), v * jnp.cos(beta), a.eta, a.xi / v, omega, a.angular])
 
-    times = jnp.linspace(0.0, 20.0, 41)
+    times = jnp.linspace(0.0, 20.0, ROWS)
     found = diffrax.diffeqsolve(
         diffrax.ODETerm(rates), diffrax.Dopri8(), 0.0, 20.0, 0.1,
         jnp.array([0.0, 0.0, 2.2, 0.1, 0.0, -1.4]),
@@ -117,7 +118,7 @@ def test_path_agrees_with_diffrax():
 
 
 def test_mirror_turn_and_shift():
-    times = np.linspace(0, 30, 31)
+    times = np.linspace(0, 30, ROWS)
     one = simulate(FRONT_BACK, STONE, InitialState(v=2.0, heading=0.2, omega=2.0), times)
     mirrored = simulate(FRONT_BACK, STONE, InitialState(v=2.0, heading=-0.2, omega=-2.0), times)
     np.testing.assert_allclose(mirrored.x, -one.x, atol=1e-12)
@@ -147,7 +148,7 @@ def test_stones_side_by_side_go_each_its_own_way():
     # Fast and slow, spinning, at rest, without a path
     v = np.array([2.1, 0.02, 3.0, 0.05, 0.0, 1.0, 2.1, 1.5])
     omega = np.array([1.0, -2.0, 0.0, 40.0, 0.0, 15.4, np.nan, -6.0])
-    times = np.linspace(0, 40, 57)
+    times = np.linspace(0, 40, ROWS)
 
     def one(v, omega):
         path = simulate(FRONT_BACK, STONE, InitialState(v=v, omega=omega), times)
@@ -198,18 +199,26 @@ def test_without_friction_motion_is_uniform():
     assert path.phi[1] == pytest.approx(10, abs=1e-12)
 
 
-@partial(jax.jit, static_argnames="load")
 def _places(p, times, load):
     start = InitialState(*(p[4 + k] for k in range(6)))
     stone = Stone(20.0, p[10], p[11], p[12])
-    path = simulate(LAWS["front-back"].from_vector(p), stone, start, times, load=load, t0=0.0)
+    law = LAWS["front-back"].from_vector(p)
+    return places_of(simulate(law, stone, start, times, load=load, t0=0.0, ordered=True))
+
+
+def places_of(path):
     return jnp.stack([path.x, path.y, path.phi])
 
 
-_forward = jax.jit(jax.jacfwd(_places), static_argnames="load")
-_reverse = jax.jit(
-    jax.jacrev(lambda p, t, load: _places(p, t, load)[:, -1]), static_argnames="load"
-)
+@partial(jax.jit, static_argnames="load")
+def _derivatives(p, times, load):
+    """Forward, and in reverse those of the last row: one program, of which the longest part, the
+    integration with its tangents, is common to both, as it is to all modes of JAX."""
+    _, forward = jax.linearize(lambda p: _places(p, times, load), p)
+    (reverse,) = jax.vmap(jax.linear_transpose(forward, p))(
+        jnp.zeros((3, 3, len(times))).at[:, :, -1].set(jnp.eye(3))
+    )
+    return jax.vmap(forward, out_axes=-1)(jnp.eye(len(p))), reverse
 
 
 @pytest.mark.parametrize(
@@ -222,14 +231,13 @@ _reverse = jax.jit(
     ],
 )
 def test_derivatives_agree_with_finite_differences(load, v, omega, until):
-    times = jnp.linspace(0, until, 21)
+    times = np.linspace(0, until, ROWS)
 
     def f(p):
         return _places(p, times, load)
 
     p = np.array([*PAPER, 0.1, 0.2, 0.1, v, 0.2, omega, 0.054, 0.1, 0.057])
-    forward = np.asarray(_forward(p, times, load))
-    reverse = np.asarray(_reverse(p, times, load))
+    forward, reverse = map(np.asarray, _derivatives(p, times, load))
     np.testing.assert_allclose(reverse, forward[:, -1], rtol=1e-12, atol=1e-12)
     step = 1e-4 * np.maximum(np.abs(p), 1e-2)
     for k in range(len(p)):
@@ -246,7 +254,8 @@ def test_derivatives_agree_with_finite_differences(load, v, omega, until):
 @pytest.mark.parametrize(("v", "omega"), [(2.0, 0.0), (0.0, 3.0), (0.0, 0.0)])
 def test_derivatives_stay_finite_at_the_edges(v, omega):
     p = np.array([*PAPER, 0.1, 0.2, 0.1, v, 0.2, omega, 0.054, 0.1, 0.057])
-    assert np.isfinite(_forward(p, jnp.linspace(0, 40, 21), "uniform")).all()
+    forward, _ = _derivatives(p, np.linspace(0, 40, ROWS), "uniform")
+    assert np.isfinite(forward).all()
 
 
 def test_second_derivatives_are_symmetric():
@@ -267,7 +276,7 @@ def test_derivative_with_respect_to_time_is_the_velocity():
 
 
 def test_many_stones_at_once_are_each_as_alone():
-    times = jnp.linspace(0, 30, 16)
+    times = jnp.linspace(0, 30, ROWS)
     speeds = jnp.array([0.0, 0.3, 1.0, 2.5])
 
     def y(v):

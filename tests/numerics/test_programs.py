@@ -265,6 +265,12 @@ PLACES = [0.0, 20 - 0.0981 * 10**2 / 2, 2**2 / (2 * 0.0981)]
 """v t - mu g t^2/2, and v^2/(2 mu g) at rest"""
 
 
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """A cache for uses that are traced anew and compile to the same."""
+    return tmp_path_factory.mktemp("cache")
+
+
 @pytest.mark.parametrize("imports", ["import curlfit, jax", "import jax, curlfit"])
 @pytest.mark.parametrize("wide", [None, "0"])
 @pytest.mark.parametrize(
@@ -274,8 +280,8 @@ PLACES = [0.0, 20 - 0.0981 * 10**2 / 2, 2**2 / (2 * 0.0981)]
         ("[jax.grad(lambda v: y(v)[place])(2.0).item() for place in (1, 2)]", [10, 2 / 0.0981]),
     ],
 )
-def test_the_first_use_may_be_traced(imports, wide, use, expected, tmp_path):
-    env = os.environ | {"CURLFIT_CACHE": str(tmp_path)}
+def test_the_first_use_may_be_traced(imports, wide, use, expected, compiled):
+    env = os.environ | {"CURLFIT_CACHE": str(compiled)}
     env.pop("JAX_ENABLE_X64", None)
     run = subprocess.run(
         [sys.executable, "-W", "error", "-c", FIRST_USE.format(imports=imports, use=use)],
