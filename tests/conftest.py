@@ -32,8 +32,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Have the tests' own programs compile as curlfit's do (see `curlfit.numerics.compiled`), in
     half the time, where this JAX knows how: set for the workers, before they start.
 
-    Each program compiles in one piece, since all processors are busy with tests, and without
-    unrolled loops, which make it no faster. Neither changes what it computes.
+    Each program compiles in one piece, since all processors are busy with tests; that does not
+    change what it computes.
     """
     os.environ.pop("COLUMNS", None)  # reports are as wide as anywhere else
     gc.set_threshold(100_000)  # as in `compiled.gc_paused`, for the tests' own programs
@@ -44,7 +44,6 @@ def pytest_configure(config: pytest.Config) -> None:
         options = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_parallel_codegen_split_count": 1}
         lowered.compile(compiler_options=options)
         flags = [f"--{name}={str(value).lower()}" for name, value in options.items()]
-        flags.append("--xla_backend_extra_options=xla_cpu_disable_loop_unrolling")
         # first, for of two that contradict each other XLA takes the last
         os.environ["XLA_FLAGS"] = " ".join((*flags, os.environ.get("XLA_FLAGS", ""))).strip()
 

@@ -213,7 +213,7 @@ def test_no_two_laws_are_the_same_to_jit():
 def _path(p, times, name, load):
     law = LAWS[name].from_vector(p)
     start = InitialState(heading=0.3, v=p[-2], omega=p[-1])
-    return _stacked(simulate(law, STONE, start, times, load=load, ordered=True))
+    return _stacked(simulate(law, STONE, start, times, load=load))
 
 
 def _stacked(path):
