@@ -203,7 +203,7 @@ def _places(p, times, load):
     start = InitialState(*(p[4 + k] for k in range(6)))
     stone = Stone(20.0, p[10], p[11], p[12])
     law = LAWS["front-back"].from_vector(p)
-    return places_of(simulate(law, stone, start, times, load=load, t0=0.0, ordered=True))
+    return places_of(simulate(law, stone, start, times, load=load, t0=0.0))
 
 
 def places_of(path):

@@ -38,6 +38,7 @@ CHOICES = {
     "robust": {"loss": "student"},
     "ar1": {"noise": "ar1"},
     "gp": {"noise": "gp"},
+    "discrepancy": {"noise": "discrepancy"},
     "fixed": {"fix": {"mu1_eta": 0.009}, "bounds": {"mu2_xi": (0.0, 0.045)}, "unbounded": True},
     "started": {"start": {"mu1_xi": 0.02, "v0": 2.0}},
 }
@@ -56,6 +57,24 @@ def test_a_batch_has_the_answers_of_single_fits(throws, choices):
             if item.stderr is not None:
                 assert other.value == pytest.approx(item.value, abs=1e-3 * item.stderr)
                 assert other.stderr == pytest.approx(item.stderr, rel=1e-3)
+
+
+def test_throws_at_different_rounds_are_not_mixed_up():
+    """Throws that need many steps and few, so that some are in their last round while others end
+    their first."""
+    throws = []
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        start = curlfit.InitialState(v=1.8 + 0.05 * seed, omega=(-1) ** seed * (0.6 + 0.1 * seed))
+        t = np.arange(60) * 0.3
+        path = curlfit.simulate(LAWS["power"](), Stone(), start, t).to_numpy()
+        series = np.stack([path.x, path.y, path.phi])
+        series += random.normal(0, [[0.005], [0.005], [0.01]], series.shape)
+        throws.append(curlfit.Throw.from_arrays(t, *series, name=f"{seed}"))
+    for throw, many in zip(throws, fit_throws(throws, "coulomb", noise="ar1"), strict=True):
+        alone = curlfit.fit(throw, "coulomb", noise="ar1")
+        assert many.sigma == pytest.approx(alone.sigma, rel=1e-3)
+        assert many.noise.memory == pytest.approx(alone.noise.memory, rel=1e-2)
 
 
 def test_throws_that_share_nothing_are_fitted_together_as_alone(throws):

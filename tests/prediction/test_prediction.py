@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 import curlfit
 from curlfit import InputError, UnusableFitError, sheet
 from curlfit.cli import app
+from curlfit.inference.problem import LEVEL_AND_STILL
 from curlfit.prediction.discrepancy import discrepancy_posterior, estimate_discrepancy
 from curlfit.prediction.ensemble import simulate_ensemble
 from curlfit.prediction.figures import prediction_figure
@@ -366,14 +367,14 @@ def game_fit():
 def path_of(fit, values=None):
     t = np.linspace(0, 1.1 * np.ptp(fit.observed["t"]), 331)
     values = fit.values[None] if values is None else values
-    return simulate_ensemble(fit.model, values, fit.stone, t)
+    return simulate_ensemble(fit.model, values, fit.stone, LEVEL_AND_STILL, t)
 
 
 def test_a_path_under_further_accelerations_is_that_of_mechanics():
     """Constant friction and constant accelerations beside it, by scipy."""
     still = curlfit.fit(thrown(law="coulomb", omega0=0.0), "coulomb", fix={"omega0": 0.0})
     t = np.linspace(0.0, 60.0, 601)
-    law = simulate_ensemble(still.model, still.values[None], still.stone, t)
+    law = simulate_ensemble(still.model, still.values[None], still.stone, LEVEL_AND_STILL, t)
     across, along, turning = -0.01, 0.02, 0.005
     one = np.tile(np.array([across, along, turning])[:, None], (1, 1, len(t) - 1))
     found = law.with_accelerations(one)

@@ -1,0 +1,113 @@
+"""A stone that was swept: its friction meanwhile, and that a fit without it says so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import curlfit
+from curlfit import LAWS, InitialState, InputError, Stone, Throw, simulate
+from curlfit.environment import Environment
+from curlfit.inference.fit.fit import fit_throws
+from curlfit.prediction.ensemble import ThrowFamily
+from curlfit.prediction.request import ThrowRequest, start_of
+
+LAW = LAWS["front-back"](0.005, 0.05, 0.009, 0.009)
+T0 = 100.0  # of the clock
+TIMES = np.linspace(0.0, 20.0, 201)
+SWEPT = (5.0, 9.0)
+
+
+def thrown(seed, factor=0.85, swept=SWEPT, law=LAW, noise=0.005):
+    random = np.random.default_rng(seed)
+    start = InitialState(v=2.05, omega=(-1) ** seed * 1.2)
+    environment = Environment(sweep=factor, swept_from=swept[0], swept_to=swept[1])
+    path = simulate(law, Stone(), start, TIMES, environment=environment).to_numpy()
+    channels = [
+        series + size * random.standard_normal(len(TIMES))
+        for series, size in ((path.x, noise), (path.y, noise), (path.phi, 2 * noise))
+    ]
+    return Throw.from_arrays(T0 + TIMES, *channels)
+
+
+@pytest.fixture(scope="module")
+def swept():
+    return thrown(0)
+
+
+@pytest.fixture(scope="module")
+def fitted(swept):
+    return curlfit.fit(swept, swept=[T0 + time for time in SWEPT])
+
+
+def test_the_friction_while_swept_is_found(fitted):
+    item = fitted.parameters["sweep"]
+    assert item.verdict == "determined"
+    assert abs(item.value - 0.85) < 3 * item.stderr < 0.01
+    assert fitted.conditions.keys() == {"sweep"}
+    total = fitted.combinations[0]
+    assert abs(total.value - 0.018) < 3 * total.stderr
+    assert not any("changes at once" in text for text in fitted.warnings)
+
+
+def test_a_fit_that_does_not_know_of_it_says_so(swept):
+    (warning,) = (text for text in curlfit.fit(swept).warnings if "changes at once" in text)
+    begin, end = (float(time) for time in warning.split("--sweep ")[1].split("`")[0].split(":"))
+    assert begin == pytest.approx(T0 + SWEPT[0], abs=1.5)
+    assert end == pytest.approx(T0 + SWEPT[1], abs=1.5)
+    factor = float(warning.split("factor of about ")[1].split(" ")[0])
+    assert factor == pytest.approx(0.85, abs=0.1)
+    again = curlfit.fit(swept, swept=(begin, end))
+    assert again.parameters["sweep"].value == pytest.approx(0.85, abs=0.05)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_where_nothing_happened_nothing_is_said(seed, eq12_fit):
+    plain = curlfit.fit(thrown(seed, factor=1.0))
+    wrong = curlfit.fit(thrown(seed, 1.0, law=LAWS["front-back"](0.0, 0.0, 0.02, 0.02)), "power")
+    for fit in (plain, wrong, eq12_fit):
+        assert not any("changes at once" in text for text in fit.warnings)
+
+
+def test_side_by_side_it_is_the_same(swept, fitted):
+    other = thrown(1)
+    many = fit_throws([swept, other], swept=[T0 + time for time in SWEPT])
+    item = fitted.parameters["sweep"]
+    assert many[0].parameters["sweep"].value == pytest.approx(item.value, abs=1e-3 * item.stderr)
+
+
+def test_the_fitted_throw_goes_on_swept_and_another_does_not(fitted):
+    request = ThrowRequest({}, "hog", None, None, None)
+    same = ThrowFamily(fitted, start_of(fitted, request), new=False)
+    path = same.simulate(same.with_start(fitted.values[None]))
+    y = np.interp(TIMES, path.t, path.state[0, 1]) - same.start.shift[1]
+    np.testing.assert_allclose(y, fitted.fitted["y"], atol=2e-3)
+    other = ThrowFamily(fitted, start_of(fitted, request), new=True)
+    longer = same.simulate(same.with_start(fitted.values[None])).state[0, 1, -1]
+    shorter = other.simulate(same.with_start(fitted.values[None])).state[0, 1, -1]
+    assert longer > shorter + 0.5
+
+
+def test_saved_and_loaded_it_can_be_refitted(fitted, tmp_path):
+    from curlfit.inference.fit.prepared import problem_of
+
+    fitted.save(tmp_path / "fit.json")
+    loaded = curlfit.load_fit(tmp_path / "fit.json")
+    assert loaded.data["swept"] == [T0 + time for time in SWEPT]
+    before, after = (problem_of(one)[0].environment for one in (fitted, loaded))
+    assert vars(before) == vars(after)
+    assert float(after.swept_from) == SWEPT[0]
+
+
+@pytest.mark.parametrize(
+    ("choices", "fault"),
+    [
+        ({"swept": (9.0, 5.0)}, "the earlier first"),
+        ({"swept": (5.0,)}, "two times"),
+        ({"free": ["sweep"]}, "when was the stone swept"),
+        ({"priors": {"sweep": "0.9+-0.1"}}, "when was the stone swept"),
+    ],
+)
+def test_what_is_not_said_well_is_refused(swept, choices, fault):
+    with pytest.raises(InputError, match=fault):
+        curlfit.fit(swept, **choices)
