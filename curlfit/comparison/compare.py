@@ -234,8 +234,9 @@ def _ranked(found: list[_Fitted]) -> Comparison:
     found = sorted(found, key=order)
     ranked = [one.candidate for one in found if _counts(one.candidate)] or [found[0].candidate]
     least = {name: min(getattr(item, name) for item in ranked) for name in ("aicc", "bic")}
-    evidence = max(item.log_evidence or -math.inf for item in ranked)
-    total = sum(math.exp((item.log_evidence or -math.inf) - evidence) for item in ranked)
+    evidences = [item.log_evidence for item in ranked if item.log_evidence is not None]
+    evidence = max(evidences, default=0.0)
+    total = sum(math.exp(one - evidence) for one in evidences)
     candidates, rank = [], 0
     for item in (one.candidate for one in found):
         if item.bic is not None and item.aicc is not None:
@@ -243,12 +244,14 @@ def _ranked(found: list[_Fitted]) -> Comparison:
                 item,
                 delta_aicc=item.aicc - least["aicc"],
                 delta_bic=item.bic - least["bic"],
-                delta_evidence=(item.log_evidence or -math.inf) - evidence,
             )
+        if item.log_evidence is not None:
+            item = replace(item, delta_evidence=item.log_evidence - evidence)
         if _counts(item):
             rank += 1
-            weight = math.exp(item.delta_evidence or 0.0) / total
-            item = replace(item, rank=rank, weight=weight)
+            item = replace(item, rank=rank)
+            if item.delta_evidence is not None:
+                item = replace(item, weight=math.exp(item.delta_evidence) / total)
         candidates.append(item)
     first = fits[0]
     curl, side = bend(first)

@@ -109,8 +109,8 @@ def with_criteria(
     likelihood: Mapping[str, float],
     effective: Mapping[str, float],
 ) -> Candidate:
-    """AICc (Hurvich and Tsai 1989), BIC (Schwarz 1978) and evidence by the effective number of
-    values, from the log-likelihood of each channel."""
+    """AICc (Hurvich and Tsai 1989) and BIC (Schwarz 1978) by the effective number of values, from
+    the log-likelihood of each channel; and the evidence, where all values are independent."""
     k, n = candidate.n_parameters or 0.0, result.n_observations
     values = {name: len(residual) for name, residual in residuals_of(result).items()}
     counted = {name: effective.get(name, float(values[name])) for name in values}
@@ -119,5 +119,6 @@ def with_criteria(
         candidate,
         aicc=2 * k - twice + 2 * k * (k + 1) / max(n - k - 1, 1),
         bic=k * float(np.log(sum(counted.values()))) - twice,
-        log_evidence=log_evidence(result, twice / 2, sum(counted.values()) / sum(values.values())),
+        # A handful of effective values stands for the shape of no likelihood.
+        log_evidence=None if effective else log_evidence(result, twice / 2),
     )

@@ -46,14 +46,9 @@ class _PriorTerms(NamedTuple):
     """of the flat ones, and of what the bounds cut off the others"""
 
 
-def log_evidence(result: FitResult, log_likelihood: float, share: float = 1.0) -> float:
-    """Logarithm of the evidence, up to a constant that is the same for all laws.
-
-    Parameters
-    ----------
-    log_likelihood : at the fit. share : effective over all values, by which the information
-        counts.
-    """
+def log_evidence(result: FitResult, log_likelihood: float) -> float:
+    """Logarithm of the evidence, up to a constant that is the same for all laws, from the
+    log-likelihood at the fit."""
     names = result.information["names"]
     values = np.array([result.parameters[name].value for name in names])
     lower, upper = (
@@ -64,8 +59,8 @@ def log_evidence(result: FitResult, log_likelihood: float, share: float = 1.0) -
     off = prior.mean - values
     whole = _Gaussian(
         log_likelihood + prior.log_density - 0.5 * float(off @ (prior.precision * off)),
-        share * gradient + prior.precision * off,
-        share * information + np.diag(prior.precision),
+        gradient + prior.precision * off,
+        information + np.diag(prior.precision),
     )
     pushed = np.array([result.parameters[name].verdict == "at bound" for name in names])
     return _integral(whole, lower - values, upper - values, pushed)

@@ -54,7 +54,16 @@ def _ranks(comparison: Comparison) -> RenderableType:
     table.add_column("", justify="right", no_wrap=True)
     table.add_column("law", no_wrap=True)
     table.add_column("load", no_wrap=True)
-    right = ("k", "dBIC", "dlnZ", "x (mm)", "y (mm)", "phi (mrad)", "curl")
+    with_evidence = any(item.log_evidence is not None for item in comparison.candidates)
+    right = (
+        "k",
+        "dBIC",
+        "dlnZ" if with_evidence else "dAICc",
+        "x (mm)",
+        "y (mm)",
+        "phi (mrad)",
+        "curl",
+    )
     for head in right:
         table.add_column(head, justify="right", no_wrap=True)
     table.add_column("follows", no_wrap=True)
@@ -74,7 +83,7 @@ def _ranks(comparison: Comparison) -> RenderableType:
             item.load,
             "" if item.n_parameters is None else f"{item.n_parameters:.3g}",
             _difference(item.delta_bic),
-            _difference(item.delta_evidence),
+            _difference(item.delta_evidence if with_evidence else item.delta_aicc),
             *(f"{1000 * size[c]:.3g}" if c in size else "" for c in ("x", "y", "phi")),
             "" if item.curl_explained is None else _share(item.curl_explained),
             _FOLLOWS[item.follows],
@@ -85,8 +94,8 @@ def _ranks(comparison: Comparison) -> RenderableType:
         measure = "size of the bulk"
         by = f" BIC and AICc are of noise as the {comparison.loss} loss has it."
     note = Text(
-        "k: what is determined, with noises; dlnZ: log evidence less the largest (AICc is in "
-        f"compare.json); x, y, phi: {measure} of the residuals; curl: share of the bend "
+        "k: what is determined, with noises; dlnZ: log evidence less the largest, where residuals "
+        f"are independent; x, y, phi: {measure} of the residuals; curl: share of the bend "
         "explained; ccw curls: ways the law can bend a counter-clockwise throw. A law follows the "
         "path where no residual is above a tenth of the departure from straight, even "
         f"motion, or above the noise.{by}",

@@ -36,7 +36,8 @@ class Candidate:
         even motion, or within its noise; None where correlated noise may explain the residual.
     log_likelihood : of noise as the noise model and the loss have it.
     aicc, bic : the same, by the effective number of values (see `Comparison.effective`).
-    log_evidence : of the likelihood averaged over the prior, up to a constant common to all.
+    log_evidence : of the likelihood averaged over the prior, up to a constant common to all; None
+        where residuals are correlated from row to row.
     delta_aicc, delta_bic : above the best of the ranked candidates. delta_evidence : log evidence
         below the largest of these.
     weight : probability of the law by its evidence, if the ranked candidates had equal ones before;

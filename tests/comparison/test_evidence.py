@@ -118,8 +118,14 @@ def test_a_prior_of_the_user_takes_the_place_of_the_default(few):
     assert log_evidence(narrow, given) > log_evidence(few, sum(log_likelihood(few).values())) + 0.5
 
 
-def test_laws_that_are_the_same_on_a_path_have_the_same_evidence(eq12):
-    found = curlfit.compare(eq12, ["coulomb", "pressure"])
+def test_laws_that_are_the_same_on_a_path_have_the_same_evidence(few):
+    found = curlfit.compare(few.throw, ["coulomb", "pressure"])
     coulomb, pressure = found.of("coulomb"), found.of("pressure")
     assert coulomb.log_evidence == pytest.approx(pressure.log_evidence, abs=1e-3)
     assert coulomb.weight == pytest.approx(0.5, abs=1e-3)
+
+
+def test_there_is_none_where_residuals_are_correlated(eq12):
+    found = curlfit.compare(eq12, ["coulomb"])
+    assert found.effective
+    assert found.best.log_evidence is found.best.weight is None

@@ -125,7 +125,8 @@ def counts(case: Case, throws: int, seed: int = 0) -> tuple[dict[str, list[int]]
         if isinstance(fit, Exception) or not fit.converged:
             failed += 1
             continue
-        items = {name: fit.parameters[name] for name in true if fit.parameters[name].stderr}
+        estimates = {name: fit.parameters[name] for name in true if name in fit.parameters}
+        items: dict[str, Any] = {name: item for name, item in estimates.items() if item.stderr}
         known = {name: true[name] for name in items}
         for one in fit.combinations:
             if set(one.weights) <= true.keys():

@@ -198,10 +198,17 @@ def correlation_warnings(statistics: ResidualStatistics, noise: str) -> list[str
             f"(lag-1 correlation {listed}); it takes noise of short memory for a discrepancy of "
             "the law, and standard errors are then several times too large; fit with --noise ar1"
         ]
+    if noise == "discrepancy":
+        return [
+            f"noise discrepancy does not describe these residuals, which stay correlated from row "
+            f"to row (lag-1 correlation {listed}), as noise of short memory leaves them; standard "
+            "errors may be too small; fit with --noise ar1"
+        ]
     if noise == "ar1":
         return [
             f"noise ar1 does not describe these residuals, which stay correlated from row to row "
-            f"(lag-1 correlation {listed}); standard errors are too small; fit with --noise gp"
+            f"(lag-1 correlation {listed}); standard errors are too small; fit with --noise "
+            "discrepancy"
         ]
     effective = ", ".join(
         f"{item.effective:.0f} of {count[name]} in {name}" for name, item in doubtful.items()
