@@ -110,6 +110,12 @@ def predict(
             f"noise {fit.noise.kind}: a prediction estimates its own model discrepancy; use a fit "
             "with white noise"
         )
+    for name in ("length_scale", "time_scale"):
+        if name in fit.conditions and fit.parameters[name].value != 1.0:
+            raise InputError(
+                f"{name} of this fit is not 1: its lengths and times are not those of the ice; use "
+                "a fit of data in true ones"
+            )
     if draws < 100:
         raise InputError(f"{draws} draws: expected at least 100")
     random = np.random.default_rng(seed)

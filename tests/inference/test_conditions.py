@@ -175,6 +175,12 @@ def test_a_condition_is_fixed_at_a_value_or_estimated(name):
         assert item.value == pytest.approx(true[name], abs=1e-3 * item.stderr)
 
 
+def test_nothing_is_predicted_in_lengths_that_are_not_true():
+    fit = curlfit.fit(measured(off("length_scale")), fix=SPLIT | ASSUMED | off("length_scale"))
+    with pytest.raises(InputError, match="length_scale of this fit is not 1"):
+        curlfit.predict(fit)
+
+
 def test_in_the_mirror_the_slope_changes_sign_and_the_coefficients_stay():
     throw = measured({"slope_x": 2e-4}, noise=1.0)
     mirrored = replace(throw, x=-throw.x, phi=-throw.phi)
