@@ -73,6 +73,8 @@ CONDITIONS = (
 )  # fmt: skip
 WIDTHS = {item.name: item.width for item in CONDITIONS}
 ALL = "all"
+WEAK_CONDITIONS = ("R", "rho", "h", "length_scale", "time_scale")
+"""Of which one path says little."""
 
 
 def check_systematics(given: Mapping[str, float]) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from curlfit.errors import DataError, InputError
 from curlfit.friction import Law, Parameter
-from curlfit.inference.conditions import CONDITIONS
+from curlfit.inference.conditions import CONDITIONS, WEAK_CONDITIONS
 from curlfit.inference.priors import NO_PRIOR, Penalty, Prior, parse_priors, penalty_of
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.throw import Throw
@@ -40,6 +40,9 @@ START = (
 def parameter_names(law: type[Law]) -> list[str]:
     """All that may be a parameter of a fit of a law, in their order."""
     return [item.name for item in (*law.coefficients(), *CONDITIONS, *START)]
+
+
+_HELD = 1e-4  # of a prior's standard deviation, for what is held
 
 
 @dataclass(frozen=True)
@@ -255,9 +258,19 @@ class ParameterSet:
         fixed = {name: value + by[self.index(name)] for name, value in self.fixed.items()}
         return replace(self, parameters=moved, fixed=fixed, offset=self.offset - by)
 
-    def without_priors(self) -> ParameterSet:
-        """The same, bounds too, with priors that say nothing."""
-        return replace(self, priors=dict.fromkeys(self.priors, NO_PRIOR))
+    def with_first_priors(self) -> ParameterSet:
+        """The same with the priors of a fit that weights all channels evenly, 1 m like 1 rad.
+
+        Priors would outweigh the data there, and what they spoil would pass for noise. So they do
+        not count, but that the stone and the scales, which a path hardly determines, are held.
+        """
+        held = {
+            name: Prior("normal", (prior.mode, _HELD * prior.sd))
+            for name, prior in self.priors.items()
+            if name in WEAK_CONDITIONS
+        }
+        # one that says nothing for the others, so that one program serves both fits
+        return replace(self, priors=dict.fromkeys(self.priors, NO_PRIOR) | held)
 
     def with_fixed(self, name: str, value: float) -> ParameterSet:
         """The same with one more parameter fixed."""

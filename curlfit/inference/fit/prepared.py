@@ -89,10 +89,9 @@ class PreparedThrow(NamedTuple):
 
     @property
     def first_parameters(self) -> ParameterSet:
-        """The same for the first fit. Where that weights channels evenly, 1 m like 1 rad, priors
-        would outweigh the data, and what they spoil would pass for noise: they count later."""
+        """The same for the first fit, which weights channels evenly where no sigma is given."""
         local = self.local_parameters
-        return local.without_priors() if self.even_sigma() else local
+        return local.with_first_priors() if self.even_sigma() else local
 
     def even_sigma(self) -> dict[str, float]:
         """Sigma of the first fit for the channels whose own is unknown: even weights."""
