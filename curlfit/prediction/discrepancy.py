@@ -33,7 +33,7 @@ indicate: draws have the posterior mean times a random factor, uniform between 0
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple, cast
 
@@ -48,7 +48,7 @@ from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import directions
 from curlfit.inference.likelihood import linearize
-from curlfit.inference.noise.models import independences
+from curlfit.inference.noise.models import WHITE, independences
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import stacked
 from curlfit.prediction.ensemble import TrajectoryEnsemble, fitted_environment, simulate_ensemble
@@ -413,7 +413,8 @@ def _rim_speed_ratio(fit: FitResult) -> float:
 def _path_jacobian(fit: FitResult) -> tuple[Floats, Floats]:
     """Derivative of the path by the parameters, shape (channels, rows, parameters), and 1/sigma, 0
     where there is no value."""
-    problem, origin = problem_of(fit)
+    # The derivatives are those of the path itself, not of what noise and loss make of residuals.
+    problem, origin = problem_of(replace(fit, loss="linear", noise=WHITE))
     values = fit.values - origin.offset(len(fit.values))
     n = len(fit.observed["t"])
     one = stacked([problem])

@@ -105,10 +105,10 @@ def predict(
     request.require(fit, check)
     if not fit.converged:
         raise UnusableFitError(f"nothing can be predicted from this fit: {fit.status}")
-    if fit.noise.kind != "white":
+    if fit.noise.sizes:
         raise InputError(
             f"noise {fit.noise.kind}: a prediction estimates its own model discrepancy; use a fit "
-            "with white noise"
+            "with white or ar1 noise"
         )
     for name in ("length_scale", "time_scale"):
         if name in fit.conditions and fit.parameters[name].value != 1.0:

@@ -760,3 +760,22 @@ def test_a_refusal_is_one_sentence(folder):
     assert (run.returncode, run.stdout) == (2, "")
     assert run.stderr.startswith("curlfit: no throw reaches it")
     assert run.stderr.count("\n") == 1
+
+
+def test_of_correlated_noise_the_parameters_error_is_that_of_its_model():
+    random = np.random.default_rng(2)
+    throw = thrown()
+    noise = np.zeros((3, len(throw.t)))
+    for row in range(1, len(throw.t)):
+        noise[:, row] = 0.8 * noise[:, row - 1] + 0.003 * random.standard_normal(3)
+    throw = replace(throw, x=throw.x + noise[0], y=throw.y + noise[1], phi=throw.phi + noise[2])
+    white, ar1 = (
+        curlfit.predict(curlfit.fit(throw, stone=STONE, noise=kind), draws=200)
+        for kind in ("white", "ar1")
+    )
+    for name in ("rest_x", "rest_y"):
+        own, other = ar1.quantities[name], white.quantities[name]
+        assert own.parameter_sd > 1.5 * other.parameter_sd
+        assert own.value == pytest.approx(other.value, abs=4 * own.parameter_sd)
+    with pytest.raises(InputError, match="white or ar1 noise"):
+        curlfit.predict(curlfit.fit(throw, stone=STONE, noise="discrepancy"))
