@@ -764,7 +764,7 @@ def test_a_refusal_is_one_sentence(folder):
 
 def test_of_correlated_noise_the_parameters_error_is_that_of_its_model():
     random = np.random.default_rng(2)
-    throw = thrown()
+    throw = thrown(noise=(0.0, 0.0))
     noise = np.zeros((3, len(throw.t)))
     for row in range(1, len(throw.t)):
         noise[:, row] = 0.8 * noise[:, row - 1] + 0.003 * random.standard_normal(3)
