@@ -105,7 +105,7 @@ def predict(
     request.require(fit, check)
     if not fit.converged:
         raise UnusableFitError(f"nothing can be predicted from this fit: {fit.status}")
-    if fit.noise.sizes:
+    if fit.noise.kind not in ("white", "ar1"):
         raise InputError(
             f"noise {fit.noise.kind}: a prediction estimates its own model discrepancy; use a fit "
             "with white or ar1 noise"

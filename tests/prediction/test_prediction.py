@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 import curlfit
 from curlfit import InputError, UnusableFitError, sheet
 from curlfit.cli import app
+from curlfit.inference.noise.models import Noise
 from curlfit.inference.problem import LEVEL_AND_STILL
 from curlfit.prediction.discrepancy import discrepancy_posterior, estimate_discrepancy
 from curlfit.prediction.ensemble import simulate_ensemble
@@ -778,4 +779,4 @@ def test_of_correlated_noise_the_parameters_error_is_that_of_its_model():
         assert own.parameter_sd > 1.5 * other.parameter_sd
         assert own.value == pytest.approx(other.value, abs=4 * own.parameter_sd)
     with pytest.raises(InputError, match="white or ar1 noise"):
-        curlfit.predict(curlfit.fit(throw, stone=STONE, noise="discrepancy"))
+        curlfit.predict(replace(curlfit.fit(throw, stone=STONE), noise=Noise("discrepancy")))
