@@ -24,7 +24,7 @@ from __future__ import annotations
 from math import factorial
 from typing import NamedTuple
 
-from curlfit.dynamics.contact import accelerations
+from curlfit.dynamics.contact import Accelerations, accelerations
 from curlfit.dynamics.quadrature import NodeClustering, singularity_distance
 
 # isort: split
@@ -113,7 +113,7 @@ class Forces(NamedTuple):
 def rates(
     law: Law,
     stone: Stone,
-    forces: Array,
+    forces: Array | None,
     load: Load,
     turning_limit: Array,
     frame: HeadingFrame,
@@ -123,7 +123,7 @@ def rates(
 ) -> State:
     """Time derivative of the state; `frame` is that of a nearby heading.
 
-    `forces` are as `Forces` has them, shape (7, batch).
+    `forces` are as `Forces` has them, shape (7, batch); None for a law alone.
 
     A stone that spins almost in place, under a transverse force, moves on circles of radius
     v^2/a_xi. Where its velocity turns faster than `turning_limit` (rad/s), it is held at their
@@ -132,16 +132,17 @@ def rates(
     a = accelerations(law, stone, load, state.v, state.omega, state.phi, time, clustering)
     moving = state.v > 0
     _, s, c = frame.rotated_to(state.heading)
-    outer = Forces(*forces)
-    swept = (time > outer.swept_from + _SWITCH) & (time <= outer.swept_to + _SWITCH)
-    factor = jnp.where(swept, outer.sweep, 1.0) * (1 + outer.wear * state.y)
-    a_xi = factor * a.xi + c * outer.g_x - s * outer.g_y
-    a_eta = factor * a.eta + jnp.where(moving, s * outer.g_x + c * outer.g_y, 0.0)
-    a_eta -= outer.drag * state.v**2
-    turning = jnp.where(moving, a_xi / jnp.where(moving, state.v, 1.0), 0.0)
+    if forces is not None:
+        outer = Forces(*forces)
+        swept = (time > outer.swept_from + _SWITCH) & (time <= outer.swept_to + _SWITCH)
+        factor = jnp.where(swept, outer.sweep, 1.0) * (1 + outer.wear * state.y)
+        pull = jnp.where(moving, s * outer.g_x + c * outer.g_y, 0.0) - outer.drag * state.v**2
+        across = c * outer.g_x - s * outer.g_y
+        a = Accelerations(factor * a.xi + across, factor * a.eta + pull, factor * a.angular)
+    turning = jnp.where(moving, a.xi / jnp.where(moving, state.v, 1.0), 0.0)
     stationary = jnp.abs(turning) > turning_limit
     along, turning = (jnp.where(stationary, 0.0, value) for value in (state.v, turning))
-    return State(along * s, along * c, state.omega, turning, a_eta, factor * a.angular)
+    return State(along * s, along * c, state.omega, turning, a.eta, a.angular)
 
 
 def turning_limit(law: Law, stone: Stone, span: Array, state: State, rate: State) -> Array:
@@ -165,8 +166,9 @@ def at_rest(law: Law, stone: Stone, state: State, rate: State) -> Array:
 
 
 def step_size(
-    law: Law, stone: Stone, forces: Array, span: Array, state: State, rate: State, time: Array
-) -> Array:
+    law: Law, stone: Stone, forces: Array | None, span: Array, state: State, rate: State,
+    time: Array,
+) -> Array:  # fmt: skip
     """Next step in s."""
     v, u = state.v, stone.R * state.omega
     decay_rate = _decay_rate(law, stone, state, rate)
@@ -209,8 +211,8 @@ def step_size(
         time_left = _time_to_angle(angle, state, rate)
         # In two steps, since the prediction improves as the time becomes shorter.
         dt = jnp.where(time_left < dt / 8, time_left, jnp.minimum(dt, 7 / 8 * time_left))
-    outer = Forces(*forces)
-    for switch in (outer.swept_from, outer.swept_to):
+    switches = () if forces is None else Forces(*forces)[-2:]
+    for switch in switches:
         time_left = switch - time
         dt = jnp.where(time_left > _SWITCH, jnp.minimum(dt, time_left), dt)
         dt = jnp.where(jnp.abs(time_left) <= _SWITCH, 2 * _SWITCH, dt)

@@ -19,7 +19,7 @@ the result of a matrix product, or it would be recomputed for each use.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -118,7 +118,7 @@ def _update(whole: _Dual, part: _Dual, function: Callable[[Array, Array], Array]
 
 def _integrate_batch(
     system: Callable[[Any], tuple[Law, Stone]],
-    forces: Callable[[Any], Array],
+    forces: Callable[[Any], Array | None],
     parameters: _Dual,
     start: _Dual,
     *,
@@ -349,17 +349,22 @@ def _mappable(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _values(law: type[Law], load: Load, velocities: bool, *arrays: Array) -> Solution:
-    coefficients, stone, forces, start, times = arrays
+    *constants, start, times = arrays
     path, rest = _integrate_batch(
         lambda parameters: (law.from_vector(parameters[0]), Stone(*parameters[1])),
-        lambda parameters: parameters[2],
-        _Dual((coefficients, stone, forces)),
+        _forces_in,
+        _Dual(tuple(constants)),
         _Dual(start),
         times=times,
         load=load,
         velocities=velocities,
     )
     return path.value, rest.value
+
+
+def _forces_in(constants: Sequence[Array]) -> Array | None:
+    """The forces among coefficients, stone and, where there are any, forces."""
+    return constants[2] if len(constants) > 2 else None
 
 
 def _values_and_jacobian(
@@ -387,11 +392,11 @@ def _values_and_jacobian(
         ]
 
     def system(parameters: list[Array]) -> tuple[Law, Stone]:
-        coefficients, stone, _ = unpacked(parameters)
+        coefficients, stone, *_ = unpacked(parameters)
         return law.from_vector(coefficients), Stone(*stone)
 
-    def forces(parameters: list[Array]) -> Array:
-        return unpacked(parameters)[2]
+    def forces(parameters: list[Array]) -> Array | None:
+        return _forces_in(unpacked(parameters))
 
     parameters = _Dual(
         [item.value for item in free], [item.tangents for item in free] if free else None
@@ -407,7 +412,7 @@ def integrate(
     law: type[Law],
     load: Load,
     velocities: bool,
-    inputs: tuple[Array, Array, Array, Array],
+    inputs: tuple[Array, ...],
     times: Array,
 ) -> Solution:
     """One motion from the origin along +y.
@@ -415,9 +420,9 @@ def integrate(
     Parameters
     ----------
     velocities : whether to return these, which takes as long again as the positions.
-    inputs : the law's coefficients, the stone's fields, the forces besides the law (see
-        `equations.Forces`) and (v0, omega0), as vectors. Inputs without tangents cost nothing; a
-        `vmap` becomes one batch.
+    inputs : the law's coefficients, the stone's fields, the forces besides the law if there are
+        any (see `equations.Forces`), and (v0, omega0), as vectors. Inputs without tangents cost
+        nothing; a `vmap` becomes one batch.
     times : in s, >= 0, non-decreasing, shape (n,). Rows at inf, which may stand at the end, cost
         nothing and are 0.
     """

@@ -104,14 +104,14 @@ def forces_on(stone: Stone, environment: Environment, heading: Array, t0: Any = 
 
 
 def _motion(
-    law: Law, stone: Stone, forces: Array, start: InitialState, times: Array, load: Load,
+    law: Law, stone: Stone, forces: Array | None, start: InitialState, times: Array, load: Load,
     velocities: bool,
 ) -> tuple[list[Array], Array]:  # fmt: skip
     """x, y, phi, with vx, vy, omega if requested, and the time of rest."""
     inputs = (
         jnp.stack(jax.tree.leaves(law)),
         jnp.stack(jax.tree.leaves(stone)),
-        forces,
+        *(() if forces is None else (forces,)),
         jnp.stack([start.v, start.omega]),
     )
     channels, rest = integrate(type(law), load, velocities, inputs, times)
@@ -128,11 +128,11 @@ def _motion(
 
 @partial(jax.jit, static_argnames="load")
 def ordered_trajectory(
-    law: Law, stone: Stone, forces: Array, start: InitialState, times: Array, t0: Array, *,
+    law: Law, stone: Stone, forces: Array | None, start: InitialState, times: Array, t0: Array, *,
     load: Load,
 ) -> Trajectory:  # fmt: skip
-    """Like `simulate`, for arrays of floats, `forces_on` the stone, and non-decreasing times; rows
-    at inf are unused, and are 0."""
+    """Like `simulate`, for arrays of floats, `forces_on` the stone or None, and non-decreasing
+    times; rows at inf are unused, and are 0."""
     (x, y, phi, *rates), rest = _motion(
         law, stone, forces, start, times - t0, load, velocities=True
     )
@@ -141,7 +141,7 @@ def ordered_trajectory(
 
 
 def positions(
-    law: Law, stone: Stone, forces: Array, start: InitialState, times: Array, *, load: Load
+    law: Law, stone: Stone, forces: Array | None, start: InitialState, times: Array, *, load: Load
 ) -> Array:
     """x, y and phi alone, shape (3, n), of a stone that starts at time 0.
 
@@ -190,9 +190,12 @@ def simulate(
     times = jnp.asarray(times, float)
     t0 = jnp.min(times) if t0 is None else jnp.asarray(t0, float)
     law, stone, start, environment = jax.tree.map(
-        lambda value: jnp.asarray(value, float), (law, stone, start, environment or Environment())
+        lambda value: jnp.asarray(value, float), (law, stone, start, environment)
     )
-    arrays = (law, stone, forces_on(stone, environment, start.heading, t0), start)
+    forces = None
+    if environment is not None:
+        forces = forces_on(stone, environment, start.heading, t0)
+    arrays = (law, stone, forces, start)
     finite = jnp.where(times == jnp.inf, _REST_TIME, times)
     if _non_decreasing(times):
         path = ordered_trajectory(*arrays, finite, t0, load=checked)

@@ -107,8 +107,10 @@ def _independent_residuals(model: Model, values: Array, problem: Problem) -> Arr
     if len(problem.observed) == 3 and "time_scale" not in model.conditions:
         system = System.of(model, values, problem.stone, problem.environment)
         start, scale = system.start, system.length_scale
+        # A law alone is faster; without such a parameter the ice is level and the air still.
+        forces = _forces(model, system) if model.has_environment else None
         x, y, phi = positions(
-            system.law, system.stone, _forces(model, system), start, _unpadded_times(problem),
+            system.law, system.stone, forces, start, _unpadded_times(problem),
             load=model.load,
         )  # fmt: skip
         path = jnp.stack([_scaled(x, start.x, scale), _scaled(y, start.y, scale), phi])

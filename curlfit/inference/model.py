@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import NamedTuple
 
+from curlfit.environment import Environment
 from curlfit.friction import Law, Load
 
 
@@ -14,6 +16,11 @@ class Model(NamedTuple):
     load: Load
     conditions: tuple[str, ...] = ()
     """names out of `curlfit.inference.conditions.CONDITIONS`"""
+
+    @property
+    def has_environment(self) -> bool:
+        """Whether what acts on a stone besides friction, or changes it, is a parameter."""
+        return any(field.name in self.conditions for field in fields(Environment))
 
     @property
     def has_slope(self) -> bool:

@@ -127,14 +127,7 @@ def fit(
         if change is not None:
             result = replace(result, warnings=(change.warning(), *result.warnings))
     if result.reference is not None:
-        choices: dict[str, Any] = {
-            "since": since, "until": until, "exclude": exclude, "swept": swept,
-            "fix": fix, "bounds": bounds,
-            "unbounded": unbounded, "loss": loss,
-            "free": free, "priors": priors, "systematics": {"all": 0.0},
-            "noise": noise, "start": prepared.parameters.values_of(result.values),
-        }  # fmt: skip
-        result = replace(result, reference_fits=_reference_fits(throw, law, load, result, choices))
+        result = replace(result, reference_fits=_reference_fits(found, result))
     open_ = [name for name, item in result.parameters.items() if item.verdict in _OPEN]
     if open_:
         local = prepared.local_parameters
@@ -168,14 +161,15 @@ def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSqu
     return rounds.record(0, solution, tried)
 
 
-def _reference_fits(
-    throw: Throw, law: type[Law], load: Load, result: FitResult, choices: Mapping[str, Any]
-) -> tuple[dict[str, Any], ...]:
+def _reference_fits(fit: LeastSquaresFit, result: FitResult) -> tuple[dict[str, Any], ...]:
     """The same fit with other constants of the stone: what the values then are."""
     assert result.reference is not None
-    throw, found = replace(throw, reference=None), []
+    start = fit.prepared.parameters.values_of(result.values)
+    found = []
     for constants in _other_stones(result.reference, result.stone, result.conditions):
-        other = fit(throw, law, load=load, stone=result.stone.with_values(constants), **choices)
+        prepared = fit.prepared._replace(stone=result.stone.with_values(constants))
+        rounds = Rounds(fit.model, [prepared], loss=fit.loss, noise=fit.noise.kind)
+        other = summarize(_fitted_alone(rounds, start))
         each = {name: item.value for name, item in other.coefficients.items()}
         each |= {item.expression: item.value for item in other.combinations}
         found.append({"stone": constants, "values": each})

@@ -140,6 +140,8 @@ def penalties(throws: Sequence[PreparedThrow], *, first: bool = False) -> Penalt
 
     `first` is for the first fit, see `PreparedThrow.first_parameters`.
     """
+    if not any(one.parameters.priors for one in throws):
+        return None
     each = [(one.first_parameters if first else one.local_parameters).penalty for one in throws]
     known = [one for one in each if one is not None]
     return stacked(known) if known else None

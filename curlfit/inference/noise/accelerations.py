@@ -48,7 +48,7 @@ _SLOWEST = 0.02  # of the initial speed, below which accelerations are those the
 _EDGES = np.geomspace(0.002, 1.0, 11)
 SIZES = np.sqrt(_EDGES[1:] * _EDGES[:-1])
 """Over the friction: sizes in the middle of equal parts of the logarithm."""
-_ROUNDS = 3
+_ROUNDS = 2
 
 
 class Responses(NamedTuple):
@@ -138,22 +138,29 @@ def estimate(
     grid = np.stack(np.meshgrid(*[SIZES] * 3, indexing="ij"), -1).reshape(-1, 3)
     n_nuisance = channels[0].both.shape[1] - 1
 
-    def log_posterior(scale: float, sizes: Floats) -> Floats:
-        rows = np.concatenate(
-            [block / (1.0 if own else scale) for block, own in zip(blocks, given, strict=True)]
+    # as few rows as columns, of the channels of known noise and of the others
+    factors = [
+        triangle(np.concatenate(some)) if some else np.zeros((0, blocks[0].shape[1]))
+        for some in (
+            [block for block, own in zip(blocks, given, strict=True) if own == known]
+            for known in (True, False)
         )
+    ]
+
+    def log_posterior(scale: float, sizes: Floats) -> Floats:
+        rows = np.concatenate([factors[0], factors[1] / scale])
         likelihood = _log_likelihood(triangle(rows), sizes, n_nuisance)
         return likelihood - count * math.log(scale) + _log_prior(sizes)
 
-    scale, sizes = 1.0, grid[np.argmax(log_posterior(1.0, grid))][None]
+    scale, logs = 1.0, log_posterior(1.0, grid)
     for _ in range(_ROUNDS if count else 0):
+        sizes = grid[np.argmax(logs)][None]
         best = minimize_scalar(
             lambda log, sizes=sizes: -float(log_posterior(math.exp(log), sizes)[0]),
-            bounds=(-3.0, 3.0), method="bounded",
+            bounds=(-3.0, 3.0), method="bounded", options={"xatol": 1e-3},
         )  # fmt: skip
         scale = math.exp(best.x)
-        sizes = grid[np.argmax(log_posterior(scale, grid))][None]
-    logs = log_posterior(scale, grid)
+        logs = log_posterior(scale, grid)
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     rms = np.sqrt(weights @ grid**2)
