@@ -8,6 +8,9 @@ import pytest
 import curlfit
 from curlfit import LAWS, InputError, Stone
 from curlfit.inference.fit.fit import fit_throws
+from curlfit.inference.fit.prepared import PreparedThrow
+from curlfit.inference.fit.rounds import Rounds
+from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import linearize, predict_channels
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, build_problem
@@ -59,22 +62,19 @@ def test_a_batch_has_the_answers_of_single_fits(throws, choices):
                 assert other.stderr == pytest.approx(item.stderr, rel=1e-3)
 
 
-def test_throws_at_different_rounds_are_not_mixed_up():
-    """Throws that need many steps and few, so that some are in their last round while others end
-    their first."""
-    throws = []
-    for seed in range(12):
-        random = np.random.default_rng(seed)
-        start = curlfit.InitialState(v=1.8 + 0.05 * seed, omega=(-1) ** seed * (0.6 + 0.1 * seed))
-        t = np.arange(60) * 0.3
-        path = curlfit.simulate(LAWS["power"](), Stone(), start, t).to_numpy()
-        series = np.stack([path.x, path.y, path.phi])
-        series += random.normal(0, [[0.005], [0.005], [0.01]], series.shape)
-        throws.append(curlfit.Throw.from_arrays(t, *series, name=f"{seed}"))
-    for throw, many in zip(throws, fit_throws(throws, "coulomb", noise="ar1"), strict=True):
-        alone = curlfit.fit(throw, "coulomb", noise="ar1")
-        assert many.sigma == pytest.approx(alone.sigma, rel=1e-3)
-        assert many.noise.memory == pytest.approx(alone.noise.memory, rel=1e-2)
+def test_throws_at_different_rounds_go_through_one_each(throws):
+    law = LAWS["front-back"]
+    rounds = Rounds(
+        Model(law, "uniform"), [PreparedThrow.of(throw, law) for throw in throws], noise="ar1"
+    )
+    called = []
+    rounds._rounds = [
+        lambda now, _, number=number: called.append((number, now.tolist())) for number in range(3)
+    ]
+    rounds._next = np.array([0, 1, 0, 2])
+    rounds.revise(np.arange(4), Solution(*np.zeros((6, 4, 1))))
+    assert called == [(0, [0, 2]), (1, [1]), (2, [3])]
+    assert rounds._next.tolist() == [1, 2, 1, 3]
 
 
 def test_throws_that_share_nothing_are_fitted_together_as_alone(throws):

@@ -26,10 +26,9 @@ _TIMES = 24  # at which the friction may change
 _SMOOTH = 2  # terms of friction that changes smoothly with time
 _STEP = 1e-4  # relative change of the friction, for differences
 _SURE = 30.0
-"""Twice the gain of the log-likelihood by the best of some 300 intervals: at most 18 in 50
-synthetic throws in which nothing had changed, under wrong laws and correlated noise too, and at
-least 54 in 18 that were swept for 2 to 6 s, with friction less by a tenth to a third (noise of 5
-mm)."""
+"""Twice the gain of the log-likelihood by the best of some 300 intervals: below 20 in 50 synthetic
+throws in which nothing had changed, under wrong laws and correlated noise too, and above 50 in 18
+that were swept for 2 to 6 s, with friction less by a tenth to a third (noise of 5 mm)."""
 
 
 class FrictionChange(NamedTuple):
