@@ -65,6 +65,23 @@ def command(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
+@pytest.fixture
+def typed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
+    """What `curlfit` with some words prints, in the folder of a test's file."""
+    from typer.testing import CliRunner
+
+    from curlfit.cli import app
+
+    monkeypatch.chdir(folder)
+
+    def run(*words: object) -> str:
+        done = CliRunner().invoke(app, [*map(str, words)])
+        assert done.exit_code == 0, done.output
+        return done.stdout
+
+    return run
+
+
 @pytest.fixture(scope="session")
 def eq12() -> curlfit.Throw:
     return curlfit.load_throw(DATA)

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.inference.conditions import WIDTHS
-from curlfit.inference.fit.systematics import shifts
+from curlfit.inference.fit.systematics import shifts, widths_of
 from curlfit.inference.model import Model
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.optimal_design.information import (
@@ -59,15 +58,19 @@ def scenarios(
     items = law.coefficients()
     typical = np.array([item.typical for item in items])[free]
     names = [item.name for item, take in zip(items, free, strict=True) if take]
-    count = Counter(throws)
+    rows = {
+        quantity: np.array([weights.get(one, 0.0) for one in names])
+        for quantity, weights in quantities.items()
+    }
+    count, widths = Counter(throws), widths_of(model)
     ways = SCENARIOS["both spins and directions"]
     varied = [
         one._replace(omega0=sense * one.omega0, heading=heading)
         for one in count
         for sense, heading in ways
     ]
-    records = record_information(law, load, values, varied, widths=WIDTHS, **record)
-    conditions = records[0].factors.shape[-1] - len(WIDTHS) + np.arange(len(WIDTHS))
+    records = record_information(law, load, values, varied, widths=widths, **record)
+    conditions = records[0].factors.shape[-1] - len(widths) + np.arange(len(widths))
     columns = np.concatenate([np.flatnonzero(free), conditions])
     factors = [marginal_factor(law, one, sigma, columns) for one in records]
     found = []
@@ -84,21 +87,14 @@ def scenarios(
             factor / typical,
             {
                 condition: factor.T @ whole[:, len(names) + row] / typical
-                for row, condition in enumerate(WIDTHS)
+                for row, condition in enumerate(widths)
             },
             typical,
         )
-        by_quantity = {}
-        for quantity, weights in quantities.items():
-            row = np.array([weights.get(one, 0.0) for one in names])
-            by_quantity[quantity] = {
-                condition: float(row @ shift) for condition, shift in by_condition.items()
-            }
-        stderr = {
-            quantity: standard_error(
-                factor, np.array([weights.get(one, 0.0) for one in names]) * typical
-            )
-            for quantity, weights in quantities.items()
+        by_quantity = {
+            quantity: {condition: float(row @ shift) for condition, shift in by_condition.items()}
+            for quantity, row in rows.items()
         }
+        stderr = {quantity: standard_error(factor, row * typical) for quantity, row in rows.items()}
         found.append(Scenario(name, stderr, by_quantity))
     return tuple(found)

@@ -48,7 +48,7 @@ from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import directions
 from curlfit.inference.likelihood import linearize
-from curlfit.inference.noise.models import WHITE, independences
+from curlfit.inference.noise.models import WHITE, independences, matern
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import stacked
 from curlfit.prediction.ensemble import TrajectoryEnsemble, fitted_environment, simulate_ensemble
@@ -338,9 +338,7 @@ def _prior_weights() -> Floats:
 
 def _covariance() -> Floats:
     """Of a unit acceleration at `_SPEEDS`."""
-    gap = np.abs(np.log(_SPEEDS[:, None] / _SPEEDS)) * math.sqrt(5)
-    found: Floats = (1 + gap + gap**2 / 3) * np.exp(-gap)
-    return found
+    return matern(np.log(_SPEEDS[:, None] / _SPEEDS), 1.0)
 
 
 @cache

@@ -8,7 +8,6 @@ import json
 import numpy as np
 import pytest
 from conftest import command
-from typer.testing import CliRunner
 
 from curlfit import (
     LAWS,
@@ -20,7 +19,7 @@ from curlfit import (
     load_joint,
     simulate,
 )
-from curlfit.cli import app, main
+from curlfit.cli import main
 from curlfit.environment import Environment
 from curlfit.inference.conditions import CONDITIONS
 from curlfit.throws.synthetic import write_table
@@ -45,18 +44,6 @@ def folder(tmp_path_factory):
         ]
         (folder / f"{name}.csv").write_text(write_table(Throw.from_arrays(path.t, *noisy)))
     return folder
-
-
-@pytest.fixture
-def typed(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-
-    def run(*words):
-        done = CliRunner().invoke(app, [*map(str, words)])
-        assert done.exit_code == 0, done.output
-        return done.stdout
-
-    return run
 
 
 def body(text):

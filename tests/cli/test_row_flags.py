@@ -6,10 +6,9 @@ import csv
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from curlfit import LAWS, InitialState, Stone, Throw, load_comparison, load_fit, simulate
-from curlfit.cli import app, main
+from curlfit.cli import main
 from curlfit.environment import Environment
 from curlfit.throws.synthetic import write_table
 
@@ -37,18 +36,6 @@ def folder(tmp_path_factory):
     own = "# since = 1\n# until = 18\n# exclude = [[3, 3.55], [12, 13]]\n# swept = [6, 11]\n"
     (folder / "own.csv").write_text(own + table)
     return folder
-
-
-@pytest.fixture
-def typed(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-
-    def run(*words):
-        done = CliRunner().invoke(app, [*map(str, words)])
-        assert done.exit_code == 0, done.output
-        return done.stdout
-
-    return run
 
 
 def test_the_rows_of_a_fit_and_sweeping_are_chosen_by_flags_and_in_the_file(typed, folder):

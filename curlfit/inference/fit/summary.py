@@ -118,22 +118,21 @@ def summarize_many(
     step = around.point - solutions.values[around.owner]
     delta = delta - (gradient[around.owner] * step).sum(-1)
     nonquadratic = nonquadratic_parameters(found, around, delta)
-    changes = {}
+    systematics = [Systematics()] * len(fits)
     if paths is not None and widths:
         loss = fits[0].loss
         changes = residual_changes(model, problems, solutions.values, paths, widths, loss, batch)
-    systematics = []
-    for throw, one in enumerate(found):
-        by_condition = shifts(
-            statistics.r_factor[throw, :, :-1][:, one.open],
-            {
-                name: np.einsum("cn,cnp->p", change[throw], solutions.jacobian[throw])[one.open]
-                for name, change in changes.items()
-            },
-            sets[0].typical[one.open],
-        )
-        shifted = shifts_by_name(one.identifiability, by_condition) if changes else {}
-        systematics.append(Systematics(dict(widths or {}) if changes else {}, shifted))
+        for throw, one in enumerate(found):
+            by_condition = shifts(
+                statistics.r_factor[throw, :, :-1][:, one.open],
+                {
+                    name: np.einsum("cn,cnp->p", change[throw], solutions.jacobian[throw])[one.open]
+                    for name, change in changes.items()
+                },
+                sets[0].typical[one.open],
+            )
+            shifted = shifts_by_name(one.identifiability, by_condition)
+            systematics[throw] = Systematics(dict(widths), shifted)
     return list(map(_record, fits, statistics.each(len(fits)), found, nonquadratic, systematics))
 
 

@@ -35,6 +35,7 @@ from scipy.optimize import minimize_scalar
 
 from curlfit.inference.identifiability import triangle
 from curlfit.inference.noise.estimation import ChannelResiduals
+from curlfit.inference.noise.models import matern
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import GRAVITY, Stone
 from curlfit.throws.throw import CHANNELS
@@ -202,6 +203,5 @@ def _integral(values: Floats, t: Floats) -> Floats:
 @cache
 def _shapes() -> Any:
     """Leading Karhunen-Loeve functions of an acceleration of size 1, shape (functions, speeds)."""
-    gap = np.abs(np.log(_SPEEDS[:, None] / _SPEEDS)) * math.sqrt(5)
-    squares, vectors = np.linalg.eigh((1 + gap + gap**2 / 3) * np.exp(-gap))
+    squares, vectors = np.linalg.eigh(matern(np.log(_SPEEDS[:, None] / _SPEEDS), 1.0))
     return (np.sqrt(np.maximum(squares, 0.0)) * vectors).T[: -SHAPES - 1 : -1]
