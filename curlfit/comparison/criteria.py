@@ -33,10 +33,9 @@ from curlfit.throws.throw import CHANNELS
 
 
 def noise_parameters(noise: Noise) -> int:
-    """Parameters of a noise model beside sigma: each memory of "ar1", the one size of "gp"
-    and the three of "discrepancy"."""
-    sizes = len(noise.sizes) if noise.kind == "discrepancy" else bool(noise.sizes)
-    return len(noise.memory) + sizes
+    """Parameters of a noise model beside sigma: correlation times that differ, and sizes of the
+    discrepancy."""
+    return len(set(noise.memory.values())) + len(noise.sizes)
 
 
 def residuals_of(result: FitResult) -> dict[str, Floats]:

@@ -270,13 +270,10 @@ def _two(value: float | None) -> str:
 
 def _memory(fit: FitResult, channel: str) -> str:
     """The correlation of a channel's noise, in a few words."""
+    parts = ["discrepancy"] if fit.noise.sizes else []
     if channel in fit.noise.memory:
-        return f"memory {fit.noise.memory[channel]:.2g} s"
-    if fit.noise.kind == "discrepancy":
-        return "discrepancy"
-    if channel in fit.noise.sizes:
-        return f"smooth, {fit.noise.sizes[channel]:.2g} {UNITS[channel]}"
-    return "independent"
+        parts.append(f"memory {fit.noise.memory[channel]:.2g} s")
+    return ", ".join(parts) or "independent"
 
 
 def identifiability(fit: FitResult) -> str:

@@ -103,11 +103,10 @@ NoiseModel = Annotated[
     str | None,
     typer.Option(
         help="Correlation of the noise from row to row: `white` has none; `ar1` has an exponential "
-        "autocorrelation, as from a filter or a swaying camera; `gp` is white noise plus a smooth "
-        "discrepancy, as from an inexact law; `discrepancy` is white noise plus accelerations that "
-        "the law lacks, as functions of speed. Estimated from the residuals. "
-        "[default: white]",
-        metavar="white|ar1|gp|discrepancy",
+        "autocorrelation, as from a filter or a swaying camera; `discrepancy` is white noise plus "
+        "accelerations that an inexact law lacks, as functions of speed; `ar1+discrepancy` is "
+        "both. Estimated from the residuals. [default: white]",
+        metavar="white|ar1|discrepancy|ar1+discrepancy",
     ),
 ]
 Config = Annotated[

@@ -1,20 +1,11 @@
-"""Model discrepancy: accelerations beyond those of a law, for the bands of predictions.
+"""Model discrepancy of a fit: accelerations beyond those of a law, for the bands of predictions.
 
-The stone has an acceleration across its velocity, along it, and an angular one in addition to those
-of the law. The discrepancy of a law recurs at the same speed, so each component is a function of
-speed: a Gaussian process in the logarithm of speed (friction laws are powers of it) of Matern
-covariance (order 5/2, length a factor e in speed). The components across the velocity and in the
-rotation are proportional to the spin of the throw: the mirror image of a throw is a throw, and
-proportionality is the first order of an odd function.
-
-Sizes. The size of each component has an exponential prior, as penalised-complexity priors have it
-(Simpson et al. 2017, Statistical Science 32, 1): 5 % of it lies above the friction, mu g by the
-mean deceleration of the fitted rows, where it is truncated: a missing force of the contact is no
-larger than the contact force itself. For the rotation it is the moment of friction at the ring, mu
-g R/rho^2, times the ratio R omega/v by which the sliding speed varies along the ring (at most 1,
-mean of the rows). Times the likelihood, this gives the posterior from which sizes are drawn. Sizes
-that the record could not have shown thus remain in the posterior; without any information it is
-the prior, whose mean is a third of the friction.
+The accelerations, their dependence on speed, the prior of their sizes and their effect on a path
+are those of the noise model "discrepancy" (`curlfit.inference.noise.accelerations`). Across the
+velocity and in the rotation they are proportional to the spin of the throw: the mirror image of a
+throw is a throw, and proportionality is the first order of an odd function. Sizes are drawn from
+their posterior; those that the record could not have shown remain in it, and without any
+information it is the prior, truncated at the friction, whose mean is a third of the friction.
 
 Identification. The law has its least-squares coefficients: the accelerations are those that do not
 change them, to first order, while the start of the fitted throw adjusts (as in Plumlee 2017,
@@ -34,35 +25,36 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import NamedTuple, cast
 
 from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
-from curlfit.prediction.result import CEILING, COMPONENTS, Discrepancy
 
 # isort: split
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.prepared import motion_of, problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import directions
 from curlfit.inference.likelihood import linearize
-from curlfit.inference.noise.models import WHITE, independences, matern
+from curlfit.inference.noise.accelerations import (
+    COMPONENTS,
+    SHAPES,
+    SIZES,
+    SPEEDS,
+    Responses,
+    covariance,
+    log_prior,
+    shapes,
+)
+from curlfit.inference.noise.models import WHITE, independences
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import stacked
-from curlfit.prediction.ensemble import TrajectoryEnsemble, fitted_environment, simulate_ensemble
-from curlfit.stone import GRAVITY
+from curlfit.prediction.ensemble import TrajectoryEnsemble
+from curlfit.prediction.result import Discrepancy
 from curlfit.throws.throw import CHANNELS
 
-_PRIOR_TAIL = 0.05  # probability of the prior of the sizes above the ceiling, where it is truncated
-_EDGES = np.geomspace(0.002, 1.0, 13)
-_SIZES = np.sqrt(_EDGES[1:] * _EDGES[:-1])  # over the ceiling, in the middle of equal parts
-_SPEEDS = np.geomspace(0.05, 10.0, 161)  # m/s, at which accelerations are tabulated
-_SHAPES = 20  # basis functions of speed
 _MIN_VALUES = 20  # of a channel whose noise is estimated
-_TIMES = 331  # of the fitted path
-_TIME_MARGIN = 1.1  # duration of the simulated path over that of the fitted rows
 _MIN_SIGMA = 1e-5  # lower limit of the noise, m, rad, m/s or rad/s
 _ROUNDS = 3  # of estimating noise and its correlation
 
@@ -71,14 +63,14 @@ class MissingAccelerations(NamedTuple):
     """Draws of missing accelerations."""
 
     acceleration: Floats
-    """at `_SPEEDS`, m/s^2 (rad/s^2), shape (draws, 3, speeds)"""
+    """at `SPEEDS`, m/s^2 (rad/s^2), shape (draws, 3, speeds)"""
     change: Floats
     """correction of the parameters for it, to first order, shape (draws, parameters)"""
 
     def applied_to(self, ensemble: TrajectoryEnsemble, spin: float = 1.0) -> TrajectoryEnsemble:
         """Each trajectory under one draw; `spin` is the ratio to that of the fitted throw."""
-        log_speed = np.log(np.clip(ensemble.mean_speeds(), _SPEEDS[0], _SPEEDS[-1]))
-        grid = np.log(_SPEEDS)
+        log_speed = np.log(np.clip(ensemble.mean_speeds(), SPEEDS[0], SPEEDS[-1]))
+        grid = np.log(SPEEDS)
         accelerations = np.array(
             [
                 [np.interp(at, grid, component) for component in draw]
@@ -120,10 +112,10 @@ class DiscrepancyPosterior:
         weights = amplitudes @ model.basis.T
         ceilings = np.array([self.summary.ceilings[component] for component in COMPONENTS])
         fitted = weights.reshape(draws, len(COMPONENTS), -1) * ceilings[:, None]
-        sizes = random.choice(_SIZES, (draws, len(COMPONENTS)), p=_prior_weights()) * ceilings
+        sizes = random.choice(SIZES, (draws, len(COMPONENTS)), p=_prior_weights()) * ceilings
         normal = random.standard_normal((draws, len(COMPONENTS), len(self._unseen_shapes)))
         unseen = normal @ self._unseen_shapes
-        return MissingAccelerations(fitted @ _shapes() + sizes[..., None] * unseen, change)
+        return MissingAccelerations(fitted @ shapes() + sizes[..., None] * unseen, change)
 
     def shift_parameters(self, values: Floats, missing: MissingAccelerations) -> Floats:
         """Draws of the parameters corrected for the missing accelerations, with errors enlarged
@@ -147,10 +139,9 @@ def estimate_discrepancy(fit: FitResult) -> Discrepancy:
 
 def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
     """The posterior of the model discrepancy of a fit."""
-    friction = _friction_coefficient(fit)
-    turning = friction * fit.stone.R / fit.stone.rho**2 * _rim_speed_ratio(fit)
-    ceilings = CEILING * GRAVITY * np.array([friction, friction, turning])
-    model = _LinearModel.of(fit, ceilings)
+    responses = Responses.of(*motion_of(fit))
+    ceilings = responses.size
+    model = _LinearModel.of(fit, responses)
     estimated = model.counts > _MIN_VALUES
     noise, shares = np.where(estimated, model.rough_noise(), 1.0), np.ones(len(model.counts))
     best = np.full(len(COMPONENTS), 0.1)
@@ -161,15 +152,15 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
         if np.allclose(shares, before, rtol=0.1):
             break
     n = len(COMPONENTS)
-    grid = np.stack(np.meshgrid(*[_SIZES] * n, indexing="ij"), -1).reshape(-1, n)
+    grid = np.stack(np.meshgrid(*[SIZES] * n, indexing="ij"), -1).reshape(-1, n)
     log_likelihood = model.log_likelihood(noise, shares, grid)
-    log_posterior = log_likelihood + _log_prior(grid)
+    log_posterior = log_likelihood + log_prior(grid)
     weights = np.exp(log_posterior - log_posterior.max())
     weights /= weights.sum()
     sizes = ceilings * np.sqrt(weights @ grid**2)
     excess = {}
     for index, component in enumerate(COMPONENTS):
-        without = log_likelihood[grid[:, index] == _SIZES[0]].max()
+        without = log_likelihood[grid[:, index] == SIZES[0]].max()
         excess[component] = float(np.sqrt(2 * (log_likelihood.max() - without)))
     summary = Discrepancy(
         dict(zip(COMPONENTS, map(float, sizes), strict=True)),
@@ -183,7 +174,7 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
         },
         excess if estimated.any() else {},
         dict(zip(COMPONENTS, map(float, ceilings), strict=True)),
-        friction,
+        responses.friction,
     )
     unseen = _unseen_shapes(fit.fitted["speed"])
     return DiscrepancyPosterior(summary, fit, model, noise, grid, weights, unseen)
@@ -217,18 +208,19 @@ class _LinearModel:
     coupling: Floats
 
     @classmethod
-    def of(cls, fit: FitResult, ceilings: Floats) -> _LinearModel:
-        """Of a fit; ceilings in m/s^2 (rad/s^2) are the units of acceleration."""
+    def of(cls, fit: FitResult, responses: Responses) -> _LinearModel:
+        """Of a fit, and what accelerations of the size of the friction do to its path."""
         jacobian, weight = _path_jacobian(fit)
         names = tuple(
             name for name, own in zip(CHANNELS, weight, strict=False)
             if name in fit.observed and (own > 0).any()
         )  # fmt: skip
-        responses = _response(fit, names) * np.repeat(ceilings, _SHAPES)
+        since = fit.observed["t"] - fit.observed["t"][0]
         adjustable = _adjustable(fit)
         blocks, sigmas = [], []
-        for name, response in zip(names, responses, strict=True):
+        for name in names:
             index = CHANNELS.index(name)
+            response = responses.at(since, index)
             use = weight[index] > 0
             own = np.minimum(weight[index, use], 1 / _MIN_SIGMA)[:, None]
             residual = (fit.observed[name] - fit.fitted[name])[use, None]
@@ -268,7 +260,7 @@ class _LinearModel:
         Cholesky factors L of its precision, L^T times its mean, and the logarithm of the
         determinant of the prior's precision.
         """
-        inverse_squares = np.repeat(1 / sizes**2, _SHAPES, axis=1)
+        inverse_squares = np.repeat(1 / sizes**2, SHAPES, axis=1)
         prior = (self.basis.T * inverse_squares[:, None]) @ self.basis
         whole = np.tensordot(1 / noise, self.gram, 1)
         precision = np.tile(whole[:-1, :-1], (len(sizes), 1, 1))
@@ -298,9 +290,9 @@ class _LinearModel:
 
         def negative_log_posterior(logs: Floats) -> float:
             squares, sizes = unpack(logs)
-            return -float((self.log_likelihood(squares, shares, sizes) + _log_prior(sizes))[0])
+            return -float((self.log_likelihood(squares, shares, sizes) + log_prior(sizes))[0])
 
-        bounds = [(math.log(_SIZES[0]), 0.0)] * len(COMPONENTS)
+        bounds = [(math.log(SIZES[0]), 0.0)] * len(COMPONENTS)
         bounds += [(math.log(square), 14.0) for square in self.min_noise[estimated]]
         start = np.log(np.concatenate([sizes, noise[estimated]]))
         optimum = minimize(negative_log_posterior, start, method="L-BFGS-B", bounds=bounds).x
@@ -325,61 +317,21 @@ class _LinearModel:
         return found
 
 
-def _log_prior(sizes: Floats) -> Floats:
-    """Logarithm of the prior density of the logarithms of sizes over their ceilings."""
-    rate = -math.log(_PRIOR_TAIL)
-    return cast(Floats, (np.log(sizes) - rate * sizes).sum(-1))
-
-
 def _prior_weights() -> Floats:
-    weights = np.exp([_log_prior(np.array([size])) for size in _SIZES])
+    weights = np.exp([log_prior(np.array([size])) for size in SIZES])
     return cast(Floats, weights / weights.sum())
 
 
-def _covariance() -> Floats:
-    """Of a unit acceleration at `_SPEEDS`."""
-    return matern(np.log(_SPEEDS[:, None] / _SPEEDS), 1.0)
-
-
-@cache
-def _shapes() -> Floats:
-    """Leading Karhunen-Loeve functions of a unit acceleration, shape (functions, speeds)."""
-    squares, vectors = np.linalg.eigh(_covariance())
-    return cast(Floats, (np.sqrt(squares) * vectors).T[: -_SHAPES - 1 : -1])
-
-
 def _unseen_shapes(speed: Floats) -> Floats:
-    """The same of the process conditioned to be zero at the fitted speeds within `_SPEEDS`."""
-    fitted = np.clip(_SPEEDS, speed.min(), speed.max()) == _SPEEDS
-    whole = _covariance()
+    """The same of the process conditioned to be zero at the fitted speeds within `SPEEDS`."""
+    fitted = np.clip(SPEEDS, speed.min(), speed.max()) == SPEEDS
+    whole = covariance(SPEEDS[:, None], SPEEDS)
     # a small diagonal, since the covariance is singular to rounding
     known = whole[fitted][:, fitted] + 1e-6 * np.eye(int(fitted.sum()))
     conditional = whole - whole[:, fitted] @ np.linalg.solve(known, whole[fitted])
     conditional[fitted] = conditional[:, fitted] = 0.0
     squares, vectors = np.linalg.eigh(conditional)
-    return cast(Floats, (np.sqrt(np.maximum(squares, 0.0)) * vectors).T[: -_SHAPES - 1 : -1])
-
-
-def _response(fit: FitResult, names: tuple[str, ...]) -> Floats:
-    """Derivatives of the channels by accelerations of each component and shape.
-
-    By central differences, shape (channels, rows, 3 * _SHAPES).
-    """
-    since = fit.observed["t"] - fit.observed["t"][0]
-    t = np.linspace(0.0, _TIME_MARGIN * since[-1], _TIMES)
-    path = simulate_ensemble(fit.model, fit.values[None], fit.stone, fitted_environment(fit), t)
-    small = 1e-3 * GRAVITY * _friction_coefficient(fit) * np.array([1.0, -1.0])
-    unit = np.einsum("e,wv,ks->wkevs", small, np.eye(len(COMPONENTS)), _shapes())
-    each = MissingAccelerations(unit.reshape(-1, len(COMPONENTS), len(_SPEEDS)), np.zeros(0))
-    state = each.applied_to(path.select(np.zeros(len(each.acceleration), int))).state
-    x, y, phi, vx, vy, omega = state.swapaxes(0, 1)
-    values = {"x": x, "y": y, "phi": phi, "speed": np.hypot(vx, vy), "omega": omega}
-    found = []
-    for name in names:
-        pairs = values[name].reshape(-1, 2, len(t))
-        slopes = (pairs[:, 0] - pairs[:, 1]) / (small[0] - small[1])
-        found.append(np.array([np.interp(since, t, slope) for slope in slopes]).T)
-    return np.array(found)
+    return cast(Floats, (np.sqrt(np.maximum(squares, 0.0)) * vectors).T[: -SHAPES - 1 : -1])
 
 
 def _adjustable(fit: FitResult) -> Booleans:
@@ -392,20 +344,6 @@ def _null_space(matrix: Floats) -> Floats:
     _, singular, rows = np.linalg.svd(matrix)
     rank = int((singular > 1e-9 * singular.max(initial=0.0)).sum())
     return cast(Floats, rows[rank:].T)
-
-
-def _friction_coefficient(fit: FitResult) -> float:
-    """Coefficient of friction from the mean deceleration of the fitted rows."""
-    speed = fit.fitted["speed"]
-    return max(float(speed[0] - speed.min()) / (GRAVITY * _duration(fit)), 1e-4)
-
-
-def _rim_speed_ratio(fit: FitResult) -> float:
-    """Mean of R |omega|/v over the moving fitted rows, each at most 1."""
-    speed = fit.fitted["speed"]
-    moving = speed > 0
-    rim = fit.stone.R * np.abs(fit.fitted["omega"][moving])
-    return max(float(np.mean(np.minimum(rim / speed[moving], 1.0))), 0.01)
 
 
 def _path_jacobian(fit: FitResult) -> tuple[Floats, Floats]:

@@ -24,6 +24,7 @@ import numpy as np
 
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, no_motion_because
+from curlfit.inference.fit.fit import refit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.mcmc.ridge import ridge_move
@@ -105,11 +106,6 @@ def predict(
     request.require(fit, check)
     if not fit.converged:
         raise UnusableFitError(f"nothing can be predicted from this fit: {fit.status}")
-    if fit.noise.kind not in ("white", "ar1"):
-        raise InputError(
-            f"noise {fit.noise.kind}: a prediction estimates its own model discrepancy; use a fit "
-            "with white or ar1 noise"
-        )
     for name in ("length_scale", "time_scale"):
         if name in fit.conditions and fit.parameters[name].value != 1.0:
             raise InputError(
@@ -118,6 +114,15 @@ def predict(
             )
     if draws < 100:
         raise InputError(f"{draws} draws: expected at least 100")
+    notes = []
+    if "discrepancy" in fit.noise.kind:
+        fit, chain = refit(fit, "white"), None
+        if not fit.converged:
+            raise UnusableFitError(f"nothing can be predicted from this fit: {fit.status}")
+        notes.append(
+            "the path is that of the least-squares coefficients; the discrepancy that the fit has "
+            "as noise is here in the bands"
+        )
     random = np.random.default_rng(seed)
     throw_start = start_of(fit, request)
     values, source = _drawn_values(fit, chain, draws, random)
@@ -156,7 +161,7 @@ def predict(
         *law_warnings,
         *off_the_sheet(best),
     ]
-    notes = [*null_notes, *law_notes]
+    notes += [*null_notes, *law_notes]
     if request.new:
         notes.append("the variation of the ice from throw to throw is unknown from one throw")
     if not use.all():

@@ -238,12 +238,8 @@ COMPONENT_LABELS = {
 }
 """Components of missing accelerations: to the right of the velocity, along it, and angular."""
 
-COMPONENTS = tuple(COMPONENT_LABELS)
 DETECTION = 3.0
 """Standard deviations above which a missing acceleration is detected."""
-
-CEILING = 1.0
-"""Upper limit of the size of a missing acceleration, over the friction."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ def path_of(law, start):
 @pytest.mark.parametrize(
     ("component", "name", "sign"),
     # a constant acceleration across the velocity, along it, and of the spin
-    [("across", "a", -1.0), ("along", "c", -1.0), ("angular", "q", -1.0)],
+    [("across", "a", -1.0), ("along", "c", -1.0), ("turning", "q", -1.0)],
 )
 def test_responses_are_the_derivatives_of_the_path(component, name, sign):
     values = {"a": 0.006, "c": 0.088, "p": 0.0, "q": 0.02, "r": 0.0}
@@ -36,13 +36,13 @@ def test_responses_are_the_derivatives_of_the_path(component, name, sign):
     expected = sign * (up - down) / (2 * step)
     found = Responses.of(TIMES, path, STONE)
     # a constant, by the shapes
-    shapes = accelerations._shapes()
+    shapes = accelerations.shapes()
     constant = np.linalg.lstsq(shapes.T, np.ones(shapes.shape[1]), rcond=None)[0]
     along = np.zeros((3, accelerations.SHAPES))
     row = accelerations.COMPONENTS.index(component)
     along[row] = constant
     ratio = np.mean(np.minimum(STONE.R * np.abs(path[4]) / np.maximum(path[3], 1e-9), 1.0))
-    size = found.friction * 9.81 * (STONE.R / STONE.rho**2 * ratio if component == "angular" else 1)
+    size = found.friction * 9.81 * (STONE.R / STONE.rho**2 * ratio if component == "turning" else 1)
     for channel in range(len(CHANNELS)):
         response = found.at(TIMES, channel) @ along.ravel() / size
         scale = np.abs(expected[channel]).max()
@@ -99,9 +99,10 @@ def test_under_the_right_law_errors_are_those_of_noise_and_somewhat_larger():
     assert own.sigma["x"] == pytest.approx(0.005, rel=0.2)
 
 
-def test_its_whitening_is_the_inverse_root_of_its_covariance():
+@pytest.mark.parametrize("kind", ["discrepancy", "ar1+discrepancy"])
+def test_its_whitening_is_the_inverse_root_of_its_covariance(kind):
     (_, throw), *_ = thrown(LAWS["stribeck"](), 1)
-    fit = curlfit.fit(throw, "coulomb", noise="discrepancy")
+    fit = curlfit.fit(throw, "coulomb", noise=kind)
     problem, _ = problem_of(fit)
     n, weight = len(TIMES), np.asarray(problem.weight)
     responses = Responses.of(TIMES, np.array([fit.fitted[name] for name in CHANNELS]), fit.stone)
@@ -109,6 +110,10 @@ def test_its_whitening_is_the_inverse_root_of_its_covariance():
                       accelerations.SHAPES)  # fmt: skip
     rows = np.concatenate([weight[c, :n, None] * responses.at(TIMES, c) * sizes for c in range(3)])
     covariance = np.eye(3 * n) + rows @ rows.T
+    if kind != "discrepancy":
+        (memory,) = set(fit.noise.memory.values())
+        own = np.exp(-np.abs(TIMES[:, None] - TIMES) / memory)
+        covariance += np.kron(np.eye(3), own) - np.eye(3 * n)
     residual = np.random.default_rng(0).standard_normal((3, weight.shape[1]))
     residual[:, n:] = 0.0
     white = np.asarray(problem.whitener.whiten(residual))[:, :n].ravel()
@@ -116,6 +121,44 @@ def test_its_whitening_is_the_inverse_root_of_its_covariance():
     assert white @ white == pytest.approx(own @ np.linalg.solve(covariance, own), rel=1e-8)
     determinant = -0.5 * np.linalg.slogdet(covariance)[1]
     assert problem.whitener.log_determinant().sum() == pytest.approx(determinant, rel=1e-8)
+
+
+def test_the_likelihood_of_sizes_is_that_of_the_covariance():
+    random = np.random.default_rng(2)
+    count = 3 * accelerations.SHAPES
+    fixed, shapes, residual = (random.standard_normal((60, k)) for k in (4, count, 1))
+    factor = np.linalg.qr(np.hstack([fixed, shapes, residual]), mode="r")
+    sizes = np.array([[0.01, 0.3, 0.02], [0.2, 0.05, 0.6]])
+    found = accelerations.log_likelihood(factor, sizes, 4)
+    expected = []
+    for own in sizes:
+        weighted = shapes * np.repeat(own, accelerations.SHAPES)
+        inverse = np.linalg.inv(np.eye(60) + weighted @ weighted.T)
+        spent = fixed.T @ inverse @ fixed
+        left = inverse - inverse @ fixed @ np.linalg.solve(spent, fixed.T @ inverse)
+        logs = np.linalg.slogdet(inverse)[1] - np.linalg.slogdet(spent)[1]
+        expected.append((logs - (residual.T @ left @ residual).item()) / 2)
+    assert found[0] - found[1] == pytest.approx(expected[0] - expected[1], rel=1e-6)
+
+
+def test_a_memory_is_told_from_a_discrepancy():
+    """Wrong law and AR(1) noise of 0.5 s: without a memory the errors are far too small."""
+    random, memory = np.random.default_rng(5), 0.5
+    carry = np.exp(-(TIMES[1] - TIMES[0]) / memory)
+    throws = []
+    for start, throw in thrown(LAWS["stribeck"](), 8, noise=0.0):
+        noise = random.standard_normal((3, len(TIMES)))
+        for row in range(1, len(TIMES)):
+            noise[:, row] = carry * noise[:, row - 1] + np.sqrt(1 - carry**2) * noise[:, row]
+        series = np.stack([throw.x, throw.y, throw.phi]) + noise * [[0.005], [0.005], [0.01]]
+        throws.append((start, Throw.from_arrays(TIMES, *series)))
+    fits = fit_throws([throw for _, throw in throws], "coulomb", noise="ar1+discrepancy")
+    lasting = [next(iter(fit.noise.memory.values())) for fit in fits]
+    assert np.exp(np.mean(np.log(lasting))) == pytest.approx(memory, rel=0.4)
+    assert not any("too small" in text for fit in fits for text in fit.warnings)
+    own = np.sqrt((pulls_of(throws, "coulomb", "ar1+discrepancy") ** 2).mean())
+    assert 0.4 < own < 1.8
+    assert np.sqrt((pulls_of(throws, "coulomb", "discrepancy") ** 2).mean()) > 1.5 * own
 
 
 def test_a_mirrored_throw_has_the_same_discrepancy():

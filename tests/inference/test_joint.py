@@ -91,6 +91,16 @@ def test_the_optimum_and_its_errors_are_scipy_s(three):
     assert abs(total.value - found.x[2]) < 1e-3 * errors[2]
     assert total.stderr == pytest.approx(errors[2], rel=1e-3)
     assert joint.rank == joint.parameters - 1
+    # what a throw knows, the others included: predictions from it have these errors
+    for place, one in enumerate(joint.throws):
+        typical = one.parameter_set.typical
+        known = typical[:, None] * np.array(one.information["matrix"]) * typical
+        own = typical * np.sqrt(np.diag(np.linalg.pinv(known, rcond=1e-12)))
+        for name, error in zip(one.information["names"], own, strict=True):
+            column = {"mu1_xi": 0, "mu2_xi": 1, "heading": 5, "v0": 6, "omega0": 8}.get(name)
+            if column is not None:
+                expected = errors[column + 6 * place * (column > 2)]
+                assert error == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize("count", [3, pytest.param(12, marks=pytest.mark.slow)])

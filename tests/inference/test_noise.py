@@ -13,6 +13,7 @@ from scipy.linalg import toeplitz
 import curlfit
 from curlfit.inference.fit.result import load_fit
 from curlfit.inference.noise.correlated import whitened, whitener_of
+from curlfit.inference.noise.estimation import Sums
 from curlfit.inference.noise.models import Noise, independences
 
 T = np.arange(0.0, 15.05, 0.1)
@@ -58,22 +59,42 @@ def test_ar1_noise_is_made_independent_across_gaps():
     np.testing.assert_array_equal(operator(whitener, 60, 2), np.eye(60))
 
 
-def test_gp_noise_is_made_independent():
-    times = np.linspace(0.0, 24.0, 121)
-    weight = np.tile([[1 / 0.005], [1 / 0.004], [1 / 0.01]], (1, 121))
-    weight[0, 50:70] = 0.0
-    sizes = {"x": 0.02, "y": 0.2}
-    whitener = whitener_of(Noise("gp", sizes=sizes, span=20.0), times, weight)
-    moving = np.minimum(times, 20.0)  # at rest it stays as it is
-    q = np.sqrt(5) * np.abs(moving[:, None] - moving) / 20.0
-    kernel = (1 + q + q**2 / 3) * np.exp(-q)
-    for channel, name in enumerate(sizes):
-        w = operator(whitener, 121, channel)
-        covariance = np.outer(weight[channel], weight[channel]) * sizes[name] ** 2 * kernel
-        seen = np.flatnonzero(weight[channel])
-        made = w @ (covariance + np.eye(121)) @ w.T
-        np.testing.assert_allclose(made[np.ix_(seen, seen)], np.eye(len(seen)), atol=2e-3)
-    np.testing.assert_array_equal(operator(whitener, 121, 2), np.eye(121))
+def test_the_likelihood_of_ar1_noise_is_that_of_its_covariance():
+    """Sums over neighbours, of uneven rows, against the covariance matrix."""
+    random = np.random.default_rng(3)
+    t = np.cumsum(random.choice([0.1, 0.2, 0.35], 80))
+    columns = np.column_stack([np.ones(80), t, random.standard_normal(80)])
+    sums = Sums.of(columns, t)
+    np.testing.assert_allclose(sums.white(), columns.T @ columns, rtol=1e-10)
+    for memory in (0.05, 0.6, 30.0):
+        covariance = np.exp(-np.abs(t[:, None] - t) / memory)
+        made, half = sums.ar1(memory)
+        expected = columns.T @ np.linalg.solve(covariance, columns)
+        np.testing.assert_allclose(made, expected, rtol=1e-7, atol=1e-7)
+        assert half == pytest.approx(np.linalg.slogdet(covariance)[1] / 2, rel=1e-8)
+
+
+def test_many_rows_have_the_noise_that_they_have():
+    """Of 2,001 rows white noise is found to be white, and a short memory as it is."""
+    t = np.linspace(0.0, 20.0, 2001)
+    start = curlfit.InitialState(v=START["v0"], omega=START["omega0"])
+    path = curlfit.simulate(curlfit.LAWS["coulomb"](), curlfit.Stone(), start, t).to_numpy()
+    noise = np.random.default_rng(1).standard_normal((3, len(t)))
+    for memory in (0.0, 0.05):
+        carry = np.exp(-0.01 / memory) if memory else 0.0
+        for row in range(1, len(t)):
+            noise[:, row] = carry * noise[:, row - 1] + np.sqrt(1 - carry**2) * noise[:, row]
+        found = curlfit.fit(
+            curlfit.Throw.from_arrays(
+                t, path.x + 0.005 * noise[0], path.y + 0.005 * noise[1], path.phi + 0.01 * noise[2]
+            ), "coulomb", noise="ar1",
+        )  # fmt: skip
+        for name, sigma in SIGMA.items():
+            assert found.sigma[name] == pytest.approx(sigma, rel=0.08)
+            if memory:
+                assert found.noise.memory[name] == pytest.approx(memory, rel=0.25)
+            else:
+                assert found.noise.memory[name] < 0.005
 
 
 def independence(series):
@@ -99,31 +120,14 @@ def test_independence_by_hand():
 def test_white_noise_is_told_from_noise_with_a_memory():
     white = curlfit.fit(thrown(3), "front-back")
     assert not any("row to row" in text or "smooth" in text for text in white.warnings)
-    for kind in ("ar1", "gp"):
-        other = curlfit.fit(thrown(3), "front-back", noise=kind)
-        for name in ("mu1_xi", "mu2_xi", "v0"):
-            one, two = white.parameters[name], other.parameters[name]
-            assert two.stderr == pytest.approx(one.stderr, rel=0.25)
-            assert abs(two.value - one.value) < one.stderr
+    other = curlfit.fit(thrown(3), "front-back", noise="ar1")
+    for name in ("mu1_xi", "mu2_xi", "v0"):
+        one, two = white.parameters[name], other.parameters[name]
+        assert two.stderr == pytest.approx(one.stderr, rel=0.25)
+        assert abs(two.value - one.value) < one.stderr
     told = curlfit.fit(thrown(3, 0.9), "front-back")
     assert any("fit with --noise" in text and "too small" in text for text in told.warnings)
     assert told.independence["y"].effective < 40
-
-
-def test_a_discrepancy_in_place_of_short_memory_is_called_too_wide():
-    """Noise of 0.1 to 1 s memory under `gp`: errors are too large, and never called too small."""
-    off, warned = [], 0
-    for seed in range(8):
-        found = curlfit.fit(thrown(seed, 0.8), "front-back", noise="gp")
-        off += [
-            (found.parameters[name].value - (TRUE | START)[name]) / found.parameters[name].stderr
-            for name in ("mu1_xi", "mu2_xi", "v0", "omega0")
-            if found.parameters[name].stderr is not None
-        ]
-        assert not any("too small" in text for text in found.warnings)
-        warned += any("too large; fit with --noise ar1" in text for text in found.warnings)
-    assert warned >= 6
-    assert np.sqrt(np.mean(np.square(off))) < 0.8
 
 
 def test_the_memory_of_the_noise_is_found():
@@ -142,7 +146,8 @@ def test_the_memory_of_the_noise_is_found():
     ("kind", "correlation", "truth", "law"),
     [
         ("ar1", 0.9, ("front-back", TRUE), "front-back"),
-        ("gp", 0.0, ("power", {"c": 0.008, "k": -0.4}), "coulomb"),
+        ("discrepancy", 0.0, ("power", {"c": 0.008, "k": -0.4}), "coulomb"),
+        ("ar1+discrepancy", 0.7, ("power", {"c": 0.008, "k": -0.4}), "coulomb"),
     ],
 )
 def test_errors_are_what_repetition_shows(kind, correlation, truth, law):
@@ -166,7 +171,9 @@ def test_given_sigmas_are_kept():
     found = curlfit.fit(given, "front-back", noise="ar1")
     assert found.sigma == {}
     assert all(0.1 < value < 2 for value in found.noise.memory.values())
-    assert curlfit.fit(given, "front-back", noise="gp").sigma == {}
+    both = curlfit.fit(given, "front-back", noise="ar1+discrepancy")
+    assert both.sigma == {}
+    assert both.noise.memory["y"] == pytest.approx(-0.1 / np.log(0.8), rel=0.5)
 
 
 def test_it_is_saved_and_sampled(tmp_path):
@@ -186,25 +193,24 @@ def test_it_is_saved_and_sampled(tmp_path):
 def test_what_cannot_be_combined_is_refused():
     throw = thrown(0)
     for choices, words in (
-        ({"noise": "pink"}, "unknown noise 'pink'; expected one of white, ar1, gp"),
-        ({"noise": "gp", "loss": "huber"}, "cannot be combined"),
+        ({"noise": "pink"}, "unknown noise 'pink'; expected one of white, ar1, discrepancy"),
+        ({"noise": "discrepancy", "loss": "huber"}, "cannot be combined"),
     ):
         with pytest.raises(curlfit.InputError, match=words):
             curlfit.fit(throw, **choices)
     few = replace(throw, notes=()).select_rows(until=1.0).with_sigma(SIGMA)
     with pytest.raises(curlfit.InputError, match="too few values to estimate"):
-        curlfit.fit(few, "coulomb", noise="gp")
-    with pytest.raises(curlfit.InputError, match="noise gp"):
-        curlfit.predict(curlfit.fit(throw, noise="gp"))
+        curlfit.fit(few, "coulomb", noise="discrepancy")
 
 
 def test_on_the_command_line(tmp_path):
-    run = curlfit_command("fit", DATA, "--noise", "gp", "--no-sample", "--out", "f", cwd=tmp_path)
+    run = curlfit_command(
+        "fit", DATA, "--noise", "discrepancy", "--no-sample", "--out", "f", cwd=tmp_path
+    )
     assert run.returncode == 0, run.stderr
-    assert "gp noise" in run.stdout
-    assert "smooth, " in run.stdout
+    assert "discrepancy noise" in run.stdout
     shown = curlfit_command("show", "f", cwd=tmp_path)
-    assert "gp noise" in shown.stdout
+    assert "discrepancy noise" in shown.stdout
     # the discrepancy is no longer taken for noise that averages out
     white = curlfit.fit(curlfit.load_throw(DATA)).combinations[0].stderr
     assert load_fit(tmp_path / "f").combinations[0].stderr > 2 * white

@@ -19,13 +19,12 @@ from typer.testing import CliRunner
 import curlfit
 from curlfit import InputError, UnusableFitError, sheet
 from curlfit.cli import app
-from curlfit.inference.noise.models import Noise
+from curlfit.inference.noise.accelerations import COMPONENTS, SHAPES
 from curlfit.inference.problem import LEVEL_AND_STILL
 from curlfit.prediction.discrepancy import discrepancy_posterior, estimate_discrepancy
 from curlfit.prediction.ensemble import simulate_ensemble
 from curlfit.prediction.figures import prediction_figure
 from curlfit.prediction.request import GUARD, TAKEOUT
-from curlfit.prediction.result import COMPONENTS
 
 STONE = curlfit.Stone(R=0.065)
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}
@@ -412,7 +411,7 @@ def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(fit):
 
     def dense(sizes):
         """Patterson and Thompson's (1971): of what the parameters' columns leave."""
-        prior = np.linalg.inv((model.basis.T / np.repeat(sizes, 20) ** 2) @ model.basis)
+        prior = np.linalg.inv((model.basis.T / np.repeat(sizes, SHAPES) ** 2) @ model.basis)
         covariance = np.eye(len(whole)) + other @ prior @ other.T
         inverse = np.linalg.inv(covariance)
         shown = own.T @ inverse @ own
@@ -778,5 +777,13 @@ def test_of_correlated_noise_the_parameters_error_is_that_of_its_model():
         own, other = ar1.quantities[name], white.quantities[name]
         assert own.parameter_sd > 1.5 * other.parameter_sd
         assert own.value == pytest.approx(other.value, abs=4 * own.parameter_sd)
-    with pytest.raises(InputError, match="white or ar1 noise"):
-        curlfit.predict(replace(curlfit.fit(throw, stone=STONE), noise=Noise("discrepancy")))
+    # a discrepancy that the fit has as noise is in the bands alike
+    from_discrepancy = curlfit.predict(
+        curlfit.fit(throw, stone=STONE, noise="discrepancy"), draws=200
+    )
+    for name in ("rest_x", "rest_y"):
+        own, other = from_discrepancy.quantities[name], white.quantities[name]
+        assert own.value == pytest.approx(other.value, abs=1e-4)
+        assert own.parameter_sd == pytest.approx(other.parameter_sd, rel=1e-6)
+        assert own.model_sd == pytest.approx(other.model_sd, rel=0.1)
+    assert any("least-squares coefficients" in text for text in from_discrepancy.notes)

@@ -94,7 +94,7 @@ class Trial(NamedTuple):
 
 # Under uniform load the exponent of the pressure does not enter the motion.
 _LOADS = {"pressure": "consistent"}
-_MODELS = {"noises": ("white", "ar1", "gp")}
+_MODELS = {"noises": ("white", "ar1", "discrepancy")}
 TRIALS = {
     trial.name: trial
     for trial in (

@@ -116,7 +116,7 @@ def test_noise_says_pulls_and_warnings():
         Answer(1, {
             "white": Outcome({"v0": good(pull=pull)}, correlated=k < 7),
             "ar1": Outcome({"v0": good(pull=2 * pull)}, lasting=k < 2),
-            "gp": Outcome({"v0": good()} if k else {}, left="" if k else "not converged"),
+            "discrepancy": Outcome({"v0": good()} if k else {}, left="" if k else "not converged"),
         })
         for k, pull in enumerate(np.linspace(-1, 3, 9))
     ]  # fmt: skip
@@ -125,7 +125,7 @@ def test_noise_says_pulls_and_warnings():
     assert (cells[3], cells[6], cells[9]) == ("1.00 ± 1.37", "2.00 ± 2.74", "0.50 ± 0.00")
     assert line_of("residuals correlated", text)[1:] == ["7 of 9", "0 of 9", "0 of 8"]
     assert line_of("memory too long", text)[1:] == ["0 of 9", "2 of 9", "0 of 8"]
-    assert "- gp: 8 counted; left out: not converged 1." in text
+    assert "- discrepancy: 8 counted; left out: not converged 1." in text
 
 
 def test_small_samples_count_both_intervals_and_outliers():

@@ -37,7 +37,7 @@ from curlfit.inference.least_squares import (
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import check_loss, check_noise
 from curlfit.inference.priors import Prior
-from curlfit.inference.problem import problem_shape
+from curlfit.inference.problem import Origin, problem_shape
 from curlfit.numerics.compiled import BATCH, gc_paused, stacked, unstacked
 from curlfit.stone import Stone
 from curlfit.throws.throw import Reference, Throw
@@ -91,8 +91,8 @@ def fit(
     loss : "linear" is least squares; "huber", "soft-l1", "cauchy" and "student" (4 degrees of
         freedom) are robust to outliers.
     noise : "white" is independent from row to row; "ar1" has a correlation that decays
-        exponentially; "gp" is white on top of a smooth discrepancy, as of a law that is not exact
-        (see `curlfit.inference.noise.models`).
+        exponentially; "discrepancy" is white on top of accelerations that the law lacks;
+        "ar1+discrepancy" is both (see `curlfit.inference.noise.models`).
     systematics : standard uncertainties of conditions that are held, such as {"slope_x": 2e-4}, in
         place of those of `curlfit.inference.conditions`; 0 where one is known, "all" for all that
         are not named. They enter the systematic errors alone.
@@ -135,6 +135,16 @@ def fit(
         remedy = remedies(model, values, found.problem, local, n, open_, fix or ())
         result = replace(result, remedies=remedy)
     return result
+
+
+def refit(fit: FitResult, noise: str) -> FitResult:
+    """A fit made again under another noise model, from its optimum."""
+    throw, origin = fit.throw, Origin.of(fit.throw)
+    prepared = PreparedThrow(
+        throw, throw, fit.stone, fit.data, fit.data["swept"], fit.parameter_set, origin
+    )
+    rounds = Rounds(fit.model, [prepared], loss=fit.loss, noise=noise)
+    return summarize(_fitted_alone(rounds, fit.parameter_set.values_of(fit.values)))
 
 
 def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSquaresFit:

@@ -192,23 +192,11 @@ def correlation_warnings(statistics: ResidualStatistics, noise: str) -> list[str
     if not doubtful:
         return []
     listed = ", ".join(f"{item.lag1:.2f} in {name}" for name, item in doubtful.items())
-    if noise == "gp":
+    if noise != "white":
+        remedy = "; fit with --noise ar1+discrepancy" if "+" not in noise else ""
         return [
-            f"noise gp does not describe these residuals, which stay correlated from row to row "
-            f"(lag-1 correlation {listed}); it takes noise of short memory for a discrepancy of "
-            "the law, and standard errors are then several times too large; fit with --noise ar1"
-        ]
-    if noise == "discrepancy":
-        return [
-            f"noise discrepancy does not describe these residuals, which stay correlated from row "
-            f"to row (lag-1 correlation {listed}), as noise of short memory leaves them; standard "
-            "errors may be too small; fit with --noise ar1"
-        ]
-    if noise == "ar1":
-        return [
-            f"noise ar1 does not describe these residuals, which stay correlated from row to row "
-            f"(lag-1 correlation {listed}); standard errors are too small; fit with --noise "
-            "discrepancy"
+            f"noise {noise} does not describe these residuals, which stay correlated from row to "
+            f"row (lag-1 correlation {listed}); standard errors may be too small{remedy}"
         ]
     effective = ", ".join(
         f"{item.effective:.0f} of {count[name]} in {name}" for name, item in doubtful.items()
@@ -219,5 +207,5 @@ def correlation_warnings(statistics: ResidualStatistics, noise: str) -> list[str
     return [
         f"the residuals {kind} (lag-1 correlation {listed}){cause}; standard errors, which assume "
         f"independent noise, are too small (effective number of values: {effective}); fit with "
-        f"--noise {'gp' if smooth else 'ar1'}, or compare both models"
+        f"--noise {'discrepancy' if smooth else 'ar1'}, or compare both models"
     ]

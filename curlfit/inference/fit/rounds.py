@@ -30,7 +30,7 @@ from curlfit.inference.least_squares import (
 )
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, raw_residuals
 from curlfit.inference.model import Model
-from curlfit.inference.noise.correlated import WHITENERS, Motion, whitener_of
+from curlfit.inference.noise.correlated import Motion, estimate, whitener_of
 from curlfit.inference.noise.estimation import channel_residuals
 from curlfit.inference.noise.losses import robust_sigma
 from curlfit.inference.noise.models import LOSSES, Noise, time_of_motion
@@ -155,7 +155,7 @@ class Rounds:
             motion = Motion(
                 self.problems.times[index, :n], paths[place, :, :n], self.throws[index].stone
             )
-            self.noises[index], sigma = WHITENERS[kind].estimate(channels, span, motion)
+            self.noises[index], sigma = estimate(kind, channels, span, motion)
             motions[int(index)] = motion
             for row in np.flatnonzero(self.unknown[index]):
                 name = self.channels[row]

@@ -43,7 +43,7 @@ from curlfit.throws.throw import CHANNELS
 
 _CONVERGED = 0.01  # standard errors to the optimum
 _MISLEADING = 4.0  # factor by which the rise of chi squared is off where a standard error is by two
-_LASTING = 0.03  # memory over the time of motion, above which `tests/statistics` finds errors small
+_LASTING = 0.1  # memory over the time of motion, above which `tests/statistics` finds errors small
 
 
 class LeastSquaresFit(NamedTuple):
@@ -269,7 +269,7 @@ def _memory_warnings(noise: Noise, t: Floats, curves: dict[str, Floats]) -> list
         return []
     return [
         f"the noise has a correlation time of {memory:.2g} s in a throw of {span:.3g} s, too long "
-        "to be estimated well: its standard errors may be too small by half"
+        "to be estimated well: its standard errors may be too small by a quarter"
     ]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from curlfit.inference.joint.solver import JointSolution, Layout, Progress, minimize_jointly
 from curlfit.numerics.arrays import Booleans, Floats
@@ -24,10 +25,11 @@ from curlfit.inference.fit.systematics import (
     shifts_by_name,
     widths_of,
 )
-from curlfit.inference.identifiability import analyse
+from curlfit.inference.identifiability import analyse, visible
 from curlfit.inference.initial_values import smooth, start_values
 from curlfit.inference.joint.heterogeneity import differences_of
 from curlfit.inference.joint.result import JointResult
+from curlfit.inference.least_squares import Indices
 from curlfit.inference.likelihood import predict_many
 from curlfit.inference.linearized_problem import LinearizedProblem, classify
 from curlfit.inference.model import Model
@@ -121,6 +123,22 @@ def fit_together(
     return _result(rounds, layout, shared, solution, widths_of(model, systematics))
 
 
+def _information(linearized: LinearizedProblem, own: Indices, open_: Booleans) -> dict[str, Any]:
+    """Of all throws on some parameters: what is left where the others that can move adjust."""
+    others = open_.copy()
+    others[own] = False
+    basis, singular, _ = np.linalg.svd(
+        linearized.jacobian[:, others] * linearized.typical[others], full_matrices=False
+    )
+    basis = basis[:, visible(singular)]
+    jacobian = linearized.jacobian[:, own]
+    jacobian = jacobian - basis @ (basis.T @ jacobian)
+    return {
+        "gradient": (-linearized.residual @ jacobian).tolist(),
+        "matrix": (jacobian.T @ jacobian).tolist(),
+    }
+
+
 def _shared(law: type[Law], share: str | Sequence[str]) -> tuple[str, ...]:
     """Names of the shared coefficients. Raises `InputError` for one that the law does not have."""
     own = tuple(item.name for item in law.coefficients())
@@ -188,6 +206,7 @@ def _result(
             for name, joint in zip(estimates, names[layout.index[throw]], strict=True)
             if joint in systematic
         } | {item.expression: systematic[item.expression] for item in known.combinations}
+        own = layout.index[throw][free[layout.index[throw]]]
         prior = rounds.throws[throw].local_parameters.penalty
         if prior is not None:  # of its own parameters and of the shared ones
             own_prior = float(prior.chi_squared(solution.each.values[throw]))
@@ -198,6 +217,7 @@ def _result(
                 parameters=estimates,
                 combinations=known.combinations,
                 systematics=Systematics(dict(widths), own_shifts),
+                information=result.information | _information(linearized, own, open_),
             )
         )
     coefficients = {name: throws[0].parameters[name] for name in shared}

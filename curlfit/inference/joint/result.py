@@ -55,7 +55,8 @@ class JointResult:
     combinations : what is determined where single shared coefficients are not.
     rank, parameters : directions that the throws see together, of how many free parameters.
     differences : of each determined shared coefficient or combination.
-    throws : a `FitResult` for each throw; its standard errors are those of the joint fit.
+    throws : a `FitResult` for each throw; its standard errors and its information are those of the
+        joint fit, so that predictions from it are of all throws.
     systematics : errors of what is shared by the conditions that the fit holds.
     """
 

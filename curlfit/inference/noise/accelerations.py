@@ -18,38 +18,31 @@ Sizes. That of each component has an exponential prior, as penalised-complexity 
 (Simpson et al. 2017, Statistical Science 32, 1), of which 5 % lie above the friction: a missing
 force of the contact is no larger than the contact force itself. For the rotation that is the moment
 of friction, mu g R/rho^2, times the mean of R omega/v, the ratio by which the sliding speed varies
-along the ring. Times the restricted likelihood this is a posterior of the sizes, whose second
-moments make the covariance of the discrepancy: sizes are averaged over, not put in at their best.
+along the ring.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.optimize import minimize_scalar
 
-from curlfit.inference.identifiability import triangle
-from curlfit.inference.noise.estimation import ChannelResiduals
-from curlfit.inference.noise.models import matern
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import GRAVITY, Stone
 from curlfit.throws.throw import CHANNELS
 
-COMPONENTS = ("across", "along", "angular")
+COMPONENTS = ("across", "along", "turning")
 SHAPES = 12  # basis functions of speed
 _TAIL = 0.05  # probability of the prior of a size above the friction
 _GRID = 400  # times of the path
-_SPEEDS = np.geomspace(0.02, 10.0, 161)  # m/s, at which shapes are tabulated
+SPEEDS = np.geomspace(0.02, 10.0, 161)  # m/s, at which shapes are tabulated
 _SLOWEST = 0.02  # of the initial speed, below which accelerations are those there
 _EDGES = np.geomspace(0.002, 1.0, 11)
 SIZES = np.sqrt(_EDGES[1:] * _EDGES[:-1])
 """Over the friction: sizes in the middle of equal parts of the logarithm."""
-_ROUNDS = 2
 
 
 class Responses(NamedTuple):
@@ -59,8 +52,13 @@ class Responses(NamedTuple):
     """s since the first row"""
     by_channel: Floats
     """derivatives by components and shapes, shape (channels, times, 3 * SHAPES)"""
-    friction: float
-    """coefficient of friction, from the mean deceleration"""
+    size: Floats
+    """those accelerations, across, along and turning, m/s^2 (rad/s^2); shape (3,)"""
+
+    @property
+    def friction(self) -> float:
+        """Coefficient of friction, from the mean deceleration."""
+        return float(self.size[1]) / GRAVITY
 
     @classmethod
     def of(cls, times: Floats, path: Floats, stone: Stone) -> Responses:
@@ -80,11 +78,11 @@ class Responses(NamedTuple):
         # a deceleration that vanishes would let a stone stay at one speed for ever
         slow = np.minimum(slow, -0.1 * mean)
         ratio = float(np.mean(np.minimum(stone.R * np.abs(omega) / speed, 1.0)))
-        scale = mean * np.array([1.0, 1.0, stone.R / stone.rho**2 * max(ratio, 0.01)])
-        shape = np.array([np.interp(np.log(speed), np.log(_SPEEDS), row) for row in _shapes()])
+        sizes = mean * np.array([1.0, 1.0, stone.R / stone.rho**2 * max(ratio, 0.01)])
+        shape = np.array([np.interp(np.log(speed), np.log(SPEEDS), row) for row in shapes()])
         found = np.zeros((len(CHANNELS), 3, SHAPES, _GRID))
         turn, spin_up = np.gradient(heading, t), np.gradient(omega, t)
-        for component, size in enumerate(scale):
+        for component, size in enumerate(sizes):
             across, along, angular = (size * shape * (component == k) for k in range(3))
             s = _integral(along / slow, t)
             heading_change = _integral(across / speed - turn * along / slow, t) + turn * s
@@ -99,7 +97,7 @@ class Responses(NamedTuple):
                 spin_change,
             )
         by_channel = found.reshape(len(CHANNELS), 3 * SHAPES, _GRID).swapaxes(1, 2)
-        return cls(t, by_channel, mean / GRAVITY)
+        return cls(t, by_channel, sizes)
 
     def at(self, times: Floats, channel: int) -> Floats:
         """Those of a channel at some times, constant after the path's end."""
@@ -107,68 +105,7 @@ class Responses(NamedTuple):
         return np.array(columns).T
 
 
-class Estimate(NamedTuple):
-    """The discrepancy and the noise of a throw."""
-
-    sizes: dict[str, float]
-    """root mean square of each component's size over its posterior, over the friction"""
-    scale: float
-    """of the independent noise, over what it was taken to be"""
-
-
-def estimate(
-    channels: Sequence[ChannelResiduals], squares: Sequence[float], responses: Responses
-) -> Estimate:
-    """Sizes of the discrepancy, and one scale for all sigmas that were not given.
-
-    Parameters
-    ----------
-    channels : residuals of a fit with white noise.
-    squares : variance of the independent noise of each, over that which the fit assumed.
-    """
-    blocks = []
-    for item, square in zip(channels, squares, strict=True):
-        response = responses.at(item.t, CHANNELS.index(item.name))
-        weight = math.sqrt(item.block) * item.uneven / item.scale
-        blocks.append(
-            np.hstack([item.both[:, 1:], weight[:, None] * response, item.both[:, :1]])
-            / math.sqrt(square)
-        )
-    given = [item.given for item in channels]
-    count = sum(len(block) for block, known in zip(blocks, given, strict=True) if not known)
-    grid = np.stack(np.meshgrid(*[SIZES] * 3, indexing="ij"), -1).reshape(-1, 3)
-    n_nuisance = channels[0].both.shape[1] - 1
-
-    # as few rows as columns, of the channels of known noise and of the others
-    factors = [
-        triangle(np.concatenate(some)) if some else np.zeros((0, blocks[0].shape[1]))
-        for some in (
-            [block for block, own in zip(blocks, given, strict=True) if own == known]
-            for known in (True, False)
-        )
-    ]
-
-    def log_posterior(scale: float, sizes: Floats) -> Floats:
-        rows = np.concatenate([factors[0], factors[1] / scale])
-        likelihood = _log_likelihood(triangle(rows), sizes, n_nuisance)
-        return likelihood - count * math.log(scale) + _log_prior(sizes)
-
-    scale, logs = 1.0, log_posterior(1.0, grid)
-    for _ in range(_ROUNDS if count else 0):
-        sizes = grid[np.argmax(logs)][None]
-        best = minimize_scalar(
-            lambda log, sizes=sizes: -float(log_posterior(math.exp(log), sizes)[0]),
-            bounds=(-3.0, 3.0), method="bounded", options={"xatol": 1e-3},
-        )  # fmt: skip
-        scale = math.exp(best.x)
-        logs = log_posterior(scale, grid)
-    weights = np.exp(logs - logs.max())
-    weights /= weights.sum()
-    rms = np.sqrt(weights @ grid**2)
-    return Estimate(dict(zip(COMPONENTS, map(float, rms), strict=True)), scale)
-
-
-def _log_likelihood(factor: Floats, sizes: Floats, n_nuisance: int) -> Floats:
+def log_likelihood(factor: Floats, sizes: Floats, n_nuisance: int) -> Floats:
     """Logarithm of the restricted likelihood at sizes, shape (sizes, 3), up to a constant.
 
     Parameters
@@ -177,17 +114,18 @@ def _log_likelihood(factor: Floats, sizes: Floats, n_nuisance: int) -> Floats:
     """
     spent = np.log(np.abs(np.diag(factor)[:n_nuisance])).sum()
     left = factor[n_nuisance:, n_nuisance:]
-    weighted = left[:, :-1] * np.repeat(sizes, SHAPES, axis=1)[:, None]
-    lower = np.linalg.cholesky(np.eye(3 * SHAPES) + weighted.mT @ weighted)
-    white = np.linalg.solve(lower, weighted.mT @ left[:, -1:])[..., 0]
-    log_determinant = 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(1)
-    found: Floats = (
-        (white**2).sum(1) - log_determinant - float(left[:, -1] @ left[:, -1])
-    ) / 2 - spent
+    # Of [1 + D S D, D s; s^T D, r^T r] the Cholesky factor has the determinant of the first block
+    # and, last, the root of chi squared, r^T (1 + ...)^-1 r.
+    scale = np.concatenate([np.repeat(sizes, SHAPES, axis=1), np.ones((len(sizes), 1))], 1)
+    whole = scale[:, :, None] * (left.T @ left) * scale[:, None]
+    diagonal = np.arange(whole.shape[1])
+    whole[:, diagonal, diagonal] += np.append(np.ones(len(diagonal) - 1), 1e-9)
+    roots = np.diagonal(np.linalg.cholesky(whole), axis1=1, axis2=2)
+    found: Floats = -(roots[:, -1] ** 2) / 2 - np.log(roots[:, :-1]).sum(1) - spent
     return found
 
 
-def _log_prior(sizes: Floats) -> Floats:
+def log_prior(sizes: Floats) -> Floats:
     """Logarithm of the prior density of the logarithms of the sizes."""
     rate = -math.log(_TAIL)
     found: Floats = (np.log(sizes) - rate * sizes).sum(-1)
@@ -200,8 +138,15 @@ def _integral(values: Floats, t: Floats) -> Floats:
     return np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(steps, -1)], -1)
 
 
+def covariance(speed: Floats, other: Floats) -> Floats:
+    """Of accelerations of size 1 at speeds: Matern's, of order 5/2 and length 1 in the logarithm
+    (Rasmussen and Williams 2006, eq. 4.17)."""
+    q = math.sqrt(5) * np.abs(np.log(speed / other))
+    return (1 + q + q**2 / 3) * np.exp(-q)
+
+
 @cache
-def _shapes() -> Any:
+def shapes() -> Any:
     """Leading Karhunen-Loeve functions of an acceleration of size 1, shape (functions, speeds)."""
-    squares, vectors = np.linalg.eigh(matern(np.log(_SPEEDS[:, None] / _SPEEDS), 1.0))
+    squares, vectors = np.linalg.eigh(covariance(SPEEDS[:, None], SPEEDS))
     return (np.sqrt(np.maximum(squares, 0.0)) * vectors).T[: -SHAPES - 1 : -1]

@@ -1,62 +1,57 @@
 """Restricted likelihood of correlated noise, from the residuals of a fit with white noise.
 
-The parameters of a noise model are those of greatest restricted likelihood (Patterson and Thompson
-1971): of what no change of the parameters can make, since the fit has hidden the rest. The ratios
-of the channels' sizes are taken from those residuals and held: else one channel would be fitted
-perfectly and taken to be exact, and the others pay for it.
+The parameters of a noise model are taken from its restricted likelihood (Patterson and Thompson
+1971): that of what no change of the parameters can make, since the fit has hidden the rest. The
+ratios of the channels' sizes are taken from those residuals and held: else one channel would be
+fitted perfectly and taken to be exact, and the others pay for it.
+
+Sums. All that the likelihood of AR(1) noise takes from a series are sums of products over rows and
+over neighbouring rows, by the gap between them. They are formed once, from all rows.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.inference.noise.models import ar1_correlation
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS, Throw
 
 _FEWEST = 20  # values of a channel from which its noise is estimated
-_MOST = 300  # values of a channel used; more are condensed to means
-_FAR = (-30.0, 30.0)  # limits of all logarithms
+_SAME_GAP = 0.02  # relative difference of gaps that are taken to be equal
 
 
 class ChannelResiduals(NamedTuple):
-    """A channel's residuals over sigma, where observed, condensed."""
+    """A channel's residuals over sigma, where observed."""
 
     name: str
     t: Floats
-    both: Floats
-    """residuals, and an orthonormal basis of the Jacobian over all channels; shape (rows, 1 + p)"""
-    uneven: Floats
-    """1/sigma of a row, over the channel's"""
-    scale: float
-    """sigma of the channel, SI"""
-    block: int
-    """rows that a mean is of"""
+    """s since the first row"""
+    residual: Floats
+    basis: Floats
+    """orthonormal over all channels, of the Jacobian; shape (rows, p)"""
+    weight: Floats
+    """1/sigma of each row, SI"""
     given: bool
-
-    @classmethod
-    def of(
-        cls, name: str, throw: Throw, residual: Floats, basis: Floats, weight: Floats
-    ) -> ChannelResiduals:
-        """Those of a row of the data."""
-        there = weight > 0
-        block = -(-int(there.sum()) // _MOST)
-        typical = float(np.sqrt(np.mean(weight[there] ** 2)))
-        both = np.column_stack([residual, basis])[there]
-        return cls(
-            name, block_means(throw.t[there] - throw.t[0], block),
-            math.sqrt(block) * block_means(both, block),
-            block_means(weight[there] / typical, block), 1 / typical, block, name in throw.sigma,
-        )  # fmt: skip
+    """whether sigma was given"""
 
     @property
-    def squares(self) -> float:
+    def scale(self) -> float:
+        """Sigma of the channel, SI."""
+        return float(1 / np.sqrt(np.mean(self.weight**2)))
+
+    @property
+    def square(self) -> float:
         """Mean square of the residuals."""
-        return float(np.mean(self.both[:, 0] ** 2)) + 1e-20
+        return float(np.mean(self.residual**2)) + 1e-20
+
+    @property
+    def gap(self) -> float:
+        """Between rows, s."""
+        return float(np.median(np.diff(self.t)))
 
 
 def channel_residuals(
@@ -75,52 +70,105 @@ def channel_residuals(
     """
     left, singular, _ = np.linalg.svd(jacobian.reshape(-1, jacobian.shape[-1]), full_matrices=False)
     basis = left[:, singular > 1e-9 * singular[0]].reshape(*residual.shape, -1)
-    channels = [
-        ChannelResiduals.of(name, throw, residual[row], basis[row], weight[row])
-        for row, name in enumerate(CHANNELS[: len(residual)])
-        if (weight[row] > 0).sum() >= _FEWEST
-    ]
+    channels = []
+    for row, name in enumerate(CHANNELS[: len(residual)]):
+        there = weight[row] > 0
+        if there.sum() >= _FEWEST:
+            channels.append(
+                ChannelResiduals(
+                    name, throw.t[there] - throw.t[0], residual[row, there], basis[row, there],
+                    weight[row, there], name in throw.sigma,
+                )
+            )  # fmt: skip
     if not channels:
         raise InputError(f"{throw.name}: too few values to estimate a correlation of the noise")
     return channels
 
 
-def most_likely(
-    roots: Callable[[Floats], list[tuple[Floats, float]]], starts: list[list[float]]
-) -> Floats:
-    """The logarithms of greatest restricted likelihood.
+class Sums(NamedTuple):
+    """Sums of products of columns over the rows of a channel."""
+
+    rows: int
+    gaps: Floats
+    """s between neighbours, that differ"""
+    pairs: Floats
+    """number of neighbours by gap"""
+    first: Floats
+    """of the first row, shape (columns, columns)"""
+    later: Floats
+    """of the later of two neighbours, shape (gaps, columns, columns)"""
+    earlier: Floats
+    across: Floats
+    """of neighbours, symmetric"""
+
+    @classmethod
+    def of(cls, columns: Floats, t: Floats) -> Self:
+        """Those of columns, shape (rows, columns), at times in s."""
+        gaps = np.maximum(np.diff(t), 1e-9)
+        groups = np.round(np.log(gaps) / _SAME_GAP).astype(int)
+        distinct, group, counts = np.unique(groups, return_inverse=True, return_counts=True)
+        shape = (len(distinct), columns.shape[1], columns.shape[1])
+        later, earlier, across = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        for index in range(len(distinct)):
+            rows = np.flatnonzero(group == index)
+            after, before = columns[rows + 1], columns[rows]
+            later[index], earlier[index] = after.T @ after, before.T @ before
+            across[index] = after.T @ before + before.T @ after
+        mean = np.bincount(group, gaps) / counts
+        first = np.outer(columns[0], columns[0])
+        return cls(len(columns), mean, counts.astype(float), first, later, earlier, across)
+
+    def white(self) -> Floats:
+        """Of the columns as they are."""
+        total: Floats = self.first + self.later.sum(0)
+        return total
+
+    def ar1(self, memory: float) -> tuple[Floats, float]:
+        """Of the columns made independent, were they AR(1) noise of variance 1 and some memory in
+        s; and half the log-determinant of its covariance."""
+        steps = ar1_correlation(self.gaps, memory)[:, None, None]
+        left = np.maximum(-np.expm1(-2 * self.gaps / memory), 1e-14)
+        each = self.later + steps**2 * self.earlier - steps * self.across
+        whole: Floats = self.first + (each / left[:, None, None]).sum(0)
+        return whole, float(self.pairs @ np.log(left)) / 2
+
+
+def restricted(sums: Floats, n_nuisance: int) -> tuple[Floats, float]:
+    """What the parameters leave of sums of products over independent rows.
 
     Parameters
     ----------
-    roots : from such logarithms, by channel, the residuals and then the basis of the Jacobian, made
-        independent, and half the log-determinant of the covariance.
+    sums : of the parameters' columns first, then others, over their noise.
+
+    Returns
+    -------
+    the sums of the others' residuals from a regression on the parameters, and half the
+    log-determinant of the parameters' information.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError : the parameters' columns are not independent.
     """
-    from scipy.optimize import minimize
-
-    def minus_log_likelihood(logs: Floats) -> float:
-        try:
-            parts = roots(np.clip(logs, *_FAR))
-        except np.linalg.LinAlgError:
-            return math.inf
-        white = np.concatenate([part for part, _ in parts])
-        q, triangle = np.linalg.qr(white[:, 1:])
-        left = white[:, 0] - q @ (q.T @ white[:, 0])
-        spent = float(np.log(np.abs(np.diag(triangle))).sum())
-        return sum(half for _, half in parts) + spent + float(left @ left) / 2
-
-    found = [
-        minimize(
-            minus_log_likelihood,
-            start,
-            method="Nelder-Mead",
-            options={"xatol": 0.02, "fatol": 1e-3},
-        )
-        for start in starts
-    ]
-    return np.clip(min(found, key=lambda item: float(item.fun)).x, *_FAR)
+    lower = np.linalg.cholesky(sums[:n_nuisance, :n_nuisance])
+    along = np.linalg.solve(lower, sums[:n_nuisance, n_nuisance:])
+    left = sums[n_nuisance:, n_nuisance:] - along.T @ along
+    return left, float(np.log(np.diag(lower)).sum())
 
 
-def block_means(values: Floats, block: int) -> Floats:
-    """Means over blocks of rows; a last block that is not full is left out."""
-    whole = len(values) // block * block
-    return np.asarray(values[:whole].reshape(whole // block, block, *values.shape[1:]).mean(1))
+def mean_standard_deviation(log_variances: Floats, log_weights: Floats, values: Floats) -> Floats:
+    """Values at that point of a curve which has the mean standard deviation.
+
+    Where a likelihood has a ridge, along which noise of longer memory is larger, its maximum
+    is a poor estimate: errors by it are too small more often than too large. The point of the mean
+    standard deviation of the noise at low frequencies, by which smooth parameters are in error,
+    stands for all of the ridge.
+
+    Parameters
+    ----------
+    log_variances : of noise at low frequencies, along the curve, increasing; shape (points,).
+    log_weights : of the points.
+    values : to be interpolated, shape (points, values).
+    """
+    weights = np.exp(log_weights - log_weights.max())
+    mean = np.log(weights @ np.exp(log_variances / 2) / weights.sum()) * 2
+    return np.array([np.interp(mean, log_variances, column) for column in values.T])

@@ -6,31 +6,23 @@ The models:
 - "ar1": the correlation decays exponentially, as exp(-gap/memory) between rows (an
   Ornstein-Uhlenbeck process; AR(1) where rows are evenly spaced). For noise of the tracker:
   filters, a camera that sways.
-- "gp": independent noise on top of a smooth discrepancy, a Gaussian process of Matern's kernel with
-  nu = 5/2 (Rasmussen and Williams 2006, eq. 4.17): (1 + q + q^2/3) exp(-q), q = sqrt(5) gap/memory.
-  For a law that is not exact (Kennedy and O'Hagan 2001): its discrepancy depends on speed and spin,
-  which change over the whole throw. So its correlation time is the time for which the stone moves;
-  to estimate it as well is to take what is left of a slow discrepancy, once the fit has hidden most
-  of it, for a small quick one.
 - "discrepancy": independent noise, and accelerations that the law lacks, as functions of speed,
-  carried to all channels by the equations of motion (`curlfit.inference.noise.accelerations`).
+  carried to all channels by the equations of motion (`curlfit.inference.noise.accelerations`). For
+  a law that is not exact (Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425).
+- "ar1+discrepancy": both, with one correlation time for all channels.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.errors import InputError
 from curlfit.numerics.arrays import Floats
-
-if TYPE_CHECKING:
-    pass
-
 
 _SURE = 3.5  # standard deviations from which independence is excluded
 _MATTERS = 0.2  # lag-1 correlation below which errors would hardly change
@@ -39,7 +31,7 @@ _MATTERS = 0.2  # lag-1 correlation below which errors would hardly change
 LOSSES = ("linear", "huber", "soft-l1", "cauchy", "student")
 """How large residuals may count; `curlfit.inference.noise.losses` has the formulas."""
 
-NOISES = ("white", "ar1", "gp", "discrepancy")
+NOISES = ("white", "ar1", "discrepancy", "ar1+discrepancy")
 """How noise is correlated from row to row."""
 
 
@@ -68,18 +60,15 @@ class Noise:
 
     Attributes
     ----------
-    kind : "white", "ar1", "gp" or "discrepancy".
+    kind : one of `NOISES`.
     memory : of "ar1" by channel, its correlation time in s.
-    sizes : of "gp" by channel, standard deviation of the discrepancy (SI); of "discrepancy" by
-        component (`across`, `along`, `angular`), that of what is missing, over the friction.
-    span : of "gp", the time in s after the first row for which the stone moves: the correlation
-        time of the discrepancy, which is constant from then on.
+    sizes : of "discrepancy" by component (`across`, `along`, `turning`), standard deviation of what
+        is missing, over the friction.
     """
 
     kind: str = "white"
     memory: dict[str, float] = field(default_factory=dict)
     sizes: dict[str, float] = field(default_factory=dict)
-    span: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -93,12 +82,6 @@ def time_of_motion(t: Floats, speed: Floats) -> float:
     """Time from the first row to the last in which a stone moves, s."""
     moving = np.flatnonzero(speed > 0)
     return float(t[moving[-1]] - t[0]) if len(moving) else 0.0
-
-
-def matern(gap: Floats, memory: float) -> Floats:
-    """Correlation of a discrepancy over gaps in s."""
-    q = math.sqrt(5) * np.abs(gap) / memory
-    return (1 + q + q**2 / 3) * np.exp(-q)
 
 
 def ar1_correlation(gaps: Floats, memory: float) -> Floats:
