@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
@@ -17,6 +18,9 @@ from jaxtyping import Array, ArrayLike
 
 from curlfit.environment import Environment
 from curlfit.friction import Law, Load, check_load
+from curlfit.output.display import Displayed, Overview
+from curlfit.output.frames import frame
+from curlfit.output.text import plain_table
 from curlfit.stone import Stone
 
 _REST_TIME = 1e30  # s, when every stone is at rest
@@ -53,8 +57,8 @@ class InitialState:
     data_fields=["t", "x", "y", "phi", "vx", "vy", "omega", "rest"],
     meta_fields=[],
 )
-@dataclass(frozen=True)
-class Trajectory:
+@dataclass(frozen=True, repr=False)
+class Trajectory(Displayed):
     """Motion of a stone at given times; every field but `rest` is an array of the shape of `t`.
 
     t in s; x, y in m; phi in rad, not wrapped; vx, vy in m/s; omega in rad/s. After the stone
@@ -78,6 +82,35 @@ class Trajectory:
         square = self.vx**2 + self.vy**2
         moving = square > 0
         return jnp.where(moving, jnp.sqrt(jnp.where(moving, square, 1.0)), 0.0)
+
+    def to_frame(self) -> Any:
+        """The motion as a pandas DataFrame: t, x, y, phi, vx, vy, omega and speed (SI, rad).
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        names = ("t", "x", "y", "phi", "vx", "vy", "omega", "speed")
+        return frame({name: np.asarray(getattr(self, name)) for name in names})
+
+    def _overview(self) -> Overview:
+        shape = jnp.shape(self.x)
+        arrays = [getattr(self, item.name) for item in fields(self)]
+        if len(shape) != 1 or not shape[0] or any(isinstance(x, jax.core.Tracer) for x in arrays):
+            return Overview(f"shape {shape}", "motion of a stone")
+        table = plain_table()
+        for head in ("", "t (s)", "x (m)", "y (m)", "phi (rad)", "speed (m/s)", "omega (rad/s)"):
+            table.add_column(head, justify="right" if head else "left")
+        names = ("t", "x", "y", "phi", "speed", "omega")
+        series = [np.asarray(getattr(self, name)) for name in names]
+        for label, row in (("first", 0), ("last", -1)):
+            table.add_row(label, *(f"{values[row] + 0.0:.5g}" for values in series))
+        rest = float(self.rest)
+        finding = f"at rest at {rest:.5g} s" if math.isfinite(rest) else "does not come to rest"
+        t, x, y = series[:3]
+        subject = f"motion of a stone at {len(t)} times, t = {t[0]:.5g} .. {t[-1]:.5g} s"
+        ends = f"from ({x[0]:.4g}, {y[0]:.4g}) m to ({x[-1]:.4g}, {y[-1]:.4g}) m"
+        return Overview(finding, subject, [f"x, y {ends}"], [table])
 
     def to_numpy(self) -> Trajectory:
         """The trajectory with numpy arrays."""

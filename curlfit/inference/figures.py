@@ -60,7 +60,7 @@ def fit_figure(fit: FitResult) -> Figure:
     for place, name in enumerate(fit.rms):
         axes = figure.add_subplot(right[place])
         size, unit = unit_for(fit.rms[name], name)
-        residual = (fit.observed[name] - fit.fitted[name])[some] / size
+        residual = fit.residuals[name][some] / size
         axes.axhline(0, color="0.7", lw=0.8)
         axes.plot(t[some], residual, ".", color=CHANNEL_COLOR[name], markersize=3)
         _ring_outliers(axes, fit, name, size)
@@ -88,8 +88,7 @@ def _ring_outliers(axes: Any, fit: FitResult, name: str, size: float) -> None:
     found = [item for item in fit.outliers if item["channel"] == name]
     if not found:
         return
-    residual = fit.observed[name] - fit.fitted[name]
-    inner = float(np.nanquantile(np.abs(residual), 0.9)) * 2.5 / size
+    inner = float(np.nanquantile(np.abs(fit.residuals[name]), 0.9)) * 2.5 / size
     off = np.array([item["off"] / size for item in found])
     axes.set_ylim(-inner, inner)
     axes.plot(

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from curlfit.inference.conditions import WIDTHS, if_off
 from curlfit.output.console import terminal
+from curlfit.output.display import Overview
 from curlfit.output.text import STYLE, join_words, plain_table
 
 if TYPE_CHECKING:
@@ -61,6 +62,18 @@ def report(design: Design) -> RenderableType:
     return Group(*parts)
 
 
+def overview(design: Design) -> Overview:
+    """A design at a glance: the best throws and the errors that they give."""
+    title, about = _heading(design).plain.splitlines()
+    best, *others = _summary(design)
+    return Overview(
+        best[:1].lower() + best[1:].rstrip("."),
+        title,
+        [about, *others],
+        [about, _best(design), *others, *(f"Note: {note}." for note in design.notes)],
+    )
+
+
 def _paragraph(text: str, style: str = "") -> RenderableType:
     return Padding(Text(text, style=style), (0, 0, 1, 0))
 
@@ -107,7 +120,7 @@ def _throws(count: int) -> str:
     return "1 throw" if count == 1 else f"{count} throws"
 
 
-def _heading(design: Design) -> RenderableType:
+def _heading(design: Design) -> Text:
     stone, until = design.stone, design.until
     rates = sorted({one.rate for one in design.candidates})
     text = Text()

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
+from curlfit.output.display import Displayed
 from curlfit.paper.claim import Claim
 from curlfit.paper.eq28 import Eq28Findings, eq_28_claims, study_eq_28
 from curlfit.paper.isotropic import IsotropicFindings, isotropic_claims, study_isotropic
@@ -18,9 +20,11 @@ ORDER = (
 """Ids of the claims, in the order of the table."""
 
 
-@dataclass(frozen=True)
-class Reproduction:
+@dataclass(frozen=True, repr=False)
+class Reproduction(Displayed):
     """The paper's claims recomputed, and the numbers and series behind them."""
+
+    _report: ClassVar[str] = "curlfit.paper.page"
 
     claims: tuple[Claim, ...]
     path: PathFindings

@@ -7,12 +7,14 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from curlfit.numerics.arrays import Floats
+from curlfit.output.display import Displayed
 from curlfit.output.files import json_safe, known_fields, load_record, write_json
+from curlfit.output.frames import frame
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
 
@@ -89,8 +91,8 @@ class HeldOut:
     observed: dict[str, Floats]
 
 
-@dataclass(frozen=True)
-class Prediction:
+@dataclass(frozen=True, repr=False)
+class Prediction(Displayed):
     """A predicted throw. `save` writes it, `load_prediction` reads it.
 
     Attributes
@@ -115,6 +117,9 @@ class Prediction:
     check : None, or the comparison with measured rows.
     measured : t (s since the start), x, y of the fitted rows on the sheet; empty for a new throw.
     """
+
+    _report: ClassVar[str] = "curlfit.prediction.report"
+    _printer: ClassVar[str] = "curlfit.print_prediction"
 
     law: str
     load: str
@@ -195,6 +200,15 @@ class Prediction:
     def save(self, file: str | PathLike[str]) -> None:
         """Write the record as JSON, whole or not at all."""
         write_json(self.to_json(), Path(file))
+
+    def to_frame(self) -> Any:
+        """The path with its bands as a pandas DataFrame, the columns of `series` (SI, rad).
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        return frame(self.series)
 
     def table(self) -> str:
         """The path with its bands as CSV text, a row for each time."""

@@ -7,10 +7,11 @@ drawn and sampled again without the data file and without fitting.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,7 +23,9 @@ from curlfit.inference.noise.models import WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.priors import parse_priors
 from curlfit.numerics.arrays import Floats
+from curlfit.output.display import Displayed
 from curlfit.output.files import json_safe, known_fields, load_record, write_json
+from curlfit.output.frames import frame
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS, Reference, Throw
 
@@ -55,11 +58,11 @@ class Estimate:
     stderr: float | None
     verdict: str
     unit: str
-    symbol: str
-    meaning: str
-    lower: float
-    upper: float
-    typical: float
+    symbol: str = field(repr=False)
+    meaning: str = field(repr=False)
+    lower: float = field(repr=False)
+    upper: float = field(repr=False)
+    typical: float = field(repr=False)
     reason: str = ""
     dof: float | None = None
     prior: str = ""
@@ -75,8 +78,8 @@ class Estimate:
         return cls(**known_fields(cls, found) | bounds)
 
 
-@dataclass(frozen=True)
-class Posterior:
+@dataclass(frozen=True, repr=False)
+class Posterior(Displayed):
     """Summary of a posterior sample; the sample itself is in `chain.h5`.
 
     Attributes
@@ -90,6 +93,8 @@ class Posterior:
     correlation : between parameters.
     converged, status : whether the targets were met, and in words.
     """
+
+    _report: ClassVar[str] = "curlfit.inference.overview"
 
     samples: int
     steps: int
@@ -131,8 +136,8 @@ class Systematics:
         }
 
 
-@dataclass(frozen=True)
-class FitResult:
+@dataclass(frozen=True, repr=False)
+class FitResult(Displayed):
     """A fitted throw. `save` writes it, `load_fit` reads it.
 
     Attributes
@@ -168,6 +173,9 @@ class FitResult:
     chi_squared, prior_chi_squared : of the data, and of the priors.
     """
 
+    _report: ClassVar[str] = "curlfit.inference.overview"
+    _printer: ClassVar[str] = "curlfit.print_fit"
+
     law: str
     load: str
     stone: Stone
@@ -187,8 +195,8 @@ class FitResult:
     covariance: dict[str, Any]
     information: dict[str, Any]
     reference: Reference | None
-    observed: dict[str, Floats] = field(repr=False)
-    fitted: dict[str, Floats] = field(repr=False)
+    observed: dict[str, Floats]
+    fitted: dict[str, Floats]
     posterior: Posterior | None = None
     loss: str = "linear"
     noise: Noise = WHITE
@@ -251,6 +259,41 @@ class FitResult:
             name=self.data["file"],
             reference=self.reference,
         )
+
+    @property
+    def residuals(self) -> dict[str, Floats]:
+        """Observed minus fitted by measured channel (SI, rad), NaN where there is no value; at the
+        times `observed["t"]`."""
+        return {
+            name: self.observed[name] - self.fitted[name]
+            for name in self.rms
+            if name in self.fitted
+        }
+
+    def __getitem__(self, name: str) -> Estimate | Combination:
+        """A parameter or a determined combination. Raises KeyError for any other name."""
+        return item_of(name, self.parameters, self.combinations)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._ipython_key_completions_()
+
+    __iter__ = None
+    """not a sequence, though it has items"""
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return [*self.parameters, *(item.expression for item in self.combinations)]
+
+    def to_frame(self) -> Any:
+        """Parameters and determined combinations as a pandas DataFrame, a row for each.
+
+        Columns are value, stderr, systematic (its error by conditions that the fit holds), low
+        and high (95 % interval), verdict and unit. What is not identifiable has no value.
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        return estimates_frame(self.parameters, self.combinations, self.systematics)
 
     def with_posterior(self, posterior: Posterior) -> FitResult:
         """The same with a posterior."""
@@ -352,6 +395,50 @@ class FitResult:
     def save(self, file: str | PathLike[str]) -> None:
         """Write the record as JSON, whole or not at all."""
         write_json(self.to_json(), Path(file))
+
+
+def item_of(
+    name: str, parameters: Mapping[str, Estimate], combinations: Sequence[Combination]
+) -> Estimate | Combination:
+    """The parameter or determined combination of a name.
+
+    Raises
+    ------
+    KeyError : there is none; the message names what there is.
+    """
+    known: dict[str, Estimate | Combination] = {
+        **parameters,
+        **{item.expression: item for item in combinations},
+    }
+    found = known.get(name)
+    if found is None:
+        raise KeyError(f"no {name!r}; there are {', '.join(known)}")
+    return found
+
+
+def estimates_frame(
+    parameters: Mapping[str, Estimate],
+    combinations: Sequence[Combination],
+    systematics: Systematics,
+) -> Any:
+    """Parameters and determined combinations as a pandas DataFrame, see `FitResult.to_frame`."""
+    rows = {}
+    for name, item in parameters.items():
+        value = math.nan if item.verdict == "not identifiable" else item.value
+        rows[name] = (value, item.stderr, item.interval(), item.verdict, item.unit)
+    for one in combinations:
+        rows[one.expression] = (one.value, one.stderr, one.interval(), "determined", "")
+    errors = systematics.errors
+    columns: dict[str, list[Any]] = {
+        "value": [row[0] for row in rows.values()],
+        "stderr": [math.nan if row[1] is None else row[1] for row in rows.values()],
+        "systematic": [errors.get(name, math.nan) for name in rows],
+        "low": [math.nan if row[2] is None else row[2][0] for row in rows.values()],
+        "high": [math.nan if row[2] is None else row[2][1] for row in rows.values()],
+        "verdict": [row[3] for row in rows.values()],
+        "unit": [row[4] for row in rows.values()],
+    }
+    return frame(columns, list(rows))
 
 
 def load_fit(file: str | PathLike[str]) -> FitResult:

@@ -5,10 +5,18 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from curlfit.inference.fit.result import Estimate, FitResult, Systematics, load_fit
+from curlfit.inference.fit.result import (
+    Estimate,
+    FitResult,
+    Systematics,
+    estimates_frame,
+    item_of,
+    load_fit,
+)
 from curlfit.inference.identifiability import Combination
+from curlfit.output.display import Displayed
 from curlfit.output.files import known_fields, load_record, write_json
 
 SCHEMA = 1
@@ -43,8 +51,8 @@ class Difference:
         return self.p_value < _SIGNIFICANT
 
 
-@dataclass(frozen=True)
-class JointResult:
+@dataclass(frozen=True, repr=False)
+class JointResult(Displayed):
     """Several throws fitted together.
 
     Attributes
@@ -59,6 +67,9 @@ class JointResult:
     systematics : errors of what is shared by the conditions that the fit holds.
     """
 
+    _report: ClassVar[str] = "curlfit.inference.overview"
+    _printer: ClassVar[str] = "curlfit.print_joint"
+
     law: str
     load: str
     share: tuple[str, ...]
@@ -72,6 +83,22 @@ class JointResult:
     differences: tuple[Difference, ...]
     throws: tuple[FitResult, ...]
     systematics: Systematics = field(default_factory=Systematics)
+
+    def __getitem__(self, name: str) -> Estimate | Combination:
+        """A shared coefficient or combination. Raises KeyError for any other name."""
+        return item_of(name, self.coefficients, self.combinations)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._ipython_key_completions_()
+
+    __iter__ = None
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return [*self.coefficients, *(item.expression for item in self.combinations)]
+
+    def to_frame(self) -> Any:
+        """What is shared as a pandas DataFrame, with the columns of `FitResult.to_frame`."""
+        return estimates_frame(self.coefficients, self.combinations, self.systematics)
 
     def to_json(self) -> dict[str, Any]:
         """The record as written to `joint.json`, without the single throws."""

@@ -21,12 +21,16 @@ from curlfit.friction import Law
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
+from curlfit.output.display import Displayed, Overview
 from curlfit.output.files import atomic_write
+from curlfit.output.frames import frame, optional
+from curlfit.output.text import from_to, plain_table
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
 from curlfit.version import __version__
 
 _BEFORE = {"noise": "white"}  # what a chain is of that does not say so
+_SHOWN = 4  # parameters in a line
 _DIGEST = "#"  # begins a text that stands for numbers too many to be shown
 
 
@@ -51,8 +55,8 @@ class SamplerState:
     taken: int
 
 
-@dataclass(frozen=True)
-class Chain:
+@dataclass(frozen=True, repr=False)
+class Chain(Displayed):
     """A posterior sample.
 
     Attributes
@@ -63,6 +67,7 @@ class Chain:
     ensembles : the walkers are divided evenly among these. seed : of the run.
     subject : what was sampled, see `subject_of`. state : of the sampler, for going on; None in a
         file of an earlier version.
+    fit : that was sampled; None where the chain was read from a file.
     """
 
     names: tuple[str, ...]
@@ -73,7 +78,8 @@ class Chain:
     ensembles: int
     seed: int
     subject: dict[str, str] = field(default_factory=dict)
-    state: SamplerState | None = field(default=None, repr=False)
+    state: SamplerState | None = None
+    fit: FitResult | None = field(default=None, compare=False)
 
     @property
     def flat(self) -> Floats:
@@ -86,6 +92,63 @@ class Chain:
             Floats,
             sum(weight * self.flat[:, self.names.index(name)] for name, weight in weights.items()),
         )
+
+    @property
+    def kept(self) -> Floats:
+        """The kept samples by ensemble, shape (ensembles, walkers, steps, parameters)."""
+        return self._by_ensemble(self.values)
+
+    def _by_ensemble(self, series: Floats) -> Floats:
+        _, walkers, *rest = series.shape
+        kept = series[self.discarded :]
+        split = kept.reshape(len(kept), self.ensembles, walkers // self.ensembles, *rest)
+        return np.moveaxis(split, 0, 2)
+
+    def _overview(self) -> Overview:
+        steps, walkers, _ = self.values.shape
+        table = plain_table()
+        for head in ("parameter", "68 %", "95 %"):
+            table.add_column(head, justify="left" if head == "parameter" else "right")
+        shown = []
+        for name, samples in zip(self.names, self.flat.T, strict=True):
+            if len(samples) and np.ptp(samples) > 0:
+                ends = [float(end) for end in np.quantile(samples, (0.025, 0.16, 0.84, 0.975))]
+                size = (ends[2] - ends[1]) / 3
+                table.add_row(
+                    name, from_to(ends[1], ends[2], size), from_to(ends[0], ends[3], size)
+                )
+                shown.append(f"{name} {from_to(ends[1], ends[2], size)}")
+        return Overview(
+            f"{len(self.flat)} samples",
+            f"{self.ensembles} ensembles, {walkers} walkers, {steps} steps, of which the first "
+            f"{self.discarded} are left out",
+            [f"68 %: {', '.join(shown[:_SHOWN])}{' ...' if len(shown) > _SHOWN else ''}"],
+            [table],
+        )
+
+    def to_frame(self) -> Any:
+        """The kept samples as a pandas DataFrame: a column for each parameter, for each determined
+        combination of the fit (where the chain has one), and `log_posterior`; the index is
+        (ensemble, walker, step).
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        samples = self.kept
+        columns: dict[str, Any] = {
+            name: samples[..., place].ravel() for place, name in enumerate(self.names)
+        }
+        for item in () if self.fit is None else self.fit.combinations:
+            columns[item.expression] = sum(
+                weight * columns[name] for name, weight in item.weights.items()
+            )
+        columns["log_posterior"] = self._by_ensemble(self.log_posterior).ravel()
+        names = ("ensemble", "walker", "step")
+        index = optional("pandas", "notebook").MultiIndex.from_product(
+            (range(size) for size in samples.shape[:3]), names=names
+        )
+        return frame(columns, index)
 
     def save(self, file: str | PathLike[str], *, compressed: bool = True) -> None:
         """Write `chain.h5`, whole or not at all: the layout of emcee's HDF backend, with curlfit's

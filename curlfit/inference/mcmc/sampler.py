@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -86,4 +87,5 @@ def sample(
     chain = run.chain()
     if file is not None:
         chain.save(file)
-    return summarised(fit, chain, ended, effective), chain
+    sampled = summarised(fit, chain, ended, effective)
+    return sampled, replace(chain, fit=sampled)
