@@ -46,7 +46,9 @@ def overview(comparison: Comparison) -> Overview:
     order = ", ".join(f"{item.label} ({_difference(item.delta_bic)})" for item in ranked[:_FIRST])
     more = f" and {len(ranked) - _FIRST} more" if len(ranked) > _FIRST else ""
     return Overview(
-        f"{ranked[0].label} ranks first" if ranked else "no law is ranked",
+        f"{ranked[0].label} ranks first{', not reliably' * bool(comparison.effective)}"
+        if ranked
+        else "no law is ranked",
         f"{heading[0]}; {heading[2][:1].lower()}{heading[2][1:]}",
         [f"dBIC: {order}{more}" if ranked else "", findings[0] if findings else ""],
         [_ranks(comparison), *findings],

@@ -19,7 +19,10 @@ from curlfit.output.console import Items
 
 _COLORS = {"green": "#2c8a4b", "yellow": "#a87000", "red": "#d9483b"}
 _LINE = "1px solid rgba(128, 128, 128, 0.4)"
-_CELL = "padding: 0.15em 1em 0.15em 0; vertical-align: top; background: none; color: inherit"
+_CELL = (
+    "padding: 0.15em 1em 0.15em 0; vertical-align: top; background-color: transparent; "
+    "color: inherit"
+)
 _CONSOLE = Console()  # resolves styles; nothing is printed on it
 
 
@@ -73,7 +76,7 @@ def _table(table: Table) -> str:
         "".join(_cell(cell, item.justify) for cell, item in zip(cells, columns, strict=True))
         for cells in zip(*(item.cells for item in columns), strict=True)
     ]
-    body = "".join(f'<tr style="background: none">{row}</tr>' for row in rows)
+    body = "".join(f'<tr style="background-color: transparent">{row}</tr>' for row in rows)
     return (
         '<table style="border-collapse: collapse; margin: 0.5em 0; color: inherit">'
         f'<thead><tr style="border-bottom: {_LINE}">{head}</tr></thead>'

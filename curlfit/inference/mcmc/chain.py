@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.errors import DataError
+from curlfit.errors import DataError, InputError
 from curlfit.friction import Law
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import ParameterSet
@@ -31,6 +31,7 @@ from curlfit.version import __version__
 
 _BEFORE = {"noise": "white"}  # what a chain is of that does not say so
 _SHOWN = 4  # parameters in a line
+_LEVELS = (0.025, 0.16, 0.84, 0.975)
 _DIGEST = "#"  # begins a text that stands for numbers too many to be shown
 
 
@@ -112,12 +113,11 @@ class Chain(Displayed):
         shown = []
         for name, samples in zip(self.names, self.flat.T, strict=True):
             if len(samples) and np.ptp(samples) > 0:
-                ends = [float(end) for end in np.quantile(samples, (0.025, 0.16, 0.84, 0.975))]
-                size = (ends[2] - ends[1]) / 3
-                table.add_row(
-                    name, from_to(ends[1], ends[2], size), from_to(ends[0], ends[3], size)
-                )
-                shown.append(f"{name} {from_to(ends[1], ends[2], size)}")
+                lowest, low, high, highest = np.quantile(samples, _LEVELS).tolist()
+                inner = from_to(low, high)
+                outer = from_to(lowest, highest, (high - low) / 3)
+                table.add_row(name, inner, outer)
+                shown.append(f"{name} {inner}")
         return Overview(
             f"{len(self.flat)} samples",
             f"{self.ensembles} ensembles, {walkers} walkers, {steps} steps, of which the first "
@@ -149,6 +149,51 @@ class Chain(Displayed):
             (range(size) for size in samples.shape[:3]), names=names
         )
         return frame(columns, index)
+
+    def with_fit(self, fit: FitResult) -> Chain:
+        """The same chain, read from a file, with the fit that was sampled.
+
+        Raises
+        ------
+        InputError : the chain is of another fit.
+        """
+        now = subject_of(fit, self.seed)
+        for name, value in now.items():
+            if not name.startswith("version") and self.subject.get(name, value) != value:
+                raise InputError(f"the chain is of another fit: not the same {name}")
+        if self.names != fit.parameter_set.names:
+            raise InputError("the chain is of another fit: not the same parameters")
+        return replace(self, fit=fit)
+
+    def to_arviz(self, fit: FitResult | None = None, *, draws: int = 4000, seed: int = 0) -> Any:
+        """The kept samples as `InferenceData` of ArviZ (0.x), a chain for each ensemble.
+
+        Groups: posterior (free parameters and determined combinations), posterior_predictive and
+        log_likelihood (by channel; where noise is correlated, of each value given all others),
+        sample_stats (`lp`, up to a constant), observed_data, constant_data (`t`, `sigma_x` ...).
+        The draws of a chain are those of one walker after another, as the coordinates `walker` and
+        `step` of `draw` say. A channel with gaps has a dimension `time_x` of its own.
+
+        Parameters
+        ----------
+        fit : that was sampled; needed where the chain was read from a file.
+        draws : over all chains, at most; the steps are thinned evenly.
+        seed : of the noise of posterior_predictive.
+
+        Raises
+        ------
+        InputError : ArviZ is not installed, there is no fit, or the chain is of another one.
+        """
+        chain = self if fit is None else self.with_fit(fit)
+        if chain.fit is None:
+            raise InputError(
+                "a chain that was read from a file does not hold the data; expected "
+                "chain.to_arviz(fit), with the fit of the same folder"
+            )
+        from curlfit.inference.mcmc.arviz_export import inference_data
+
+        lp = self._by_ensemble(self.log_posterior)
+        return inference_data(chain.fit, self.kept, lp, draws=draws, seed=seed)
 
     def save(self, file: str | PathLike[str], *, compressed: bool = True) -> None:
         """Write `chain.h5`, whole or not at all: the layout of emcee's HDF backend, with curlfit's
