@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from curlfit.dynamics.aim import Aim, aim
     from curlfit.dynamics.trajectory import InitialState, Trajectory, simulate
     from curlfit.errors import CurlfitError, DataError, InputError, UnusableFitError
+    from curlfit.exploration.explore import explore
     from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, coefficient, find_law
     from curlfit.inference.figures import corner_figure, fit_figure, joint_figure
     from curlfit.inference.fit.fit import fit
@@ -78,6 +79,7 @@ _HOMES = {
     "optimal_design.figures": ("design_figures",),
     "prediction.figures": ("prediction_figure",),
     "profile_likelihood.figures": ("profile_figure",),
+    "exploration.explore": ("explore",),
     "inference.fit.fit": ("fit",),
     "friction": ("LAWS", "Law", "LocalLaw", "NetLaw", "coefficient", "find_law"),
     "inference.joint.result": ("JointResult", "load_joint"),
@@ -106,7 +108,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [  # noqa: RUF022  (in the order of use)
     "load_throw", "Throw", "fit", "FitResult", "print_fit", "sample", "Chain", "Posterior",
-    "fit_figure", "corner_figure", "load_fit", "load_chain",
+    "fit_figure", "corner_figure", "explore", "load_fit", "load_chain",
     "fit_together", "JointResult", "print_joint", "joint_figure", "load_joint",
     "compare", "Comparison", "print_comparison", "comparison_figure", "load_comparison",
     "predict", "Prediction", "print_prediction", "prediction_figure", "load_prediction",

@@ -196,7 +196,7 @@ def draw_noise(
 ) -> Floats:
     """Noise over its sigma, of shape (draws, m): correlated, or of the density of a loss."""
     if whitening is not None:
-        return np.linalg.solve(whitening, random.standard_normal(shape).T).T
+        return np.asarray(np.linalg.solve(whitening, random.standard_normal(shape).T).T)
     if loss == "linear":
         return random.standard_normal(shape)
     # The inverse of the distribution function, which is tabulated.

@@ -177,7 +177,7 @@ class Chain(Displayed):
         Parameters
         ----------
         fit : that was sampled; needed where the chain was read from a file.
-        draws : over all chains, at most; the steps are thinned evenly.
+        draws : over all chains, about; the steps are thinned evenly.
         seed : of the noise of posterior_predictive.
 
         Raises
