@@ -1,10 +1,27 @@
-"""curlfit: friction coefficients from the trajectory of a curling stone.
+"""Friction coefficients from the trajectory of a curling stone.
+
+curlfit fits a law of friction to a measured path (time, position and, if possible, angle), samples
+the posterior, and says which coefficients the path determines and which it cannot.
 
     import curlfit
     throw = curlfit.load_throw("data/jensen_shegelski_2004.csv")
-    fit = curlfit.fit(throw)
+    fit = curlfit.fit(throw)               # in a notebook, a table
+    fit["mu2_xi"], fit.residuals["x"], fit.to_frame()
     fit, chain = curlfit.sample(fit)
-    curlfit.fit_figure(fit); curlfit.corner_figure(fit, chain)
+    curlfit.fit_figure(fit); curlfit.corner_figure(fit, chain); curlfit.explore(fit)
+
+Most used:
+
+    load_throw   a throw from a file; `Throw.from_arrays`, `Throw.from_frame` from memory
+    fit          coefficients and start of one throw; `fit_together` of several
+    sample       the posterior; `chain.to_frame`, `chain.to_arviz`
+    compare      which law?
+    profile      intervals where chi squared is not quadratic
+    predict      another throw on the same ice; `design` plans a measurement
+    simulate     the model itself, for `jax.jit`, `vmap` and derivatives
+
+`dir(curlfit)` lists all names, `help(curlfit.fit)` has arguments and an example; the README and
+four notebooks have the rest.
 
 Axes: y along the sheet, x to the right of it, angle and spin counter-clockwise; SI units and
 radians. With `import curlfit` JAX computes with 64-bit numbers, whatever JAX_ENABLE_X64 says.
@@ -131,4 +148,11 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
+    # `help(curlfit)` would print each of them in full, thousands of lines; the docstring is enough.
+    # pydoc asks by way of `inspect.getmembers`.
+    frame = sys._getframe(1)
+    for _ in range(3):
+        if frame.f_globals.get("__name__") == "pydoc":
+            return []
+        frame = frame.f_back or frame
     return sorted(__all__)

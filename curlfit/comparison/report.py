@@ -23,7 +23,13 @@ _WARNING = "Warning: "
 
 
 def print_comparison(comparison: Comparison, console: Console | None = None) -> None:
-    """Print the report of a comparison."""
+    """Print the report of a comparison.
+
+    Examples
+    --------
+    >>> curlfit.print_comparison(comparison)
+    2 fits to ...
+    """
     console = console or terminal()
     console.print(report(comparison))
 

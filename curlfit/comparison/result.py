@@ -103,6 +103,13 @@ class Comparison(Displayed):
     number of values by channel where the residuals of the law that fits best are correlated from
     row to row; else empty.
     `fits` are the full results in the order of the candidates, and empty when read from a file.
+
+    Examples
+    --------
+    >>> comparison.of("coulomb").follows
+    False
+    >>> comparison.to_frame()["law"].tolist()
+    ['front-back', 'coulomb']
     """
 
     _report: ClassVar[str] = "curlfit.comparison.report"
@@ -173,6 +180,12 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
     Raises
     ------
     DataError : it is not there, or is not a record that this version can read.
+
+    Examples
+    --------
+    >>> comparison.save("compare.json")
+    >>> curlfit.load_comparison("compare.json").best.law
+    'front-back'
     """
 
     def build(found: dict[str, Any], path: Path) -> Comparison:

@@ -42,6 +42,11 @@ class InitialState:
     v : speed in m/s, >= 0.
     phi : angle of the stone in rad, counter-clockwise.
     omega : spin in rad/s, counter-clockwise positive.
+
+    Examples
+    --------
+    >>> curlfit.InitialState(v=2.2, omega=1.5).heading
+    0.0
     """
 
     x: Any = 0.0
@@ -65,6 +70,13 @@ class Trajectory(Displayed):
     has come to rest its position and angle are constant and its velocities are zero. `rest` is the
     time of rest in s; where the stone still moves at the last time, it is extrapolated from the
     loss of energy there, inf without any.
+
+    Examples
+    --------
+    >>> law, times = curlfit.law_with("front-back", {}), [0.0, 5.0, 10.0, 15.0, 20.0]
+    >>> curlfit.simulate(law, curlfit.Stone(), curlfit.InitialState(), times)
+    Trajectory, at rest at 22.678 s: motion of a stone at 5 times, t = 0 .. 20 s
+    x, y from (0, 0) m to ...
     """
 
     t: Array
@@ -218,6 +230,14 @@ def simulate(
     Raises
     ------
     InputError : unknown `load`.
+
+    Examples
+    --------
+    >>> law = curlfit.law_with("front-back", {"mu2_xi": 0.055})
+    >>> times = [0.0, 5.0, 10.0, 15.0, 20.0]
+    >>> path = curlfit.simulate(law, curlfit.Stone(), curlfit.InitialState(v=2.0), times)
+    >>> bool(path.x[-1] < 0)  # counter-clockwise spin curls to the left
+    True
     """
     checked = check_load(load)
     times = jnp.asarray(times, float)

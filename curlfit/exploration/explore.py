@@ -100,6 +100,14 @@ def explore(fit: FitResult) -> Explorer:
     Raises
     ------
     InputError : ipywidgets is not installed.
+
+    Examples
+    --------
+    >>> explorer = curlfit.explore(fit)
+    >>> explorer.sliders["mu2_xi"].value = 0.05
+    >>> explorer.curves.chi_squared > fit.chi_squared
+    True
+    >>> explorer.reset()
     """
     return Explorer(fit)
 

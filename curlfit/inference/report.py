@@ -31,7 +31,13 @@ _WORDS = {
 
 
 def print_fit(fit: FitResult, console: Console | None = None) -> None:
-    """Print the report of a fit."""
+    """Print the report of a fit.
+
+    Examples
+    --------
+    >>> curlfit.print_fit(fit)
+    front-back law, uniform load, fitted to ...
+    """
     console = console or terminal()
     console.print(report(fit))
 

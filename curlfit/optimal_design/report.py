@@ -43,7 +43,14 @@ _UNITS = {
 
 
 def print_design(design: Design, console: Console | None = None) -> None:
-    """Print the report of a design."""
+    """Print the report of a design.
+
+    Examples
+    --------
+    >>> curlfit.print_design(plan)
+    front-back law, uniform load: expected errors of 3 throws selected from 4
+    ...
+    """
     console = console or terminal()
     console.print(report(design))
 

@@ -118,6 +118,13 @@ class Design(Displayed):
         determined.
     notes : caveats, as sentences.
     scenarios : systematic errors of the D-best throws, as planned and thrown otherwise.
+
+    Examples
+    --------
+    >>> plan.best["D"].verdicts["mu1_eta"]
+    'not identifiable'
+    >>> plan.to_frame()[["v0", "omega0"]].shape
+    (4, 2)
     """
 
     _report: ClassVar[str] = "curlfit.optimal_design.report"
@@ -195,6 +202,12 @@ def load_design(file: str | PathLike[str]) -> Design:
     Raises
     ------
     DataError : missing, not a file of curlfit, or of a schema that this version cannot read.
+
+    Examples
+    --------
+    >>> plan.save("design.json")
+    >>> curlfit.load_design("design.json").rank
+    3
     """
     return load_record(file, "design", SCHEMA, lambda entries, _: Design.from_json(entries))
 

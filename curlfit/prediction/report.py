@@ -30,7 +30,13 @@ _SIDES = ("right of", "left of")
 
 
 def print_prediction(prediction: Prediction, console: Console | None = None) -> None:
-    """Print the report of a prediction."""
+    """Print the report of a prediction.
+
+    Examples
+    --------
+    >>> curlfit.print_prediction(prediction)
+    front-back law, uniform load, fitted to ...
+    """
     console = console or Console()
     console.print(report(prediction))
 

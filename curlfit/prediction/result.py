@@ -116,6 +116,16 @@ class Prediction(Displayed):
     warnings, notes : for the reader.
     check : None, or the comparison with measured rows.
     measured : t (s since the start), x, y of the fitted rows on the sheet; empty for a new throw.
+
+    Examples
+    --------
+    >>> prediction
+    Prediction, it comes to rest after 24.3 s and 2.65 turns counter-clockwise, ...
+    front-back law, uniform load, fitted to ...: the fitted throw, extrapolated to rest
+    It curls 0.90 m (2.94 ft) to the left.
+    2 warnings, see curlfit.print_prediction
+    >>> prediction.to_frame().columns[:4].tolist()
+    ['t', 'x', 'y', 'phi']
     """
 
     _report: ClassVar[str] = "curlfit.prediction.report"
@@ -233,6 +243,12 @@ def load_prediction(file: str | PathLike[str]) -> Prediction:
     Raises
     ------
     DataError : it is not there, is not a prediction, or has a schema this version cannot read.
+
+    Examples
+    --------
+    >>> prediction.save("predict.json")
+    >>> curlfit.load_prediction("predict.json").law
+    'front-back'
     """
     return load_record(file, "predict", SCHEMA, lambda entries, _: Prediction.from_json(entries))
 

@@ -31,7 +31,13 @@ _STYLE = {"limited": "", "hardly": STYLE["weak"], "flat": STYLE["not identifiabl
 
 
 def print_profile(profile: Profile | PairProfile, console: Console | None = None) -> None:
-    """Print the report of a profile."""
+    """Print the report of a profile.
+
+    Examples
+    --------
+    >>> curlfit.print_profile(profile)
+    Profile of mu1_xi: front-back law, uniform load, fitted to ...
+    """
     console = console or terminal()
     console.print(report(profile))
 

@@ -111,6 +111,15 @@ class Profile(Displayed):
         "error" (its standard deviation), by bin of the chain.
     quantiles : of the posterior by level, keys "2.5", "16", "50", "84", "97.5"; empty without one.
     warnings : for the reader.
+
+    Examples
+    --------
+    >>> profile
+    Profile, mu1_xi limited by the data: ...
+    mu1_xi: 0.000390 .. 0.000443 (68 %), 0.000364 .. 0.000469 (95 %)
+    ...
+    >>> profile.to_frame().columns[:2].tolist()
+    ['mu1_xi', 'delta_chi2']
     """
 
     _report: ClassVar[str] = "curlfit.profile_likelihood.report"
@@ -247,6 +256,12 @@ class PairProfile(Displayed):
         95 % ellipse; None without one.
     samples : of the posterior, shape (samples, 2); empty without a chain.
     warnings : for the reader.
+
+    Examples
+    --------
+    >>> pair = curlfit.profile(fit, ["mu1_xi", "mu2_xi"], points=9)
+    >>> pair.names, pair.delta.shape == pair.first.shape
+    (('mu1_xi', 'mu2_xi'), True)
     """
 
     _report: ClassVar[str] = "curlfit.profile_likelihood.report"
@@ -337,6 +352,12 @@ def load_profile(file: str | PathLike[str]) -> Profile | PairProfile:
     Raises
     ------
     DataError : it is not there, is not a profile, or has a schema this version cannot read.
+
+    Examples
+    --------
+    >>> profile.save("profile.json")
+    >>> curlfit.load_profile("profile.json").verdict
+    'limited'
     """
 
     def build(entries: dict[str, Any], _: Path) -> Profile | PairProfile:

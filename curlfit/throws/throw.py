@@ -82,6 +82,14 @@ class Throw(Displayed):
     Raises
     ------
     DataError : shapes differ, a value is infinite, a time is missing, or times do not increase.
+
+    Examples
+    --------
+    >>> short = curlfit.Throw.from_arrays([0.0, 0.1, 0.2], x=[0, 0, 0], y=[0.0, 0.21, 0.41])
+    >>> short.name, short.n_observations
+    ('throw', 6)
+    >>> short == curlfit.Throw.from_frame(short.to_frame())
+    True
     """
 
     t: Floats

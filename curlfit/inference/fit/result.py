@@ -92,6 +92,13 @@ class Posterior(Displayed):
     mean, sd : the same.
     correlation : between parameters.
     converged, status : whether the targets were met, and in words.
+
+    Examples
+    --------
+    >>> sampled.posterior.converged
+    True
+    >>> sorted(sampled.posterior.quantiles["mu2_xi"], key=float)
+    ['2.5', '16', '50', '84', '97.5']
     """
 
     _report: ClassVar[str] = "curlfit.inference.overview"
@@ -171,6 +178,20 @@ class FitResult(Displayed):
     sampling : "none", "unfinished" (begun, or to be begun) or "ended".
     systematics : errors by the conditions that the fit holds, such as level ice.
     chi_squared, prior_chi_squared : of the data, and of the priors.
+
+    Examples
+    --------
+    >>> fit
+    FitResult, converged (... steps): front-back law, uniform load, fitted to ...
+    mu1_xi = 0.000417(27), mu2_xi = 0.055627(25), mu1_eta + mu2_eta = 0.017573(16)
+    not identifiable: mu1_eta, mu2_eta
+    1 warning, see curlfit.print_fit
+    >>> fit["mu1_eta + mu2_eta"].interval(0.95)
+    (0.0175..., 0.0176...)
+    >>> fit.residuals["x"].shape
+    (201,)
+    >>> fit.to_frame().loc["mu2_xi", ["value", "stderr"]].round(6).tolist()
+    [0.055627, 2.5e-05]
     """
 
     _report: ClassVar[str] = "curlfit.inference.overview"
@@ -447,6 +468,12 @@ def load_fit(file: str | PathLike[str]) -> FitResult:
     Raises
     ------
     DataError : it is not there, is not a curlfit result, or has a schema this version cannot read.
+
+    Examples
+    --------
+    >>> fit.save("fit.json")
+    >>> curlfit.load_fit("fit.json")["mu2_xi"] == fit["mu2_xi"]
+    True
     """
     return load_record(file, "fit", SCHEMA, lambda entries, _: FitResult.from_json(entries))
 

@@ -65,6 +65,16 @@ class JointResult(Displayed):
     differences : of each determined shared coefficient or combination.
     throws : a `FitResult` for each throw; its standard errors are those of the joint fit.
     systematics : errors of what is shared by the conditions that the fit holds.
+
+    Examples
+    --------
+    >>> joint
+    JointResult, converged (... steps): front-back law, uniform load, 2 throws together
+    mu1_xi = ..., mu2_xi = ..., mu1_eta + mu2_eta = ...
+    not identifiable: mu1_eta, mu2_eta
+    2 warnings, see curlfit.print_joint
+    >>> len(joint.throws)
+    2
     """
 
     _report: ClassVar[str] = "curlfit.inference.overview"
@@ -140,6 +150,11 @@ def load_joint(file: str | PathLike[str]) -> JointResult:
     Raises
     ------
     DataError : a file is not there, or is not a record that this version can read.
+
+    Examples
+    --------
+    >>> curlfit.load_joint("joint").share == joint.share
+    True
     """
 
     def build(found: dict[str, Any], path: Path) -> JointResult:

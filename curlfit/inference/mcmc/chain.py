@@ -69,6 +69,16 @@ class Chain(Displayed):
     subject : what was sampled, see `subject_of`. state : of the sampler, for going on; None in a
         file of an earlier version.
     fit : that was sampled; None where the chain was read from a file.
+
+    Examples
+    --------
+    >>> chain
+    Chain, ... samples: 4 ensembles, 128 walkers, ... steps, of which the first ... are left out
+    68 %: mu1_xi ...
+    >>> chain.of({"mu1_eta": 1.0, "mu2_eta": 1.0}).mean().round(4)
+    np.float64(0.0176)
+    >>> chain.to_frame().index.names
+    FrozenList(['ensemble', 'walker', 'step'])
     """
 
     names: tuple[str, ...]
@@ -238,7 +248,14 @@ _COUNTS = ("left", "bold", "tried", "taken")
 
 
 def load_chain(file: str | PathLike[str]) -> Chain:
-    """Read a `chain.h5`. Raises `DataError` where it is missing or is not one."""
+    """Read a `chain.h5`. Raises `DataError` where it is missing or is not one.
+
+    Examples
+    --------
+    >>> chain.save("chain.h5")
+    >>> curlfit.load_chain("chain.h5").with_fit(fit).names == chain.names
+    True
+    """
     path = Path(file)
     if not path.is_file():
         raise DataError("no such file", file=path)

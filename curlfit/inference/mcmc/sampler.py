@@ -53,6 +53,12 @@ def sample(
     UnusableFitError : no walker found a point of finite posterior.
     InputError : the chain to be resumed is of other data, law, load, stone, bounds, seed or
         version, or the checkpoint cannot be written.
+
+    Examples
+    --------
+    >>> sampled, chain = curlfit.sample(fit, effective=400)
+    >>> sampled.posterior.converged
+    True
     """
     run = Run(fit, seed)
     file = None if checkpoint is None else Path(checkpoint)
