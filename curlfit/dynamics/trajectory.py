@@ -75,7 +75,7 @@ class Trajectory(Displayed):
     --------
     >>> law, times = curlfit.law_with("front-back", {}), [0.0, 5.0, 10.0, 15.0, 20.0]
     >>> curlfit.simulate(law, curlfit.Stone(), curlfit.InitialState(), times)
-    Trajectory, at rest at 22.678 s: motion of a stone at 5 times, t = 0 .. 20 s
+    Trajectory, at rest at 22.6... s: motion of a stone at 5 times, t = 0 .. 20 s
     x, y from (0, 0) m to ...
     """
 

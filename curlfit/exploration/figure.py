@@ -27,11 +27,15 @@ class MovingFigure:
     """Path, residuals and spin of a fit, drawn once and then moved."""
 
     def __init__(self, fit: FitResult, curves: Curves) -> None:
-        self.figure = Picture(figsize=(9, 5.6), dpi=_DPI, layout="constrained")
+        self.figure = Picture(figsize=(9, 6), dpi=_DPI)
         self._canvas = FigureCanvasAgg(self.figure)
         t = fit.observed["t"]
         self._some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MAX_POINTS)).astype(int))
-        rows = self.figure.add_gridspec(3, 1, height_ratios=(1.2, 1, 0.8))
+        # Fixed panels, with room for long tick labels.
+        rows = self.figure.add_gridspec(
+            3, 1, height_ratios=(1.2, 1, 0.8), left=0.09, right=0.98, top=0.97, bottom=0.08,
+            hspace=0.55,
+        )  # fmt: skip
         path, spin = self.figure.add_subplot(rows[0]), self.figure.add_subplot(rows[2])
         for axes, across, along, names in (
             (path, "y", "x", ("along the sheet, y (m)", "to the right, x (m)")),
@@ -45,19 +49,18 @@ class MovingFigure:
         (self.spin,) = spin.plot([], [], color=CHANNEL_COLOR["phi"])
         self.residuals: dict[str, Any] = {}
         self._sizes: dict[str, float] = {}
-        panels = rows[1].subgridspec(1, len(fit.rms))
+        panels = rows[1].subgridspec(1, len(fit.rms), wspace=0.3)
         for place, name in enumerate(fit.rms):
             axes = self.figure.add_subplot(panels[place])
             size, unit = unit_for(max(fit.rms[name], 1e-12), name)
             axes.axhline(0, color="0.7", lw=0.8)
-            axes.set(xlabel="t (s)", ylabel=f"${CHANNEL_LABEL[name]}$ residual ({unit})")
+            axes.set(xlabel="t (s)")
+            axes.set_title(f"${CHANNEL_LABEL[name]}$ residual ({unit})", fontsize=9)
             (self.residuals[name],) = axes.plot(
                 t[self._some], t[self._some], ".", color=CHANNEL_COLOR[name], markersize=3
             )
             self._sizes[name] = size
         self.move(curves)
-        self.figure.draw_without_rendering()
-        self.figure.set_layout_engine("none")  # the panels stay where they are
 
     def move(self, curves: Curves) -> None:
         """Set the curves."""
