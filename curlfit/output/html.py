@@ -1,7 +1,7 @@
 """Reports as HTML: texts and tables of rich, in the colours of the page around them.
 
-Colours have a contrast above 4 on white and on black alike; all else is inherited. Every text is
-escaped.
+Colours have a contrast above 4 on white and on black alike, of the 4.4 that are possible; all else
+is inherited. Every text is escaped.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _CELL = (
     "padding: 0.15em 1em 0.15em 0; vertical-align: top; background-color: transparent; "
     "color: inherit"
 )
-_CONSOLE = Console()  # resolves styles; nothing is printed on it
+_STYLES = Console()  # nothing is printed on it
 
 
 def page(parts: Iterable[Any]) -> str:
@@ -57,7 +57,7 @@ def _runs(text: Text) -> Iterable[Text]:
 
 
 def _styled(plain: str, run: Text) -> str:
-    style = run.get_style_at_offset(_CONSOLE, 0)
+    style = run.get_style_at_offset(_STYLES, 0)
     css = []
     if style.bold:
         css.append("font-weight: bold")

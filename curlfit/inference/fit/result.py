@@ -7,7 +7,6 @@ drawn and sampled again without the data file and without fitting.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from os import PathLike
 from pathlib import Path
@@ -143,8 +142,61 @@ class Systematics:
         }
 
 
+class NamedEstimates(Displayed):
+    """A result whose estimates are items by name, and rows of a table."""
+
+    combinations: tuple[Combination, ...]
+    systematics: Systematics
+
+    @property
+    def _estimates(self) -> dict[str, Estimate]:
+        """The parameters by name."""
+        raise NotImplementedError
+
+    def _items(self) -> dict[str, Estimate | Combination]:
+        return {**self._estimates, **{item.expression: item for item in self.combinations}}
+
+    def __getitem__(self, name: str) -> Estimate | Combination:
+        """A parameter or a determined combination. Raises KeyError for any other name."""
+        found = self._items().get(name)
+        if found is None:
+            raise KeyError(f"no {name!r}; there are {', '.join(self._items())}")
+        return found
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._items()
+
+    __iter__ = None
+    """not a sequence, though it has items"""
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._items())
+
+    def to_frame(self) -> Any:
+        """Parameters and determined combinations as a pandas DataFrame, a row for each.
+
+        Columns are value, stderr, systematic (its error by conditions that the fit holds), low
+        and high (95 % interval), verdict and unit. What is not identifiable has no value.
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        rows, errors = [], self.systematics.errors
+        for name, item in self._items().items():
+            verdict, unit = "determined", ""
+            if isinstance(item, Estimate):
+                verdict, unit = item.verdict, item.unit
+            value = math.nan if verdict == "not identifiable" else item.value
+            numbers = (item.stderr, errors.get(name), *(item.interval() or (None, None)))
+            known = (math.nan if number is None else number for number in numbers)
+            rows.append((value, *known, verdict, unit))
+        heads = ("value", "stderr", "systematic", "low", "high", "verdict", "unit")
+        return frame(dict(zip(heads, zip(*rows, strict=True), strict=True)), list(self._items()))
+
+
 @dataclass(frozen=True, repr=False)
-class FitResult(Displayed):
+class FitResult(NamedEstimates):
     """A fitted throw. `save` writes it, `load_fit` reads it.
 
     Attributes
@@ -282,6 +334,11 @@ class FitResult(Displayed):
         )
 
     @property
+    def _estimates(self) -> dict[str, Estimate]:
+        """The parameters by name."""
+        return self.parameters
+
+    @property
     def residuals(self) -> dict[str, Floats]:
         """Observed minus fitted by measured channel (SI, rad), NaN where there is no value; at the
         times `observed["t"]`."""
@@ -290,31 +347,6 @@ class FitResult(Displayed):
             for name in self.rms
             if name in self.fitted
         }
-
-    def __getitem__(self, name: str) -> Estimate | Combination:
-        """A parameter or a determined combination. Raises KeyError for any other name."""
-        return item_of(name, self.parameters, self.combinations)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._ipython_key_completions_()
-
-    __iter__ = None
-    """not a sequence, though it has items"""
-
-    def _ipython_key_completions_(self) -> list[str]:
-        return [*self.parameters, *(item.expression for item in self.combinations)]
-
-    def to_frame(self) -> Any:
-        """Parameters and determined combinations as a pandas DataFrame, a row for each.
-
-        Columns are value, stderr, systematic (its error by conditions that the fit holds), low
-        and high (95 % interval), verdict and unit. What is not identifiable has no value.
-
-        Raises
-        ------
-        InputError : pandas is not installed.
-        """
-        return estimates_frame(self.parameters, self.combinations, self.systematics)
 
     def with_posterior(self, posterior: Posterior) -> FitResult:
         """The same with a posterior."""
@@ -416,50 +448,6 @@ class FitResult(Displayed):
     def save(self, file: str | PathLike[str]) -> None:
         """Write the record as JSON, whole or not at all."""
         write_json(self.to_json(), Path(file))
-
-
-def item_of(
-    name: str, parameters: Mapping[str, Estimate], combinations: Sequence[Combination]
-) -> Estimate | Combination:
-    """The parameter or determined combination of a name.
-
-    Raises
-    ------
-    KeyError : there is none; the message names what there is.
-    """
-    known: dict[str, Estimate | Combination] = {
-        **parameters,
-        **{item.expression: item for item in combinations},
-    }
-    found = known.get(name)
-    if found is None:
-        raise KeyError(f"no {name!r}; there are {', '.join(known)}")
-    return found
-
-
-def estimates_frame(
-    parameters: Mapping[str, Estimate],
-    combinations: Sequence[Combination],
-    systematics: Systematics,
-) -> Any:
-    """Parameters and determined combinations as a pandas DataFrame, see `FitResult.to_frame`."""
-    rows = {}
-    for name, item in parameters.items():
-        value = math.nan if item.verdict == "not identifiable" else item.value
-        rows[name] = (value, item.stderr, item.interval(), item.verdict, item.unit)
-    for one in combinations:
-        rows[one.expression] = (one.value, one.stderr, one.interval(), "determined", "")
-    errors = systematics.errors
-    columns: dict[str, list[Any]] = {
-        "value": [row[0] for row in rows.values()],
-        "stderr": [math.nan if row[1] is None else row[1] for row in rows.values()],
-        "systematic": [errors.get(name, math.nan) for name in rows],
-        "low": [math.nan if row[2] is None else row[2][0] for row in rows.values()],
-        "high": [math.nan if row[2] is None else row[2][1] for row in rows.values()],
-        "verdict": [row[3] for row in rows.values()],
-        "unit": [row[4] for row in rows.values()],
-    }
-    return frame(columns, list(rows))
 
 
 def load_fit(file: str | PathLike[str]) -> FitResult:

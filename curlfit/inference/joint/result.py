@@ -10,13 +10,11 @@ from typing import Any, ClassVar
 from curlfit.inference.fit.result import (
     Estimate,
     FitResult,
+    NamedEstimates,
     Systematics,
-    estimates_frame,
-    item_of,
     load_fit,
 )
 from curlfit.inference.identifiability import Combination
-from curlfit.output.display import Displayed
 from curlfit.output.files import known_fields, load_record, write_json
 
 SCHEMA = 1
@@ -52,7 +50,7 @@ class Difference:
 
 
 @dataclass(frozen=True, repr=False)
-class JointResult(Displayed):
+class JointResult(NamedEstimates):
     """Several throws fitted together.
 
     Attributes
@@ -94,21 +92,10 @@ class JointResult(Displayed):
     throws: tuple[FitResult, ...]
     systematics: Systematics = field(default_factory=Systematics)
 
-    def __getitem__(self, name: str) -> Estimate | Combination:
-        """A shared coefficient or combination. Raises KeyError for any other name."""
-        return item_of(name, self.coefficients, self.combinations)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._ipython_key_completions_()
-
-    __iter__ = None
-
-    def _ipython_key_completions_(self) -> list[str]:
-        return [*self.coefficients, *(item.expression for item in self.combinations)]
-
-    def to_frame(self) -> Any:
-        """What is shared as a pandas DataFrame, with the columns of `FitResult.to_frame`."""
-        return estimates_frame(self.coefficients, self.combinations, self.systematics)
+    @property
+    def _estimates(self) -> dict[str, Estimate]:
+        """What is shared, by name."""
+        return self.coefficients
 
     def to_json(self) -> dict[str, Any]:
         """The record as written to `joint.json`, without the single throws."""
