@@ -46,7 +46,7 @@ def test_examples_run(name, found):
 
 
 def test_a_reproduction_shows_its_verdicts(found):
-    first, *verdicts = repr(found).splitlines()
+    first, _, *verdicts = repr(found).splitlines()
     assert first.startswith(f"Reproduction, of {len(IDS)} claims ")
     assert sorted(name for line in verdicts for name in line.split(": ")[1].split(", ")) == (
         sorted(IDS)
