@@ -1,10 +1,27 @@
-"""curlfit: friction coefficients from the trajectory of a curling stone.
+"""Friction coefficients from the trajectory of a curling stone.
+
+curlfit fits a law of friction to a measured path (time, position and, if possible, angle), samples
+the posterior, and says which coefficients the path determines and which it cannot.
 
     import curlfit
     throw = curlfit.load_throw("data/jensen_shegelski_2004.csv")
-    fit = curlfit.fit(throw)
+    fit = curlfit.fit(throw)               # in a notebook, a table
+    fit["mu2_xi"], fit.residuals["x"], fit.to_frame()
     fit, chain = curlfit.sample(fit)
-    curlfit.fit_figure(fit); curlfit.corner_figure(fit, chain)
+    curlfit.fit_figure(fit); curlfit.corner_figure(fit, chain); curlfit.explore(fit)
+
+Most used:
+
+    load_throw   a throw from a file; `Throw.from_arrays`, `Throw.from_frame` from memory
+    fit          coefficients and start of one throw; `fit_together` of several
+    sample       the posterior; `chain.to_frame`, `chain.to_arviz`
+    compare      which law?
+    profile      intervals where chi squared is not quadratic
+    predict      another throw on the same ice; `design` plans a measurement
+    simulate     the model itself, for `jax.jit`, `vmap` and derivatives
+
+`dir(curlfit)` lists all names, `help(curlfit.fit)` has arguments and an example; the README and
+four notebooks have the rest.
 
 Axes: y along the sheet, x to the right of it, angle and spin counter-clockwise; SI units and
 radians. With `import curlfit` JAX computes with 64-bit numbers, whatever JAX_ENABLE_X64 says.
@@ -27,6 +44,7 @@ if TYPE_CHECKING:
     from curlfit.dynamics.aim import Aim, aim
     from curlfit.dynamics.trajectory import InitialState, Trajectory, simulate
     from curlfit.errors import CurlfitError, DataError, InputError, UnusableFitError
+    from curlfit.exploration.explore import explore
     from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, coefficient, find_law
     from curlfit.inference.figures import corner_figure, fit_figure, joint_figure
     from curlfit.inference.fit.fit import fit
@@ -78,6 +96,7 @@ _HOMES = {
     "optimal_design.figures": ("design_figures",),
     "prediction.figures": ("prediction_figure",),
     "profile_likelihood.figures": ("profile_figure",),
+    "exploration.explore": ("explore",),
     "inference.fit.fit": ("fit",),
     "friction": ("LAWS", "Law", "LocalLaw", "NetLaw", "coefficient", "find_law"),
     "inference.joint.result": ("JointResult", "load_joint"),
@@ -106,7 +125,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [  # noqa: RUF022  (in the order of use)
     "load_throw", "Throw", "fit", "FitResult", "print_fit", "sample", "Chain", "Posterior",
-    "fit_figure", "corner_figure", "load_fit", "load_chain",
+    "fit_figure", "corner_figure", "explore", "load_fit", "load_chain",
     "fit_together", "JointResult", "print_joint", "joint_figure", "load_joint",
     "compare", "Comparison", "print_comparison", "comparison_figure", "load_comparison",
     "predict", "Prediction", "print_prediction", "prediction_figure", "load_prediction",
@@ -129,4 +148,11 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
+    # `help(curlfit)` would print each of them in full, thousands of lines; the docstring is enough.
+    # pydoc asks by way of `inspect.getmembers`.
+    frame = sys._getframe(1)
+    for _ in range(3):
+        if frame.f_globals.get("__name__") == "pydoc":
+            return []
+        frame = frame.f_back or frame
     return sorted(__all__)

@@ -8,7 +8,13 @@ from os import PathLike
 
 
 class CurlfitError(Exception):
-    """Base of every error that curlfit raises on purpose; `exit_status` is the command's."""
+    """Base of every error that curlfit raises on purpose; `exit_status` is the command's.
+
+    Examples
+    --------
+    >>> issubclass(curlfit.UnusableFitError, curlfit.CurlfitError)
+    True
+    """
 
     exit_status = 1
 
@@ -21,13 +27,29 @@ class CurlfitError(Exception):
 
 
 class InputError(CurlfitError, ValueError):
-    """The data, an option or a name is wrong (exit status 2)."""
+    """The data, an option or a name is wrong (exit status 2).
+
+    Examples
+    --------
+    >>> curlfit.find_law("glue")
+    Traceback (most recent call last):
+        ...
+    curlfit.errors.InputError: ...
+    """
 
     exit_status = 2
 
 
 class DataError(InputError):
-    """A data file cannot be used; the message begins with the file, line and column."""
+    """A data file cannot be used; the message begins with the file, line and column.
+
+    Examples
+    --------
+    >>> curlfit.load_throw("nothing.csv")
+    Traceback (most recent call last):
+        ...
+    curlfit.errors.DataError: nothing.csv: no such file...
+    """
 
     def __init__(
         self,
@@ -47,7 +69,13 @@ class DataError(InputError):
 
 
 class UnusableFitError(CurlfitError):
-    """The data were read, but the fit is not usable (exit status 1)."""
+    """The data were read, but the fit is not usable (exit status 1).
+
+    Examples
+    --------
+    >>> curlfit.UnusableFitError.exit_status
+    1
+    """
 
 
 @cache

@@ -27,6 +27,11 @@ class Stone:
     Raises
     ------
     InputError : a value is not a positive finite number.
+
+    Examples
+    --------
+    >>> curlfit.Stone(R=0.054).rho
+    0.1
     """
 
     m: float = 20.0

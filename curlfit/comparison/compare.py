@@ -99,6 +99,12 @@ def compare(
     ------
     InputError : an unknown law, load, loss or noise; a name that no law has; or a throw that cannot
         be fitted by any.
+
+    Examples
+    --------
+    >>> comparison = curlfit.compare(throw, ["front-back", "coulomb"])
+    >>> comparison.best.label
+    'front-back, uniform load'
     """
     todo = plan(laws, load)
     options: dict[str, Mapping[str, Any]] = {

@@ -32,7 +32,12 @@ _SAME = 0.0075  # share of an axis, about a line's width, up to which curves are
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """All fitted paths over the data, their residuals sideways, and the residuals by channel."""
+    """All fitted paths over the data, their residuals sideways, and the residuals by channel.
+
+    Examples
+    --------
+    >>> curlfit.comparison_figure(comparison).savefig("compare.png")
+    """
     shown = [item for item in comparison.candidates if item.fitted is not None]
     t, x, y = (np.array(comparison.observed[name], float) for name in ("t", "x", "y"))
     some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MAX_POINTS)).astype(int))

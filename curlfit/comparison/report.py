@@ -10,6 +10,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from curlfit.output.console import Items, terminal
+from curlfit.output.display import Overview
 from curlfit.output.text import STYLE, compact, join_words, plain_table
 
 if TYPE_CHECKING:
@@ -17,22 +18,51 @@ if TYPE_CHECKING:
 
 
 _PROBABLE = 0.01  # weight of a law that is named
+_FIRST = 3  # laws named in a line
+_WARNING = "Warning: "
 
 
 def print_comparison(comparison: Comparison, console: Console | None = None) -> None:
-    """Print the report of a comparison."""
+    """Print the report of a comparison.
+
+    Examples
+    --------
+    >>> curlfit.print_comparison(comparison)
+    2 fits to ...
+    """
     console = console or terminal()
     console.print(report(comparison))
 
 
 def report(comparison: Comparison) -> RenderableType:
     """The report of a comparison: ranks, coefficients, and what follows from them."""
-    parts = [_heading(comparison), _ranks(comparison), _coefficients(comparison)]
+    parts: list[RenderableType] = [_heading(comparison), _ranks(comparison)]
+    parts.append(_coefficients(comparison))
     parts += [Padding(Text(line), (0, 0, 1, 0)) for line in conclusions(comparison)]
     return Group(*parts)
 
 
-def _heading(comparison: Comparison) -> RenderableType:
+def overview(comparison: Comparison) -> Overview:
+    """A comparison at a glance: the ranks, and what follows."""
+    heading = _heading(comparison).plain.splitlines()
+    said = conclusions(comparison)
+    warnings = [line for line in said if line.startswith(_WARNING)]
+    findings = [line for line in said if line not in warnings]
+    ranked = [item for item in comparison.candidates if item.rank is not None]
+    order = ", ".join(f"{item.label} ({_difference(item.delta_bic)})" for item in ranked[:_FIRST])
+    more = f" and {len(ranked) - _FIRST} more" if len(ranked) > _FIRST else ""
+    return Overview(
+        f"{ranked[0].label} ranks first{', not reliably' * bool(comparison.effective)}"
+        if ranked
+        else "no law is ranked",
+        f"{heading[0]}; {heading[2][:1].lower()}{heading[2][1:]}",
+        [f"dBIC: {order}{more}" if ranked else "", findings[0] if findings else ""],
+        [_ranks(comparison), *findings],
+        [line.removeprefix(_WARNING).rstrip(".") for line in warnings],
+    )
+
+
+def _heading(comparison: Comparison) -> Text:
     data, stone = comparison.data, comparison.stone
     text = Text()
     loss = "" if comparison.loss == "linear" else f", {comparison.loss} loss"
@@ -204,7 +234,7 @@ def _about_correlation(comparison: Comparison) -> str:
         for name, count in comparison.effective.items()
     )
     return (
-        "Warning: the ranking is not reliable. Even the law that fits best leaves residuals that "
+        f"{_WARNING}the ranking is not reliable. Even the law that fits best leaves residuals that "
         f"are correlated from row to row. dBIC and dAICc count effective values ({worth}) and are "
         "approximate; correlated noise alone can put a wrong law first."
     )

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from curlfit.inference.fit.result import FitResult
+from curlfit.output.display import Displayed
 from curlfit.output.files import known_fields, load_record, write_json
+from curlfit.output.frames import frame
 from curlfit.stone import Stone
 
 SCHEMA = 1
@@ -91,8 +93,8 @@ class Candidate:
         return self.bulk or self.rms or {}
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Displayed):
     """Candidates, best first: those ranked, then those beyond their bounds, then failures.
 
     `data` says what was fitted; `curl` is the path's sideways departure from a straight line in m
@@ -101,7 +103,17 @@ class Comparison:
     number of values by channel where the residuals of the law that fits best are correlated from
     row to row; else empty.
     `fits` are the full results in the order of the candidates, and empty when read from a file.
+
+    Examples
+    --------
+    >>> comparison.of("coulomb").follows
+    False
+    >>> comparison.to_frame()["law"].tolist()
+    ['front-back', 'coulomb']
     """
+
+    _report: ClassVar[str] = "curlfit.comparison.report"
+    _printer: ClassVar[str] = "curlfit.print_comparison"
 
     data: dict[str, Any]
     stone: Stone
@@ -125,6 +137,22 @@ class Comparison:
             if (item.law, item.signs_free) == (law, signs_free) and item.load in (load, "-"):
                 return item
         raise KeyError(f"{law}, {load}")
+
+    def to_frame(self) -> Any:
+        """The candidates as a pandas DataFrame, a row for each, best first; sizes in m and rad.
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        same = (
+            "law", "load", "signs_free", "rank", "converged", "status", "n_parameters", "delta_bic",
+            "delta_aicc", "delta_evidence", "weight", "curl_explained", "follows",
+        )  # fmt: skip
+        columns = {name: [getattr(item, name) for item in self.candidates] for name in same}
+        for name in PLACE:
+            columns[f"rms_{name}"] = [(item.rms or {}).get(name) for item in self.candidates]
+        return frame(columns)
 
     def to_json(self) -> dict[str, Any]:
         """The record as written to `compare.json`."""
@@ -152,6 +180,12 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
     Raises
     ------
     DataError : it is not there, or is not a record that this version can read.
+
+    Examples
+    --------
+    >>> comparison.save("compare.json")
+    >>> curlfit.load_comparison("compare.json").best.law
+    'front-back'
     """
 
     def build(found: dict[str, Any], path: Path) -> Comparison:

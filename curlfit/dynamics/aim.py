@@ -39,7 +39,12 @@ _GRID_SIZE = 129
 
 
 class Aim(NamedTuple):
-    """Initial speed and heading of a throw."""
+    """Initial speed and heading of a throw.
+
+    Examples
+    --------
+    >>> v0, heading = curlfit.Aim(2.2, 0.03)
+    """
 
     v0: float
     heading: float
@@ -86,6 +91,13 @@ def aim(
     Raises
     ------
     InputError : invalid arguments, or no throw up to 6 m/s reaches the target.
+
+    Examples
+    --------
+    >>> law = curlfit.law_with("front-back", {"mu2_xi": 0.055})
+    >>> found = curlfit.aim(law, curlfit.Stone(), (0.0, 28.35), omega0=1.0)
+    >>> round(found.v0, 2), found.heading > 0
+    (2.24, True)
     """
     across, along = target[0] - start[0], target[1] - start[1]
     for name, value in (("target", across), ("target", along), ("omega0", omega0)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
@@ -17,6 +18,9 @@ from jaxtyping import Array, ArrayLike
 
 from curlfit.environment import Environment
 from curlfit.friction import Law, Load, check_load
+from curlfit.output.display import Displayed, Overview
+from curlfit.output.frames import frame
+from curlfit.output.text import plain_table
 from curlfit.stone import Stone
 
 _REST_TIME = 1e30  # s, when every stone is at rest
@@ -38,6 +42,11 @@ class InitialState:
     v : speed in m/s, >= 0.
     phi : angle of the stone in rad, counter-clockwise.
     omega : spin in rad/s, counter-clockwise positive.
+
+    Examples
+    --------
+    >>> curlfit.InitialState(v=2.2, omega=1.5).heading
+    0.0
     """
 
     x: Any = 0.0
@@ -53,14 +62,21 @@ class InitialState:
     data_fields=["t", "x", "y", "phi", "vx", "vy", "omega", "rest"],
     meta_fields=[],
 )
-@dataclass(frozen=True)
-class Trajectory:
+@dataclass(frozen=True, repr=False)
+class Trajectory(Displayed):
     """Motion of a stone at given times; every field but `rest` is an array of the shape of `t`.
 
     t in s; x, y in m; phi in rad, not wrapped; vx, vy in m/s; omega in rad/s. After the stone
     has come to rest its position and angle are constant and its velocities are zero. `rest` is the
     time of rest in s; where the stone still moves at the last time, it is extrapolated from the
     loss of energy there, inf without any.
+
+    Examples
+    --------
+    >>> law, times = curlfit.law_with("front-back", {}), [0.0, 5.0, 10.0, 15.0, 20.0]
+    >>> curlfit.simulate(law, curlfit.Stone(), curlfit.InitialState(), times)
+    Trajectory, at rest at 22.6... s: motion of a stone at 5 times, t = 0 .. 20 s
+    x, y from (0, 0) m to ...
     """
 
     t: Array
@@ -78,6 +94,35 @@ class Trajectory:
         square = self.vx**2 + self.vy**2
         moving = square > 0
         return jnp.where(moving, jnp.sqrt(jnp.where(moving, square, 1.0)), 0.0)
+
+    def to_frame(self) -> Any:
+        """The motion as a pandas DataFrame: t, x, y, phi, vx, vy, omega and speed (SI, rad).
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        names = ("t", "x", "y", "phi", "vx", "vy", "omega", "speed")
+        return frame({name: np.asarray(getattr(self, name)) for name in names})
+
+    def _overview(self) -> Overview:
+        shape = jnp.shape(self.x)
+        arrays = [getattr(self, item.name) for item in fields(self)]
+        if len(shape) != 1 or not shape[0] or any(isinstance(x, jax.core.Tracer) for x in arrays):
+            return Overview(f"shape {shape}", "motion of a stone")
+        table = plain_table()
+        for head in ("", "t (s)", "x (m)", "y (m)", "phi (rad)", "speed (m/s)", "omega (rad/s)"):
+            table.add_column(head, justify="right" if head else "left")
+        names = ("t", "x", "y", "phi", "speed", "omega")
+        series = [np.asarray(getattr(self, name)) for name in names]
+        for label, row in (("first", 0), ("last", -1)):
+            table.add_row(label, *(f"{values[row] + 0.0:.5g}" for values in series))
+        rest = float(self.rest)
+        finding = f"at rest at {rest:.5g} s" if math.isfinite(rest) else "does not come to rest"
+        t, x, y = series[:3]
+        subject = f"motion of a stone at {len(t)} times, t = {t[0]:.5g} .. {t[-1]:.5g} s"
+        ends = f"from ({x[0]:.4g}, {y[0]:.4g}) m to ({x[-1]:.4g}, {y[-1]:.4g}) m"
+        return Overview(finding, subject, [f"x, y {ends}"], [table])
 
     def to_numpy(self) -> Trajectory:
         """The trajectory with numpy arrays."""
@@ -185,6 +230,14 @@ def simulate(
     Raises
     ------
     InputError : unknown `load`.
+
+    Examples
+    --------
+    >>> law = curlfit.law_with("front-back", {"mu2_xi": 0.055})
+    >>> times = [0.0, 5.0, 10.0, 15.0, 20.0]
+    >>> path = curlfit.simulate(law, curlfit.Stone(), curlfit.InitialState(v=2.0), times)
+    >>> bool(path.x[-1] < 0)  # counter-clockwise spin curls to the left
+    True
     """
     checked = check_load(load)
     times = jnp.asarray(times, float)

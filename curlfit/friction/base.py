@@ -97,6 +97,16 @@ def coefficient(
     symbol : LaTeX without dollar signs; the name if empty.
     optional : fixed at `default` in a fit unless bounds are given for it.
     signed : negative as naturally as positive, such as an exponent.
+
+    Examples
+    --------
+    >>> class Even(curlfit.LocalLaw):
+    ...     mu: float = curlfit.coefficient(0.01, "coefficient of friction", upper=0.1)
+    ...
+    ...     def traction(self, point):
+    ...         return -self.mu * point.e_xi, -self.mu * point.e_eta
+    >>> Even.coefficients()[0].upper
+    0.1
     """
     metadata = {
         "default": default,
@@ -185,6 +195,11 @@ class Law:
     Derive from `LocalLaw` or `NetLaw`, not from this. Class attributes: `name` (how the command
     line calls it), `formula`, `source`, `predicts` (in which direction a counter-clockwise stone
     curls).
+
+    Examples
+    --------
+    >>> [item.name for item in curlfit.find_law("stribeck").coefficients()]
+    ['mu0', 'mu1']
     """
 
     name: ClassVar[str] = ""
@@ -282,6 +297,18 @@ class LocalLaw(Law, ABC):
     A subclass defines `traction`, which curlfit integrates over the ring. The traction may be
     discontinuous between the front and the back half, and at the angles of `edges`. Where it is a
     constant tensor times (`e_xi`, `e_eta`) on each half, the integral is in closed form.
+
+    Examples
+    --------
+    >>> class Halves(curlfit.LocalLaw):
+    ...     mu_front: float = curlfit.coefficient(0.008, "in front")
+    ...     mu_back: float = curlfit.coefficient(0.012, "behind")
+    ...
+    ...     def traction(self, point):
+    ...         mu = point.front * self.mu_front + (1 - point.front) * self.mu_back
+    ...         return -mu * point.e_xi, -mu * point.e_eta
+    >>> Halves().mu_back
+    0.012
     """
 
     def edges(self, turned: Any) -> Edges:
@@ -294,7 +321,13 @@ class LocalLaw(Law, ABC):
 
 
 class NetLaw(Law, ABC):
-    """A law for the acceleration of the whole stone, without a contact ring."""
+    """A law for the acceleration of the whole stone, without a contact ring.
+
+    Examples
+    --------
+    >>> issubclass(curlfit.find_law("semi-empirical"), curlfit.NetLaw)
+    True
+    """
 
     @abstractmethod
     def accelerations(self, motion: Motion, stone: Any) -> tuple[Any, Any, Any]:
@@ -310,6 +343,11 @@ def find_law(name: str, *, from_files: bool = True) -> type[Law]:
     ------
     InputError : no such law; the message lists the laws. DataError : the file contains no
         usable law.
+
+    Examples
+    --------
+    >>> curlfit.find_law("front-back").name
+    'front-back'
     """
     if name in LAWS:
         return LAWS[name]

@@ -41,7 +41,12 @@ _LEFT = 1.3  # inches left of the panels of a corner
 
 
 def fit_figure(fit: FitResult) -> Figure:
-    """The path with its fit, the residuals of each channel, speed and spin."""
+    """The path with its fit, the residuals of each channel, speed and spin.
+
+    Examples
+    --------
+    >>> curlfit.fit_figure(fit).savefig("fit.png")
+    """
     figure = Picture(figsize=(10, 7.2), layout="constrained")
     rows = figure.add_gridspec(3, 1, height_ratios=(1.15, 1.0, 1.0))
     right = rows[1].subgridspec(1, len(fit.rms))
@@ -60,7 +65,7 @@ def fit_figure(fit: FitResult) -> Figure:
     for place, name in enumerate(fit.rms):
         axes = figure.add_subplot(right[place])
         size, unit = unit_for(fit.rms[name], name)
-        residual = (fit.observed[name] - fit.fitted[name])[some] / size
+        residual = fit.residuals[name][some] / size
         axes.axhline(0, color="0.7", lw=0.8)
         axes.plot(t[some], residual, ".", color=CHANNEL_COLOR[name], markersize=3)
         _ring_outliers(axes, fit, name, size)
@@ -88,8 +93,7 @@ def _ring_outliers(axes: Any, fit: FitResult, name: str, size: float) -> None:
     found = [item for item in fit.outliers if item["channel"] == name]
     if not found:
         return
-    residual = fit.observed[name] - fit.fitted[name]
-    inner = float(np.nanquantile(np.abs(residual), 0.9)) * 2.5 / size
+    inner = float(np.nanquantile(np.abs(fit.residuals[name]), 0.9)) * 2.5 / size
     off = np.array([item["off"] / size for item in found])
     axes.set_ylim(-inner, inner)
     axes.plot(
@@ -115,7 +119,12 @@ def _include_zero(axes: Any, values: Any) -> None:
 
 
 def corner_figure(fit: FitResult, chain: Chain) -> Figure:
-    """Posterior of the law's coefficients, pair by pair, with reference values marked."""
+    """Posterior of the law's coefficients, pair by pair, with reference values marked.
+
+    Examples
+    --------
+    >>> curlfit.corner_figure(sampled, chain).savefig("corner.png")
+    """
     import corner  # imports pyplot, which takes half a second
 
     names = [name for name in fit.coefficients if fit.parameters[name].verdict != "fixed"]
@@ -272,7 +281,12 @@ def _say_in_corner(fit: FitResult, figure: Figure, grid: Any) -> None:
 
 
 def joint_figure(result: JointResult) -> Figure:
-    """All throws with their fits, and what each alone would say of the shared coefficients."""
+    """All throws with their fits, and what each alone would say of the shared coefficients.
+
+    Examples
+    --------
+    >>> curlfit.joint_figure(joint).savefig("joint.png")
+    """
     count, shown = len(result.throws), result.differences
     columns = min(count, 5)
     names_below = 0.22 * -(-count // columns + 1)

@@ -13,7 +13,7 @@ from rich.text import Text
 from curlfit.inference.conditions import if_off
 from curlfit.inference.parameters import START
 from curlfit.output.console import terminal
-from curlfit.output.text import STYLE, decimals, format_estimate, join_words, plain_table
+from curlfit.output.text import STYLE, decimals, format_estimate, from_to, join_words, plain_table
 from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.throw import UNITS
 
@@ -31,7 +31,13 @@ _WORDS = {
 
 
 def print_fit(fit: FitResult, console: Console | None = None) -> None:
-    """Print the report of a fit."""
+    """Print the report of a fit.
+
+    Examples
+    --------
+    >>> curlfit.print_fit(fit)
+    front-back law, uniform load, fitted to ...
+    """
     console = console or terminal()
     console.print(report(fit))
 
@@ -44,7 +50,7 @@ def report(fit: FitResult) -> RenderableType:
     parts += [*_beside_reference(fit), _quality(fit)]
     parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
     if fit.posterior is not None:
-        parts.append(Padding(_posterior(fit.posterior), (0, 0, 1, 0)))
+        parts.append(Padding(about_posterior(fit.posterior), (0, 0, 1, 0)))
     if fit.outliers:
         parts.append(Padding(Text(outliers(fit)), (0, 0, 1, 0)))
     if fit.sampling == "unfinished":
@@ -167,8 +173,7 @@ def _interval(posterior: Posterior, name: str) -> str:
     found = posterior.quantiles.get(name)
     if found is None:
         return ""
-    size = (found["84"] - found["16"]) / 3
-    return " .. ".join(format_estimate(found[end], size)[0] for end in ("16", "84"))
+    return from_to(found["16"], found["84"])
 
 
 def _coefficients(fit: FitResult) -> RenderableType:
@@ -360,7 +365,8 @@ def _change(direction: dict[str, float]) -> str:
     return join_words(parts)
 
 
-def _posterior(found: Posterior) -> Text:
+def about_posterior(found: Posterior) -> Text:
+    """How a posterior was sampled, and how well."""
     least = min(found.ess, key=found.ess.__getitem__)
     worst = max(found.r_hat, key=found.r_hat.__getitem__)
     slowest = max(found.autocorrelation_time.values())

@@ -100,6 +100,12 @@ def design(
     ------
     InputError : an invalid value, an unknown law, load, channel or coefficient, or throws that
         determine nothing.
+
+    Examples
+    --------
+    >>> plan = curlfit.design("front-back", v0=[2.0, 2.2], omega0=[1.0, 5.0])
+    >>> len(plan.candidates), plan.rank
+    (4, 3)
     """
     progress = progress or (lambda text: None)
     kind, values, load, stone = _assumed(law, coefficients, load, stone)

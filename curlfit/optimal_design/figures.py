@@ -26,7 +26,13 @@ _MAX_LABELLED = 80  # cells of a map with a number in each
 
 def design_figures(design: Design) -> dict[str, Figure]:
     """The figures by name: a map of single throws, errors against noise, rate and number of throws,
-    and, where two coefficients are separable, what that takes."""
+    and, where two coefficients are separable, what that takes.
+
+    Examples
+    --------
+    >>> sorted(curlfit.design_figures(plan))
+    ['design-errors', 'design-map', 'design-separate']
+    """
     found = {"design-map": _map(design), "design-errors": _errors(design)}
     separation = design.separation
     if separation is not None and separation.scenario("consistent").stderr is not None:

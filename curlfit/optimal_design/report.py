@@ -13,6 +13,7 @@ from rich.text import Text
 
 from curlfit.inference.conditions import WIDTHS, if_off
 from curlfit.output.console import terminal
+from curlfit.output.display import Overview
 from curlfit.output.text import STYLE, join_words, plain_table
 
 if TYPE_CHECKING:
@@ -42,7 +43,14 @@ _UNITS = {
 
 
 def print_design(design: Design, console: Console | None = None) -> None:
-    """Print the report of a design."""
+    """Print the report of a design.
+
+    Examples
+    --------
+    >>> curlfit.print_design(plan)
+    front-back law, uniform load: expected errors of 3 throws selected from 4
+    ...
+    """
     console = console or terminal()
     console.print(report(design))
 
@@ -59,6 +67,18 @@ def report(design: Design) -> RenderableType:
         parts += _separation(design, design.separation)
     parts += [Text(f"Note: {note}.", style="dim") for note in design.notes]
     return Group(*parts)
+
+
+def overview(design: Design) -> Overview:
+    """A design at a glance: the best throws and the errors that they give."""
+    title, about = _heading(design).plain.splitlines()
+    best, *others = _summary(design)
+    return Overview(
+        best[:1].lower() + best[1:].rstrip("."),
+        title,
+        [about, *others],
+        [about, _best(design), *others, *(f"Note: {note}." for note in design.notes)],
+    )
 
 
 def _paragraph(text: str, style: str = "") -> RenderableType:
@@ -107,7 +127,7 @@ def _throws(count: int) -> str:
     return "1 throw" if count == 1 else f"{count} throws"
 
 
-def _heading(design: Design) -> RenderableType:
+def _heading(design: Design) -> Text:
     stone, until = design.stone, design.until
     rates = sorted({one.rate for one in design.candidates})
     text = Text()

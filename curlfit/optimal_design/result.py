@@ -7,10 +7,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from curlfit.inference.identifiability import Combination
+from curlfit.output.display import Displayed
 from curlfit.output.files import known_fields, load_record, write_json
+from curlfit.output.frames import frame
 from curlfit.stone import Stone
 
 SCHEMA = 1
@@ -95,8 +97,8 @@ class Scenario:
         return {name: math.hypot(*shifts.values()) for name, shifts in self.shifts.items()}
 
 
-@dataclass(frozen=True)
-class Design:
+@dataclass(frozen=True, repr=False)
+class Design(Displayed):
     """The expected errors of planned throws.
 
     Attributes
@@ -116,7 +118,17 @@ class Design:
         determined.
     notes : caveats, as sentences.
     scenarios : systematic errors of the D-best throws, as planned and thrown otherwise.
+
+    Examples
+    --------
+    >>> plan.best["D"].verdicts["mu1_eta"]
+    'not identifiable'
+    >>> plan.to_frame()[["v0", "omega0"]].shape
+    (4, 2)
     """
+
+    _report: ClassVar[str] = "curlfit.optimal_design.report"
+    _printer: ClassVar[str] = "curlfit.print_design"
 
     law: str
     load: str
@@ -137,6 +149,21 @@ class Design:
     separation: Separation | None
     notes: tuple[str, ...]
     scenarios: tuple[Scenario, ...] = ()
+
+    def to_frame(self) -> Any:
+        """The candidates as a pandas DataFrame, a row for each: the throw, and the standard error
+        that it alone gives each quantity, NaN where it does not determine it.
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        names = ("v0", "omega0", "rate", "rows", "last", "rest", "distance")
+        columns = {name: [getattr(one, name) for one in self.candidates] for name in names}
+        for name in self.quantities:
+            errors = [one.stderr[name] for one in self.candidates]
+            columns[f"{name} stderr"] = [math.nan if e is None else e for e in errors]
+        return frame(columns)
 
     def to_json(self) -> dict[str, Any]:
         """The record as written to `design.json`."""
@@ -175,6 +202,12 @@ def load_design(file: str | PathLike[str]) -> Design:
     Raises
     ------
     DataError : missing, not a file of curlfit, or of a schema that this version cannot read.
+
+    Examples
+    --------
+    >>> plan.save("design.json")
+    >>> curlfit.load_design("design.json").rank
+    3
     """
     return load_record(file, "design", SCHEMA, lambda entries, _: Design.from_json(entries))
 

@@ -45,6 +45,12 @@ def compact(value: float, stderr: float | None) -> str:
     return shown if error == "-" or not digits else f"{shown}({digits})"
 
 
+def from_to(low: float, high: float, scale: float | None = None) -> str:
+    """Ends of an interval, rounded to two digits of a scale, a third of its width if not given."""
+    scale = (high - low) / 3 if scale is None else scale
+    return f"{format_estimate(low, scale)[0]} .. {format_estimate(high, scale)[0]}"
+
+
 def decimals(size: float) -> int:
     """Decimal places that show two digits of `size`."""
     if not (size > 0 and math.isfinite(size)):

@@ -19,6 +19,12 @@ class Claim:
     printed, computed : the paper's result and the one computed, with units.
     verdict : "holds", "holds with a correction" or "does not hold".
     why : one sentence.
+
+    Examples
+    --------
+    >>> claim = curlfit.Claim("eq13", "speed at t = 0", "2 m/s", "2.06 m/s", "holds", "as computed")
+    >>> claim.as_dict()["verdict"]
+    'holds'
     """
 
     id: str

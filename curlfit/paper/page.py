@@ -10,6 +10,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from curlfit.output.display import Overview
 from curlfit.paper.eq28 import PRINTED, R_RANGE, RHO_RANGE
 from curlfit.paper.isotropic import CASES, EXPONENTS, SPEEDS, SPINS
 from curlfit.paper.printed import EQ_28_STONE, SOLID_RHO
@@ -45,6 +46,21 @@ def verdicts(claims: tuple[Claim, ...]) -> str:
     return (
         f"Of {len(claims)} claims {count['holds']} hold, {count['holds with a correction']} hold "
         f"with a correction, {failed} {'does' if failed == 1 else 'do'} not hold."
+    )
+
+
+def overview(found: Reproduction) -> Overview:
+    """The verdicts and the table of claims."""
+    by_verdict: dict[str, list[str]] = {}
+    for one in found.claims:
+        by_verdict.setdefault(one.verdict, []).append(one.id)
+    lines = [f"{verdict}: {', '.join(ids)}" for verdict, ids in by_verdict.items()]
+    finding = verdicts(found.claims)
+    return Overview(
+        finding[:1].lower() + finding[1:].rstrip("."),
+        "claims of Ivanov and Shuvalov (2012), recomputed",
+        lines,
+        [claims_table(found.claims)],
     )
 
 

@@ -28,7 +28,12 @@ _LETTERS = {"x": "x", "y": "y", "phi": r"\varphi"}
 
 
 def prediction_figure(prediction: Prediction) -> Figure:
-    """The path on the sheet, the resting place in the house, the bands, and measured rows."""
+    """The path on the sheet, the resting place in the house, the bands, and measured rows.
+
+    Examples
+    --------
+    >>> curlfit.prediction_figure(prediction).savefig("predict.png")
+    """
     checked = prediction.check is not None
     figure = Picture(figsize=(11, 8.8 if checked else 6.6), layout="constrained")
     rows = figure.add_gridspec(3 if checked else 2, 1, height_ratios=(1, 2.7, 1.4)[: 2 + checked])

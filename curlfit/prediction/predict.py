@@ -99,6 +99,12 @@ def predict(
         that does not determine the spin where none is given, a `check` that is another throw or has
         no later rows.
     UnusableFitError : the fit did not converge, or its law does not bring the stone to rest.
+
+    Examples
+    --------
+    >>> prediction = curlfit.predict(sampled, chain, draws=200)
+    >>> round(prediction.quantities["time"].value, 1)
+    24.3
     """
     request = ThrowRequest(dict(start or {}), line or "hog", target, weight, tee_speed)
     if line is None and not request.new and counts_from_hack(fit):
@@ -214,6 +220,12 @@ def held_out(
     Raises
     ------
     InputError, UnusableFitError : as in `curlfit.fit` and `predict`.
+
+    Examples
+    --------
+    >>> held_out = curlfit.held_out(throw, until=12, draws=200)
+    >>> sorted(held_out.check.channels)
+    ['phi', 'x', 'y']
     """
     from curlfit.inference.fit.fit import fit
 

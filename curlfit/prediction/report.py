@@ -9,6 +9,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from curlfit.output.display import Overview
 from curlfit.output.text import format_estimate, plain_table
 from curlfit.sheet import FOOT, STONE_RADIUS, TEE_TO_BACK
 
@@ -29,7 +30,13 @@ _SIDES = ("right of", "left of")
 
 
 def print_prediction(prediction: Prediction, console: Console | None = None) -> None:
-    """Print the report of a prediction."""
+    """Print the report of a prediction.
+
+    Examples
+    --------
+    >>> curlfit.print_prediction(prediction)
+    front-back law, uniform load, fitted to ...
+    """
     console = console or Console()
     console.print(report(prediction))
 
@@ -46,6 +53,20 @@ def report(prediction: Prediction) -> RenderableType:
     ]
     parts += [Text(f"Note: {note}.", style="dim") for note in prediction.notes]
     return Group(*parts)
+
+
+def overview(prediction: Prediction) -> Overview:
+    """A prediction at a glance: where the stone comes to rest, the quantities and their errors."""
+    rest, *others = _sentences(prediction)
+    where, _, curl = rest.partition(". It ")
+    title, start, *aim = _heading(prediction).plain.splitlines()[:-1]
+    return Overview(
+        where[:1].lower() + where[1:],
+        title,
+        [*aim, f"It {curl}"],
+        [start, *aim, _quantities(prediction), f"It {curl}", *others],
+        prediction.warnings,
+    )
 
 
 def describe_rest(prediction: Prediction) -> str:
@@ -69,7 +90,7 @@ def _off(value: float, sides: tuple[str, str]) -> str:
     return "on" if abs(value) < 0.005 else f"{abs(value):.2f} m {sides[value < 0]}"
 
 
-def _heading(prediction: Prediction) -> RenderableType:
+def _heading(prediction: Prediction) -> Text:
     text = Text()
     text.append(f"{prediction.law} law", style="bold")
     text.append(f", {prediction.load} load, fitted to {prediction.fit['file']}: ")

@@ -7,12 +7,14 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from curlfit.numerics.arrays import Floats
+from curlfit.output.display import Displayed
 from curlfit.output.files import json_safe, known_fields, load_record, write_json
+from curlfit.output.frames import frame
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
 
@@ -89,8 +91,8 @@ class HeldOut:
     observed: dict[str, Floats]
 
 
-@dataclass(frozen=True)
-class Prediction:
+@dataclass(frozen=True, repr=False)
+class Prediction(Displayed):
     """A predicted throw. `save` writes it, `load_prediction` reads it.
 
     Attributes
@@ -114,7 +116,20 @@ class Prediction:
     warnings, notes : for the reader.
     check : None, or the comparison with measured rows.
     measured : t (s since the start), x, y of the fitted rows on the sheet; empty for a new throw.
+
+    Examples
+    --------
+    >>> prediction
+    Prediction, it comes to rest after 24.3 s and 2.65 turns counter-clockwise, ...
+    front-back law, uniform load, fitted to ...: the fitted throw, extrapolated to rest
+    It curls 0.90 m (2.94 ft) to the left.
+    2 warnings, see curlfit.print_prediction
+    >>> prediction.to_frame().columns[:4].tolist()
+    ['t', 'x', 'y', 'phi']
     """
+
+    _report: ClassVar[str] = "curlfit.prediction.report"
+    _printer: ClassVar[str] = "curlfit.print_prediction"
 
     law: str
     load: str
@@ -196,6 +211,15 @@ class Prediction:
         """Write the record as JSON, whole or not at all."""
         write_json(self.to_json(), Path(file))
 
+    def to_frame(self) -> Any:
+        """The path with its bands as a pandas DataFrame, the columns of `series` (SI, rad).
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        return frame(self.series)
+
     def table(self) -> str:
         """The path with its bands as CSV text, a row for each time."""
         names = list(self.series)
@@ -219,6 +243,12 @@ def load_prediction(file: str | PathLike[str]) -> Prediction:
     Raises
     ------
     DataError : it is not there, is not a prediction, or has a schema this version cannot read.
+
+    Examples
+    --------
+    >>> prediction.save("predict.json")
+    >>> curlfit.load_prediction("predict.json").law
+    'front-back'
     """
     return load_record(file, "predict", SCHEMA, lambda entries, _: Prediction.from_json(entries))
 

@@ -31,7 +31,12 @@ _THIN = 0.4  # relative width of a valley below which it is also drawn straighte
 
 
 def profile_figure(profile: Profile | PairProfile) -> Figure:
-    """Chi squared along one parameter and the response of the others, or regions of two."""
+    """Chi squared along one parameter and the response of the others, or regions of two.
+
+    Examples
+    --------
+    >>> curlfit.profile_figure(profile).savefig("profile.png")
+    """
     return _single_figure(profile) if isinstance(profile, Profile) else _pair_figure(profile)
 
 

@@ -66,6 +66,12 @@ def profile(
     InputError : an unknown, fixed or repeated name; more than two; a range that is empty, outside
         the bounds or without the best estimate; a chain of another law; choices for a fit.
     UnusableFitError : the fit did not converge.
+
+    Examples
+    --------
+    >>> profile = curlfit.profile(fit, "mu1_xi", points=21)
+    >>> profile.verdict
+    'limited'
     """
     selected = (names,) if isinstance(names, str) else tuple(names)
     if isinstance(subject, Throw):

@@ -10,7 +10,15 @@ from rich.padding import Padding
 from rich.text import Text
 
 from curlfit.output.console import terminal
-from curlfit.output.text import STYLE, compact, format_estimate, join_words, plain_table
+from curlfit.output.display import Overview
+from curlfit.output.text import (
+    STYLE,
+    compact,
+    format_estimate,
+    from_to,
+    join_words,
+    plain_table,
+)
 from curlfit.profile_likelihood.result import Interval, PairProfile, Profile
 
 if TYPE_CHECKING:
@@ -23,7 +31,13 @@ _STYLE = {"limited": "", "hardly": STYLE["weak"], "flat": STYLE["not identifiabl
 
 
 def print_profile(profile: Profile | PairProfile, console: Console | None = None) -> None:
-    """Print the report of a profile."""
+    """Print the report of a profile.
+
+    Examples
+    --------
+    >>> curlfit.print_profile(profile)
+    Profile of mu1_xi: front-back law, uniform load, fitted to ...
+    """
     console = console or terminal()
     console.print(report(profile))
 
@@ -48,6 +62,39 @@ def report(profile: Profile | PairProfile) -> RenderableType:
     ]
     parts += [Text(f"Note: {note}.", style="dim") for note in _notes(each)]
     return Group(*parts)
+
+
+def overview(profile: Profile | PairProfile) -> Overview:
+    """A profile at a glance: its intervals, or why there are none."""
+    title, about, points = _heading(profile).plain.splitlines()
+    if isinstance(profile, PairProfile):
+        each, table = list(profile.each), _region(profile)
+        remarks = [describe_pair(profile)]
+    else:
+        each, table, remarks = [profile], _intervals(profile), []
+    finding = ", ".join(f"{one.name} {_FINDINGS[one.verdict]}" for one in each)
+    lines = list(remarks)
+    for one in each:
+        if one.verdict == "limited":
+            ends = zip(one.intervals, one.levels, strict=True)
+            digits = _scale(one)
+            said = ", ".join(f"{_ends(item, digits)} ({level.name})" for item, level in ends)
+            lines.append(f"{one.name}: {said}")
+            remarks += _limits(one) if isinstance(profile, Profile) else []
+        else:
+            lines.append(describe_undetermined(one))
+            remarks.append(lines[-1])
+    warnings = list(dict.fromkeys(line for one in each for line in one.warnings))
+    notes = [f"Note: {note}." for note in _notes(each)]
+    return Overview(
+        finding, title.partition(": ")[2], lines, [about, points, table, *remarks, *notes], warnings
+    )
+
+
+_FINDINGS = {
+    "limited": "limited by the data", "hardly": "hardly determined", "flat": "not determined",
+    "narrow": "unclear, for the range is too narrow",
+}  # fmt: skip
 
 
 def describe_undetermined(profile: Profile) -> str:
@@ -112,7 +159,7 @@ def describe_pair(profile: PairProfile) -> str:
     return text
 
 
-def _heading(profile: Profile | PairProfile) -> RenderableType:
+def _heading(profile: Profile | PairProfile) -> Text:
     one = profile if isinstance(profile, Profile) else profile.each[0]
     text = Text()
     text.append(f"Profile of {' and '.join(profile.names)}", style="bold")
@@ -146,7 +193,7 @@ def _intervals(profile: Profile) -> RenderableType:
         rows = [
             (found[low], found[high]) for low, high in (item.quantiles for item in profile.levels)
         ]
-        table.add_row("posterior", *(_from_to(low, high, digits) for low, high in rows))
+        table.add_row("posterior", *(from_to(low, high, digits) for low, high in rows))
     return Padding(table, (1, 0, 1, 0))
 
 
@@ -257,11 +304,7 @@ def _gaussian(item: Estimate, level: Level, scale: float) -> str:
     if item.stderr is None:
         return "-"
     reach = level.sigmas * item.stderr
-    return _from_to(item.value - reach, item.value + reach, scale)
-
-
-def _from_to(low: float, high: float, scale: float) -> str:
-    return f"{format_estimate(low, scale)[0]} .. {format_estimate(high, scale)[0]}"
+    return from_to(item.value - reach, item.value + reach, scale)
 
 
 def _span(profile: Profile, low: float, high: float) -> str:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,9 @@ from curlfit.inference.fit.result import Estimate
 from curlfit.inference.identifiability import Combination, student_quantile
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
+from curlfit.output.display import Displayed
 from curlfit.output.files import json_safe, known_fields, load_record, write_json
+from curlfit.output.frames import frame
 
 SCHEMA = 1
 
@@ -83,8 +85,8 @@ class Interval:
     high_by: str
 
 
-@dataclass(frozen=True)
-class Profile:
+@dataclass(frozen=True, repr=False)
+class Profile(Displayed):
     """The minimum of chi squared at fixed values of one parameter, all others fitted again.
 
     Attributes
@@ -109,7 +111,19 @@ class Profile:
         "error" (its standard deviation), by bin of the chain.
     quantiles : of the posterior by level, keys "2.5", "16", "50", "84", "97.5"; empty without one.
     warnings : for the reader.
+
+    Examples
+    --------
+    >>> profile
+    Profile, mu1_xi limited by the data: ...
+    mu1_xi: 0.000390 .. 0.000443 (68 %), 0.000364 .. 0.000469 (95 %)
+    ...
+    >>> profile.to_frame().columns[:2].tolist()
+    ['mu1_xi', 'delta_chi2']
     """
+
+    _report: ClassVar[str] = "curlfit.profile_likelihood.report"
+    _printer: ClassVar[str] = "curlfit.print_profile"
 
     name: str
     best: float
@@ -122,7 +136,7 @@ class Profile:
     n_observations: int
     at: Floats
     delta: Floats
-    others: dict[str, Floats] = field(repr=False)
+    others: dict[str, Floats]
     intervals: tuple[Interval, ...]
     free: tuple[float, float]
     stops: tuple[tuple[str, ...], tuple[str, ...]]
@@ -171,6 +185,15 @@ class Profile:
                 found[level.name] = max(apart)
         return found
 
+    def to_frame(self) -> Any:
+        """The profile as a pandas DataFrame: the parameter, `delta_chi2` and all others.
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        return frame({self.name: self.at, "delta_chi2": self.delta} | self.others)
+
     def quieter(self, rise: float) -> float:
         """Factor by which the noise would have to be smaller for a delta chi squared of `rise`.
 
@@ -211,8 +234,8 @@ class Profile:
         write_json(self.to_json(), Path(file))
 
 
-@dataclass(frozen=True)
-class PairProfile:
+@dataclass(frozen=True, repr=False)
+class PairProfile(Displayed):
     """The minimum of chi squared at fixed values of two parameters, all others fitted again.
 
     The points follow the valley: in each row the first parameter is fixed, and the second varies
@@ -233,7 +256,16 @@ class PairProfile:
         95 % ellipse; None without one.
     samples : of the posterior, shape (samples, 2); empty without a chain.
     warnings : for the reader.
+
+    Examples
+    --------
+    >>> pair = curlfit.profile(fit, ["mu1_xi", "mu2_xi"], points=9)
+    >>> pair.names, pair.delta.shape == pair.first.shape
+    (('mu1_xi', 'mu2_xi'), True)
     """
+
+    _report: ClassVar[str] = "curlfit.profile_likelihood.report"
+    _printer: ClassVar[str] = "curlfit.print_profile"
 
     names: tuple[str, str]
     each: tuple[Profile, Profile]
@@ -244,7 +276,7 @@ class PairProfile:
     extent: dict[str, tuple[Interval, Interval]]
     covariance: Floats | None
     ellipse: float | None
-    samples: Floats = field(repr=False)
+    samples: Floats
     warnings: tuple[str, ...]
 
     @property
@@ -261,6 +293,17 @@ class PairProfile:
     def best(self) -> tuple[float, float]:
         """Values of both in the fit."""
         return self.each[0].best, self.each[1].best
+
+    def to_frame(self) -> Any:
+        """The points as a pandas DataFrame: both parameters and `delta_chi2`.
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        columns = (*self.names, "delta_chi2")
+        series = (self.first, self.second, self.delta)
+        return frame({name: one.ravel() for name, one in zip(columns, series, strict=True)})
 
     @property
     def valley(self) -> Floats:
@@ -309,6 +352,12 @@ def load_profile(file: str | PathLike[str]) -> Profile | PairProfile:
     Raises
     ------
     DataError : it is not there, is not a profile, or has a schema this version cannot read.
+
+    Examples
+    --------
+    >>> profile.save("profile.json")
+    >>> curlfit.load_profile("profile.json").verdict
+    'limited'
     """
 
     def build(entries: dict[str, Any], _: Path) -> Profile | PairProfile:

@@ -35,6 +35,11 @@ def law_with(
     ------
     InputError : an unknown law or coefficient, a value that is not finite or outside its bounds, or
         values that are not those of friction.
+
+    Examples
+    --------
+    >>> curlfit.law_with("coulomb", {"mu": 0.012}).mu
+    0.012
     """
     kind: type[Law] = find_law(law) if isinstance(law, str) else law
     known = {item.name: item for item in kind.coefficients()}
@@ -81,6 +86,13 @@ def synthetic_throw(
     Raises
     ------
     InputError : an impossible value, or a law that admits no motion from this start.
+
+    Examples
+    --------
+    >>> law = curlfit.law_with("front-back", {"mu2_xi": 0.055})
+    >>> made = curlfit.synthetic_throw(law, curlfit.Stone(), until=20, dt=5, noise_xy=0.005)
+    >>> len(made), made.reference.values["mu2_xi"]
+    (5, 0.055)
     """
     for name, value, least in (
         ("v0", v0, 0.0), ("until", until, None), ("dt", dt, None),

@@ -13,6 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from curlfit.errors import DataError, InputError
 from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.output.display import Displayed, Overview
+from curlfit.output.frames import frame
+from curlfit.output.text import plain_table
 
 CHANNELS = ("x", "y", "phi", "speed", "omega")
 MOST_ROWS = 6000
@@ -53,11 +56,13 @@ class Reference:
         return sum(weight * self.values[name] for name, weight in weights.items())
 
 
-@dataclass(frozen=True)
-class Throw:
+@dataclass(frozen=True, eq=False, repr=False)
+class Throw(Displayed):
     """Measured path of one stone.
 
-    Axes and signs: y along the sheet, x to the right of it, phi counter-clockwise.
+    Axes and signs: y along the sheet, x to the right of it, phi counter-clockwise. Two throws are
+    equal if their values, sigmas, reference and defaults are, wherever they came from (`name`,
+    `notes`, `lines`).
 
     Attributes
     ----------
@@ -77,6 +82,14 @@ class Throw:
     Raises
     ------
     DataError : shapes differ, a value is infinite, a time is missing, or times do not increase.
+
+    Examples
+    --------
+    >>> short = curlfit.Throw.from_arrays([0.0, 0.1, 0.2], x=[0, 0, 0], y=[0.0, 0.21, 0.41])
+    >>> short.name, short.n_observations
+    ('throw', 6)
+    >>> short == curlfit.Throw.from_frame(short.to_frame())
+    True
     """
 
     t: Floats
@@ -174,8 +187,47 @@ class Throw:
 
         return from_table(table, **options)
 
+    def to_frame(self) -> Any:
+        """The rows as a pandas DataFrame, which `from_frame` reads: `t`, the measured channels and
+        their `sigma_x`, `sigma_y` ..., as far as given (SI, rad).
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        columns = {"t": self.t} | {name: getattr(self, name) for name in self.seen}
+        return frame(columns | {f"sigma_{name}": values for name, values in self.sigma.items()})
+
     def __len__(self) -> int:
         return len(self.t)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Throw):
+            return NotImplemented
+        return all(_same(getattr(self, name), getattr(other, name)) for name in _CONTENT)
+
+    __hash__ = None  # type: ignore[assignment]  # arrays may change
+
+    def _overview(self) -> Overview:
+        table = plain_table()
+        for head in ("channel", "unit", "values", "from", "to", "sigma"):
+            table.add_column(head, justify="left" if head in ("channel", "unit") else "right")
+        for name in ("t", *self.seen):
+            values, sigma = getattr(self, name), self.sigma.get(name)
+            seen = values[np.isfinite(values)]
+            noise = "" if sigma is None else f"{np.nanmedian(sigma):.3g}"
+            ends = (f"{end:.5g}" for end in (seen.min(), seen.max()))
+            table.add_row(name, UNITS[name], str(len(seen)), *ends, noise)
+        given = [name for name in CHANNELS if name in self.sigma]
+        return Overview(
+            f"{len(self)} rows",
+            f"{self.name}, t = {self.t[0]:.6g} .. {self.t[-1]:.6g} s",
+            [
+                f"channels {', '.join(self.seen)}; "
+                + (f"sigma given for {', '.join(given)}" if given else "no sigma given")
+            ],
+            [table, *(f"Note: {note}." for note in self.notes)],
+        )
 
     @cached_property
     def observed(self) -> Floats:
@@ -331,6 +383,18 @@ class Throw:
             return self
         filled = {name: np.full_like(self.t, value) for name, value in sigma.items()}
         return replace(self, sigma={**self.sigma, **filled})
+
+
+_CONTENT = ("t", *CHANNELS, "sigma", "reference", "defaults")  # what makes throws equal
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Equality, of arrays by value with NaN equal to NaN."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        return np.array_equal(np.asarray(one, float), np.asarray(other, float), equal_nan=True)
+    return bool(one == other)
 
 
 def check_sigma(sigma: Mapping[str, float]) -> None:

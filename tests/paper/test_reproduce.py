@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import html
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from conftest import DATA, Reference, front_back
+from docstring_examples import run_examples
 
 import curlfit
 from curlfit.friction.isotropic import Power
@@ -34,6 +37,21 @@ def found():
     result = curlfit.reproduce(progress=lambda part, done, total: parts.append((done, total)))
     assert parts == [(k, 4) for k in range(5)]
     return result
+
+
+@pytest.mark.parametrize("name", ["reproduce", "Reproduction"])
+def test_examples_run(name, found):
+    with_result = SimpleNamespace(reproduce=lambda: found)
+    assert run_examples(name, {"curlfit": with_result, "reproduction": found}) == ""
+
+
+def test_a_reproduction_shows_its_verdicts(found):
+    first, _, *verdicts = repr(found).splitlines()
+    assert first.startswith(f"Reproduction, of {len(IDS)} claims ")
+    assert sorted(name for line in verdicts for name in line.split(": ")[1].split(", ")) == (
+        sorted(IDS)
+    )
+    assert all(html.escape(claim.why) in found._repr_html_() for claim in found.claims)
 
 
 @pytest.fixture(scope="module")

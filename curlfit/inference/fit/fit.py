@@ -107,6 +107,14 @@ def fit(
     InputError : an unknown law, load, loss, noise or parameter name; too few rows; a stone that
         never moves.
     UnusableFitError : no start led to a finite fit.
+
+    Examples
+    --------
+    >>> fit = curlfit.fit(throw, "front-back")
+    >>> fit.converged, round(fit["mu2_xi"].value, 4)
+    (True, 0.0556)
+    >>> fit["mu1_eta"].verdict
+    'not identifiable'
     """
     law = find_law(law) if isinstance(law, str) else law
     loss, noise = check_loss(loss), check_noise(noise, loss)

@@ -10,7 +10,7 @@ import math
 from dataclasses import asdict, dataclass, field, fields, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,7 +22,9 @@ from curlfit.inference.noise.models import WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.priors import parse_priors
 from curlfit.numerics.arrays import Floats
+from curlfit.output.display import Displayed
 from curlfit.output.files import json_safe, known_fields, load_record, write_json
+from curlfit.output.frames import frame
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS, Reference, Throw
 
@@ -55,11 +57,11 @@ class Estimate:
     stderr: float | None
     verdict: str
     unit: str
-    symbol: str
-    meaning: str
-    lower: float
-    upper: float
-    typical: float
+    symbol: str = field(repr=False)
+    meaning: str = field(repr=False)
+    lower: float = field(repr=False)
+    upper: float = field(repr=False)
+    typical: float = field(repr=False)
     reason: str = ""
     dof: float | None = None
     prior: str = ""
@@ -75,8 +77,8 @@ class Estimate:
         return cls(**known_fields(cls, found) | bounds)
 
 
-@dataclass(frozen=True)
-class Posterior:
+@dataclass(frozen=True, repr=False)
+class Posterior(Displayed):
     """Summary of a posterior sample; the sample itself is in `chain.h5`.
 
     Attributes
@@ -89,7 +91,16 @@ class Posterior:
     mean, sd : the same.
     correlation : between parameters.
     converged, status : whether the targets were met, and in words.
+
+    Examples
+    --------
+    >>> sampled.posterior.converged
+    True
+    >>> sorted(sampled.posterior.quantiles["mu2_xi"], key=float)
+    ['2.5', '16', '50', '84', '97.5']
     """
+
+    _report: ClassVar[str] = "curlfit.inference.overview"
 
     samples: int
     steps: int
@@ -131,8 +142,61 @@ class Systematics:
         }
 
 
-@dataclass(frozen=True)
-class FitResult:
+class NamedEstimates(Displayed):
+    """A result whose estimates are items by name, and rows of a table."""
+
+    combinations: tuple[Combination, ...]
+    systematics: Systematics
+
+    @property
+    def _estimates(self) -> dict[str, Estimate]:
+        """The parameters by name."""
+        raise NotImplementedError
+
+    def _items(self) -> dict[str, Estimate | Combination]:
+        return {**self._estimates, **{item.expression: item for item in self.combinations}}
+
+    def __getitem__(self, name: str) -> Estimate | Combination:
+        """A parameter or a determined combination. Raises KeyError for any other name."""
+        found = self._items().get(name)
+        if found is None:
+            raise KeyError(f"no {name!r}; there are {', '.join(self._items())}")
+        return found
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._items()
+
+    __iter__ = None
+    """not a sequence, though it has items"""
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self._items())
+
+    def to_frame(self) -> Any:
+        """Parameters and determined combinations as a pandas DataFrame, a row for each.
+
+        Columns are value, stderr, systematic (its error by conditions that the fit holds), low
+        and high (95 % interval), verdict and unit. What is not identifiable has no value.
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        rows, errors = [], self.systematics.errors
+        for name, item in self._items().items():
+            verdict, unit = "determined", ""
+            if isinstance(item, Estimate):
+                verdict, unit = item.verdict, item.unit
+            value = math.nan if verdict == "not identifiable" else item.value
+            numbers = (item.stderr, errors.get(name), *(item.interval() or (None, None)))
+            known = (math.nan if number is None else number for number in numbers)
+            rows.append((value, *known, verdict, unit))
+        heads = ("value", "stderr", "systematic", "low", "high", "verdict", "unit")
+        return frame(dict(zip(heads, zip(*rows, strict=True), strict=True)), list(self._items()))
+
+
+@dataclass(frozen=True, repr=False)
+class FitResult(NamedEstimates):
     """A fitted throw. `save` writes it, `load_fit` reads it.
 
     Attributes
@@ -166,7 +230,24 @@ class FitResult:
     sampling : "none", "unfinished" (begun, or to be begun) or "ended".
     systematics : errors by the conditions that the fit holds, such as level ice.
     chi_squared, prior_chi_squared : of the data, and of the priors.
+
+    Examples
+    --------
+    >>> fit
+    FitResult, converged (... steps): front-back law, uniform load, fitted to ...
+    mu1_xi = 0.000417(27), mu2_xi = 0.055627(25), mu1_eta + mu2_eta = 0.017573(16)
+    not identifiable: mu1_eta, mu2_eta
+    1 warning, see curlfit.print_fit
+    >>> fit["mu1_eta + mu2_eta"].interval(0.95)
+    (0.0175..., 0.0176...)
+    >>> fit.residuals["x"].shape
+    (201,)
+    >>> fit.to_frame().loc["mu2_xi", ["value", "stderr"]].round(6).tolist()
+    [0.055627, 2.5e-05]
     """
+
+    _report: ClassVar[str] = "curlfit.inference.overview"
+    _printer: ClassVar[str] = "curlfit.print_fit"
 
     law: str
     load: str
@@ -187,8 +268,8 @@ class FitResult:
     covariance: dict[str, Any]
     information: dict[str, Any]
     reference: Reference | None
-    observed: dict[str, Floats] = field(repr=False)
-    fitted: dict[str, Floats] = field(repr=False)
+    observed: dict[str, Floats]
+    fitted: dict[str, Floats]
     posterior: Posterior | None = None
     loss: str = "linear"
     noise: Noise = WHITE
@@ -251,6 +332,21 @@ class FitResult:
             name=self.data["file"],
             reference=self.reference,
         )
+
+    @property
+    def _estimates(self) -> dict[str, Estimate]:
+        """The parameters by name."""
+        return self.parameters
+
+    @property
+    def residuals(self) -> dict[str, Floats]:
+        """Observed minus fitted by measured channel (SI, rad), NaN where there is no value; at the
+        times `observed["t"]`."""
+        return {
+            name: self.observed[name] - self.fitted[name]
+            for name in self.rms
+            if name in self.fitted
+        }
 
     def with_posterior(self, posterior: Posterior) -> FitResult:
         """The same with a posterior."""
@@ -360,6 +456,12 @@ def load_fit(file: str | PathLike[str]) -> FitResult:
     Raises
     ------
     DataError : it is not there, is not a curlfit result, or has a schema this version cannot read.
+
+    Examples
+    --------
+    >>> fit.save("fit.json")
+    >>> curlfit.load_fit("fit.json")["mu2_xi"] == fit["mu2_xi"]
+    True
     """
     return load_record(file, "fit", SCHEMA, lambda entries, _: FitResult.from_json(entries))
 

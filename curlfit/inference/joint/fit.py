@@ -78,6 +78,12 @@ def fit_together(
     ------
     InputError : as in `fit`; fewer than two throws; a name that is no coefficient.
     UnusableFitError : some throw has no finite path where its data put the start.
+
+    Examples
+    --------
+    >>> joint = curlfit.fit_together([throw, throw])
+    >>> joint.converged, joint.share
+    (True, ('mu1_xi', 'mu2_xi', 'mu1_eta', 'mu2_eta'))
     """
     law = find_law(law) if isinstance(law, str) else law
     checked, loss = check_load(load), check_loss(loss)

@@ -17,7 +17,13 @@ if TYPE_CHECKING:
 
 
 def print_joint(result: JointResult, console: Console | None = None) -> None:
-    """Print the report of a joint fit."""
+    """Print the report of a joint fit.
+
+    Examples
+    --------
+    >>> curlfit.print_joint(joint)
+    front-back law, uniform load, 2 throws together; shared: mu1_xi, ...
+    """
     console = console or terminal()
     console.print(report(result))
 

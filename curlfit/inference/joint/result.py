@@ -5,9 +5,15 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from curlfit.inference.fit.result import Estimate, FitResult, Systematics, load_fit
+from curlfit.inference.fit.result import (
+    Estimate,
+    FitResult,
+    NamedEstimates,
+    Systematics,
+    load_fit,
+)
 from curlfit.inference.identifiability import Combination
 from curlfit.output.files import known_fields, load_record, write_json
 
@@ -43,8 +49,8 @@ class Difference:
         return self.p_value < _SIGNIFICANT
 
 
-@dataclass(frozen=True)
-class JointResult:
+@dataclass(frozen=True, repr=False)
+class JointResult(NamedEstimates):
     """Several throws fitted together.
 
     Attributes
@@ -58,7 +64,20 @@ class JointResult:
     throws : a `FitResult` for each throw; its standard errors and its information are those of the
         joint fit, so that predictions from it are of all throws.
     systematics : errors of what is shared by the conditions that the fit holds.
+
+    Examples
+    --------
+    >>> joint
+    JointResult, converged (... steps): front-back law, uniform load, 2 throws together
+    mu1_xi = ..., mu2_xi = ..., mu1_eta + mu2_eta = ...
+    not identifiable: mu1_eta, mu2_eta
+    2 warnings, see curlfit.print_joint
+    >>> len(joint.throws)
+    2
     """
+
+    _report: ClassVar[str] = "curlfit.inference.overview"
+    _printer: ClassVar[str] = "curlfit.print_joint"
 
     law: str
     load: str
@@ -73,6 +92,11 @@ class JointResult:
     differences: tuple[Difference, ...]
     throws: tuple[FitResult, ...]
     systematics: Systematics = field(default_factory=Systematics)
+
+    @property
+    def _estimates(self) -> dict[str, Estimate]:
+        """What is shared, by name."""
+        return self.coefficients
 
     def to_json(self) -> dict[str, Any]:
         """The record as written to `joint.json`, without the single throws."""
@@ -114,6 +138,11 @@ def load_joint(file: str | PathLike[str]) -> JointResult:
     Raises
     ------
     DataError : a file is not there, or is not a record that this version can read.
+
+    Examples
+    --------
+    >>> curlfit.load_joint("joint").share == joint.share
+    True
     """
 
     def build(found: dict[str, Any], path: Path) -> JointResult:

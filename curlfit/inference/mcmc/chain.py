@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
@@ -16,17 +16,22 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.errors import DataError
+from curlfit.errors import DataError, InputError
 from curlfit.friction import Law
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
+from curlfit.output.display import Displayed, Overview
 from curlfit.output.files import atomic_write
+from curlfit.output.frames import frame, optional
+from curlfit.output.text import from_to, plain_table
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
 from curlfit.version import __version__
 
 _BEFORE = {"noise": "white"}  # what a chain is of that does not say so
+_SHOWN = 4  # parameters in a line
+_LEVELS = (0.025, 0.16, 0.84, 0.975)
 _DIGEST = "#"  # begins a text that stands for numbers too many to be shown
 
 
@@ -51,8 +56,8 @@ class SamplerState:
     taken: int
 
 
-@dataclass(frozen=True)
-class Chain:
+@dataclass(frozen=True, repr=False)
+class Chain(Displayed):
     """A posterior sample.
 
     Attributes
@@ -63,6 +68,17 @@ class Chain:
     ensembles : the walkers are divided evenly among these. seed : of the run.
     subject : what was sampled, see `subject_of`. state : of the sampler, for going on; None in a
         file of an earlier version.
+    fit : that was sampled; None where the chain was read from a file.
+
+    Examples
+    --------
+    >>> chain
+    Chain, ... samples: 4 ensembles, 128 walkers, ... steps, of which the first ... are left out
+    68 %: mu1_xi ...
+    >>> chain.of({"mu1_eta": 1.0, "mu2_eta": 1.0}).mean().round(4)
+    np.float64(0.0176)
+    >>> chain.to_frame().index.names
+    FrozenList(['ensemble', 'walker', 'step'])
     """
 
     names: tuple[str, ...]
@@ -73,7 +89,8 @@ class Chain:
     ensembles: int
     seed: int
     subject: dict[str, str] = field(default_factory=dict)
-    state: SamplerState | None = field(default=None, repr=False)
+    state: SamplerState | None = None
+    fit: FitResult | None = field(default=None, compare=False)
 
     @property
     def flat(self) -> Floats:
@@ -86,6 +103,107 @@ class Chain:
             Floats,
             sum(weight * self.flat[:, self.names.index(name)] for name, weight in weights.items()),
         )
+
+    @property
+    def kept(self) -> Floats:
+        """The kept samples by ensemble, shape (ensembles, walkers, steps, parameters)."""
+        return self._by_ensemble(self.values)
+
+    def _by_ensemble(self, series: Floats) -> Floats:
+        _, walkers, *rest = series.shape
+        kept = series[self.discarded :]
+        split = kept.reshape(len(kept), self.ensembles, walkers // self.ensembles, *rest)
+        return np.moveaxis(split, 0, 2)
+
+    def _overview(self) -> Overview:
+        steps, walkers, _ = self.values.shape
+        table = plain_table()
+        for head in ("parameter", "68 %", "95 %"):
+            table.add_column(head, justify="left" if head == "parameter" else "right")
+        shown = []
+        for name, samples in zip(self.names, self.flat.T, strict=True):
+            if len(samples) and np.ptp(samples) > 0:
+                lowest, low, high, highest = np.quantile(samples, _LEVELS).tolist()
+                inner = from_to(low, high)
+                outer = from_to(lowest, highest, (high - low) / 3)
+                table.add_row(name, inner, outer)
+                shown.append(f"{name} {inner}")
+        return Overview(
+            f"{len(self.flat)} samples",
+            f"{self.ensembles} ensembles, {walkers} walkers, {steps} steps, of which the first "
+            f"{self.discarded} are left out",
+            [f"68 %: {', '.join(shown[:_SHOWN])}{' ...' if len(shown) > _SHOWN else ''}"],
+            [table],
+        )
+
+    def to_frame(self) -> Any:
+        """The kept samples as a pandas DataFrame: a column for each parameter, for each determined
+        combination of the fit (where the chain has one), and `log_posterior`; the index is
+        (ensemble, walker, step).
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        samples = self.kept
+        columns: dict[str, Any] = {
+            name: samples[..., place].ravel() for place, name in enumerate(self.names)
+        }
+        for item in () if self.fit is None else self.fit.combinations:
+            columns[item.expression] = sum(
+                weight * columns[name] for name, weight in item.weights.items()
+            )
+        columns["log_posterior"] = self._by_ensemble(self.log_posterior).ravel()
+        names = ("ensemble", "walker", "step")
+        index = optional("pandas", "notebook").MultiIndex.from_product(
+            (range(size) for size in samples.shape[:3]), names=names
+        )
+        return frame(columns, index)
+
+    def with_fit(self, fit: FitResult) -> Chain:
+        """The same chain, read from a file, with the fit that was sampled.
+
+        Raises
+        ------
+        InputError : the chain is of another fit.
+        """
+        now = subject_of(fit, self.seed)
+        for name, value in now.items():
+            if not name.startswith("version") and self.subject.get(name, value) != value:
+                raise InputError(f"the chain is of another fit: not the same {name}")
+        if self.names != fit.parameter_set.names:
+            raise InputError("the chain is of another fit: not the same parameters")
+        return replace(self, fit=fit)
+
+    def to_arviz(self, fit: FitResult | None = None, *, draws: int = 4000, seed: int = 0) -> Any:
+        """The kept samples as `InferenceData` of ArviZ (0.x), a chain for each ensemble.
+
+        Groups: posterior (free parameters and determined combinations), posterior_predictive and
+        log_likelihood (by channel; where noise is correlated, of each value given all others),
+        sample_stats (`lp`, up to a constant), observed_data, constant_data (`t`, `sigma_x` ...).
+        The draws of a chain are those of one walker after another, as the coordinates `walker` and
+        `step` of `draw` say. A channel with gaps has a dimension `time_x` of its own.
+
+        Parameters
+        ----------
+        fit : that was sampled; needed where the chain was read from a file.
+        draws : over all chains, about; the steps are thinned evenly.
+        seed : of the noise of posterior_predictive.
+
+        Raises
+        ------
+        InputError : ArviZ is not installed, there is no fit, or the chain is of another one.
+        """
+        chain = self if fit is None else self.with_fit(fit)
+        if chain.fit is None:
+            raise InputError(
+                "a chain that was read from a file does not hold the data; expected "
+                "chain.to_arviz(fit), with the fit of the same folder"
+            )
+        from curlfit.inference.mcmc.arviz_export import inference_data
+
+        lp = self._by_ensemble(self.log_posterior)
+        return inference_data(chain.fit, self.kept, lp, draws=draws, seed=seed)
 
     def save(self, file: str | PathLike[str], *, compressed: bool = True) -> None:
         """Write `chain.h5`, whole or not at all: the layout of emcee's HDF backend, with curlfit's
@@ -130,7 +248,14 @@ _COUNTS = ("left", "bold", "tried", "taken")
 
 
 def load_chain(file: str | PathLike[str]) -> Chain:
-    """Read a `chain.h5`. Raises `DataError` where it is missing or is not one."""
+    """Read a `chain.h5`. Raises `DataError` where it is missing or is not one.
+
+    Examples
+    --------
+    >>> chain.save("chain.h5")
+    >>> curlfit.load_chain("chain.h5").with_fit(fit).names == chain.names
+    True
+    """
     path = Path(file)
     if not path.is_file():
         raise DataError("no such file", file=path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -52,6 +53,12 @@ def sample(
     UnusableFitError : no walker found a point of finite posterior.
     InputError : the chain to be resumed is of other data, law, load, stone, bounds, seed or
         version, or the checkpoint cannot be written.
+
+    Examples
+    --------
+    >>> sampled, chain = curlfit.sample(fit, effective=400)
+    >>> sampled.posterior.converged
+    True
     """
     run = Run(fit, seed)
     file = None if checkpoint is None else Path(checkpoint)
@@ -86,4 +93,5 @@ def sample(
     chain = run.chain()
     if file is not None:
         chain.save(file)
-    return summarised(fit, chain, ended, effective), chain
+    sampled = summarised(fit, chain, ended, effective)
+    return sampled, replace(chain, fit=sampled)

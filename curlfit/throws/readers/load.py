@@ -72,6 +72,12 @@ def load_throw(
     ------
     DataError : with the file, line and column of the fault, and what was expected.
     InputError : an argument that cannot be used.
+
+    Examples
+    --------
+    >>> throw = curlfit.load_throw("data/jensen_shegelski_2004.csv")
+    >>> len(throw), throw.seen
+    (230, ('x', 'y', 'phi'))
     """
     points = None if reference is None else Path(reference)
     parsed = read(

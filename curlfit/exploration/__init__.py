@@ -1,0 +1,1 @@
+"""Exploration: a fit whose parameters are moved by hand, in a notebook."""

@@ -1,0 +1,68 @@
+"""What the law of a fit does at other values of its parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.result import FitResult
+from curlfit.inference.likelihood import chi_squared_of_many, predict_channels
+from curlfit.numerics.arrays import Floats
+from curlfit.numerics.compiled import stacked
+from curlfit.throws.throw import CHANNELS
+
+
+@dataclass(frozen=True)
+class Curves:
+    """A path and its differences to the data.
+
+    Attributes
+    ----------
+    t : evenly spaced times over the data, s.
+    path : x, y, phi, speed and omega at these times (SI, rad), NaN where the law admits no motion.
+    residuals : observed minus computed, by measured channel, at the times of the data.
+    chi_squared : of the data, as the noise model and the loss of the fit count it.
+    """
+
+    t: Floats
+    path: dict[str, Floats]
+    residuals: dict[str, Floats]
+    chi_squared: float
+
+
+class CurveModel:
+    """The curves of a fit, as a function of its parameters."""
+
+    def __init__(self, fit: FitResult) -> None:
+        self.fit, self._model = fit, fit.model
+        self._problem, origin = problem_of(fit)
+        self._offset, self._place = origin.offset(len(fit.parameters)), origin.place[:, None]
+        observed = fit.observed["t"]
+        self._rows = len(observed)
+        # As many times as padded rows: the program of the data serves for the curves too.
+        count = len(self._problem.times)
+        self._t = np.linspace(observed[0], observed[-1], count)
+        none = np.zeros_like(self._problem.weight)
+        self._evenly = self._problem._replace(
+            times=self._t - origin.t, weight=none, stop=np.asarray(-1)
+        )
+
+    def at(self, values: Floats) -> Curves:
+        """The curves at a parameter vector, in the order of the fit's parameters."""
+        local = np.asarray(values, float) - self._offset
+        path, rows = (
+            np.asarray(predict_channels(self._model, local, problem)) + self._place
+            for problem in (self._evenly, self._problem)
+        )
+        (chi_squared,) = chi_squared_of_many(
+            self._model, local[None], stacked([self._problem]), batch=1
+        )
+        computed = dict(zip(CHANNELS, rows[:, : self._rows], strict=True))
+        return Curves(
+            self._t,
+            dict(zip(CHANNELS, path, strict=True)),
+            {name: self.fit.observed[name] - computed[name] for name in self.fit.rms},
+            float(chi_squared),
+        )

@@ -1,0 +1,130 @@
+"""Sliders for the parameters of a fit, with the path, the residuals and the spin they give."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from curlfit.exploration.curves import CurveModel, Curves
+from curlfit.exploration.figure import MovingFigure
+from curlfit.inference.fit.result import Estimate, FitResult
+from curlfit.numerics.arrays import Floats
+from curlfit.output.frames import optional
+from curlfit.output.text import decimals
+
+_STEPS = 500  # of a slider
+_HALF = 0.5  # of the value or of its typical size: half the range of a slider
+_SIGMAS = 5.0  # that a range contains at least
+_HALF_RANGES = {"x0": 0.5, "y0": 0.5, "phi0": 0.5, "v0": 0.5, "heading": 0.05}  # m, rad, m/s
+
+
+class Explorer:
+    """What `explore` shows.
+
+    Attributes
+    ----------
+    sliders : by name of the parameter; moving one, or setting its `value`, moves the curves.
+    curves : as shown, see `curlfit.exploration.curves.Curves`.
+    widget : all of it, for layouts of one's own.
+    """
+
+    def __init__(self, fit: FitResult) -> None:
+        widgets = optional("ipywidgets", "notebook")
+        self._model = CurveModel(fit)
+        self.fit, self.curves = fit, self._model.at(fit.values)
+        self._drawn = MovingFigure(fit, self.curves)
+        wide = {"width": "24em"}
+        self.sliders: dict[str, Any] = {}
+        for name, item in fit.parameters.items():
+            low, high = slider_range(name, item)
+            step = (high - low) / _STEPS
+            self.sliders[name] = widgets.FloatSlider(
+                value=item.value, min=low, max=high, step=step, description=name, layout=wide,
+                readout_format=f".{max(decimals(step) - 1, 0)}f",
+                tooltip=f"{item.meaning}: {item.verdict}",
+            )  # fmt: skip
+        self._text = widgets.HTML()
+        self._image = widgets.Image(format="png")
+        self._reset = widgets.Button(description="Reset", tooltip="Back to the values of the fit")
+        self._reset.on_click(lambda _: self.reset())
+        for slider in self.sliders.values():
+            slider.observe(self._moved, names="value")
+        left = widgets.VBox([*self.sliders.values(), self._reset, self._text])
+        self.widget = widgets.HBox([left, self._image])
+        self._moving = False
+        self._show()
+
+    @property
+    def values(self) -> Floats:
+        """The parameter vector as it is set."""
+        return np.array([slider.value for slider in self.sliders.values()])
+
+    def reset(self) -> None:
+        """Go back to the values of the fit."""
+        self._moving = True
+        try:
+            for slider, value in zip(self.sliders.values(), self.fit.values, strict=True):
+                slider.value = value
+        finally:
+            self._moving = False
+        self._moved()
+
+    def _moved(self, _: Any = None) -> None:
+        if self._moving:
+            return
+        self.curves = self._model.at(self.values)
+        self._drawn.move(self.curves)
+        self._show()
+
+    def _show(self) -> None:
+        self._text.value = describe(self.curves, self.fit)
+        self._image.value = self._drawn.png()
+
+    def __repr__(self) -> str:
+        return f"Explorer of a fit of the {self.fit.law} law to {self.fit.data['file']}"
+
+    def _repr_mimebundle_(self, **options: Any) -> Any:
+        return self.widget._repr_mimebundle_(**options)
+
+
+def explore(fit: FitResult) -> Explorer:
+    """Sliders for all parameters of a fit, in a notebook: path, residuals and spin follow at once,
+    and chi squared is that of the data, as the noise model and the loss of the fit count it.
+
+    Parameters
+    ----------
+    fit : of one throw, fresh or loaded; of several, one of `throws`.
+
+    Raises
+    ------
+    InputError : ipywidgets is not installed.
+
+    Examples
+    --------
+    >>> explorer = curlfit.explore(fit)
+    >>> explorer.sliders["mu2_xi"].value = 0.05
+    >>> explorer.curves.chi_squared > fit.chi_squared
+    True
+    >>> explorer.reset()
+    """
+    return Explorer(fit)
+
+
+def describe(curves: Curves, fit: FitResult) -> str:
+    """Chi squared of the curves and of the fit."""
+    if not math.isfinite(curves.chi_squared):
+        return "The law admits no motion at these values."
+    return (
+        f"chi squared {curves.chi_squared:.6g} of {fit.n_observations} values; "
+        f"of the fit {fit.chi_squared:.6g}"
+    )
+
+
+def slider_range(name: str, item: Estimate) -> tuple[float, float]:
+    """Ends of a slider: about the value, within its bounds."""
+    half = _HALF_RANGES.get(name, _HALF * max(abs(item.value), item.typical))
+    half = max(half, _SIGMAS * (item.stderr or 0.0))
+    low, high = max(item.value - half, item.lower), min(item.value + half, item.upper)
+    return min(low, item.value), max(high, item.value)

@@ -1,0 +1,79 @@
+"""The figure of an exploration, whose curves move."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from curlfit.exploration.curves import Curves
+from curlfit.inference.fit.result import FitResult
+from curlfit.output.figures import (
+    CHANNEL_COLOR,
+    CHANNEL_LABEL,
+    DATA_STYLE,
+    FIT_COLOR,
+    MAX_POINTS,
+    Picture,
+    unit_for,
+)
+
+_DPI = 80
+
+
+class MovingFigure:
+    """Path, residuals and spin of a fit, drawn once and then moved."""
+
+    def __init__(self, fit: FitResult, curves: Curves) -> None:
+        self.figure = Picture(figsize=(9, 6), dpi=_DPI)
+        self._canvas = FigureCanvasAgg(self.figure)
+        t = fit.observed["t"]
+        self._some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MAX_POINTS)).astype(int))
+        # Fixed panels, with room for long tick labels.
+        rows = self.figure.add_gridspec(
+            3, 1, height_ratios=(1.2, 1, 0.8), left=0.09, right=0.98, top=0.97, bottom=0.08,
+            hspace=0.55,
+        )  # fmt: skip
+        path, spin = self.figure.add_subplot(rows[0]), self.figure.add_subplot(rows[2])
+        for axes, across, along, names in (
+            (path, "y", "x", ("along the sheet, y (m)", "to the right, x (m)")),
+            (spin, "t", "omega", ("t (s)", r"spin $\omega$ (rad/s)")),
+        ):
+            if along in fit.observed:
+                data = (fit.observed[name][self._some] for name in (across, along))
+                axes.plot(*data, **DATA_STYLE)
+            axes.set(xlabel=names[0], ylabel=names[1])
+        (self.path,) = path.plot([], [], color=FIT_COLOR, lw=1.3)
+        (self.spin,) = spin.plot([], [], color=CHANNEL_COLOR["phi"])
+        self.residuals: dict[str, Any] = {}
+        self._sizes: dict[str, float] = {}
+        panels = rows[1].subgridspec(1, len(fit.rms), wspace=0.3)
+        for place, name in enumerate(fit.rms):
+            axes = self.figure.add_subplot(panels[place])
+            size, unit = unit_for(max(fit.rms[name], 1e-12), name)
+            axes.axhline(0, color="0.7", lw=0.8)
+            axes.set(xlabel="t (s)")
+            axes.set_title(f"${CHANNEL_LABEL[name]}$ residual ({unit})", fontsize=9)
+            (self.residuals[name],) = axes.plot(
+                t[self._some], t[self._some], ".", color=CHANNEL_COLOR[name], markersize=3
+            )
+            self._sizes[name] = size
+        self.move(curves)
+
+    def move(self, curves: Curves) -> None:
+        """Set the curves."""
+        self.path.set_data(curves.path["y"], curves.path["x"])
+        self.spin.set_data(curves.t, curves.path["omega"])
+        for name, line in self.residuals.items():
+            line.set_ydata(curves.residuals[name][self._some] / self._sizes[name])
+        for line in (self.path, self.spin, *self.residuals.values()):
+            line.axes.relim()
+            line.axes.autoscale_view()
+
+    def png(self) -> bytes:
+        """The figure as it is."""
+        file = BytesIO()
+        self._canvas.print_png(file)
+        return file.getvalue()

@@ -1,0 +1,206 @@
+"""A posterior sample as `InferenceData` of ArviZ."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from curlfit.errors import InputError
+from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.result import FitResult
+from curlfit.inference.likelihood import predict_channels
+from curlfit.inference.noise.losses import log_density
+from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.output.frames import optional
+from curlfit.throws.throw import CHANNELS
+from curlfit.version import __version__
+
+_MOST_CORRELATED = 6000  # values whose covariance is inverted
+_BLOCK = 256  # columns of a matrix that are computed at a time
+_REACH = 200.0  # sigmas within which the noise of a robust loss is drawn
+
+
+def inference_data(
+    fit: FitResult, samples: Floats, log_posterior: Floats, *, draws: int, seed: int
+) -> Any:
+    """See `Chain.to_arviz`.
+
+    Parameters
+    ----------
+    samples : shape (ensembles, walkers, steps, parameters). log_posterior : the same without the
+        last axis.
+    """
+    if draws < 1:
+        raise InputError(f"draws = {draws}: expected a positive number")
+    arviz = _arviz()
+    ensembles, walkers, steps, _ = samples.shape
+    thin = -(-ensembles * walkers * steps // draws)
+    kept = samples[:, :, ::thin]
+    # Draws of one walker follow one another, so that autocorrelations are those of the walkers.
+    flat = kept.reshape(ensembles, -1, samples.shape[-1])
+    names = fit.parameter_set.names
+    posterior = {
+        name: flat[..., place]
+        for place, (name, free) in enumerate(zip(names, fit.parameter_set.free, strict=True))
+        if free
+    }
+    for item in fit.combinations:
+        posterior[item.expression] = np.sum(
+            [weight * flat[..., names.index(name)] for name, weight in item.weights.items()], axis=0
+        )
+    problem, origin = problem_of(fit)
+    data = _Observations.of(fit, problem, origin.place)
+    paths = np.array([
+        np.asarray(predict_channels(fit.model, values, problem))[data.finite_rows]
+        for values in flat.reshape(-1, samples.shape[-1]) - origin.offset(samples.shape[-1])
+    ])  # fmt: skip
+    mean = paths + data.place
+    pointwise = log_likelihoods((data.values - mean) / data.sigma, data.noise, fit.loss)
+    random = np.random.default_rng(seed)
+    replicated = mean + data.sigma * draw_noise(random, mean.shape, data.noise, fit.loss)
+
+    def by_channel(array: Floats) -> dict[str, Floats]:
+        shaped = array.reshape(*flat.shape[:2], -1)
+        return {name: shaped[..., data.row_of == row] for row, name in data.channels}
+
+    found = arviz.from_dict(
+        posterior=posterior,
+        posterior_predictive=by_channel(replicated),
+        log_likelihood=by_channel(pointwise - np.log(data.sigma)),
+        sample_stats={"lp": log_posterior[:, :, ::thin].reshape(ensembles, -1)},
+        observed_data={name: data.values[data.row_of == row] for row, name in data.channels},
+        constant_data={"t": fit.observed["t"]}
+        | {f"sigma_{name}": data.sigma[data.row_of == row] for row, name in data.channels},
+        coords=data.coordinates(fit.observed["t"]),
+        dims={"t": ["time"]}
+        | {
+            key: [data.dimensions[name]]
+            for _, name in data.channels
+            for key in (name, f"sigma_{name}")
+        },
+        attrs={
+            "inference_library": "curlfit", "inference_library_version": __version__,
+            "law": fit.law, "load": fit.load, "data": fit.data["file"], "thinning": thin,
+        },
+    )  # fmt: skip
+    walker = np.repeat(np.arange(walkers), kept.shape[2])
+    step = np.tile(np.arange(0, steps, thin), walkers)
+    for group in ("posterior", "sample_stats"):
+        whole = found[group].assign_coords(walker=("draw", walker), step=("draw", step))
+        setattr(found, group, whole)
+    return found
+
+
+def _arviz() -> Any:
+    with warnings.catch_warnings():  # its first import of a day announces the next version
+        warnings.simplefilter("ignore", FutureWarning)
+        arviz = optional("arviz", "arviz")
+    if not hasattr(arviz, "InferenceData"):
+        raise InputError(
+            f"arviz {arviz.__version__} has no InferenceData: pip install 'curlfit[arviz]'"
+        )
+    return arviz
+
+
+class _Observations(NamedTuple):
+    """The observed values of all channels, one after the other; m of them."""
+
+    finite_rows: Booleans
+    """which values of a problem were observed, shape (channels, padded rows)"""
+    row_of: Any
+    """row of the channel of each value, shape (m,)"""
+    place: Floats
+    """what the problem's zero is in the data, shape (m,)"""
+    values: Floats
+    sigma: Floats
+    noise: Floats | None
+    """what makes residuals over sigma independent, shape (m, m); None where they are"""
+    channels: tuple[tuple[int, str], ...]
+    """rows and names of channels that were observed"""
+    dimensions: dict[str, str]
+    """by channel: `time`, or one of its own where values are missing"""
+    seen: dict[str, Booleans]
+
+    @classmethod
+    def of(cls, fit: FitResult, problem: Problem, place: Floats) -> _Observations:
+        weight = np.zeros((len(CHANNELS), problem.weight.shape[1]))
+        weight[: len(problem.weight)] = problem.weight
+        finite = weight > 0
+        row_of = np.nonzero(finite)[0]
+        channels = tuple((row, CHANNELS[row]) for row in np.unique(row_of).tolist())
+        n = len(fit.observed["t"])
+        seen = {name: finite[row, :n] for row, name in channels}
+        origin = place[row_of]
+        return cls(
+            finite, row_of, origin, problem.observed[finite[: len(problem.weight)]] + origin,
+            1 / weight[finite], whitening_matrix(problem), channels,
+            {name: "time" if there.all() else f"time_{name}" for name, there in seen.items()}, seen,
+        )  # fmt: skip
+
+    def coordinates(self, t: Floats) -> dict[str, Floats]:
+        """Times of each dimension, s."""
+        return {"time": t} | {
+            self.dimensions[name]: t[there] for name, there in self.seen.items() if not there.all()
+        }
+
+
+def whitening_matrix(problem: Problem) -> Floats | None:
+    """The matrix W that makes the observed residuals over sigma independent, shape (m, m): their
+    covariance is (W^T W)^-1. None where they are independent.
+
+    Raises
+    ------
+    InputError : there are too many values.
+    """
+    if problem.whitener is None:
+        return None
+    from jax import vmap
+
+    seen = problem.weight > 0
+    places = np.argwhere(seen)
+    if len(places) > _MOST_CORRELATED:
+        raise InputError(
+            f"{len(places)} values with correlated noise; ArviZ can be given at most "
+            f"{_MOST_CORRELATED}: fit fewer rows"
+        )
+    whiten = vmap(problem.whitener.whiten)
+    columns = []
+    for first in range(0, len(places), _BLOCK):
+        block = places[first : first + _BLOCK]
+        units = np.zeros((_BLOCK, *seen.shape))
+        units[(np.arange(len(block)), *block.T)] = 1.0
+        columns.append(np.asarray(whiten(units))[: len(block), seen])
+    return np.concatenate(columns).T
+
+
+def log_likelihoods(residual: Floats, whitening: Floats | None, loss: str) -> Floats:
+    """Log-density of each residual over its sigma, shape (draws, m).
+
+    Where noise is correlated it is that of the value given all others, as leaving one out requires:
+    with C^-1 = W^T W, g = C^-1 r and c = diag C^-1, it is a normal density of mean r - g/c and
+    variance 1/c (Buerkner, Gabry and Vehtari 2021, Computational Statistics 36, eq. 9).
+    """
+    if whitening is None:
+        return log_density(residual, loss)
+    diagonal = (whitening**2).sum(0)
+    pull = residual @ whitening.T @ whitening
+    found: Floats = 0.5 * (np.log(diagonal) - pull**2 / diagonal - np.log(2 * np.pi))
+    return found
+
+
+def draw_noise(
+    random: np.random.Generator, shape: tuple[int, ...], whitening: Floats | None, loss: str
+) -> Floats:
+    """Noise over its sigma, of shape (draws, m): correlated, or of the density of a loss."""
+    if whitening is not None:
+        return np.asarray(np.linalg.solve(whitening, random.standard_normal(shape).T).T)
+    if loss == "linear":
+        return random.standard_normal(shape)
+    # The inverse of the distribution function, which is tabulated.
+    grid = np.sinh(np.linspace(-np.arcsinh(_REACH), np.arcsinh(_REACH), 4001))
+    density = np.exp(log_density(grid, loss))
+    share = np.concatenate([[0.0], np.cumsum(np.diff(grid) * (density[1:] + density[:-1]) / 2)])
+    return np.interp(random.random(shape), share / share[-1], grid)

@@ -1,0 +1,89 @@
+"""Reports as HTML: texts and tables of rich, in the colours of the page around them.
+
+Colours have a contrast above 4 on white and on black alike, of the 4.4 that are possible; all else
+is inherited. Every text is escaped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from html import escape
+from typing import Any
+
+from rich.console import Console, Group
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from curlfit.output.console import Items
+
+_COLORS = {"green": "#2c8a4b", "yellow": "#a87000", "red": "#d9483b"}
+_LINE = "1px solid rgba(128, 128, 128, 0.4)"
+_CELL = (
+    "padding: 0.15em 1em 0.15em 0; vertical-align: top; background-color: transparent; "
+    "color: inherit"
+)
+_STYLES = Console()  # nothing is printed on it
+
+
+def page(parts: Iterable[Any]) -> str:
+    """Texts, tables, and groups of them as one self-contained block of HTML."""
+    return f'<div style="max-width: 60em">{"".join(map(_block, parts))}</div>'
+
+
+def _block(part: Any) -> str:
+    if isinstance(part, Padding):
+        return _block(part.renderable)
+    if isinstance(part, Group):
+        return "".join(map(_block, part.renderables))
+    if isinstance(part, Table):
+        return _table(part)
+    text = _inline(part).strip()
+    return f'<p style="margin: 0.4em 0; text-align: left">{text}</p>' if text else ""
+
+
+def _inline(part: Any) -> str:
+    if isinstance(part, Items):
+        return ", ".join(map(_inline, part.items))
+    if isinstance(part, Text):
+        return "".join(_styled(run.plain, run) for run in _runs(part))
+    return escape(str(part)).replace("\n", "<br>")
+
+
+def _runs(text: Text) -> Iterable[Text]:
+    """The pieces of a text within which its style does not change."""
+    edges = {edge for span in text.spans for edge in (span.start, span.end)}
+    return text.divide(sorted(edges - {0, len(text)}))
+
+
+def _styled(plain: str, run: Text) -> str:
+    style = run.get_style_at_offset(_STYLES, 0)
+    css = []
+    if style.bold:
+        css.append("font-weight: bold")
+    if style.dim:
+        css.append("opacity: 0.75")
+    if style.color is not None and style.color.name in _COLORS:
+        css.append(f"color: {_COLORS[style.color.name]}")
+    shown = escape(plain).replace("\n", "<br>")
+    return f'<span style="{"; ".join(css)}">{shown}</span>' if css else shown
+
+
+def _table(table: Table) -> str:
+    columns = table.columns
+    head = "".join(_cell(item.header, item.justify, "th") for item in columns)
+    rows = [
+        "".join(_cell(cell, item.justify) for cell, item in zip(cells, columns, strict=True))
+        for cells in zip(*(item.cells for item in columns), strict=True)
+    ]
+    body = "".join(f'<tr style="background-color: transparent">{row}</tr>' for row in rows)
+    return (
+        '<table style="border-collapse: collapse; margin: 0.5em 0; color: inherit">'
+        f'<thead><tr style="border-bottom: {_LINE}">{head}</tr></thead>'
+        f"<tbody>{body}</tbody></table>"
+    )
+
+
+def _cell(content: Any, justify: str, tag: str = "td") -> str:
+    side = "right" if justify == "right" else "left"
+    return f'<{tag} style="text-align: {side}; {_CELL}">{_inline(content)}</{tag}>'
