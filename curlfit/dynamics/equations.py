@@ -31,6 +31,7 @@ from curlfit.dynamics.quadrature import NodeClustering, singularity_distance
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from curlfit.environment import WEAR_KNOTS
 from curlfit.friction import Law, Load, NetLaw, power
 from curlfit.stone import Stone
 
@@ -104,6 +105,11 @@ class Forces(NamedTuple):
     """deceleration by the air over v^2, 1/m"""
     wear: Array
     """relative change of the friction with y, 1/m"""
+    bend_0: Array
+    """a sixth of the jumps of its third derivative at `WEAR_KNOTS`, 1/m^3"""
+    bend_10: Array
+    bend_20: Array
+    bend_30: Array
     sweep: Array
     """factor of the friction between the next two times, s since the start"""
     swept_from: Array
@@ -123,7 +129,7 @@ def rates(
 ) -> State:
     """Time derivative of the state; `frame` is that of a nearby heading.
 
-    `forces` are as `Forces` has them, shape (7, batch); None for a law alone.
+    `forces` are as `Forces` has them, shape (11, batch); None for a law alone.
 
     A stone that spins almost in place, under a transverse force, moves on circles of radius
     v^2/a_xi. Where its velocity turns faster than `turning_limit` (rad/s), it is held at their
@@ -135,7 +141,11 @@ def rates(
     if forces is not None:
         outer = Forces(*forces)
         swept = (time > outer.swept_from + _SWITCH) & (time <= outer.swept_to + _SWITCH)
-        factor = jnp.where(swept, outer.sweep, 1.0) * (1 + outer.wear * state.y)
+        worn = 1 + outer.wear * state.y
+        bends = (outer.bend_0, outer.bend_10, outer.bend_20, outer.bend_30)
+        for knot, bend in zip(WEAR_KNOTS, bends, strict=True):
+            worn = worn + bend * jnp.maximum(state.y - knot, 0.0) ** 3
+        factor = jnp.where(swept, outer.sweep, 1.0) * worn
         pull = jnp.where(moving, s * outer.g_x + c * outer.g_y, 0.0) - outer.drag * state.v**2
         across = c * outer.g_x - s * outer.g_y
         a = Accelerations(factor * a.xi + across, factor * a.eta + pull, factor * a.angular)

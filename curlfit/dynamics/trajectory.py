@@ -142,8 +142,8 @@ def forces_on(stone: Stone, environment: Environment, heading: Array, t0: Any = 
     right, along = environment.gravity_along(jnp.sin(heading), jnp.cos(heading))
     return jnp.stack(
         Forces(
-            right, along, environment.drag_rate(stone.m), environment.wear, environment.sweep,
-            environment.swept_from - t0, environment.swept_to - t0,
+            right, along, environment.drag_rate(stone.m), *environment.wear_along(),
+            environment.sweep, environment.swept_from - t0, environment.swept_to - t0,
         )
     )  # fmt: skip
 

@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from curlfit.environment import WEAR_KNOTS
 from curlfit.errors import InputError
 from curlfit.friction import Parameter
 
@@ -45,6 +46,14 @@ CONDITIONS = (
     Condition(
         "wear", "1/m", -0.02, 0.05, 0.01, "w", "relative change of the friction along the throw",
         5e-4, "judgement: 1 % over 20 m",
+    ),
+    *(
+        Condition(
+            f"wear_{place:g}", "1", -0.5, 1.0, 0.1, f"w_{{{place:g}}}",
+            f"relative change of the friction {place:g} m along the throw", 0.0,
+            "`wear` stands for it",
+        )
+        for place in WEAR_KNOTS[1:]
     ),
     Condition(
         "sweep", "1", 0.0, 2.0, 0.1, "s", "friction while swept, over that before", 0.0,
