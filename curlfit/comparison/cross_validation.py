@@ -1,0 +1,162 @@
+"""Leave-one-out cross-validation: how well a law predicts rows that it was not fitted to.
+
+Score. The expected log pointwise predictive density, elpd_loo = sum_i log p(y_i | y_-i), its
+standard error and the effective number of parameters p_loo = sum_i [log p(y_i | y) - log p(y_i |
+y_-i)] are those of Vehtari, Gelman and Gabry (2017, Statistics and Computing 27, 1413), eqs. 4, 23
+and 24. A point i is a row, with all channels that were measured in it. Priors are those of the
+evidence (`curlfit.comparison.evidence`).
+
+Closed form. With the path linear in the parameters within their errors, no row has to be left out
+in fact. For residuals e in units of their sigma and the hat matrix H of all rows,
+
+    e_-i = (I - H_ii)^-1 e_i,    cov(e_-i) = (I - H_ii)^-1
+
+are the residual of a row from the fit to all others and its covariance (Cook and Weisberg 1982,
+sect. 2.2). Where sigma is estimated, the density is Student's t of n_c - p_c degrees of freedom in
+channel c, p_c the sum of the leverages of its values, and sigma is that without the row. Parameters
+at a bound stay there.
+
+Where there is none. If residuals are correlated from row to row, a row is predicted from its
+neighbours, whatever the law; and a robust loss has no closed form.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student_t
+
+from curlfit.comparison.evidence import prior_terms
+from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.result import FitResult
+from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.compiled import stacked
+from curlfit.throws.throw import CHANNELS
+
+_STEP = 0.1  # standard errors of a parameter with all others known, for derivatives
+_NULL = 1e-13  # of the largest singular value
+
+
+class LeaveOneOut(NamedTuple):
+    """Log predictive densities by row, in SI units."""
+
+    left_out: Floats
+    """log p(y_i | y_-i), shape (rows,)"""
+    fitted: Floats
+    """log p(y_i | y), of the same shape"""
+
+    @property
+    def elpd(self) -> float:
+        """Expected log pointwise predictive density."""
+        return float(self.left_out.sum())
+
+    @property
+    def p_loo(self) -> float:
+        """Effective number of parameters."""
+        return float((self.fitted - self.left_out).sum())
+
+    @property
+    def stderr(self) -> float:
+        """Standard error of `elpd`."""
+        return standard_error(self.left_out)
+
+
+def standard_error(pointwise: Floats) -> float:
+    """Of a sum over rows, from their scatter; 0 for a single row."""
+    n = len(pointwise)
+    return float(np.sqrt(n * pointwise.var(ddof=1))) if n > 1 else 0.0
+
+
+def leave_one_out(result: FitResult) -> LeaveOneOut | None:
+    """Cross-validation of a fit; None under a robust loss or correlated noise."""
+    if result.loss != "linear" or result.noise.kind != "white":
+        return None
+    names = result.information["names"]
+    free = [name for name in names if result.parameters[name].verdict != "at bound"]
+    problem, origin = problem_of(result)
+    n, channels = len(result.observed["t"]), problem.observed.shape[0]
+    weight = problem.weight[:, :n]
+    there = weight > 0
+    index = [result.parameter_set.index(name) for name in free]
+    values = result.values - origin.offset(len(result.values))
+    known = np.sqrt(np.diag(np.array(result.information["matrix"])))
+    steps = [
+        _STEP / max(size, 1 / result.parameters[name].typical)
+        for name, size in zip(names, known, strict=True)
+        if name in free
+    ]
+    moved = np.tile(values, (1 + 2 * len(free), 1))
+    for row, (place, step) in enumerate(zip(index, steps, strict=True)):
+        moved[1 + 2 * row, place] += step
+        moved[2 + 2 * row, place] -= step
+    paths = predict_many(result.model, moved, stacked([problem] * len(moved)), batch=1)
+    paths = paths[:, :channels, :n] * weight
+    slopes = (paths[1::2] - paths[2::2]) / (2 * np.reshape(steps, (-1, 1, 1)))
+    residual = np.where(there, problem.observed[:, :n] * weight - paths[0], 0.0)
+    jacobian = np.moveaxis(np.where(there, slopes, 0.0), 0, -1)
+    prior = prior_terms(result, free)
+    root = np.sqrt(prior.precision)
+    away = prior.mean - np.array([result.parameters[name].value for name in free])
+    return densities(
+        residual, jacobian, weight, root[:, None] * np.eye(len(free)), root * away,
+        np.array([name in result.sigma for name in CHANNELS[:channels]]),
+    )  # fmt: skip
+
+
+def densities(
+    residual: Floats, jacobian: Floats, weight: Floats,
+    prior_rows: Floats, prior_residual: Floats, estimated: Booleans,
+) -> LeaveOneOut:  # fmt: skip
+    """Log predictive densities in a linear model.
+
+    Parameters
+    ----------
+    residual, jacobian : data less model over sigma, and the derivative of the model over sigma by
+        the parameters; shapes (channels, n) and (channels, n, parameters), 0 where not observed.
+    weight : 1/sigma, 0 where not observed, shape (channels, n).
+    prior_rows, prior_residual : the same of the prior, shapes (rows, parameters) and (rows,).
+    estimated : channels whose sigma is estimated.
+    """
+    channels, n, count = jacobian.shape
+    there = weight > 0
+    # Orthonormal columns: with these J^T J without a row is 1 - Q_i^T Q_i.
+    design = np.concatenate([jacobian.reshape(-1, count), prior_rows])
+    size = np.sqrt((design**2).sum(0))
+    left, singular, _ = np.linalg.svd(design / np.where(size > 0, size, 1.0), full_matrices=False)
+    basis = left[:, singular > _NULL * singular.max(initial=0.0)]
+    away = np.concatenate([residual.ravel(), prior_residual])
+    e = (away - basis @ (basis.T @ away))[: channels * n].reshape(channels, n)
+    q = basis[: channels * n].reshape(channels, n, -1)
+    hat = np.einsum("cik,dik->icd", q, q)
+    covariance = np.linalg.inv(np.eye(channels) - hat)
+    e_out = np.einsum("icd,di->ci", covariance, e)
+    # Without row i the parameters change by -Q_i^T e_-i, and the sum of squares of a channel with
+    # them.
+    change = np.einsum("cik,ci->ik", q, e_out)
+    gradient = np.einsum("cik,ci->ck", q, e)
+    information = np.einsum("cik,cil->ckl", q, q)
+    squares = (e**2).sum(1)
+    others = squares[:, None] + 2 * gradient @ change.T - e_out**2
+    others += np.einsum("ik,ckl,il->ci", change, information, change)
+    spent = np.einsum("icc->c", hat)
+    floor = (SIGMA_FLOOR * weight.max(1, initial=0.0)) ** 2
+
+    def log_density(off: Floats, cov: Floats, squares: Floats, dof: Floats) -> Floats:
+        dof = np.maximum(dof, 1.0)
+        scale = np.sqrt(np.where(estimated, np.maximum(squares / dof, floor), 1.0))
+        lower = np.linalg.cholesky(cov)
+        u = np.linalg.solve(lower, off.T[..., None])[..., 0] / scale
+        found = np.where(estimated, student_t.logpdf(u, dof), norm.logpdf(u))
+        found -= np.log(scale * np.diagonal(lower, axis1=1, axis2=2))
+        logs = np.log(np.where(there, weight, 1.0)).T
+        return np.where(there.T, found + logs, 0.0).sum(1)
+
+    dof = there.sum(1) - spent
+    seen = there.any(0)
+    return LeaveOneOut(
+        log_density(e_out, covariance, others.T, dof - 1)[seen],
+        log_density(e, np.eye(channels) + hat, squares, dof)[seen],
+    )
