@@ -17,7 +17,8 @@ channel c, p_c the sum of the leverages of its values, and sigma is that without
 at a bound stay there.
 
 Where there is none. If residuals are correlated from row to row, a row is predicted from its
-neighbours, whatever the law; and a robust loss has no closed form.
+neighbours, whatever the law; a robust loss has no closed form; and a row that alone determines a
+parameter is not predicted by the others at all.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from curlfit.throws.throw import CHANNELS
 
 _STEP = 0.1  # standard errors of a parameter with all others known, for derivatives
 _NULL = 1e-13  # of the largest singular value
+_ALONE = 1e-9  # 1 less the leverage of a row, beneath which it alone determines a parameter
 
 
 class LeaveOneOut(NamedTuple):
@@ -71,7 +73,8 @@ def standard_error(pointwise: Floats) -> float:
 
 
 def leave_one_out(result: FitResult) -> LeaveOneOut | None:
-    """Cross-validation of a fit; None under a robust loss or correlated noise."""
+    """Cross-validation of a fit; None under a robust loss or correlated noise, where a row alone
+    determines a parameter, and where the law admits no motion beside the fit."""
     if result.loss != "linear" or result.noise.kind != "white":
         return None
     names = result.information["names"]
@@ -97,6 +100,8 @@ def leave_one_out(result: FitResult) -> LeaveOneOut | None:
     slopes = (paths[1::2] - paths[2::2]) / (2 * np.reshape(steps, (-1, 1, 1)))
     residual = np.where(there, problem.observed[:, :n] * weight - paths[0], 0.0)
     jacobian = np.moveaxis(np.where(there, slopes, 0.0), 0, -1)
+    if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
+        return None
     prior = prior_terms(result, free)
     root = np.sqrt(prior.precision)
     away = prior.mean - np.array([result.parameters[name].value for name in free])
@@ -109,8 +114,8 @@ def leave_one_out(result: FitResult) -> LeaveOneOut | None:
 def densities(
     residual: Floats, jacobian: Floats, weight: Floats,
     prior_rows: Floats, prior_residual: Floats, estimated: Booleans,
-) -> LeaveOneOut:  # fmt: skip
-    """Log predictive densities in a linear model.
+) -> LeaveOneOut | None:  # fmt: skip
+    """Log predictive densities in a linear model; None where a row alone determines a parameter.
 
     Parameters
     ----------
@@ -131,7 +136,10 @@ def densities(
     e = (away - basis @ (basis.T @ away))[: channels * n].reshape(channels, n)
     q = basis[: channels * n].reshape(channels, n, -1)
     hat = np.einsum("cik,dik->icd", q, q)
-    covariance = np.linalg.inv(np.eye(channels) - hat)
+    left_over = np.eye(channels) - hat
+    if np.linalg.eigvalsh(left_over).min() < _ALONE:
+        return None
+    covariance = np.linalg.inv(left_over)
     e_out = np.einsum("icd,di->ci", covariance, e)
     # Without row i the parameters change by -Q_i^T e_-i, and the sum of squares of a channel with
     # them.

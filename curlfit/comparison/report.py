@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from curlfit.comparison.result import Candidate, Comparison
 
 
+_NEIGHBOURS = (
+    "There is no leave-one-out, which predicts a row of correlated noise from its neighbours, "
+    "whatever the law."
+)
 _PROBABLE = 0.01  # weight of a law that is named
 _ELPD = 4.0  # below which differences and their errors tell nothing (Sivula, Magnusson, Matamoros
 # and Vehtari 2020, Uncertainty in Bayesian leave-one-out)
@@ -95,7 +99,12 @@ def _ranks(comparison: Comparison) -> RenderableType:
     measure, by = "rms", ""
     if comparison.loss != "linear":
         measure = "size of the bulk"
-        by = f" BIC and AICc are of noise as the {comparison.loss} loss has it."
+        by = (
+            f" BIC and AICc are of noise as the {comparison.loss} loss has it, for which leave-one-"
+            "out has no closed form."
+        )
+    elif with_evidence and comparison.noise != "white":
+        by = " " + _NEIGHBOURS
     criteria = "dlnZ: log evidence less the largest; " if with_evidence else ""
     if with_elpd:
         criteria += (
@@ -244,8 +253,8 @@ def _about_noise(comparison: Comparison) -> str:
     return (
         f"By BIC the noise is {best.noise} ({best.label})"
         + (f"; the least BIC {join_words(others)}." if others else ".")
-        + " No evidence and no leave-one-out across noise models: their parameters have no prior, "
-        "and a row of correlated noise is predicted from its neighbours."
+        + " There is no evidence, since the parameters of the noise have no prior. "
+        + _NEIGHBOURS
     )
 
 
@@ -263,7 +272,8 @@ def _about_correlation(comparison: Comparison) -> str:
     return (
         "Warning: the ranking is not reliable. Even the law that fits best leaves residuals that "
         f"are correlated from row to row. dBIC and dAICc count effective values ({worth}) and are "
-        "approximate; correlated noise alone can put a wrong law first."
+        "approximate; correlated noise alone can put a wrong law first. "
+        + ("" if len(comparison.noises) > 1 else f"There is no evidence. {_NEIGHBOURS}")
     )
 
 

@@ -88,7 +88,7 @@ def test_an_estimated_sigma_against_the_exact_integral():
 
     def log_marginal(rows):
         some, there = design[rows], y[rows]
-        best, squares, *_ = np.linalg.lstsq(some, there, rcond=None)
+        _, squares, *_ = np.linalg.lstsq(some, there, rcond=None)
         half = (len(there) - 3) / 2
         spread = np.linalg.slogdet(some.T @ some)[1]
         return gammaln(half) - spread / 2 - half * np.log(np.pi * squares[0])
@@ -128,6 +128,15 @@ def test_a_ridge_is_no_parameter(throw):
     assert pressure.elpd_loo == pytest.approx(coulomb.elpd_loo, abs=1e-4)
     assert pressure.p_loo == pytest.approx(coulomb.p_loo, abs=1e-4)
     assert pressure.delta_elpd_se == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_row_that_alone_determines_a_parameter_is_not_predicted():
+    design = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 1.0]])[None]
+    none = np.zeros((0, 2)), np.zeros(0), np.array([False])
+    assert densities(np.zeros((1, 3)), design, np.ones((1, 3)), *none) is None
+    assert densities(
+        np.zeros((1, 3)), design[..., :1], np.ones((1, 3)), np.zeros((0, 1)), *none[1:]
+    )
 
 
 def test_differences_are_of_rows_and_there_is_none_where_a_row_tells_of_its_neighbours(throw, eq12):

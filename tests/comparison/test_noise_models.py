@@ -136,6 +136,22 @@ def test_noise_models_that_are_none_are_refused():
         noise_models("white,ar1", "student")
 
 
+def test_correlated_residuals_count_effective_values_less_those_spent(folder):
+    found = curlfit.compare(curlfit.load_throw(folder / "a.csv"), ["coulomb"])
+    k, counts = found.best.n_parameters, found.effective
+    assert counts.keys() == SIGMA.keys()
+    # n (1 - r)/(1 + r) of the noise that was drawn
+    r = np.exp(-0.1 / MEMORY)
+    assert sum(counts.values()) == pytest.approx(3 * 201 * (1 - r) / (1 + r), rel=0.3)
+    minus_two = 0.0
+    for name, rms in found.best.rms.items():
+        spent = (k - 3) / 3  # a third of the parameters but the sigmas
+        minus_two += (np.log(2 * np.pi * rms**2) + 1) * (counts[name] - spent)
+    expected = minus_two + k * np.log(sum(counts.values()))
+    assert found.best.bic == pytest.approx(expected, rel=1e-9)
+    assert "There is no evidence" in " ".join(conclusions(found))
+
+
 def test_what_a_prior_says_is_not_counted_as_what_the_data_determine(folder):
     throw = curlfit.load_throw(folder / "a.csv")
     mu = 0.009

@@ -62,11 +62,10 @@ def main() -> None:
         began, random = time.time(), np.random.default_rng(SEED)
         case = Case("", TRUE, TRUE, memory)
         throws = [thrown(case, random)[0] for _ in range(number)]
-        fits = {
-            noise: list(zip(*(fit_throws(throws, law, noise=noise) for law, _ in plan(None, "uniform")),
-                            strict=True))
-            for noise in NOISES
-        }  # fmt: skip
+        fits = {}
+        for noise in NOISES:
+            by_law = [fit_throws(throws, law, noise=noise) for law, _ in plan(None, "uniform")]
+            fits[noise] = list(zip(*by_law, strict=True))
         for noises in (("white",), ("ar1",), NOISES):
             behind = []
             for each in zip(*(fits[noise] for noise in noises), strict=True):

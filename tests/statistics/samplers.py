@@ -2,10 +2,10 @@
 
     python tests/statistics/samplers.py
 
-writes the tables "evidence" and "leave-one-out" of README.md beside this file; `pip install
-".[dev]"` brings dynesty (Speagle 2020) and arviz (Kumar et al. 2019). Each case is one throw of 15 s
-at 10 Hz, 5 mm on x and y and 10 mrad on phi, whose sigmas are known. Both samplers are given the
-paths of the law alone: priors and densities of the noise are written here with scipy.
+writes the tables "evidence" and "leave-one-out" of README.md beside this file; the extra `dev`
+brings dynesty (Speagle 2020) and arviz (Kumar et al. 2019). Each case is one throw of 15 s at 10
+Hz, 5 mm on x and y and 10 mrad on phi, whose sigmas are known. Nested sampling is given the paths
+of the law alone: priors and densities of the noise are written here with scipy.
 """
 
 from __future__ import annotations
@@ -139,8 +139,8 @@ def closed_form(fit: curlfit.FitResult) -> LeaveOneOut:
 def main() -> None:
     """Run the cases and write their tables."""
     evidence = head("", "curlfit", "dynesty", "difference", "likelihoods")
-    loo = head("", "elpd_loo", "PSIS", "standard error", "PSIS", "p_loo", "PSIS", "largest Pareto k",
-               "largest difference in a row")  # fmt: skip
+    loo = head("", "elpd_loo", "PSIS", "standard error", "PSIS", "p_loo", "PSIS",
+               "largest Pareto k", "largest difference in a row")  # fmt: skip
     for case in CASES:
         began = time.time()
         fit = fitted(case)
