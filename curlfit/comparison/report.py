@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
 
 _NEIGHBOURS = (
-    "There is no leave-one-out, which predicts a row of correlated noise from its neighbours, "
-    "whatever the law."
+    "leave-one-out, which predicts a row of correlated noise from its neighbours, whatever the law."
 )
 _PROBABLE = 0.01  # weight of a law that is named
 _ELPD = 4.0  # below which differences and their errors tell nothing (Sivula, Magnusson, Matamoros
@@ -104,7 +103,7 @@ def _ranks(comparison: Comparison) -> RenderableType:
             "out has no closed form."
         )
     elif with_evidence and comparison.noise != "white":
-        by = " " + _NEIGHBOURS
+        by = f" There is no {_NEIGHBOURS}"
     criteria = "dlnZ: log evidence less the largest; " if with_evidence else ""
     if with_elpd:
         criteria += (
@@ -253,7 +252,7 @@ def _about_noise(comparison: Comparison) -> str:
     return (
         f"By BIC the noise is {best.noise} ({best.label})"
         + (f"; the least BIC {join_words(others)}." if others else ".")
-        + " There is no evidence, since the parameters of the noise have no prior. "
+        + " There is no evidence, since the parameters of the noise have no prior, and no "
         + _NEIGHBOURS
     )
 
@@ -273,7 +272,12 @@ def _about_correlation(comparison: Comparison) -> str:
         "Warning: the ranking is not reliable. Even the law that fits best leaves residuals that "
         f"are correlated from row to row. dBIC and dAICc count effective values ({worth}) and are "
         "approximate; correlated noise alone can put a wrong law first. "
-        + ("" if len(comparison.noises) > 1 else f"There is no evidence. {_NEIGHBOURS}")
+        + (
+            ""
+            if len(comparison.noises) > 1
+            else f"There is no evidence and no {_NEIGHBOURS} --noise white,ar1 compares noise "
+            "models."
+        )
     )
 
 
