@@ -13,8 +13,9 @@ in fact. For residuals e in units of their sigma and the hat matrix H of all row
 
 are the residual of a row from the fit to all others and its covariance (Cook and Weisberg 1982,
 sect. 2.2). Where sigma is estimated, the density is Student's t of n_c - p_c degrees of freedom in
-channel c, p_c the sum of the leverages of its values, and sigma is that without the row. Parameters
-at a bound stay there.
+channel c, p_c the sum of the leverages of its values, and sigma is that without the row. What a
+bound cuts off the density of a parameter that is pushed against it stands as a normal factor of the
+same mean and variance (expectation propagation: Minka 2001).
 
 Where there is none. If residuals are correlated from row to row, a row is predicted from its
 neighbours, whatever the law; a robust loss has no closed form; and a row that alone determines a
@@ -26,6 +27,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import log_ndtr
 from scipy.stats import norm
 from scipy.stats import t as student_t
 
@@ -39,6 +41,7 @@ from curlfit.throws.throw import CHANNELS
 
 _STEP = 0.1  # standard errors of a parameter with all others known, for derivatives
 _NULL = 1e-13  # of the largest singular value
+_HARD = 50.0  # standard deviations by which a parameter is pushed against its bound
 _ALONE = 1e-9  # 1 less the leverage of a row, beneath which it alone determines a parameter
 
 
@@ -77,8 +80,7 @@ def leave_one_out(result: FitResult) -> LeaveOneOut | None:
     determines a parameter, and where the law admits no motion beside the fit."""
     if result.loss != "linear" or result.noise.kind != "white":
         return None
-    names = result.information["names"]
-    free = [name for name in names if result.parameters[name].verdict != "at bound"]
+    free = result.information["names"]
     problem, origin = problem_of(result)
     n, channels = len(result.observed["t"]), problem.observed.shape[0]
     weight = problem.weight[:, :n]
@@ -88,13 +90,13 @@ def leave_one_out(result: FitResult) -> LeaveOneOut | None:
     known = np.sqrt(np.diag(np.array(result.information["matrix"])))
     steps = [
         _STEP / max(size, 1 / result.parameters[name].typical)
-        for name, size in zip(names, known, strict=True)
-        if name in free
+        for name, size in zip(free, known, strict=True)
     ]
+    inward = _inward(result, free)
     moved = np.tile(values, (1 + 2 * len(free), 1))
     for row, (place, step) in enumerate(zip(index, steps, strict=True)):
-        moved[1 + 2 * row, place] += step
-        moved[2 + 2 * row, place] -= step
+        moved[1 + 2 * row, place] += (1 + inward[row]) * step
+        moved[2 + 2 * row, place] -= (1 - inward[row]) * step
     paths = predict_many(result.model, moved, stacked([problem] * len(moved)), batch=1)
     paths = paths[:, :channels, :n] * weight
     slopes = (paths[1::2] - paths[2::2]) / (2 * np.reshape(steps, (-1, 1, 1)))
@@ -103,12 +105,67 @@ def leave_one_out(result: FitResult) -> LeaveOneOut | None:
     if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
         return None
     prior = prior_terms(result, free)
-    root = np.sqrt(prior.precision)
     away = prior.mean - np.array([result.parameters[name].value for name in free])
+    design = jacobian.reshape(-1, len(free))
+    factors = _bound_factors(
+        design.T @ design + np.diag(prior.precision),
+        design.T @ residual.ravel() + prior.precision * away, inward,
+    )  # fmt: skip
+    roots = np.sqrt(np.stack([prior.precision, factors.precision]))
     return densities(
-        residual, jacobian, weight, root[:, None] * np.eye(len(free)), root * away,
+        residual, jacobian, weight, (roots[..., None] * np.eye(len(free))).reshape(-1, len(free)),
+        (roots * np.stack([away, factors.mean])).ravel(),
         np.array([name in result.sigma for name in CHANNELS[:channels]]),
     )  # fmt: skip
+
+
+def _inward(result: FitResult, names: list[str]) -> Floats:
+    """Of each parameter the sign in which it leaves the bound that it is at; 0 at none."""
+    found = np.zeros(len(names))
+    for row, name in enumerate(names):
+        item = result.parameters[name]
+        if item.verdict == "at bound":
+            found[row] = 1.0 if item.value - item.lower < item.upper - item.value else -1.0
+    return found
+
+
+class _Factors(NamedTuple):
+    """Normal factors of a density, of each parameter less its estimate."""
+
+    mean: Floats
+    precision: Floats
+    """0 where there is none"""
+
+
+def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> _Factors:
+    """What takes the place of the bounds of parameters that are at them.
+
+    With all others integrated out, the density of the distance d from the bound is exp(-push d -
+    s d^2/2), d > 0: with a = push/sqrt(s) and l = phi(a)/Phi(-a) its mean is (l - a)/sqrt(s), its
+    variance (1 - l (l - a))/s.
+
+    Parameters
+    ----------
+    precision, gradient : of the log-posterior, by the parameters.
+    inward : see `_inward`.
+    """
+    found = _Factors(np.zeros(len(inward)), np.zeros(len(inward)))
+    size = np.sqrt(np.maximum(np.diag(precision), 1e-300))
+    scaled, slope = precision / np.outer(size, size), gradient / size
+    inner = inward == 0
+    for row in np.flatnonzero(inward):
+        gain = np.linalg.lstsq(scaled[np.ix_(inner, inner)], scaled[inner, row], rcond=_NULL)[0]
+        stiffness = max(float(1 - gain @ scaled[inner, row]), _ALONE)
+        push = max(-inward[row] * float(slope[row] - gain @ slope[inner]), 0.0)
+        a = push / np.sqrt(stiffness)
+        ratio = np.exp(norm.logpdf(a) - log_ndtr(-a))
+        mean, variance = (ratio - a) / np.sqrt(stiffness), (1 - ratio * (ratio - a)) / stiffness
+        if a > _HARD:  # an exponential density, without the rounding of ratio - a
+            mean, variance = 1 / push, 1 / push**2
+        extra = 1 / variance - stiffness
+        found.precision[row] = extra * size[row] ** 2
+        found.mean[row] = inward[row] * (mean / variance + push) / extra / size[row]
+    return found
 
 
 def densities(

@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.special import gammaln
-from scipy.stats import multivariate_normal, norm
+from scipy.stats import expon, multivariate_normal, norm, truncnorm
 
 import curlfit
-from curlfit.comparison.cross_validation import densities, leave_one_out
+from curlfit.comparison.cross_validation import _bound_factors, densities, leave_one_out
 from curlfit.inference.fit.fit import fit_throws
 
 SIGMA = {"x": 0.005, "y": 0.005, "phi": 0.01}
@@ -128,6 +128,21 @@ def test_a_ridge_is_no_parameter(throw):
     assert pressure.elpd_loo == pytest.approx(coulomb.elpd_loo, abs=1e-4)
     assert pressure.p_loo == pytest.approx(coulomb.p_loo, abs=1e-4)
     assert pressure.delta_elpd_se == pytest.approx(0.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("push", [0.0, 0.7, 8.0, 49.0, 51.0, 1e6])
+@pytest.mark.parametrize("inward", [1.0, -1.0])
+def test_a_bound_has_the_mean_and_variance_of_what_it_leaves(push, inward):
+    precision, gradient = np.array([[5.0, 1.0], [1.0, 4.0]]), np.array([0.5, 0.0])
+    stiffness = 4.0 - 1 / 5
+    gradient[1] = 0.5 / 5 - inward * push * np.sqrt(stiffness)  # with the other integrated out
+    found = _bound_factors(precision, gradient, np.array([0.0, inward]))
+    assert (found.mean[0], found.precision[0]) == (0.0, 0.0)
+    whole = stiffness + found.precision[1]
+    mean = (found.precision[1] * found.mean[1] - inward * push * np.sqrt(stiffness)) / whole
+    left = expon(scale=1 / push) if push > 100 else truncnorm(push, np.inf, loc=-push)
+    assert inward * mean * np.sqrt(stiffness) == pytest.approx(left.mean(), rel=2e-3)
+    assert stiffness / whole == pytest.approx(left.var(), rel=5e-3)
 
 
 def test_a_row_that_alone_determines_a_parameter_is_not_predicted():
