@@ -39,7 +39,14 @@ def compare(
     start: o.Start = None,
     sigma: o.Sigma = None,
     loss: o.Loss = None,
-    noise: o.NoiseModel = None,
+    noise: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Noise models, as of `curlfit fit`; of several, each law is fitted under each, "
+            "and all are ranked together. [default: white]",
+            metavar="A,B,...",
+        ),
+    ] = None,
     stone: o.StoneValues = None,
     format: o.Format = None,
     axes: o.Axes = None,
@@ -55,19 +62,22 @@ def compare(
     no_figures: o.NoFigures = False,
     quiet: o.Quiet = False,
 ) -> None:
-    """Fit many friction laws to one throw and rank them.
+    """Fit many friction laws to one throw, under one or several noise models, and rank them.
 
     Each law is fitted within its own bounds; one that fails with a coefficient at zero is fitted
     again with either sign allowed, which is shown and not ranked. The rank is by BIC; under a
-    robust `--loss` that of the noise which the loss stands for. `--fix`, `--bound` and `--start`
-    hold for the laws that have such a parameter.
+    robust `--loss` that of the noise which the loss stands for. Where residuals are independent,
+    there are the log evidence (dlnZ) and the expected log predictive density of leave-one-out
+    (delpd, with the standard error of the difference), too. `--fix`, `--bound` and `--start` hold
+    for the laws that have such a parameter.
     Writes `compare.json` and `compare.png`.
 
     Example: `curlfit compare data/jensen_shegelski_2004.csv --load both`
     """
+    from curlfit.comparison.noise_models import noise_models
     from curlfit.errors import InputError
     from curlfit.friction import LAWS, check_load, find_law
-    from curlfit.inference.noise.models import check_loss, check_noise
+    from curlfit.inference.noise.models import check_loss
     from curlfit.inference.parameters import ParameterSet, options_of, require_known
     from curlfit.output.files import prepare_folder
 
@@ -87,12 +97,12 @@ def compare(
         "free": s.names(free or ()) or None,
         "prior": s.texts("--prior", prior or ()),
         "loss": loss,
-        "noise": noise,
+        "noise": s.names(noise or ()) or None,
     }
     throw, settings, the_stone = s.prepare(data, config, flags)
     check_load(settings.get("load", "uniform"))
     loss = check_loss(settings.get("loss", "linear"))
-    noise = check_noise(settings.get("noise", "white"), loss)
+    noises = noise_models(settings.get("noise", "white"), loss)
     names = [name.strip() for name in laws.split(",") if name.strip()] if laws else None
     if names == []:
         raise InputError("--laws: expected names with commas between")
@@ -151,7 +161,7 @@ def compare(
             priors=options["prior"],
             start=options["start"],
             loss=loss,
-            noise=noise,
+            noise=noises,
             progress=told,
         )
     written = [folder / "compare.json"]

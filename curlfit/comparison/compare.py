@@ -1,31 +1,26 @@
-"""Many laws on one throw: each is fitted, and they are ranked.
+"""Many laws on one throw, under one or several noise models: each is fitted, and they are ranked.
 
 Every law is fitted with its own bounds. Where a coefficient then sits at zero and the law does not
 follow the path, it is fitted once more with either sign allowed, to show what it would need; such
 a fit is listed and not ranked.
 
-What the criteria of the ranking count is in `criteria`, when a law follows the path in `adequacy`.
+The ranking is in `ranking`, what its criteria count in `criteria`, when a law follows the path in
+`adequacy`.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from curlfit.comparison.adequacy import adequacy, bend, sizes
+from curlfit.comparison.adequacy import adequacy, sizes
 from curlfit.comparison.capability import opposes_sliding, sides_of_curl
-from curlfit.comparison.criteria import (
-    effective_values,
-    log_likelihood,
-    noise_parameters,
-    residuals_of,
-    with_criteria,
-)
-from curlfit.comparison.evidence import effective_parameters
+from curlfit.comparison.criteria import log_likelihood, number_of_parameters, residuals_of
+from curlfit.comparison.noise_models import noise_models
+from curlfit.comparison.ranking import Fitted, ranked
 from curlfit.comparison.result import PLACE, Candidate, Comparison
 from curlfit.errors import UnusableFitError
 from curlfit.friction import LAWS, Law, NetLaw, find_law
@@ -36,14 +31,6 @@ from curlfit.inference.parameters import options_of, require_known
 from curlfit.inference.priors import Prior
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
-
-
-class _Fitted(NamedTuple):
-    """A candidate, with its fit and the log-likelihood of each channel where there is one."""
-
-    candidate: Candidate
-    result: FitResult | None = None
-    likelihood: Mapping[str, float] = {}
 
 
 def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[Law], str]]:
@@ -79,15 +66,16 @@ def compare(
     priors: Mapping[str, str | Prior] | None = None,
     start: Mapping[str, float] | None = None,
     loss: str = "linear",
-    noise: str = "white",
+    noise: str | Sequence[str] = "white",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Comparison:
-    """Fit each law to a throw and rank them by BIC.
+    """Fit each law to a throw, under each noise model, and rank the fits by BIC.
 
     Parameters
     ----------
-    throw, stone, since, until, exclude, swept, loss, noise : as in `fit`; noise is estimated for
-        each law anew.
+    throw, stone, since, until, exclude, swept, loss : as in `fit`.
+    noise : a noise model as in `fit`, or several, as a sequence or with commas between; estimated
+        for each law anew.
     laws : names or classes; where not given, curlfit's own but those that approximate another.
     load : "uniform", "consistent" or "both".
     fix, bounds, free, priors, start : as in `fit`, for those of the laws that have such a
@@ -107,18 +95,19 @@ def compare(
     'front-back, uniform load'
     """
     todo = plan(laws, load)
+    fits = [(law, one_load, kind) for kind in noise_models(noise, loss) for law, one_load in todo]
     options: dict[str, Mapping[str, Any]] = {
         "fix": fix or {}, "bounds": bounds or {}, "start": start or {},
         "free": dict.fromkeys(free, True), "priors": priors or {},
     }  # fmt: skip
     require_known([law for law, _ in todo], options)
-    found: list[_Fitted] = []
-    for done, (law, one_load) in enumerate(todo):
+    found: list[Fitted] = []
+    for done, (law, one_load, kind) in enumerate(fits):
         if progress is not None:
-            progress(law.name, done, len(todo))
+            progress(law.name, done, len(fits))
         choices: dict[str, Any] = {
             "load": one_load, "stone": stone, "since": since, "until": until, "exclude": exclude,
-            "swept": swept, "unbounded": unbounded, "loss": loss, "noise": noise,
+            "swept": swept, "unbounded": unbounded, "loss": loss, "noise": kind,
             "systematics": {ALL: 0.0}, **options_of(law, options),
         }  # fmt: skip
         one = _fitted(throw, law, choices, signs_free=False)
@@ -132,24 +121,25 @@ def compare(
             if again.candidate.negative:
                 found.append(again)
     if progress is not None:
-        progress("", len(todo), len(todo))
-    return _ranked(found)
+        progress("", len(fits), len(fits))
+    return ranked(found)
 
 
-def _fitted(throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free: bool) -> _Fitted:
+def _fitted(throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free: bool) -> Fitted:
     load = "-" if issubclass(law, NetLaw) else choices["load"]
     blank = Candidate(
-        law=law.name, load=load, isotropic=opposes_sliding(law), signs_free=signs_free, status=""
-    )
+        law=law.name, load=load, isotropic=opposes_sliding(law), signs_free=signs_free, status="",
+        noise=choices["noise"],
+    )  # fmt: skip
     try:
         result = fit(throw, law, **choices)
     except UnusableFitError as error:
-        return _Fitted(replace(blank, status=str(error)))
+        return Fitted(replace(blank, status=str(error)))
     coefficients = result.coefficients
     signed = {item.name for item in law.coefficients() if item.signed}
     explained, follows = adequacy(result)
     likelihood = log_likelihood(result)
-    return _Fitted(
+    return Fitted(
         replace(
             blank,
             status=result.status,
@@ -167,9 +157,8 @@ def _fitted(throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free
                 {"expression": item.expression, "value": item.value, "stderr": item.stderr}
                 for item in result.combinations
             ),
-            n_parameters=effective_parameters(result)
-            + len(result.sigma)
-            + noise_parameters(result.noise),
+            noise_model=result.noise.as_dict(),
+            n_parameters=number_of_parameters(result),
             rms=result.rms,
             bulk=None if result.loss == "linear" else sizes(result, residuals_of(result)),
             curl_explained=explained,
@@ -211,70 +200,3 @@ def _needed_negative(result: FitResult, signed: set[str]) -> tuple[str, ...]:
 
 def _with_verdict(result: FitResult, verdict: str) -> tuple[str, ...]:
     return tuple(name for name, item in result.coefficients.items() if item.verdict == verdict)
-
-
-def _ranked(found: list[_Fitted]) -> Comparison:
-    fits = [one.result for one in found if one.result is not None]
-    if not fits:
-        raise UnusableFitError("; ".join(one.candidate.status for one in found))
-
-    def order(one: _Fitted) -> tuple[bool, bool, bool, float]:
-        item = one.candidate
-        # Differences below a tenth mean nothing: the order of the request is kept.
-        return item.bic is None, item.signs_free, not item.converged, round(item.bic or 0.0, 1)
-
-    # The count of values is that of the law that fits best, among those that may be ranked.
-    usable = [
-        one for one in found if one.candidate.converged and not one.candidate.signs_free
-    ] or found
-    best = max(usable, key=lambda one: one.candidate.log_likelihood or -math.inf).result or fits[0]
-    effective = effective_values(best)
-    found = [
-        one
-        if one.result is None
-        else one._replace(
-            candidate=with_criteria(one.candidate, one.result, one.likelihood, effective)
-        )
-        for one in found
-    ]
-    found = sorted(found, key=order)
-    ranked = [one.candidate for one in found if _counts(one.candidate)] or [found[0].candidate]
-    least = {name: min(getattr(item, name) for item in ranked) for name in ("aicc", "bic")}
-    evidences = [item.log_evidence for item in ranked if item.log_evidence is not None]
-    evidence = max(evidences, default=0.0)
-    total = sum(math.exp(one - evidence) for one in evidences)
-    candidates, rank = [], 0
-    for item in (one.candidate for one in found):
-        if item.bic is not None and item.aicc is not None:
-            item = replace(
-                item,
-                delta_aicc=item.aicc - least["aicc"],
-                delta_bic=item.bic - least["bic"],
-            )
-        if item.log_evidence is not None:
-            item = replace(item, delta_evidence=item.log_evidence - evidence)
-        if _counts(item):
-            rank += 1
-            item = replace(item, rank=rank)
-            if item.delta_evidence is not None:
-                item = replace(item, weight=math.exp(item.delta_evidence) / total)
-        candidates.append(item)
-    first = fits[0]
-    curl, side = bend(first)
-    return Comparison(
-        data=first.data,
-        stone=first.stone,
-        curl=curl,
-        side=side,
-        candidates=tuple(candidates),
-        observed={name: first.observed[name].tolist() for name in ("t", *PLACE)},
-        fits=tuple(one.result for one in found),
-        loss=first.loss,
-        noise=first.noise.kind,
-        effective=effective,
-    )
-
-
-def _counts(item: Candidate) -> bool:
-    """Whether a candidate is ranked."""
-    return item.bic is not None and item.converged and not item.signs_free

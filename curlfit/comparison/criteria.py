@@ -1,10 +1,15 @@
 """Information criteria: log-likelihoods, and the numbers of values and parameters that count.
 
-What the path determines counts, not what the law has: the effective number of parameters (see
-`evidence`), and one for each noise that was estimated. Where the residuals of the law that fits
-best are correlated from row to row, the log-likelihood of each channel counts by its effective
-number of values over the number of its rows (the variance inflation of QAICc: Burnham and Anderson
-2002, sect. 2.5), for all laws alike. That is an approximation, and the report says so.
+What the path determines counts, not what the law has or a prior says: the effective number of
+parameters (see `evidence`), and one for each parameter of the noise that was estimated. Likelihoods
+are densities of the data in SI units, those of correlated noise with the determinant of its
+covariance, so that AICc and BIC compare noise models as well as laws.
+
+Where the residuals of the fit of greatest likelihood are correlated from row to row, the
+log-likelihood of each channel counts by its effective number of values, less the parameters that
+this fit spends on it, over the number of its rows (quasi-likelihood, its variance inflation
+estimated with n - p degrees of freedom: Burnham and Anderson 2002, sect. 2.5), for all candidates
+alike. That is an approximation, and the report says so.
 
 Under a robust loss the likelihood is that of the noise which the loss stands for, at its likeliest
 sigma (see `losses.log_density`); all laws are fitted and ranked under the same.
@@ -12,10 +17,12 @@ sigma (see `losses.log_density`); all laws are fitted and ranked under the same.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
-from curlfit.comparison.evidence import log_evidence
+from curlfit.comparison.evidence import effective_parameters
 from curlfit.comparison.result import Candidate
 from curlfit.inference.likelihood import SIGMA_FLOOR
 
@@ -27,15 +34,35 @@ from curlfit.inference.fit.prepared import motion_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.noise.correlated import whitener_of
 from curlfit.inference.noise.losses import likeliest_sigma, log_density
-from curlfit.inference.noise.models import Noise
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS
 
 
-def noise_parameters(noise: Noise) -> int:
-    """Parameters of a noise model beside sigma: correlation times that differ, and sizes of the
-    discrepancy."""
-    return len(set(noise.memory.values())) + len(noise.sizes)
+class EffectiveValues(NamedTuple):
+    """What correlated residuals count, from the fit of greatest likelihood."""
+
+    number: dict[str, float]
+    """effective number of values of the channels whose residuals are correlated"""
+    spent: float
+    """parameters of the fit that each channel pays for"""
+
+    def weight(self, channel: str, rows: int) -> float:
+        """Of the log-likelihood of a channel."""
+        if channel not in self.number:
+            return 1.0
+        return max(self.number[channel] - self.spent, 1.0) / rows
+
+    def total(self, rows: Mapping[str, int]) -> float:
+        """Number of values of all channels."""
+        return sum(self.number.get(name, float(count)) for name, count in rows.items())
+
+
+def number_of_parameters(result: FitResult) -> float:
+    """Parameters that the data determine: of the law and the start, the sigmas that were estimated
+    and the noise model's own, which are correlation times that differ and sizes of a discrepancy."""
+    noise = result.noise
+    own = len(set(noise.memory.values())) + len(noise.sizes)
+    return effective_parameters(result) + len(result.sigma) + own
 
 
 def residuals_of(result: FitResult) -> dict[str, Floats]:
@@ -87,37 +114,34 @@ def _of_correlated(result: FitResult) -> dict[str, float]:
     return found
 
 
-def effective_values(result: FitResult) -> dict[str, float]:
+def effective_values(result: FitResult) -> EffectiveValues:
     """Effective number of values of the channels whose residuals are correlated from row to row.
 
     n (1 - r)/(1 + r) (Bayley and Hammersley 1946). A fit of p parameters to n rows makes the
     correlation r of neighbours smaller by (2 r + p (1 + r))/n (Marriott and Pope 1954, for a mean).
     """
-    found, p = {}, result.rank / len(result.rms)
+    found, p = {}, effective_parameters(result) / len(result.rms)
     for name, residual in residuals_of(result).items():
         item, n = result.independence.get(name), len(residual)
         if item is not None and item.doubtful and result.rms[name] > 10 * SIGMA_FLOOR:
             r = (item.lag1 + p / n) / (1 - (2 + p) / n)
             found[name] = max(n * (1 - r) / (1 + r), 1.0)
-    return found
+    return EffectiveValues(found, p)
 
 
 def with_criteria(
     candidate: Candidate,
     result: FitResult,
     likelihood: Mapping[str, float],
-    effective: Mapping[str, float],
+    effective: EffectiveValues,
 ) -> Candidate:
     """AICc (Hurvich and Tsai 1989) and BIC (Schwarz 1978) by the effective number of values, from
-    the log-likelihood of each channel; and the evidence, where all values are independent."""
+    the log-likelihood of each channel."""
     k, n = candidate.n_parameters or 0.0, result.n_observations
-    values = {name: len(residual) for name, residual in residuals_of(result).items()}
-    counted = {name: effective.get(name, float(values[name])) for name in values}
-    twice = 2 * sum(part * counted[name] / values[name] for name, part in likelihood.items())
+    rows = {name: len(residual) for name, residual in residuals_of(result).items()}
+    twice = 2 * sum(effective.weight(name, rows[name]) * part for name, part in likelihood.items())
     return replace(
         candidate,
         aicc=2 * k - twice + 2 * k * (k + 1) / max(n - k - 1, 1),
-        bic=k * float(np.log(sum(counted.values()))) - twice,
-        # A handful of effective values stands for the shape of no likelihood.
-        log_evidence=None if effective else log_evidence(result, twice / 2),
+        bic=k * math.log(effective.total(rows)) - twice,
     )

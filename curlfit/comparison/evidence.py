@@ -38,7 +38,9 @@ class _Gaussian(NamedTuple):
     precision: Floats
 
 
-class _PriorTerms(NamedTuple):
+class PriorTerms(NamedTuple):
+    """Prior of some parameters, normal where it is not flat."""
+
     mean: Floats
     precision: Floats
     """0 where the density is flat"""
@@ -55,7 +57,7 @@ def log_evidence(result: FitResult, log_likelihood: float) -> float:
         np.array([getattr(result.parameters[name], end) for name in names])
         for end in ("lower", "upper")
     )
-    prior, (information, gradient) = _prior(result, names), _of_data(result, names)
+    prior, (information, gradient) = prior_terms(result, names), _of_data(result, names)
     off = prior.mean - values
     whole = _Gaussian(
         log_likelihood + prior.log_density - 0.5 * float(off @ (prior.precision * off)),
@@ -74,13 +76,14 @@ def effective_parameters(result: FitResult) -> float:
         index for index, name in enumerate(names) if result.parameters[name].verdict != "at bound"
     ]
     information = _of_data(result, names)[0][np.ix_(free, free)]
-    prior = _prior(result, names).precision[free]
+    prior = prior_terms(result, names).precision[free]
     size = np.sqrt(np.maximum(np.diag(information) + prior, 1e-300))
     scaled, own = information / np.outer(size, size), np.diag(prior / size**2)
     return float(np.trace(np.linalg.lstsq(scaled + own, scaled, rcond=1e-13)[0]))
 
 
-def _prior(result: FitResult, names: list[str]) -> _PriorTerms:
+def prior_terms(result: FitResult, names: list[str]) -> PriorTerms:
+    """That of parameters by name, as the module's text has it."""
     coefficients = {item.name: item for item in result.law_class.coefficients()}
     priors = result.parameter_set.priors
     mean, precision = np.zeros((2, len(names)))
@@ -100,7 +103,7 @@ def _prior(result: FitResult, names: list[str]) -> _PriorTerms:
         precision[index] = 1 / sd**2
         ends = (np.array([item.lower, item.upper]) - mean[index]) / sd
         log_density -= math.log(sd) + 0.5 * math.log(2 * math.pi) + _log_between(*ends)
-    return _PriorTerms(mean, precision, log_density)
+    return PriorTerms(mean, precision, log_density)
 
 
 def _size(item: Coefficient) -> float:

@@ -112,7 +112,8 @@ def _names_of(same: list[Candidate]) -> str:
     loads: dict[tuple[str, str], list[str]] = {}
     ranks: dict[tuple[str, str], list[str]] = {}
     for item in same:
-        law = item.law, ", any sign" if item.signs_free else ""
+        noise = "" if item.noise == "white" else f", {item.noise} noise"
+        law = item.law, (", any sign" if item.signs_free else "") + noise
         loads.setdefault(law, []).append(item.load)
         ranks.setdefault(law, []).extend([] if item.rank is None else [str(item.rank)])
     lines = []

@@ -17,9 +17,14 @@ if TYPE_CHECKING:
     from curlfit.comparison.result import Candidate, Comparison
 
 
+_NEIGHBOURS = (
+    "leave-one-out, which predicts a row of correlated noise from its neighbours, whatever the law."
+)
 _PROBABLE = 0.01  # weight of a law that is named
 _FIRST = 3  # laws named in a line
 _WARNING = "Warning: "
+_ELPD = 4.0  # below which differences and their errors tell nothing (Sivula, Magnusson, Matamoros
+# and Vehtari 2020, Uncertainty in Bayesian leave-one-out)
 
 
 def print_comparison(comparison: Comparison, console: Console | None = None) -> None:
@@ -66,7 +71,7 @@ def _heading(comparison: Comparison) -> Text:
     data, stone = comparison.data, comparison.stone
     text = Text()
     loss = "" if comparison.loss == "linear" else f", {comparison.loss} loss"
-    noise = "" if comparison.noise == "white" else f", {comparison.noise} noise"
+    noise = "" if comparison.noise == "white" else f", {join_words(list(comparison.noises))} noise"
     text.append(f"{len(comparison.candidates)} fits to {data['file']}{loss}{noise}\n", style="bold")
     text.append(
         f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s; stone R = {stone.R:g} m, "
@@ -80,20 +85,17 @@ def _heading(comparison: Comparison) -> Text:
 
 
 def _ranks(comparison: Comparison) -> RenderableType:
-    table = plain_table(keys=3)
+    several = len(comparison.noises) > 1
+    table = plain_table(keys=4 if several else 3)
     table.add_column("", justify="right", no_wrap=True)
-    table.add_column("law", no_wrap=True)
-    table.add_column("load", no_wrap=True)
+    for head in ("law", "load", *["noise"] * several):
+        table.add_column(head, no_wrap=True)
     with_evidence = any(item.log_evidence is not None for item in comparison.candidates)
+    with_elpd = any(item.delta_elpd is not None for item in comparison.candidates)
     right = (
-        "k",
-        "dBIC",
-        "dlnZ" if with_evidence else "dAICc",
-        "x (mm)",
-        "y (mm)",
-        "phi (mrad)",
-        "curl",
-    )
+        "k", "dBIC", "dlnZ" if with_evidence else "dAICc", *["delpd"] * with_elpd,
+        "x (mm)", "y (mm)", "phi (mrad)", "curl",
+    )  # fmt: skip
     for head in right:
         table.add_column(head, justify="right", no_wrap=True)
     table.add_column("follows", no_wrap=True)
@@ -104,16 +106,20 @@ def _ranks(comparison: Comparison) -> RenderableType:
         if item.signs_free:
             name.append(" any sign", style="dim")
         if item.rms is None:
-            table.add_row(rank, name, item.load, *[""] * len(right), Text("no fit", style="red"))
+            empty = [""] * len(right)
+            keys = (item.load, *[item.noise] * several)
+            table.add_row(rank, name, *keys, *empty, Text("no fit", style="red"))
             continue
         size = item.residual_size
         table.add_row(
             rank,
             name,
             item.load,
+            *[item.noise] * several,
             "" if item.n_parameters is None else f"{item.n_parameters:.3g}",
             _difference(item.delta_bic),
             _difference(item.delta_evidence if with_evidence else item.delta_aicc),
+            *[_with_error(item)] * with_elpd,
             *(f"{1000 * size[c]:.3g}" if c in size else "" for c in ("x", "y", "phi")),
             "" if item.curl_explained is None else _share(item.curl_explained),
             _FOLLOWS[item.follows],
@@ -122,10 +128,21 @@ def _ranks(comparison: Comparison) -> RenderableType:
     measure, by = "rms", ""
     if comparison.loss != "linear":
         measure = "size of the bulk"
-        by = f" BIC and AICc are of noise as the {comparison.loss} loss has it."
+        by = (
+            f" BIC and AICc are of noise as the {comparison.loss} loss has it, for which leave-one-"
+            "out has no closed form."
+        )
+    elif with_evidence and comparison.noise != "white":
+        by = f" There is no {_NEIGHBOURS}"
+    criteria = "dlnZ: log evidence less the largest; " if with_evidence else ""
+    if with_elpd:
+        criteria += (
+            "delpd: expected log predictive density of leave-one-out (elpd_loo) less the largest, "
+            "with the standard error of that in its last two digits; "
+        )
     note = Text(
-        "k: what is determined, with noises; dlnZ: log evidence less the largest, where residuals "
-        f"are independent; x, y, phi: {measure} of the residuals; curl: share of the bend "
+        "k: parameters that the data determine, with those of the noise; "
+        f"{criteria}x, y, phi: {measure} of the residuals; curl: share of the bend "
         "explained; ccw curls: ways the law can bend a counter-clockwise throw. A law follows the "
         "path where no residual is above a tenth of the departure from straight, even "
         f"motion, or above the noise.{by}",
@@ -141,6 +158,13 @@ _FOLLOWS = {
 
 def _difference(value: float | None) -> str:
     return "" if value is None else f"{value:.1f}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def _with_error(item: Candidate) -> str:
+    """delpd, with its standard error in its last two digits."""
+    if not item.delta_elpd_se:
+        return _difference(item.delta_elpd)
+    return compact(item.delta_elpd or 0.0, item.delta_elpd_se)
 
 
 def _share(value: float) -> str:
@@ -206,6 +230,10 @@ def conclusions(comparison: Comparison) -> list[str]:
             )
     if weights := [item for item in within if item.weight is not None]:
         lines.append(_about_evidence(weights))
+    if predicted := [item for item in within if item.rank and item.delta_elpd is not None]:
+        lines.append(_about_predictions(predicted))
+    if len(comparison.noises) > 1:
+        lines.append(_about_noise(comparison))
     if comparison.effective:
         lines.append(_about_correlation(comparison))
     return lines
@@ -219,6 +247,43 @@ def _about_evidence(ranked: list[Candidate]) -> str:
     return (
         f"By their evidence, with equal probabilities of the {len(ranked)} before, {said}. That is "
         "among these laws alone, and none of them may be right."
+    )
+
+
+def _about_predictions(ranked: list[Candidate]) -> str:
+    """Which laws leave-one-out does not tell from the best."""
+    best, *others = sorted(ranked, key=lambda item: -(item.delta_elpd or 0.0))
+    same = [
+        item.label
+        for item in others
+        if -(item.delta_elpd or 0.0) < max(_ELPD, 2 * (item.delta_elpd_se or 0.0))
+    ]
+    if not others:
+        return f"By leave-one-out the expected log predictive density is {best.elpd_loo:.1f}."
+    apart = f"{_ELPD:g} or two standard errors"
+    if not same:
+        return (
+            f"By leave-one-out {best.label} predicts best: all others are lower by more than "
+            f"{apart}."
+        )
+    return (
+        f"Leave-one-out does not tell {best.label} from {'; '.join(same)}: less than {apart} apart."
+    )
+
+
+def _about_noise(comparison: Comparison) -> str:
+    """Which noise model the best fit has, and how far the best fits of the others are from it."""
+    best = comparison.best
+    others = []
+    for name in comparison.noises:
+        own = [item for item in comparison.candidates if item.noise == name and item.rank]
+        if own and name != best.noise:
+            others.append(f"that of {name} noise is {_difference(own[0].delta_bic)} higher")
+    return (
+        f"By BIC the noise is {best.noise} ({best.label})"
+        + (f"; the least BIC {join_words(others)}." if others else ".")
+        + " There is no evidence, since the parameters of the noise have no prior, and no "
+        + _NEIGHBOURS
     )
 
 
@@ -236,7 +301,13 @@ def _about_correlation(comparison: Comparison) -> str:
     return (
         f"{_WARNING}the ranking is not reliable. Even the law that fits best leaves residuals that "
         f"are correlated from row to row. dBIC and dAICc count effective values ({worth}) and are "
-        "approximate; correlated noise alone can put a wrong law first."
+        "approximate; correlated noise alone can put a wrong law first. "
+        + (
+            ""
+            if len(comparison.noises) > 1
+            else f"There is no evidence and no {_NEIGHBOURS} --noise white,ar1 compares noise "
+            "models."
+        )
     )
 
 

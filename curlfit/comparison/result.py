@@ -19,7 +19,7 @@ PLACE = ("x", "y", "phi")
 
 @dataclass(frozen=True)
 class Candidate:
-    """One law under one load, as fitted.
+    """One law under one load and one noise model, as fitted.
 
     Attributes
     ----------
@@ -29,7 +29,9 @@ class Candidate:
     status, converged : of the fit; all that follows is None or empty where there is none.
     coefficients : by name, {"value", "stderr", "verdict", "unit"}; see `FitResult`.
     combinations : expression and value, where single coefficients are not identifiable.
-    n_parameters : effective number (see `curlfit.comparison.evidence`), with noises estimated.
+    noise, noise_model : the noise model's name, and its parameters as in `fit.json`.
+    n_parameters : effective number (see `curlfit.comparison.evidence`), with those of the noise
+        that were estimated.
     rms : by channel, m, m, rad. bulk : the same of the bulk of the residuals (1.4826 times their
         median size), under a robust loss.
     curl_explained : share of the path's curl that the law gives, 1 at best; None where the path
@@ -39,9 +41,14 @@ class Candidate:
     log_likelihood : of noise as the noise model and the loss have it.
     aicc, bic : the same, by the effective number of values (see `Comparison.effective`).
     log_evidence : of the likelihood averaged over the prior, up to a constant common to all; None
-        where residuals are correlated from row to row.
+        where residuals are correlated from row to row, or between noise models.
+    elpd_loo, elpd_loo_se, p_loo : expected log predictive density of leave-one-out, its standard
+        error, and its effective number of parameters (see `curlfit.comparison.cross_validation`);
+        None where residuals are correlated from row to row, under a robust loss and for other
+        noise than white.
     delta_aicc, delta_bic : above the best of the ranked candidates. delta_evidence : log evidence
-        below the largest of these.
+        below the largest of these. delta_elpd, delta_elpd_se : elpd_loo less the largest of these,
+        and the standard error of that difference, from the differences by row.
     weight : probability of the law by its evidence, if the ranked candidates had equal ones before;
         None if not ranked.
     rank : place by BIC among the candidates within their laws' bounds, from 1; None if not ranked.
@@ -72,6 +79,11 @@ class Candidate:
     delta_bic: float | None = None
     log_evidence: float | None = None
     delta_evidence: float | None = None
+    elpd_loo: float | None = None
+    elpd_loo_se: float | None = None
+    p_loo: float | None = None
+    delta_elpd: float | None = None
+    delta_elpd_se: float | None = None
     weight: float | None = None
     rank: int | None = None
     sides: tuple[str, ...] = ()
@@ -80,12 +92,15 @@ class Candidate:
     not_identifiable: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     fitted: dict[str, list[float]] | None = None
+    noise: str = "white"
+    noise_model: dict[str, Any] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
-        """Law and load in a few words."""
+        """Law, load and noise in a few words."""
         load = "" if self.load == "-" else f", {self.load} load"
-        return f"{self.law}{load}{', any sign' if self.signs_free else ''}"
+        noise = "" if self.noise == "white" else f", {self.noise} noise"
+        return f"{self.law}{load}{', any sign' if self.signs_free else ''}{noise}"
 
     @property
     def residual_size(self) -> dict[str, float]:
@@ -99,9 +114,9 @@ class Comparison(Displayed):
 
     `data` says what was fitted; `curl` is the path's sideways departure from a straight line in m
     (rms), with the `side` to which it bends seen along the motion. `observed` holds t, x, y, phi.
-    `loss` is how large residuals counted, `noise` the noise model. `effective` is the effective
-    number of values by channel where the residuals of the law that fits best are correlated from
-    row to row; else empty.
+    `loss` is how large residuals counted, `noise` the noise models, with commas between several.
+    `effective` is the effective number of values by channel where the residuals of the fit of
+    greatest likelihood are correlated from row to row; else empty.
     `fits` are the full results in the order of the candidates, and empty when read from a file.
 
     Examples
@@ -131,12 +146,26 @@ class Comparison(Displayed):
         """The first in rank."""
         return self.candidates[0]
 
-    def of(self, law: str, load: str = "uniform", *, signs_free: bool = False) -> Candidate:
-        """The candidate of a law. Raises KeyError if there is none."""
+    @property
+    def noises(self) -> tuple[str, ...]:
+        """Names of the noise models."""
+        return tuple(self.noise.split(","))
+
+    def of(
+        self,
+        law: str,
+        load: str = "uniform",
+        *,
+        signs_free: bool = False,
+        noise: str | None = None,
+    ) -> Candidate:
+        """The candidate of a law, of several noise models the first in rank unless one is named.
+        Raises KeyError if there is none."""
         for item in self.candidates:
-            if (item.law, item.signs_free) == (law, signs_free) and item.load in (load, "-"):
+            same = (item.law, item.signs_free) == (law, signs_free) and item.load in (load, "-")
+            if same and noise in (None, item.noise):
                 return item
-        raise KeyError(f"{law}, {load}")
+        raise KeyError(f"{law}, {load}" + (f", {noise}" if noise else ""))
 
     def to_frame(self) -> Any:
         """The candidates as a pandas DataFrame, a row for each, best first; sizes in m and rad.
@@ -197,7 +226,8 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
             side=found["side"],
             candidates=tuple(
                 Candidate(
-                    **known_fields(Candidate, item)
+                    **{"noise": found.get("noise", "white")}
+                    | known_fields(Candidate, item)
                     | {name: tuple(item.get(name, ())) for name in tuples}
                 )
                 for item in found["candidates"]

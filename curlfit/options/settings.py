@@ -212,9 +212,16 @@ def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
         time = settings.get(key, 0.0)
         if isinstance(time, bool) or not isinstance(time, int | float) or not math.isfinite(time):
             raise InputError(f"{origin}: {key} = {time!r}; expected a time in s")
-    for key in ("law", "load", "loss", "noise", "format", "axes", "units", "reference"):
+    for key in ("law", "load", "loss", "format", "axes", "units", "reference"):
         if not isinstance(settings.get(key, ""), str):
             raise InputError(f"{origin}: {key} = {settings[key]!r}; expected a text in quotes")
+    noise = settings.get("noise", "")
+    if not isinstance(noise, str) and not (
+        isinstance(noise, list) and all(isinstance(name, str) for name in noise)
+    ):
+        raise InputError(
+            f"{origin}: noise = {noise!r}; expected a text in quotes, for `compare` also a list"
+        )
     for key in ("stone_index", "shot"):
         value = settings.get(key, 1)
         if isinstance(value, bool) or not isinstance(value, int):

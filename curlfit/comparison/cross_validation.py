@@ -1,0 +1,227 @@
+"""Leave-one-out cross-validation: how well a law predicts rows that it was not fitted to.
+
+Score. The expected log pointwise predictive density, elpd_loo = sum_i log p(y_i | y_-i), its
+standard error and the effective number of parameters p_loo = sum_i [log p(y_i | y) - log p(y_i |
+y_-i)] are those of Vehtari, Gelman and Gabry (2017, Statistics and Computing 27, 1413), eqs. 4, 23
+and 24. A point i is a row, with all channels that were measured in it. Priors are those of the
+evidence (`curlfit.comparison.evidence`).
+
+Closed form. With the path linear in the parameters within their errors, no row has to be left out
+in fact. For residuals e in units of their sigma and the hat matrix H of all rows,
+
+    e_-i = (I - H_ii)^-1 e_i,    cov(e_-i) = (I - H_ii)^-1
+
+are the residual of a row from the fit to all others and its covariance (Cook and Weisberg 1982,
+sect. 2.2). Where sigma is estimated, the density is Student's t of n_c - p_c degrees of freedom in
+channel c, p_c the sum of the leverages of its values, and sigma is that without the row. What a
+bound cuts off the density of a parameter that is pushed against it stands as a normal factor of the
+same mean and variance (expectation propagation: Minka 2001).
+
+Where there is none. If residuals are correlated from row to row, a row is predicted from its
+neighbours, whatever the law; a robust loss has no closed form; and a row that alone determines a
+parameter is not predicted by the others at all.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import log_ndtr
+from scipy.stats import norm
+from scipy.stats import t as student_t
+
+from curlfit.comparison.evidence import prior_terms
+from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.result import FitResult
+from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.compiled import stacked
+from curlfit.throws.throw import CHANNELS
+
+_STEP = 0.1  # standard errors of a parameter with all others known, for derivatives
+_NULL = 1e-13  # of the largest singular value
+_HARD = 50.0  # standard deviations by which a parameter is pushed against its bound
+_ALONE = 1e-9  # 1 less the leverage of a row, beneath which it alone determines a parameter
+
+
+class LeaveOneOut(NamedTuple):
+    """Log predictive densities by row, in SI units."""
+
+    left_out: Floats
+    """log p(y_i | y_-i), shape (rows,)"""
+    fitted: Floats
+    """log p(y_i | y), of the same shape"""
+
+    @property
+    def elpd(self) -> float:
+        """Expected log pointwise predictive density."""
+        return float(self.left_out.sum())
+
+    @property
+    def p_loo(self) -> float:
+        """Effective number of parameters."""
+        return float((self.fitted - self.left_out).sum())
+
+    @property
+    def stderr(self) -> float:
+        """Standard error of `elpd`."""
+        return standard_error(self.left_out)
+
+
+def standard_error(pointwise: Floats) -> float:
+    """Of a sum over rows, from their scatter; 0 for a single row."""
+    n = len(pointwise)
+    return float(np.sqrt(n * pointwise.var(ddof=1))) if n > 1 else 0.0
+
+
+def leave_one_out(result: FitResult) -> LeaveOneOut | None:
+    """Cross-validation of a fit; None under a robust loss or correlated noise, where a row alone
+    determines a parameter, and where the law admits no motion beside the fit."""
+    if result.loss != "linear" or result.noise.kind != "white":
+        return None
+    free = result.information["names"]
+    problem, origin = problem_of(result)
+    n, channels = len(result.observed["t"]), problem.observed.shape[0]
+    weight = problem.weight[:, :n]
+    there = weight > 0
+    index = [result.parameter_set.index(name) for name in free]
+    values = result.values - origin.offset(len(result.values))
+    known = np.sqrt(np.diag(np.array(result.information["matrix"])))
+    steps = [
+        _STEP / max(size, 1 / result.parameters[name].typical)
+        for name, size in zip(free, known, strict=True)
+    ]
+    inward = _inward(result, free)
+    moved = np.tile(values, (1 + 2 * len(free), 1))
+    for row, (place, step) in enumerate(zip(index, steps, strict=True)):
+        moved[1 + 2 * row, place] += (1 + inward[row]) * step
+        moved[2 + 2 * row, place] -= (1 - inward[row]) * step
+    paths = predict_many(result.model, moved, stacked([problem] * len(moved)), batch=1)
+    paths = paths[:, :channels, :n] * weight
+    slopes = (paths[1::2] - paths[2::2]) / (2 * np.reshape(steps, (-1, 1, 1)))
+    residual = np.where(there, problem.observed[:, :n] * weight - paths[0], 0.0)
+    jacobian = np.moveaxis(np.where(there, slopes, 0.0), 0, -1)
+    if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
+        return None
+    prior = prior_terms(result, free)
+    away = prior.mean - np.array([result.parameters[name].value for name in free])
+    design = jacobian.reshape(-1, len(free))
+    factors = _bound_factors(
+        design.T @ design + np.diag(prior.precision),
+        design.T @ residual.ravel() + prior.precision * away, inward,
+    )  # fmt: skip
+    roots = np.sqrt(np.stack([prior.precision, factors.precision]))
+    return densities(
+        residual, jacobian, weight, (roots[..., None] * np.eye(len(free))).reshape(-1, len(free)),
+        (roots * np.stack([away, factors.mean])).ravel(),
+        np.array([name in result.sigma for name in CHANNELS[:channels]]),
+    )  # fmt: skip
+
+
+def _inward(result: FitResult, names: list[str]) -> Floats:
+    """Of each parameter the sign in which it leaves the bound that it is at; 0 at none."""
+    found = np.zeros(len(names))
+    for row, name in enumerate(names):
+        item = result.parameters[name]
+        if item.verdict == "at bound":
+            found[row] = 1.0 if item.value - item.lower < item.upper - item.value else -1.0
+    return found
+
+
+class _Factors(NamedTuple):
+    """Normal factors of a density, of each parameter less its estimate."""
+
+    mean: Floats
+    precision: Floats
+    """0 where there is none"""
+
+
+def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> _Factors:
+    """What takes the place of the bounds of parameters that are at them.
+
+    With all others integrated out, the density of the distance d from the bound is exp(-push d -
+    s d^2/2), d > 0: with a = push/sqrt(s) and l = phi(a)/Phi(-a) its mean is (l - a)/sqrt(s), its
+    variance (1 - l (l - a))/s.
+
+    Parameters
+    ----------
+    precision, gradient : of the log-posterior, by the parameters.
+    inward : see `_inward`.
+    """
+    found = _Factors(np.zeros(len(inward)), np.zeros(len(inward)))
+    size = np.sqrt(np.maximum(np.diag(precision), 1e-300))
+    scaled, slope = precision / np.outer(size, size), gradient / size
+    inner = inward == 0
+    for row in np.flatnonzero(inward):
+        gain = np.linalg.lstsq(scaled[np.ix_(inner, inner)], scaled[inner, row], rcond=_NULL)[0]
+        stiffness = max(float(1 - gain @ scaled[inner, row]), _ALONE)
+        push = max(-inward[row] * float(slope[row] - gain @ slope[inner]), 0.0)
+        a = push / np.sqrt(stiffness)
+        ratio = np.exp(norm.logpdf(a) - log_ndtr(-a))
+        mean, variance = (ratio - a) / np.sqrt(stiffness), (1 - ratio * (ratio - a)) / stiffness
+        if a > _HARD:  # an exponential density, without the rounding of ratio - a
+            mean, variance = 1 / push, 1 / push**2
+        extra = 1 / variance - stiffness
+        found.precision[row] = extra * size[row] ** 2
+        found.mean[row] = inward[row] * (mean / variance + push) / extra / size[row]
+    return found
+
+
+def densities(
+    residual: Floats, jacobian: Floats, weight: Floats,
+    prior_rows: Floats, prior_residual: Floats, estimated: Booleans,
+) -> LeaveOneOut | None:  # fmt: skip
+    """Log predictive densities in a linear model; None where a row alone determines a parameter.
+
+    Parameters
+    ----------
+    residual, jacobian : data less model over sigma, and the derivative of the model over sigma by
+        the parameters; shapes (channels, n) and (channels, n, parameters), 0 where not observed.
+    weight : 1/sigma, 0 where not observed, shape (channels, n).
+    prior_rows, prior_residual : the same of the prior, shapes (rows, parameters) and (rows,).
+    estimated : channels whose sigma is estimated.
+    """
+    channels, n, count = jacobian.shape
+    there = weight > 0
+    # Orthonormal columns: with these J^T J without a row is 1 - Q_i^T Q_i.
+    design = np.concatenate([jacobian.reshape(-1, count), prior_rows])
+    size = np.sqrt((design**2).sum(0))
+    left, singular, _ = np.linalg.svd(design / np.where(size > 0, size, 1.0), full_matrices=False)
+    basis = left[:, singular > _NULL * singular.max(initial=0.0)]
+    away = np.concatenate([residual.ravel(), prior_residual])
+    e = (away - basis @ (basis.T @ away))[: channels * n].reshape(channels, n)
+    q = basis[: channels * n].reshape(channels, n, -1)
+    hat = np.einsum("cik,dik->icd", q, q)
+    left_over = np.eye(channels) - hat
+    if np.linalg.eigvalsh(left_over).min() < _ALONE:
+        return None
+    covariance = np.linalg.inv(left_over)
+    e_out = np.einsum("icd,di->ci", covariance, e)
+    # Without row i the parameters change by -Q_i^T e_-i, and the sum of squares of a channel with
+    # them.
+    change = np.einsum("cik,ci->ik", q, e_out)
+    gradient = np.einsum("cik,ci->ck", q, e)
+    information = np.einsum("cik,cil->ckl", q, q)
+    squares = (e**2).sum(1)
+    others = squares[:, None] + 2 * gradient @ change.T - e_out**2
+    others += np.einsum("ik,ckl,il->ci", change, information, change)
+    spent = np.einsum("icc->c", hat)
+    floor = (SIGMA_FLOOR * weight.max(1, initial=0.0)) ** 2
+
+    def log_density(off: Floats, cov: Floats, squares: Floats, dof: Floats) -> Floats:
+        dof = np.maximum(dof, 1.0)
+        scale = np.sqrt(np.where(estimated, np.maximum(squares / dof, floor), 1.0))
+        lower = np.linalg.cholesky(cov)
+        u = np.linalg.solve(lower, off.T[..., None])[..., 0] / scale
+        found = np.where(estimated, student_t.logpdf(u, dof), norm.logpdf(u))
+        found -= np.log(scale * np.diagonal(lower, axis1=1, axis2=2))
+        logs = np.log(np.where(there, weight, 1.0)).T
+        return np.where(there.T, found + logs, 0.0).sum(1)
+
+    dof = there.sum(1) - spent
+    seen = there.any(0)
+    return LeaveOneOut(
+        log_density(e_out, covariance, others.T, dof - 1)[seen],
+        log_density(e, np.eye(channels) + hat, squares, dof)[seen],
+    )

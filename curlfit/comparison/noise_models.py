@@ -1,0 +1,20 @@
+"""Which noise models are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from curlfit.errors import InputError
+from curlfit.inference.noise.models import NOISES, check_noise
+
+
+def noise_models(noise: str | Sequence[str], loss: str = "linear") -> tuple[str, ...]:
+    """Names of noise models, given as a sequence or with commas between; each comes once.
+
+    Raises `InputError` where one is unknown or the loss does not admit it, or there is none.
+    """
+    names = noise.split(",") if isinstance(noise, str) else noise
+    found = tuple(dict.fromkeys(name.strip() for name in names))
+    if not found:
+        raise InputError(f"noise = []: expected one or several of {', '.join(NOISES)}")
+    return tuple(check_noise(name, loss) for name in found)

@@ -1,0 +1,169 @@
+"""Leave-one-out in closed form, against fits without the row and exact integrals.
+
+Against importance sampling of chains: `tests/statistics/test_samplers.py`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import gammaln
+from scipy.stats import expon, multivariate_normal, norm, truncnorm
+
+import curlfit
+from curlfit.comparison.cross_validation import _bound_factors, densities, leave_one_out
+from curlfit.inference.fit.fit import fit_throws
+
+SIGMA = {"x": 0.005, "y": 0.005, "phi": 0.01}
+START = {"x0": "x", "y0": "y", "heading": "heading", "v0": "v", "phi0": "phi", "omega0": "omega"}
+
+
+@pytest.fixture(scope="module")
+def throw():
+    """31 rows, so that a row matters, five of them without x."""
+    made = curlfit.synthetic_throw(
+        curlfit.LAWS["coulomb"](0.009), curlfit.Stone(), v0=2.0, omega0=1.2, until=15.0, dt=0.5,
+        noise_xy=0.005, noise_phi=0.01, seed=3,
+    )  # fmt: skip
+    x = made.x.copy()
+    x[4:9] = np.nan
+    return curlfit.Throw.from_arrays(made.t, x, made.y, made.phi, sigma=SIGMA)
+
+
+@pytest.fixture(scope="module")
+def fit(throw):
+    return curlfit.fit(throw, "coulomb", systematics={"all": 0.0})
+
+
+def path_of(result, times):
+    """x, y, phi of a fit whose first row is at time 0, shape (rows, 3)."""
+    value = {name: item.value for name, item in result.parameters.items()}
+    return path(value, times)
+
+
+def path(value, times):
+    start = curlfit.InitialState(**{START[name]: value[name] for name in START})
+    found = curlfit.simulate(curlfit.LAWS["coulomb"](value["mu"]), curlfit.Stone(), start, times)
+    return np.stack([found.x, found.y, found.phi], -1)
+
+
+def test_the_closed_form_against_fits_without_the_row(throw, fit):
+    # The first row stays: where it is left out, the initial state is that of another time.
+    rows = range(1, len(throw))
+    cut = [
+        curlfit.Throw.from_arrays(
+            *(np.delete(series, row) for series in (throw.t, throw.x, throw.y, throw.phi)),
+            sigma=SIGMA,
+        )
+        for row in rows
+    ]
+    names, value = list(fit.parameters), {n: item.value for n, item in fit.parameters.items()}
+    slopes = []
+    for name in names:
+        step = fit.parameters[name].stderr
+        up, down = (path({**value, name: value[name] + s}, throw.t) for s in (step, -step))
+        slopes.append((up - down) / (2 * step))
+    slopes = np.moveaxis(slopes, 0, -1)
+    measured = np.stack([throw.x, throw.y, throw.phi], -1)
+
+    def log_predictive(other, row):
+        assert other.covariance["names"] == names
+        covariance = slopes[row] @ np.array(other.covariance["matrix"]) @ slopes[row].T
+        covariance += np.diag(np.square(list(SIGMA.values())))
+        off = measured[row] - path_of(other, throw.t)[row]
+        there = np.isfinite(off)
+        return multivariate_normal.logpdf(off[there], cov=covariance[np.ix_(there, there)])
+
+    found, others = leave_one_out(fit), fit_throws(cut, "coulomb")
+    expected = [log_predictive(*pair) for pair in zip(others, rows, strict=True)]
+    np.testing.assert_allclose(found.left_out[1:], expected, atol=2e-3)
+    fitted = [log_predictive(fit, row) for row in rows]
+    np.testing.assert_allclose(found.fitted[1:], fitted, atol=2e-3)
+
+
+def test_an_estimated_sigma_against_the_exact_integral():
+    """Of a regression p(y_i | y_-i) = p(y)/p(y_-i), with p(sigma) = 1/sigma."""
+    random = np.random.default_rng(0)
+    design, y = random.standard_normal((12, 3)), 0.3 * random.standard_normal(12)
+
+    def log_marginal(rows):
+        some, there = design[rows], y[rows]
+        _, squares, *_ = np.linalg.lstsq(some, there, rcond=None)
+        half = (len(there) - 3) / 2
+        spread = np.linalg.slogdet(some.T @ some)[1]
+        return gammaln(half) - spread / 2 - half * np.log(np.pi * squares[0])
+
+    whole = np.arange(12)
+    expected = [log_marginal(whole) - log_marginal(np.delete(whole, row)) for row in whole]
+    residual = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
+    found = densities(
+        2 * residual[None], 2 * design[None], np.full((1, 12), 2.0), np.zeros((0, 3)), np.zeros(0),
+        np.array([True]),
+    )  # fmt: skip
+    np.testing.assert_allclose(found.left_out, expected, rtol=1e-9)
+
+
+def test_a_prior_counts_as_a_row_that_is_never_left_out():
+    random = np.random.default_rng(1)
+    design, y = random.standard_normal((6, 2)), random.standard_normal(6)
+    sd, mean = np.array([0.3, 2.0]), np.array([0.1, -0.2])
+    # marginal of y, with the parameters integrated out
+    covariance = np.eye(6) + (design * sd**2) @ design.T
+    off = y - design @ mean
+    expected = []
+    for row in range(6):
+        rest = np.delete(np.arange(6), row)
+        gain = np.linalg.solve(covariance[np.ix_(rest, rest)], covariance[rest, row])
+        spread = covariance[row, row] - gain @ covariance[rest, row]
+        expected.append(norm.logpdf(off[row], gain @ off[rest], np.sqrt(spread)))
+    found = densities(
+        y[None], design[None], np.ones((1, 6)), np.diag(1 / sd), mean / sd, np.array([False])
+    )
+    np.testing.assert_allclose(found.left_out, expected, rtol=1e-9)
+
+
+def test_a_ridge_is_no_parameter(throw):
+    coulomb, pressure = curlfit.compare(throw, ["coulomb", "pressure"]).candidates
+    assert pressure.not_identifiable == ("k",)
+    assert pressure.elpd_loo == pytest.approx(coulomb.elpd_loo, abs=1e-4)
+    assert pressure.p_loo == pytest.approx(coulomb.p_loo, abs=1e-4)
+    assert pressure.delta_elpd_se == pytest.approx(0.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("push", [0.0, 0.7, 8.0, 49.0, 51.0, 1e6])
+@pytest.mark.parametrize("inward", [1.0, -1.0])
+def test_a_bound_has_the_mean_and_variance_of_what_it_leaves(push, inward):
+    precision, gradient = np.array([[5.0, 1.0], [1.0, 4.0]]), np.array([0.5, 0.0])
+    stiffness = 4.0 - 1 / 5
+    gradient[1] = 0.5 / 5 - inward * push * np.sqrt(stiffness)  # with the other integrated out
+    found = _bound_factors(precision, gradient, np.array([0.0, inward]))
+    assert (found.mean[0], found.precision[0]) == (0.0, 0.0)
+    whole = stiffness + found.precision[1]
+    mean = (found.precision[1] * found.mean[1] - inward * push * np.sqrt(stiffness)) / whole
+    left = expon(scale=1 / push) if push > 100 else truncnorm(push, np.inf, loc=-push)
+    assert inward * mean * np.sqrt(stiffness) == pytest.approx(left.mean(), rel=2e-3)
+    assert stiffness / whole == pytest.approx(left.var(), rel=5e-3)
+
+
+def test_a_row_that_alone_determines_a_parameter_is_not_predicted():
+    design = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 1.0]])[None]
+    none = np.zeros((0, 2)), np.zeros(0), np.array([False])
+    assert densities(np.zeros((1, 3)), design, np.ones((1, 3)), *none) is None
+    assert densities(
+        np.zeros((1, 3)), design[..., :1], np.ones((1, 3)), np.zeros((0, 1)), *none[1:]
+    )
+
+
+def test_differences_are_of_rows_and_there_is_none_where_a_row_tells_of_its_neighbours(throw, eq12):
+    found = curlfit.compare(throw, ["coulomb", "angular"])
+    one, other = (leave_one_out(found.fits[k]).left_out for k in (0, 1))
+    best = max(one.sum(), other.sum())
+    assert [item.delta_elpd for item in found.candidates] == pytest.approx(
+        [one.sum() - best, other.sum() - best]
+    )
+    assert max(item.delta_elpd_se for item in found.candidates) == pytest.approx(
+        np.sqrt(len(one)) * np.std(one - other, ddof=1)
+    )
+    smooth = curlfit.compare(eq12, ["coulomb"]).best
+    assert smooth.elpd_loo is smooth.delta_elpd is smooth.p_loo is None
+    assert leave_one_out(curlfit.fit(throw, "coulomb", loss="student")) is None

@@ -1,0 +1,171 @@
+"""Laws under several noise models in one comparison, and what priors count."""
+
+from __future__ import annotations
+
+import json
+from io import StringIO
+
+import numpy as np
+import pytest
+from rich.console import Console
+from scipy.stats import multivariate_normal
+
+import curlfit
+from curlfit.cli import main
+from curlfit.comparison.noise_models import noise_models
+from curlfit.comparison.report import conclusions, print_comparison
+from curlfit.comparison.result import load_comparison
+from curlfit.errors import InputError
+from curlfit.throws.synthetic import write_table
+
+MEMORY = 0.5
+SIGMA = {"x": 0.005, "y": 0.005, "phi": 0.01}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A throw whose noise forgets itself within half a second."""
+    folder, random = tmp_path_factory.mktemp("noise"), np.random.default_rng(2)
+    t = np.arange(0, 20.05, 0.1)
+    start = curlfit.InitialState(v=2.1, omega=1.3)
+    path = curlfit.simulate(curlfit.LAWS["coulomb"](0.009), curlfit.Stone(), start, t).to_numpy()
+    root = np.linalg.cholesky(np.exp(-np.abs(t[:, None] - t) / MEMORY))
+    noisy = [getattr(path, name) + SIGMA[name] * root @ random.standard_normal(201)
+             for name in SIGMA]  # fmt: skip
+    (folder / "a.csv").write_text(write_table(curlfit.Throw.from_arrays(t, *noisy)))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def found(folder):
+    return curlfit.compare(
+        curlfit.load_throw(folder / "a.csv"), ["coulomb"], noise=["white", "ar1", "white"]
+    )
+
+
+def test_likelihoods_of_noise_models_are_densities_of_the_data(found):
+    """With the determinant of the covariance, against a dense one."""
+    assert [item.noise for item in found.candidates] == ["ar1", "white"]
+    for item, result in zip(found.candidates, found.fits, strict=True):
+        total, t = 0.0, result.observed["t"]
+        for name in SIGMA:
+            off = result.observed[name] - result.fitted[name]
+            memory = item.noise_model["memory"].get(name, 1e-9)
+            correlation = np.exp(-np.abs(t[:, None] - t) / memory)
+            variance = off @ np.linalg.solve(correlation, off) / len(t)  # the most likely
+            total += multivariate_normal.logpdf(off, cov=variance * correlation)
+        assert item.log_likelihood == pytest.approx(total, abs=1e-6)
+
+
+def test_criteria_of_noise_models_are_comparable(found):
+    ar1, white = found.candidates
+    assert found.effective == {}  # of the fit of greatest likelihood
+    assert (ar1.rank, white.rank) == (1, 2)
+    assert ar1.n_parameters == pytest.approx(white.n_parameters + 3, abs=0.01)
+    n = found.fits[0].n_observations
+    expected = 2 * (ar1.log_likelihood - white.log_likelihood)
+    expected += (white.n_parameters - ar1.n_parameters) * np.log(n)
+    assert white.delta_bic == pytest.approx(expected, rel=1e-9)
+    assert white.delta_bic > 100
+    assert all(0.2 < memory < 1.2 for memory in ar1.noise_model["memory"].values())
+    assert ar1.log_evidence is white.log_evidence is ar1.elpd_loo is white.elpd_loo is None
+
+
+def test_independent_noise_is_not_taken_for_correlated():
+    throw = curlfit.synthetic_throw(
+        curlfit.LAWS["coulomb"](0.009), curlfit.Stone(), noise_xy=0.005, noise_phi=0.01, seed=5
+    )
+    white, ar1 = curlfit.compare(throw, ["coulomb"], noise="white,ar1").candidates
+    assert (white.noise, ar1.noise) == ("white", "ar1")
+    assert ar1.log_likelihood == pytest.approx(white.log_likelihood, abs=5)
+    assert ar1.delta_bic > 6
+
+
+def test_report_and_record_name_the_noise_of_each_fit(found, tmp_path):
+    console = Console(width=110, file=StringIO())
+    print_comparison(found, console)
+    said = console.file.getvalue()
+    assert "white and ar1 noise" in said.splitlines()[0]
+    assert "coulomb, uniform load, ar1 noise" in said
+    assert "By BIC the noise is ar1" in " ".join(conclusions(found))
+    found.save(tmp_path / "compare.json")
+    again = load_comparison(tmp_path)
+    assert again.to_json() == found.to_json()
+    assert again.noises == ("white", "ar1")
+    assert found.of("coulomb", noise="white").rank == 2
+    assert found.of("coulomb").noise == "ar1"
+    with pytest.raises(KeyError, match="discrepancy"):
+        found.of("coulomb", noise="discrepancy")
+    legend = curlfit.comparison_figure(found).axes[0].get_legend_handles_labels()[1]
+    assert legend[1] == "1. coulomb, uniform load, ar1 noise\n2. coulomb, uniform load (same path)"
+    # a record of one noise model, of a version that did not name it for each fit
+    record = json.loads((tmp_path / "compare.json").read_text()) | {"noise": "ar1"}
+    for item in record["candidates"]:
+        del item["noise"], item["noise_model"]
+    (tmp_path / "compare.json").write_text(json.dumps(record))
+    assert load_comparison(tmp_path).best.noise == "ar1"
+
+
+def test_noise_models_by_flag_and_in_a_configuration(typed, folder, capsys, monkeypatch):
+    only = ("a.csv", "--laws", "coulomb", "--no-figures")
+    (folder / "c.toml").write_text('noise = ["white", "ar1"]\n')
+    (folder / "n.toml").write_text("noise = 3\n")
+    for place, flags in enumerate((
+        ("--noise", "white,ar1"), ("--noise", "white", "--noise", "ar1"), ("--config", "c.toml")
+    )):  # fmt: skip
+        typed("compare", *only, *flags, "--out", place)
+        assert load_comparison(folder / str(place)).noises == ("white", "ar1")
+    typed("compare", *only, "--config", "c.toml", "--noise", "white", "--out", "flag")
+    assert load_comparison(folder / "flag").noises == ("white",)
+    for words, said in (
+        (("compare", *only, "--config", "n.toml"), "noise = 3; expected a text in quotes"),
+        (("fit", "a.csv", "--config", "c.toml"), "unknown noise ['white', 'ar1']"),
+    ):
+        monkeypatch.setattr("sys.argv", ["curlfit", *words])
+        with pytest.raises(SystemExit, match="2"):
+            main()
+        assert said in capsys.readouterr().err
+
+
+def test_noise_models_that_are_none_are_refused():
+    assert noise_models("white, ar1,white") == ("white", "ar1")
+    for wrong, what in (("white,pink", "pink"), ([], "expected one or several"), (",", "''")):
+        with pytest.raises(InputError, match=what):
+            noise_models(wrong)
+    with pytest.raises(InputError, match="cannot be combined"):
+        noise_models("white,ar1", "student")
+
+
+def test_correlated_residuals_count_effective_values_less_those_spent(folder):
+    found = curlfit.compare(curlfit.load_throw(folder / "a.csv"), ["coulomb"])
+    k, counts = found.best.n_parameters, found.effective
+    assert counts.keys() == SIGMA.keys()
+    # n (1 - r)/(1 + r) of the noise that was drawn
+    r = np.exp(-0.1 / MEMORY)
+    assert sum(counts.values()) == pytest.approx(3 * 201 * (1 - r) / (1 + r), rel=0.3)
+    minus_two = 0.0
+    for name, rms in found.best.rms.items():
+        spent = (k - 3) / 3  # a third of the parameters but the sigmas
+        minus_two += (np.log(2 * np.pi * rms**2) + 1) * (counts[name] - spent)
+    expected = minus_two + k * np.log(sum(counts.values()))
+    assert found.best.bic == pytest.approx(expected, rel=1e-9)
+    assert "There is no evidence" in " ".join(conclusions(found))
+
+
+def test_what_a_prior_says_is_not_counted_as_what_the_data_determine(folder):
+    throw = curlfit.load_throw(folder / "a.csv")
+    mu = 0.009
+    free, prior, fixed = (
+        curlfit.compare(throw, ["coulomb"], **choice)
+        for choice in ({}, {"priors": {"mu": f"{mu}+-1e-9"}}, {"fix": {"mu": mu}})
+    )
+    counts = [one.best.n_parameters for one in (free, prior, fixed)]
+    assert counts == pytest.approx([10, 9, 9], abs=1e-3)
+    # nor in the correction of the correlation of residuals for the parameters of the fit
+    assert prior.effective == pytest.approx(fixed.effective, rel=1e-4)
+    assert prior.best.bic == pytest.approx(fixed.best.bic, abs=1e-3)
+    assert prior.best.aicc == pytest.approx(fixed.best.aicc, abs=1e-3)
+    half = curlfit.compare(
+        throw, ["coulomb"], priors={"mu": f"{mu}+-{free.best.coefficients['mu']['stderr']}"}
+    )
+    assert half.best.n_parameters == pytest.approx(9.5, abs=0.1)

@@ -1,0 +1,86 @@
+"""How far a true law is behind the best of all laws, where noise is correlated from row to row.
+
+    python tests/statistics/laws.py THROWS
+
+writes the table "laws" of README.md beside this file. Throws under `coulomb` are drawn as in
+`errors.py`, fitted by all laws with independent and with AR(1) noise, and ranked by BIC as by
+`curlfit compare`, once among the fits of one noise model and once among all. Counted is how often
+the BIC of `coulomb` is at most 6 above the least: a difference beyond is strong evidence (Kass and
+Raftery 1995).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from itertools import chain
+
+import numpy as np
+from errors import Case, thrown
+from tables import head, put, row
+
+import curlfit
+from curlfit.comparison.compare import plan
+from curlfit.comparison.criteria import effective_values, log_likelihood, with_criteria
+from curlfit.comparison.criteria import number_of_parameters as parameters
+from curlfit.comparison.result import Candidate
+from curlfit.inference.fit.fit import fit_throws
+
+TRUE = "coulomb"
+MEMORIES = (0.3, 1.0, 0.0)
+NOISES = ("white", "ar1")
+STRONG = 6.0
+SEED = 1
+
+
+def delta_bic(fits: list[curlfit.FitResult]) -> dict[str, float]:
+    """Of the fits of some laws to one throw, by law, above the least."""
+    likelihoods = [log_likelihood(fit) for fit in fits]
+    best = max(range(len(fits)), key=lambda index: sum(likelihoods[index].values()))
+    effective = effective_values(fits[best])
+    found: dict[str, float] = {}
+    for fit, likelihood in zip(fits, likelihoods, strict=True):
+        blank = Candidate(fit.law, fit.load, False, False, "", n_parameters=parameters(fit))
+        bic = with_criteria(blank, fit, likelihood, effective).bic
+        found[fit.law] = min(bic, found.get(fit.law, np.inf))
+    return {law: bic - min(found.values()) for law, bic in found.items()}
+
+
+def main() -> None:
+    """Run the cases and write their table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("throws", type=int, help="of each correlation time")
+    number = parser.parse_args().throws
+    if number < 1:
+        parser.error("expected at least one throw")
+    lines = head("correlation time", "noise models", f"within {STRONG:g}", "first", "median",
+                 "95 %", "largest dBIC of the true law")  # fmt: skip
+    for memory in MEMORIES:
+        began, random = time.time(), np.random.default_rng(SEED)
+        case = Case("", TRUE, TRUE, memory)
+        throws = [thrown(case, random)[0] for _ in range(number)]
+        fits = {}
+        for noise in NOISES:
+            by_law = [fit_throws(throws, law, noise=noise) for law, _ in plan(None, "uniform")]
+            fits[noise] = list(zip(*by_law, strict=True))
+        for noises in (("white",), ("ar1",), NOISES):
+            behind = []
+            for each in zip(*(fits[noise] for noise in noises), strict=True):
+                usable = [fit for fit in chain(*each)
+                          if not isinstance(fit, Exception) and fit.converged]  # fmt: skip
+                behind.append(delta_bic(usable)[TRUE])
+            size = np.array(behind)
+            lines.append(
+                row([f"{memory:g} s" if memory else "independent", " and ".join(noises),
+                     f"{(size <= STRONG).sum()} of {number}", f"{(size < 0.05).sum()}",
+                     *(f"{one:.1f}" for one in np.quantile(size, [0.5, 0.95, 1.0]))])
+            )  # fmt: skip
+            print(lines[-1], f"({time.time() - began:.0f} s)", file=sys.stderr)
+    put("laws", "\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
