@@ -141,9 +141,9 @@ def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSqu
     """The only throw of some rounds, with all the starts there are."""
     (prepared,), model = rounds.throws, rounds.model
     parameters = prepared.local_parameters
-    (problem,) = unstacked(rounds.problems)
-    path = smooth(rounds.problems)
-    tries = starts(model, problem, path, parameters)
+    (problem,), (sketch,) = unstacked(rounds.problems), unstacked(rounds.sketches)
+    path = smooth(rounds.sketches)
+    tries = starts(model, sketch, path, parameters)
     if start:
         tries.insert(0, prepared.with_start(tries[0], start))
     solution, tried = multistart(model, tries, prepared.first_parameters, problem, path)
@@ -270,8 +270,8 @@ def _fitted_together(
     alone."""
     model, throws = rounds.model, rounds.throws
     _, lower, upper = local_bounds(throws)
-    paths = smooth(rounds.problems)
-    begin = start_values(model, rounds.problems, paths, lower, upper)
+    paths = smooth(rounds.sketches)
+    begin = start_values(model, rounds.sketches, paths, lower, upper)
     if start:
         begin = np.stack(
             [one.with_start(values, start) for one, values in zip(throws, begin, strict=True)]

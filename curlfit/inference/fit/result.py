@@ -24,6 +24,7 @@ from curlfit.inference.priors import parse_priors
 from curlfit.numerics.arrays import Floats
 from curlfit.output.files import json_safe, known_fields, load_record, write_json
 from curlfit.stone import Stone
+from curlfit.throws.events import Event
 from curlfit.throws.throw import CHANNELS, Reference, Throw
 
 SCHEMA = 1
@@ -166,6 +167,8 @@ class FitResult:
     sampling : "none", "unfinished" (begun, or to be begun) or "ended".
     systematics : errors by the conditions that the fit holds, such as level ice.
     chi_squared, prior_chi_squared : of the data, and of the priors.
+    events : measured times and places at lines and at rest, each as the attributes of
+        `curlfit.throws.events.Event`, with what the fit says, "fitted".
     """
 
     law: str
@@ -200,6 +203,7 @@ class FitResult:
     systematics: Systematics = field(default_factory=Systematics)
     chi_squared: float = math.nan
     prior_chi_squared: float = 0.0
+    events: tuple[dict[str, Any], ...] = ()
 
     @property
     def law_class(self) -> type[Law]:
@@ -250,6 +254,12 @@ class FitResult:
             sigma={name: series[f"sigma_{name}"] for name in CHANNELS if f"sigma_{name}" in series},
             name=self.data["file"],
             reference=self.reference,
+            events=tuple(Event(**known_fields(Event, item)) for item in self.events),
+            assumed={
+                item.name: self.parameters[item.name].value
+                for item in START
+                if self.events and self.parameters[item.name].verdict == "fixed"
+            },
         )
 
     def with_posterior(self, posterior: Posterior) -> FitResult:
@@ -279,6 +289,7 @@ class FitResult:
             "noise": self.noise.as_dict(),
             "independence": {name: asdict(item) for name, item in self.independence.items()},
             "outliers": list(self.outliers),
+            "events": list(self.events),
             "remedies": list(self.remedies),
             "parameters": {name: asdict(item) for name, item in self.parameters.items()},
             "combinations": [asdict(item) for item in self.combinations],
@@ -342,6 +353,7 @@ class FitResult:
                 for name, item in found.get("independence", {}).items()
             },
             outliers=tuple(found.get("outliers", ())),
+            events=tuple(found.get("events", ())),
             remedies=tuple(found.get("remedies", ())),
             reference_fits=tuple(found.get("reference_fits", ())),
             systematics=Systematics(**known_fields(Systematics, found.get("systematics", {}))),

@@ -90,7 +90,9 @@ def residual_changes(
 def _changed(problems: Problem, name: str, by: float) -> Problem:
     """Problems with a condition off by something."""
     if name == "time_scale":
-        return problems._replace(times=problems.times / (1 + by))
+        events = problems.events
+        events = None if events is None else events.with_clock(1 + by)
+        return problems._replace(times=problems.times / (1 + by), events=events)
     group = "stone" if name in STONE_UNITS else "environment"
     record = getattr(problems, group)
     values = {key: value + by * (key == name) for key, value in vars(record).items()}

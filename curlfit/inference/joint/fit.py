@@ -100,7 +100,7 @@ def fit_together(
         Layout(sets, shared) for sets in (local, [one.first_parameters for one in prepared])
     )
     initial = []
-    for one, parameters, problem in zip(prepared, local, unstacked(rounds.problems), strict=True):
+    for one, parameters, problem in zip(prepared, local, unstacked(rounds.sketches), strict=True):
         alone = stacked([problem])
         ends = parameters.lower[None], parameters.upper[None]
         (values,) = start_values(model, alone, smooth(alone), *ends, batch=1)
