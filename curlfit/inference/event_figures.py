@@ -36,7 +36,7 @@ def event_figure(fit: FitResult, name: str) -> Figure:
     name : of the throw, for the title.
     """
     figure = Picture(figsize=(10, 7.2), layout="constrained")
-    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 1.5))
+    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 2.1))
     below = rows[1].subgridspec(1, 3, width_ratios=(1.3, 1.1, 0.9))
     events = [
         (Event(**{key: value for key, value in item.items() if key != "fitted"}), item["fitted"])
@@ -58,9 +58,7 @@ def event_figure(fit: FitResult, name: str) -> Figure:
     return figure
 
 
-def _sheet(
-    axes: Any, fit: FitResult, events: list[tuple[Event, float]], moving: slice
-) -> None:
+def _sheet(axes: Any, fit: FitResult, events: list[tuple[Event, float]], moving: slice) -> None:
     """The path over lines and house, throws to the right; x drawn larger than y."""
     x, y = fit.fitted["x"][moving], fit.fitted["y"][moving]
     half = sheet.WIDTH / 2
@@ -83,7 +81,10 @@ def _sheet(
     axes.set_aspect("equal")
     axes.set_ylim(half + 0.1, -half - 0.1)
     axes.set_xlim(min(float(y[0]), sheet.LINES["hog"]) - 1, max(float(y[-1]), sheet.END) + 0.6)
-    axes.set_xticks([sheet.LINES[line] for line in _NAMES], [f"{n} line" for n in _NAMES.values()])
+    shown = [line for line in _NAMES if sheet.LINES[line] > axes.get_xlim()[0]]
+    axes.set_xticks(
+        [sheet.LINES[line] for line in shown], [f"{_NAMES[line]} line" for line in shown]
+    )
     axes.set_yticks([-half, 0, half], ["left", "0", "right"])
     axes.tick_params(length=0, labelsize=8)
     axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(0.0, -0.08), ncols=2)

@@ -48,7 +48,7 @@ _ROWS = 2 * BATCH * 256  # of throws that are fitted together, for the sake of m
 
 def fit(
     throw: Throw,
-    law: str | type[Law] = "front-back",
+    law: str | type[Law] | None = None,
     *,
     load: str | None = None,
     stone: Stone | None = None,
@@ -70,9 +70,9 @@ def fit(
 
     Parameters
     ----------
-    throw : the data. Its own defaults (`since`, `until`, `exclude`, `stone`, `load`) hold where
-        nothing else is said.
-    law : name or class of the friction law.
+    throw : the data. Its own defaults (`since`, `until`, `exclude`, `stone`, `law`, `load`) hold
+        where nothing else is said.
+    law : name or class of the friction law; "front-back" where the throw says nothing either.
     load : "uniform" or "consistent" (eq. 8-9).
     stone : the stone; by default the data file's, and `Stone()` where that says nothing.
     since, until : use rows with since <= t <= until (s).
@@ -108,6 +108,7 @@ def fit(
         never moves.
     UnusableFitError : no start led to a finite fit.
     """
+    law = throw.defaults.get("law", "front-back") if law is None else law
     law = find_law(law) if isinstance(law, str) else law
     loss, noise = check_loss(loss), check_noise(noise, loss)
     load = check_load(load or throw.defaults.get("load", "uniform"))

@@ -40,7 +40,7 @@ from curlfit.throws.throw import Throw
 
 def fit_together(
     throws: Sequence[Throw],
-    law: str | type[Law] = "front-back",
+    law: str | type[Law] | None = None,
     *,
     share: str | Sequence[str] = "all",
     load: str = "uniform",
@@ -77,6 +77,8 @@ def fit_together(
     InputError : as in `fit`; fewer than two throws; a name that is no coefficient.
     UnusableFitError : some throw has no finite path where its data put the start.
     """
+    if law is None:
+        law = throws[0].defaults.get("law", "front-back") if throws else "front-back"
     law = find_law(law) if isinstance(law, str) else law
     checked, loss = check_load(load), check_loss(loss)
     noise = check_noise(noise, loss)
