@@ -27,7 +27,7 @@ from curlfit.comparison.criteria import (
 )
 from curlfit.comparison.evidence import effective_parameters
 from curlfit.comparison.result import PLACE, Candidate, Comparison
-from curlfit.errors import UnusableFitError
+from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import LAWS, Law, NetLaw, find_law
 from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.fit import fit
@@ -100,6 +100,11 @@ def compare(
     InputError : an unknown law, load, loss or noise; a name that no law has; or a throw that cannot
         be fitted by any.
     """
+    if not throw.has_path:
+        raise InputError(
+            f"{throw.name}: {len(throw.events)} timed events rank no laws; expected a path. "
+            "`curlfit fit --law NAME` fits one law to them"
+        )
     todo = plan(laws, load)
     options: dict[str, Mapping[str, Any]] = {
         "fix": fix or {}, "bounds": bounds or {}, "start": start or {},

@@ -69,17 +69,21 @@ def _heading(fit: FitResult) -> RenderableType:
     loss = "" if fit.loss == "linear" else f", {fit.loss} loss"
     noise = "" if fit.noise.kind == "white" else f", {fit.noise.kind} noise"
     lines.append(f", {fit.load} load{loss}{noise}, fitted to {data['file']}\n")
-    rows = f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s"
-    events = f"{len(fit.events)} events at lines and at rest"
-    what = "; ".join([rows] * bool(fit.rms) + [events] * bool(fit.events))
     lines.append(
-        f"{what}; "
+        f"{extent(data, len(fit.events))}; "
         f"stone R = {stone.R:g} m, rho = {stone.rho:g} m, h = {stone.h:g} m, m = {stone.m:g} kg\n"
     )
     lines.append(
         fit.status[:1].upper() + fit.status[1:], style="green" if fit.converged else "bold red"
     )
     return lines
+
+
+def extent(data: Mapping[str, Any], events: int) -> str:
+    """How many data there are, and over which times."""
+    rows = f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s"
+    others = f"{events} events at lines and at rest"
+    return "; ".join([rows] * bool(data["rows"]) + [others] * bool(events))
 
 
 def _beside_reference(fit: FitResult) -> list[RenderableType]:

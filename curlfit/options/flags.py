@@ -10,8 +10,8 @@ import typer
 Law = Annotated[
     str | None,
     typer.Option(
-        help="Friction law; `curlfit laws` lists them. [default: front-back; coulomb for times of a "
-        "stop-watch]"
+        help="Friction law; `curlfit laws` lists them. [default: front-back; of times of a "
+        "stop-watch coulomb]"
     ),
 ]
 LoadName = Annotated[

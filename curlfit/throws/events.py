@@ -93,6 +93,19 @@ class EventArrays(NamedTuple):
         weights[..., [*range(MOST_LINES), 3 * MOST_LINES]] *= rate
         return self._replace(weights=weights)
 
+    def places(self) -> tuple[EventArrays, Any, Any]:
+        """The same of places alone, without times and angles; and the sums of the weights of x and
+        of y."""
+        x = [*range(MOST_LINES, 2 * MOST_LINES), 3 * MOST_LINES + 1]
+        y = [3 * MOST_LINES + 2]
+        weights = np.zeros_like(self.weights)
+        weights[..., [*x, *y]] = self.weights[..., [*x, *y]]
+        return (
+            self._replace(weights=weights),
+            self.weights[..., x].sum(-1),
+            self.weights[..., y].sum(-1),
+        )
+
 
 def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
     """The events padded, with y counted from `y0`.
