@@ -22,8 +22,8 @@ from curlfit.inference.noise.losses import root_slope
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import unstacked
-from curlfit.throws.events import EventArrays
 from curlfit.stone import UNITS as STONE_UNITS
+from curlfit.throws.events import EventArrays
 
 _STEP = 1e-2  # of a width, for differences: the path is accurate to 1e-7 of it
 
@@ -102,7 +102,7 @@ def _of_events(
     nearer = events._replace(lines=y0 + (events.lines - y0) / (1 + small))
     moved = predict_many(model, values, problems._replace(events=nearer), batch)[:, -1]
     places, x, y = events.places()
-    found = predict_many(model, values, problems._replace(events=places), batch)[:, -1]
+    found = predict_many(model, values, problems._replace(events=places), batch)[:, -1].copy()
     found[:, : x.shape[1]] -= x * x0 + y * y0
     return (moved - paths[:, -1]) / small + found
 
