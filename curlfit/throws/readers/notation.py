@@ -17,6 +17,7 @@ _FILLING = {
     "to", "the", "of", "from", "tee", "line", "centre", "center", "a", "turn", "about", "handed",
     "hander", "stone", "player", "thrower",
 }  # fmt: skip
+_SIGNS = {"+": 1.0, "-": -1.0, "\u2212": -1.0}
 WORDS = {
     "left": "left", "l": "left", "right": "right", "r": "right",
     "past": "past", "beyond": "past", "behind": "past", "over": "past",
@@ -55,22 +56,24 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
     ------
     InputError : no number, an unknown unit or word.
     """
-    rest = text.strip().strip("\"'").strip()
+    rest = re.sub(r"(?i)\bin\s+front\b", "front", text.strip().strip("\"'").strip())
+    if rest in _SIGNS:
+        return Quantity(_SIGNS[rest], True, frozenset())
     sign, value, signed, units = 1.0, 0.0, False, units_of(quantity)
     given = unit
-    numbers = 0
+    numbers, bare = 0, False
     while match := _NUMBER.match(rest):
-        if match["sign"] and numbers:
-            break
+        if numbers and (match["sign"] or bare):
+            break  # only behind a unit, as in 4 ft 6 in
         size = parse_number(match["size"] + (match["power"] or ""), decimal_comma=True)
         if size is None:
             break
         rest = rest[match.end() :].strip()
         own = re.match(r"[^\W\d_]+[.]?|[°'\u2032\"\u2033]", rest)
         said = own[0].rstrip(".").lower() if own else ""
-        # "in" is a unit behind a number, "in front" are words
-        if said in units and not rest.lower().startswith("in front"):
-            rest, given = rest[own.end() :].strip() if own else rest, said
+        bare = said not in units
+        if own and not bare:
+            rest, given = rest[own.end() :].strip(), said
         elif said and said not in WORDS and said not in _FILLING:
             in_unit(quantity, said)  # raises
         value += size * (in_unit(quantity, given).factor if given else per)
@@ -79,7 +82,7 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
         numbers += 1
         given = unit
     words = re.sub(r"(?i)\b(counter|anti)[\s-]+(?=clock)", r"\1", rest)
-    said_words = re.findall(r"[^\W\d_]+|\d[\d.,]*|[-+]\S+", words.lower())
+    said_words = re.findall(r"[^\W\d_]+|\d[\d.,]*", words.lower())
     unknown = [word for word in said_words if word not in WORDS and word not in _FILLING]
     if unknown or (not numbers and not said_words):
         raise InputError(f"{text.strip()[:40]!r} found, expected a number")
