@@ -49,10 +49,12 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import directions
 from curlfit.inference.likelihood import linearize
 from curlfit.inference.noise.models import WHITE, independences, matern
+from curlfit.inference.problem import ROWS_OF_DATA
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import stacked
 from curlfit.prediction.ensemble import TrajectoryEnsemble, fitted_environment, simulate_ensemble
 from curlfit.stone import GRAVITY
+from curlfit.throws.events import along_path
 from curlfit.throws.throw import CHANNELS
 
 _PRIOR_TAIL = 0.05  # probability of the prior of the sizes above the ceiling, where it is truncated
@@ -221,19 +223,22 @@ class _LinearModel:
         """Of a fit; ceilings in m/s^2 (rad/s^2) are the units of acceleration."""
         jacobian, weight = _path_jacobian(fit)
         names = tuple(
-            name for name, own in zip(CHANNELS, weight, strict=False)
-            if name in fit.observed and (own > 0).any()
+            name for name, own in zip(ROWS_OF_DATA, weight, strict=False) if (own > 0).any()
         )  # fmt: skip
-        responses = _response(fit, names) * np.repeat(ceilings, _SHAPES)
+        responses = [part * np.repeat(ceilings, _SHAPES) for part in _response(fit, names)]
         adjustable = _adjustable(fit)
         blocks, sigmas = [], []
         for name, response in zip(names, responses, strict=True):
-            index = CHANNELS.index(name)
+            index = ROWS_OF_DATA.index(name)
             use = weight[index] > 0
             own = np.minimum(weight[index, use], 1 / _MIN_SIGMA)[:, None]
-            residual = (fit.observed[name] - fit.fitted[name])[use, None]
+            if name in CHANNELS:
+                residual = (fit.observed[name] - fit.fitted[name])[use, None]
+                response = response[use]
+            else:
+                residual = np.array([[one["value"] - one["fitted"]] for one in fit.events])
             blocks.append(
-                own * np.hstack([jacobian[index, use][:, adjustable], response[use], residual])
+                own * np.hstack([jacobian[index, use][:, adjustable], response, residual])
             )
             sigmas.append(float(1 / np.sqrt(np.mean(own**2))))
         p = int(adjustable.sum())
@@ -360,10 +365,10 @@ def _unseen_shapes(speed: Floats) -> Floats:
     return cast(Floats, (np.sqrt(np.maximum(squares, 0.0)) * vectors).T[: -_SHAPES - 1 : -1])
 
 
-def _response(fit: FitResult, names: tuple[str, ...]) -> Floats:
-    """Derivatives of the channels by accelerations of each component and shape.
+def _response(fit: FitResult, names: tuple[str, ...]) -> list[Floats]:
+    """Derivatives of the channels and events by accelerations of each component and shape.
 
-    By central differences, shape (channels, rows, 3 * _SHAPES).
+    By central differences, each of shape (rows or events, 3 * _SHAPES).
     """
     since = fit.observed["t"] - fit.observed["t"][0]
     t = np.linspace(0.0, _TIME_MARGIN * since[-1], _TIMES)
@@ -376,10 +381,16 @@ def _response(fit: FitResult, names: tuple[str, ...]) -> Floats:
     values = {"x": x, "y": y, "phi": phi, "speed": np.hypot(vx, vy), "omega": omega}
     found = []
     for name in names:
-        pairs = values[name].reshape(-1, 2, len(t))
-        slopes = (pairs[:, 0] - pairs[:, 1]) / (small[0] - small[1])
-        found.append(np.array([np.interp(since, t, slope) for slope in slopes]).T)
-    return np.array(found)
+        if name in CHANNELS:
+            pairs = values[name].reshape(-1, 2, len(t))
+            slopes = (pairs[:, 0] - pairs[:, 1]) / (small[0] - small[1])
+            found.append(np.array([np.interp(since, t, slope) for slope in slopes]).T)
+            continue
+        each_path = zip(x, y, phi, values["speed"], strict=True)
+        pairs = np.array([along_path(fit.throw.events, t, *path) for path in each_path])
+        pairs = pairs.reshape(-1, 2, len(fit.events))
+        found.append(((pairs[:, 0] - pairs[:, 1]) / (small[0] - small[1])).T)
+    return found
 
 
 def _adjustable(fit: FitResult) -> Booleans:

@@ -133,6 +133,31 @@ def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
     return EventArrays(padded - y0, weights)
 
 
+def along_path(
+    events: Sequence[Event], t: Floats, x: Floats, y: Floats, phi: Floats, speed: Floats
+) -> Floats:
+    """What events of a path would be, from its rows up to rest; shape (events,).
+
+    Interpolated linearly; the rest follows evenly from a row at a tenth of the first speed.
+    """
+    late = int(np.argmax(speed < speed[0] / 10)) or len(t) - 1
+    rest = t[late] + 2 * math.hypot(x[-1] - x[late], y[-1] - y[late]) / max(speed[late], 1e-9)
+    at_rest = {"time": rest, "x": float(x[-1]), "y": float(y[-1]), "phi": float(phi[-1])}
+
+    def at(line: float, quantity: str) -> float:
+        time = float(np.interp(line, y, t))
+        series = {"time": t, "x": x, "y": y, "phi": phi}[quantity]
+        return float(np.interp(time, t, series))
+
+    return np.array(
+        [
+            (at_rest[event.quantity] if event.at is None else at(event.at, event.quantity))
+            - (0.0 if event.since is None else at(event.since, event.quantity))
+            for event in events
+        ]
+    )
+
+
 class EvenMotion(NamedTuple):
     """Motion under a constant deceleration from the first line to rest."""
 

@@ -30,7 +30,6 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
 from curlfit.inference.identifiability import triangle
@@ -65,6 +64,8 @@ class Responses(NamedTuple):
     @classmethod
     def of(cls, times: Floats, path: Floats, stone: Stone) -> Responses:
         """Those of a path: x, y, phi, speed and spin at times, shape (5, n)."""
+        from scipy.interpolate import CubicSpline  # slow to load, and few fits need it
+
         distinct = np.flatnonzero(np.diff(times, prepend=-np.inf) > 0)
         moving = np.flatnonzero(path[3, distinct] > 0)
         last = distinct[min(int(moving[-1]) + 1 if len(moving) else 1, len(distinct) - 1)]
