@@ -30,7 +30,6 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from curlfit.inference.identifiability import triangle
 from curlfit.inference.noise.estimation import ChannelResiduals
@@ -157,6 +156,8 @@ def estimate(
     scale, logs = 1.0, log_posterior(1.0, grid)
     for _ in range(_ROUNDS if count else 0):
         sizes = grid[np.argmax(logs)][None]
+        from scipy.optimize import minimize_scalar  # slow to load
+
         best = minimize_scalar(
             lambda log, sizes=sizes: -float(log_posterior(math.exp(log), sizes)[0]),
             bounds=(-3.0, 3.0), method="bounded", options={"xatol": 1e-3},

@@ -61,7 +61,7 @@ def load_throw(
     Parameters
     ----------
     format : `table`, `tracker` (exports of Tracker), `digitalcurling` (logs of DigitalCurling 3)
-        or `timings`; detected from the file if not given.
+        or `timings` (of a stop-watch); detected from the file if not given.
     axes : the file's axes where they are not those of curlfit, as words separated by commas, such
         as `x-along,clockwise,from-tee`; see `curlfit.throws.readers.axes.WORDS`.
     reference : file of known points u, v (pixels), x, y (m), where positions are in pixels.
