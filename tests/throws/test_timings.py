@@ -150,6 +150,7 @@ def test_sigmas_are_set(read):
         (THREE + "sigma_rest = 0\n", 3, "above 0"),
         ("hog_to_hog = 14.2\nrest = -7\n", 2, "-7 m past the far tee lies before a line"),
         ("hog_to_tee = 20\nrest = 1 m short\n", 2, "crossed by hog_to_tee"),
+        ("hog_to_hog = 14.2\nhog_to_tee = 14.1\n", 2, "expected more than hog_to_hog = 14.2 s"),
         ("hog_to_hog,rest\n", 1, "no rows"),
         ("hog_to_hog,rest\n14.2\n", 2, "1 cells, expected 2"),
         ("hog_to_hog,rest\n14.2,here\n", 2, "expected a number"),

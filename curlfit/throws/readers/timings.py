@@ -370,6 +370,13 @@ class _Record:
                 + ", ".join([*others[:2], "or another time"]),
                 file=self.path,
             )
+        value = {event.name: event.value for event in times}
+        if value.get("hog_to_tee", math.inf) <= value.get("hog_to_hog", 0.0):
+            raise self._error(
+                "hog_to_tee",
+                f"{value['hog_to_tee']:g} s found, expected more than hog_to_hog = "
+                f"{value['hog_to_hog']:g} s: the tee line lies behind the far hog line",
+            )
         rest = next((event.value for event in events if event.name == "rest"), math.inf)
         crossed = {y: e.name for e in times for y in (e.at, e.since) if y is not None}
         farthest = max(crossed)
