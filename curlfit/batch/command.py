@@ -29,7 +29,7 @@ def batch(
             "results.settings.json."
         ),
     ] = Path("results.csv"),
-    law: Annotated[str, typer.Option(help="Friction law, as in `curlfit fit`.")] = "front-back",
+    law: o.Law = None,
     load: Annotated[str, typer.Option(help="`uniform` or `consistent` (eq. 8-9).")] = "uniform",
     since: o.Since = None,
     until: o.Until = None,
@@ -112,11 +112,12 @@ def batch(
 
     Example: `curlfit batch season/ --stone R=0.054 --out season.csv`
     """
-    from curlfit.batch.settings import BatchSettings, columns, found_files
+    from curlfit.batch.settings import BatchSettings, columns, found_files, usual_law
     from curlfit.batch.table import Table, settings_file
 
+    files = [str(file) for file in found_files(data, besides=(out, settings_file(out)))]
     wanted: dict[str, Any] = {
-        "law": law,
+        "law": law or usual_law(files[0], format),
         "load": load,
         "since": since,
         "until": until,
@@ -145,7 +146,6 @@ def batch(
     # Refused before anything slow is loaded.
     plan = BatchSettings(**wanted)
     names = columns(plan)
-    files = [str(file) for file in found_files(data, besides=(out, settings_file(out)))]
 
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Left

@@ -8,13 +8,13 @@ from glob import glob
 from pathlib import Path
 from typing import Any
 
-from curlfit.errors import InputError
+from curlfit.errors import CurlfitError, InputError
 from curlfit.friction import Law, NetLaw, check_load, find_law
 from curlfit.inference.conditions import check_systematics
 from curlfit.inference.noise.models import check_loss, check_noise
 from curlfit.inference.parameters import ParameterSet
 from curlfit.stone import Stone
-from curlfit.throws.readers import check_reader_options
+from curlfit.throws.readers import check_reader_options, format_of
 from curlfit.throws.throw import Throw, check_sigma
 
 CHUNK = 128
@@ -115,6 +115,15 @@ def columns(plan: BatchSettings) -> list[str]:
         found += [name, f"{name} stderr", *(f"{name} {q}" for q in quantiles)]
         found += [f"{name} systematic"] * systematic
     return [*found, "combinations", "warnings", "reason"]
+
+
+def usual_law(file: str, format: str | None) -> str:
+    """The law where none is given: for times of a stop-watch the one that they determine."""
+    try:
+        timed = format == "timings" or (format is None and format_of(file) == "timings")
+    except CurlfitError:
+        timed = False
+    return "coulomb" if timed else "front-back"
 
 
 def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[Path]:

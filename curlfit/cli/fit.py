@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -111,10 +111,16 @@ def fit(
         free=free, prior=prior, loss=loss, noise=noise, seed=seed,
         systematic=s.pairs("--systematic", systematic or ()),
     )  # fmt: skip
-    if len(data) > 1:
+    several = len(data) > 1
+    if not several and shot is None:
+        from curlfit.throws.readers import holds_timed_rows
+
+        several = holds_timed_rows(data[0], format)
+    jobs = s.prepare_all(data, config, flags) if several else {}
+    if len(jobs) > 1:
         if resume:
             raise InputError("--resume continues the sampling of one throw; give one file")
-        _fit_jointly(data, share, config, flags, out, no_figures=no_figures, quiet=quiet)
+        _fit_jointly(jobs, share, flags, out, no_figures=no_figures, quiet=quiet)
         return
     (file,) = data
     if share is not None:
@@ -253,9 +259,8 @@ def _sample(
 
 
 def _fit_jointly(
-    files: Sequence[Path],
+    named: Mapping[str, s.ConfiguredThrow],
     share: str | None,
-    config: Path | None,
     flags: Mapping[str, Any],
     out: Path | None,
     *,
@@ -270,15 +275,14 @@ def _fit_jointly(
     from curlfit.inference.parameters import ParameterSet
     from curlfit.output.files import prepare_folder
 
-    if len({file.stem for file in files}) < len(files):
-        raise InputError("two files have the same name; results are stored by name")
-    jobs = [s.prepare(file, config, flags) for file in files]
+    jobs = list(named.values())
     settings = jobs[0].settings
-    for file, job in zip(files, jobs, strict=True):
+    for job in jobs:
         for key in ("law", "load"):
             if job.settings.get(key) != settings.get(key):
                 raise InputError(
-                    f"{file}: {key} = {job.settings.get(key)!r} where {files[0]} has "
+                    f"{job.throw.name}: {key} = {job.settings.get(key)!r} where "
+                    f"{jobs[0].throw.name} has "
                     f"{settings.get(key)!r}; give one with --{key}"
                 )
     law = find_law(settings.get("law", "front-back"))
@@ -311,7 +315,7 @@ def _fit_jointly(
 
     console = terminal(quiet=quiet)
     with Progress(
-        TextColumn(f"Fitting {len(files)} throws (a first run on a machine compiles the model)"),
+        TextColumn(f"Fitting {len(jobs)} throws (a first run on a machine compiles the model)"),
         TextColumn("{task.fields[state]}"),
         console=console,
         disable=quiet or not console.is_terminal,
@@ -330,8 +334,8 @@ def _fit_jointly(
         )  # fmt: skip
     written = [folder / "joint.json"]
     result.save(written[0])
-    for file, one in zip(files, result.throws, strict=True):
-        own_folder = prepare_folder(folder / file.stem)
+    for name, one in zip(named, result.throws, strict=True):
+        own_folder = prepare_folder(folder / name)
         one.save(own_folder / "fit.json")
         if not no_figures:
             from curlfit.inference.figures import fit_figure

@@ -51,6 +51,8 @@ def check(
     throw = assemble(parsed, axes=axes, reference=points and Path(points))
     throw, settings, _ = s.apply_settings(throw, configured, flags)
     throw.select_rows(**s.row_choices(settings)).require_motion()
+    if out is not None and not throw.has_path:
+        raise InputError(f"--out: {data} has timed events only, and no path to draw")
     shown = {key: value for key, value in settings.items() if key not in s.READER_OPTIONS}
 
     from curlfit.output.console import terminal

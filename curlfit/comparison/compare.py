@@ -22,7 +22,7 @@ from curlfit.comparison.criteria import log_likelihood, number_of_parameters, re
 from curlfit.comparison.noise_models import noise_models
 from curlfit.comparison.ranking import Fitted, ranked
 from curlfit.comparison.result import PLACE, Candidate, Comparison
-from curlfit.errors import UnusableFitError
+from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import LAWS, Law, NetLaw, find_law
 from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.fit import fit
@@ -94,6 +94,11 @@ def compare(
     >>> comparison.best.label
     'front-back, uniform load'
     """
+    if not throw.has_path:
+        raise InputError(
+            f"{throw.name}: {len(throw.events)} timed events rank no laws; expected a path. "
+            "`curlfit fit --law NAME` fits one law to them"
+        )
     todo = plan(laws, load)
     fits = [(law, one_load, kind) for kind in noise_models(noise, loss) for law, one_load in todo]
     options: dict[str, Mapping[str, Any]] = {

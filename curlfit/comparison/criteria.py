@@ -59,7 +59,7 @@ class EffectiveValues(NamedTuple):
 
 def number_of_parameters(result: FitResult) -> float:
     """Parameters that the data determine: of the law and the start, the sigmas that were estimated
-    and the noise model's own, which are correlation times that differ and sizes of a discrepancy."""
+    and the noise model's own: correlation times that differ, and sizes of a discrepancy."""
     noise = result.noise
     own = len(set(noise.memory.values())) + len(noise.sizes)
     return effective_parameters(result) + len(result.sigma) + own

@@ -45,9 +45,7 @@ class CurveModel:
         count = len(self._problem.times)
         self._t = np.linspace(observed[0], observed[-1], count)
         none = np.zeros_like(self._problem.weight)
-        self._evenly = self._problem._replace(
-            times=self._t - origin.t, weight=none, stop=np.asarray(-1)
-        )
+        self._evenly = self._problem._replace(times=self._t - origin.t, weight=none)
 
     def at(self, values: Floats) -> Curves:
         """The curves at a parameter vector, in the order of the fit's parameters."""

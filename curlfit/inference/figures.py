@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from curlfit.inference.event_figures import event_figure
 from curlfit.output.figures import (
     CHANNEL_COLOR,
     CHANNEL_LABEL,
@@ -41,12 +42,14 @@ _LEFT = 1.3  # inches left of the panels of a corner
 
 
 def fit_figure(fit: FitResult) -> Figure:
-    """The path with its fit, the residuals of each channel, speed and spin.
+    """The path with its fit, the residuals of each channel, speed and spin; or timed events.
 
     Examples
     --------
     >>> curlfit.fit_figure(fit).savefig("fit.png")
     """
+    if not fit.rms:
+        return event_figure(fit, _name(fit))
     figure = Picture(figsize=(10, 7.2), layout="constrained")
     rows = figure.add_gridspec(3, 1, height_ratios=(1.15, 1.0, 1.0))
     right = rows[1].subgridspec(1, len(fit.rms))

@@ -6,9 +6,9 @@ correlated. An unknown sigma is not varied along with the rest: where a law is n
 likelihood has its maximum in a corner where one channel is fitted perfectly and the others pay for
 it.
 
-When a stone came to rest is a measurement of its own (see `Throw.stops`). A speed of zero at that
-time would not do for it: a stone that came to rest earlier has it too. What is compared is the time
-itself, and the position in that row is that at rest.
+Timed events, such as crossing a line or coming to rest, are observations beside the channels, each
+with its own sigma (see `curlfit.throws.events`). A speed of zero at the time of rest would not do:
+a stone that came to rest earlier has it too.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from curlfit.dynamics.passages import with_passages
 from curlfit.dynamics.trajectory import forces_on, ordered_trajectory, positions
 
 # isort: split
@@ -36,8 +37,6 @@ from curlfit.numerics.compiled import BATCH, compiled, in_batches, unstacked
 SIGMA_FLOOR = 1e-7
 """Least standard deviation of noise (m and rad): the precision of the computed path."""
 
-_LATE = 60.0  # s after the measured end by which a stone is at rest under any trial
-
 
 def _forces(model: Model, system: System) -> Array:
     """Forces besides friction. A slope that is no parameter is small: that the heading turns it is
@@ -48,24 +47,39 @@ def _forces(model: Model, system: System) -> Array:
 
 
 def _channels(model: Model, values: Array, problem: Problem) -> Array:
-    """x, y, phi, speed and spin at the times of a problem, shape (5, n).
-
-    In the row that says when the stone came to rest they are those at rest, and the speed is the
-    time that this is too late, at the mean loss of speed: below 0 where the stone stops too early.
-    """
+    """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, in the
+    columns of a sixth row."""
     system = System.of(model, values, problem.stone, problem.environment)
     start, scale = system.start, system.length_scale
-    rows = jnp.arange(problem.times.shape[-1])
-    stop = rows == problem.stop
-    measured = jnp.where(stop, problem.times + _LATE, _unpadded_times(problem))
-    path = ordered_trajectory(
-        system.law, system.stone, _forces(model, system), start, measured / system.time_scale,
-        jnp.zeros(()), load=model.load,
-    )  # fmt: skip
-    left = start.v * (1 - problem.times / system.time_scale / jnp.maximum(path.rest, 1e-9))
-    speed = jnp.where(stop, left, path.speed)
+    measured = _unpadded_times(problem) / system.time_scale
+    forces = _forces(model, system)
+    if problem.events is None:
+        path = ordered_trajectory(
+            system.law, system.stone, forces, start, measured, jnp.zeros(()), load=model.load
+        )
+        events: tuple[Array, ...] = ()
+    else:
+        lines = start.y + (problem.events.lines - start.y) / scale
+        path, passages = with_passages(
+            system.law, system.stone, forces, start, lines, measured, load=model.load
+        )
+        time, x_rest, y_rest, phi_rest = passages.rest
+        known = jnp.concatenate(
+            [
+                passages.time * system.time_scale, _scaled(passages.x, start.x, scale),
+                passages.phi, jnp.stack(
+                    [
+                        time * system.time_scale, _scaled(x_rest, start.x, scale),
+                        _scaled(y_rest, start.y, scale), phi_rest,
+                    ]
+                ),
+            ]
+        )  # fmt: skip
+        weights = problem.events.weights
+        found = jnp.where(weights != 0, weights * known, 0.0).sum(-1)
+        events = (jnp.zeros(len(measured)).at[: len(found)].set(found),)
     x, y = _scaled(path.x, start.x, scale), _scaled(path.y, start.y, scale)
-    return jnp.stack([x, y, path.phi, speed, path.omega])
+    return jnp.stack([x, y, path.phi, path.speed, path.omega, *events])
 
 
 def _scaled(position: Array, start: Array, scale: Any) -> Array:
@@ -82,7 +96,7 @@ def _batch_of_channels(model: Model, values: Array, problems: Problem) -> Array:
 
 
 def predict_many(model: Model, values: Floats, problems: Problem, batch: int = BATCH) -> Floats:
-    """What `predict_channels` finds for each of many throws, shape (throws, 5, n)."""
+    """What `predict_channels` finds for each of many throws, shape (throws, 5 or 6, n)."""
     if batch == 1:
         pairs = zip(values, unstacked(problems), strict=True)
         return np.array([predict_channels(model, *pair) for pair in pairs])

@@ -160,8 +160,10 @@ class ParameterSet:
     def for_throw(cls, law: type[Law], throw: Throw, **choices: Any) -> ParameterSet:
         """Parameters of a fit of `law` to a throw; `choices` as in `build`.
 
-        Of the start, that is fixed at zero for which no channel could tell: the place and the first
-        direction where no position was seen, the angle where no angle was.
+        Of the start, that is fixed for which no measurement could tell: the place and the first
+        direction where no position was seen, the angle where no angle was; at zero, or at what the
+        throw assumes. Where only timed events were measured, also the spin unless it was named, and
+        the direction unless there are events for all parameters: x is then counted from it.
 
         Raises
         ------
@@ -169,14 +171,22 @@ class ParameterSet:
         """
         parameters = cls.build(law, **choices)
         unseen = [f"{name}0" for name in ("x", "y", "phi") if name not in throw.seen]
-        if "x" not in throw.seen or "y" not in throw.seen:
+        if throw.has_path and ("x" not in throw.seen or "y" not in throw.seen):
             unseen.append("heading")
+        named = {name for key in ("bounds", "free", "priors") for name in choices.get(key) or ()}
+        measured = {event.quantity for event in throw.events}
+        if not throw.has_path and "phi" not in measured | named and "omega0" not in named:
+            unseen.append("omega0")
         for name in unseen:
             if name not in parameters.fixed:
-                parameters = parameters.with_fixed(name, 0.0)
+                parameters = parameters.with_fixed(name, throw.assumed.get(name, 0.0))
         free = int(parameters.free.sum())
+        if not throw.has_path and parameters.free[parameters.index("heading")]:
+            if ("x" not in measured or free > len(throw.events)) and "heading" not in named:
+                parameters = parameters.with_fixed("heading", 0.0)
+            return parameters
         rows = int(throw.finite.any(0).sum())
-        if rows < max(free, 3) and not set(throw.seen) <= throw.sigma.keys():
+        if throw.has_path and rows < max(free, 3) and not set(throw.seen) <= throw.sigma.keys():
             raise DataError(
                 f"{rows} rows for {free} parameters; give more rows, or sigmas, or fix parameters",
                 file=throw.name,

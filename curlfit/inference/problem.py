@@ -19,8 +19,12 @@ from curlfit.inference.noise.models import LOSSES, Noise
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
+from curlfit.throws.events import Event, EventArrays, event_arrays
 from curlfit.throws.throw import CHANNELS, Throw
 
+ROWS_OF_DATA = (*CHANNELS, "event")
+"""What the rows of a problem's arrays are of."""
+_EVENT = len(CHANNELS)  # the last of them
 _SHORTEST = 256  # data are padded to a power of two from here up, so that few shapes are compiled
 
 
@@ -38,15 +42,16 @@ class Problem(NamedTuple):
     """s since the first row, shape (n,)"""
     observed: Any
     """x, y, phi relative to the origin, zero where not observed, shape (3, n); with speed and
-    omega, where these were measured, (5, n)"""
+    omega, where these were measured, (5, n); with events, (6, n), the last row one event after the
+    other"""
     weight: Any
     """1/sigma, 0 where not observed, of the same shape"""
     stone: Stone
     environment: Environment
     loss: Any = 0
     """index of the loss in `LOSSES`"""
-    stop: Any = -1
-    """row whose speed stands for the time of coming to rest; -1 where there is none"""
+    events: EventArrays | None = None
+    """what the events of the last row are of"""
     whitener: Any = None
     """what makes correlated noise independent, see `curlfit.inference.noise.correlated`"""
 
@@ -66,6 +71,13 @@ class Origin(NamedTuple):
         first = throw.observed[np.arange(3), finite.argmax(1)]
         place[:3] = np.where(finite.any(1), first, 0.0)
         return cls(float(throw.t[0]), place)
+
+    def of_event(self, event: Event) -> float:
+        """Where the zero of what was measured at an event lies."""
+        if event.since is not None:
+            return 0.0
+        x, y, phi, *_ = map(float, self.place)
+        return {"time": self.t, "x": x, "y": y, "phi": phi}[event.quantity]
 
     def offset(self, size: int) -> Floats:
         """What to add to a parameter vector of a problem to have it in the data's coordinates."""
@@ -98,13 +110,20 @@ def build_problem(
     """
     n = len(throw)
     channels, rows = shape or problem_shape(throw)
-    finite = throw.finite[:channels]
+    seen = min(channels, len(CHANNELS))
+    finite = throw.finite[:seen]
     times = np.full(rows, throw.t[-1] - origin.t)
     times[:n] = throw.t - origin.t
     observed, weight = np.zeros((channels, rows)), np.zeros((channels, rows))
-    observed[:, :n] = np.where(finite, throw.observed[:channels] - origin.place[:channels, None], 0)
+    observed[:seen, :n] = np.where(finite, throw.observed[:seen] - origin.place[:seen, None], 0)
     for row, name in enumerate(CHANNELS[:channels]):
         weight[row, :n] = np.where(finite[row], 1 / _sigma_of(throw, sigma, name), 0.0)
+    events = None
+    if channels > _EVENT:
+        events = event_arrays(throw.events, float(origin.place[1]))
+        for column, event in enumerate(throw.events):
+            observed[_EVENT, column] = event.value - origin.of_event(event)
+            weight[_EVENT, column] = 1 / event.sigma
     return Problem(
         times=times,
         observed=observed,
@@ -112,14 +131,15 @@ def build_problem(
         stone=_as_arrays(*map(float, vars(stone).values())),
         environment=environment or LEVEL_AND_STILL,
         loss=np.asarray(LOSSES.index(loss)),
-        stop=np.asarray(n - 1 if throw.stops else -1),
+        events=events,
         whitener=None if noise is None else whitener_of(noise, times, weight, motion),
     )
 
 
 def problem_shape(throw: Throw) -> tuple[int, int]:
-    """Channels and padded rows of a throw's problem."""
+    """Rows of data and padded times of a throw's problem."""
     channels = 5 if {"speed", "omega"} & set(throw.seen) else 3
+    channels = len(ROWS_OF_DATA) if throw.events else channels
     return channels, max(_SHORTEST, 1 << (len(throw) - 1).bit_length())
 
 

@@ -15,6 +15,7 @@ from curlfit.inference.parameters import START
 from curlfit.output.console import terminal
 from curlfit.output.text import STYLE, decimals, format_estimate, from_to, join_words, plain_table
 from curlfit.stone import UNITS as STONE_UNITS
+from curlfit.throws.events import Event
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
@@ -47,7 +48,11 @@ def report(fit: FitResult) -> RenderableType:
     parts: list[RenderableType] = [_heading(fit), _coefficients(fit), *_student(fit)]
     if said := systematics(fit.systematics, _reported(fit)):
         parts.append(Padding(Text(said), (0, 0, 1, 0)))
-    parts += [*_beside_reference(fit), _quality(fit)]
+    parts += _beside_reference(fit)
+    if fit.rms:
+        parts.append(_quality(fit))
+    if fit.events:
+        parts.append(_events(fit))
     parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
     if fit.posterior is not None:
         parts.append(Padding(about_posterior(fit.posterior), (0, 0, 1, 0)))
@@ -71,13 +76,20 @@ def _heading(fit: FitResult) -> RenderableType:
     noise = "" if fit.noise.kind == "white" else f", {fit.noise.kind} noise"
     lines.append(f", {fit.load} load{loss}{noise}, fitted to {data['file']}\n")
     lines.append(
-        f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s; "
+        f"{extent(data, len(fit.events))}; "
         f"stone R = {stone.R:g} m, rho = {stone.rho:g} m, h = {stone.h:g} m, m = {stone.m:g} kg\n"
     )
     lines.append(
         fit.status[:1].upper() + fit.status[1:], style="green" if fit.converged else "bold red"
     )
     return lines
+
+
+def extent(data: Mapping[str, Any], events: int) -> str:
+    """How many data there are, and over which times."""
+    rows = f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s"
+    others = f"{events} events at lines and at rest"
+    return "; ".join([rows] * bool(data["rows"]) + [others] * bool(events))
 
 
 def _beside_reference(fit: FitResult) -> list[RenderableType]:
@@ -269,6 +281,23 @@ def _quality(fit: FitResult) -> RenderableType:
     return Padding(table, (0, 0, 1, 0))
 
 
+def _events(fit: FitResult) -> RenderableType:
+    """What was measured at lines and at rest, beside what the fit says."""
+    table = plain_table()
+    for head in ("measured", "value", "sigma", "unit", "fit", "fit less value"):
+        justify = "left" if head in ("measured", "unit") else "right"
+        table.add_column(head, justify=justify, no_wrap=True)  # type: ignore[arg-type]
+    for item in fit.events:
+        event = Event(**{key: value for key, value in item.items() if key != "fitted"})
+        digits = max(decimals(event.sigma), 2)
+        off = (item["fitted"] - event.value) / event.sigma
+        table.add_row(
+            event.name, f"{event.value:.{digits}f}", f"{event.sigma:.2g}", event.unit,
+            f"{item['fitted']:.{digits}f}", f"{off + 0.0:.1f} sigma",
+        )  # fmt: skip
+    return Padding(table, (0, 0, 1, 0))
+
+
 def _two(value: float | None) -> str:
     return "" if value is None else f"{value:.2f}"
 
@@ -287,7 +316,13 @@ def identifiability(fit: FitResult) -> str:
     by_prior = [name for name, item in fit.parameters.items() if item.verdict == "prior"]
     held = [name for name in free if name not in fit.covariance["names"]]
     given = any(item.prior for item in fit.parameters.values())
-    what = "The path and the priors determine" if given else "The path determines"
+    what = "The path" if fit.rms else f"{_counted(len(fit.events))} measured"
+    what += " and the priors determine" if given else " determine" + "s" * bool(fit.rms)
+    if not fit.rms and fit.rank == len(free) and len(fit.coefficients) == 1:
+        return (
+            f"{what} one coefficient of friction and the initial state ({', '.join(free[1:])}): a "
+            f"mean friction, as the {fit.law} law has it. `--law` fits others."
+        )
     text = f"{what} {fit.rank} of {len(free) - len(held)} parameters"
     text += f" ({', '.join(held)} at a bound not counted)." if held else "."
     unseen = [name for name in free if fit.parameters[name].verdict == "not identifiable"]
@@ -312,6 +347,11 @@ def identifiability(fit: FitResult) -> str:
     if weak and not unseen:
         text += _instead(fit, weak)
     return text + "".join(f" {_remedy(fit, item)}" for item in fit.remedies)
+
+
+def _counted(number: int) -> str:
+    words = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight")
+    return f"{words[number]} number{'s' * (number != 1)}"
 
 
 def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:

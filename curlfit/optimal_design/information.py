@@ -40,6 +40,7 @@ LONGEST = 120.0
 MOST_ROWS = 50_000
 """Rows of one throw."""
 
+_REFINEMENTS = 3  # 120 s/255^3 is a hundred thousandth of a second
 _ROWS = 256  # per batch column: the shape of fits, so that their compiled programs are reused
 _ROUNDING = 1e-13  # of the largest singular value of the start's columns
 _UNDETERMINED = (
@@ -164,34 +165,38 @@ def _problems(
     stones = [throw.stone.as_dict() for throw in own]
     stone = Stone(**{name: np.array([float(one[name]) for one in stones]) for name in stones[0]})  # type: ignore[arg-type]
     level = jax.tree.map(lambda value: np.full(n, value), LEVEL_AND_STILL)
-    return Problem(
-        times, np.zeros_like(weight), weight, stone, level, np.zeros(n, int), np.full(n, -1, int)
-    )
+    return Problem(times, np.zeros_like(weight), weight, stone, level, np.zeros(n, int))
 
 
 def _rest_time(
     law: type[Law], load: Load, coefficients: Floats, throw: PlannedThrow, *, required: bool
 ) -> tuple[float, float]:
     """Time of rest (s), above `LONGEST` only if not `required`, and distance (m)."""
-    # The model's channel for the time of rest, at half of the longest time.
-    times = np.full(_ROWS, LONGEST / 2)
-    problem = Problem(
-        times, np.zeros((3, _ROWS)), np.ones((3, _ROWS)),
-        jax.tree.map(lambda value: np.asarray(float(value)), throw.stone),
-        LEVEL_AND_STILL, np.asarray(0), np.asarray(0),
-    )  # fmt: skip
-    x, y, _, early, _ = np.asarray(
-        predict_channels(Model(law, load), _vector(coefficients, throw), problem)
-    )[:, 0]
-    rest = times[0] * throw.v0 / (throw.v0 - early)
-    if math.isnan(rest):
-        raise _no_motion(law, load, throw)
+    # Between rows that become denser: the first row at rest.
+    early, late, moves = 0.0, LONGEST, False
+    for _ in range(_REFINEMENTS):
+        times = np.linspace(early, late, _ROWS)
+        problem = Problem(
+            times, np.zeros((3, _ROWS)), np.ones((3, _ROWS)),
+            jax.tree.map(lambda value: np.asarray(float(value)), throw.stone),
+            LEVEL_AND_STILL, np.asarray(0),
+        )  # fmt: skip
+        x, y, _, speed, _ = np.asarray(
+            predict_channels(Model(law, load), _vector(coefficients, throw), problem)
+        )
+        if np.isnan(speed).any():
+            raise _no_motion(law, load, throw)
+        if moves := bool((speed > 0).all()):
+            break
+        first = max(int(np.argmax(speed == 0)), 1)
+        early, late = times[first - 1], times[first]
+    rest = 2 * LONGEST if moves else late
     if required and not 0 < rest <= LONGEST:
         raise InputError(
             f"a stone of {throw.v0:g} m/s and {throw.omega0:g} rad/s does not come to rest within "
             f"{LONGEST:g} s; give the length of the record (--until)"
         )
-    return float(rest), float(np.hypot(x, y))
+    return float(rest), float(np.hypot(x[-1], y[-1]))
 
 
 def _no_motion(law: type[Law], load: Load, throw: PlannedThrow) -> InputError:

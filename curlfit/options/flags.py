@@ -9,7 +9,10 @@ import typer
 
 Law = Annotated[
     str | None,
-    typer.Option(help="Friction law; `curlfit laws` lists them. [default: front-back]"),
+    typer.Option(
+        help="Friction law; `curlfit laws` lists them. [default: front-back; of times of a "
+        "stop-watch coulomb]"
+    ),
 ]
 LoadName = Annotated[
     str | None,

@@ -263,6 +263,36 @@ def prepare(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Config
     return apply_settings(throw, configured, flags)
 
 
+def prepare_all(
+    files: Sequence[Path], config: Path | None, flags: Mapping[str, Any]
+) -> dict[str, ConfiguredThrow]:
+    """The throws of files and their settings, by the name of the file; of a stop-watch's table,
+    those of all rows, unless one is chosen.
+
+    Raises
+    ------
+    InputError : as `prepare`; two files of the same name.
+    """
+    from curlfit.errors import CurlfitError
+    from curlfit.throws.readers import holds_timed_rows, load_throws
+
+    if len({file.stem for file in files}) < len(files):
+        raise InputError("two files have the same name; results are stored by name")
+    found = {}
+    for file in files:
+        if not holds_timed_rows(file, flags.get("format")):
+            found[file.stem] = prepare(file, config, flags)
+            continue
+        configured = check_settings(read_config(config), str(config))
+        parts = load_throws(file, **reader_arguments(configured, flags))
+        for part in parts:
+            if isinstance(part.throw, CurlfitError):
+                raise part.throw
+            name = file.stem if part.shot is None else f"{file.stem}-{part.shot}"
+            found[name] = apply_settings(part.throw, configured, flags)
+    return found
+
+
 def apply_settings(
     throw: Throw, configured: Mapping[str, Any], flags: Mapping[str, Any]
 ) -> ConfiguredThrow:

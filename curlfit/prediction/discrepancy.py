@@ -48,14 +48,17 @@ from curlfit.inference.noise.accelerations import (
     shapes,
 )
 from curlfit.inference.noise.models import WHITE, independences
+from curlfit.inference.problem import ROWS_OF_DATA
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import stacked
 from curlfit.prediction.ensemble import TrajectoryEnsemble
 from curlfit.prediction.result import Discrepancy
+from curlfit.throws.events import along_path
 from curlfit.throws.throw import CHANNELS
 
 _MIN_VALUES = 20  # of a channel whose noise is estimated
 _MIN_SIGMA = 1e-5  # lower limit of the noise, m, rad, m/s or rad/s
+_SMALL = 1e-3  # of the friction, for differences
 _ROUNDS = 3  # of estimating noise and its correlation
 
 
@@ -212,20 +215,23 @@ class _LinearModel:
         """Of a fit, and what accelerations of the size of the friction do to its path."""
         jacobian, weight = _path_jacobian(fit)
         names = tuple(
-            name for name, own in zip(CHANNELS, weight, strict=False)
-            if name in fit.observed and (own > 0).any()
+            name for name, own in zip(ROWS_OF_DATA, weight, strict=False) if (own > 0).any()
         )  # fmt: skip
         since = fit.observed["t"] - fit.observed["t"][0]
         adjustable = _adjustable(fit)
         blocks, sigmas = [], []
         for name in names:
-            index = CHANNELS.index(name)
-            response = responses.at(since, index)
+            index = ROWS_OF_DATA.index(name)
             use = weight[index] > 0
             own = np.minimum(weight[index, use], 1 / _MIN_SIGMA)[:, None]
-            residual = (fit.observed[name] - fit.fitted[name])[use, None]
+            if name in CHANNELS:
+                residual = (fit.observed[name] - fit.fitted[name])[use, None]
+                response = responses.at(since, index)[use]
+            else:
+                response = _response_of_events(fit, responses)
+                residual = np.array([[one["value"] - one["fitted"]] for one in fit.events])
             blocks.append(
-                own * np.hstack([jacobian[index, use][:, adjustable], response[use], residual])
+                own * np.hstack([jacobian[index, use][:, adjustable], response, residual])
             )
             sigmas.append(float(1 / np.sqrt(np.mean(own**2))))
         p = int(adjustable.sum())
@@ -332,6 +338,19 @@ def _unseen_shapes(speed: Floats) -> Floats:
     conditional[fitted] = conditional[:, fitted] = 0.0
     squares, vectors = np.linalg.eigh(conditional)
     return cast(Floats, (np.sqrt(np.maximum(squares, 0.0)) * vectors).T[: -SHAPES - 1 : -1])
+
+
+def _response_of_events(fit: FitResult, responses: Responses) -> Floats:
+    """Derivatives of the events by accelerations, by central differences, shape (events, 3 *
+    SHAPES)."""
+    since = fit.observed["t"] - fit.observed["t"][0]
+    path = np.array([np.interp(responses.t, since, fit.fitted[name]) for name in CHANNELS[:4]])
+    changes = _SMALL * responses.by_channel[:4].transpose(2, 0, 1)
+    up, down = (
+        np.array([along_path(fit.throw.events, responses.t, *(path + s * by)) for by in changes])
+        for s in (1, -1)
+    )
+    return cast(Floats, (up - down).T / (2 * _SMALL))
 
 
 def _adjustable(fit: FitResult) -> Booleans:

@@ -165,9 +165,10 @@ def _heading(profile: Profile | PairProfile) -> Text:
     text.append(f"Profile of {' and '.join(profile.names)}", style="bold")
     loss = "" if one.loss == "linear" else f", {one.loss} loss"
     text.append(f": {one.law} law, {one.load} load{loss}, fitted to {one.data['file']}\n")
+    rows = f"{one.data['rows']} rows, t = {one.data['from']:g} .. {one.data['to']:g} s; "
+    text.append(rows if one.data["rows"] else "")
     text.append(
-        f"{one.data['rows']} rows, t = {one.data['from']:g} .. {one.data['to']:g} s; chi squared "
-        f"of the best fit {one.chi_squared:.4g}, of {one.n_observations} values\n"
+        f"chi squared of the best fit {one.chi_squared:.4g}, of {one.n_observations} values\n"
     )
     points = one.at.size if isinstance(profile, Profile) else int(profile.delta.size)
     text.append(f"All other parameters fitted again at {points} values")

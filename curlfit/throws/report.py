@@ -40,11 +40,15 @@ def print_inspection(
     def write(line: str) -> None:
         console.print(line, markup=False)
 
-    write(
-        f"{parsed.source}: {parsed.format}, {len(throw)} rows, "
-        f"t = {throw.t[0]:.6g} .. {throw.t[-1]:.6g} s"
-    )
-    console.print(_columns(parsed))
+    if throw.has_path:
+        write(
+            f"{parsed.source}: {parsed.format}, {len(throw)} rows, "
+            f"t = {throw.t[0]:.6g} .. {throw.t[-1]:.6g} s"
+        )
+        console.print(_columns(parsed))
+    else:
+        write(f"{parsed.source}: {parsed.format}, {len(throw.events)} events at lines and at rest")
+        console.print(_events(throw))
     console.print()
     for line in facts(throw, inspection, settings):
         write(line)
@@ -77,8 +81,28 @@ def _columns(parsed: ParsedFile) -> PlainTable:
     return table
 
 
+def _events(throw: Throw) -> PlainTable:
+    table = PlainTable()
+    for name in ("measured", "value", "sigma", "unit", "at y (m)", "since y (m)"):
+        table.add_column(name, justify="left" if name in ("measured", "unit") else "right")
+    for event in throw.events:
+        at = "rest" if event.at is None else f"{event.at:.3f}"
+        since = "" if event.since is None else f"{event.since:.3f}"
+        cells = (event.name, f"{event.value:.6g}", f"{event.sigma:.3g}", event.unit, at, since)
+        table.add_row(*map(Text, cells))
+    return table
+
+
 def facts(throw: Throw, inspection: Inspection, settings: Mapping[str, Any]) -> Iterator[str]:
     """Findings on a throw before a fit, a line each."""
+    if throw.has_path:
+        yield from _of_rows(throw, inspection)
+    if settings:
+        listed = (f"{key} = {value}" for key, value in settings.items() if value)
+        yield "settings   " + ", ".join(listed)
+
+
+def _of_rows(throw: Throw, inspection: Inspection) -> Iterator[str]:
     if inspection.clock is not None:
         yield from _clock(inspection.clock)
     for name, row in (("first row", 0), ("last row", -1)):
@@ -96,9 +120,6 @@ def facts(throw: Throw, inspection: Inspection, settings: Mapping[str, Any]) -> 
     if throw.sigma:
         yield "sigma      given for " + ", ".join(c for c in CHANNELS if c in throw.sigma)
     yield "rest       " + _rest(inspection.rest)
-    if settings:
-        listed = (f"{key} = {value}" for key, value in settings.items() if value)
-        yield "settings   " + ", ".join(listed)
 
 
 def _clock(clock: Clock) -> Iterator[str]:

@@ -16,6 +16,7 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.output.display import Displayed, Overview
 from curlfit.output.frames import frame
 from curlfit.output.text import plain_table
+from curlfit.throws.events import Event, sketch
 
 CHANNELS = ("x", "y", "phi", "speed", "omega")
 MOST_ROWS = 6000
@@ -78,6 +79,8 @@ class Throw(Displayed):
     defaults : settings in the data file (`since`, `until`, `exclude`, `stone`, `law`, `load`).
     notes : remarks of the reader (ignored columns and the like).
     lines : line of each row in the file, for messages.
+    events : measured times and places at lines and at rest (`curlfit.throws.events`).
+    assumed : values at which a fit holds what was not measured of the initial state, by name.
 
     Raises
     ------
@@ -104,6 +107,8 @@ class Throw(Displayed):
     defaults: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     lines: NDArray[np.int64] | None = None
+    events: tuple[Event, ...] = ()
+    assumed: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = len(self.t)
@@ -137,7 +142,7 @@ class Throw(Displayed):
             raise self._error(
                 f"time {self.t[row]:g} s {fault}; times must increase from row to row", row, "t"
             )
-        if not self.finite.any():
+        if not self.finite.any() and not self.events:
             raise self._error(f"no value is given; expected some of {', '.join(CHANNELS)}")
 
     def _error(self, message: str, row: int | None = None, column: str | None = None) -> DataError:
@@ -174,6 +179,30 @@ class Throw(Displayed):
             for name, values in channels.items()
         }
         return cls(t=t, **arrays, sigma=given, **more)
+
+    @classmethod
+    def from_events(
+        cls, events: Sequence[Event], *, assumed: Mapping[str, float] | None = None, **more: Any
+    ) -> Throw:
+        """A throw of which only events were measured, such as times of a stop-watch.
+
+        Its clock begins at the first line; its times are those at which a fit is shown.
+
+        Parameters
+        ----------
+        assumed : as the attribute; the stone starts at the first line, x = 0 and phi = 0.
+        more : other attributes.
+
+        Raises
+        ------
+        InputError : no line is crossed.
+        """
+        lines = [y for event in events for y in (event.at, event.since) if y is not None]
+        if not lines:
+            raise InputError("no event is timed at a line; expected one such as hog_to_hog")
+        known = {"y0": min(lines), **(assumed or {})}
+        t, _ = sketch(events, known)
+        return cls.from_arrays(t, events=tuple(events), assumed=known, **more)
 
     @classmethod
     def from_frame(cls, table: Any, **options: Any) -> Throw:
@@ -251,18 +280,20 @@ class Throw(Displayed):
 
     @cached_property
     def n_observations(self) -> int:
-        """Number of finite values of all channels."""
-        return int(np.count_nonzero(self.finite))
+        """Number of finite values of all channels, and of events."""
+        return int(np.count_nonzero(self.finite)) + len(self.events)
 
     @property
-    def stops(self) -> bool:
-        """Whether the last row gives the time of rest.
+    def has_path(self) -> bool:
+        """Whether anything was measured along the path, beside events."""
+        return bool(self.seen)
 
-        It does where its speed is 0, with a sigma, and no other speed was measured.
-        """
-        if "speed" not in self.sigma or self.speed[-1] != 0:
-            return False
-        return int(np.isfinite(self.speed).sum()) == 1
+    def sketched(self) -> Throw:
+        """The same without events; where these are all there is, a rough path takes their place."""
+        if not self.events:
+            return self
+        channels: Any = {} if self.has_path else sketch(self.events, self.assumed)[1]
+        return replace(self, events=(), **channels)
 
     def require_motion(self) -> None:
         """Raise `DataError` where the motion is within the scatter of the data."""
@@ -350,6 +381,8 @@ class Throw(Displayed):
         """
         if since is None and until is None and not len(exclude):
             return self
+        if not self.has_path:
+            raise InputError(f"{self.name}: timed events only; there are no rows to choose")
         low = -math.inf if since is None else since
         high = math.inf if until is None else until
         keep = (self.t >= low - 1e-9) & (self.t <= high + 1e-9)
@@ -377,12 +410,19 @@ class Throw(Displayed):
         return replace(self, defaults={**self.defaults, **defaults})
 
     def with_sigma(self, sigma: dict[str, float]) -> Throw:
-        """The throw with one standard deviation for whole channels (SI units)."""
+        """The throw with one standard deviation for whole channels, or for "time" between events
+        (SI units)."""
         check_sigma(sigma)
         if not sigma:
             return self
-        filled = {name: np.full_like(self.t, value) for name, value in sigma.items()}
-        return replace(self, sigma={**self.sigma, **filled})
+        filled = {name: np.full_like(self.t, sigma[name]) for name in CHANNELS if name in sigma}
+        events = tuple(
+            replace(event, sigma=sigma["time"])
+            if event.quantity == "time" and "time" in sigma
+            else event
+            for event in self.events
+        )
+        return replace(self, sigma={**self.sigma, **filled}, events=events)
 
 
 _CONTENT = ("t", *CHANNELS, "sigma", "reference", "defaults")  # what makes throws equal
@@ -400,8 +440,11 @@ def _same(one: Any, other: Any) -> bool:
 def check_sigma(sigma: Mapping[str, float]) -> None:
     """Raise `InputError` where a standard deviation is not positive, or of no channel."""
     for name, value in sigma.items():
-        if name not in CHANNELS:
-            raise InputError(f"no channel {name!r}; the channels are {', '.join(CHANNELS)}")
+        if name not in (*CHANNELS, "time"):
+            raise InputError(
+                f"no channel {name!r}; the channels are {', '.join(CHANNELS)}, and `time` is that "
+                "of events"
+            )
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"sigma of {name} = {value:g}: expected a positive number")
 

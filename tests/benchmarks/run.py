@@ -79,6 +79,26 @@ def answering() -> None:
     row("first run on a machine", f"{first:.2f} s", first / script)
 
 
+def stopwatch() -> None:
+    """A stop-watch's record by the command, against the scipy script in closed form."""
+    curlfit, peer = (
+        [sys.executable, "-m", "curlfit"],
+        [sys.executable, str(HERE / "peer_stopwatch.py")],
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "stopwatch.txt")
+        file.write_text("hog_to_hog = 14.2\ncurl = 4 ft left\nrest = 0.6\n")
+        fit = [*curlfit, "fit", str(file), "--no-sample", "--out", f"{folder}/fit"]
+        processes(fit, times=1)
+        bare, drawn, ours, with_figure = processes(
+            [*peer, str(file)], [*peer, str(file), f"{folder}/a.png"], [*fit, "--no-figures"], fit
+        )
+    row("scipy script", f"{bare:.2f} s", 1.0)
+    row("fit, no figures", f"{ours:.2f} s", ours / bare)
+    row("scipy script with a figure", f"{drawn:.2f} s", 1.0)
+    row("fit with fit.png", f"{with_figure:.2f} s", with_figure / drawn)
+
+
 def forward() -> None:
     """One path of 201 times under vmap, against scipy and diffrax, compiled as curlfit's own
     programs are.
@@ -351,7 +371,7 @@ def roof() -> None:
     row("memory, over a copy's", f"{moved:.3g} B/s", moved / memory)
 
 
-ALL = {f.__name__: f for f in (answering, forward, roof, batch, posterior)}
+ALL = {f.__name__: f for f in (answering, stopwatch, forward, roof, batch, posterior)}
 
 
 def main() -> None:

@@ -249,7 +249,7 @@ def test_check_shows_what_was_understood(tmp_path):
         ("two", ("--stone-index", 2), "taken: 2 mass B"),
         ("shot", ("--format", "digitalcurling"), "team1 stone 1, the one thrown"),
         ("log", ("--shot", 2), "end 0 shot 1"),
-        ("timings", (), "at the last row"),
+        ("timings", (), "6 events at lines and at rest"),
         ("clocks", (), "merged to 24 times"),
     ],
 )

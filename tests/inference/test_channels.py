@@ -144,88 +144,6 @@ def test_nothing_measured_is_refused():
         curlfit.Throw.from_arrays([0.0, 1.0, 2.0])
 
 
-SIGMA_T = 0.05
-# back line, hog lines (m from the hack); the stone begins on the back line
-LINES = (1.829, 10.059, 32.004)
-
-
-@pytest.fixture(scope="module")
-def watched():
-    """The path, and when it crosses the lines and comes to rest."""
-    t = np.arange(0, 40, 0.001)
-    path = simulate(LAW, STONE, InitialState(y=LINES[0], v=2.55, omega=1.2), t).to_numpy()
-    return path, np.append(np.interp(LINES, path.y, t), t[np.argmax(path.speed == 0)])
-
-
-def timed(file, times, **more):
-    """A stop-watch's file of the four times, read."""
-    back, hog, far, rest = times
-    lines = {"back_to_hog": hog - back, "hog_to_hog": far - hog, "hog_to_rest": rest - far}
-    lines |= {"sigma_t": SIGMA_T} | more
-    file.write_text("".join(f"{name} = {value:.4f}\n" for name, value in lines.items()))
-    return curlfit.load_throw(file)
-
-
-def test_a_stop_watch_knows_the_braking_and_says_what_it_does_not(tmp_path):
-    # hack at y = 0, hog lines 10.059 and 32.004 m, as the reader has them
-    t = np.arange(0, 40, 0.001)
-    path = simulate(LAW, STONE, InitialState(v=2.55, omega=1.2), t).to_numpy()
-    y = np.asarray(path.y) + 1.829
-    back, hog, far = (t[np.searchsorted(y, line)] for line in (1.8291, 10.059, 32.004))
-    rest = t[np.searchsorted(y, y[-1] - 1e-4)]
-    (tmp_path / "watch.txt").write_text(
-        f"back_to_hog = {hog - back:.2f}\nhog_to_hog = {far - hog:.2f}\n"
-        f"hog_to_rest = {rest - far:.2f}\ncurl = {path.x[-1]:.2f}\nsigma_t = 0.05\n"
-    )
-    result = curlfit.fit(curlfit.load_throw(tmp_path / "watch.txt"), "front-back", stone=STONE)
-    assert result.converged
-    total = known(result)["mu1_eta + mu2_eta"]
-    assert abs(total.value - TRUE["mu1_eta + mu2_eta"]) < 0.02 * total.value
-    for name in ("mu1_xi", "mu2_xi", "omega0"):
-        assert result.parameters[name].verdict in ("not identifiable", "weak", "at bound")
-
-
-def test_a_throw_timed_without_error_gives_the_braking_back(tmp_path, watched):
-    path, times = watched
-    throw = timed(tmp_path / "watch.txt", times, curl=path.x[-1])
-    assert throw.stops
-    result = curlfit.fit(throw, "front-back", stone=STONE)
-    assert result.converged
-    total = sum(result.parameters[name].value for name in ("mu1_eta", "mu2_eta"))
-    assert total == pytest.approx(TRUE["mu1_eta + mu2_eta"], rel=0.01)
-    assert result.fitted["y"][-1] == pytest.approx(path.y[-1], abs=0.01)
-    assert result.rms["y"] < 1e-3
-
-
-def test_counted_turns_need_no_sigma(tmp_path, watched):
-    path, times = watched
-    throw = timed(
-        tmp_path / "watch.txt", times, curl=path.x[-1], rest=path.y[-1] - 38.405,
-        turns=np.interp(times[-1] - times[1], path.t, path.phi) / (2 * np.pi),
-    )  # fmt: skip
-    assert throw.sigma["phi"][-1] == pytest.approx(0.1 * 2 * np.pi)
-    assert curlfit.fit(throw, "coulomb", stone=STONE).converged
-
-
-def test_errors_of_timed_throws_are_what_repetition_shows(tmp_path):
-    # a stone that stops too early is as far off as one that stops too late
-    mu, v = 0.0092, 2.55
-    a = 9.81 * mu
-    crossed = [(v - np.sqrt(v**2 - 2 * a * (line - LINES[0]))) / a for line in LINES]
-    random = np.random.default_rng(5)
-    off = []
-    for _ in range(60):
-        times = np.append(crossed, v / a) + SIGMA_T * random.standard_normal(4)
-        rest = LINES[0] + v**2 / (2 * a) - 38.405 + 0.05 * random.standard_normal()
-        throw = timed(tmp_path / "watch.txt", times, rest=rest)
-        result = curlfit.fit(throw, "coulomb", stone=STONE, fix={"omega0": 0.0})
-        assert result.converged
-        found = result.parameters["mu"]
-        off.append((found.value - mu) / found.stderr)
-    assert np.mean(off) == pytest.approx(0, abs=3 / np.sqrt(60))
-    assert np.std(off) == pytest.approx(1, abs=3 / np.sqrt(120))
-
-
 def test_the_time_of_rest_and_its_derivatives():
     # under Coulomb friction without spin, v/(mu g) after the start
     def rest(v, mu, last):
@@ -237,17 +155,3 @@ def test_the_time_of_rest_and_its_derivatives():
         assert rest(2.0, 0.01, last) == pytest.approx(3 + 2.0 / (0.01 * 9.81), abs=1e-6)
         slopes = jax.jacfwd(rest, (0, 1))(2.0, 0.01, last)
         np.testing.assert_allclose(slopes, (1 / 0.0981, -2.0 / (0.01**2 * 9.81)), rtol=1e-6)
-
-
-def test_only_one_speed_of_zero_in_the_last_row_is_a_time_of_rest():
-    t = np.arange(5.0)
-    nan = np.nan
-    for speed, stops in (
-        ([nan, nan, nan, nan, 0.0], True), ([nan, nan, nan, 0.0, 0.0], False),
-        ([nan, nan, nan, 0.0, nan], False), ([nan, nan, nan, nan, 0.1], False),
-        ([2.0, nan, nan, nan, 0.0], False),
-    ):  # fmt: skip
-        throw = curlfit.Throw.from_arrays(t, y=t, speed=speed, sigma={"y": 0.1, "speed": 0.1})
-        assert throw.stops == stops
-        assert not curlfit.Throw.from_arrays(t, y=t, speed=speed).stops
-    assert not throw.select_rows(until=2).stops

@@ -171,10 +171,7 @@ def test_data_that_lie_on_the_sheet_are_left_where_they_are(tmp_path):
     (tmp_path / "b.txt").write_text(
         "hog_to_hog = 13.45\nhog_to_rest = 12.22\nback_to_hog = 3.5\nrest = 0\n"
     )
-    watched = curlfit.fit(
-        curlfit.load_throw(tmp_path / "b.txt"), "coulomb",
-        fix={"heading": 0.0, "phi0": 0.0, "omega0": 0.0},
-    )  # fmt: skip
+    watched = curlfit.fit(curlfit.load_throw(tmp_path / "b.txt"))
     found = curlfit.predict(watched, draws=100)
     assert found.line == "data"
     assert found.quantities["hog_to_hog"].value == pytest.approx(13.45, abs=0.3)

@@ -16,7 +16,6 @@ from sample_files import (
     PIXELS,
     PLAIN,
     SAMPLES,
-    TIMINGS,
     N,
     T,
     X,
@@ -576,55 +575,6 @@ def test_empty_rows_are_left_out(write):
     throw = load_throw(write(PLAIN + ",,,\n,,,\n"))
     assert len(throw) == N
     assert said(throw, "2 empty rows left out")
-
-
-# Timings
-
-
-def test_timings(write):
-    throw = load_throw(write(TIMINGS))
-    np.testing.assert_allclose(throw.t, [-3.4, 0, 14.2, 24.5])
-    np.testing.assert_allclose(throw.y, [1.829, 10.059, 32.004, 39.005], atol=1e-9)
-    np.testing.assert_allclose(throw.x, [0, 0, np.nan, -4 * 0.3048])
-    assert throw.phi[-1] == pytest.approx(5 * np.pi)
-    assert throw.speed[-1] == 0
-    # an even deceleration over both stretches: 21.945 m in 14.2 s, then to rest in 10.3 s
-    a = 21.945 / (14.2 * (10.3 + 7.1))
-    np.testing.assert_allclose(throw.sigma["y"][1:3], 0.1 * a * np.array([24.5, 10.3]), rtol=1e-12)
-    assert throw.sigma["speed"][-1] == pytest.approx(0.1 * a)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "hog_to_hog 14.2\nhog_to_rest 10.3\n", "hog_to_hog;14,2\nhog_to_rest;10,3\n",
-        'name,value\n"hog_to_hog","14.2 s"\nhog_to_rest,10.3\n',
-        "hog_to_rest = 0.1716667 min\nHOG_TO_HOG: 14200 ms\n",
-    ],
-)  # fmt: skip
-def test_timings_in_other_forms(write, text):
-    throw = load_throw(write(text))
-    np.testing.assert_allclose(throw.t, [0, 14.2, 24.5], atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("text", "line", "words"),
-    [
-        ("hog_to_rest = 10\nback_to_hog = 3\n", None, "no hog_to_hog"),
-        ("hog_to_hog = 14\n", None, "no back_to_hog or hog_to_rest"),
-        ("hog_to_hog = 14\nback_to_hog = 3\ncurl = 1\n", 3, "hog_to_rest is missing"),
-        ("hog_to_hog = -14\nhog_to_rest = 3\n", 1, "expected a number above 0"),
-        ("hog_to_hog = fast\nhog_to_rest = 3\n", 1, "'fast' found, expected a number"),
-        ("hog_to_hog = 14 m\nhog_to_rest = 3\n", 1, "unknown unit"),
-        ("hog_to_hog = 14\nhog_to_hog = 14\n", 2, "given twice"),
-        ("hog_to_hog = 14\nhouse = 14\n", 2, "is not known"),
-        ("hog_to_hog = 14\nhog_to_rest = 10\nrest = 400\n", 3, "up to 40"),
-    ],
-)
-def test_timings_that_cannot_be(write, text, line, words):
-    with pytest.raises(DataError, match=words) as caught:
-        load_throw(write(text))
-    assert caught.value.line == line
 
 
 # Large files

@@ -48,7 +48,7 @@ _ROWS = 2 * BATCH * 256  # of throws that are fitted together, for the sake of m
 
 def fit(
     throw: Throw,
-    law: str | type[Law] = "front-back",
+    law: str | type[Law] | None = None,
     *,
     load: str | None = None,
     stone: Stone | None = None,
@@ -70,9 +70,9 @@ def fit(
 
     Parameters
     ----------
-    throw : the data. Its own defaults (`since`, `until`, `exclude`, `stone`, `load`) hold where
-        nothing else is said.
-    law : name or class of the friction law.
+    throw : the data. Its own defaults (`since`, `until`, `exclude`, `stone`, `law`, `load`) hold
+        where nothing else is said.
+    law : name or class of the friction law; "front-back" where the throw says nothing either.
     load : "uniform" or "consistent" (eq. 8-9).
     stone : the stone; by default the data file's, and `Stone()` where that says nothing.
     since, until : use rows with since <= t <= until (s).
@@ -116,6 +116,7 @@ def fit(
     >>> fit["mu1_eta"].verdict
     'not identifiable'
     """
+    law = throw.defaults.get("law", "front-back") if law is None else law
     law = find_law(law) if isinstance(law, str) else law
     loss, noise = check_loss(loss), check_noise(noise, loss)
     load = check_load(load or throw.defaults.get("load", "uniform"))
@@ -159,9 +160,9 @@ def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSqu
     """The only throw of some rounds, with all the starts there are."""
     (prepared,), model = rounds.throws, rounds.model
     parameters = prepared.local_parameters
-    (problem,) = unstacked(rounds.problems)
-    path = smooth(rounds.problems)
-    tries = starts(model, problem, path, parameters)
+    (problem,), (sketch,) = unstacked(rounds.problems), unstacked(rounds.sketches)
+    path = smooth(rounds.sketches)
+    tries = starts(model, sketch, path, parameters)
     if start:
         tries.insert(0, prepared.with_start(tries[0], start))
     solution, tried = multistart(model, tries, prepared.first_parameters, problem, path)
@@ -288,8 +289,8 @@ def _fitted_together(
     alone."""
     model, throws = rounds.model, rounds.throws
     _, lower, upper = local_bounds(throws)
-    paths = smooth(rounds.problems)
-    begin = start_values(model, rounds.problems, paths, lower, upper)
+    paths = smooth(rounds.sketches)
+    begin = start_values(model, rounds.sketches, paths, lower, upper)
     if start:
         begin = np.stack(
             [one.with_start(values, start) for one, values in zip(throws, begin, strict=True)]

@@ -50,11 +50,11 @@ def remedies(
     Parameters with the same remedy are together. Of several channels in "measure" each would do,
     unless "all" is true, when none can be left out; it is empty where nothing would.
     """
-    weight = np.zeros((len(CHANNELS), rows))
-    weight[: len(problem.weight)] = problem.weight[:, :rows]
-    missing = [name for row, name in enumerate(CHANNELS) if not weight[row].any()]
     free = np.array([place for place, name in enumerate(parameters.names) if name not in held])
     jacobian = _slopes(model, values, problem, parameters, free)[:, :rows]
+    weight = np.zeros(jacobian.shape[:2])
+    weight[: len(problem.weight)] = problem.weight[:, :rows]
+    missing = [name for row, name in enumerate(CHANNELS) if not weight[row].any()]
     names = [parameters.names[place] for place in free]
 
     def determined(channels: Sequence[str]) -> set[str]:

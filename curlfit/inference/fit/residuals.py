@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ _FEW = 50  # values that one of them pulls the fit of
 _BY_CHANCE = 1e-3  # share of throws that may have one by chance
 _MUCH = 1.5  # times the sigma given, above which residuals are called too large ...
 _NOT_BY_CHANCE = 5.0  # ... where chi squared is so many of its own standard deviations too high
+_MISSED = 4.0  # sigmas by which an event is called missed; one in 16,000 is by chance
 _SMOOTH = 0.5  # lag-1 correlation of residuals from which they are called smooth
 
 
@@ -178,6 +179,20 @@ def given_sigma_warnings(
     return [
         f"the residuals are far larger than the sigma given ({listed}): that is too small, or the "
         "law or a fixed value is wrong; standard errors are too small by as much or more"
+    ]
+
+
+def event_warnings(events: Sequence[Mapping[str, Any]], law: str) -> list[str]:
+    """Events that a fit misses by far."""
+    far = {
+        item["name"]: abs(item["fitted"] - item["value"]) / item["sigma"] for item in events
+    }  # fmt: skip
+    listed = [f"{name} by {sigmas:.2g} sigma" for name, sigmas in far.items() if sigmas > _MISSED]
+    if not listed:
+        return []
+    return [
+        f"the fit misses {', '.join(listed)}: the {law} law does not describe it, or it was "
+        "measured or written wrongly"
     ]
 
 

@@ -26,6 +26,7 @@ from curlfit.output.display import Displayed
 from curlfit.output.files import json_safe, known_fields, load_record, write_json
 from curlfit.output.frames import frame
 from curlfit.stone import Stone
+from curlfit.throws.events import Event
 from curlfit.throws.throw import CHANNELS, Reference, Throw
 
 SCHEMA = 1
@@ -230,6 +231,8 @@ class FitResult(NamedEstimates):
     sampling : "none", "unfinished" (begun, or to be begun) or "ended".
     systematics : errors by the conditions that the fit holds, such as level ice.
     chi_squared, prior_chi_squared : of the data, and of the priors.
+    events : measured times and places at lines and at rest, each as the attributes of
+        `curlfit.throws.events.Event`, with what the fit says, "fitted".
 
     Examples
     --------
@@ -281,6 +284,7 @@ class FitResult(NamedEstimates):
     systematics: Systematics = field(default_factory=Systematics)
     chi_squared: float = math.nan
     prior_chi_squared: float = 0.0
+    events: tuple[dict[str, Any], ...] = ()
 
     @property
     def law_class(self) -> type[Law]:
@@ -331,6 +335,12 @@ class FitResult(NamedEstimates):
             sigma={name: series[f"sigma_{name}"] for name in CHANNELS if f"sigma_{name}" in series},
             name=self.data["file"],
             reference=self.reference,
+            events=tuple(Event(**known_fields(Event, item)) for item in self.events),
+            assumed={
+                item.name: self.parameters[item.name].value
+                for item in START
+                if self.events and self.parameters[item.name].verdict == "fixed"
+            },
         )
 
     @property
@@ -375,6 +385,7 @@ class FitResult(NamedEstimates):
             "noise": self.noise.as_dict(),
             "independence": {name: asdict(item) for name, item in self.independence.items()},
             "outliers": list(self.outliers),
+            "events": list(self.events),
             "remedies": list(self.remedies),
             "parameters": {name: asdict(item) for name, item in self.parameters.items()},
             "combinations": [asdict(item) for item in self.combinations],
@@ -438,6 +449,7 @@ class FitResult(NamedEstimates):
                 for name, item in found.get("independence", {}).items()
             },
             outliers=tuple(found.get("outliers", ())),
+            events=tuple(found.get("events", ())),
             remedies=tuple(found.get("remedies", ())),
             reference_fits=tuple(found.get("reference_fits", ())),
             systematics=Systematics(**known_fields(Systematics, found.get("systematics", {}))),

@@ -34,7 +34,7 @@ from curlfit.inference.noise.correlated import Motion, estimate, whitener_of
 from curlfit.inference.noise.estimation import channel_residuals
 from curlfit.inference.noise.losses import robust_sigma
 from curlfit.inference.noise.models import LOSSES, Noise, time_of_motion
-from curlfit.inference.problem import Problem, build_problem
+from curlfit.inference.problem import ROWS_OF_DATA, Problem, build_problem
 from curlfit.numerics.compiled import stacked
 from curlfit.throws.throw import CHANNELS
 
@@ -46,7 +46,7 @@ class Rounds:
 
     Attributes
     ----------
-    problems : throws along the first axis.
+    problems : throws along the first axis. sketches : the same for a first guess of the values.
     sigma : of each throw and channel; 0 where the throw gives its own.
     failures : by index, why there is no further round.
     """
@@ -75,7 +75,20 @@ class Rounds:
                 for one, sigma in zip(throws, even, strict=True)
             ]
         )  # fmt: skip
-        self.channels = CHANNELS[: self.problems.observed.shape[1]]
+        self.sketches = self.problems
+        if self.problems.events is not None:
+            # Without its events, a throw of which nothing else was measured needs a rough path.
+            self.sketches = stacked(
+                [
+                    build_problem(
+                        one.throw.sketched(), one.stone, one.origin, sigma,
+                        environment=one.environment,
+                        shape=(len(CHANNELS), self.problems.times.shape[-1]),
+                    )
+                    for one, sigma in zip(throws, even, strict=True)
+                ]
+            )  # fmt: skip
+        self.channels = ROWS_OF_DATA[: self.problems.observed.shape[1]]
         self.unknown = np.array([[name in sigma for name in self.channels] for sigma in even])
         self.sigma = np.array([[sigma.get(name, 0.0) for name in self.channels] for sigma in even])
         self.free = np.stack([throw.parameters.free for throw in throws])

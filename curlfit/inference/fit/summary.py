@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import asdict, replace
+from typing import Any, NamedTuple
 
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
 from curlfit.numerics.compiled import BATCH, stacked
@@ -24,6 +24,7 @@ from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penaltie
 from curlfit.inference.fit.residuals import (
     ResidualStatistics,
     correlation_warnings,
+    event_warnings,
     given_sigma_warnings,
     outlier_warning,
     outliers_of,
@@ -37,7 +38,7 @@ from curlfit.inference.model import Model
 from curlfit.inference.noise.models import Noise, time_of_motion
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
-from curlfit.inference.problem import Problem
+from curlfit.inference.problem import ROWS_OF_DATA, Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS
 
@@ -94,7 +95,7 @@ def summarize_many(
     statistics = residual_statistics(problems, solutions, paths, penalty)
     sets = [fit.prepared.parameters for fit in fits]
     offset, lower, upper = local_bounds([fit.prepared for fit in fits])
-    channels = CHANNELS[: problems.observed.shape[1]]
+    channels = ROWS_OF_DATA[: problems.observed.shape[1]]
     found = covariances(
         sets,
         solutions.values + offset,
@@ -148,7 +149,7 @@ def _record(
     known, n = found.identifiability, len(throw)
     curves = {}
     if statistics.path is not None:
-        path = statistics.path[:, :n] + prepared.origin.place[:, None]
+        path = statistics.path[: len(CHANNELS), :n] + prepared.origin.place[:, None]
         curves = dict(zip(CHANNELS, path, strict=True))
     rms = {name: float(v) for name, v in statistics.by_channel(statistics.rms).items()}
     lag1 = {name: float(v) for name, v in statistics.by_channel(statistics.lag1, 3).items()}
@@ -167,6 +168,8 @@ def _record(
     if fit.loss == "linear" and noise.kind == "white":
         warnings += given_sigma_warnings(throw, fit.solution.residual[:, :n], outliers)
     warnings += _memory_warnings(noise, throw.t, curves)
+    events = _events(fit)
+    warnings += event_warnings(events, law.name)
     shown = [name for name in CHANNELS if name in throw.seen or name in ("x", "y", "phi")]
     observed = {name: getattr(throw, name) for name in ("t", *shown)}
     observed |= {f"sigma_{name}": series for name, series in throw.sigma.items()}
@@ -180,7 +183,7 @@ def _record(
         data={
             "file": throw.name,
             "law_file": law.origin or None,
-            "rows": n,
+            "rows": n if throw.has_path else 0,
             "from": float(throw.t[0]),
             "to": float(throw.t[-1]),
             **prepared.rows,
@@ -224,6 +227,15 @@ def _record(
         noise=noise,
         independence=statistics.by_channel(statistics.independence, 3),
         outliers=outliers,
+        events=events,
+    )
+
+
+def _events(fit: LeastSquaresFit) -> tuple[dict[str, Any], ...]:
+    """The events of a throw with what the fit says of them."""
+    return tuple(
+        asdict(event) | {"fitted": event.value + event.sigma * float(off)}
+        for event, off in zip(fit.prepared.throw.events, fit.solution.residual[-1], strict=False)
     )
 
 

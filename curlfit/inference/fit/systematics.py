@@ -23,6 +23,7 @@ from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import unstacked
 from curlfit.stone import UNITS as STONE_UNITS
+from curlfit.throws.events import EventArrays
 
 _STEP = 1e-2  # of a width, for differences: the path is accurate to 1e-7 of it
 
@@ -72,6 +73,8 @@ def residual_changes(
             change = np.zeros_like(paths)
             first = len(model.law.coefficients()) + len(model.conditions)
             change[:, :2] = paths[:, :2] - values[:, first : first + 2, None]
+            if problems.events is not None:
+                change[:, -1] = _of_events(model, problems, values, paths, width, batch)
             change = change * width
         else:
             changed = _changed(problems, name, _STEP * width)
@@ -87,10 +90,29 @@ def residual_changes(
     return found
 
 
+def _of_events(
+    model: Model, problems: Problem, values: Floats, paths: Floats, width: float, batch: int
+) -> Floats:
+    """Change of what is predicted of events by measured over true lengths, shape (throws, n)."""
+    assert problems.events is not None
+    events: EventArrays = problems.events
+    first = len(model.law.coefficients()) + len(model.conditions)
+    x0, y0 = values[:, first, None], values[:, first + 1, None]
+    small = _STEP * width
+    nearer = events._replace(lines=y0 + (events.lines - y0) / (1 + small))
+    moved = predict_many(model, values, problems._replace(events=nearer), batch)[:, -1]
+    places, x, y = events.places()
+    found = predict_many(model, values, problems._replace(events=places), batch)[:, -1].copy()
+    found[:, : x.shape[1]] -= x * x0 + y * y0
+    return (moved - paths[:, -1]) / small + found
+
+
 def _changed(problems: Problem, name: str, by: float) -> Problem:
     """Problems with a condition off by something."""
     if name == "time_scale":
-        return problems._replace(times=problems.times / (1 + by))
+        events = problems.events
+        events = None if events is None else events.with_clock(1 + by)
+        return problems._replace(times=problems.times / (1 + by), events=events)
     group = "stone" if name in STONE_UNITS else "environment"
     record = getattr(problems, group)
     values = {key: value + by * (key == name) for key, value in vars(record).items()}

@@ -42,7 +42,7 @@ from curlfit.throws.throw import Throw
 
 def fit_together(
     throws: Sequence[Throw],
-    law: str | type[Law] = "front-back",
+    law: str | type[Law] | None = None,
     *,
     share: str | Sequence[str] = "all",
     load: str = "uniform",
@@ -85,6 +85,8 @@ def fit_together(
     >>> joint.converged, joint.share
     (True, ('mu1_xi', 'mu2_xi', 'mu1_eta', 'mu2_eta'))
     """
+    if law is None:
+        law = throws[0].defaults.get("law", "front-back") if throws else "front-back"
     law = find_law(law) if isinstance(law, str) else law
     checked, loss = check_load(load), check_loss(loss)
     noise = check_noise(noise, loss)
@@ -108,7 +110,7 @@ def fit_together(
         Layout(sets, shared) for sets in (local, [one.first_parameters for one in prepared])
     )
     initial = []
-    for one, parameters, problem in zip(prepared, local, unstacked(rounds.problems), strict=True):
+    for one, parameters, problem in zip(prepared, local, unstacked(rounds.sketches), strict=True):
         alone = stacked([problem])
         ends = parameters.lower[None], parameters.upper[None]
         (values,) = start_values(model, alone, smooth(alone), *ends, batch=1)

@@ -297,8 +297,9 @@ def subject_of_fit(
 ) -> dict[str, str]:
     """What a fit is of, as short texts by name. Those of many numbers are digests."""
     sigma = [values for _, values in sorted(throw.sigma.items())]
+    text = ",".join(sorted(throw.sigma)) + "".join(map(repr, throw.events))
     return {
-        "data": _digest(throw.t, throw.observed, *sigma, text=",".join(sorted(throw.sigma))),
+        "data": _digest(throw.t, throw.observed, *sigma, text=text),
         "law": law.name,
         "law's file": _digest(text=_source(law)),
         "load": load,

@@ -28,7 +28,6 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import GRAVITY, Stone
@@ -63,6 +62,8 @@ class Responses(NamedTuple):
     @classmethod
     def of(cls, times: Floats, path: Floats, stone: Stone) -> Responses:
         """Those of a path: x, y, phi, speed and spin at times, shape (5, n)."""
+        from scipy.interpolate import CubicSpline  # slow to load, and few fits need it
+
         distinct = np.flatnonzero(np.diff(times, prepend=-np.inf) > 0)
         moving = np.flatnonzero(path[3, distinct] > 0)
         last = distinct[min(int(moving[-1]) + 1 if len(moving) else 1, len(distinct) - 1)]

@@ -16,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from scipy.optimize import minimize_scalar
 
 from curlfit.inference.identifiability import triangle
 from curlfit.inference.noise import ar1
@@ -151,6 +150,8 @@ def _at_memory(
 ) -> tuple[list[float], Floats]:
     """Sigma of each channel over that of the fit, and the log-posterior of sizes of the
     discrepancy, shape (sizes,), for noise of a memory in s."""
+    from scipy.optimize import minimize_scalar  # slow to load
+
     n_nuisance = channels[0].basis.shape[1]
     parts = [_independent(item, rows, memory) for item, rows in zip(channels, columns, strict=True)]
     count = sum(len(rows) for item, rows in zip(channels, columns, strict=True) if not item.given)

@@ -18,7 +18,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
-from scipy.optimize import brentq
 from scipy.special import beta, erf, kv
 
 from curlfit.inference.noise.models import LOSSES
@@ -108,6 +107,8 @@ def likeliest_sigma(residual: Floats, loss: str, floor: float = 1e-12) -> float:
         return float(np.mean(r * influence(r, loss).psi)) - 1
 
     low, high = np.log(floor), np.log(largest)
+    from scipy.optimize import brentq  # slow to load
+
     return float(np.exp(brentq(slope, low, high))) if slope(low) > 0 else floor
 
 

@@ -4,12 +4,15 @@ from curlfit.throws.readers.load import (
     FORMATS,
     Part,
     check_reader_options,
+    format_of,
     from_table,
+    holds_timed_rows,
     load_throw,
     load_throws,
     read,
 )
 
 __all__ = [
-    "FORMATS", "Part", "check_reader_options", "from_table", "load_throw", "load_throws", "read",
+    "FORMATS", "Part", "check_reader_options", "format_of", "from_table", "holds_timed_rows",
+    "load_throw", "load_throws", "read",
 ]  # fmt: skip

@@ -42,6 +42,16 @@ def assemble(
     own = settings.pop("axes", None)
     convention = parse_axes(own if axes is None else axes)
     notes = list(parsed.notes)
+    if parsed.events:
+        if reference is not None or not convention.is_standard:
+            raise InputError(
+                f"{parsed.source}: times between lines have no axes and no pixels; leave out "
+                "--axes and --reference"
+            )
+        return Throw.from_events(
+            parsed.events, assumed=parsed.assumed, name=str(parsed.source),
+            reference=parsed.reference, defaults=settings, notes=tuple(notes),
+        )  # fmt: skip
     if parsed.ignored:
         notes.append(f"columns ignored: {', '.join(parsed.ignored)}")
     for series in parsed.series:

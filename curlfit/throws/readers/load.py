@@ -27,7 +27,7 @@ from curlfit.throws.readers.parsed_file import (
 )
 from curlfit.throws.readers.table import TABLE
 from curlfit.throws.readers.text import text_of
-from curlfit.throws.readers.timings import TIMINGS
+from curlfit.throws.readers.timings import TIMINGS, is_table
 from curlfit.throws.readers.tracker import TRACKER
 from curlfit.throws.throw import Throw
 
@@ -35,6 +35,7 @@ _READERS = (DIGITALCURLING, TIMINGS, TRACKER, TABLE)
 """Formats in the order in which a file is held against them; the last is that of any other."""
 _BY_NAME = {reader.name: reader for reader in reversed(_READERS)}
 FORMATS = tuple(_BY_NAME)
+_BEGINNING = 10_000  # characters that show whether a table has a throw in each row
 _HEAD = 30  # lines that show the format
 
 
@@ -60,7 +61,7 @@ def load_throw(
     Parameters
     ----------
     format : `table`, `tracker` (exports of Tracker), `digitalcurling` (logs of DigitalCurling 3)
-        or `timings`; detected from the file if not given.
+        or `timings` (of a stop-watch); detected from the file if not given.
     axes : the file's axes where they are not those of curlfit, as words separated by commas, such
         as `x-along,clockwise,from-tee`; see `curlfit.throws.readers.axes.WORDS`.
     reference : file of known points u, v (pixels), x, y (m), where positions are in pixels.
@@ -135,6 +136,22 @@ def load_throws(
     return found
 
 
+def holds_timed_rows(file: str | PathLike[str], format: str | None = None) -> bool:
+    """Whether a file is a stop-watch's table with a throw in each row.
+
+    Only its beginning is read. False where it cannot be read.
+    """
+    if format not in (None, TIMINGS.name):
+        return False
+    try:
+        with Path(file).open(encoding="utf-8-sig", errors="replace") as stream:
+            lines = stream.read(_BEGINNING).splitlines()
+    except (OSError, ValueError):
+        return False
+    head = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    return is_table(head) and detect_format(lines) == TIMINGS.name
+
+
 def check_reader_options(
     format: str | None = None,
     axes: str | None = None,
@@ -195,6 +212,11 @@ def _open(file: str | PathLike[str], format: str | None, options: ReadOptions) -
             flag = name.replace("_", "-")
             raise InputError(f"--{flag}: {path} is a {source.format.name} file and holds {what}")
     return source
+
+
+def format_of(file: str | PathLike[str]) -> str:
+    """The format of a file. Raises `DataError` where it cannot be read."""
+    return detect_format(text_of(Path(file)).split("\n"))
 
 
 def detect_format(lines: list[str]) -> str:

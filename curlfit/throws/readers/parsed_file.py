@@ -11,6 +11,7 @@ import numpy as np
 
 from curlfit.errors import DataError, InputError
 from curlfit.numerics.arrays import Floats
+from curlfit.throws.events import Event
 from curlfit.throws.readers.columns import Column, parse_header, with_units
 from curlfit.throws.readers.text import EXPECTED
 from curlfit.throws.throw import Reference
@@ -35,6 +36,7 @@ class ParsedFile:
     ignored : headers of unknown quantity.
     settings : defaults that the file carries. notes : remarks of the reader.
     lines : line of each row, None where there are none.
+    events, assumed : as in `curlfit.throws.throw.Throw`; with events there are no columns.
     """
 
     source: Path | str
@@ -45,6 +47,8 @@ class ParsedFile:
     reference: Reference | None = None
     notes: list[str] = field(default_factory=list)
     lines: np.ndarray | None = None
+    events: list[Event] = field(default_factory=list)
+    assumed: dict[str, float] = field(default_factory=dict)
 
     def error(self, message: str, row: int | None = None, quantity: str | None = None) -> DataError:
         """An error with its location in the file."""

@@ -1,190 +1,388 @@
-"""Stop-watch records: times between the lines, and the position at rest."""
+"""Stop-watch records: times between lines, and where the stone came to rest."""
 
 from __future__ import annotations
 
 import math
 import re
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
-from curlfit.errors import DataError
-from curlfit.sheet import HOG_TO_HOG, LINES
-from curlfit.throws.readers.columns import Column, in_unit
-from curlfit.throws.readers.parsed_file import Format, ParsedFile, ReadOptions, Series
+from curlfit.errors import DataError, InputError
+from curlfit.sheet import LINES
+from curlfit.throws.events import SIGMA_TIME, Event
+from curlfit.throws.readers.notation import Quantity, parse_quantity
+from curlfit.throws.readers.parsed_file import FilePart, Format, ParsedFile, ReadOptions, choose
 from curlfit.throws.readers.table import defaults_of
-from curlfit.throws.readers.text import parse_number
+from curlfit.throws.readers.text import cells, header_cells, separator_of
 
-TIMES = ("back_to_hog", "hog_to_hog", "hog_to_rest")
-_TIMED = re.compile(rf"^[^\S\n]*[\"']?({'|'.join(TIMES)})\b", re.I | re.M)
-_KEYS = {
-    **dict.fromkeys(TIMES, "t"),
-    "curl": "x",
-    "rest": "y",
-    "turns": "phi",
-    "sigma_t": "t",
-    "sigma_rest": "y",
-    "sigma_turns": "phi",
+TIMES: dict[str, tuple[str, str | None]] = {
+    "back_to_hog": ("back", "hog"),
+    "hog_to_hog": ("hog", "far-hog"),
+    "hog_to_tee": ("hog", "far-tee"),
+    "hog_to_rest": ("far-hog", None),
 }
+"""From which line to which each time is; None is rest."""
+SIGMA_REST = 0.05
+"""Standard deviation in m of a place measured with a tape: a judgement."""
+SIGMA_TURNS = 0.1
+"""Standard deviation of the number of turns, counted by eye: a judgement."""
+USUAL_SPIN = 1.2
+"""Spin in rad/s at the near hog line where it was not measured: that of two and a half turns in
+25 s if it falls evenly, 2 * 2.5 * 2 pi/25; a judgement."""
+_KINDS = {
+    **dict.fromkeys(TIMES, "t"), "curl": "x", "rest": "y", "turns": "phi", "handle": "word",
+    "hand": "word", "sigma_time": "t", "sigma_rest": "y", "sigma_curl": "x", "sigma_turns": "phi",
+}  # fmt: skip
+_ALIASES = {"sigma_t": "sigma_time", "spin": "handle", "rotation": "handle", "split": "back_to_hog"}
+_LIMITS = {"rest": 40.0, "curl": 10.0, "turns": 1000.0 * 2 * math.pi}
 _EXPECTED = (
-    "expected lines such as hog_to_hog = 14.2 and hog_to_rest = 10.3 (s), curl = 1.2 (m), "
-    "rest = 0.5 (m beyond the far tee), turns = 2.5, sigma_t = 0.1, sigma_rest = 0.05, "
-    "sigma_turns = 0.1"
+    "expected lines such as hog_to_hog = 14.2, back_to_hog = 3.4, hog_to_tee = 18.1, "
+    "hog_to_rest = 10.3 (s), curl = 4 ft left, rest = 0.6 (m past the far tee), turns = 2.5 cw, "
+    "handle = clockwise, sigma_time = 0.1, sigma_rest = 0.05, sigma_curl = 0.05, sigma_turns = 0.1"
 )
-_LINE = re.compile(r"""["']?(?P<key>[a-z_]+)["']?\s*[=:;,\t ]\s*(?P<value>\S.*?)\s*[;,]?$""", re.I)
-_VALUE = re.compile(r"""["']?(?P<number>[-+]?[\d.,]+(?:e[-+]?\d+)?)[\s;,]*(?P<unit>[^"']*)["']?$""",
-                    re.I)  # fmt: skip
+_SIDE = (
+    "curl = 4 ft left, or curl = 4 ft right, or a line handle = clockwise, handle = "
+    "counter-clockwise, or handle = in-turn right-handed"
+)
+_SPLIT = re.compile(r"[\s_\-./()\[\]]+")
+_LINE = re.compile(r"""\s*["']?([^=:;,\t"']*?)["']?\s*[=:;,\t]\s*(\S.*?)\s*[;,]?\s*$""")
 
 
 class _Entry(NamedTuple):
     line: int
-    value: float
+    text: str
     unit: str
 
 
-def read_timings(path: Path, lines: list[str], _: ReadOptions) -> ParsedFile:
-    """Rows at the lines and at rest: y there, x on the line of delivery and at rest.
-
-    The stone crosses the back line (if timed), both hog lines, and rests; y is counted from the
-    hack. The noise of y at a line is the timing error times the speed there under constant
-    deceleration. The last row's speed of 0 gives the time of rest (see `Throw.stops`); its noise
-    is the timing error times the deceleration.
+def read_timings(path: Path, lines: list[str], options: ReadOptions) -> ParsedFile:
+    """The events of a record, or of one row of a table with a row for each throw.
 
     Raises
     ------
-    DataError : an unknown line, a missing hog_to_hog, or an impossible value.
+    DataError : an unknown line, an impossible value, a curl without its side, or times from which
+        no friction follows. InputError : no such row.
     """
-    found, notes = _entries(path, lines)
-    comments = [(k, line) for k, line in enumerate(lines, 1) if line.lstrip().startswith("#")]
-    settings, reference, more = defaults_of(path, comments)
+    rows = _rows(path, lines)
+    index = choose("row", "--shot", options.shot, [f"line {min_line(row)}" for row in rows], 0)
+    return _record(path, lines, rows, index)
 
-    def get(key: str) -> float | None:
-        return found[key].value if key in found else None
 
-    if "hog_to_hog" not in found or len(found.keys() & set(TIMES)) < 2:
-        missing = "hog_to_hog" if "hog_to_hog" not in found else "back_to_hog or hog_to_rest"
-        raise DataError(f"no {missing}; {_EXPECTED}", file=path)
-    hogs, back, slide = found["hog_to_hog"].value, get("back_to_hog"), get("hog_to_rest")
-    sigma_t, sigma_rest = get("sigma_t") or 0.1, get("sigma_rest") or 0.05
-    sigma_turns = get("sigma_turns") or 0.1 * 2 * math.pi
-    for key in ("curl", "rest", "turns"):
-        if key in found and slide is None:
-            raise DataError(
-                f"{key} is measured at rest, and hog_to_rest is missing",
-                file=path,
-                line=found[key].line,
-            )
-    slowing = HOG_TO_HOG / (hogs * (hogs / 2 + (slide or math.inf)))
-    speeds = {
-        "back": HOG_TO_HOG / hogs + slowing * (hogs / 2 + (back or 0) / 2),
-        "hog": HOG_TO_HOG / hogs + slowing * hogs / 2,
-        "far-hog": HOG_TO_HOG / hogs - slowing * hogs / 2,
-    }
-    rows = [] if back is None else [("back", -back)]
-    rows += [("hog", 0.0), ("far-hog", hogs)]
-    nan = math.nan
-    columns = {
-        "t": [time for _, time in rows],
-        "x": [0.0 if name != "far-hog" else nan for name, _ in rows],
-        "y": [LINES[name] for name, _ in rows],
-        "sigma_x": [sigma_rest] * len(rows),
-        "sigma_y": [sigma_t * speeds[name] for name, _ in rows],
-    }
-    where = [found[key].line for key in TIMES if key in found]
-    numbers = [where[0]] * (len(rows) - 1) + [found["hog_to_hog"].line]
-    if slide is not None:
-        rest, curl, turns = get("rest"), get("curl"), get("turns")
-        columns["t"].append(hogs + slide)
-        columns["x"].append(nan if curl is None else curl)
-        columns["y"].append(nan if rest is None else LINES["far-tee"] + rest)
-        columns["sigma_x"].append(sigma_rest)
-        columns["sigma_y"].append(sigma_rest)
-        columns["speed"] = [nan] * len(rows) + [0.0]
-        columns["sigma_speed"] = [sigma_t * slowing] * (len(rows) + 1)
-        if turns is not None:
-            columns["phi"] = [0.0 if name == "hog" else nan for name, _ in rows] + [turns]
-            columns["sigma_phi"] = [sigma_turns] * (len(rows) + 1)
-        numbers.append(found["hog_to_rest"].line)
-    notes += [
-        f"y from the hack: back line {LINES['back']:.3f}, hog lines {LINES['hog']:.3f} and "
-        f"{LINES['far-hog']:.3f}, far tee {LINES['far-tee']:.3f} m (hog to hog "
-        f"{HOG_TO_HOG:.3f} m); t = 0 at the near hog line",
-        f"sigma of times {sigma_t:g} s, of positions at rest {sigma_rest:g} m"
-        + (f", of turns {sigma_turns / (2 * math.pi):g}" if "turns" in found else ""),
-        "x = 0 up to the near hog line: curl is measured from the line of delivery, whose "
-        "direction was not measured (--fix heading=0)",
+def _parts(path: Path, lines: list[str], options: ReadOptions) -> list[FilePart]:
+    """The rows of a table, or the only record."""
+    rows = _rows(path, lines)
+    if len(rows) == 1:
+        return [FilePart(options.shot, None, partial(read_timings, path, lines, options))]
+    chosen = range(len(rows))
+    if options.shot is not None:
+        names = [f"line {min_line(row)}" for row in rows]
+        chosen = range(found := choose("row", "--shot", options.shot, names, 0), found + 1)
+    return [
+        FilePart(index + 1, None, partial(_record, path, lines, rows, index)) for index in chosen
     ]
-    parsed = ParsedFile(path, "timings", [], [], settings, reference, notes=[*more, *notes])
-    parsed.lines = np.asarray(numbers, np.int64)
-    units = {"t": "s", "speed": "m/s", "phi": "rad"}
-    parsed.series = [
-        Series(name, Column(name, units.get(name.removeprefix("sigma_"), "m"), 1.0),
-               np.asarray(values, float))
-        for name, values in columns.items()
-        if not name.startswith("sigma_") or np.isfinite(columns[name[6:]]).any()
-    ]  # fmt: skip
-    parsed.series = [s for s in parsed.series if np.isfinite(s.values).any()]
-    return parsed
+
+
+def min_line(entries: dict[str, _Entry]) -> int:
+    """The first line of a record."""
+    return min((entry.line for entry in entries.values()), default=0)
+
+
+def is_table(head: list[str]) -> bool:
+    """Whether lines, comments apart, begin with a header of several known quantities."""
+    if not head:
+        return False
+    names = header_cells(head[0], separator_of(head[0]))
+    return sum(_key(name) is not None for name in names) > 1
 
 
 def _recognizes(head: list[str]) -> bool:
-    return bool(_TIMED.search("\n".join(head)))
+    if is_table(head):
+        return any(key in TIMES for name in _header(head[0]) if (key := name[0]) is not None)
+    found = [_pair(line) for line in head]
+    keys = [pair[0] for pair in found if pair is not None]
+    return any(key in TIMES for key in keys) or (bool(found) and found[0] is not None)
 
 
-TIMINGS = Format("timings", _recognizes, read_timings)
+TIMINGS = Format("timings", _recognizes, read_timings, _parts, ("shot",))
 
 
-def _entries(path: Path, lines: list[str]) -> tuple[dict[str, _Entry], list[str]]:
-    """Values in SI by key."""
+def _key(text: str) -> tuple[str, str] | None:
+    """A known quantity and its unit, if one is written behind it, as in `curl_ft`."""
+    words = [word for word in _SPLIT.split(text.strip().strip("\"'").lower()) if word]
+    for count in range(len(words), 0, -1):
+        name = "_".join(words[:count])
+        name = _ALIASES.get(name, name)
+        if name in _KINDS and len(words) - count < 2:
+            return name, "".join(words[count:])
+    return None
+
+
+def _header(line: str) -> list[tuple[str | None, str]]:
+    return [_key(name) or (None, "") for name in header_cells(line, separator_of(line))]
+
+
+def _pair(line: str) -> tuple[str, str, str] | None:
+    """Quantity, unit and text of a line; None where it names nothing that is known."""
+    match = _LINE.match(line)
+    if match is not None and (found := _key(match[1])) is not None:
+        return *found, match[2]
+    # `hog to hog 14.2`: the name ends where the value begins
+    words = line.split()
+    for count in range(min(4, len(words) - 1), 0, -1):
+        found = _key(" ".join(words[:count]))
+        if found is not None and not found[1]:
+            return *found, " ".join(words[count:])
+    return None
+
+
+def _rows(path: Path, lines: list[str]) -> list[dict[str, _Entry]]:
+    """Entries by quantity of each record in the file."""
+    body = [
+        (count, text)
+        for count, line in enumerate(lines, 1)
+        if (text := line.split("#", 1)[0].strip()) and not text.startswith("[")
+    ]
+    if not is_table([text for _, text in body]):
+        return [_entries(path, body)]
+    header = _header(body[0][1])
+    separator = separator_of(body[0][1])
+    rows = []
+    for count, text in body[1:]:
+        values = cells(text, separator)
+        if len(values) != len(header):
+            raise DataError(
+                f"{len(values)} cells, expected {len(header)} as in the header",
+                file=path,
+                line=count,
+            )
+        rows.append(
+            {
+                key: _Entry(count, value, unit)
+                for (key, unit), value in zip(header, values, strict=True)
+                if key is not None and value.strip() not in ("", "-", "--")
+            }
+        )
+    if not rows:
+        raise DataError("a header but no rows", file=path, line=body[0][0])
+    return rows
+
+
+def _entries(path: Path, body: list[tuple[int, str]]) -> dict[str, _Entry]:
     found: dict[str, _Entry] = {}
-    notes = []
-    for count, line in enumerate(lines, 1):
-        body = line.split("#", 1)[0].strip()
-        if not body or body.startswith("["):
-            continue
-        match = _LINE.match(body)
-        key = match["key"].lower() if match else ""
-        if match is None or key not in _KEYS:
-            if not found and re.fullmatch(r"(?i)(name|key|quantity|what)\W.*", body):
+    for count, text in body:
+        pair = _pair(text)
+        if pair is None:
+            if not found and re.fullmatch(r"(?i)(name|key|quantity|what)\W.*", text):
                 continue  # a header
-            raise DataError(f"{body[:40]!r} is not known; {_EXPECTED}", file=path, line=count)
+            raise DataError(f"{text[:40]!r} is not known; {_EXPECTED}", file=path, line=count)
+        key, unit, value = pair
         if key in found:
             raise DataError(f"{key} is given twice", file=path, line=count)
-        entry = _value(path, count, key, match["value"])
-        if entry.unit not in ("", "s", "m"):
-            notes.append(f"{key} in {entry.unit}")
-        found[key] = entry
-    return found, notes
+        found[key] = _Entry(count, value, unit)
+    return found
 
 
-def _value(path: Path, line: int, key: str, text: str) -> _Entry:
-    match = _VALUE.match(text)
-    value = None if match is None else parse_number(match["number"], decimal_comma=True)
-    if match is None or value is None or not abs(value) < 1e6:
-        raise DataError(f"{text[:40]!r} found, expected a number", file=path, line=line, column=key)
-    unit, quantity = match["unit"].strip().strip(";,").strip(), _KEYS[key]
-    try:
-        factor = (
-            in_unit(quantity, unit).factor
-            if unit
-            else 2 * math.pi
-            if key.endswith("turns")
-            else 1.0
+def _record(path: Path, lines: list[str], rows: list[dict[str, _Entry]], index: int) -> ParsedFile:
+    entries = rows[index]
+    comments = [(k, line) for k, line in enumerate(lines, 1) if line.lstrip().startswith("#")]
+    settings, reference, notes = defaults_of(path, comments)
+    settings.setdefault("law", "coulomb")
+    record = _Record(path, entries)
+    events = record.events()
+    record.require_friction(events)
+    spin, said = record.spin(events)
+    name = f"{path} row {index + 1}" if len(rows) > 1 else path
+    parsed = ParsedFile(name, "timings", [], [], settings, reference, notes=notes)
+    parsed.events, parsed.assumed = events, {"omega0": spin}
+    used = sorted({y for event in events for y in (event.at, event.since) if y is not None})
+    named = {y: line.replace("far-", "far ") for line, y in LINES.items()}
+    parsed.notes += [
+        "y from the hack, x from the line of delivery: the stone's centre crosses the "
+        + ", ".join(f"{named[y]} line at {y:.3f} m" for y in used)
+        + f" (far tee {LINES['far-tee']:.3f} m)",
+        said,
+    ]
+    return parsed
+
+
+class _Record:
+    """One record, as its quantities are read."""
+
+    def __init__(self, path: Path, entries: dict[str, _Entry]) -> None:
+        self.path, self.entries = path, entries
+        self.values = {key: self._read(key) for key in entries}
+
+    def _error(self, key: str, message: str) -> DataError:
+        return DataError(message, file=self.path, line=self.entries[key].line, column=key)
+
+    def _read(self, key: str) -> Quantity:
+        _, text, unit = self.entries[key]
+        kind = _KINDS[key]
+        try:
+            found = parse_quantity(
+                text,
+                "x" if kind == "word" else kind,
+                unit,
+                per=2 * math.pi if kind == "phi" else 1.0,
+            )
+        except InputError as error:
+            raise self._error(key, str(error)) from None
+        allowed: frozenset[str] = {
+            "curl": frozenset({"left", "right"}), "rest": frozenset({"past", "short"}),
+            "turns": frozenset({"clockwise", "counter-clockwise"}),
+        }.get(key, frozenset())  # fmt: skip
+        value = found.value
+        if kind == "word":
+            return found
+        if math.isnan(value) or found.words - allowed or len(found.words) > 1:
+            what = f"a number and {' or '.join(sorted(allowed))}" if allowed else "a number"
+            raise self._error(key, f"{text[:40]!r} found, expected {what}")
+        positive = kind == "t" or key.startswith("sigma")
+        limit = _LIMITS.get(key, 600.0)
+        if abs(value) > limit or (positive and value <= 0):
+            raise self._error(
+                key,
+                f"{value:g} found, expected a number "
+                + ("above 0" if value <= 0 else f"up to {limit:g}"),
+            )
+        if found.signed and found.words:
+            raise self._error(key, f"{text[:40]!r} has a sign and a word; expected one of them")
+        return found
+
+    def _sigma(self, key: str, usual: float) -> float:
+        return self.values[key].value if key in self.values else usual
+
+    def events(self) -> list[Event]:
+        """What was measured."""
+        found = []
+        sigma_time = self._sigma("sigma_time", SIGMA_TIME)
+        sigma_rest = self._sigma("sigma_rest", SIGMA_REST)
+        for key, (since, to) in TIMES.items():
+            if key in self.values:
+                at = None if to is None else LINES[to]
+                found.append(
+                    Event(key, "time", self.values[key].value, sigma_time, at, LINES[since])
+                )
+        if "rest" in self.values:
+            value, _, words = self.values["rest"]
+            y = LINES["far-tee"] + (-value if "short" in words else value)
+            found.append(Event("rest", "y", y, sigma_rest))
+        hog = LINES["hog"]
+        if "curl" in self.values:
+            sigma = self._sigma("sigma_curl", sigma_rest)
+            found.append(Event("curl", "x", self._curl(), sigma, since=hog))
+        if "turns" in self.values:
+            sigma = self._sigma("sigma_turns", SIGMA_TURNS * 2 * math.pi)
+            found.append(Event("turns", "phi", self._turns(), sigma, since=hog))
+        return found
+
+    def _handle(self) -> int:
+        """Sense of the spin as `handle` says it: 1 counter-clockwise, -1 clockwise, 0 unsaid.
+
+        The in-turn of a right-hander turns clockwise, as does the out-turn of a left-hander.
+        """
+        if "handle" not in self.values:
+            return 0
+        found = self.values["handle"]
+        words = found.words | (self.values["hand"].words if "hand" in self.values else frozenset())
+        if not math.isnan(found.value) and found.signed:
+            return int(math.copysign(1, found.value))
+        if "clockwise" in words or "counter-clockwise" in words:
+            return -1 if "clockwise" in words else 1
+        turn, hand = words & {"in-turn", "out-turn"}, words & {"left", "right"}
+        if len(turn) == 1 and len(hand) == 1:
+            return -1 if ("in-turn" in turn) == ("right" in hand) else 1
+        if len(turn) == 1:
+            raise self._error(
+                "handle",
+                f"{next(iter(turn))} of which hand? Expected handle = in-turn right-handed, or "
+                "handle = clockwise",
+            )
+        raise self._error(
+            "handle",
+            f"{self.entries['handle'].text[:40]!r} found, expected clockwise, counter-clockwise, "
+            "or in-turn or out-turn with right-handed or left-handed",
         )
-    except ValueError as error:
-        raise DataError(str(error), file=path, line=line, column=key) from None
-    value *= factor
-    limit = {"rest": 40.0, "curl": 10.0, "turns": 1000.0}.get(key, 600.0)
-    if (
-        abs(value) > limit
-        or (quantity == "t" and value <= 0)
-        or (key in ("sigma_rest", "sigma_turns") and value <= 0)
-    ):
-        raise DataError(
-            f"{value:g} found, expected a number {'above 0' if value <= 0 else f'up to {limit:g}'}",
-            file=path,
-            line=line,
-            column=key,
+
+    def _sense(self) -> int:
+        """Sense of the spin by the handle or the turns, as far as these say it."""
+        if handle := self._handle():
+            return handle
+        if "turns" not in self.values:
+            return 0
+        value, signed, words = self.values["turns"]
+        if words:
+            return 1 if "counter-clockwise" in words else -1
+        return int(math.copysign(1, value)) if signed else 0
+
+    def _curl(self) -> float:
+        """To the right. A stone curls to the side to which its front turns: counter-clockwise to
+        the left."""
+        value, signed, words = self.values["curl"]
+        if words:
+            return -value if "left" in words else value
+        if signed or value == 0:
+            return value
+        if not (sense := self._sense()):
+            raise self._error("curl", f"to which side? Expected {_SIDE}")
+        return -sense * value
+
+    def _turns(self) -> float:
+        """Counter-clockwise."""
+        value = abs(self.values["turns"].value)
+        sense = self._sense()
+        if not sense and "curl" in self.values and (curl := self._curl()):
+            sense = -1 if curl > 0 else 1
+        if not sense and value:
+            raise self._error(
+                "turns", "in which sense? Expected turns = 2.5 clockwise or 2.5 counter-clockwise"
+            )
+        return sense * value
+
+    def spin(self, events: list[Event]) -> tuple[float, str]:
+        """Spin in rad/s that a fit holds where there is no better, and a note that says so."""
+        if "turns" in self.values:
+            return 0.0, "turns are counted from the near hog line"
+        sense, why = self._sense(), "by the handle"
+        curl = next((event.value for event in events if event.name == "curl"), 0.0)
+        if not sense and curl:
+            sense, why = (-1 if curl > 0 else 1), "by the side of the curl"
+        if not sense:
+            return 0.0, "the spin was not measured and is taken to be zero"
+        word = "counter-clockwise" if sense > 0 else "clockwise"
+        return sense * USUAL_SPIN, (
+            f"the spin was not measured: it is held at {USUAL_SPIN} rad/s, {word} {why}, as of two "
+            "and a half turns; `turns` measures it"
         )
-    return _Entry(line, value, unit)
+
+    def require_friction(self, events: list[Event]) -> None:
+        """Raise `DataError` where no friction follows, or what was measured cannot be."""
+        times = [event for event in events if event.quantity == "time"]
+        if not times:
+            raise DataError(f"no time; {_EXPECTED}", file=self.path)
+        if len(times) == 1 and "rest" not in self.values:
+            (only,) = times
+            others = [
+                key for key in ("hog_to_hog", "rest", "hog_to_rest") if key not in self.values
+            ]
+            raise DataError(
+                f"{only.name} alone gives the mean speed and no friction; expected one more of "
+                + ", ".join([*others[:2], "or another time"]),
+                file=self.path,
+            )
+        value = {event.name: event.value for event in times}
+        if value.get("hog_to_tee", math.inf) <= value.get("hog_to_hog", 0.0):
+            raise self._error(
+                "hog_to_tee",
+                f"{value['hog_to_tee']:g} s found, expected more than hog_to_hog = "
+                f"{value['hog_to_hog']:g} s: the tee line lies behind the far hog line",
+            )
+        rest = next((event.value for event in events if event.name == "rest"), math.inf)
+        crossed = {y: e.name for e in times for y in (e.at, e.since) if y is not None}
+        farthest = max(crossed)
+        if rest <= farthest:
+            raise self._error(
+                "rest",
+                f"{rest - LINES['far-tee']:.3g} m past the far tee lies before a line that the "
+                f"stone has crossed by {crossed[farthest]} ({farthest - LINES['far-tee']:.3f} m)",
+            )

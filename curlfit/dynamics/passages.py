@@ -1,0 +1,104 @@
+"""When and where a stone crosses lines and comes to rest, with derivatives.
+
+A stone stops short of a line or crosses it, and the time of crossing has a square root's end there:
+a search would meet an infinite slope, and then nothing. Within `_EDGE` of its place of rest, and
+beyond, a line is therefore taken to be crossed at the speed that the stone has there. Times are so
+defined for every line and every motion, and continuous with their first derivatives.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from curlfit.dynamics.trajectory import InitialState, Trajectory, ordered_trajectory
+
+# isort: split
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from curlfit.friction import Law, Load
+from curlfit.stone import Stone
+
+_EDGE = 0.02  # m before the place of rest
+_NEAR = 0.001  # m to both sides of it, between which the speed there is measured
+_STEPS = 6  # of Newton's method, after a first one to rest
+_AT_REST = 1000.0  # s, by when every stone is at rest
+_SLOWEST = 1e-4  # m/s, to divide by
+
+
+class Passages(NamedTuple):
+    """Times since the start (s), places (m) and angles (rad) at lines, shape (lines,), and rest."""
+
+    time: Array
+    x: Array
+    phi: Array
+    rest: Array
+    """time, x, y and phi, shape (4,)"""
+
+
+def with_passages(
+    law: Law,
+    stone: Stone,
+    forces: Array | None,
+    start: InitialState,
+    lines: Array,
+    times: Array,
+    *,
+    load: Load,
+) -> tuple[Trajectory, Passages]:
+    """The motion at times, as `ordered_trajectory` gives it, and its passages of lines.
+
+    Parameters
+    ----------
+    lines : y in m, shape (lines,), rising.
+    """
+    zero = jnp.zeros(())
+
+    def at(times: Array, fixed: bool = False) -> Trajectory:
+        """The motion at times in any order."""
+        order = jnp.argsort(times)
+        what = (law, stone, forces, start)
+        what = jax.lax.stop_gradient(what) if fixed else what
+        path = ordered_trajectory(*what, times[order], zero, load=load)
+        back = jnp.argsort(order)
+        return jax.tree.map(lambda values: values[back] if values.ndim else values, path)
+
+    last = jnp.full(1, _AT_REST)
+
+    def targets(y_rest: Array) -> Array:
+        edge = y_rest - _EDGE
+        return jnp.concatenate([jnp.minimum(lines, edge), edge + _NEAR * jnp.array([-1.0, 1.0])])
+
+    def step(count: Array, t: Array) -> Array:
+        path = at(jnp.concatenate([t, last]), fixed=True)
+        y_rest = path.y[-1]
+        # From t = 0 Newton's method approaches from below, as a decelerating stone's y is concave.
+        found = t + (targets(y_rest) - path.y[:-1]) / jnp.maximum(path.vy[:-1], _SLOWEST)
+        # The first step goes to where an even deceleration would have it.
+        left = (y_rest - targets(y_rest)) / jnp.maximum(y_rest - path.y[0], _EDGE)
+        even = path.rest * (1 - jnp.sqrt(jnp.clip(left, 0.0, 1.0)))
+        found = jnp.where((count == 0) & jnp.isfinite(even), even, found)
+        return jnp.maximum(found, 0.0)
+
+    t = jax.lax.fori_loop(0, _STEPS + 1, step, jnp.zeros(len(lines) + 2))
+    t = jax.lax.stop_gradient(t)
+    n = len(times)
+    path = at(jnp.concatenate([times, t, last]))
+    x, y, phi, vx, vy, omega = (
+        getattr(path, name)[n:-1] for name in ("x", "y", "phi", "vx", "vy", "omega")
+    )
+    # One more step, with its derivatives: those of the implicit function y(t) = line.
+    late = (targets(path.y[-1]) - y) / jnp.maximum(vy, _SLOWEST)
+    time, x, phi = t + late, x + vx * late, phi + omega * late
+    slowness = (time[-1] - time[-2]) / (2 * _NEAR)
+    beyond = jnp.maximum(lines - (path.y[-1] - _EDGE), 0.0)
+    passages = Passages(
+        time[:-2] + beyond * slowness, x[:-2], phi[:-2],
+        jnp.stack([path.rest, path.x[-1], path.y[-1], path.phi[-1]]),
+    )  # fmt: skip
+    moving = Trajectory(
+        **{name: getattr(path, name)[:n] for name in ("t", "x", "y", "phi", "vx", "vy", "omega")},
+        rest=path.rest,
+    )
+    return moving, passages

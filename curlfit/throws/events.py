@@ -1,0 +1,229 @@
+"""Timed events of a throw: a stone crosses a line, or comes to rest, when or where.
+
+Such a measurement is no row of a path. A time between two lines is the difference of two crossing
+times, with the error of a stop-watch; the place of rest is measured with a tape.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from curlfit.errors import InputError
+from curlfit.numerics.arrays import Floats
+
+QUANTITIES = {"time": "s", "x": "m", "y": "m", "phi": "rad"}
+"""What is measured at an event, with its unit."""
+SIGMA_TIME = 0.1
+"""Standard deviation in s of a time between two events by hand. One press of the button scatters by
+0.07 s about a delay that is common to both, as 4304 reaction times of timekeepers show (Manual
+timing in physics experiments: error and uncertainty, Am. J. Phys. 87 (2019) 110)."""
+MOST_LINES, MOST_EVENTS = 6, 8
+_FARTHEST = 200.0  # m to rest, in the search for a motion to begin with
+_ROWS = 200  # of the times of a throw without a path
+_LONGER = 1.25  # of these times, over the expected time to rest
+_TYPICAL_TIME = 25.0  # s to rest, where no time was measured
+
+
+@dataclass(frozen=True)
+class Event:
+    """One measured time or place at a line or at rest.
+
+    Attributes
+    ----------
+    name : of the measurement, such as "hog_to_hog".
+    quantity : "time" (s), "x", "y" (m) or "phi" (rad); "y" only at rest.
+    value, sigma : what was measured, and the standard deviation of its error, SI.
+    at : y of the line that the stone's centre crosses, m; None where it comes to rest.
+    since : y of an earlier line, m, from which a time or an angle counts. Without one, times are
+        those of the throw's clock, angles those of its axes.
+
+    Raises
+    ------
+    InputError : an unknown quantity, a y at a line, or a value or sigma that cannot be.
+    """
+
+    name: str
+    quantity: str
+    value: float
+    sigma: float
+    at: float | None = None
+    since: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.quantity not in QUANTITIES:
+            raise InputError(
+                f"event {self.name}: {self.quantity!r} found, expected one of "
+                + ", ".join(QUANTITIES)
+            )
+        if self.quantity == "y" and self.at is not None:
+            raise InputError(f"event {self.name}: y is that of the line; y is measured at rest")
+        if not math.isfinite(self.value):
+            raise InputError(f"event {self.name}: {self.value} found, expected a finite number")
+        if not (math.isfinite(self.sigma) and self.sigma > 0):
+            raise InputError(
+                f"event {self.name}: sigma = {self.sigma:g}, expected a positive number"
+            )
+
+    @property
+    def unit(self) -> str:
+        """SI unit of value and sigma."""
+        return QUANTITIES[self.quantity]
+
+
+class EventArrays(NamedTuple):
+    """Events as weighted sums of what the model says of lines and rest, for the compiled model.
+
+    Of many throws, along the first axis of each array.
+    """
+
+    lines: Any
+    """y that are crossed, m, rising, shape (lines,)"""
+    weights: Any
+    """shape (events, 3 lines + 4): of the times of crossing, of x and of phi there, then of the
+    time, x, y and phi of rest"""
+
+    def with_clock(self, rate: float) -> EventArrays:
+        """The same where all measured times are longer by a factor."""
+        weights = self.weights.copy()
+        weights[..., [*range(MOST_LINES), 3 * MOST_LINES]] *= rate
+        return self._replace(weights=weights)
+
+    def places(self) -> tuple[EventArrays, Any, Any]:
+        """The same of places alone, without times and angles; and the sums of the weights of x and
+        of y."""
+        x = [*range(MOST_LINES, 2 * MOST_LINES), 3 * MOST_LINES + 1]
+        y = [3 * MOST_LINES + 2]
+        weights = np.zeros_like(self.weights)
+        weights[..., [*x, *y]] = self.weights[..., [*x, *y]]
+        return (
+            self._replace(weights=weights),
+            self.weights[..., x].sum(-1),
+            self.weights[..., y].sum(-1),
+        )
+
+
+def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
+    """The events padded, with y counted from `y0`.
+
+    Raises
+    ------
+    InputError : more events or lines than there is room for.
+    """
+    lines = sorted({y for event in events for y in (event.at, event.since) if y is not None})
+    if len(events) > MOST_EVENTS or len(lines) > MOST_LINES:
+        raise InputError(
+            f"{len(events)} events at {len(lines)} lines; expected at most {MOST_EVENTS} at "
+            f"{MOST_LINES}"
+        )
+    weights = np.zeros((MOST_EVENTS, 3 * MOST_LINES + 4))
+    of_line = {"time": 0, "x": MOST_LINES, "phi": 2 * MOST_LINES}
+    at_rest = {name: 3 * MOST_LINES + index for index, name in enumerate(QUANTITIES)}
+    for row, event in enumerate(events):
+        q = event.quantity
+        weights[row, at_rest[q] if event.at is None else of_line[q] + lines.index(event.at)] += 1
+        if event.since is not None:
+            weights[row, of_line[q] + lines.index(event.since)] -= 1
+    padded = np.full(MOST_LINES, lines[-1] if lines else y0)
+    padded[: len(lines)] = lines
+    return EventArrays(padded - y0, weights)
+
+
+def along_path(
+    events: Sequence[Event], t: Floats, x: Floats, y: Floats, phi: Floats, speed: Floats
+) -> Floats:
+    """What events of a path would be, from its rows up to rest; shape (events,).
+
+    Interpolated linearly; the rest follows evenly from a row at a tenth of the first speed.
+    """
+    late = int(np.argmax(speed < speed[0] / 10)) or len(t) - 1
+    rest = t[late] + 2 * math.hypot(x[-1] - x[late], y[-1] - y[late]) / max(speed[late], 1e-9)
+    at_rest = {"time": rest, "x": float(x[-1]), "y": float(y[-1]), "phi": float(phi[-1])}
+
+    def at(line: float, quantity: str) -> float:
+        time = float(np.interp(line, y, t))
+        series = {"time": t, "x": x, "y": y, "phi": phi}[quantity]
+        return float(np.interp(time, t, series))
+
+    return np.array(
+        [
+            (at_rest[event.quantity] if event.at is None else at(event.at, event.quantity))
+            - (0.0 if event.since is None else at(event.since, event.quantity))
+            for event in events
+        ]
+    )
+
+
+class EvenMotion(NamedTuple):
+    """Motion under a constant deceleration from the first line to rest."""
+
+    y0: float
+    length: float
+    """m to rest"""
+    time: float
+    """s to rest"""
+
+    def y(self, t: Floats) -> Floats:
+        """y at times since the first line: y0 + s (1 - (1 - t/T)^2)."""
+        return self.y0 + self.length * self.turned(t)
+
+    def turned(self, t: Floats) -> Floats:
+        """Share of the way at times since the first line."""
+        return np.asarray(1 - np.clip(1 - t / self.time, 0.0, 1.0) ** 2)
+
+
+def even_motion(events: Sequence[Event], assumed: Mapping[str, float]) -> EvenMotion:
+    """The constant deceleration nearest to the measured times and to the place of rest.
+
+    With a length s to rest in a time T, a line at a distance d is crossed at T (1 - sqrt(1 - d/s)):
+    all times are proportional to T, which is found in closed form for each s of a fine grid.
+    """
+    lines = [y for event in events for y in (event.at, event.since) if y is not None]
+    y0 = min(lines, default=assumed.get("y0", 0.0))
+    s = np.geomspace(max(max(lines, default=y0) - y0, 0.1) * 1.001, _FARTHEST, 2000)
+
+    def crossing(y: float | None) -> Floats:
+        """Over T, for each s."""
+        return np.ones_like(s) if y is None else 1 - np.sqrt(1 - (y - y0) / s)
+
+    times = [event for event in events if event.quantity == "time"]
+    chi_squared = sum(
+        (((y0 + s) - event.value) / event.sigma) ** 2 for event in events if event.quantity == "y"
+    )
+    if not times:
+        best = int(np.argmin(chi_squared)) if np.ndim(chi_squared) else int(np.argmin(abs(s - 28)))
+        return EvenMotion(y0, float(s[best]), _TYPICAL_TIME)
+    shares = np.stack(
+        [
+            crossing(event.at) - (0.0 if event.since is None else crossing(event.since))
+            for event in times
+        ]
+    )
+    value, sigma = (
+        np.array([[getattr(event, key)] for event in times]) for key in ("value", "sigma")
+    )
+    t = np.maximum((shares * value / sigma**2).sum(0) / (shares**2 / sigma**2).sum(0), 1e-3)
+    total = chi_squared + (((t * shares - value) / sigma) ** 2).sum(0)
+    best = int(np.argmin(total))
+    return EvenMotion(y0, float(s[best]), float(t[best]))
+
+
+def sketch(
+    events: Sequence[Event], assumed: Mapping[str, float]
+) -> tuple[Floats, dict[str, Floats]]:
+    """Times that cover the motion to rest, and a rough x, y, phi at these, for a first guess.
+
+    `assumed` is as in `Throw`.
+    """
+    motion = even_motion(events, assumed)
+    t = np.linspace(0.0, _LONGER * motion.time, _ROWS)
+    share = motion.turned(t)
+    rest = {event.quantity: event.value for event in events if event.at is None}
+    x = rest.get("x", 0.0) * np.minimum(t / motion.time, 1.0) ** 2
+    # The spin falls evenly, too.
+    phi = rest.get("phi", assumed.get("omega0", 0.0) * motion.time / 2) * share
+    return t, {"x": x, "y": motion.y(t), "phi": phi}

@@ -1,0 +1,93 @@
+"""Quantities as people write them: `14,2 s`, `4 ft left`, `4 ft 6 in`, `0.6 m past the tee`."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import NamedTuple
+
+from curlfit.errors import InputError
+from curlfit.throws.readers.columns import in_unit, units_of
+from curlfit.throws.readers.text import parse_number
+
+_NUMBER = re.compile(
+    r"(?P<sign>[-+\u2212]?)\s*(?P<size>\d[\d.,]*|[.,]\d+)(?P<power>e[-+]?\d+)?", re.I
+)
+_FILLING = {
+    "to", "the", "of", "from", "tee", "line", "centre", "center", "a", "turn", "about", "handed",
+    "hander", "stone", "player", "thrower",
+}  # fmt: skip
+_SIGNS = {"+": 1.0, "-": -1.0, "\u2212": -1.0}
+WORDS = {
+    "left": "left", "l": "left", "right": "right", "r": "right",
+    "past": "past", "beyond": "past", "behind": "past", "over": "past",
+    "short": "short", "before": "short", "front": "short",
+    "clockwise": "clockwise", "cw": "clockwise",
+    "counterclockwise": "counter-clockwise", "anticlockwise": "counter-clockwise",
+    "ccw": "counter-clockwise",
+    "in": "in-turn", "inturn": "in-turn", "out": "out-turn", "outturn": "out-turn",
+}  # fmt: skip
+"""What words of a direction mean."""
+
+
+class Quantity(NamedTuple):
+    """A quantity as written.
+
+    Attributes
+    ----------
+    value : in SI; NaN where only words were written. signed : whether it had a sign.
+    words : the words of direction, out of the values of `WORDS`.
+    """
+
+    value: float
+    signed: bool
+    words: frozenset[str]
+
+
+def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0) -> Quantity:
+    """A number with its unit and words of direction, or such words alone.
+
+    Parameters
+    ----------
+    quantity : "t", "x", "y" or "phi", whose units are understood.
+    unit : of numbers without one; the SI unit if empty, times `per`.
+
+    Raises
+    ------
+    InputError : no number, an unknown unit or word.
+    """
+    rest = re.sub(r"(?i)\bin\s+front\b", "front", text.strip().strip("\"'").strip())
+    if rest in _SIGNS:
+        return Quantity(_SIGNS[rest], True, frozenset())
+    sign, value, signed, units = 1.0, 0.0, False, units_of(quantity)
+    given = unit
+    numbers, bare = 0, False
+    while match := _NUMBER.match(rest):
+        if numbers and (match["sign"] or bare):
+            break  # only behind a unit, as in 4 ft 6 in
+        size = parse_number(match["size"] + (match["power"] or ""), decimal_comma=True)
+        if size is None:
+            break
+        rest = rest[match.end() :].strip()
+        own = re.match(r"[^\W\d_]+[.]?|[°'\u2032\"\u2033]", rest)
+        said = own[0].rstrip(".").lower() if own else ""
+        bare = said not in units
+        if own and not bare:
+            rest, given = rest[own.end() :].strip(), said
+        elif said and said not in WORDS and said not in _FILLING:
+            in_unit(quantity, said)  # raises
+        value += size * (in_unit(quantity, given).factor if given else per)
+        if match["sign"]:
+            signed, sign = True, -1.0 if match["sign"] != "+" else 1.0
+        numbers += 1
+        given = unit
+    words = re.sub(r"(?i)\b(counter|anti)[\s-]+(?=clock)", r"\1", rest)
+    said_words = re.findall(r"[^\W\d_]+|\d[\d.,]*", words.lower())
+    unknown = [word for word in said_words if word not in WORDS and word not in _FILLING]
+    if unknown or (not numbers and not said_words):
+        raise InputError(f"{text.strip()[:40]!r} found, expected a number")
+    return Quantity(
+        sign * value if numbers else math.nan,
+        signed,
+        frozenset(WORDS[word] for word in said_words if word in WORDS),
+    )

@@ -1,0 +1,324 @@
+"""Times between lines and places of rest, against constant deceleration in closed form."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+import curlfit
+from curlfit import LAWS, InitialState, Stone, simulate
+from curlfit.errors import InputError
+from curlfit.inference.fit.fit import fit_throws
+from curlfit.inference.fit.systematics import residual_changes
+from curlfit.inference.joint.fit import fit_together
+from curlfit.inference.likelihood import linearize, predict_channels, predict_many
+from curlfit.inference.model import Model
+from curlfit.inference.problem import Origin, build_problem
+from curlfit.numerics.compiled import in_batches, stacked
+from curlfit.throws.events import MOST_EVENTS, Event, even_motion
+from curlfit.throws.throw import Throw
+
+G = 9.81
+BACK, HOG, FAR, TEE = 1.829, 10.059, 32.004, 38.405  # m from the hack (World Curling, rule R1)
+MODEL = Model(LAWS["coulomb"], "uniform")
+EVENTS = (
+    Event("back_to_hog", "time", 3.6, 0.1, HOG, BACK),
+    Event("hog_to_hog", "time", 14.0, 0.1, FAR, HOG),
+    Event("hog_to_tee", "time", 22.0, 0.1, TEE, HOG),
+    Event("hog_to_rest", "time", 10.0, 0.1, None, FAR),
+    Event("rest", "y", TEE + 0.3, 0.05),
+    Event("curl", "x", 1.0, 0.05, since=HOG),
+    Event("drift", "x", 0.3, 0.05, FAR),
+)
+
+
+def closed_form(mu, heading, v):
+    """The same seven under a deceleration mu g on a straight line from the back line."""
+    a, c = mu * G, np.cos(heading)
+
+    def time(y):
+        return (v - np.sqrt(v**2 - 2 * a * (y - BACK) / c)) / a
+
+    rest, length = v / a, v**2 / (2 * a)
+    tangent = np.tan(heading)
+    return np.array(
+        [
+            time(HOG), time(FAR) - time(HOG), time(TEE) - time(HOG), rest - time(FAR),
+            BACK + length * c, length * np.sin(heading) - (HOG - BACK) * tangent,
+            (FAR - BACK) * tangent,
+        ]
+    )  # fmt: skip
+
+
+def vector(mu, heading, v, omega=0.0):
+    return np.array([mu, 0.0, BACK, heading, v, 0.0, omega])
+
+
+@pytest.fixture(scope="module")
+def problem():
+    throw = Throw.from_events(EVENTS)
+    return build_problem(throw, Stone(), Origin.of(throw), {})
+
+
+def predicted(problem, values):
+    return np.asarray(predict_channels(MODEL, values, problem))[-1, : len(EVENTS)]
+
+
+@pytest.mark.parametrize(
+    ("mu", "heading", "v"), [(0.0092, 0.0, 2.6), (0.0077, 0.04, 2.5), (0.02, -0.1, 4.2)]
+)
+def test_events_of_constant_deceleration(problem, mu, heading, v):
+    np.testing.assert_allclose(
+        predicted(problem, vector(mu, heading, v)), closed_form(mu, heading, v), atol=1e-8
+    )
+
+
+def test_a_spinning_stone_crosses_lines_where_its_path_does(problem):
+    start = InitialState(y=BACK, v=2.7, omega=4.0, heading=0.02)
+    t = np.arange(0, 40, 0.002)
+    path = simulate(LAWS["coulomb"](mu=0.0095), Stone(), start, t).to_numpy()
+    crossed = np.interp([HOG, FAR, TEE], path.y, t)
+    rest = np.argmax((path.vx == 0) & (path.vy == 0))
+    x = np.interp([HOG, FAR], path.y, path.x)
+    found = predicted(problem, vector(0.0095, 0.02, 2.7, 4.0))
+    expected = [
+        crossed[0], crossed[1] - crossed[0], crossed[2] - crossed[0], t[rest] - crossed[1],
+        path.y[-1], path.x[-1] - x[0], x[1],
+    ]  # fmt: skip
+    # the grid's chords are 1e-5 s from the curve, its last row up to 2 ms from rest
+    assert (np.abs(found - expected) < 1e-5 * np.array([1, 1, 9, 300, 1, 1, 1])).all()
+
+
+def slopes(problem, values):
+    """Residuals and Jacobians at some parameter vectors, in passes of the shape of a joint fit."""
+    many = stacked([problem] * len(values))
+    found = in_batches(partial(linearize, MODEL), (values, many), 8)
+    return tuple(np.asarray(part)[:, -1, : len(EVENTS)] for part in found)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        (0.0092, 0.03, 2.6, 0.9), (0.0092, 0.03, 2.52, -2.0), (0.03, 0.0, 2.6, 0.9),
+        (0.0092, 0.03, np.sqrt(2 * 0.0092 * G * (TEE - BACK)), 0.0),
+    ],
+    ids=["past the tee", "short of the tee", "short of the hog line", "on the tee"],
+)  # fmt: skip
+def test_derivatives_are_those_of_differences(problem, values):
+    at = vector(*values)
+    jacobian = slopes(problem, at[None])[1][0]
+    sigma = np.array([event.sigma for event in EVENTS])
+    for column, step in ((0, 1e-7), (3, 1e-6), (4, 1e-6), (6, 1e-5)):
+        ends = [at + sign * step * np.eye(7)[column] for sign in (1, -1)]
+        slope = np.subtract(*(predicted(problem, end) for end in ends)) / (2 * step)
+        np.testing.assert_allclose(
+            jacobian[:, column] * sigma, slope, rtol=2e-4, atol=2e-4 * max(1, abs(slope).max())
+        )
+
+
+def test_chi_squared_has_no_corner_where_the_stone_stops(problem):
+    mu = 0.009
+
+    def chi_squared(length):
+        """And its derivative by the speed, and that speed."""
+        v = np.sqrt(2 * mu * G * length)
+        residual, jacobian = slopes(problem, np.stack([vector(mu, 0.0, one) for one in v]))
+        return (residual**2).sum(1), 2 * (residual * jacobian[..., 4]).sum(1), v
+
+    # from a stop 1 m short of the far hog line to one 1 m past the tee: no jump
+    value, slope, v = chi_squared(np.linspace(FAR - BACK - 1, TEE - BACK + 1, 640))
+    assert np.isfinite(value).all()
+    risen = np.concatenate([[0], np.cumsum(np.diff(v) * (slope[1:] + slope[:-1]) / 2)])
+    np.testing.assert_allclose(value - value[0], risen, atol=0.01 * np.ptp(value))
+    # nor a corner: across the lines, and across the edge before them, the slope is one
+    for line in (FAR, TEE):
+        for past in (0.0, 0.02):
+            _, slope, _ = chi_squared(line + past - BACK + 1e-6 * np.linspace(-1, 1, 8))
+            assert np.ptp(slope) < 1e-3 * abs(slope).max()
+
+
+def record(**values):
+    """Events of a record from the near hog line."""
+    known = {
+        "hog_to_hog": ("time", FAR, HOG), "hog_to_rest": ("time", None, FAR),
+        "rest": ("y", None, None), "curl": ("x", None, HOG),
+    }  # fmt: skip
+    return tuple(
+        Event(name, quantity, values[name], 0.1 if quantity == "time" else 0.05, at, since)
+        for name, (quantity, at, since) in known.items()
+        if name in values
+    )
+
+
+def drawn(mu, rest, curl, random):
+    """Three numbers of a draw shot with their noise."""
+    a, length = mu * G, np.hypot(rest - HOG, curl)
+    v, far = np.sqrt(2 * a * length), length * (FAR - HOG) / (rest - HOG)
+    time = (v - np.sqrt(v**2 - 2 * a * far)) / a
+    noise = random.standard_normal(3)
+    return {
+        "hog_to_hog": time + 0.1 * noise[0], "rest": rest + 0.05 * noise[1],
+        "curl": curl + 0.05 * noise[2],
+    }  # fmt: skip
+
+
+def residual_of(values, mu, heading, v):
+    """The peer's residuals of three numbers."""
+    a, c = mu * G, np.cos(heading)
+    length = v**2 / (2 * a)
+    time = (v - np.sqrt(np.maximum(v**2 - 2 * a * (FAR - HOG) / c, 0))) / a
+    return [
+        (time - values["hog_to_hog"]) / 0.1, (HOG + length * c - values["rest"]) / 0.05,
+        (length * np.sin(heading) - values["curl"]) / 0.05,
+    ]  # fmt: skip
+
+
+def test_three_numbers_determine_one_friction_coefficient():
+    values = {"hog_to_hog": 14.2, "rest": TEE + 0.6, "curl": -1.22}
+    result = curlfit.fit(Throw.from_events(record(**values)), "coulomb")
+    assert result.converged
+    assert (result.rank, result.n_observations) == (3, 3)
+    peer = least_squares(
+        lambda p: residual_of(values, *p), [0.008, 0.0, 2.1], xtol=1e-14, x_scale=[0.01, 1, 1]
+    )
+    stderr = np.sqrt(np.diag(np.linalg.inv(peer.jac.T @ peer.jac)))
+    for name, value, error in zip(("mu", "heading", "v0"), peer.x, stderr, strict=True):
+        found = result.parameters[name]
+        assert found.verdict == "determined"
+        assert found.value == pytest.approx(value, rel=1e-6)
+        assert found.stderr == pytest.approx(error, rel=1e-4)
+    fixed = {name for name, item in result.parameters.items() if item.verdict == "fixed"}
+    assert fixed == {"x0", "y0", "phi0", "omega0"}
+    # nothing is left over, and the curves cover the motion from the line to rest
+    assert max(abs(one["fitted"] - one["value"]) for one in result.events) < 1e-6
+    assert len(result.fitted["y"]) == 200
+    assert result.fitted["y"][[0, -1]] == pytest.approx([HOG, TEE + 0.6])
+
+
+def test_two_times_do_as_well_and_a_ring_law_is_not_determined(tmp_path):
+    a, v = 0.0085 * G, 2.2
+    far = (v - np.sqrt(v**2 - 2 * a * (FAR - HOG))) / a
+    throw = Throw.from_events(record(hog_to_hog=far, hog_to_rest=v / a - far))
+    result = curlfit.fit(throw, "coulomb")
+    assert result.parameters["mu"].value == pytest.approx(0.0085, rel=1e-6)
+    assert result.parameters["heading"].verdict == "fixed"
+    result.save(tmp_path / "fit.json")
+    again = curlfit.load_fit(tmp_path)
+    assert again.events == result.events
+    assert again.throw.events == throw.events
+    assert again.throw.assumed["y0"] == HOG
+
+
+@pytest.mark.slow
+def test_errors_are_what_repetition_shows():
+    random = np.random.default_rng(5)
+    throws = [
+        Throw.from_events(record(**drawn(0.0092, TEE + rest, 1.0, random)))
+        for rest in random.uniform(-3, 3, 200)
+    ]
+    fits = fit_throws(throws, "coulomb", curves=False)
+    assert all(one.converged for one in fits)
+    mu = [one.parameters["mu"] for one in fits]
+    off = np.array([(item.value - 0.0092) / item.stderr for item in mu])
+    assert abs(off.mean()) < 3 / np.sqrt(200)
+    assert off.std() == pytest.approx(1, abs=3 / np.sqrt(400))
+
+
+def test_eight_draws_of_an_evening_give_one_friction():
+    random = np.random.default_rng(3)
+    evening = [
+        drawn(0.0085, TEE + rest, side, random)
+        for rest, side in zip(random.uniform(-1.5, 1.5, 8), [1.2, -1.2] * 4, strict=True)
+    ]
+    result = fit_together([Throw.from_events(record(**one)) for one in evening], "coulomb")
+    assert result.converged
+    assert result.rank == result.parameters == 17
+
+    def residual(p):
+        own = p[1:].reshape(8, 2)
+        return np.concatenate(
+            [residual_of(one, p[0], *start) for one, start in zip(evening, own, strict=True)]
+        )
+
+    start = np.concatenate([[0.008], np.tile([0.0, 2.2], 8)])
+    peer = least_squares(residual, start, xtol=1e-14, x_scale=np.maximum(np.abs(start), 0.01))
+    found = result.coefficients["mu"]
+    assert found.value == pytest.approx(peer.x[0], rel=1e-6)
+    assert found.stderr == pytest.approx(
+        np.sqrt(np.linalg.inv(peer.jac.T @ peer.jac)[0, 0]), rel=1e-4
+    )
+    assert abs(found.value - 0.0085) < 3 * found.stderr
+
+
+def test_a_number_that_the_law_cannot_follow_is_named():
+    events = (*record(hog_to_hog=14.2, rest=TEE, curl=1.0), *record(hog_to_rest=30.0))
+    result = curlfit.fit(Throw.from_events(events), "coulomb")
+    assert any("the fit misses" in text and "hog_to_rest by" in text for text in result.warnings)
+
+
+def test_systematic_errors_of_lengths_and_times(problem):
+    mu, v, width, small = 0.0092, 2.6, 1e-3, 1e-6
+    at, one = vector(mu, 0.0, v)[None], stacked([problem])
+    path = predict_many(MODEL, at, one, 1)
+    widths = {"length_scale": width, "time_scale": width}
+    found = residual_changes(MODEL, one, at, path, widths, "linear", 1)
+    changes = {
+        name: change[0, -1, : len(EVENTS)] * [event.sigma for event in EVENTS] / width
+        for name, change in found.items()
+    }
+    # where lengths are measured too long, a line lies nearer to the first one than it is said to
+    a = mu * G
+    back, hog, far, tee = (
+        (v - np.sqrt(v**2 - 2 * a * (y - BACK) / (1 + small))) / a for y in (BACK, HOG, FAR, TEE)
+    )
+    rest = BACK + (1 + small) * v**2 / (2 * a)
+    longer = [hog - back, far - hog, tee - hog, v / a - far, rest, 0.0, 0.0]
+    values = closed_form(mu, 0.0, v)
+    np.testing.assert_allclose(
+        changes["length_scale"], (longer - values) / small, rtol=1e-3, atol=1e-6
+    )
+    np.testing.assert_allclose(changes["time_scale"][:4], values[:4], rtol=1e-6)
+    np.testing.assert_allclose(changes["time_scale"][4:], 0, atol=1e-6)
+
+
+def test_the_first_guess_is_the_motion_itself():
+    a, v = 0.009 * G, 2.1
+    far = (v - np.sqrt(v**2 - 2 * a * (FAR - HOG))) / a
+    rest = v**2 / (2 * a)
+    for events in (
+        record(hog_to_hog=far, rest=HOG + rest), record(hog_to_hog=far, hog_to_rest=v / a - far),
+    ):  # fmt: skip
+        motion = even_motion(events, {})
+        assert motion.length == pytest.approx(rest, rel=2e-3)
+        assert motion.time == pytest.approx(v / a, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("event", "words"),
+    [
+        (("a", "speed", 1.0, 0.1), "'speed' found, expected one of time, x, y, phi"),
+        (("a", "y", 1.0, 0.1, HOG), "y is measured at rest"),
+        (("a", "time", np.nan, 0.1), "expected a finite number"),
+        (("a", "time", 1.0, 0.0), "expected a positive number"),
+    ],
+)
+def test_events_that_cannot_be(event, words):
+    with pytest.raises(InputError, match=words):
+        Event(*event)
+
+
+def test_what_a_throw_of_events_alone_is_not_asked_for():
+    throw = Throw.from_events(record(hog_to_hog=14.2, rest=TEE))
+    with pytest.raises(InputError, match="there are no rows to choose"):
+        curlfit.fit(throw, "coulomb", until=10)
+    with pytest.raises(InputError, match="rank no laws"):
+        curlfit.compare(throw)
+    with pytest.raises(InputError, match="no event is timed at a line"):
+        Throw.from_events(record(rest=TEE))
+    many = tuple(Event(f"e{k}", "time", 1.0 + k, 0.1, HOG + k) for k in range(MOST_EVENTS + 1))
+    with pytest.raises(InputError, match="9 events at 9 lines; expected at most 8 at 6"):
+        curlfit.fit(Throw.from_events(many), "coulomb")
+    assert throw.with_sigma({"time": 0.2}).events[0].sigma == 0.2

@@ -1,0 +1,221 @@
+"""Records of a stop-watch and a tape, as people write them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from sample_files import TIMINGS
+from typer.testing import CliRunner
+
+from curlfit.cli import app
+from curlfit.errors import DataError, InputError
+from curlfit.throws.readers import load_throw, load_throws
+from curlfit.throws.readers.notation import parse_quantity
+
+FOOT = 0.3048
+THREE = "hog_to_hog = 14.2\nrest = 0.6\n"
+
+
+@pytest.fixture
+def read(tmp_path):
+    def of(text):
+        file = tmp_path / "watch.txt"
+        file.write_text(text, encoding="utf-8")
+        return load_throw(file)
+
+    return of
+
+
+def values(throw):
+    return {event.name: event.value for event in throw.events}
+
+
+def test_a_record(read):
+    throw = read(TIMINGS)
+    assert not throw.has_path
+    assert throw.defaults["law"] == "coulomb"
+    found = {event.name: event for event in throw.events}
+    # back line, hog lines and far tee, m from the hack (World Curling, rule R1)
+    lines = {name: (event.since, event.at) for name, event in found.items()}
+    assert lines == {
+        "back_to_hog": (1.829, 10.059), "hog_to_hog": (10.059, pytest.approx(32.004)),
+        "hog_to_rest": (pytest.approx(32.004), None), "rest": (None, None),
+        "curl": (10.059, None), "turns": (10.059, None),
+    }  # fmt: skip
+    expected = {
+        "back_to_hog": 3.4, "hog_to_hog": 14.2, "hog_to_rest": 10.3, "rest": 38.405 + 0.6,
+        "curl": -4 * FOOT, "turns": 5 * math.pi,
+    }  # fmt: skip
+    assert values(throw) == pytest.approx(expected)
+    sigmas = {name: event.sigma for name, event in found.items()}
+    assert sigmas == pytest.approx(
+        dict.fromkeys(("back_to_hog", "hog_to_hog", "hog_to_rest"), 0.1)
+        | {"rest": 0.05, "curl": 0.05, "turns": 0.2 * math.pi}
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "hog_to_hog 14.2\nhog_to_rest 10.3\n", "hog_to_hog;14,2\nhog_to_rest;10,3\n",
+        'name,value\n"hog_to_hog","14.2 s"\nhog_to_rest,10.3\n',
+        "hog_to_rest = 0.1716667 min\nHOG_TO_HOG: 14200 ms\n",
+        "hog-to-hog: 14.2\nHog to rest = 10,3 s\n", "hog to hog 14.2 s\nhog to rest 10.3 s\n",
+        "# sheet 3\n\nhog-to-hog = 14.2 sec # by hand\nhog-to-rest: 10.3;\n",
+        "hog_to_hog, hog_to_rest\n14.2, 10.3\n", "hog-to-hog;hog to rest;who\n14,2;10,3;me\n",
+        "hog_to_hog_ms,hog_to_rest\n14200,10.3\n",
+    ],
+)  # fmt: skip
+def test_times_in_any_form(read, text):
+    assert values(read(text)) == pytest.approx({"hog_to_hog": 14.2, "hog_to_rest": 10.3}, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("line", "x"),
+    [
+        ("curl = 4 ft left", -4 * FOOT), ("Curl: 1.2 m right", 1.2),
+        ("curl = 120cm to the left", -1.2),
+        ("curl = 4 ft 6 in left", -4.5 * FOOT), ("curl = 4,5 ft right", 4.5 * FOOT),
+        ("curl = -4 ft", -4 * FOOT), ("curl = +1.2", 1.2), ("curl = 0", 0.0),
+        ("curl_ft = 4 L", -4 * FOOT),
+        ("curl = 1.2\nhandle = clockwise", 1.2), ("curl = 1.2\nhandle: ccw", -1.2),
+        ("curl = 1.2\nhandle = in-turn right-handed", 1.2),
+        ("curl = 1.2\nhandle = out turn\nhand = right", -1.2),
+        ("curl = 1.2\nhandle = inturn, left-handed", -1.2), ("curl = 1.2\nspin = +", -1.2),
+        ("curl = 1.2\nturns = 2.5 clockwise", 1.2), ("curl = 1.2\nturns = -2.5", 1.2),
+        ("curl = 1.2\nrotation = counter clockwise", -1.2),
+    ],
+)  # fmt: skip
+def test_the_side_of_the_curl(read, line, x):
+    # a stone that turns clockwise curls to the right
+    throw = read(THREE + line)
+    assert values(throw)["curl"] == pytest.approx(x)
+    if x and "turns" not in line:
+        assert throw.assumed["omega0"] * x < 0
+
+
+@pytest.mark.parametrize(
+    ("line", "y"),
+    [
+        ("rest = 0.6", 0.6), ("rest: 2 ft past the tee", 2 * FOOT), ("rest = -0.6", -0.6),
+        ("rest = 60 cm short of the tee line", -0.6),
+        ("rest = 3 ft in front of the tee", -3 * FOOT),
+        ("rest = 3 ft behind", 3 * FOOT),
+    ],
+)  # fmt: skip
+def test_the_place_of_rest(read, line, y):
+    assert values(read(f"hog_to_hog = 14.2\n{line}\n"))["rest"] == pytest.approx(38.405 + y)
+
+
+@pytest.mark.parametrize(
+    ("text", "turns"),
+    [
+        ("turns = 2.5 ccw", 2.5), ("turns = -2.5", -2.5), ("turns = 2.5\ncurl = 1 m right", -2.5),
+        ("turns = 900 deg clockwise", -2.5), ("turns = 2.5\nhandle = ccw", 2.5),
+    ],
+)  # fmt: skip
+def test_turns(read, text, turns):
+    assert values(read(THREE + text))["turns"] == pytest.approx(2 * math.pi * turns)
+
+
+def test_sigmas_are_set(read):
+    throw = read(THREE + "curl = 1 m left\nsigma_time = 0.2\nsigma_rest = 3 cm\nsigma-curl = 0.1\n")
+    assert [event.sigma for event in throw.events] == pytest.approx([0.2, 0.03, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        ("hog_to_hog = 14\n", None, "hog_to_hog alone gives the mean speed and no friction"),
+        ("hog_to_hog = 14\ncurl = 1 m left\n", None, "alone gives the mean speed"),
+        ("rest = 0.6\ncurl = 1 m left\n", None, "no time; expected lines such as"),
+        ("hog_to_hog = -14\nhog_to_rest = 3\n", 1, "expected a number above 0"),
+        ("hog_to_hog = fast\nhog_to_rest = 3\n", 1, "'fast' found, expected a number"),
+        ("hog_to_hog = 14 m\nhog_to_rest = 3\n", 1, "unknown unit"),
+        ("hog_to_hog = 14\nhog_to_hog = 14\n", 2, "given twice"),
+        ("hog_to_hog = 14\nhouse = 14\n", 2, "is not known"),
+        ("hog_to_hog = 14\nhog_to_rest = 10\nrest = 400\n", 3, "up to 40"),
+        (THREE + "curl = 4 ft\n", 3, "to which side. Expected curl = 4 ft left"),
+        (THREE + "curl = 4 ft\nhandle = in-turn\n", 4, "of which hand"),
+        (THREE + "curl = 4 ft\nhandle = red\n", 4, "'red' found"),
+        (THREE + "curl = 4 ft\nhandle = left\n", 4, "expected clockwise, counter-clockwise"),
+        (THREE + "curl = -4 ft left\n", 3, "a sign and a word"),
+        (THREE + "curl = 4 ft left right\n", 3, "expected a number and left or right"),
+        (THREE + "curl = 4 ft past\n", 3, "expected a number and left or right"),
+        (THREE + "curl = left\n", 3, "expected a number and left or right"),
+        (THREE + "curl = 4 4 left\n", 3, "found, expected a number"),
+        (THREE + "turns = 2.5\n", 3, "in which sense"),
+        (THREE + "sigma_rest = 0\n", 3, "above 0"),
+        ("hog_to_hog = 14.2\nrest = -7\n", 2, "-7 m past the far tee lies before a line"),
+        ("hog_to_tee = 20\nrest = 1 m short\n", 2, "crossed by hog_to_tee"),
+        ("hog_to_hog = 14.2\nhog_to_tee = 14.1\n", 2, "expected more than hog_to_hog = 14.2 s"),
+        ("hog_to_hog,rest\n", 1, "no rows"),
+        ("hog_to_hog,rest\n14.2\n", 2, "1 cells, expected 2"),
+        ("hog_to_hog,rest\n14.2,here\n", 2, "expected a number"),
+        ("hog_to_hog = 1e999\nrest = 1\n", 1, "found, expected a number"),
+    ],
+)  # fmt: skip
+def test_records_that_cannot_be(read, text, line, words):
+    with pytest.raises(DataError, match=words) as caught:
+        read(text)
+    assert caught.value.line == line
+
+
+def test_a_table_has_a_throw_in_each_row(tmp_path):
+    file = tmp_path / "evening.csv"
+    file.write_text(
+        "# law = 'power'\nthrow,hog_to_hog,curl,rest (ft),side\n"
+        "1,14.2,4 ft left,2,x\n\n2,13.8,1.1 m right,-1,\n3,14.0,,1.5,\n4,14.0,1,1,\n"
+    )
+    parts = load_throws(file)
+    assert [part.shot for part in parts] == [1, 2, 3, 4]
+    first, second, third, fourth = (part.throw for part in parts)
+    assert values(second) == pytest.approx({"hog_to_hog": 13.8, "rest": 38.405 - FOOT, "curl": 1.1})
+    assert values(third).keys() == {"hog_to_hog", "rest"}
+    assert first.name == f"{file} row 1"
+    assert first.defaults["law"] == "power"
+    assert isinstance(fourth, DataError)
+    assert fourth.line == 7
+    assert values(load_throw(file, shot=2)) == values(second)
+    assert [part.shot for part in load_throws(file, shot=3)] == [3]
+    with pytest.raises(InputError, match="there is no such row; expected one of 1 line 3; 2"):
+        load_throw(file, shot=9)
+
+
+def test_words_of_a_quantity():
+    assert parse_quantity("clockwise", "x").words == {"clockwise"}
+    assert math.isnan(parse_quantity("anti-clockwise", "x").value)
+    assert parse_quantity("\u22121,5 m", "y").value == -1.5
+
+
+def test_an_evening_by_the_command_line(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    a, length = 0.0085 * 9.81, np.array([28.3, 29.1, 28.0, 27.5, 28.8])
+    v = np.sqrt(2 * a * length)
+    hog = (v - np.sqrt(v**2 - 2 * a * 21.945)) / a
+    rest = 10.059 + length - 38.405
+    rows = "".join(f"{t:.4f},{y:.4f}\n" for t, y in zip(hog, rest, strict=True))
+    (tmp_path / "evening.csv").write_text("hog_to_hog,rest\n" + rows)
+    run = CliRunner().invoke(app, ["fit", "evening.csv", "--out", "joint", "--no-figures"])
+    assert run.exit_code == 0, run.output
+    assert "coulomb law, uniform load, 5 throws together" in run.output
+    assert "mu            0.00850" in run.output
+    assert (tmp_path / "joint" / "evening-5" / "fit.json").is_file()
+    run = CliRunner().invoke(app, ["fit", "evening.csv", "--shot", "2", "--no-sample"])
+    assert run.exit_code == 0, run.output
+    text = " ".join(run.output.split())
+    for words in (
+        "2 events at lines and at rest", "Two numbers measured determine one coefficient of "
+        "friction and the initial state (v0): a mean friction, as the coulomb law has it",
+        "hog_to_hog 13.", "0.0 sigma",
+    ):  # fmt: skip
+        assert words in text, words
+    assert (tmp_path / "evening-fit" / "fit.png").stat().st_size > 10_000
+    run = CliRunner().invoke(app, ["check", "evening.csv"])
+    assert "timings, 2 events at lines and at rest" in run.output
+    (tmp_path / "watch.txt").write_text(THREE + "curl = 4 ft\n")
+    run = CliRunner().invoke(app, ["fit", "watch.txt"])
+    assert run.exit_code != 0
+    assert isinstance(run.exception, DataError)
