@@ -54,6 +54,20 @@ class Reference:
 
 
 @dataclass(frozen=True)
+class Conventions:
+    """How the columns of a file were understood.
+
+    Attributes
+    ----------
+    units : by quantity ("t", "x", ...), as written. axes : words as for `--axes`; empty for
+        curlfit's own.
+    """
+
+    units: Mapping[str, str] = field(default_factory=dict)
+    axes: str = ""
+
+
+@dataclass(frozen=True)
 class Throw:
     """Measured path of one stone.
 
@@ -70,7 +84,9 @@ class Throw:
         channels is unknown and estimated by a fit.
     name : of the throw, a file name for instance.
     reference : values to show beside a fit.
-    defaults : settings in the data file (`since`, `until`, `exclude`, `stone`, `law`, `load`).
+    defaults : settings in the data file (`since`, `until`, `exclude`, `stone`, `law`, `load`;
+        `as_given`: what is implausible is a warning, see `curlfit.throws.plausibility`).
+    conventions : units and axes of the file; None for arrays, which are in SI units.
     notes : remarks of the reader (ignored columns and the like).
     lines : line of each row in the file, for messages.
 
@@ -91,6 +107,7 @@ class Throw:
     defaults: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     lines: NDArray[np.int64] | None = None
+    conventions: Conventions | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         n = len(self.t)
@@ -144,13 +161,27 @@ class Throw:
         speed: ArrayLike | None = None,
         omega: ArrayLike | None = None,
         sigma: dict[str, ArrayLike] | None = None,
+        units: str | None = None,
+        axes: str | None = None,
         **more: Any,
     ) -> Throw:
         """A throw from arrays or lists; channels that were not measured are omitted.
 
-        `sigma` values may be single numbers. `more` are other attributes, `name` for instance.
+        `sigma` values may be single numbers, in the units of their channels. `units` and `axes`
+        are as for `load_throw`; without them numbers are in SI units and in curlfit's axes, and
+        angles unwrapped. `more` are other attributes, `name` for instance.
         """
         t = np.asarray(t, float)
+        if units or axes:
+            given_columns = {"t": t, "x": x, "y": y, "phi": phi, "speed": speed, "omega": omega}
+            given_columns |= {f"sigma_{name}": v for name, v in (sigma or {}).items()}
+            filled = {
+                name: np.broadcast_to(np.asarray(values, float), t.shape)
+                for name, values in given_columns.items()
+                if values is not None
+            }
+            own = {"name": more["name"]} if "name" in more else {}
+            return replace(cls.from_frame(filled, units=units, axes=axes, **own), **more)
         given = {
             channel: np.broadcast_to(np.asarray(values, float), t.shape)
             for channel, values in (sigma or {}).items()

@@ -244,12 +244,14 @@ class FitResult:
     def throw(self) -> Throw:
         """The data that were fitted."""
         series = self.observed
+        channels: dict[str, Any] = {name: series.get(name) for name in CHANNELS}
         return Throw.from_arrays(
             series["t"],
-            **{name: series.get(name) for name in CHANNELS},
+            **channels,
             sigma={name: series[f"sigma_{name}"] for name in CHANNELS if f"sigma_{name}" in series},
             name=self.data["file"],
             reference=self.reference,
+            defaults={"as_given": True},  # what is unusual was found when it was fitted
         )
 
     def with_posterior(self, posterior: Posterior) -> FitResult:

@@ -6,7 +6,8 @@ import csv
 import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,85 @@ def parse_number(cell: str, *, decimal_comma: bool) -> float | None:
 def is_number(cell: str) -> bool:
     """Whether a cell is a number, with a decimal point or a decimal comma."""
     return parse_number(cell, decimal_comma=True) is not None
+
+
+_CLOCK = re.compile(
+    r"(?:(?P<date>\d{4}-\d\d-\d\d)[T ])?(?:(?P<h>\d{1,2}):)?(?P<m>\d{1,2}):"
+    r"(?P<s>\d{1,2}(?:[.,]\d+)?)(?P<zone>Z|[+-]\d\d:?\d\d)?"
+)
+
+
+def clock_times(found: Sequence[str | None]) -> Floats | None:
+    """Clock times such as 14:03:22.150, 03:22.15 or 2026-01-05T14:03:22.150Z, as s since the first.
+
+    None where a cell is no clock time; NaN for gaps. Without a date, midnight may pass once from
+    one row to the next.
+    """
+    seconds = np.full(len(found), math.nan)
+    dated = False
+    for row, cell in enumerate(found):
+        if cell is None or cell.lower() in GAPS:
+            continue
+        match = _CLOCK.fullmatch(cell.strip())
+        if match is None:
+            return None
+        day = 0.0
+        if match["date"]:
+            dated = True
+            try:
+                day = 86400.0 * date.fromisoformat(match["date"]).toordinal()
+            except ValueError:
+                return None
+        zone = match["zone"] or "Z"
+        if zone != "Z":
+            sign = 1 if zone[0] == "+" else -1
+            day -= sign * (3600 * int(zone[1:3]) + 60 * int(zone[-2:]))
+        clock = 3600 * int(match["h"] or 0) + 60 * int(match["m"])
+        seconds[row] = day + clock + float(match["s"].replace(",", "."))
+    known = np.flatnonzero(np.isfinite(seconds))
+    if not len(known):
+        return None
+    seconds -= seconds[known[0]]
+    if not dated:
+        later = known[1:][np.diff(seconds[known]) < -43200]
+        for row in later:
+            seconds[row:] += 86400
+    return np.round(seconds, 9)
+
+
+def clocks_as_seconds(
+    lines: Sequence[str], first: int, columns: Iterable[int], separator: str | None
+) -> tuple[Sequence[str], dict[int, str]]:
+    """The lines of a table with clock times as seconds, and the first clock time by column.
+
+    Parameters
+    ----------
+    first : index of the first line below the header. columns : indices that may hold times.
+    """
+    rows = [k for k in range(first, len(lines)) if lines[k].strip() and lines[k].lstrip()[0] != "#"]
+    if not rows or ":" not in lines[rows[0]]:
+        return lines, {}
+    split = {k: cells(lines[k], separator) for k in rows}
+    begin: dict[int, str] = {}
+    for column in columns:
+        found = [row[column] if column < len(row) else None for row in split.values()]
+        if not any(cell and ":" in cell for cell in found):
+            continue
+        seconds = clock_times(found)
+        if seconds is None:
+            continue
+        begin[column] = next(cell for cell in found if cell and ":" in cell)
+        for row, value in zip(split.values(), seconds.tolist(), strict=True):
+            if column < len(row):
+                row[column] = "" if math.isnan(value) else repr(value)
+    if not begin:
+        return lines, {}
+    changed = list(lines)
+    for k, row in split.items():
+        changed[k] = " ".join(cell or "nan" for cell in row) if separator is None else (
+            separator.join(f'"{cell}"' if separator in cell else cell for cell in row)
+        )  # fmt: skip
+    return changed, begin
 
 
 def read_rows(
