@@ -9,7 +9,7 @@ Limits are judgement where no source is named.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -41,6 +41,10 @@ _CLEAR_CURL, _CLEAR_TURN = 0.2, 0.5  # m, rad: above these their sides are compa
 _FEWEST = 10  # positions that a motion is estimated from
 _BLOCKS = 24
 _REST = 0.03  # m/s
+_NAMES = {
+    "ms": "milliseconds", "us": "microseconds", "min": "minutes", "cm": "centimetres",
+    "mm": "millimetres", "ft": "feet", "in": "inches", "s": "seconds", "m": "metres",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,8 @@ def examine(throw: Throw) -> tuple[Finding, ...]:
         off = list(_scale(one, motion))
         found += off
         if not any(item.refused for item in off):
-            found += [*_other_hands(one, motion), *_axes(one, motion), *_measured_speed(one)]
+            hands = list(_other_hands(one, motion))
+            found += hands or [*_axes(one, motion), *_measured_speed(one)]
     return tuple(sorted(found, key=lambda item: not item.refused))
 
 
@@ -188,24 +193,30 @@ def motion_of(throw: Throw) -> Motion | None:
 
 
 def _motion(t: Floats, positions: Floats) -> Motion:
-    # Single outlying rows are none of the motion.
-    wide = np.pad(positions, ((0, 0), (2, 2)), "edge")
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(wide, 5, axis=1), axis=-1)
-    noise = scatter(positions)
-    outlying = (np.abs(positions - middle) > 0.05 + 10 * noise[:, None]).any(0)
-    step = np.abs(np.diff(middle, axis=1)).max(1, initial=0.0)[:, None]
-    outlying &= (np.abs(positions - middle) > 3 * step).any(0)
-    t, positions = t[~outlying], positions[:, ~outlying]
-    begin, end, middle_t, slope, error = _block_slopes(t, positions)
-    error = np.hypot(*(error * noise[:, None]))
+    t, positions = _without_outliers(t, positions)
+    begin, end, middle, slope, error = _block_slopes(t, positions)
     speed = np.hypot(*slope)
-    friction, friction_error = _friction(middle_t, speed, error)
+    if len(speed) >= 8:  # noise that is correlated from row to row shows from block to block
+        rough = np.abs(speed[2:] - 2 * speed[1:-1] + speed[:-2])
+        error = np.maximum(error, float(np.median(rough)) / (0.6745 * math.sqrt(6)))
+    friction, friction_error = _friction(middle, speed, error)
     curl, curl_error, direction = _curl(t, positions)
     length = float(np.hypot(*np.ptp(positions, axis=1)))
     return Motion(
-        middle_t, begin, end, speed, error, slope, length, friction, friction_error, curl,
+        middle, begin, end, speed, error, slope, length, friction, friction_error, curl,
         curl_error, direction,
     )  # fmt: skip
+
+
+def _without_outliers(t: Floats, positions: Floats) -> tuple[Floats, Floats]:
+    """The rows near the median of five, which noise and friction leave."""
+    wide = np.pad(positions, ((0, 0), (2, 2)), "edge")
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(wide, 5, axis=1), axis=-1)
+    bend = 0.5 * _BRAKING * (2 * float(np.median(np.diff(t)))) ** 2
+    limit = 0.02 + bend + 6 * scatter(positions)[:, None]
+    near = (np.abs(positions - middle) < limit).all(0)
+    near[[0, 1, -2, -1]] = True  # whose median is not of their middle
+    return (t, positions) if near.all() else (t[near], positions[:, near])
 
 
 def _motion_of_speeds(t: Floats, speed: Floats) -> Motion:
@@ -225,18 +236,21 @@ def _motion_of_speeds(t: Floats, speed: Floats) -> Motion:
 
 
 def _block_slopes(t: Floats, values: Floats) -> tuple[Floats, ...]:
-    """First and last time, mean time, slopes, and their errors per unit of noise, by block."""
-    groups = np.array_split(np.arange(len(t)), max(2, min(_BLOCKS, len(t) // 5)))
-    rows = []
-    for group in groups:
-        at = t[group] - t[group].mean()
-        spread = float(at @ at)
-        rows.append(
-            (t[group[0]], t[group[-1]], t[group].mean(), *(values[:, group] @ at / spread),
-             1 / math.sqrt(spread))
-        )  # fmt: skip
-    begin, end, middle, *slopes, error = np.array(rows).T
-    return begin, end, middle, np.array(slopes), error
+    """First and last time, mean time, slopes and the error of their length, by block."""
+    blocks = max(2, min(_BLOCKS, len(t) // 5))
+    first = np.arange(blocks) * len(t) // blocks
+    last = np.append(first[1:], len(t)) - 1
+    count = last - first + 1
+    owner = np.repeat(np.arange(blocks), count)
+    middle = np.add.reduceat(t, first) / count
+    at = t - middle[owner]
+    spread = np.add.reduceat(at**2, first)
+    slopes = np.add.reduceat(values * at, first, axis=1) / spread
+    mean = np.add.reduceat(values, first, axis=1) / count
+    residual = values - mean[:, owner] - slopes[:, owner] * at
+    own = np.add.reduceat((residual**2).sum(0), first) / np.maximum(count - 2, 1)
+    noise = np.maximum(own, float((scatter(values) ** 2).sum()))
+    return t[first], t[last], middle, slopes, np.sqrt(noise / spread)
 
 
 def _friction(t: Floats, speed: Floats, error: Floats) -> tuple[float, float]:
@@ -355,38 +369,51 @@ def _scale(throw: Throw, motion: Motion) -> Iterator[Finding]:
     if not faults and not unusual:
         return
     remedy = _unit_remedy(throw)
-    text = ", ".join(faults or unusual)
+    text = ", and ".join((faults or unusual)[:2])
     yield Finding("units", text, remedy, refused=bool(faults))
 
 
 def _unit_remedy(throw: Throw) -> str:
     """The units that would make a usual throw of this one, as what to type."""
     best: tuple[float, str] | None = None
-    if np.isfinite(throw.x).sum() >= _FEWEST:
-        quantities: dict[str, Sequence[str]] = {
-            "length": ("x", "y"), "t": ("t",), "x": ("x",), "y": ("y",),
-        }  # fmt: skip
-    else:
-        quantities = {"t": ("t",), "speed": ("speed",)}
-    for name, channels in quantities.items():
-        for unit, factor in _factors(throw, channels[0]).items():
-            changed = {channel: factor * getattr(throw, channel) for channel in channels}
-            motion = motion_of(replace(throw, sigma={}, **changed))
-            if motion is None or not _is_usual(motion):
-                continue
-            # Nearest to a draw: 2 m/s, and friction 0.01; units of one axis alone are rare.
-            off = abs(math.log(motion.friction / 0.01)) + abs(math.log(motion.fastest / 2))
-            off += name in "xy"
-            if best is None or off < best[0]:
-                best = off, f"{name}={unit}"
+    for units, factors in _candidates(throw):
+        changed = {name: factor * getattr(throw, name) for name, factor in factors.items()}
+        motion = motion_of(replace(throw, sigma={}, **changed))
+        if motion is None or not _is_usual(motion):
+            continue
+        # Nearest to a draw of 2 m/s, friction 0.01 and a curl of 1 m, with few units changed.
+        off = abs(math.log(motion.friction / 0.01)) + abs(math.log(motion.fastest / 2))
+        off += units.count(",")
+        if len(factors) == 1 and "t" not in factors:
+            off += 1 + abs(math.log(max(abs(motion.curl), 1e-3)))
+        if best is None or off < best[0]:
+            best = off, units
     if best is None:
         return f"set the units of the file, as in {_units_words(throw, 't=ms', 'length=cm')}"
     flag = _option(throw, "units", best[1])
     if best[1].endswith("fps"):
         return f"if t counts frames: {flag}, with those of the camera a second"
-    quantity, _, unit = best[1].partition("=")
-    what = {"t": "the time is", "length": "lengths are"}.get(quantity, f"{quantity} is")
-    return f"if {what} in {unit}: {flag}"
+    what = {"t": "the time is", "length": "lengths are"}
+    parts = [part.partition("=") for part in best[1].split(",")]
+    said = [f"{what.get(name, f'{name} is')} in {_NAMES.get(u, u)}" for name, _, u in parts]
+    return f"if {' and '.join(said)}: {flag}"
+
+
+def _candidates(throw: Throw) -> Iterator[tuple[str, dict[str, float]]]:
+    """Units that might be right, and the factors by channel to what was taken."""
+    times = _factors(throw, "t")
+    yield from ((f"t={unit}", {"t": factor}) for unit, factor in times.items())
+    if np.isfinite(throw.x).sum() < _FEWEST:
+        speeds = _factors(throw, "speed")
+        yield from ((f"speed={unit}", {"speed": factor}) for unit, factor in speeds.items())
+        return
+    for unit, factor in _factors(throw, "x").items():
+        yield f"length={unit}", {"x": factor, "y": factor}
+        yield f"x={unit}", {"x": factor}
+        yield f"y={unit}", {"y": factor}
+        for time, of_time in times.items():
+            if not time.endswith("fps"):
+                yield f"t={time},length={unit}", {"t": of_time, "x": factor, "y": factor}
 
 
 def _wrapped(throw: Throw) -> Iterator[Finding]:

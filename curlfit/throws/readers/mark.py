@@ -22,8 +22,8 @@ def add_angle_of_mark(
     """Add phi and sigma_phi, from the direction of the mark seen from the stone's position.
 
     With d = (x_mark - x, y_mark - y), phi = atan2(d_y, d_x), unwrapped. To first order phi is off
-    by the noise of d across its direction, over |d|. With given sigmas, and the same for the mark as
-    for the stone, var(phi) = 2 (sigma_x^2 sin^2 phi + sigma_y^2 cos^2 phi) / |d|^2. Without them,
+    by the noise of d across its direction, over |d|. With given sigmas, the mark's the same as the
+    stone's, var(phi) = 2 (sigma_x^2 sin^2 phi + sigma_y^2 cos^2 phi) / |d|^2. Without them,
     the noise of d across is taken to be that along d, where the true length is constant: sigma_phi
     is the scatter of |d| from row to row over its median.
 
