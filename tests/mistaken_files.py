@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from conftest import DATA
@@ -14,11 +13,8 @@ NOISE = {"x": 0.003, "y": 0.003, "phi": 0.005}
 
 def good() -> Columns:
     """Eq. 12 up to 20 s with the noise of a camera: 27 m, counter-clockwise, to the left."""
-    rows = np.genfromtxt(DATA, delimiter=",", names=True, comments="#", skip_header=0,
-                         usecols=(0, 1, 2, 3)) if False else np.array(
-        [[float(cell) for cell in line.split(",")] for line in DATA.read_text().splitlines()
-         if line[0].isdigit()]
-    )[:201]  # fmt: skip
+    body = DATA.read_text().split("t,x,y,phi\n")[1]
+    rows = np.loadtxt(body.splitlines(), delimiter=",")[:201]
     random = np.random.default_rng(12)
     columns = dict(zip(("t", "x", "y", "phi"), rows.T, strict=True))
     for name, size in NOISE.items():
@@ -77,14 +73,6 @@ def collided(c: Columns) -> Columns:
 def wrapped(period: float, low: float, unit: float = 1.0) -> Callable[[Columns], Columns]:
     """The angle in another unit within one turn."""
     return lambda c: c | {"phi": np.remainder(unit * c["phi"] - low, period) + low}
-
-
-class Mistake(NamedTuple):
-    """What was done to a throw, and what the user shall read and type."""
-
-    made: Callable[[Columns], Columns]
-    said: str
-    flag: str
 
 
 DEGREES = 180 / np.pi

@@ -24,6 +24,9 @@ def check(
     shot: o.Shot = None,
     handle: o.Handle = None,
     as_given: o.AsGiven = False,
+    since: o.Since = None,
+    until: o.Until = None,
+    exclude: o.Exclude = None,
     config: o.Config = None,
     out: Annotated[
         Path | None, typer.Option(help="Draw the data to this file.", metavar="CHECK.png")
@@ -53,6 +56,8 @@ def check(
     as_given = options.pop("as_given", False)
     parsed = read(data, **options, pixels=points is not None)
     throw = assemble(parsed, axes=axes, reference=points and Path(points), as_given=as_given)
+    flags |= {"since": since, "until": until}
+    flags["exclude"] = s.periods("--exclude", exclude or ()) or None
     throw, settings, _ = s.apply_settings(throw, configured, flags)
     cut = throw.select_rows(**s.row_choices(settings))
     cut.require_motion()

@@ -165,7 +165,9 @@ def examine_fit(
         span = float(t[-1] - t[0])
         mean = (float(speed[0]) - float(speed[-1])) / (GRAVITY * span)
         motion = motion_of(throw)
-        error = motion.friction_error if motion is not None else sure / (3 * GRAVITY * span)
+        error = sure / (3 * GRAVITY * span)
+        if motion is not None and math.isfinite(motion.friction_error):
+            error = motion.friction_error
         if mean + 3 * error < FRICTION[0] or mean - 3 * error > FRICTION[1]:
             sense = "speeds up" if mean < 0 else f"has a mean friction of {mean:.2g}"
             found.append(
@@ -237,7 +239,7 @@ def _motion_of_speeds(t: Floats, speed: Floats) -> Motion:
 
 def _block_slopes(t: Floats, values: Floats) -> tuple[Floats, ...]:
     """First and last time, mean time, slopes and the error of their length, by block."""
-    blocks = max(2, min(_BLOCKS, len(t) // 5))
+    blocks = max(min(4, len(t) // 2), min(_BLOCKS, len(t) // 5))
     first = np.arange(blocks) * len(t) // blocks
     last = np.append(first[1:], len(t)) - 1
     count = last - first + 1
@@ -603,8 +605,8 @@ def _axes(throw: Throw, motion: Motion) -> Iterator[Finding]:
     yield Finding(
         "axes",
         f"the stone turns {sense} and curls {abs(motion.curl):.2g} m to the {side}, and stones on "
-        "ice curl to the side to which they turn: an axis or the angle is mirrored, and front and "
-        "back are exchanged in what is fitted, unless the ice slopes",
+        "ice curl to the side to which they turn: unless the ice slopes, an axis or the angle is "
+        "mirrored, and the friction of front and back comes out exchanged",
         f"if {axis}: {_option(throw, 'axes', first)}; if angles count the other way: "
         + _option(throw, "axes", clockwise),
         refused=False,

@@ -236,6 +236,8 @@ def _unusual(
 ) -> tuple[Finding, ...]:
     """What is implausible in the data and in the fitted motion."""
     throw = fit.prepared.throw
+    if start.verdict == "not identifiable":
+        return fit.prepared.findings
     speed = curves.get("speed", np.zeros(0))
     found = examine_fit(throw, throw.t[: len(speed)], speed, start.value, start.stderr)
     return (*found, *fit.prepared.findings)
