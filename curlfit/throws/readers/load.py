@@ -334,8 +334,8 @@ def _numbers(values: Any, column: Column, name: str, header: str) -> np.ndarray:
         numbers = (values - origin) / np.timedelta64(1, "s") / column.factor
         return np.where(blank, np.nan, numbers)
     if column.quantity.startswith("t") and values.dtype.kind in "OU":
-        clock = clock_times([None if _blank(v) else str(v) for v in values.tolist()])
-        if clock is not None:
+        clock, bad = clock_times([None if _blank(v) else str(v) for v in values.tolist()])
+        if not bad and np.isfinite(clock).any():
             return clock / column.factor
     try:
         numbers = np.array([np.nan if _blank(v) else v for v in values.tolist()], dtype=float)

@@ -103,48 +103,61 @@ _CLOCK = re.compile(
 )
 
 
-def clock_times(found: Sequence[str | None]) -> Floats | None:
+def clock_times(found: Sequence[str | None]) -> tuple[Floats, list[int]]:
     """Clock times such as 14:03:22.150, 03:22.15 or 2026-01-05T14:03:22.150Z, as s since the first.
 
-    None where a cell is no clock time; NaN for gaps. Without a date, midnight may pass once from
-    one row to the next.
+    Without dates, midnight may pass from one row to the next.
+
+    Returns
+    -------
+    Seconds, shape (n,), NaN for gaps; and the rows that are no clock time, NaN too.
     """
-    seconds = np.full(len(found), math.nan)
+    seconds, bad = np.full(len(found), math.nan), []
     dated = False
     for row, cell in enumerate(found):
         if cell is None or cell.lower() in GAPS:
             continue
         match = _CLOCK.fullmatch(cell.strip())
-        if match is None:
-            return None
-        day = 0.0
-        if match["date"]:
-            dated = True
-            try:
-                day = 86400.0 * date.fromisoformat(match["date"]).toordinal()
-            except ValueError:
-                return None
-        zone = match["zone"] or "Z"
-        if zone != "Z":
-            sign = 1 if zone[0] == "+" else -1
-            day -= sign * (3600 * int(zone[1:3]) + 60 * int(zone[-2:]))
-        clock = 3600 * int(match["h"] or 0) + 60 * int(match["m"])
-        seconds[row] = day + clock + float(match["s"].replace(",", "."))
+        value = None if match is None else _seconds(match)
+        if match is None or value is None:
+            bad.append(row)
+            continue
+        seconds[row] = value
+        dated |= match["date"] is not None
     known = np.flatnonzero(np.isfinite(seconds))
-    if not len(known):
-        return None
-    seconds -= seconds[known[0]]
+    if len(known):
+        seconds -= seconds[known[0]]
     if not dated:
-        later = known[1:][np.diff(seconds[known]) < -43200]
-        for row in later:
+        for row in known[1:][np.diff(seconds[known]) < -43200]:
             seconds[row:] += 86400
-    return np.round(seconds, 9)
+    return np.round(seconds, 9), bad
+
+
+def _seconds(match: re.Match[str]) -> float | None:
+    """A clock time in s; None where an hour, a minute or a date is none."""
+    hours, minutes = int(match["h"] or 0), int(match["m"])
+    seconds = float(match["s"].replace(",", "."))
+    if hours > 23 or seconds >= 60 or (match["h"] and minutes > 59):
+        return None
+    day = 0
+    if match["date"]:
+        try:
+            day = date.fromisoformat(match["date"]).toordinal()
+        except ValueError:
+            return None
+    zone = match["zone"] or "Z"
+    ahead = 0
+    if zone != "Z":
+        ahead = (3600 * int(zone[1:3]) + 60 * int(zone[-2:])) * (1 if zone[0] == "+" else -1)
+    return 86400.0 * day + 3600 * hours + 60 * minutes + seconds - ahead
 
 
 def clocks_as_seconds(
     lines: Sequence[str], first: int, columns: Iterable[int], separator: str | None
 ) -> tuple[Sequence[str], dict[int, str]]:
     """The lines of a table with clock times as seconds, and the first clock time by column.
+
+    What is no clock time in such a column is left as it is.
 
     Parameters
     ----------
@@ -153,26 +166,27 @@ def clocks_as_seconds(
     rows = [k for k in range(first, len(lines)) if lines[k].strip() and lines[k].lstrip()[0] != "#"]
     if not rows or ":" not in lines[rows[0]]:
         return lines, {}
-    split = {k: cells(lines[k], separator) for k in rows}
+    split = [cells(lines[k], separator) for k in rows]
     begin: dict[int, str] = {}
     for column in columns:
-        found = [row[column] if column < len(row) else None for row in split.values()]
-        if not any(cell and ":" in cell for cell in found):
+        found = [row[column] if column < len(row) else None for row in split]
+        seconds, bad = clock_times(found)
+        known = np.flatnonzero(np.isfinite(seconds))
+        if not len(known):
             continue
-        seconds = clock_times(found)
-        if seconds is None:
-            continue
-        begin[column] = next(cell for cell in found if cell and ":" in cell)
-        for row, value in zip(split.values(), seconds.tolist(), strict=True):
-            if column < len(row):
-                row[column] = "" if math.isnan(value) else repr(value)
+        begin[column] = str(found[known[0]])
+        for k in set(range(len(rows))) - set(bad):
+            if found[k] is not None:
+                split[k][column] = "" if math.isnan(seconds[k]) else repr(float(seconds[k]))
     if not begin:
         return lines, {}
     changed = list(lines)
-    for k, row in split.items():
-        changed[k] = " ".join(cell or "nan" for cell in row) if separator is None else (
-            separator.join(f'"{cell}"' if separator in cell else cell for cell in row)
-        )  # fmt: skip
+    for k, row in zip(rows, split, strict=True):
+        changed[k] = (
+            " ".join(cell or "nan" for cell in row)
+            if separator is None
+            else separator.join(f'"{cell}"' if separator in cell else cell for cell in row)
+        )
     return changed, begin
 
 
