@@ -101,7 +101,7 @@ def compare(
         raise InputError("--laws: expected names with commas between")
     chosen = [find_law(name) for name in names] if names else None
     cut = throw.select_rows(**s.row_choices(settings))
-    require_plausible(cut)
+    unusual = require_plausible(cut)
     laws_of = chosen or list(LAWS.values())
     options = {name: settings.get(name, {}) for name in ("fix", "bound", "start", "prior")}
     options["free"] = dict.fromkeys(settings.get("free", ()), True)
@@ -171,4 +171,6 @@ def compare(
     from curlfit.comparison.report import print_comparison
 
     print_comparison(found, console)
+    for finding in unusual:
+        console.print(f"Warning: {finding}.", style="yellow", markup=False)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)

@@ -112,6 +112,8 @@ def examine(throw: Throw) -> tuple[Finding, ...]:
         if not any(item.refused for item in off):
             hands = list(_other_hands(one, motion))
             found += hands or [*_axes(one, motion), *_measured_speed(one)]
+    else:
+        found += _scale_of_few(one)
     return tuple(sorted(found, key=lambda item: not item.refused))
 
 
@@ -375,6 +377,62 @@ def _scale(throw: Throw, motion: Motion) -> Iterator[Finding]:
     yield Finding("units", text, remedy, refused=bool(faults))
 
 
+def _scale_of_few(throw: Throw) -> Iterator[Finding]:
+    """The same for a few positions, of which only the distance and its time are used."""
+    extent = _extent(throw)
+    if extent is None:
+        return
+    length, time = extent
+    faults = list(_faults_of_few(length, time))
+    if not faults:
+        return
+    usual = None
+    for units, factors in _candidates(throw):
+        if len(factors) == 1 and "t" not in factors:
+            continue
+        scaled = factors.get("x", 1.0) * length, factors.get("t", 1.0) * time
+        speed = scaled[0] / scaled[1]
+        if not list(_faults_of_few(*scaled)) and 0.3 < speed < 3:
+            off = abs(math.log(speed / 1.5)) + units.count(",")
+            usual = min(usual or (off, units), (off, units))
+    remedy = (
+        f"set the units of the file, as in {_units_words(throw, 't=ms', 'length=cm')}"
+        if usual is None
+        else f"if those are its units: {_option(throw, 'units', usual[1])}"
+    )
+    yield Finding("units", ", and ".join(faults), remedy)
+
+
+def _extent(throw: Throw) -> tuple[float, float] | None:
+    """Length of a path in m, and the time in s until 98 % of it; None of too few rows."""
+    complete = np.isfinite(throw.x) & np.isfinite(throw.y)
+    if complete.sum() < 4:
+        return None
+    t, x, y = throw.t[complete], throw.x[complete], throw.y[complete]
+    off = np.hypot(x - x[-1], y - y[-1])
+    if not off[0] > 0:
+        return None
+    there = int(np.argmax(off < 0.02 * off[0]))
+    return float(off[0]), float(t[there] - t[0])
+
+
+def _faults_of_few(length: float, time: float) -> Iterator[str]:
+    """What is impossible in a path of this length (m) and time (s)."""
+    if length > _LENGTH:
+        yield f"the path is {length:.3g} m long, and a sheet {LENGTH:.1f} m"
+    if length / time > SPEED:
+        yield (
+            f"the stone moves at {length / time:.3g} m/s, and none is thrown at more than about 4 "
+            "m/s"
+        )
+    # A stone that stops by constant friction mu covers s in sqrt(2 s/(mu g)), less if it does not.
+    if 2 * length / (GRAVITY * time**2) < FRICTION[0] / 4:
+        yield (
+            f"it takes {time:.3g} s for {length:.3g} m, where friction on ice stops a stone within "
+            f"{math.sqrt(2 * length / (GRAVITY * FRICTION[0])):.2g} s"
+        )
+
+
 def _unit_remedy(throw: Throw) -> str:
     """The units that would make a usual throw of this one, as what to type."""
     best: tuple[float, str] | None = None
@@ -405,7 +463,7 @@ def _candidates(throw: Throw) -> Iterator[tuple[str, dict[str, float]]]:
     """Units that might be right, and the factors by channel to what was taken."""
     times = _factors(throw, "t")
     yield from ((f"t={unit}", {"t": factor}) for unit, factor in times.items())
-    if np.isfinite(throw.x).sum() < _FEWEST:
+    if not np.isfinite(throw.x).any():
         speeds = _factors(throw, "speed")
         yield from ((f"speed={unit}", {"speed": factor}) for unit, factor in speeds.items())
         return

@@ -298,9 +298,28 @@ def test_throws_of_every_law_are_plausible():
             assert not found or law == "tensor", (law, found)
 
 
+@pytest.mark.parametrize(
+    ("made", "said", "flag"),
+    [
+        (scaled(t=1000), "s for 24.5 m, where friction on ice stops a stone within 50 s", "t=ms"),
+        (scaled(x=100, y=100), "the path is 2.45e+03 m long, and a sheet 45.7 m", "length=cm"),
+    ],
+)
+def test_few_rows_in_wrong_units_are_refused(written, made, said, flag):
+    few = {name: values[::25] for name, values in GOOD.items()}
+    assert require_plausible(load_throw(written(few))) == ()
+    file = written(made(few))
+    with pytest.raises(InputError) as caught:
+        require_plausible(load_throw(file))
+    assert said in str(caught.value)
+    assert typed_flag(str(caught.value), "units") == flag
+    assert require_plausible(load_throw(file, units=flag)) == ()
+
+
 # After the fit
 
-FEW = {name: values[::25] for name, values in GOOD.items()}  # too few rows to judge before
+FEW = {name: values[::15] for name, values in GOOD.items()}
+FEW["x"] = np.where(np.arange(len(FEW["x"])) % 6 == 0, FEW["x"], np.nan)  # too few to judge before
 
 
 @pytest.mark.parametrize(

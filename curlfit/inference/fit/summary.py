@@ -42,6 +42,8 @@ from curlfit.numerics.arrays import Floats
 from curlfit.throws.plausibility import Finding, examine_fit
 from curlfit.throws.throw import CHANNELS
 
+IMPLAUSIBLE = "implausible"
+"""How the status begins of a fit that no curling stone obeys."""
 _CONVERGED = 0.01  # standard errors to the optimum
 _MISLEADING = 4.0  # factor by which the rise of chi squared is off where a standard error is by two
 _LASTING = 0.03  # memory over the time of motion, above which `tests/statistics` finds errors small
@@ -247,14 +249,14 @@ def _status(fit: LeastSquaresFit, newton_decrement: float, unusual: Sequence[Fin
     steps = f"{int(fit.solution.steps)} steps"
     if fit.tried > 1:
         steps += f", best of {fit.tried} starts"
+    refused = [str(one) for one in unusual if one.refused]
+    if refused:
+        return f"{IMPLAUSIBLE}: {'. '.join(refused)}"
     if newton_decrement >= _CONVERGED:
         return (
             f"not converged: the next step would still gain {newton_decrement:.2g} standard errors "
             f"({steps})"
         )
-    refused = [str(one) for one in unusual if one.refused]
-    if refused:
-        return f"implausible: {'. '.join(refused)}"
     if unusual:
         return f"converged ({steps}), but the data are unusual: see the first warning"
     return f"converged ({steps})"
