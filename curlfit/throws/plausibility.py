@@ -214,12 +214,11 @@ def _motion(t: Floats, positions: Floats) -> Motion:
 
 def _without_outliers(t: Floats, positions: Floats) -> tuple[Floats, Floats]:
     """The rows near the median of five, which noise and friction leave."""
-    wide = np.pad(positions, ((0, 0), (2, 2)), "edge")
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(wide, 5, axis=1), axis=-1)
+    five = np.sort(np.lib.stride_tricks.sliding_window_view(positions, 5, axis=1), axis=-1)
     bend = 0.5 * _BRAKING * (2 * float(np.median(np.diff(t)))) ** 2
     limit = 0.02 + bend + 6 * scatter(positions)[:, None]
-    near = (np.abs(positions - middle) < limit).all(0)
-    near[[0, 1, -2, -1]] = True  # whose median is not of their middle
+    near = np.ones(len(t), bool)
+    near[2:-2] = (np.abs(positions[:, 2:-2] - five[..., 2]) < limit).all(0)
     return (t, positions) if near.all() else (t[near], positions[:, near])
 
 
@@ -288,11 +287,12 @@ def _curl(t: Floats, positions: Floats) -> tuple[float, float, tuple[float, floa
     along = along_x * positions[0] + along_y * positions[1]
     left = -along_y * positions[0] + along_x * positions[1]
     scaled = (along - along.mean()) / length
-    powers = np.vander(scaled, 3, increasing=True)
-    found, *_ = np.linalg.lstsq(powers, left, rcond=None)
-    residual = left - powers @ found
+    powers = np.stack([np.ones_like(scaled), scaled, scaled**2])
+    inverse = np.linalg.pinv(powers @ powers.T)
+    found = inverse @ (powers @ left)
+    residual = left - found @ powers
     noise = math.sqrt(float(residual @ residual) / max(len(t) - 3, 1))
-    spread = np.linalg.pinv(powers.T @ powers)[2, 2]
+    spread = float(inverse[2, 2])
     reach = float(np.ptp(scaled)) ** 2
     return (
         float(found[2]) * reach,
@@ -586,8 +586,12 @@ def _collision(throw: Throw, motion: Motion) -> tuple[float, float] | None:
     """Time in s and size in m/s of the largest jump of the velocity; None without one.
 
     Straight lines through some rows before and after each time differ by more than noise and
-    friction explain, and so do those through half the rows.
+    friction explain. Where no velocity changes as much from block to block, none does from row to
+    row.
     """
+    velocity = motion.velocity
+    if not np.hypot(*(velocity[:, 2:] - velocity[:, :-2])).max(initial=0.0) > _JUMP:
+        return None
     complete = np.isfinite(throw.x) & np.isfinite(throw.y)
     if complete.sum() < 20:
         return None
@@ -614,7 +618,7 @@ def _collision(throw: Throw, motion: Motion) -> tuple[float, float] | None:
         residual = np.maximum(residual, np.abs(off).max(1))
     straight = residual < 0.02 + 6 * noise + 0.5 * _BRAKING * (at[:, -1] - at[:, 0]) ** 2 / 4
     size[~(straight[rows:] & straight[:-rows])] = -math.inf
-    # A line through rows on both sides of an outlier is shifted: both must meet at the time.
+    # Over a pause the stone may have done anything.
     gap = t[rows : rows + len(size)] - t[rows - 1 : rows - 1 + len(size)]
     size[gap > 5 * dt] = -math.inf
     best = int(np.argmax(size)) if len(size) else 0

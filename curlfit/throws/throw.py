@@ -139,7 +139,10 @@ class Throw:
                 else f"follows {self.t[row - 1]:g} s"
             )
             raise self._error(
-                f"time {self.t[row]:g} s {fault}; times must increase from row to row", row, "t"
+                f"time {self.t[row]:g} s {fault}; times must increase from row to row "
+                "(`Throw.from_frame` sorts rows)",
+                row,
+                "t",
             )
         if not self.finite.any():
             raise self._error(f"no value is given; expected some of {', '.join(CHANNELS)}")

@@ -40,7 +40,11 @@ def throws_in(
     A column such as `stone`, `throw_id` or `track` names them. Without one, times that start again
     begin the next throw.
     """
-    groups = _by_column(words, len(parsed.series[0].values)) or _by_restart(parsed)
+    header, groups = _by_column(words, len(parsed.series[0].values))
+    if header:
+        parsed = replace(parsed, ignored=[name for name in parsed.ignored if name != header])
+    else:
+        groups = _by_restart(parsed)
     if len(groups) < 2:
         return [("", parsed)]
     return [(name, _rows(parsed, rows)) for name, rows in groups.items()]
@@ -73,8 +77,8 @@ def selected(throws: list[tuple[str, ParsedFile]], number: int | None, flag: str
     return parsed
 
 
-def _by_column(words: Mapping[str, Sequence[Any]], n: int) -> dict[str, np.ndarray]:
-    """Rows of each throw by its name; empty where no column names several."""
+def _by_column(words: Mapping[str, Sequence[Any]], n: int) -> tuple[str, dict[str, np.ndarray]]:
+    """The column that names several throws, and the rows of each; empty where none does."""
     for header, cells in words.items():
         if not may_name_throws(header):
             continue
@@ -83,11 +87,11 @@ def _by_column(words: Mapping[str, Sequence[Any]], n: int) -> dict[str, np.ndarr
         first.pop("", None)
         if not 2 <= len(first) <= n / _FEWEST:
             continue
-        return {
+        return header, {
             f"{header} {name}": np.flatnonzero(names == name)
             for name in sorted(first, key=lambda name: first[name])
         }
-    return {}
+    return "", {}
 
 
 def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
