@@ -445,7 +445,7 @@ def _unit_remedy(throw: Throw) -> str:
         off = abs(math.log(motion.friction / 0.01)) + abs(math.log(motion.fastest / 2))
         off += units.count(",")
         if len(factors) == 1 and "t" not in factors:
-            off += 1 + abs(math.log(max(abs(motion.curl), 1e-3)))
+            off += 1 + abs(math.log(max(abs(motion.curl), 1e-3))) + units.endswith(("in", "ft"))
         if best is None or off < best[0]:
             best = off, units
     if best is None:
