@@ -60,8 +60,8 @@ def batch(
     stone_index: Annotated[
         int | None,
         typer.Option(
-            help="Only this object of Tracker exports, or stone of shots, from 1. [default: every "
-            "object; the stone thrown]",
+            help="Only this object of Tracker exports, stone of shots or throw of tables, from 1. "
+            "[default: every object or throw; the stone thrown]",
             metavar="N",
             min=1,
             rich_help_panel=o.PANEL,
@@ -76,6 +76,8 @@ def batch(
             rich_help_panel=o.PANEL,
         ),
     ] = None,
+    handle: o.Handle = None,
+    as_given: o.AsGiven = False,
     posterior: Annotated[
         bool,
         typer.Option(
@@ -102,10 +104,11 @@ def batch(
     """Fit a friction law to many throws, each by itself, into one table.
 
     A row has status, rms, coefficients, standard errors, verdicts and what is determined together.
-    A log of DigitalCurling 3 has a row for each shot, a Tracker export one for each object (columns
-    shot and stone_index). A throw of no use has its reason in its row and stops nothing: status
-    "not usable" where the data were read and no usable fit came of them, "failed" where they could
-    not be read. The same command goes on where an earlier run was stopped or killed.
+    A log of DigitalCurling 3 has a row for each shot, a Tracker export one for each object, a table
+    one for each throw (columns shot and stone_index). A throw of no use has its reason in its row
+    and stops nothing: status "not usable" where the data were read and no usable fit came of them,
+    "failed" where they could not be read. The same command goes on where an earlier run was stopped
+    or killed.
 
     Exit status 0 where a throw in the table is ok; 1 where some were read and none is usable; 2
     where none could be read, or the command itself is refused.
@@ -136,7 +139,7 @@ def batch(
         "how": {
             name: value
             for name, value in o.reader_options(
-                format, axes, units, reference, stone_index, shot
+                format, axes, units, reference, stone_index, shot, handle, as_given
             ).items()
             if value is not None
         },

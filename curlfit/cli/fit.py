@@ -61,6 +61,8 @@ def fit(
     reference: o.Reference = None,
     stone_index: o.StoneIndex = None,
     shot: o.Shot = None,
+    handle: o.Handle = None,
+    as_given: o.AsGiven = False,
     config: o.Config = None,
     no_sample: Annotated[
         bool, typer.Option("--no-sample", help="Least squares only; no posterior.")
@@ -105,7 +107,7 @@ def fit(
     if resume and no_sample:
         raise InputError("--resume continues sampling, and --no-sample skips it; give one of them")
     flags = s.fit_flags(
-        o.reader_options(format, axes, units, reference, stone_index, shot),
+        o.reader_options(format, axes, units, reference, stone_index, shot, handle, as_given),
         law=law, load=load, since=since, until=until, exclude=exclude, swept=sweep,
         stone=stone, sigma=sigma, fix=fix, bound=bound, start=start, unbounded=unbounded,
         free=free, prior=prior, loss=loss, noise=noise, seed=seed,
@@ -274,6 +276,7 @@ def _fit_jointly(
     from curlfit.inference.noise.models import check_loss, check_noise
     from curlfit.inference.parameters import ParameterSet
     from curlfit.output.files import prepare_folder
+    from curlfit.throws.plausibility import require_plausible
 
     jobs = list(named.values())
     settings = jobs[0].settings
@@ -304,7 +307,7 @@ def _fit_jointly(
     throws = []
     for job in jobs:
         cut = job.throw.select_rows(**s.row_choices(job.settings))
-        cut.require_motion()
+        require_plausible(cut)
         ParameterSet.for_throw(law, cut, **s.is_swept(choices))
         throws.append(cut.with_defaults(stone=job.stone.as_dict()))
     folder = prepare_folder(out or Path("joint-fit"))

@@ -22,12 +22,17 @@ def check(
     reference: o.Reference = None,
     stone_index: o.StoneIndex = None,
     shot: o.Shot = None,
+    handle: o.Handle = None,
+    as_given: o.AsGiven = False,
+    since: o.Since = None,
+    until: o.Until = None,
+    exclude: o.Exclude = None,
     config: o.Config = None,
     out: Annotated[
         Path | None, typer.Option(help="Draw the data to this file.", metavar="CHECK.png")
     ] = None,
 ) -> None:
-    """Show how a data file is read: columns, units, scatter, rest. Nothing is fitted.
+    """Show how a data file is read: columns, units, scatter, rest, what is implausible.
 
     Exit status 0 where the file can be fitted, 2 where it cannot.
 
@@ -35,6 +40,7 @@ def check(
     """
     from curlfit.errors import InputError
     from curlfit.throws.inspection import inspect_throw
+    from curlfit.throws.plausibility import examine, require_plausible
     from curlfit.throws.readers import read
     from curlfit.throws.readers.assemble import assemble
 
@@ -43,29 +49,35 @@ def check(
             raise InputError(f"--out {out}: expected a name that ends in .png, .pdf or .svg")
         if not out.absolute().parent.is_dir():
             raise InputError(f"--out {out}: the folder {out.parent} does not exist")
-    flags = o.reader_options(format, axes, units, reference, stone_index, shot)
+    flags = o.reader_options(format, axes, units, reference, stone_index, shot, handle, as_given)
     configured = s.check_settings(s.read_config(config), str(config))
     options = s.reader_arguments(configured, flags)
     axes, points = options.pop("axes", None), options.pop("reference", None)
+    as_given = options.pop("as_given", False)
     parsed = read(data, **options, pixels=points is not None)
-    throw = assemble(parsed, axes=axes, reference=points and Path(points))
+    throw = assemble(parsed, axes=axes, reference=points and Path(points), as_given=as_given)
+    flags |= {"since": since, "until": until}
+    flags["exclude"] = s.periods("--exclude", exclude or ()) or None
     throw, settings, _ = s.apply_settings(throw, configured, flags)
-    throw.select_rows(**s.row_choices(settings)).require_motion()
+    cut = throw.select_rows(**s.row_choices(settings))
+    cut.require_motion()
     if out is not None and not throw.has_path:
         raise InputError(f"--out: {data} has timed events only, and no path to draw")
     shown = {key: value for key, value in settings.items() if key not in s.READER_OPTIONS}
 
     from curlfit.output.console import terminal
-    from curlfit.throws.report import print_inspection
+    from curlfit.throws.report import print_findings, print_inspection
 
     console = terminal(highlight=False)
     print_inspection(parsed, throw, inspect_throw(throw), shown, console)
+    print_findings(examine(cut), console)
     if out is not None:
         from curlfit.output.figures import save_figure
         from curlfit.throws.figures import throw_figure
 
         save_figure(throw_figure(throw), out, dpi=130)
         console.print(f"Written: {out}", soft_wrap=True)
+    require_plausible(cut)
 
 
 def simulate(

@@ -54,6 +54,8 @@ def compare(
     reference: o.Reference = None,
     stone_index: o.StoneIndex = None,
     shot: o.Shot = None,
+    handle: o.Handle = None,
+    as_given: o.AsGiven = False,
     config: o.Config = None,
     out: Annotated[
         Path | None,
@@ -80,9 +82,10 @@ def compare(
     from curlfit.inference.noise.models import check_loss
     from curlfit.inference.parameters import ParameterSet, options_of, require_known
     from curlfit.output.files import prepare_folder
+    from curlfit.throws.plausibility import require_plausible
 
     flags = {
-        **o.reader_options(format, axes, units, reference, stone_index, shot),
+        **o.reader_options(format, axes, units, reference, stone_index, shot, handle, as_given),
         "load": None if load == "both" else load,
         "since": since,
         "until": until,
@@ -108,7 +111,7 @@ def compare(
         raise InputError("--laws: expected names with commas between")
     chosen = [find_law(name) for name in names] if names else None
     cut = throw.select_rows(**s.row_choices(settings))
-    cut.require_motion()
+    unusual = require_plausible(cut)
     laws_of = chosen or list(LAWS.values())
     options = {name: settings.get(name, {}) for name in ("fix", "bound", "start", "prior")}
     options["free"] = dict.fromkeys(settings.get("free", ()), True)
@@ -178,4 +181,6 @@ def compare(
     from curlfit.comparison.report import print_comparison
 
     print_comparison(found, console)
+    for finding in unusual:
+        console.print(f"Warning: {finding}.", style="yellow", markup=False)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)

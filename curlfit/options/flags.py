@@ -162,8 +162,8 @@ Reference = Annotated[
 StoneIndex = Annotated[
     int | None,
     typer.Option(
-        help="Object of a Tracker export or stone of a shot, from 1. [default: the first object; "
-        "the stone thrown]",
+        help="Object of a Tracker export, stone of a shot or throw of a table, from 1. [default: "
+        "the first object; the stone thrown]",
         metavar="N",
         rich_help_panel=PANEL,
     ),
@@ -171,6 +171,23 @@ StoneIndex = Annotated[
 Shot = Annotated[
     int | None,
     typer.Option(help="Shot of a log with several, from 1.", metavar="N", rich_help_panel=PANEL),
+]
+Handle = Annotated[
+    int | None,
+    typer.Option(
+        help="Object of a Tracker export, from 1, that marks the handle or any other point of the "
+        "same stone: its direction from the stone is the angle.",
+        metavar="N",
+        rich_help_panel=PANEL,
+    ),
+]
+AsGiven = Annotated[
+    bool,
+    typer.Option(
+        "--as-given",
+        help="Take data that are implausible for a curling stone as they are: with a warning.",
+        rich_help_panel=PANEL,
+    ),
 ]
 
 
@@ -181,6 +198,8 @@ def reader_options(
     reference: Path | None,
     stone_index: int | None,
     shot: int | None,
+    handle: int | None,
+    as_given: bool,
 ) -> dict[str, Any]:
     """The flags of the readers by name, as settings."""
     return {
@@ -190,4 +209,6 @@ def reader_options(
         "reference": None if reference is None else str(reference),
         "stone_index": stone_index,
         "shot": shot,
+        "handle": handle,
+        "as_given": as_given or None,
     }

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from curlfit.stone import Stone
     from curlfit.throws.throw import Throw
 
-READER_OPTIONS = ("format", "axes", "units", "reference", "stone_index", "shot")
+READER_OPTIONS = (
+    "format", "axes", "units", "reference", "stone_index", "shot", "handle", "as_given",
+)  # fmt: skip
 """Settings of the readers."""
 _SETTINGS = (
     "law", "load", "since", "until", "exclude", "swept", "stone", "sigma", "fix", "bound", "start",
@@ -222,7 +224,9 @@ def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
         raise InputError(
             f"{origin}: noise = {noise!r}; expected a text in quotes, for `compare` also a list"
         )
-    for key in ("stone_index", "shot"):
+    if not isinstance(settings.get("as_given", False), bool):
+        raise InputError(f"{origin}: as_given = {settings['as_given']!r}; expected true or false")
+    for key in ("stone_index", "shot", "handle"):
         value = settings.get(key, 1)
         if isinstance(value, bool) or not isinstance(value, int):
             raise InputError(f"{origin}: {key} = {value!r}; expected a whole number from 1")
@@ -398,6 +402,7 @@ def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Fi
     from curlfit.inference.conditions import check_systematics
     from curlfit.inference.noise.models import check_loss, check_noise
     from curlfit.inference.parameters import ParameterSet
+    from curlfit.throws.plausibility import require_plausible
 
     throw, settings, stone = prepare(data, config, flags)
     law = find_law(settings.get("law", "front-back"))
@@ -407,7 +412,7 @@ def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Fi
     check_systematics(settings.get("systematic", {}))
     choices = parameter_choices(settings)
     cut = throw.select_rows(**row_choices(settings))
-    cut.require_motion()
+    require_plausible(cut)
     parameters = ParameterSet.for_throw(law, cut, **is_swept(choices))
     parameters.require("--start", settings.get("start", {}))
     return FitRequest(throw, cut, settings, law, load, loss, noise, stone, choices, parameters)

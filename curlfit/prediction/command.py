@@ -103,6 +103,8 @@ def predict(
     reference: o.Reference = None,
     stone_index: o.StoneIndex = None,
     shot: o.Shot = None,
+    handle: o.Handle = None,
+    as_given: o.AsGiven = False,
     draws: Annotated[int, typer.Option(help="Number of draws from the posterior.")] = 1000,
     seed: Annotated[int, typer.Option(help="Seed of the draws.", min=0)] = 0,
     out: Annotated[
@@ -149,7 +151,8 @@ def predict(
         from curlfit.throws.readers import load_throw
 
         options = s.reader_arguments(
-            {}, o.reader_options(format, axes, units, reference, stone_index, shot)
+            {},
+            o.reader_options(format, axes, units, reference, stone_index, shot, handle, as_given),
         )
         throw = load_throw(check, **options)
 

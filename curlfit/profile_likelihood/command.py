@@ -72,6 +72,8 @@ def profile(
     reference: o.Reference = None,
     stone_index: o.StoneIndex = None,
     shot: o.Shot = None,
+    handle: o.Handle = None,
+    as_given: o.AsGiven = False,
     config: o.Config = None,
     out: Annotated[
         Path | None,
@@ -96,7 +98,7 @@ def profile(
     from curlfit.output.files import prepare_folder
 
     flags = s.fit_flags(
-        o.reader_options(format, axes, units, reference, stone_index, shot),
+        o.reader_options(format, axes, units, reference, stone_index, shot, handle, as_given),
         law=law, load=load, since=since, until=until, exclude=exclude, swept=sweep,
         stone=stone, sigma=sigma, fix=fix, bound=bound, start=start, unbounded=unbounded,
         free=free, prior=prior, loss=loss, noise=noise,

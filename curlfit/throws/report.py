@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from curlfit.throws.throw import CHANNELS, UNITS
 
 if TYPE_CHECKING:
     from curlfit.numerics.arrays import Floats
+    from curlfit.throws.plausibility import Finding
     from curlfit.throws.readers.parsed_file import ParsedFile
     from curlfit.throws.throw import Throw
 
@@ -63,6 +64,15 @@ def print_inspection(
             write(f"\n{channel} ({UNITS[channel]}): {span}")
             for line in braille(throw.t, values):
                 write(line)
+
+
+def print_findings(findings: Sequence[Finding], console: Console) -> None:
+    """Print what is implausible in a throw, and what would mend it."""
+    if not findings:
+        return
+    console.print("\nImplausible for a curling stone", style="bold")
+    for finding in findings:
+        console.print(f"- {finding}", markup=False, style="red" if finding.refused else "yellow")
 
 
 def _columns(parsed: ParsedFile) -> PlainTable:

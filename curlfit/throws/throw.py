@@ -57,6 +57,20 @@ class Reference:
         return sum(weight * self.values[name] for name, weight in weights.items())
 
 
+@dataclass(frozen=True)
+class Conventions:
+    """How the columns of a file were understood.
+
+    Attributes
+    ----------
+    units : by quantity ("t", "x", ...), as written. axes : words as for `--axes`; empty for
+        curlfit's own.
+    """
+
+    units: Mapping[str, str] = field(default_factory=dict)
+    axes: str = ""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Throw(Displayed):
     """Measured path of one stone.
@@ -76,7 +90,9 @@ class Throw(Displayed):
         channels is unknown and estimated by a fit.
     name : of the throw, a file name for instance.
     reference : values to show beside a fit.
-    defaults : settings in the data file (`since`, `until`, `exclude`, `stone`, `law`, `load`).
+    defaults : settings in the data file (`since`, `until`, `exclude`, `stone`, `law`, `load`;
+        `as_given`: what is implausible is a warning, see `curlfit.throws.plausibility`).
+    conventions : units and axes of the file; None for arrays, which are in SI units.
     notes : remarks of the reader (ignored columns and the like).
     lines : line of each row in the file, for messages.
     events : measured times and places at lines and at rest (`curlfit.throws.events`).
@@ -109,6 +125,7 @@ class Throw(Displayed):
     lines: NDArray[np.int64] | None = None
     events: tuple[Event, ...] = ()
     assumed: dict[str, float] = field(default_factory=dict)
+    conventions: Conventions | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         n = len(self.t)
@@ -140,7 +157,10 @@ class Throw(Displayed):
                 else f"follows {self.t[row - 1]:g} s"
             )
             raise self._error(
-                f"time {self.t[row]:g} s {fault}; times must increase from row to row", row, "t"
+                f"time {self.t[row]:g} s {fault}; times must increase from row to row "
+                "(`Throw.from_frame` sorts rows)",
+                row,
+                "t",
             )
         if not self.finite.any() and not self.events:
             raise self._error(f"no value is given; expected some of {', '.join(CHANNELS)}")
@@ -162,13 +182,27 @@ class Throw(Displayed):
         speed: ArrayLike | None = None,
         omega: ArrayLike | None = None,
         sigma: dict[str, ArrayLike] | None = None,
+        units: str | None = None,
+        axes: str | None = None,
         **more: Any,
     ) -> Throw:
         """A throw from arrays or lists; channels that were not measured are omitted.
 
-        `sigma` values may be single numbers. `more` are other attributes, `name` for instance.
+        `sigma` values may be single numbers, in the units of their channels. `units` and `axes`
+        are as for `load_throw`; without them numbers are in SI units and in curlfit's axes, and
+        angles unwrapped. `more` are other attributes, `name` for instance.
         """
         t = np.asarray(t, float)
+        if units or axes:
+            given_columns = {"t": t, "x": x, "y": y, "phi": phi, "speed": speed, "omega": omega}
+            given_columns |= {f"sigma_{name}": v for name, v in (sigma or {}).items()}
+            filled = {
+                name: np.broadcast_to(np.asarray(values, float), t.shape)
+                for name, values in given_columns.items()
+                if values is not None
+            }
+            own = {"name": more["name"]} if "name" in more else {}
+            return replace(cls.from_frame(filled, units=units, axes=axes, **own), **more)
         given = {
             channel: np.broadcast_to(np.asarray(values, float), t.shape)
             for channel, values in (sigma or {}).items()

@@ -423,6 +423,7 @@ def write(name: str, case: Case) -> None:
     path = path.astype(float) + noise * random.standard_normal(path.shape)
     lines = [
         f"# {name}: {case.law} law, {case.load} load, made by certify.py; see README.md",
+        *(["# as_given = true"] if abs(case.start[-1]) > 20 else []),  # more than stones turn
         f'# load = "{case.load}"',
         *(f"# stone.{key} = {value}" for key, value in case.stone.items()),
         *(f"# sigma.{key} = {value}" for key, value in case.sigma.items()),

@@ -18,6 +18,7 @@ from curlfit.inference.problem import Origin, Problem, build_problem, environmen
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import stacked
 from curlfit.stone import Stone
+from curlfit.throws.plausibility import Finding, require_plausible
 from curlfit.throws.throw import CHANNELS, Throw
 
 
@@ -32,6 +33,8 @@ class PreparedThrow(NamedTuple):
     swept: tuple[float, float] | None
     parameters: ParameterSet
     origin: Origin
+    findings: tuple[Finding, ...] = ()
+    """what is unusual in the throw"""
 
     @classmethod
     def of(
@@ -65,12 +68,12 @@ class PreparedThrow(NamedTuple):
         if not throw.sigma and throw.defaults.get("sigma"):
             throw = throw.with_sigma(throw.defaults["sigma"])
         throw = throw.select_rows(**rows)
-        throw.require_motion()
+        findings = require_plausible(throw)
         throw = throw.condensed()
         swept = throw.defaults.get("swept") if swept is None else swept
         period = None if swept is None else check_period(swept)
         parameters = ParameterSet.for_throw(law, throw, swept=period is not None, **choices)
-        return cls(given, throw, stone, rows, period, parameters, Origin.of(throw))
+        return cls(given, throw, stone, rows, period, parameters, Origin.of(throw), findings)
 
     @property
     def environment(self) -> Environment:

@@ -329,9 +329,10 @@ class FitResult(NamedEstimates):
     def throw(self) -> Throw:
         """The data that were fitted."""
         series = self.observed
+        channels: dict[str, Any] = {name: series.get(name) for name in CHANNELS}
         return Throw.from_arrays(
             series["t"],
-            **{name: series.get(name) for name in CHANNELS},
+            **channels,
             sigma={name: series[f"sigma_{name}"] for name in CHANNELS if f"sigma_{name}" in series},
             name=self.data["file"],
             reference=self.reference,
@@ -341,6 +342,7 @@ class FitResult(NamedEstimates):
                 for item in START
                 if self.events and self.parameters[item.name].verdict == "fixed"
             },
+            defaults={"as_given": True},  # what is unusual was found when it was fitted
         )
 
     @property

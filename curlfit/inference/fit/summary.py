@@ -40,8 +40,11 @@ from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem
 from curlfit.numerics.arrays import Floats
+from curlfit.throws.plausibility import Finding, examine_fit
 from curlfit.throws.throw import CHANNELS
 
+IMPLAUSIBLE = "implausible"
+"""How the status begins of a fit that no curling stone obeys."""
 _CONVERGED = 0.01  # standard errors to the optimum
 _MISLEADING = 4.0  # factor by which the rise of chi squared is off where a standard error is by two
 _LASTING = 0.1  # memory over the time of motion, above which `tests/statistics` finds errors small
@@ -153,11 +156,14 @@ def _record(
         curves = dict(zip(CHANNELS, path, strict=True))
     rms = {name: float(v) for name, v in statistics.by_channel(statistics.rms).items()}
     lag1 = {name: float(v) for name, v in statistics.by_channel(statistics.lag1, 3).items()}
-    converged = found.newton_decrement < _CONVERGED
+    estimates = _estimates(parameters, found, nonquadratic)
+    unusual = _unusual(fit, estimates["v0"], curves)
+    converged = found.newton_decrement < _CONVERGED and not any(one.refused for one in unusual)
     outliers = outliers_of(
         throw, statistics.residual, lag1, found.dof[:-1], found.leverage, fit.loss
     )
-    warnings = _parameter_warnings(fit, found) + correlation_warnings(statistics, noise.kind)
+    warnings = [str(one) for one in unusual]
+    warnings += _parameter_warnings(fit, found) + correlation_warnings(statistics, noise.kind)
     if nonquadratic:
         warnings.append(
             f"chi squared is not quadratic within a standard error of {', '.join(nonquadratic)}: "
@@ -192,13 +198,13 @@ def _record(
             "notes": list(throw.notes),
         },
         converged=converged,
-        status=_status(fit, found.newton_decrement, converged=converged),
+        status=_status(fit, found.newton_decrement, unusual),
         warnings=tuple(warnings),
         n_observations=throw.n_observations,
         rms=rms,
         sigma=fit.sigma,
         lag1=lag1,
-        parameters=_estimates(parameters, found, nonquadratic),
+        parameters=estimates,
         systematics=systematics,
         chi_squared=float(fit.solution.chi_squared),
         prior_chi_squared=float(fit.solution.penalty),
@@ -239,16 +245,33 @@ def _events(fit: LeastSquaresFit) -> tuple[dict[str, Any], ...]:
     )
 
 
-def _status(fit: LeastSquaresFit, newton_decrement: float, *, converged: bool) -> str:
+def _unusual(
+    fit: LeastSquaresFit, start: Estimate, curves: dict[str, Floats]
+) -> tuple[Finding, ...]:
+    """What is implausible in the data and in the fitted motion."""
+    throw = fit.prepared.throw
+    if start.verdict == "not identifiable":
+        return fit.prepared.findings
+    speed = curves.get("speed", np.zeros(0))
+    found = examine_fit(throw, throw.t[: len(speed)], speed, start.value, start.stderr)
+    return (*found, *fit.prepared.findings)
+
+
+def _status(fit: LeastSquaresFit, newton_decrement: float, unusual: Sequence[Finding]) -> str:
     steps = f"{int(fit.solution.steps)} steps"
     if fit.tried > 1:
         steps += f", best of {fit.tried} starts"
-    if converged:
-        return f"converged ({steps})"
-    return (
-        f"not converged: the next step would still gain {newton_decrement:.2g} standard errors "
-        f"({steps})"
-    )
+    refused = [str(one) for one in unusual if one.refused]
+    if refused:
+        return f"{IMPLAUSIBLE}: {'. '.join(refused)}"
+    if newton_decrement >= _CONVERGED:
+        return (
+            f"not converged: the next step would still gain {newton_decrement:.2g} standard errors "
+            f"({steps})"
+        )
+    if unusual:
+        return f"converged ({steps}), but the data are unusual: see the first warning"
+    return f"converged ({steps})"
 
 
 def _parameter_warnings(fit: LeastSquaresFit, found: Covariance) -> list[str]:

@@ -18,7 +18,7 @@ from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.result import Estimate, Systematics
 from curlfit.inference.fit.rounds import Rounds
-from curlfit.inference.fit.summary import summarize
+from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize
 from curlfit.inference.fit.systematics import (
     residual_changes,
     shifts,
@@ -232,6 +232,11 @@ def _result(
     decrement = linearized.newton_decrement(linearized.movable())
     reduced = solution.chi_squared / solution.each.residual.size
     converged = solution.success and decrement < 0.01 * max(1.0, np.sqrt(reduced))
+    absurd = [
+        f"{item.data['file']}: {item.status}"
+        for item in single
+        if item.status.startswith(IMPLAUSIBLE)
+    ]
     warnings = [
         f"{item.data['file']}: {warning}" for item in single for warning in item.warnings
         if "bound" not in warning
@@ -256,8 +261,9 @@ def _result(
         law=model.law.name,
         load=model.load,
         share=shared,
-        converged=bool(converged),
-        status=f"{'converged' if converged else 'not converged'} ({solution.steps} steps)",
+        converged=bool(converged) and not absurd,
+        status=". ".join(absurd)
+        or f"{'converged' if converged else 'not converged'} ({solution.steps} steps)",
         warnings=tuple(warnings),
         coefficients=coefficients,
         combinations=tuple(item for item in known.combinations if set(item.weights) <= set(shared)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,20 +20,26 @@ from curlfit.throws.readers.axes import (
     turning_rate,
     unwrap,
 )
+from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.homography import load_homography
-from curlfit.throws.readers.parsed_file import ParsedFile, clock_of
-from curlfit.throws.throw import CHANNELS, Throw
+from curlfit.throws.readers.mark import add_angle_of_mark
+from curlfit.throws.readers.parsed_file import ParsedFile, Series, clock_of
+from curlfit.throws.throw import CHANNELS, Conventions, Throw
 
 
 def assemble(
-    parsed: ParsedFile, *, axes: str | None = None, reference: Path | None = None
+    parsed: ParsedFile,
+    *,
+    axes: str | None = None,
+    reference: Path | None = None,
+    as_given: bool = False,
 ) -> Throw:
     """The throw in a parsed file.
 
     Parameters
     ----------
     axes : words as for `parse_axes`, in place of the file's own. reference : known points, where
-        positions are in pixels.
+        positions are in pixels. as_given : take what is implausible.
 
     Raises
     ------
@@ -40,7 +47,10 @@ def assemble(
     """
     settings = dict(parsed.settings)
     own = settings.pop("axes", None)
-    convention = parse_axes(own if axes is None else axes)
+    words = (own if axes is None else axes) or ""
+    convention = parse_axes(words)
+    if as_given:
+        settings["as_given"] = True
     notes = list(parsed.notes)
     if parsed.events:
         if reference is not None or not convention.is_standard:
@@ -62,7 +72,8 @@ def assemble(
 
     t, columns, lines = _merge_clocks(parsed, notes)
     merged = parsed if lines is parsed.lines else replace(parsed, lines=lines)
-    _require_increasing(merged, t)
+    t, columns, lines = _in_order(merged, t, columns, notes)
+    merged = replace(merged, lines=lines)
     if {"u", "v"} & columns.keys():
         _pixels_to_metres(merged, columns, reference, notes)
     elif reference is not None:
@@ -70,20 +81,28 @@ def assemble(
             f"--reference {reference}: {parsed.source} has no positions in pixels (columns u, v "
             "or x_px, y_px, or x, y without a unit)"
         )
-    _require_radians(merged, t, columns, notes)
+    if not settings.get("as_given"):
+        _require_radians(merged, t, columns, notes)
     _unwrap(merged, t, columns, notes)
+    mark = columns.pop("x_mark", None), columns.pop("y_mark", None)
     if not convention.is_standard:
         columns = _to_sheet_axes(columns, convention, len(t))
-        notes.append(f"axes: {own if axes is None else axes}")
+        notes.append(f"axes: {words}")
+    if mark[0] is not None and mark[1] is not None:
+        add_angle_of_mark(merged, t, columns, convention.to_sheet(mark[0], mark[1]), notes)
+    channels: dict[str, Any] = {name: columns.get(name) for name in CHANNELS}
     return Throw.from_arrays(
         t,
-        **{name: columns.get(name) for name in CHANNELS},
+        **channels,
         sigma={c: columns[f"sigma_{c}"] for c in CHANNELS if f"sigma_{c}" in columns},
         name=str(parsed.source),
         reference=parsed.reference,
         defaults=settings,
         notes=tuple(notes),
         lines=lines,
+        conventions=Conventions(
+            {series.column.quantity: series.column.unit for series in parsed.series}, words
+        ),
     )
 
 
@@ -164,15 +183,80 @@ def _merge_clocks(
     return t, merged, None if parsed.lines is None else parsed.lines[origin[index]]
 
 
-def _require_increasing(parsed: ParsedFile, t: Floats) -> None:
-    """Refuse times that do not increase, while the header of their column is known."""
+def _in_order(
+    parsed: ParsedFile, t: Floats, columns: dict[str, Floats], notes: list[str]
+) -> tuple[Floats, dict[str, Floats], np.ndarray | None]:
+    """The rows in the order of time: sorted, repeated ones once, means over those of one time."""
+    lines = parsed.lines
     step = np.diff(t)
-    if (step <= 0).any():
-        row = int(np.argmax(step <= 0)) + 1
-        fault = "is repeated" if step[row - 1] == 0 else f"follows {t[row - 1]:g} s"
-        raise parsed.error(
-            f"time {t[row]:g} s {fault}; times must increase from row to row", row, "t"
+    if (step > 0).all():
+        return t, columns, lines
+    late = np.flatnonzero(step < 0)
+    if len(late):
+        order = np.argsort(t, kind="stable")
+        t, columns = t[order], {name: values[order] for name, values in columns.items()}
+        lines = None if lines is None else lines[order]
+        place = np.empty(len(t), int)
+        place[order] = np.arange(len(t))
+        moved = int((np.maximum.accumulate(place) > place).sum())
+        notes.append(f"{moved} row{'s' * (moved > 1)} out of the order of time, now sorted")
+    first = np.append(True, np.diff(t) > 0)
+    if first.all():
+        return t, columns, lines
+    begin = np.flatnonzero(first)
+    owner = np.cumsum(first) - 1
+    _require_one_place(replace(parsed, lines=lines), t, columns, begin, owner)
+    same = np.all(
+        [np.isclose(v, v[begin][owner], rtol=0, atol=0, equal_nan=True) for v in columns.values()],
+        axis=0,
+    )
+    repeated = int((same & ~first).sum())
+    means = int((~first).sum()) - repeated
+    if repeated:
+        notes.append(f"{repeated} repeated row{'s' * (repeated > 1)} left out")
+    if means:
+        notes.append(
+            f"{means + len(np.unique(owner[~same]))} rows share their time with others: means over "
+            "rows of one time are taken"
         )
+    merged = {}
+    for name, values in columns.items():
+        finite = np.isfinite(values) & (first | ~same)
+        count = np.add.reduceat(finite.astype(float), begin)
+        total = np.add.reduceat(np.where(finite, values, 0.0), begin)
+        merged[name] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return t[begin], merged, None if lines is None else lines[begin]
+
+
+def _require_one_place(
+    parsed: ParsedFile,
+    t: Floats,
+    columns: dict[str, Floats],
+    begin: np.ndarray,
+    owner: np.ndarray,
+) -> None:
+    """Refuse places at one time that are farther apart than a stone moves from one time to the next
+    (or 0.1 m): two stones, or two throws."""
+    if len(begin) < 2:
+        raise parsed.error(f"all rows have the same time, {t[0]:g} s", 1, "t")
+    for name in ("x", "y"):
+        if name not in columns:
+            continue
+        values = columns[name]
+        off = np.abs(values - values[begin][owner])
+        off[~np.isfinite(off)] = 0.0
+        usual = np.abs(np.diff(values[begin]))
+        usual = usual[np.isfinite(usual)]
+        limit = max(0.1, 3 * float(np.median(usual)) if len(usual) else 0.0)
+        if off.max() > limit:
+            row = int(np.argmax(off))
+            raise parsed.error(
+                f"time {t[row]:g} s is repeated with places {off[row]:.3g} m apart, as of two "
+                "stones; name the throw of each row in a column `stone`, and choose one with "
+                "`--stone-index N`",
+                row,
+                "t",
+            )
 
 
 def _pixels_to_metres(
@@ -198,6 +282,8 @@ def _pixels_to_metres(
             "v",
         )
     columns["x"], columns["y"] = x, y
+    if "x_mark" in columns:
+        columns["x_mark"], columns["y_mark"] = plane(columns["x_mark"], columns["y_mark"])
     notes.append(
         f"pixels to metres by {plane.points} points of {reference}: "
         + (
@@ -235,7 +321,10 @@ def _require_radians(
     """
     for series in parsed.series:
         quantity = series.column.quantity
-        if quantity not in ("phi", "omega") or series.column.stated:
+        if quantity not in ("phi", "omega"):
+            continue
+        if series.column.stated:
+            _require_no_jump(parsed, series, columns[quantity])
             continue
         flag, unit = ("angle", "deg") if quantity == "phi" else ("spin", "deg/s")
         remedy = f"--units {flag}={unit} if so, {flag}=rad{unit[3:]} if not"
@@ -258,6 +347,22 @@ def _require_radians(
         if series.header.strip().lower() != quantity:
             raise parsed.error(message, quantity=quantity)
         notes.append(f"{quantity}: {message}")
+
+
+def _require_no_jump(parsed: ParsedFile, series: Series, values: Floats) -> None:
+    """Refuse an angle that the header calls radians and that jumps as degrees do."""
+    header = parse_header(series.header)
+    if series.column.quantity != "phi" or series.column.factor != 1 or header is None:
+        return
+    jump = jump_in_degrees(values) if header.stated else None
+    if jump is not None:
+        row, size = jump
+        raise parsed.error(
+            f"the header says {series.column.unit}, and the numbers jump by {size} as degrees do; "
+            "give `--units angle=deg`",
+            row,
+            "phi",
+        )
 
 
 def _unwrap(parsed: ParsedFile, t: Floats, columns: dict[str, Floats], notes: list[str]) -> None:

@@ -63,11 +63,42 @@ class AxisConvention(NamedTuple):
         """Whether the file's x runs along the sheet."""
         return self.x[0] == 0
 
+    @property
+    def words(self) -> str:
+        """The fewest words that `parse_axes` makes this convention of; empty for curlfit's own."""
+        names = {direction: word for word, direction in _DIRECTIONS.items()}
+        turn = "counter-clockwise" if self.turn > 0 else "clockwise"
+        line = next((name for name, y in LINES.items() if y == self.zero), "hack")
+        words = [f"x-{names[self.x]}", f"y-{names[self.y]}", turn, f"from-{line}"]
+        for word in reversed(list(words)):
+            fewer = [other for other in words if other != word]
+            if parse_axes(",".join(fewer)) == self:
+                words = fewer
+        return ",".join(words)
+
     def to_sheet(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Position with x to the right and y along the throw."""
         right = self.x[0] * x if not self.swapped else self.y[0] * y
         along = self.y[1] * y if not self.swapped else self.x[1] * x
         return right + 0.0, along + self.zero
+
+
+def corrected(text: str, across: int, along: int, turn: int, *, exchanged: bool = False) -> str:
+    """Words for axes that were described by `text`, where what follows from that is wrong.
+
+    Parameters
+    ----------
+    across, along, turn : -1 where the direction to the right, that along the sheet, or the sense of
+        the angles is opposite to what was taken. exchanged : whether right and along are exchanged
+        (before the signs apply).
+    """
+    now = parse_axes(text)
+
+    def moved(direction: tuple[int, int]) -> tuple[int, int]:
+        right, forward = direction[::-1] if exchanged else direction
+        return across * right, along * forward
+
+    return now._replace(x=moved(now.x), y=moved(now.y), turn=turn * now.turn).words
 
 
 def parse_axes(text: str | None) -> AxisConvention:

@@ -21,6 +21,8 @@ _NAMES = {
         "omega", "ω", "spin", "spinrate", "angularvelocity", "angularspeed", "gyro", "gyroz", "gz",
         "wz", "rotationrate",
     },
+    "x_mark": {"xhandle", "handlex", "xmark", "markx"},
+    "y_mark": {"yhandle", "handley", "ymark", "marky"},
     "u": {"u", "pixelx", "xpixel", "imagex", "ximage"},
     "v": {"pixely", "ypixel", "imagey", "yimage"},
 }  # fmt: skip
@@ -63,6 +65,7 @@ _UNITS = {
     },
     "pixel": {"px": 1.0, "pixel": 1.0, "pixels": 1.0, "pix": 1.0},
 }  # fmt: skip
+_FRAMES = re.compile(r"(\d+(?:\.\d+)?) ?fps", re.I)  # of a time that counts frames
 _SEPARATORS = re.compile(r"[\s_\-./()\[\]{},:·*]+")
 
 
@@ -119,6 +122,9 @@ def in_unit(quantity: str, unit: str) -> Column:
     """A quantity in a given unit. Raises `InputError` for an unknown unit."""
     text = "".join(word for word in _SEPARATORS.split(unit.strip().lower()) if word)
     units = units_of(quantity)
+    frames = _FRAMES.fullmatch(unit.strip())
+    if frames is not None and units is _UNITS["t"] and float(frames[1]) > 0:
+        return Column(quantity, unit.strip(), 1 / float(frames[1]))
     if text not in units and text in _UNITS["pixel"] and quantity in ("x", "y"):
         return Column("u" if quantity == "x" else "v", "px", 1.0)
     if text not in units:
@@ -161,6 +167,8 @@ def with_units(column: Column, units: Mapping[str, str]) -> Column:
     """A column in the unit the user gave, if any, in place of its header's."""
     base = column.quantity.removeprefix("sigma_")
     base = "t" if base.startswith("t_") else base
+    if base.endswith("_mark"):
+        return with_units(column._replace(quantity=base[0]), units)._replace(quantity=base)
     if base not in units:
         return column
     found = in_unit(base, units[base])

@@ -25,8 +25,9 @@ from curlfit.throws.readers.parsed_file import (
     columns_of,
     in_si,
 )
+from curlfit.throws.readers.several import selected, throws_in
 from curlfit.throws.readers.table import TABLE
-from curlfit.throws.readers.text import text_of
+from curlfit.throws.readers.text import clock_times, text_of
 from curlfit.throws.readers.timings import TIMINGS, is_table
 from curlfit.throws.readers.tracker import TRACKER
 from curlfit.throws.throw import Throw
@@ -48,6 +49,8 @@ def load_throw(
     *,
     shot: int | None = None,
     units: str | None = None,
+    handle: int | None = None,
+    as_given: bool = False,
 ) -> Throw:
     """Read a throw from a file.
 
@@ -65,9 +68,12 @@ def load_throw(
     axes : the file's axes where they are not those of curlfit, as words separated by commas, such
         as `x-along,clockwise,from-tee`; see `curlfit.throws.readers.axes.WORDS`.
     reference : file of known points u, v (pixels), x, y (m), where positions are in pixels.
-    stone_index : object of a Tracker export or stone of a shot, counting from 1.
+    stone_index : object of a Tracker export, stone of a shot or throw of a table, counting from 1.
     shot : shot of a game's log, counting from 1.
     units : units of columns, in place of those of the header, such as `t=ms,x=cm,angle=deg`.
+    handle : object of a Tracker export, counting from 1, that marks another point of the stone; the
+        angle is the direction from the stone to it.
+    as_given : take data that are implausible for a curling stone (`curlfit.throws.plausibility`).
 
     Raises
     ------
@@ -82,9 +88,10 @@ def load_throw(
     """
     points = None if reference is None else Path(reference)
     parsed = read(
-        file, format, stone_index=stone_index, shot=shot, units=units, pixels=points is not None
-    )
-    return assemble(parsed, axes=axes, reference=points)
+        file, format, stone_index=stone_index, shot=shot, units=units, handle=handle,
+        pixels=points is not None,
+    )  # fmt: skip
+    return assemble(parsed, axes=axes, reference=points, as_given=as_given)
 
 
 class Part(NamedTuple):
@@ -110,6 +117,8 @@ def load_throws(
     *,
     shot: int | None = None,
     units: str | None = None,
+    handle: int | None = None,
+    as_given: bool = False,
 ) -> list[Part]:
     """Every throw in a file: each shot of a log, or each object of a Tracker export.
 
@@ -120,7 +129,7 @@ def load_throws(
     DataError : the file as a whole cannot be read. InputError : an argument that cannot be used.
     """
     points = None if reference is None else Path(reference)
-    options = ReadOptions(parse_units(units), points is not None, stone_index, shot)
+    options = ReadOptions(parse_units(units), points is not None, stone_index, shot, handle)
     source = _open(file, format, options)
     parts = [FilePart(shot, stone_index, partial(source.parse, options))]
     if source.format.parts is not None:
@@ -129,7 +138,7 @@ def load_throws(
     for number, index, parsed in parts:
         throw: Throw | CurlfitError
         try:
-            throw = assemble(parsed(), axes=axes, reference=points)
+            throw = assemble(parsed(), axes=axes, reference=points, as_given=as_given)
         except CurlfitError as error:
             throw = error
         found.append(Part(number, index, throw))
@@ -160,10 +169,14 @@ def check_reader_options(
     *,
     shot: int | None = None,
     units: str | None = None,
+    handle: int | None = None,
+    as_given: bool = False,
 ) -> None:
     """Raise `InputError` where no file could be read with these arguments."""
     _check_format(format)
-    for flag, number in (("--shot", shot), ("--stone-index", stone_index)):
+    for flag, number in (
+        ("--shot", shot), ("--stone-index", stone_index), ("--handle", handle),
+    ):  # fmt: skip
         if number is not None and number < 1:
             raise InputError(f"{flag} {number}: expected a whole number from 1")
     parse_units(units)
@@ -179,10 +192,11 @@ def read(
     stone_index: int | None = None,
     shot: int | None = None,
     units: str | None = None,
+    handle: int | None = None,
     pixels: bool = False,
 ) -> ParsedFile:
     """The columns of a file in SI. Arguments as for `load_throw`."""
-    options = ReadOptions(parse_units(units), pixels, stone_index, shot)
+    options = ReadOptions(parse_units(units), pixels, stone_index, shot, handle)
     return _open(file, format, options).parse(options)
 
 
@@ -207,7 +221,8 @@ def _open(file: str | PathLike[str], format: str | None, options: ReadOptions) -
     path = Path(file)
     lines = text_of(path).split("\n")
     source = _SourceFile(path, lines, _BY_NAME[format or detect_format(lines)])
-    for name, what in (("shot", "no shots"), ("stone_index", "one stone")):
+    kinds = (("shot", "no shots"), ("stone_index", "one stone"), ("handle", "no objects"))
+    for name, what in kinds:
         if getattr(options, name) is not None and name not in source.format.selections:
             flag = name.replace("_", "-")
             raise InputError(f"--{flag}: {path} is a {source.format.name} file and holds {what}")
@@ -234,6 +249,8 @@ def from_table(
     axes: str | None = None,
     units: str | None = None,
     reference: str | PathLike[str] | None = None,
+    stone_index: int | None = None,
+    as_given: bool = False,
     name: str = "table",
 ) -> Throw:
     """A throw from a table in memory.
@@ -244,7 +261,7 @@ def from_table(
         one length. Columns are named as in files, units in the names; a variable's
         `attrs["units"]` takes precedence. The index of a frame, or the coordinate of a dataset,
         is the time where no column is. Times may be dates or durations.
-    axes, units, reference : as for `load_throw`.
+    axes, units, reference, stone_index, as_given : as for `load_throw`.
     name : what to call the throw.
 
     Raises
@@ -269,7 +286,11 @@ def from_table(
             column = _with_stated_unit(name, header, column, stated[header])
         numbers = _numbers(values[header], column, name, header)
         parsed.series.append(in_si(parsed, header, column, numbers))
-    return assemble(parsed, axes=axes, reference=None if reference is None else Path(reference))
+    points = None if reference is None else Path(reference)
+    words = {names[k]: values[names[k]].tolist() for k in range(len(names)) if k not in columns}
+    throws = throws_in(parsed, words)
+    parsed = selected(throws, stone_index, "stone_index =")
+    return assemble(parsed, axes=axes, reference=points, as_given=as_given)
 
 
 def _variables(table: Any, name: str) -> tuple[dict[str, Any], dict[str, str], list[str]]:
@@ -340,6 +361,10 @@ def _numbers(values: Any, column: Column, name: str, header: str) -> np.ndarray:
         origin = values[~blank][0] if values.dtype.kind == "M" else np.timedelta64(0, "ns")
         numbers = (values - origin) / np.timedelta64(1, "s") / column.factor
         return np.where(blank, np.nan, numbers)
+    if column.quantity.startswith("t") and values.dtype.kind in "OU":
+        clock, bad = clock_times([None if _blank(v) else str(v) for v in values.tolist()])
+        if not bad and np.isfinite(clock).any():
+            return clock / column.factor
     try:
         numbers = np.array([np.nan if _blank(v) else v for v in values.tolist()], dtype=float)
     except (TypeError, ValueError, OverflowError):

@@ -60,12 +60,16 @@ class ParsedFile:
 
 
 class ReadOptions(NamedTuple):
-    """How to read a file: units by column, whether positions are pixels, and which throw of it."""
+    """How to read a file: units by column, whether positions are pixels, and which throw of it.
+
+    `handle` is the object that marks another point of the stone.
+    """
 
     units: Mapping[str, str]
     pixels: bool = False
     stone_index: int | None = None
     shot: int | None = None
+    handle: int | None = None
 
 
 class FilePart(NamedTuple):
@@ -175,7 +179,11 @@ def clock_of(quantity: str, quantities: Any) -> str:
     clock = {"u": "t_x", "v": "t_y"}.get(base, f"t_{base}")
     if clock in quantities:
         return clock
-    return "t_xy" if base in ("x", "y", "u", "v") and "t_xy" in quantities else "t"
+    return (
+        "t_xy"
+        if base.removesuffix("_mark") in ("x", "y", "u", "v") and "t_xy" in quantities
+        else "t"
+    )
 
 
 def in_si(parsed: ParsedFile, header: str, column: Column, values: Floats) -> Series:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Iterable
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,20 @@ from curlfit.errors import DataError, InputError
 from curlfit.friction import check_load, find_law
 from curlfit.stone import Stone
 from curlfit.throws.readers.axes import parse_axes
-from curlfit.throws.readers.parsed_file import Format, ParsedFile, ReadOptions, columns_of, in_si
+from curlfit.throws.readers.columns import in_unit
+from curlfit.throws.readers.parsed_file import (
+    FilePart,
+    Format,
+    ParsedFile,
+    ReadOptions,
+    columns_of,
+    in_si,
+)
+from curlfit.throws.readers.several import may_name_throws, selected, throws_in
 from curlfit.throws.readers.text import (
     EXPECTED,
     cells,
+    clocks_as_seconds,
     header_cells,
     is_number,
     read_rows,
@@ -26,7 +36,7 @@ from curlfit.throws.throw import Reference
 
 _SETTINGS = (
     "since", "until", "exclude", "swept", "law", "load", "stone", "sigma", "seed", "reference",
-    "axes",
+    "axes", "as_given",
 )  # fmt: skip
 
 
@@ -49,12 +59,30 @@ def first_lines(path: Path, lines: list[str]) -> tuple[int, list[tuple[int, str]
 
 
 def read_table(path: Path, lines: list[str], options: ReadOptions) -> ParsedFile:
-    """Columns of a text table.
+    """Columns of one throw of a text table.
 
     Raises
     ------
-    DataError : naming the line and column of the fault, and what was expected.
+    DataError : naming the line and column of the fault, and what was expected; the table holds
+        several throws, and none is selected.
+    InputError : there is no such throw.
     """
+    return selected(_throws(path, lines, options), options.stone_index, "--stone-index")
+
+
+def _parts(path: Path, lines: list[str], options: ReadOptions) -> list[FilePart]:
+    """Every throw."""
+    throws = _throws(path, lines, options)
+    if options.stone_index is not None or len(throws) == 1:
+        number = options.stone_index
+        return [FilePart(None, number, partial(selected, throws, number, "--stone-index"))]
+    return [
+        FilePart(None, number, partial(selected, throws, number, "--stone-index"))
+        for number in range(1, len(throws) + 1)
+    ]
+
+
+def _throws(path: Path, lines: list[str], options: ReadOptions) -> list[tuple[str, ParsedFile]]:
     header, comments = first_lines(path, lines)
     settings, reference, notes = defaults_of(path, comments)
     separator = separator_of(lines[header])
@@ -64,7 +92,12 @@ def read_table(path: Path, lines: list[str], options: ReadOptions) -> ParsedFile
     columns, ignored = columns_of(
         path, names, options.units, line=header + 1, pixels=options.pixels
     )
-    numbers, values = read_rows(path, lines, header + 1, names, list(columns), separator)
+    times = [index for index, column in columns.items() if column.quantity.startswith("t")]
+    rows, clocks = clocks_as_seconds(lines, header + 1, times, separator)
+    for index, begin in clocks.items():
+        columns[index] = in_unit(columns[index].quantity, "s")
+        notes.append(f"{names[index]}: clock times, taken as seconds since {begin}")
+    numbers, values = read_rows(path, rows, header + 1, names, list(columns), separator)
     if not len(numbers):
         raise DataError("a header but no rows of numbers", file=path, line=header + 1)
     parsed = ParsedFile(path, "table", [], ignored, settings, reference, notes=notes, lines=numbers)
@@ -72,10 +105,17 @@ def read_table(path: Path, lines: list[str], options: ReadOptions) -> ParsedFile
         in_si(parsed, names[index], column, values[row])
         for row, (index, column) in enumerate(columns.items())
     ]
-    return parsed
+    others = {
+        names[k]: k for k in range(len(names)) if k not in columns and may_name_throws(names[k])
+    }
+    words: dict[str, list[str]] = {}
+    if others:
+        split = [cells(lines[number - 1], separator) for number in numbers.tolist()]
+        words = {name: [row[k] for row in split] for name, k in others.items()}
+    return throws_in(parsed, words)
 
 
-TABLE = Format("table", lambda _: True, read_table)
+TABLE = Format("table", lambda _: True, read_table, _parts, ("stone_index",))
 
 
 def defaults_of(
@@ -141,7 +181,10 @@ def _raise_at_fault(path: Path, numbers: list[int], bodies: list[str]) -> None:
 
 def _check(settings: dict[str, Any]) -> None:
     """Raise `InputError` for settings that cannot be used."""
-    kinds = (("stone", dict), ("sigma", dict), ("law", str), ("load", str), ("axes", str))
+    kinds = (
+        ("stone", dict), ("sigma", dict), ("law", str), ("load", str), ("axes", str),
+        ("as_given", bool),
+    )  # fmt: skip
     for key, expected in kinds:
         if not isinstance(settings.get(key, expected()), expected):
             raise InputError(f"{key} = {settings[key]!r} cannot be used")

@@ -6,7 +6,8 @@ import csv
 import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,99 @@ def parse_number(cell: str, *, decimal_comma: bool) -> float | None:
 def is_number(cell: str) -> bool:
     """Whether a cell is a number, with a decimal point or a decimal comma."""
     return parse_number(cell, decimal_comma=True) is not None
+
+
+_CLOCK = re.compile(
+    r"(?:(?P<date>\d{4}-\d\d-\d\d)[T ])?(?:(?P<h>\d{1,2}):)?(?P<m>\d{1,2}):"
+    r"(?P<s>\d{1,2}(?:[.,]\d+)?)(?P<zone>Z|[+-]\d\d:?\d\d)?"
+)
+
+
+def clock_times(found: Sequence[str | None]) -> tuple[Floats, list[int]]:
+    """Clock times such as 14:03:22.150, 03:22.15 or 2026-01-05T14:03:22.150Z, as s since the first.
+
+    Without dates, midnight may pass from one row to the next.
+
+    Returns
+    -------
+    Seconds, shape (n,), NaN for gaps; and the rows that are no clock time, NaN too.
+    """
+    seconds, bad = np.full(len(found), math.nan), []
+    dated = False
+    for row, cell in enumerate(found):
+        if cell is None or cell.lower() in GAPS:
+            continue
+        match = _CLOCK.fullmatch(cell.strip())
+        value = None if match is None else _seconds(match)
+        if match is None or value is None:
+            bad.append(row)
+            continue
+        seconds[row] = value
+        dated |= match["date"] is not None
+    known = np.flatnonzero(np.isfinite(seconds))
+    if len(known):
+        seconds -= seconds[known[0]]
+    if not dated:
+        for row in known[1:][np.diff(seconds[known]) < -43200]:
+            seconds[row:] += 86400
+    return np.round(seconds, 9), bad
+
+
+def _seconds(match: re.Match[str]) -> float | None:
+    """A clock time in s; None where an hour, a minute or a date is none."""
+    hours, minutes = int(match["h"] or 0), int(match["m"])
+    seconds = float(match["s"].replace(",", "."))
+    if hours > 23 or seconds >= 60 or (match["h"] and minutes > 59):
+        return None
+    day = 0
+    if match["date"]:
+        try:
+            day = date.fromisoformat(match["date"]).toordinal()
+        except ValueError:
+            return None
+    zone = match["zone"] or "Z"
+    ahead = 0
+    if zone != "Z":
+        ahead = (3600 * int(zone[1:3]) + 60 * int(zone[-2:])) * (1 if zone[0] == "+" else -1)
+    return 86400.0 * day + 3600 * hours + 60 * minutes + seconds - ahead
+
+
+def clocks_as_seconds(
+    lines: Sequence[str], first: int, columns: Iterable[int], separator: str | None
+) -> tuple[Sequence[str], dict[int, str]]:
+    """The lines of a table with clock times as seconds, and the first clock time by column.
+
+    What is no clock time in such a column is left as it is.
+
+    Parameters
+    ----------
+    first : index of the first line below the header. columns : indices that may hold times.
+    """
+    rows = [k for k in range(first, len(lines)) if lines[k].strip() and lines[k].lstrip()[0] != "#"]
+    if not rows or ":" not in lines[rows[0]]:
+        return lines, {}
+    split = [cells(lines[k], separator) for k in rows]
+    begin: dict[int, str] = {}
+    for column in columns:
+        found = [row[column] if column < len(row) else None for row in split]
+        seconds, bad = clock_times(found)
+        known = np.flatnonzero(np.isfinite(seconds))
+        if not len(known):
+            continue
+        begin[column] = str(found[known[0]])
+        for k in set(range(len(rows))) - set(bad):
+            if found[k] is not None:
+                split[k][column] = "" if math.isnan(seconds[k]) else repr(float(seconds[k]))
+    if not begin:
+        return lines, {}
+    changed = list(lines)
+    for k, row in zip(rows, split, strict=True):
+        changed[k] = (
+            " ".join(cell or "nan" for cell in row)
+            if separator is None
+            else separator.join(f'"{cell}"' if separator in cell else cell for cell in row)
+        )
+    return changed, begin
 
 
 def read_rows(

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from curlfit.errors import DataError
+from curlfit.errors import DataError, InputError
 from curlfit.numerics.arrays import Floats
-from curlfit.throws.readers.columns import Column, parse_header
+from curlfit.throws.readers.columns import Column, in_unit, parse_header
 from curlfit.throws.readers.parsed_file import (
     FilePart,
     Format,
@@ -34,6 +34,7 @@ from curlfit.throws.readers.table import defaults_of, first_lines
 from curlfit.throws.readers.text import (
     EXPECTED,
     cells,
+    clocks_as_seconds,
     header_cells,
     is_number,
     read_rows,
@@ -87,9 +88,15 @@ def read_tracker(path: Path, lines: list[str], options: ReadOptions) -> ParsedFi
     columns, ignored = columns_of(
         path, readable, options.units, line=header + 1, pixels=options.pixels
     )
-    numbers, values = read_rows(
-        path, lines, header + 1, names, [indices[k] for k in columns], separator
-    )
+    mark = _mark(blocks, names, labels, options, selected, columns)
+    times = [indices[k] for k, column in columns.items() if column.quantity == "t"]
+    rows, clocks = clocks_as_seconds(lines, header + 1, times, separator)
+    for k, column in columns.items():
+        if indices[k] in clocks:
+            columns[k] = in_unit(column.quantity, "s")
+            notes.append(f"{headers[k]}: clock times, taken as seconds since {clocks[indices[k]]}")
+    wanted = [*(indices[k] for k in columns), *mark]
+    numbers, values = read_rows(path, rows, header + 1, names, wanted, separator)
     if not len(numbers):
         raise DataError("a header but no rows of numbers", file=path, line=header + 1)
     parsed = ParsedFile(path, "tracker", [], ignored, settings, reference, notes, numbers)
@@ -97,7 +104,10 @@ def read_tracker(path: Path, lines: list[str], options: ReadOptions) -> ParsedFi
         in_si(parsed, headers[k], column, values[slot])
         for slot, (k, column) in enumerate(_in_units_of_the_file(columns).items())
     ]
-    blank = ~np.any([np.isfinite(s.values) for s in series if s.column.quantity != "t"], axis=0)
+    own = [np.isfinite(s.values) for s in series if s.column.quantity != "t"]
+    for slot, (place, column) in enumerate(mark.items(), len(columns)):
+        series.append(in_si(parsed, names[place], column, values[slot]))
+    blank = ~np.any(own, axis=0)
     if blank.any() and not blank.all():  # frames in which this object was not marked
         notes.append(f"{int(blank.sum())} rows without {labels[selected]} left out")
         series = [s._replace(values=s.values[~blank]) for s in series]
@@ -113,14 +123,51 @@ def _parts(path: Path, lines: list[str], options: ReadOptions) -> list[FilePart]
     if options.stone_index is None:
         first, _ = first_lines(path, lines)
         count = len(_layout(path, lines, first).blocks)
-        indices = list(range(1, count + 1)) if count > 1 else [None]
+        every = [k for k in range(1, count + 1) if k != options.handle]
+        indices = [*every] if count > 1 else [None]
     return [
         FilePart(None, k, partial(read_tracker, path, lines, options._replace(stone_index=k)))
         for k in indices
     ]
 
 
-TRACKER = Format("tracker", _recognizes, read_tracker, _parts, ("stone_index",))
+TRACKER = Format("tracker", _recognizes, read_tracker, _parts, ("stone_index", "handle"))
+
+
+def _mark(
+    blocks: list[tuple[str, list[int]]],
+    names: list[str],
+    labels: list[str],
+    options: ReadOptions,
+    stone: int,
+    columns: Mapping[int, Column],
+) -> dict[int, Column]:
+    """Columns of the second mark of the stone, by index; none where none is asked for.
+
+    Its positions are in the units of the stone's.
+
+    Raises
+    ------
+    InputError : there is no such object, it is the stone itself, or it has no positions.
+    """
+    if options.handle is None:
+        return {}
+    place = choose("object", "--handle", options.handle, labels, 0)
+    if place == stone:
+        raise InputError(f"--handle {place + 1} is the stone itself; expected another object")
+    own = {column.quantity: column for column in columns.values()}
+    found: dict[int, Column] = {}
+    for index in blocks[place][1]:
+        column = parse_header(names[index])
+        if column is None:
+            continue
+        axis = {"x": "x", "y": "y", "u": "x", "v": "y"}.get(column.quantity)
+        stones = own.get(axis or "") or own.get({"x": "u", "y": "v"}.get(axis or "", ""))
+        if axis is not None and stones is not None:
+            found[index] = stones._replace(quantity=f"{axis}_mark")
+    if len(found) != 2:
+        raise InputError(f"--handle {place + 1}: {labels[place]} has no columns x and y")
+    return found
 
 
 class _Layout(NamedTuple):

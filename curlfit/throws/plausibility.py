@@ -1,0 +1,724 @@
+"""Whether data and fit are those of a curling stone: findings, each with what would mend it.
+
+What friction, ice and hand cannot do (a stone that speeds up, a path longer than the sheet,
+friction a million times too small) is refused before the fit, and makes a fit unusable after it;
+what is only unusual is a warning. Data that are implausible and right are taken with `as_given`.
+Limits are judgement where no source is named.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from curlfit.errors import InputError
+from curlfit.numerics.arrays import Floats
+from curlfit.sheet import LENGTH, WIDTH
+from curlfit.stone import GRAVITY
+from curlfit.throws.readers.axes import MAX_SPIN, corrected, unwrap
+from curlfit.throws.readers.columns import units_of
+from curlfit.throws.throw import Conventions, Throw, scatter
+
+FRICTION = (0.002, 0.1)
+"""Mean coefficient of friction; published ones are 0.006 to 0.02 (Penner 2001, Denny 2002), on
+frosted ice some times as much."""
+_USUAL_FRICTION = (0.003, 0.04)
+SPEED = 6.0
+"""m/s. The fastest throws go from hog line to hog line (21.9 m) in 6 to 7 s: 3.5 m/s."""
+_USUAL_SPEED = 4.5
+_LENGTH = 1.05 * LENGTH  # 5 % for a wrong scale
+_USUAL_CURL = 4.0  # m; ordinary throws curl 0.5 to 2 m
+_MOST_TURNS = 10.0
+_SURE = 6.0  # standard errors
+_GROWTH = 0.1, 0.05  # m/s, and relative to the highest speed, by which a speed may grow
+_JUMP = 0.25  # m/s, by which a velocity may change at once, beside friction
+_BRAKING = 0.5  # m/s^2, more than any friction on ice
+_CLEAR_CURL, _CLEAR_TURN = 0.2, 0.5  # m, rad: above these their sides are compared
+_FEWEST = 10  # positions that a motion is estimated from
+_BLOCKS = 24
+_REST = 0.03  # m/s
+_NAMES = {
+    "ms": "milliseconds", "us": "microseconds", "min": "minutes", "cm": "centimetres",
+    "mm": "millimetres", "ft": "feet", "in": "inches", "s": "seconds", "m": "metres",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something implausible in a throw or its fit.
+
+    Attributes
+    ----------
+    kind : a word for programs, such as "units", "axes", "growing speed".
+    says : what was found, with its evidence. remedy : what to type, as a clause; may be empty.
+    refused : whether it is impossible for a curling stone, not only unusual.
+    """
+
+    kind: str
+    says: str
+    remedy: str
+    refused: bool = True
+
+    def __str__(self) -> str:
+        """The finding first, then what to do."""
+        return f"{self.says}; {self.remedy}" if self.remedy else self.says
+
+
+class Motion(NamedTuple):
+    """Velocities of a throw, from straight lines through blocks of rows.
+
+    Attributes
+    ----------
+    t, begin, end : middle, first and last time of each block in s, shape (k,).
+    speed, error : speed and its standard error in m/s, shape (k,).
+    velocity : in m/s, shape (2, k); NaN where only speeds were measured.
+    length : of the path's extent, m. friction, friction_error : mean deceleration over g.
+    curl, curl_error : departure at the end from the initial direction in m, positive to the left of
+        the motion in right-handed axes. direction : of the motion as (x, y), of length 1.
+    """
+
+    t: Floats
+    begin: Floats
+    end: Floats
+    speed: Floats
+    error: Floats
+    velocity: Floats
+    length: float
+    friction: float
+    friction_error: float
+    curl: float
+    curl_error: float
+    direction: tuple[float, float]
+
+    @property
+    def fastest(self) -> float:
+        """Highest speed, m/s."""
+        return float(self.speed.max())
+
+
+def examine(throw: Throw) -> tuple[Finding, ...]:
+    """What is implausible in a throw before it is fitted, the gravest first."""
+    most = 1500
+    one = throw if len(throw) <= most else throw.condensed(most)
+    motion = motion_of(one)
+    found = [*_wrapped(one), *_spin(one)]
+    if motion is not None:
+        off = list(_scale(one, motion))
+        found += off
+        if not any(item.refused for item in off):
+            hands = list(_other_hands(one, motion))
+            found += hands or [*_axes(one, motion), *_measured_speed(one)]
+    else:
+        found += _scale_of_few(one)
+    return tuple(sorted(found, key=lambda item: not item.refused))
+
+
+def require_plausible(throw: Throw) -> tuple[Finding, ...]:
+    """The findings on a throw that are no reason to refuse it.
+
+    Raises
+    ------
+    InputError : the stone never moves, or the data cannot be those of a curling stone; not the
+        latter where `as_given` is among the throw's defaults.
+    """
+    throw.require_motion()
+    found = examine(throw)
+    if throw.defaults.get("as_given"):
+        return tuple(replace(item, refused=False) for item in found)
+    refused = [str(item) for item in found if item.refused]
+    if refused:
+        right = _option(throw, "as-given", None)
+        raise InputError(
+            f"{throw.name}: {'. '.join(refused)}. If the data are right as they are: {right}"
+        )
+    return found
+
+
+def examine_fit(
+    throw: Throw, t: Floats, speed: Floats, start_speed: float, start_error: float | None
+) -> tuple[Finding, ...]:
+    """What is implausible in a fitted motion.
+
+    Parameters
+    ----------
+    throw : the data, for their uncertainty and the words of a remedy.
+    t, speed : times (s) and fitted speeds (m/s), shape (n,); may be empty.
+    start_speed, start_error : fitted initial speed and its standard error, m/s.
+    """
+    found = []
+    units = _units_words(throw, "t=ms", "length=cm")
+    sure = 3 * (start_error or 0.0)
+    if start_speed - sure > SPEED:
+        found.append(
+            Finding(
+                "fitted speed",
+                f"the fitted initial speed of {start_speed:.3g} m/s is more than anyone throws "
+                f"(about 4 m/s)",
+                f"if units are wrong, set them as in {units}",
+            )
+        )
+    moving = speed > 1e-3
+    if moving.sum() > 2:
+        t, speed = t[moving], speed[moving]
+        span = float(t[-1] - t[0])
+        mean = (float(speed[0]) - float(speed[-1])) / (GRAVITY * span)
+        motion = motion_of(throw)
+        error = sure / (3 * GRAVITY * span)
+        if motion is not None and math.isfinite(motion.friction_error):
+            error = motion.friction_error
+        if mean + 3 * error < FRICTION[0] or mean - 3 * error > FRICTION[1]:
+            sense = "speeds up" if mean < 0 else f"has a mean friction of {mean:.2g}"
+            found.append(
+                Finding(
+                    "fitted friction",
+                    f"the fitted stone {sense}, and stones on ice have "
+                    f"{FRICTION[0]:g} to {FRICTION[1]:g}",
+                    f"if units are wrong, set them as in {units}",
+                )
+            )
+    if throw.defaults.get("as_given"):
+        found = [replace(item, refused=False) for item in found]
+    return tuple(found)
+
+
+def motion_of(throw: Throw) -> Motion | None:
+    """The motion of a throw; None where there are too few positions and speeds."""
+    complete = np.isfinite(throw.x) & np.isfinite(throw.y)
+    if complete.sum() >= _FEWEST:
+        return _motion(throw.t[complete], np.stack([throw.x, throw.y])[:, complete])
+    known = np.isfinite(throw.speed)
+    if known.sum() >= _FEWEST:
+        return _motion_of_speeds(throw.t[known], throw.speed[known])
+    return None
+
+
+def _motion(t: Floats, positions: Floats) -> Motion:
+    t, positions = _without_outliers(t, positions)
+    begin, end, middle, slope, error = _block_slopes(t, positions)
+    speed = np.hypot(*slope)
+    if len(speed) >= 8:  # noise that is correlated from row to row shows from block to block
+        rough = np.abs(speed[2:] - 2 * speed[1:-1] + speed[:-2])
+        error = np.maximum(error, float(np.median(rough)) / (0.6745 * math.sqrt(6)))
+    friction, friction_error = _friction(middle, speed, error)
+    curl, curl_error, direction = _curl(t, positions)
+    length = float(np.hypot(*np.ptp(positions, axis=1)))
+    return Motion(
+        middle, begin, end, speed, error, slope, length, friction, friction_error, curl,
+        curl_error, direction,
+    )  # fmt: skip
+
+
+def _without_outliers(t: Floats, positions: Floats) -> tuple[Floats, Floats]:
+    """The rows near the median of five, which noise and friction leave."""
+    five = np.sort(np.lib.stride_tricks.sliding_window_view(positions, 5, axis=1), axis=-1)
+    bend = 0.5 * _BRAKING * (2 * float(np.median(np.diff(t)))) ** 2
+    limit = 0.02 + bend + 6 * scatter(positions)[:, None]
+    near = np.ones(len(t), bool)
+    near[2:-2] = (np.abs(positions[:, 2:-2] - five[..., 2]) < limit).all(0)
+    return (t, positions) if near.all() else (t[near], positions[:, near])
+
+
+def _motion_of_speeds(t: Floats, speed: Floats) -> Motion:
+    groups = np.array_split(np.arange(len(t)), min(_BLOCKS, len(t) // 3))
+    begin, end = (np.array([t[group[k]] for group in groups]) for k in (0, -1))
+    mean = np.array([float(np.median(speed[group])) for group in groups])
+    noise = float(scatter(speed))
+    error = np.array([noise / math.sqrt(len(group)) for group in groups])
+    middle = (begin + end) / 2
+    friction, friction_error = _friction(middle, mean, error)
+    length = float(np.sum(np.diff(t) * (speed[1:] + speed[:-1]) / 2))
+    nothing = np.full((2, len(groups)), np.nan)
+    return Motion(
+        middle, begin, end, mean, error, nothing, length, friction, friction_error, 0.0, math.inf,
+        (math.nan, math.nan),
+    )  # fmt: skip
+
+
+def _block_slopes(t: Floats, values: Floats) -> tuple[Floats, ...]:
+    """First and last time, mean time, slopes and the error of their length, by block."""
+    blocks = max(min(4, len(t) // 2), min(_BLOCKS, len(t) // 5))
+    first = np.arange(blocks) * len(t) // blocks
+    last = np.append(first[1:], len(t)) - 1
+    count = last - first + 1
+    owner = np.repeat(np.arange(blocks), count)
+    middle = np.add.reduceat(t, first) / count
+    at = t - middle[owner]
+    spread = np.add.reduceat(at**2, first)
+    slopes = np.add.reduceat(values * at, first, axis=1) / spread
+    mean = np.add.reduceat(values, first, axis=1) / count
+    residual = values - mean[:, owner] - slopes[:, owner] * at
+    own = np.add.reduceat((residual**2).sum(0), first) / np.maximum(count - 2, 1)
+    noise = np.maximum(own, float((scatter(values) ** 2).sum()))
+    return t[first], t[last], middle, slopes, np.sqrt(noise / spread)
+
+
+def _friction(t: Floats, speed: Floats, error: Floats) -> tuple[float, float]:
+    """Mean deceleration over g while the stone moves, and its standard error."""
+    moving = speed > np.maximum(_REST, 0.03 * speed.max())
+    if speed.max() < 2 * _REST:  # in other units, perhaps
+        moving = speed > 0.2 * speed.max()
+    if moving.sum() < 3:
+        return math.nan, math.inf
+    at = t[moving] - t[moving].mean()
+    spread = float(at @ at)
+    slope = float(speed[moving] @ at) / spread
+    rest = speed[moving] - speed[moving].mean() - slope * at
+    noise = max(
+        float(np.median(error[moving])), float(np.sqrt((rest @ rest) / max(len(at) - 2, 1)))
+    )
+    return -slope / GRAVITY, noise / math.sqrt(spread) / GRAVITY
+
+
+def _curl(t: Floats, positions: Floats) -> tuple[float, float, tuple[float, float]]:
+    """Departure from the initial direction, its error, and the direction of the motion.
+
+    Of a parabola of the distance along the chord, whose ends are means over a tenth of the rows.
+    """
+    few = max(2, len(t) // 10)
+    chord = positions[:, -few:].mean(1) - positions[:, :few].mean(1)
+    length = float(np.hypot(*chord))
+    if length == 0:
+        return 0.0, math.inf, (math.nan, math.nan)
+    along_x, along_y = chord / length
+    along = along_x * positions[0] + along_y * positions[1]
+    left = -along_y * positions[0] + along_x * positions[1]
+    scaled = (along - along.mean()) / length
+    powers = np.stack([np.ones_like(scaled), scaled, scaled**2])
+    inverse = np.linalg.pinv(powers @ powers.T)
+    found = inverse @ (powers @ left)
+    residual = left - found @ powers
+    noise = math.sqrt(float(residual @ residual) / max(len(t) - 3, 1))
+    spread = float(inverse[2, 2])
+    reach = float(np.ptp(scaled)) ** 2
+    return (
+        float(found[2]) * reach,
+        noise * math.sqrt(spread) * reach,
+        (float(along_x), float(along_y)),
+    )
+
+
+def _option(throw: Throw, name: str, value: Any) -> str:
+    """An option in the words of the command line, or of Python where the throw is of arrays."""
+    if throw.conventions is not None:
+        return f"`--{name}`" if value is None else f"`--{name} {value}`"
+    if value is None:
+        return f'`Throw.from_arrays(..., defaults={{"{name.replace("-", "_")}": True}})`'
+    if name in ("units", "axes"):
+        return f'`Throw.from_arrays(..., {name}="{value}")`'
+    if name == "exclude":
+        low, high = str(value).split(":")
+        return f"`exclude=[({low}, {high})]`"
+    return f"`{name}={value}`"
+
+
+def _units_words(throw: Throw, *choices: str) -> str:
+    return " or ".join(_option(throw, "units", choice) for choice in choices)
+
+
+def _factors(throw: Throw, quantity: str) -> dict[str, float]:
+    """Units that a column might truly be in, and the factors to what it was taken for."""
+    conventions = throw.conventions or Conventions()
+    known = units_of(quantity)
+    now = known.get(_plain(conventions.units.get(quantity, "")), 1.0)
+    names = {
+        "t": ("s", "ms", "us", "min", "30fps"), "phi": ("rad", "deg", "mrad"),
+        "omega": ("rad/s", "deg/s", "rpm"), "speed": ("m/s", "km/h", "ft/s", "mph", "cm/s", "mm/s"),
+    }.get(quantity, ("m", "cm", "mm", "ft", "in"))  # fmt: skip
+    frames = {"30fps": 1 / 30}
+    factors = {unit: (frames | known).get(_plain(unit), 0.0) / now for unit in names}
+    return {unit: factor for unit, factor in factors.items() if factor and factor != 1}
+
+
+def _plain(unit: str) -> str:
+    return "".join(char for char in unit.lower() if char not in "/ .[]()")
+
+
+def _is_usual(motion: Motion) -> bool:
+    return (
+        0.1 < motion.fastest < _USUAL_SPEED
+        and motion.length < LENGTH
+        and not abs(motion.curl) > _USUAL_CURL
+        and not (motion.friction < _USUAL_FRICTION[0] or motion.friction > _USUAL_FRICTION[1])
+    )
+
+
+def _scale(throw: Throw, motion: Motion) -> Iterator[Finding]:
+    """Speeds, lengths and decelerations that no stone has: wrong units."""
+    faults, unusual = [], []
+    if motion.fastest - 3 * float(motion.error[motion.speed.argmax()]) > SPEED:
+        faults.append(f"the stone moves at {motion.fastest:.3g} m/s, and none is thrown at more "
+                      "than about 4 m/s")  # fmt: skip
+    elif motion.fastest > _USUAL_SPEED:
+        unusual.append(f"the stone moves at {motion.fastest:.3g} m/s, and few are thrown at more "
+                       "than 4 m/s")  # fmt: skip
+    if motion.length > _LENGTH:
+        faults.append(f"the path is {motion.length:.3g} m long, and a sheet {LENGTH:.1f} m")
+    mu, error = motion.friction, motion.friction_error
+    low, high = FRICTION
+    growing = mu < 0 and motion.speed[-1] > motion.speed[0]
+    if not growing and (mu + 3 * error < low or mu - 3 * error > high):
+        deceleration = mu * GRAVITY
+        faults.append(
+            f"it slows down by {deceleration:.2g} m/s^2, a friction of {mu:.2g}, and stones on ice "
+            f"have {low:g} to {high:g}"
+        )
+    if abs(motion.curl) - 3 * motion.curl_error > WIDTH:
+        faults.append(f"it curls {abs(motion.curl):.3g} m, and a sheet is {WIDTH:.1f} m wide")
+    elif abs(motion.curl) - 3 * motion.curl_error > _USUAL_CURL:
+        unusual.append(f"it curls {abs(motion.curl):.3g} m, and few curl more than 2 m")
+    if not faults and not unusual:
+        return
+    remedy = _unit_remedy(throw)
+    text = ", and ".join((faults or unusual)[:2])
+    yield Finding("units", text, remedy, refused=bool(faults))
+
+
+def _scale_of_few(throw: Throw) -> Iterator[Finding]:
+    """The same for a few positions, of which only the distance and its time are used."""
+    extent = _extent(throw)
+    if extent is None:
+        return
+    length, time = extent
+    faults = list(_faults_of_few(length, time))
+    if not faults:
+        return
+    usual = None
+    for units, factors in _candidates(throw):
+        if len(factors) == 1 and "t" not in factors:
+            continue
+        scaled = factors.get("x", 1.0) * length, factors.get("t", 1.0) * time
+        speed = scaled[0] / scaled[1]
+        if not list(_faults_of_few(*scaled)) and 0.3 < speed < 3:
+            off = abs(math.log(speed / 1.5)) + units.count(",")
+            usual = min(usual or (off, units), (off, units))
+    remedy = (
+        f"set the units of the file, as in {_units_words(throw, 't=ms', 'length=cm')}"
+        if usual is None
+        else f"if those are its units: {_option(throw, 'units', usual[1])}"
+    )
+    yield Finding("units", ", and ".join(faults), remedy)
+
+
+def _extent(throw: Throw) -> tuple[float, float] | None:
+    """Length of a path in m, and the time in s until 98 % of it; None of too few rows."""
+    complete = np.isfinite(throw.x) & np.isfinite(throw.y)
+    if complete.sum() < 4:
+        return None
+    t, x, y = throw.t[complete], throw.x[complete], throw.y[complete]
+    off = np.hypot(x - x[-1], y - y[-1])
+    if not off[0] > 0:
+        return None
+    there = int(np.argmax(off < 0.02 * off[0]))
+    return float(off[0]), float(t[there] - t[0])
+
+
+def _faults_of_few(length: float, time: float) -> Iterator[str]:
+    """What is impossible in a path of this length (m) and time (s)."""
+    if length > _LENGTH:
+        yield f"the path is {length:.3g} m long, and a sheet {LENGTH:.1f} m"
+    if length / time > SPEED:
+        yield (
+            f"the stone moves at {length / time:.3g} m/s, and none is thrown at more than about 4 "
+            "m/s"
+        )
+    # A stone that stops by constant friction mu covers s in sqrt(2 s/(mu g)), less if it does not.
+    if 2 * length / (GRAVITY * time**2) < FRICTION[0] / 4:
+        yield (
+            f"it takes {time:.3g} s for {length:.3g} m, where friction on ice stops a stone within "
+            f"{math.sqrt(2 * length / (GRAVITY * FRICTION[0])):.2g} s"
+        )
+
+
+def _unit_remedy(throw: Throw) -> str:
+    """The units that would make a usual throw of this one, as what to type."""
+    best: tuple[float, str] | None = None
+    for units, factors in _candidates(throw):
+        changed = {name: factor * getattr(throw, name) for name, factor in factors.items()}
+        motion = motion_of(replace(throw, sigma={}, **changed))
+        if motion is None or not _is_usual(motion):
+            continue
+        # Nearest to a draw of 2 m/s, friction 0.01 and a curl of 1 m, with few units changed.
+        off = abs(math.log(motion.friction / 0.01)) + abs(math.log(motion.fastest / 2))
+        off += units.count(",")
+        if len(factors) == 1 and "t" not in factors:
+            off += 1 + abs(math.log(max(abs(motion.curl), 1e-3))) + units.endswith(("in", "ft"))
+        if best is None or off < best[0]:
+            best = off, units
+    if best is None:
+        return f"set the units of the file, as in {_units_words(throw, 't=ms', 'length=cm')}"
+    flag = _option(throw, "units", best[1])
+    if best[1].endswith("fps"):
+        return f"if t counts frames: {flag}, with those of the camera a second"
+    what = {"t": "the time is", "length": "lengths are"}
+    parts = [part.partition("=") for part in best[1].split(",")]
+    said = [f"{what.get(name, f'{name} is')} in {_NAMES.get(u, u)}" for name, _, u in parts]
+    return f"if {' and '.join(said)}: {flag}"
+
+
+def _candidates(throw: Throw) -> Iterator[tuple[str, dict[str, float]]]:
+    """Units that might be right, and the factors by channel to what was taken."""
+    times = _factors(throw, "t")
+    yield from ((f"t={unit}", {"t": factor}) for unit, factor in times.items())
+    if not np.isfinite(throw.x).any():
+        speeds = _factors(throw, "speed")
+        yield from ((f"speed={unit}", {"speed": factor}) for unit, factor in speeds.items())
+        return
+    for unit, factor in _factors(throw, "x").items():
+        yield f"length={unit}", {"x": factor, "y": factor}
+        yield f"x={unit}", {"x": factor}
+        yield f"y={unit}", {"y": factor}
+        for time, of_time in times.items():
+            if not time.endswith("fps"):
+                yield f"t={time},length={unit}", {"t": of_time, "x": factor, "y": factor}
+
+
+def _wrapped(throw: Throw) -> Iterator[Finding]:
+    """Jumps of an angle, which the readers remove and arrays may have."""
+    if throw.conventions is not None or not np.isfinite(throw.phi).any():
+        return
+    for period, unit in ((2 * math.pi, "360 degrees"), (360.0, "360")):
+        scale = 2 * math.pi / period
+        try:
+            _, jumps, _ = unwrap(throw.t, scale * throw.phi)
+        except Exception:
+            continue
+        if jumps and float(np.nanmax(np.abs(throw.phi))) < 1.1 * period:
+            remedy = (
+                '`Throw.from_arrays(..., units="angle=deg")` unwraps it'
+                if period > 7
+                else '`Throw.from_arrays(..., units="angle=rad")` unwraps it'
+            )
+            times = "once" if jumps == 1 else f"{jumps} times"
+            yield Finding("wrapped angle", f"phi jumps by {unit} {times}: it is wrapped", remedy)
+            return
+
+
+def _spin(throw: Throw) -> Iterator[Finding]:
+    """Turning too fast for radians."""
+    turned, mean = _turning(throw)
+    if turned is None or mean is None or abs(turned) < 2 * math.pi * _MOST_TURNS:
+        return
+    turns = abs(turned) / (2 * math.pi)
+    channel = "phi" if np.isfinite(throw.phi).sum() >= 2 else "omega"
+    unit = "angle=deg" if channel == "phi" else "spin=deg/s"
+    text = f"the stone turns {turns:.3g} times, at {abs(mean):.3g} rad/s, and stones turn 0 to 10"
+    yield Finding(
+        "turns",
+        text if abs(mean) > MAX_SPIN else f"{text} times",
+        f"if {'angles are' if channel == 'phi' else 'spins are'} in degrees: "
+        + _option(throw, "units", unit),
+        refused=abs(mean) > MAX_SPIN,
+    )
+
+
+def _turning(throw: Throw) -> tuple[float | None, float | None]:
+    """Angle turned in rad and its mean rate in rad/s, of the stone in motion or not."""
+    seen = np.isfinite(throw.phi)
+    if seen.sum() >= 4:
+        t, phi = throw.t[seen], throw.phi[seen]
+        few = max(1, min(len(t) // 10, 5))
+        turned = float(np.median(phi[-few:]) - np.median(phi[:few]))
+        return turned, turned / float(t[-1] - t[0])
+    seen = np.isfinite(throw.omega)
+    if seen.sum() >= 4:
+        t, omega = throw.t[seen], throw.omega[seen]
+        turned = float(np.sum(np.diff(t) * (omega[1:] + omega[:-1]) / 2))
+        return turned, turned / float(t[-1] - t[0])
+    return None, None
+
+
+def _other_hands(throw: Throw, motion: Motion) -> Iterator[Finding]:
+    """What is not friction: the hand before the release, another stone, a stone picked up."""
+    jump = _collision(throw, motion)
+    if jump is not None:
+        at, change = jump
+        early = at - throw.t[0] < throw.t[-1] - at
+        flag = ("since", _up(at)) if early else ("until", _down(at))
+        yield Finding(
+            "collision",
+            f"the velocity jumps by {change:.2g} m/s at t = {at:.4g} s, as where stones collide or "
+            "a hand touches one",
+            f"leave out what is {'before' if early else 'after'}: {_option(throw, *flag)}",
+        )
+        return
+    speed, error = motion.speed, motion.error
+    lowest = np.minimum.accumulate(speed)
+    rise = speed - lowest
+    peak = int(np.argmax(rise))
+    trough = int(np.argmin(speed[: peak + 1]))
+    limit = max(
+        _GROWTH[0], _GROWTH[1] * motion.fastest, _SURE * math.hypot(error[peak], error[trough])
+    )
+    if rise[peak] <= limit:
+        return
+    span = motion.t[-1] - motion.t[0]
+    text = (
+        f"the speed grows from {speed[trough]:.2g} to {speed[peak]:.2g} m/s between "
+        f"t = {motion.t[trough]:.3g} and {motion.t[peak]:.3g} s, which friction cannot do"
+    )
+    if peak == len(speed) - 1 and trough < 0.2 * len(speed):
+        yield Finding(
+            "growing speed",
+            f"{text}: times may run backwards, or all rows are before the release",
+            "check the column of the time",
+        )
+    elif motion.t[trough] - motion.t[0] < 0.5 * span and peak < len(speed) - 2:
+        after = float(motion.end[peak]) + 1e-9
+        yield Finding(
+            "growing speed",
+            f"{text}: a hand was still on the stone, or something pushed it",
+            f"leave out what is before the release: {_option(throw, 'since', _up(after))}",
+        )
+    else:
+        before = float(motion.begin[trough])
+        yield Finding(
+            "growing speed",
+            f"{text}: something pushed the stone",
+            f"leave out what follows: {_option(throw, 'until', _down(before))}",
+        )
+
+
+def _collision(throw: Throw, motion: Motion) -> tuple[float, float] | None:
+    """Time in s and size in m/s of the largest jump of the velocity; None without one.
+
+    Straight lines through some rows before and after each time differ by more than noise and
+    friction explain. Where no velocity changes as much from block to block, none does from row to
+    row.
+    """
+    velocity = motion.velocity
+    if not np.hypot(*(velocity[:, 2:] - velocity[:, :-2])).max(initial=0.0) > _JUMP:
+        return None
+    complete = np.isfinite(throw.x) & np.isfinite(throw.y)
+    if complete.sum() < 20:
+        return None
+    t, positions = throw.t[complete], np.stack([throw.x, throw.y])[:, complete]
+    noise = float(np.hypot(*scatter(positions)))
+    dt = float(np.median(np.diff(t)))
+    # so many rows that the error of a slope is some 0.03 m/s: its variance is 12 s^2/(m^3 dt^2)
+    rows = int(np.clip(math.ceil((12 * (noise / (0.03 * dt)) ** 2) ** (1 / 3)), 5, len(t) // 3))
+    windows = np.lib.stride_tricks.sliding_window_view
+    at = windows(t, rows)
+    middle = at.mean(1)
+    centred = at - middle[:, None]
+    spread = (centred**2).sum(1)
+    slope = np.stack([(windows(part, rows) * centred).sum(1) / spread for part in positions])
+    mean = np.stack([windows(part, rows).mean(1) for part in positions])
+    change = slope[:, rows:] - slope[:, :-rows]
+    elapsed = middle[rows:] - middle[:-rows]
+    error = noise * np.sqrt(1 / spread[rows:] + 1 / spread[:-rows])
+    size = np.hypot(*change) - _SURE * error - _BRAKING * elapsed
+    # An outlying row bends a line, which then misses its own rows.
+    residual = np.zeros(len(at))
+    for part, inclination, centre in zip(positions, slope, mean, strict=True):
+        off = windows(part, rows) - centre[:, None] - inclination[:, None] * centred
+        residual = np.maximum(residual, np.abs(off).max(1))
+    straight = residual < 0.02 + 6 * noise + 0.5 * _BRAKING * (at[:, -1] - at[:, 0]) ** 2 / 4
+    size[~(straight[rows:] & straight[:-rows])] = -math.inf
+    # Over a pause the stone may have done anything.
+    gap = t[rows : rows + len(size)] - t[rows - 1 : rows - 1 + len(size)]
+    size[gap > 5 * dt] = -math.inf
+    best = int(np.argmax(size)) if len(size) else 0
+    if not len(size) or not size[best] > _JUMP:
+        return None
+    return float(t[best + rows]), float(np.hypot(*change[:, best]))
+
+
+def _axes(throw: Throw, motion: Motion) -> Iterator[Finding]:
+    """The side of the curl against the sense of the spin.
+
+    A stone curls to the side to which its front turns (Penner 2001): to the left, where it turns
+    counter-clockwise seen from above.
+    """
+    turned, _ = _turning(throw)
+    if turned is None or not math.isfinite(motion.direction[0]):
+        return
+    words = "" if throw.conventions is None else throw.conventions.axes
+    along_x = abs(motion.direction[0]) > 2 * abs(motion.direction[1])
+    certain = (
+        abs(motion.curl) - _SURE * motion.curl_error > _CLEAR_CURL and abs(turned) > _CLEAR_TURN
+    )
+    opposite = certain and motion.curl * turned < 0
+    if not opposite:
+        if along_x:
+            forward = 1 if motion.direction[0] > 0 else -1
+            word = corrected(words, -forward, forward, 1, exchanged=True)  # a rotation
+            yield Finding(
+                "axes",
+                "the stone moves along x, and x is taken as the direction across the sheet",
+                f"if x runs along the sheet: {_option(throw, 'axes', word)}",
+                refused=False,
+            )
+        return
+    if along_x:
+        forward = 1 if motion.direction[0] > 0 else -1
+        first = corrected(words, forward, forward, 1, exchanged=True)
+        axis = "x runs along the sheet and y across it"
+    elif motion.direction[1] > 0:
+        first, axis = corrected(words, -1, 1, 1), "x points to the left"
+    else:
+        first, axis = corrected(words, 1, -1, 1), "y points back at the thrower"
+    clockwise = corrected(words, 1, 1, -1)
+    side = "left" if motion.curl > 0 else "right"
+    sense = "counter-clockwise" if turned > 0 else "clockwise"
+    yield Finding(
+        "axes",
+        f"the stone turns {sense} and curls {abs(motion.curl):.2g} m to the {side}, and stones on "
+        "ice curl to the side to which they turn: unless the ice slopes, an axis or the angle is "
+        "mirrored, and the friction of front and back comes out exchanged",
+        f"if {axis}: {_option(throw, 'axes', first)}; if angles count the other way: "
+        + _option(throw, "axes", clockwise),
+        refused=False,
+    )
+
+
+def _measured_speed(throw: Throw) -> Iterator[Finding]:
+    """A measured speed or spin that is not that of the path or the angle."""
+    both = np.isfinite(throw.x) & np.isfinite(throw.y)
+    if both.sum() >= _FEWEST and np.isfinite(throw.speed).sum() >= 4:
+        path = _motion(throw.t[both], np.stack([throw.x, throw.y])[:, both])
+        seen = np.isfinite(throw.speed)
+        own = np.interp(path.t, throw.t[seen], throw.speed[seen])
+        fast = path.speed > max(0.3 * path.fastest, 10 * float(np.median(path.error)))
+        if fast.sum() >= 3:
+            yield from _ratio(throw, "speed", float(np.median(own[fast] / path.speed[fast])))
+    angle, rate = np.isfinite(throw.phi), np.isfinite(throw.omega)
+    if angle.sum() >= _FEWEST and rate.sum() >= 4:
+        turned, mean = _turning(throw)
+        t = throw.t[angle]
+        own = np.interp(t, throw.t[rate], throw.omega[rate])
+        by_rate = float(np.sum(np.diff(t) * (own[1:] + own[:-1]) / 2))
+        if turned is not None and mean is not None and abs(turned) > 1.0:
+            yield from _ratio(throw, "omega", by_rate / turned)
+
+
+def _ratio(throw: Throw, quantity: str, ratio: float) -> Iterator[Finding]:
+    """Finding on a measured rate that is `ratio` times that of the path or angle."""
+    if 0.8 < ratio < 1.25:
+        return
+    name, flag = {"speed": ("speed", "speed"), "omega": ("spin", "spin")}[quantity]
+    of = "path" if quantity == "speed" else "angle"
+    text = f"the measured {name} is {ratio:.3g} times that of the {of}"
+    for unit, factor in _factors(throw, quantity).items():
+        if abs(math.log(abs(ratio) * factor)) < 0.1 and ratio > 0:
+            remedy = f"if it is in {unit}: {_option(throw, 'units', f'{flag}={unit}')}"
+            yield Finding("units", text, remedy)
+            return
+    column = f"rename or remove the column of the {name}"
+    if -1.25 < ratio < -0.8:
+        yield Finding("axes", f"spin and angle count in opposite senses: {text}", column)
+        return
+    yield Finding("units", text, column, refused=False)
+
+
+def _up(time: float) -> str:
+    """A time rounded up to a hundredth of a second."""
+    return f"{math.ceil(100 * time) / 100:g}"
+
+
+def _down(time: float) -> str:
+    """A time rounded down."""
+    return f"{math.floor(100 * time - 1e-9) / 100:g}"

@@ -1,0 +1,125 @@
+"""Several throws in one table: named by a column, or one below the other."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from curlfit.errors import DataError, InputError
+from curlfit.throws.readers.parsed_file import ParsedFile, choose
+
+_NAMES = {
+    "stone", "throw", "shot", "track", "trial", "run", "object", "id", "label", "name", "colour",
+    "color", "particle", "delivery", "end",
+}  # fmt: skip
+_WORDS = re.compile(r"[a-z]+")
+_FEWEST = 5  # rows of a throw
+_MOST_LISTED = 20
+
+
+def may_name_throws(header: str) -> bool:
+    """Whether a column of this header may name the throw of each row."""
+    parts = set(_WORDS.findall(header.lower()))
+    return bool(parts & _NAMES) and parts <= _NAMES | {"nr", "no", "number", "index"}
+
+
+def throws_in(
+    parsed: ParsedFile, words: Mapping[str, Sequence[Any]]
+) -> list[tuple[str, ParsedFile]]:
+    """The throws in a table with their names; one without a name where it holds but one.
+
+    Parameters
+    ----------
+    words : cells of the columns that are none of a throw, by header.
+
+    A column such as `stone`, `throw_id` or `track` names them. Without one, times that start again
+    begin the next throw.
+    """
+    header, groups = _by_column(words, len(parsed.series[0].values))
+    if header:
+        parsed = replace(parsed, ignored=[name for name in parsed.ignored if name != header])
+    else:
+        groups = _by_restart(parsed)
+    if len(groups) < 2:
+        return [("", parsed)]
+    return [(name, _rows(parsed, rows)) for name, rows in groups.items()]
+
+
+def selected(throws: list[tuple[str, ParsedFile]], number: int | None, flag: str) -> ParsedFile:
+    """One of the throws, counting from 1.
+
+    Raises
+    ------
+    DataError : there are several, and no number. InputError : there is no such throw.
+    """
+    source = throws[0][1].source
+    if len(throws) == 1:
+        if number is not None:
+            raise InputError(f"{flag.rstrip(' =')}: {source} is a table file and holds one stone")
+        return throws[0][1]
+    listed = [name for name, _ in throws]
+    if number is None:
+        shown = "; ".join(
+            f"{k} {name} ({len(one.series[0].values)} rows)"
+            for k, (name, one) in enumerate(throws[:_MOST_LISTED], 1)
+        )
+        more = f"; and {len(throws) - _MOST_LISTED} more" if len(throws) > _MOST_LISTED else ""
+        raise DataError(
+            f"{len(throws)} throws; choose one with `{flag} N`: {shown}{more}", file=source
+        )
+    parsed = throws[choose("throw", flag, number, listed, 0)][1]
+    parsed.notes.append(f"{len(throws)} throws; taken: {number} {listed[number - 1]}")
+    return parsed
+
+
+def _by_column(words: Mapping[str, Sequence[Any]], n: int) -> tuple[str, dict[str, np.ndarray]]:
+    """The column that names several throws, and the rows of each; empty where none does."""
+    for header, cells in words.items():
+        if not may_name_throws(header):
+            continue
+        names = np.array([str(cell).strip() for cell in cells])
+        first = {name: int(k) for name, k in zip(*np.unique(names, return_index=True), strict=True)}
+        first.pop("", None)
+        if not 2 <= len(first) <= n / _FEWEST:
+            continue
+        return header, {
+            f"{header} {name}": np.flatnonzero(names == name)
+            for name in sorted(first, key=lambda name: first[name])
+        }
+    return "", {}
+
+
+def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
+    """Rows of each throw where the times start again; empty where they do not."""
+    times = next((s.values for s in parsed.series if s.column.quantity == "t"), None)
+    if times is None or len(times) < 2 * _FEWEST:
+        return {}
+    breaks = np.flatnonzero(np.diff(times) < 0) + 1
+    pieces = np.split(np.arange(len(times)), breaks)
+    if len(pieces) < 2 or min(map(len, pieces)) < _FEWEST:
+        return {}
+    # Each begins within the first fifth of the one before, as rows merely out of order do not.
+    for before, after in pairwise(pieces):
+        began, ended = times[before[0]], times[before[-1]]
+        if not times[after[0]] < began + 0.2 * (ended - began):
+            return {}
+    lines = parsed.lines
+    return {
+        f"from row {rows[0] + 1}" if lines is None else f"from line {lines[rows[0]]}": rows
+        for rows in pieces
+    }
+
+
+def _rows(parsed: ParsedFile, rows: np.ndarray) -> ParsedFile:
+    return replace(
+        parsed,
+        series=[series._replace(values=series.values[rows]) for series in parsed.series],
+        lines=None if parsed.lines is None else parsed.lines[rows],
+        notes=list(parsed.notes),
+        settings=dict(parsed.settings),
+    )

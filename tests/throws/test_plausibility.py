@@ -1,0 +1,353 @@
+"""What no curling stone does is refused, with the words that mend it, and nothing else is."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mistaken_files import (
+    DEGREES,
+    collided,
+    exchanged,
+    good,
+    picked_up,
+    pushed,
+    scaled,
+    wrapped,
+)
+from sample_files import SAMPLES, table
+from typer.testing import CliRunner
+
+import curlfit
+from curlfit import InputError, Throw, load_throw
+from curlfit.cli import app
+from curlfit.throws.plausibility import examine, motion_of, require_plausible
+
+GOOD = good()
+FOOT = 0.3048
+
+
+@pytest.fixture
+def written(tmp_path):
+    def to_file(columns, head=""):
+        file = tmp_path / "throw.csv"
+        file.write_text(head + table(columns, digits=12))
+        return file
+
+    return to_file
+
+
+def typed_flag(text, name):
+    """Value of an option as a message has it."""
+    return re.search(rf"`--{name} ([^`]+)`", text)[1]
+
+
+def is_good(throw, mirrored=False):
+    sign = -1 if mirrored else 1
+    for name, factor in (("t", 1), ("x", sign), ("y", 1), ("phi", sign)):
+        np.testing.assert_allclose(factor * getattr(throw, name), GOOD[name], atol=1e-9)
+
+
+def test_the_good_throw_is_good(written):
+    throw = load_throw(written(GOOD))
+    assert require_plausible(throw) == ()
+    motion = motion_of(throw)
+    # the derivatives of eq. 12 at 0 and 20 s; the first block is 0.8 s long
+    assert motion.fastest == pytest.approx(25 * 1.897 / 23 * (1 - 0.4 / 23) ** 0.897, rel=0.01)
+    mean = 25 * 1.897 / 23 * (1 - (3 / 23) ** 0.897) / 20
+    assert motion.friction == pytest.approx(mean / 9.81, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("made", "said", "flag"),
+    [
+        (scaled(t=1000), "a friction of 8.", "t=ms"),
+        (scaled(t=1 / 60), "moves at 122 m/s, and none is thrown at more than about 4", "t=min"),
+        (scaled(x=100, y=100), "the path is 2.45e+03 m long, and a sheet 45.7 m", "length=cm"),
+        (scaled(x=1000, y=1000), "if lengths are in millimetres", "length=mm"),
+        (scaled(x=1 / FOOT, y=1 / FOOT), "moves at 6.6", "length=ft"),
+        (scaled(x=12 / FOOT, y=12 / FOOT), "if lengths are in inches", "length=in"),
+        (scaled(x=100), "it curls 30.7 m, and a sheet is 5.0 m wide", "x=cm"),
+        (scaled(t=1000, x=100, y=100), "if the time is in milliseconds and lengths are in "
+         "centimetres", "t=ms,length=cm"),
+        (scaled(phi=DEGREES), "turns 137 times, at 43.2 rad/s, and stones turn 0 to 10; if angles "
+         "are in degrees", "angle=deg"),
+        (scaled(t=30), "if t counts frames", "t=30fps"),
+    ],
+)  # fmt: skip
+def test_wrong_units_are_refused_and_mended(written, made, said, flag):
+    file = written(made(GOOD))
+    throw = load_throw(file)
+    with pytest.raises(InputError) as caught:
+        require_plausible(throw)
+    text = str(caught.value)
+    assert text.startswith(f"{file}: ")
+    assert said in text
+    assert typed_flag(text, "units") == flag
+    assert text.endswith("If the data are right as they are: `--as-given`")
+    is_good(load_throw(file, units=flag))
+    as_given = load_throw(file, as_given=True)
+    assert [item.refused for item in require_plausible(as_given)] == [False]
+    arrays = made(GOOD)
+    with pytest.raises(InputError) as caught:
+        require_plausible(Throw.from_arrays(**arrays))
+    assert f'`Throw.from_arrays(..., units="{flag}")`' in str(caught.value)
+    is_good(Throw.from_arrays(**arrays, units=flag))
+
+
+@pytest.mark.parametrize("low", [0.0, -180.0])
+@pytest.mark.parametrize("header", ["phi", "angle", "phi_rad"])
+def test_wrapped_degrees_are_refused_whatever_the_header_says(written, low, header):
+    columns = wrapped(360, low, DEGREES)(GOOD)
+    columns[header] = columns.pop("phi")
+    file = written(columns)
+    with pytest.raises(InputError, match=r"jump by 360 as degrees do; give `?--units angle=deg"):
+        load_throw(file)
+    phi = load_throw(file, units="angle=deg").phi
+    np.testing.assert_allclose(phi - phi[0], GOOD["phi"] - GOOD["phi"][0], atol=1e-9)
+
+
+def test_a_wrapped_angle_in_arrays_is_refused(written):
+    columns = wrapped(2 * np.pi, -np.pi)(GOOD)
+    assert require_plausible(load_throw(written(columns))) == ()  # unwrapped as it is read
+    with pytest.raises(InputError, match="phi jumps by 360 degrees 2 times: it is wrapped"):
+        require_plausible(Throw.from_arrays(**columns))
+    is_good(Throw.from_arrays(**columns, units="angle=rad"))
+    degrees = wrapped(360, -180, DEGREES)(GOOD)
+    with pytest.raises(InputError, match='units="angle=deg"'):
+        require_plausible(Throw.from_arrays(**degrees))
+    is_good(Throw.from_arrays(**degrees, units="angle=deg"))
+
+
+@pytest.mark.parametrize(
+    ("made", "said", "flag", "mirrored"),
+    [
+        (scaled(x=-1), "turns counter-clockwise and curls 1 m to the right",
+         "x-left,counter-clockwise", False),
+        (scaled(y=-1), "y points back at the thrower", "y-back,counter-clockwise", False),
+        (scaled(phi=-1), "turns clockwise and curls 1 m to the left", "x-left,counter-clockwise",
+         True),
+        (exchanged, "x runs along the sheet and y across it", "x-along,y-right,counter-clockwise",
+         False),
+    ],
+)  # fmt: skip
+def test_mirrored_axes_are_told_by_the_side_of_the_curl(written, made, said, flag, mirrored):
+    file = written(made(GOOD))
+    (finding,) = require_plausible(load_throw(file))
+    assert said in str(finding)
+    assert "stones on ice curl to the side to which they turn" in str(finding)
+    assert typed_flag(str(finding), "axes") == flag
+    mended = load_throw(file, axes=flag)
+    is_good(mended, mirrored)
+    assert require_plausible(mended) == ()
+    # the other proposal: the same up to a mirror, in which friction is the same
+    assert "if angles count the other way: `--axes clockwise`" in str(finding)
+    assert not [f for f in examine(load_throw(file, axes="clockwise")) if "curls" in f.says]
+
+
+def test_axes_are_corrected_beside_those_that_the_file_has(written):
+    turned = {"t": GOOD["t"], "x": GOOD["y"], "y": -GOOD["x"], "phi": GOOD["phi"]}
+    (finding,) = require_plausible(load_throw(written(turned)))
+    assert "moves along x" in str(finding)
+    assert typed_flag(str(finding), "axes") == "x-along"
+    head = '# axes = "x-along"\n'
+    is_good(load_throw(written(turned, head)))
+    file = written(turned | {"phi": -GOOD["phi"]}, head)
+    (finding,) = require_plausible(load_throw(file))
+    words = re.findall(r"`--axes ([^`]+)`", str(finding))
+    assert words == ["x-along,y-right,counter-clockwise", "x-along,clockwise"]
+    is_good(load_throw(file, axes=words[0]), mirrored=True)
+    is_good(load_throw(file, axes=words[1]))
+
+
+@pytest.mark.parametrize(
+    ("made", "said", "flag", "within"),
+    [
+        (pushed, "a hand was still on the stone", "since", (0.0, 1.0)),
+        (picked_up, "something pushed the stone; leave out what follows", "until", (21.0, 24.0)),
+        (collided, "the velocity jumps by 0.78 m/s at t = 12 s, as where stones collide", "until",
+         (11.5, 12.0)),
+    ],
+)  # fmt: skip
+def test_what_friction_cannot_do_is_refused_and_cut_off(written, made, said, flag, within):
+    throw = load_throw(written(made(GOOD)))
+    with pytest.raises(InputError) as caught:
+        require_plausible(throw)
+    assert said in str(caught.value)
+    time = float(typed_flag(str(caught.value), flag))
+    assert within[0] <= time <= within[1]
+    assert require_plausible(throw.select_rows(**{flag: time})) == ()
+
+
+def test_times_that_run_backwards_are_refused():
+    reversed_ = {name: v[::-1] if name != "t" else v for name, v in GOOD.items()}
+    with pytest.raises(InputError, match="times may run backwards"):
+        require_plausible(Throw.from_arrays(**reversed_))
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "said", "flag"),
+    [
+        ("speed", 3.6 * np.hypot(*np.gradient([GOOD["x"], GOOD["y"]], 0.1, axis=1)),
+         "the measured speed is 3.6", "speed=km/h"),
+        ("omega", DEGREES * np.gradient(GOOD["phi"], 0.1), "the measured spin is 5", "spin=deg/s"),
+    ],
+)  # fmt: skip
+def test_a_measured_rate_is_held_against_the_path(column, values, said, flag):
+    smooth = np.convolve(np.pad(values, 7, "edge"), np.ones(15) / 15, "valid")
+    throw = Throw.from_arrays(**GOOD, **{column: smooth})
+    with pytest.raises(InputError) as caught:
+        require_plausible(throw)
+    assert said in str(caught.value)
+    assert f'units="{flag}"' in str(caught.value)
+    assert require_plausible(Throw.from_arrays(**GOOD, **{column: smooth}, units=flag)) == ()
+
+
+# What must not be refused
+
+
+def sliding(
+    v=2.0, friction=0.01, until=15.0, dt=0.1, noise=0.005, memory=0.0, outlying=0.0, turn=1.0,
+    curl=1.0, heading=0.0, seed=0,
+):  # fmt: skip
+    """A throw of constant friction that curls as the square of the distance, with noise."""
+    random, t = np.random.default_rng(seed), np.arange(0, until, dt)
+    s = np.minimum(t, v / (9.81 * friction))
+    along = v * s - 9.81 * friction * s**2 / 2
+    left = np.sign(turn) * curl * (along / 28) ** 2
+    x = along * np.sin(heading) - left * np.cos(heading)
+    y = along * np.cos(heading) + left * np.sin(heading)
+    errors = random.standard_normal((3, len(t)))
+    if memory:
+        carry = np.exp(-dt / memory)
+        for k in range(1, len(t)):
+            errors[:, k] = carry * errors[:, k - 1] + np.sqrt(1 - carry**2) * errors[:, k]
+    x, y = x + noise * errors[0], y + noise * errors[1]
+    off = random.random(len(t)) < outlying
+    x, y = x + off * random.normal(0, 1, len(t)), y + off * random.normal(0, 1, len(t))
+    return Throw.from_arrays(t, x, y, turn * s + 2 * noise * errors[2])
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        {"until": 2.0, "dt": 0.05}, {"until": 1.0, "dt": 0.05, "noise": 0.01},
+        {"until": 2.0, "dt": 1 / 30, "noise": 0.02}, {"friction": 0.035, "until": 8.0},
+        {"turn": 1e-9}, {"turn": -1.4}, {"heading": np.pi + 0.02}, {"v": 0.5, "until": 8.0},
+        {"v": 3.4, "until": 7.0}, {"until": 40.0}, {"until": 40.0, "noise": 0.03, "memory": 0.5},
+        {"noise": 0.02, "memory": 1.0}, {"noise": 0.03, "memory": 0.3}, {"outlying": 0.1},
+        {"outlying": 0.05, "dt": 0.2, "noise": 0.01}, {"dt": 0.5, "noise": 0.02}, {"dt": 1.25},
+        {"noise": 0.1}, {"dt": 1 / 120, "noise": 0.002},
+        {"v": 0.5, "friction": 0.03, "until": 1.2, "dt": 0.02, "noise": 5e-4, "curl": 5.0},
+    ],
+)  # fmt: skip
+def test_odd_throws_of_stones_are_taken(odd):
+    for seed in range(20):
+        assert require_plausible(sliding(**odd, seed=seed)) == ()
+
+
+def test_sweeping_is_no_push_and_no_collision():
+    t = np.arange(0, 15, 0.1)
+    deceleration = np.where((t > 5) & (t < 9), 0.06, 0.1)  # 40 % less friction
+    speed = 2 - np.cumsum(deceleration) * 0.1
+    y = np.cumsum(speed) * 0.1
+    random = np.random.default_rng(2)
+    throw = Throw.from_arrays(
+        t, 0.005 * random.normal(size=150), y + 0.005 * random.normal(size=150)
+    )
+    assert require_plausible(throw) == ()
+
+
+@pytest.mark.parametrize("name", sorted(set(SAMPLES) - {"log", "pixels"}))
+def test_samples_of_every_format_are_plausible(name, tmp_path):
+    (tmp_path / "data").write_text(SAMPLES[name], encoding="utf-8")
+    assert not [item for item in examine(load_throw(tmp_path / "data")) if item.refused]
+
+
+def test_certified_throws_and_the_paper_s_are_plausible():
+    for file in (Path(__file__).parents[1] / "certified").glob("*.csv"):
+        hard = any(part in file.name for part in ("high_spin", "split"))
+        assert bool(require_plausible(load_throw(file))) == hard, file
+    data = Path(__file__).parents[2] / "data" / "jensen_shegelski_2004.csv"
+    assert require_plausible(load_throw(data)) == ()
+
+
+@pytest.mark.slow
+def test_throws_of_every_law_are_plausible():
+    """200 throws of each law, as the calibration draws them: none is refused.
+
+    Under `tensor` they are drawn to curl to either side, whatever the spin.
+    """
+    sys.path.append(str(Path(__file__).parents[1] / "statistics"))
+    from calibration import BOXES, START, TRIALS, thrown
+
+    random = np.random.default_rng(8)
+    for law in BOXES:
+        for _ in range(200):
+            box = BOXES[law] | START
+            true = {name: random.uniform(*limits) for name, limits in box.items()}
+            true["omega0"] *= random.choice([-1, 1])
+            throw = thrown(TRIALS[f"ranks {law}"], true, random)
+            if throw is None:
+                continue
+            found = examine(throw)
+            assert not [item for item in found if item.refused], (law, found)
+            assert not found or law == "tensor", (law, found)
+
+
+@pytest.mark.parametrize(
+    ("made", "said", "flag"),
+    [
+        (scaled(t=1000), "s for 24.5 m, where friction on ice stops a stone within 50 s", "t=ms"),
+        (scaled(x=100, y=100), "the path is 2.45e+03 m long, and a sheet 45.7 m", "length=cm"),
+    ],
+)
+def test_few_rows_in_wrong_units_are_refused(written, made, said, flag):
+    few = {name: values[::25] for name, values in GOOD.items()}
+    assert require_plausible(load_throw(written(few))) == ()
+    file = written(made(few))
+    with pytest.raises(InputError) as caught:
+        require_plausible(load_throw(file))
+    assert said in str(caught.value)
+    assert typed_flag(str(caught.value), "units") == flag
+    assert require_plausible(load_throw(file, units=flag)) == ()
+
+
+# After the fit
+
+FEW = {name: values[::15] for name, values in GOOD.items()}
+FEW["x"] = np.where(np.arange(len(FEW["x"])) % 6 == 0, FEW["x"], np.nan)  # too few to judge before
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (scaled(t=1000), "Implausible: the fitted stone has a mean friction of"),
+        (scaled(x=100, y=100), "Implausible: the fitted initial speed of 10 m/s is more than"),
+    ],
+)
+def test_an_absurd_fit_is_not_usable(written, made, said, tmp_path):
+    file = written(made(FEW))
+    assert examine(load_throw(file)) == ()
+    words = ["fit", str(file), "--law", "coulomb", "--no-sample", "--no-figures"]
+    run = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out")])
+    assert run.exit_code == 1
+    assert said in " ".join(run.stdout.split())
+    assert "Converged" not in run.stdout
+    assert "curlfit: the fit is not usable: implausible: the fitted" in run.stderr
+    assert "`--units t=ms` or `--units length=cm`" in run.stderr
+    assert not curlfit.load_fit(tmp_path / "out").converged
+
+
+def test_a_fit_of_mirrored_axes_does_not_end_calmly():
+    fit = curlfit.fit(Throw.from_arrays(**scaled(x=-1)({n: v[::15] for n, v in GOOD.items()})),
+                      "coulomb")  # fmt: skip
+    assert fit.converged
+    assert fit.status.endswith("but the data are unusual: see the first warning")
+    assert "mirrored" in fit.warnings[0]
+    calm = curlfit.fit(Throw.from_arrays(**FEW), "coulomb")
+    assert calm.converged
+    assert "unusual" not in calm.status
