@@ -14,6 +14,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
+# before NumPy is loaded: threads of its many small matrices would wait for one another
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# isort: split
 import jax
 import numpy as np
 import pytest

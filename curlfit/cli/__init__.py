@@ -58,6 +58,8 @@ for _verb in (
 
 def main() -> None:
     """Run the command; errors of the input become one sentence and an exit status."""
+    # NumPy is not loaded yet. Its matrices here are small: threads would wait for one another.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         try:
             app()

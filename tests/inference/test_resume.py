@@ -61,7 +61,7 @@ def snapshot(folder):
 
 
 @pytest.mark.parametrize(
-    "blow", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)]
+    "blow", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)]
 )
 def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(tmp_path, blow):
     struck, whole = tmp_path / "struck", tmp_path / "whole"

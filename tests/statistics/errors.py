@@ -58,7 +58,7 @@ CASES = (
     *(
         Case(f"noise of correlation time {memory} s, `--noise ar1`", memory=memory,
              options={"noise": "ar1"})
-        for memory in (0.2, 1.0)
+        for memory in (0.2, 1.0, 3.0)
     ),
     *(
         Case(f"`{name}` off by its prior, which the fit has", drawn=(name,),
@@ -69,6 +69,13 @@ CASES = (
          options={"systematics": {"all": 0.0, "slope_x": WIDTHS["slope_x"]}}),
     Case("`slope_x` off by its prior and held: standard error alone", drawn=("slope_x",)),
     Case("right law, `--noise discrepancy`", options={"noise": "discrepancy"}),
+    Case("right law, noise of correlation time 0.3 s, `--noise ar1+discrepancy`", memory=0.3,
+         options={"noise": "ar1+discrepancy"}),
+    *(
+        Case("`stribeck` fitted by `coulomb`, noise of correlation time 0.3 s, "
+             f"`--noise {noise}`", "stribeck", "coulomb", 0.3, options={"noise": noise})
+        for noise in ("ar1", "discrepancy", "ar1+discrepancy")
+    ),
     *(
         Case(f"`{truth}` fitted by `{fitted}`, `--noise {noise}`", truth, fitted,
              options={"noise": noise})

@@ -78,13 +78,14 @@ class AR1Whitener(NamedTuple):
         return np.asarray(np.log(self.scale).sum(-1))
 
 
-def log_prior(memory: Floats | float, span: float) -> Floats | float:
+def log_prior(memory: Floats, span: float) -> Floats:
     """Logarithm of the prior density of the logarithm of a correlation time in s.
 
     Exponential, its mean a tenth of the time of motion: what lasts longer is a matter of the law
     rather than of the tracker (a judgement; half or twice of it changes errors little).
     """
-    return np.log(memory) - memory / (_TYPICAL * span)
+    found: Floats = np.log(memory) - memory / (_TYPICAL * span)
+    return found
 
 
 def estimate(channels: Sequence[ChannelResiduals], span: float) -> tuple[Noise, dict[str, float]]:

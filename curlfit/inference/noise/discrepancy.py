@@ -9,7 +9,8 @@ of the mean standard deviation.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, Self
 
 import jax
@@ -38,6 +39,11 @@ _PURE = 300.0  # greatest discrepancy over the independent noise
 _LONGEST = 0.5  # correlation time over the time of motion
 _MEMORIES = 10  # correlation times that are tried
 _COUNT = len(COMPONENTS) * SHAPES
+_NEGLIGIBLE = 10.0  # logarithm of the posterior below its maximum
+_GRID, _COARSE = (
+    np.stack(np.meshgrid(*[some] * len(COMPONENTS), indexing="ij"), -1).reshape(-1, len(COMPONENTS))
+    for some in (SIZES, SIZES[::2])
+)  # sizes of the discrepancy
 
 
 class DiscrepancyWhitener(NamedTuple):
@@ -70,9 +76,10 @@ class DiscrepancyWhitener(NamedTuple):
         rows *= weight[..., None] * np.repeat([noise.sizes[name] for name in COMPONENTS], SHAPES)
         if before is not None:
             rows = np.asarray(jax.vmap(before.whiten, -1, -1)(jnp.asarray(rows)))
-        left, singular, _ = np.linalg.svd(rows.reshape(-1, _COUNT), full_matrices=False)
+        q, r = np.linalg.qr(rows.reshape(-1, _COUNT))  # faster than a decomposition of all rows
+        left, singular, _ = np.linalg.svd(r, full_matrices=False)
         directions = np.zeros((weight.size, _COUNT))
-        directions[:, : left.shape[1]] = left
+        directions[:, : left.shape[1]] = q @ left
         shrink = np.zeros(_COUNT)
         shrink[: len(singular)] = 1 - 1 / np.sqrt(1 + singular**2)
         return cls(directions.reshape(*weight.shape, _COUNT), shrink, before)
@@ -106,8 +113,6 @@ def estimate(
     -------
     the noise, and by channel its sigma where it was not given.
     """
-    grid = np.stack(np.meshgrid(*[SIZES] * len(COMPONENTS), indexing="ij"), -1)
-    grid = grid.reshape(-1, len(COMPONENTS))
     columns = [
         np.column_stack([
             item.basis,
@@ -120,19 +125,20 @@ def estimate(
     if "ar1" in kind:
         shortest = ar1.SHORTEST * min(item.gap for item in channels)
         memories = np.geomspace(shortest, max(_LONGEST * span, 2 * shortest), _MEMORIES)
-    sigmas, logs = [], []
-    for memory in memories:
-        sigma, log = _at_memory(channels, columns, float(memory), grid)
-        sigmas.append(sigma)
-        logs.append(log + (float(ar1.log_prior(memory, span)) if memory else 0.0))
+    found = [_at_memory(channels, columns, float(memory)) for memory in memories]
+    priors = ar1.log_prior(memories, span) if "ar1" in kind else np.zeros(1)
+    rough = np.array([np.logaddexp.reduce(one.log_posterior(_COARSE)) for one in found]) + priors
+    near = np.flatnonzero(rough > rough.max() - _NEGLIGIBLE)
+    logs = np.array([found[index].log_posterior(_GRID) + priors[index] for index in near])
     by_memory = np.logaddexp.reduce(logs, axis=1)
-    weights = np.exp(np.array(logs) - by_memory.max())
-    rms = np.sqrt(weights.sum(0) @ grid**2 / weights.sum())
+    weights = np.exp(logs - logs.max())
+    rms = np.sqrt(weights.sum(0) @ _GRID**2 / weights.sum())
     noise = Noise(kind, sizes=dict(zip(COMPONENTS, map(float, rms), strict=True)))
-    best = np.array(sigmas[0])
-    if len(memories) > 1:
-        low = 2 * np.log(sigmas).mean(1) + np.log(memories)
-        curve = np.column_stack([np.log(memories), np.log(sigmas)])
+    sigmas = np.array([found[index].sigmas for index in near])
+    best = sigmas[0]
+    if "ar1" in kind:
+        low = 2 * np.log(sigmas).mean(1) + np.log(memories[near])
+        curve = np.column_stack([np.log(memories[near]), np.log(sigmas)])
         log_memory, *log_sigmas = mean_standard_deviation(
             np.maximum.accumulate(low), by_memory, curve
         )
@@ -145,11 +151,19 @@ def estimate(
     }
 
 
+class _AtMemory(NamedTuple):
+    """Noise of one memory."""
+
+    sigmas: list[float]
+    """of each channel, over that of the fit"""
+    log_posterior: Callable[[Floats], Floats]
+    """of sizes of the discrepancy, shape (sizes, 3)"""
+
+
 def _at_memory(
-    channels: Sequence[ChannelResiduals], columns: Sequence[Floats], memory: float, grid: Floats
-) -> tuple[list[float], Floats]:
-    """Sigma of each channel over that of the fit, and the log-posterior of sizes of the
-    discrepancy, shape (sizes,), for noise of a memory in s."""
+    channels: Sequence[ChannelResiduals], columns: Sequence[Floats], memory: float
+) -> _AtMemory:
+    """Noise of a memory in s, its scale where the posterior is greatest."""
     from scipy.optimize import minimize_scalar  # slow to load
 
     n_nuisance = channels[0].basis.shape[1]
@@ -170,19 +184,19 @@ def _at_memory(
         likelihood = log_likelihood(triangle(rows), sizes, n_nuisance)
         return likelihood - count * math.log(scale) - halves + log_prior(sizes)
 
-    scale, logs = 1.0, log_posterior(1.0, grid)
+    scale = 1.0
     for _ in range(_ROUNDS if count else 0):
-        sizes = grid[np.argmax(logs)][None]
+        sizes = _COARSE[np.argmax(log_posterior(scale, _COARSE))][None]
         best = minimize_scalar(
             lambda log, sizes=sizes: -float(log_posterior(math.exp(log), sizes)[0]),
             bounds=(-3.0, 3.0), method="bounded", options={"xatol": 1e-3},
         )  # fmt: skip
         scale = math.exp(best.x)
-        logs = log_posterior(scale, grid)
-    return [
+    sigmas = [
         1.0 if item.given else scale * part.sigma
         for item, part in zip(channels, parts, strict=True)
-    ], logs
+    ]
+    return _AtMemory(sigmas, partial(log_posterior, scale))
 
 
 class _Independent(NamedTuple):
