@@ -74,7 +74,7 @@ def residual_changes(
             change[:, :2] = paths[:, :2] - values[:, first : first + 2, None]
             change = change * width
         else:
-            changed = _changed(problems, name, _STEP * width)
+            changed = with_condition_off(problems, name, _STEP * width)
             change = (predict_many(model, values, changed, batch) - paths) / _STEP
         change = change[:, :channels] * problems.weight
         if problems.whitener is not None:
@@ -87,7 +87,7 @@ def residual_changes(
     return found
 
 
-def _changed(problems: Problem, name: str, by: float) -> Problem:
+def with_condition_off(problems: Problem, name: str, by: float) -> Problem:
     """Problems with a condition off by something."""
     if name == "time_scale":
         return problems._replace(times=problems.times / (1 + by))
