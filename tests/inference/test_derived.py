@@ -76,7 +76,8 @@ def test_gradients_are_those_of_differences(text):
      ("a[0]", "only numbers, names"), ("'a'", "'a' is not a number"), ("", "empty"),
      ("True * a", "True is not a number"), ("log(a, b)", "log takes 1 argument"),
      ("3", "it is of no parameter"), ("a if b else c", "only numbers"), ("a" * 500, "500 chara"),
-     ("(" * 300 + "a" + ")" * 90, "not an arithmetic"), ("1e999*a", "too large"), ("a; b", "not an"),
+     ("(" * 300 + "a" + ")" * 90, "not an arithmetic"), ("1e999*a", "too large"),
+     ("a; b", "not an"),
      ("[a for a in b]", "only numbers"), ("a := 3", "not an"), ("1j*a", "1j is not a number")],
 )  # fmt: skip
 def test_what_is_no_arithmetic_is_refused(text, said):
@@ -103,10 +104,12 @@ def test_errors_are_those_of_the_covariance(fit):
     assert one.stderr == pytest.approx(fit["mu"].stderr, rel=1e-12)
     assert one.systematic == pytest.approx(fit.systematics.errors["mu"], rel=1e-12)
     assert one.dof == fit["mu"].dof
-    # a constant of the stone has no error but its systematic one
-    radius = fit.derive("R + 0*mu")
-    assert radius.value == fit.stone.R
-    assert radius.systematic == pytest.approx(fit.systematics.widths["R"], rel=1e-9)
+    # a constant of the stone has a systematic error, which adds to that of the parameter
+    ratio = fit.derive("mu / R")
+    shifts, widths = fit.systematics.shifts["mu"], fit.systematics.widths
+    each = [by / fit.stone.R - (name == "R") * mu * widths["R"] / fit.stone.R**2
+            for name, by in shifts.items()]  # fmt: skip
+    assert ratio.systematic == pytest.approx(np.hypot.reduce(each), rel=1e-9)
 
 
 def test_quantiles_are_those_of_the_posterior(sampled):
@@ -195,15 +198,16 @@ def test_quantities_agree_with_the_draws_of_the_posterior(sampled):
     draws = [chain.of({name: 1.0}) for name in ("mu", "v0", "y0", "heading")]
     times = passes(LINES["far-hog"], *draws) - passes(LINES["hog"], *draws)
     low, high = np.quantile(times, [0.16, 0.84])
-    assert item.quantiles["16"] == pytest.approx(low, abs=0.15 * times.std())
-    assert item.quantiles["84"] == pytest.approx(high, abs=0.15 * times.std())
+    # the standard error of such a quantile of 400 draws is 0.08 standard deviations
+    assert item.quantiles["16"] == pytest.approx(low, abs=0.25 * times.std())
+    assert item.quantiles["84"] == pytest.approx(high, abs=0.25 * times.std())
     assert item.stderr == pytest.approx(times.std(), rel=0.1)
 
 
 def test_only_what_the_record_determines_is_quoted(throw, fit, eq12_fit):
     assert {"hog_to_hog", "draw_time"}.isdisjoint(eq12_fit.quantities)  # its zero of y is unknown
     assert eq12_fit.quantities["curl"].value < 0
-    early = curlfit.fit(throw, "coulomb", until=12)
+    early = curlfit.fit(throw, "coulomb", until=10)
     assert set(early.quantities) == {"friction", "turns"}
     places = curlfit.Throw.from_arrays(throw.t, throw.x, throw.y)
     assert "turns" not in curlfit.fit(places, "coulomb").quantities
@@ -215,9 +219,9 @@ def test_only_what_the_record_determines_is_quoted(throw, fit, eq12_fit):
 def test_a_draw_has_its_time_and_its_curl(eq12_fit):
     """By an independent simulation of the fitted stone."""
     law, t = eq12_fit.fitted_law, np.linspace(0, 30, 301)
-    start = curlfit.InitialState(y=9.9, v=2.28, omega=1.3)
+    start = curlfit.InitialState(y=9.9, v=2.25, omega=1.3)
     path = curlfit.simulate(law, curlfit.Stone(R=0.054), start, t).to_numpy()
-    assert abs(path.y[-1] - TEE) < 1.5
+    assert 0.1 < path.y[-1] - TEE < 1.5
     made = curlfit.Throw.from_arrays(
         t, path.x, path.y, path.phi, sigma={"x": 0.003, "y": 0.003, "phi": 0.005}
     )
@@ -226,7 +230,7 @@ def test_a_draw_has_its_time_and_its_curl(eq12_fit):
     hog = np.interp(LINES["hog"], path.y[:10], t[:10])
     assert found["draw_time"].value == pytest.approx(float(path.rest) - hog, abs=2e-3)
     assert found["turns"].value == pytest.approx(path.phi[-1] / 2 / np.pi, abs=1e-4)
-    end = np.interp(TEE, path.y[:240], path.x[:240]) if path.y[-1] > TEE else path.x[-1]
+    end = np.interp(TEE, path.y[:240], path.x[:240])
     assert found["curl"].value == pytest.approx(end, abs=3e-3)
 
 
@@ -259,13 +263,8 @@ def test_the_command_line_and_the_report(tmp_path, throw, monkeypatch):
     assert "hog line to hog line" in repr(saved)
     assert "mu / v0" in run("show", "a-fit", "--derive", "mu / v0")
     assert "1e3*mu" in run("fit", "a.csv", *quick, "--config", "c.toml", "--out", "c")
-    both = run("fit", "a.csv", "c.csv", *quick, "--derive", "mu*g") if _copied(tmp_path) else ""
-    assert "mu*g" in both
+    (tmp_path / "b.csv").write_text((tmp_path / "a.csv").read_text())
+    assert "mu*g" in run("fit", "a.csv", "b.csv", *quick[:2], quick[3], "--derive", "mu*g")
     joint = curlfit.load_joint("joint-fit")
     assert joint["mu*g"].stderr == pytest.approx(G * joint["mu"].stderr)
     assert saved.to_frame().loc["mu - 0.01", "verdict"] == "determined"
-
-
-def _copied(folder):
-    (folder / "c.csv").write_text((folder / "a.csv").read_text())
-    return True

@@ -65,6 +65,8 @@ def assemble(
     if not convention.is_standard:
         columns = _to_sheet_axes(columns, convention, len(t))
         notes.append(f"axes: {own if axes is None else axes}")
+    elif "from-hack" in str(own if axes is None else axes):
+        notes.append("y from the hack")
     return Throw.from_arrays(
         t,
         **{name: columns.get(name) for name in CHANNELS},
