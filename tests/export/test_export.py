@@ -18,24 +18,18 @@ from curlfit.export.tables import candidates_csv, parameters_csv, path_csv
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory, eq12_fit):
-    """A fit, and a joint fit of two throws with a sampled one beside it."""
+def folder(tmp_path_factory, eq12, eq12_fit, eq12_posterior):
+    """A fit, a joint fit of two throws, and a sampled one."""
     folder = tmp_path_factory.mktemp("export")
-    law = curlfit.law_with("coulomb", {"mu": 0.009})
-    throws = [
-        curlfit.synthetic_throw(law, curlfit.Stone(), dt=0.5, noise_xy=0.003, noise_phi=0.01,
-                                seed=seed)
-        for seed in (1, 2)
-    ]  # fmt: skip
-    throws = [replace(one, name=f"{name}.csv") for one, name in zip(throws, "ab", strict=True)]
-    joint = curlfit.fit_together(throws, "coulomb").with_derived(["mu*g"])
+    throws = [replace(eq12, name=name, reference=None) for name in ("a.csv", "b.csv")]
+    joint = curlfit.fit_together(throws).with_derived(["mu2_xi*g"])
     for name in ("plain", "joint", "joint/a", "joint/b", "sampled"):
         (folder / name).mkdir()
     joint.save(folder / "joint" / "joint.json")
     for name, one in zip("ab", joint.throws, strict=True):
         one.save(folder / "joint" / name / "fit.json")
     eq12_fit.with_derived(["mu2_xi - mu1_xi", "mu1_eta/mu2_eta"]).save(folder / "plain/fit.json")
-    fit, chain = curlfit.sample(curlfit.fit(throws[0], "coulomb"), effective=200, seed=1)
+    fit, chain = eq12_posterior
     fit.save(folder / "sampled" / "fit.json")
     chain.save(folder / "sampled" / "chain.h5")
     return folder
@@ -84,9 +78,10 @@ def test_every_form_is_written(typed, folder):
     assert json.loads((folder / "one/fit.json").read_text()) == shown
     typed("export", "joint", "--to", "csv", "--to", "latex", "--to", "json")
     found = rows((folder / "joint-export/parameters.csv").read_text())
-    assert [row["throw"] for row in found if row["name"] == "mu"] == ["all"]
+    assert [row["throw"] for row in found if row["name"] == "mu2_xi"] == ["all"]
     assert [row["throw"] for row in found if row["name"] == "v0"] == ["a.csv", "b.csv"]
-    assert {row["name"] for row in found if row["throw"] == "all"} == {"mu", "mu*g"}
+    shared = [row["name"] for row in found if row["throw"] == "all"]
+    assert shared[-2:] == ["mu1_eta + mu2_eta", "mu2_xi*g"]
     path = rows((folder / "joint-export/path.csv").read_text())
     assert {row["throw"] for row in path} == {"a.csv", "b.csv"}
 
@@ -101,8 +96,8 @@ def test_the_posterior_goes_to_arviz(typed, folder):
 
         data = arviz.from_netcdf(str(folder / "sampled-export/posterior.nc"), engine="h5netcdf")
     chain = curlfit.load_chain(folder / "sampled" / "chain.h5")
-    assert float(data.posterior["mu"].mean()) == pytest.approx(
-        chain.of({"mu": 1.0}).mean(), rel=1e-4
+    assert float(data.posterior["mu2_xi"].mean()) == pytest.approx(
+        chain.of({"mu2_xi": 1.0}).mean(), rel=1e-4
     )
     assert data.posterior.sizes["chain"] == chain.ensembles
     assert {"posterior_predictive", "log_likelihood", "observed_data"} <= set(data.groups())
@@ -211,7 +206,7 @@ def test_names_that_tex_would_trip_over(eq12_fit):
 def test_a_joint_fit_and_a_posterior_in_latex(folder):
     joint = curlfit.load_joint(folder / "joint")
     assert "2 throws together" in estimates_table(joint)
-    assert r"$\mu$" in [row[0] for row in cells(estimates_table(joint))]
+    assert r"$\mu_{1\xi}$" in [row[0] for row in cells(estimates_table(joint))]
     head, first, *_ = cells(estimates_table(curlfit.load_fit(folder / "sampled")))
     assert head[3] == r"68\,\% of posterior"
     assert re.fullmatch(r"\$0.00\d+\$ to \$0.00\d+\$", first[3])

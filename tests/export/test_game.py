@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 import subprocess
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -155,6 +157,62 @@ def test_the_exported_stone_comes_to_rest_there_too(tmp_path, table, ends, langu
             )
             assert math.hypot(found[3] - end[0], found[4] - end[1]) < 2 * table.resting_place
             assert found[6] == 0
+
+
+BODY = """
+#include <cstdio>
+#include <cstdlib>
+
+struct b2Vec2 {
+    float x, y;
+    b2Vec2(float x, float y) : x(x), y(y) {}
+};
+
+struct b2Body {  // what a Box2D body does without collisions
+    b2Vec2 place, velocity;
+    float spin;
+    b2Vec2 GetLinearVelocity() const { return velocity; }
+    float GetAngularVelocity() const { return spin; }
+    void SetLinearVelocity(b2Vec2 v) { velocity = v; }
+    void SetAngularVelocity(float w) { spin = w; }
+    void move(float dt) { place.x += dt * velocity.x; place.y += dt * velocity.y; }
+};
+"""
+FRAMES = """
+int main(int, char **words)
+{
+    b2Body body = {b2Vec2(0.3f, 1.0f), b2Vec2(std::atof(words[1]), std::atof(words[2])),
+                   static_cast<float>(std::atof(words[3]))};
+    for (int k = 0; k < 100000; k++) {
+        slow_down(&body, 0.001);
+        body.move(0.001f);
+    }
+    std::printf("%.9g %.9g %g\\n", body.place.x, body.place.y,
+                std::fabs(body.velocity.x) + std::fabs(body.velocity.y) + std::fabs(body.spin));
+}
+"""
+
+
+def test_frames_as_in_digitalcurling_end_there_too(tmp_path, table, ends):
+    """The page's own lines, in single precision."""
+    compiler = shutil.which("c++") or shutil.which("g++")
+    if compiler is None:
+        pytest.skip("no compiler of C++")
+    page = (Path(__file__).parents[2] / "notebooks" / "in_a_game.md").read_text()
+    (code,) = re.findall(r"<!-- frame -->\n```cpp\n(.*?)```", page, re.S)
+    (tmp_path / "curlfit_stone.h").write_text(c_header(table))
+    (tmp_path / "run.cpp").write_text(BODY + code + FRAMES)
+    words = [compiler, "-std=c++17", "-O2", "-Wall", "-Wextra", "run.cpp", "-o", "run"]
+    subprocess.run(words, cwd=tmp_path, check=True)
+    for throw, (_, end) in zip(THROWS, ends, strict=True):
+        start = started(*throw)
+        numbers = map(str, (start.vx, start.vy, start.omega))
+        done = subprocess.run(
+            [tmp_path / "run", *numbers], capture_output=True, text=True, check=True
+        )
+        x, y, speed = map(float, done.stdout.split())
+        assert math.hypot(x - end[0], y - end[1]) < CM
+        assert speed == 0
 
 
 def test_the_record_is_complete(table):
