@@ -41,9 +41,12 @@ def quantities_table(quantities: Mapping[str, Derived]) -> list[RenderableType]:
 
 
 def quantities_line(quantities: Mapping[str, Derived]) -> str:
-    """The same in a line."""
+    """The first of them in a line."""
     parts = []
-    for name, item in quantities.items():
+    for name in ("friction", "curl", "turns", "hog_to_hog"):
+        if name not in quantities:
+            continue
+        item = quantities[name]
         one = to_its_side(item) if name in ("curl", "turns") else item
         unit = "" if item.unit in ("", "1") else f" {item.unit}"
         parts.append(f"{one.meaning.partition(',')[0]} {compact(one.value, one.stderr)}{unit}")

@@ -110,7 +110,7 @@ def parse(text: str, names: Iterable[str], sums: Mapping[str, Mapping[str, float
     except (SyntaxError, ValueError, MemoryError, RecursionError):
         raise InputError(
             f"{said}: not an arithmetic expression; expected one such as "
-            f"'{known[0]} / {known[-1]}', with + - * / ** and parentheses"
+            f"'{known[0]} / {known[min(1, len(known) - 1)]}', with + - * / ** and parentheses"
         ) from None
     used: dict[str, None] = {}
     _check(tree, said, known, used)
