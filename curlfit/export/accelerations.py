@@ -211,8 +211,8 @@ def tabulate(fit: FitResult) -> AccelerationTable:
     stone = stone.with_values(given)
     if isinstance(law, NetLaw):
         raise InputError(
-            f"law {law.name} has no contact ring: its accelerations are powers of the speed, which "
-            "`curlfit laws` prints; no table is needed"
+            f"law {law.name} has no contact ring: its accelerations are the formula that `curlfit "
+            "laws` prints; no table is needed"
         )
     if any(depends_on_turned_and_time(law, stone)):
         raise InputError(
