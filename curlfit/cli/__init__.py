@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from curlfit.batch.command import batch
+from curlfit.cli.export import export
 from curlfit.cli.fit import fit
 from curlfit.cli.laws import laws
 from curlfit.cli.saved import plot, show
@@ -51,7 +52,8 @@ def _root(
 
 
 for _verb in (
-    check, fit, compare, batch, predict, profile, design, show, plot, simulate, laws, reproduce,
+    check, fit, compare, batch, predict, profile, design, show, plot, export, simulate, laws,
+    reproduce,
 ):  # fmt: skip
     app.command()(_verb)
 

@@ -44,6 +44,7 @@ def fit(
     prior: o.PriorText = None,
     systematic: o.Systematic = None,
     start: o.Start = None,
+    derive: o.Derive = None,
     sigma: o.Sigma = None,
     loss: o.Loss = None,
     noise: o.NoiseModel = None,
@@ -110,7 +111,7 @@ def fit(
         o.reader_options(format, axes, units, reference, stone_index, shot, handle, as_given),
         law=law, load=load, since=since, until=until, exclude=exclude, swept=sweep,
         stone=stone, sigma=sigma, fix=fix, bound=bound, start=start, unbounded=unbounded,
-        free=free, prior=prior, loss=loss, noise=noise, seed=seed,
+        free=free, prior=prior, loss=loss, noise=noise, seed=seed, derive=derive,
         systematic=s.pairs("--systematic", systematic or ()),
     )  # fmt: skip
     several = len(data) > 1
@@ -142,7 +143,7 @@ def fit(
         with _status(console, "Fitting (a first run on a machine compiles the model)"):
             result = request.fit()
     else:
-        result = saved
+        result = request.with_derived(saved)
     written = [folder / "fit.json"]
     if not no_sample:
         result = result.before_sampling()
@@ -273,6 +274,7 @@ def _fit_jointly(
     from curlfit.errors import InputError
     from curlfit.friction import check_load, find_law
     from curlfit.inference.conditions import check_systematics
+    from curlfit.inference.derived import check_derived
     from curlfit.inference.noise.models import check_loss, check_noise
     from curlfit.inference.parameters import ParameterSet
     from curlfit.output.files import prepare_folder
@@ -299,6 +301,8 @@ def _fit_jointly(
             raise InputError(
                 f"--share {name}: law {law.name} has no such coefficient; it has {', '.join(own)}"
             )
+    derive = settings.get("derive", [])
+    check_derived(derive, own)
     systematics = settings.get("systematic", {})
     check_systematics(systematics)
     choices = s.parameter_choices(settings)
@@ -334,7 +338,7 @@ def _fit_jointly(
         result = fit_together(
             throws, law, share=names, load=load, start=start, loss=loss, noise=noise,
             systematics=systematics, progress=show_step, **choices,
-        )  # fmt: skip
+        ).with_derived(derive)  # fmt: skip
     written = [folder / "joint.json"]
     result.save(written[0])
     for name, one in zip(named, result.throws, strict=True):

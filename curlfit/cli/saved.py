@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 import curlfit
+from curlfit.options import flags as o
 from curlfit.options.settings import chain_beside, kind_of
 
 if TYPE_CHECKING:
@@ -41,8 +42,13 @@ def show(
         typer.Argument(help="Folder of results, or the JSON file in it.", metavar="DIR"),
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print the JSON record.")] = False,
+    derive: o.Derive = None,
 ) -> None:
-    """Print the report again of a saved fit, joint fit, comparison, prediction, profile, design."""
+    """Print the report again of a saved fit, joint fit, comparison, prediction, profile, design.
+
+    Example: `curlfit show throw-fit --derive "mu2_xi - mu1_xi"`
+    """
+    from curlfit.errors import InputError
     from curlfit.output.console import terminal
     from curlfit.output.files import json_safe
 
@@ -50,9 +56,16 @@ def show(
     names = _KINDS[kind]
     result: Any
     if kind == "fit":
-        result, _ = _load_fit(folder)
+        result, chain = _load_fit(folder)
+        if derive and chain is None and result.posterior is not None:
+            file = chain_beside(folder)
+            chain = curlfit.load_chain(file) if file.is_file() else None
+        result = result.with_derived(derive, chain) if derive else result
     else:
+        if derive and kind != "joint":
+            raise InputError(f"--derive: {folder} is no fit; expected the folder of a fit")
         result = getattr(curlfit, names.load)(folder)
+        result = result.with_derived(derive) if derive else result
     if as_json:
         print(json.dumps(json_safe(getattr(result, names.record)()), indent=1))
     else:

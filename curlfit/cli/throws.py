@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from curlfit.options import flags as o
 from curlfit.options import settings as s
+
+if TYPE_CHECKING:
+    from curlfit.environment import Environment
+    from curlfit.friction import Law
+    from curlfit.stone import Stone
+
+_START = "Start"
+_CONDITIONS = "Conditions"
 
 
 def check(
@@ -81,22 +89,85 @@ def check(
 
 
 def simulate(
-    law: Annotated[str, typer.Option(help="Friction law; `curlfit laws` lists them.")] = (
-        "front-back"
-    ),
+    fit: Annotated[
+        Path | None,
+        typer.Option(
+            help="A saved fit: its law, load, stone, conditions and start, each unless another is "
+            "given.",
+            metavar="DIR",
+        ),
+    ] = None,
+    law: Annotated[
+        str | None,
+        typer.Option(help="Friction law; `curlfit laws` lists them. [default: front-back]"),
+    ] = None,
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", help="A coefficient; the law's default if not set.", metavar="N=V"),
     ] = None,
     unbounded: o.Unbounded = False,
-    load: Annotated[str, typer.Option(help="`uniform` or `consistent`.")] = "uniform",
+    load: Annotated[
+        str | None, typer.Option(help="`uniform` or `consistent`. [default: uniform]")
+    ] = None,
     stone: o.StoneValues = None,
-    v0: Annotated[float, typer.Option(help="Initial speed, m/s.")] = 2.0,
-    omega0: Annotated[float, typer.Option(help="Initial spin, rad/s, counter-clockwise.")] = 1.0,
+    v0: Annotated[
+        float | None, typer.Option(help="Speed, m/s. [default: 2]", rich_help_panel=_START)
+    ] = None,
+    omega0: Annotated[
+        float | None,
+        typer.Option(help="Spin, rad/s, counter-clockwise. [default: 1]", rich_help_panel=_START),
+    ] = None,
     heading: Annotated[
-        float, typer.Option(help="Initial direction, rad, from +y toward +x.")
-    ] = 0.0,
-    until: Annotated[float, typer.Option(help="Last time, s.")] = 20.0,
+        float | None,
+        typer.Option(
+            help="Direction, rad, from +y toward +x. [default: 0]", rich_help_panel=_START
+        ),
+    ] = None,
+    x0: Annotated[
+        float | None,
+        typer.Option(help="Position to the right, m. [default: 0]", rich_help_panel=_START),
+    ] = None,
+    y0: Annotated[
+        float | None,
+        typer.Option(help="Position along, m. [default: 0]", rich_help_panel=_START),
+    ] = None,
+    phi0: Annotated[
+        float | None, typer.Option(help="Angle, rad. [default: 0]", rich_help_panel=_START)
+    ] = None,
+    line: Annotated[
+        str | None,
+        typer.Option(
+            "--line",
+            help="Start on a line of the sheet: `hack`, `back`, `tee`, `hog` (the near ones), "
+            "`centre` or `far-hog`; y is then measured from the hack.",
+            metavar="NAME",
+            rich_help_panel=_START,
+        ),
+    ] = None,
+    slope_x: Annotated[
+        float | None,
+        typer.Option(help="Fall of the ice to the right, m/m.", rich_help_panel=_CONDITIONS),
+    ] = None,
+    slope_y: Annotated[
+        float | None,
+        typer.Option(help="Fall of the ice along the throw, m/m.", rich_help_panel=_CONDITIONS),
+    ] = None,
+    drag: Annotated[
+        float | None,
+        typer.Option(help="Drag coefficient in still air, about 0.8.", rich_help_panel=_CONDITIONS),
+    ] = None,
+    sweep: Annotated[
+        str | None,
+        typer.Option(
+            help="The stone is swept from A to B (s): the friction meanwhile, over that before.",
+            metavar="A:B=V",
+            rich_help_panel=_CONDITIONS,
+        ),
+    ] = None,
+    until: Annotated[
+        float | None,
+        typer.Option(help="Last time, s. [default: 20; of a fit, as long as its record]"),
+    ] = None,
     dt: Annotated[float, typer.Option(help="Time between rows, s.")] = 0.1,
     noise_xy: Annotated[float, typer.Option(help="Standard deviation on x and y, m.")] = 0.0,
     noise_phi: Annotated[float, typer.Option(help="Standard deviation on phi, rad.")] = 0.0,
@@ -105,32 +176,58 @@ def simulate(
 ) -> None:
     """Simulate a throw under a friction law, in the format that `curlfit fit` reads.
 
-    Example: `curlfit simulate --set mu2_xi=0.06 --noise-xy 0.005 --noise-phi 0.01 --out a.csv`
-    """
-    from curlfit.errors import warn_once
-    from curlfit.stone import Stone
-    from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
+    Examples:
 
+    `curlfit simulate --set mu2_xi=0.06 --noise-xy 0.005 --noise-phi 0.01 --out a.csv`
+
+    `curlfit simulate --line hog --v0 2.3 --slope-x 2e-4 --drag 0.8 --sweep 8:14=0.9 --out b.csv`
+
+    `curlfit simulate --fit a-fit --omega0=-1.2 --until 30 --out c.csv`: another throw of a fit
+    """
+    from dataclasses import replace
+
+    from curlfit.environment import Environment
+    from curlfit.errors import InputError, warn_once
+    from curlfit.throws.synthetic import synthetic_throw, write_table
+
+    start = {
+        name: value
+        for name, value in {
+            "x0": x0, "y0": y0, "heading": heading, "v0": v0, "phi0": phi0, "omega0": omega0,
+        }.items()
+        if value is not None
+    }  # fmt: skip
+    if line is not None:
+        if y0 is not None:
+            raise InputError("--line and --y0: expected one of them")
+        start["y0"] = _line(line)
+    ice: dict[str, Any] = {
+        name: value
+        for name, value in {"slope_x": slope_x, "slope_y": slope_y, "drag": drag}.items()
+        if value is not None
+    }
+    if sweep is not None:
+        ice |= _sweeping(sweep)
+    given = _Given(law, s.pairs("--set", set_ or ()), unbounded, s.pairs("--stone", stone or ()))
+    model = _given_model(given) if fit is None else _fitted_model(fit, given)
     throw = synthetic_throw(
-        law_with(law, s.pairs("--set", set_ or ()), unbounded=unbounded),
-        Stone().with_values(s.pairs("--stone", stone or ())),
-        load=load,
-        v0=v0,
-        omega0=omega0,
-        heading=heading,
-        until=until,
-        dt=dt,
-        noise_xy=noise_xy,
-        noise_phi=noise_phi,
-        seed=seed,
-    )
+        model.law,
+        model.stone,
+        load=load or model.load,
+        environment=replace(model.environment, **ice) if ice or model.environment != Environment()
+        else None,
+        until=model.duration if until is None else until,
+        dt=dt, noise_xy=noise_xy, noise_phi=noise_phi, seed=seed,
+        **(model.start | start),
+    )  # fmt: skip
+    if line is not None:
+        throw = throw.with_defaults(axes="from-hack")
     for note in throw.notes:
         warn_once(note)
     text = write_table(throw)
     if out is None:
         typer.echo(text, nl=False)
         return
-    from curlfit.errors import InputError
     from curlfit.output.files import atomic_write
 
     if not out.parent.is_dir():
@@ -138,3 +235,92 @@ def simulate(
     with atomic_write(out) as temporary:
         temporary.write_text(text)
     typer.echo(f"Written: {out}")
+
+
+class _Given(NamedTuple):
+    """Flags that name the model of a simulation."""
+
+    law: str | None
+    coefficients: dict[str, float]
+    unbounded: bool
+    stone: dict[str, float]
+
+
+class _Simulated(NamedTuple):
+    """What is simulated where no flag says otherwise."""
+
+    law: Law
+    stone: Stone
+    load: str
+    environment: Environment
+    start: dict[str, float]
+    duration: float
+
+
+def _given_model(given: _Given) -> _Simulated:
+    from curlfit.environment import Environment
+    from curlfit.stone import Stone
+    from curlfit.throws.synthetic import law_with
+
+    law = law_with(given.law or "front-back", given.coefficients, unbounded=given.unbounded)
+    return _Simulated(
+        law, Stone().with_values(given.stone), "uniform", Environment(), {"v0": 2.0, "omega0": 1.0},
+        20.0,
+    )  # fmt: skip
+
+
+def _fitted_model(folder: Path, given: _Given) -> _Simulated:
+    """Law, stone, conditions and start of a saved fit, but for what is given."""
+    from dataclasses import replace
+
+    from curlfit.environment import Environment
+    from curlfit.errors import UnusableFitError
+    from curlfit.inference.parameters import START
+    from curlfit.inference.system import System
+    from curlfit.throws.synthetic import law_with
+
+    fit, _ = s.load_fit_and_chain(folder)
+    if not fit.converged:
+        raise UnusableFitError(f"{folder}: nothing can be simulated from this fit: {fit.status}")
+    system = System.of(fit.model, [float(value) for value in fit.values], fit.stone, Environment())
+    environment, swept = system.environment, fit.data["swept"]
+    begin = fit.data["from"]
+    if swept is not None:
+        environment = replace(environment, swept_from=swept[0] - begin, swept_to=swept[1] - begin)
+    if given.law is None or given.law == fit.law:
+        own = {name: item.value for name, item in fit.coefficients.items()}
+        law = fit.fitted_law
+        if given.coefficients:
+            law = law_with(fit.law_class, given.coefficients, unbounded=given.unbounded, others=own)
+    else:
+        law = law_with(given.law, given.coefficients, unbounded=given.unbounded)
+    return _Simulated(
+        law, system.stone.with_values(given.stone), fit.load, environment,
+        {item.name: fit.parameters[item.name].value for item in START},
+        fit.data["to"] - begin,
+    )  # fmt: skip
+
+
+def _line(name: str) -> float:
+    """y of a line, m from the hack."""
+    from curlfit.errors import InputError
+    from curlfit.sheet import LINES
+
+    names = list(LINES)[:-1]
+    if name not in names:
+        raise InputError(f"--line {name}: expected one of {', '.join(names)}")
+    return LINES[name]
+
+
+def _sweeping(text: str) -> dict[str, float]:
+    """`A:B=V` as conditions."""
+    from curlfit.errors import InputError
+
+    period, equals, factor = text.partition("=")
+    if not equals:
+        raise InputError(f"--sweep {text}: expected A:B=V, times in s and the ratio of friction")
+    pairs = s.swept_choice(period)
+    value = s.number("--sweep", period, factor)
+    if value < 0 or pairs is None:
+        raise InputError(f"--sweep {text}: expected a ratio of friction of 0 or more")
+    return {"sweep": value, "swept_from": pairs[0], "swept_to": pairs[1]}

@@ -45,14 +45,15 @@ class CurveModel:
         count = len(self._problem.times)
         self._t = np.linspace(observed[0], observed[-1], count)
         none = np.zeros_like(self._problem.weight)
-        self._evenly = self._problem._replace(times=self._t - origin.t, weight=none)
+        self._path = self._problem._replace(events=None)
+        self._evenly = self._path._replace(times=self._t - origin.t, weight=none)
 
     def at(self, values: Floats) -> Curves:
         """The curves at a parameter vector, in the order of the fit's parameters."""
         local = np.asarray(values, float) - self._offset
         path, rows = (
             np.asarray(predict_channels(self._model, local, problem)) + self._place
-            for problem in (self._evenly, self._problem)
+            for problem in (self._evenly, self._path)
         )
         (chi_squared,) = chi_squared_of_many(
             self._model, local[None], stacked([self._problem]), batch=1

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import RenderableType
 from rich.text import Text
 
+from curlfit.inference.derived_report import derived_table, quantities_line, quantities_table
 from curlfit.inference.fit.result import FitResult, Posterior
 from curlfit.inference.joint.result import JointResult
 from curlfit.inference.report import about_posterior, identifiability
@@ -32,6 +33,8 @@ def _(fit: FitResult) -> Overview:
     noise = "" if fit.noise.kind == "white" else f", {fit.noise.kind} noise"
     parts: list[RenderableType] = [
         table_of(fit.parameters, fit.combinations, fit.systematics, len(fit.coefficients)),
+        *derived_table(fit.derived),
+        *quantities_table(fit.quantities),
         Text(identifiability(fit)),
     ]
     if fit.posterior is not None:
@@ -39,7 +42,7 @@ def _(fit: FitResult) -> Overview:
     return Overview(
         _uncapitalized(fit.status),
         f"{fit.law} law, {fit.load} load{loss}{noise}, fitted to {fit.data['file']}",
-        _lines(fit.coefficients, fit.combinations),
+        [*_lines(fit.coefficients, fit.combinations), quantities_line(fit.quantities)],
         parts,
         fit.warnings,
         style="green" if fit.converged else "bold red",

@@ -11,6 +11,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from curlfit.inference.conditions import if_off
+from curlfit.inference.derived_report import derived_table, quantities_table
 from curlfit.inference.parameters import START
 from curlfit.output.console import terminal
 from curlfit.output.text import STYLE, decimals, format_estimate, from_to, join_words, plain_table
@@ -46,6 +47,7 @@ def print_fit(fit: FitResult, console: Console | None = None) -> None:
 def report(fit: FitResult) -> RenderableType:
     """The report of a fit, for a rich console."""
     parts: list[RenderableType] = [_heading(fit), _coefficients(fit), *_student(fit)]
+    parts += [*derived_table(fit.derived), *quantities_table(fit.quantities)]
     if said := systematics(fit.systematics, _reported(fit)):
         parts.append(Padding(Text(said), (0, 0, 1, 0)))
     parts += _beside_reference(fit)

@@ -57,6 +57,15 @@ Systematic = Annotated[
         metavar="NAME=V",
     ),
 ]
+Derive = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="A quantity derived from the parameters, with its errors: `mu2_xi - mu1_xi`, "
+        "`R*omega0/v0`, `sqrt(mu1_eta + mu2_eta)`; arithmetic of parameters, of "
+        "R, rho, h, m, g, pi, and sqrt, exp, log, sin, cos, tan, atan, abs, hypot, min, max.",
+        metavar="EXPRESSION",
+    ),
+]
 Start = Annotated[
     list[str] | None,
     typer.Option(help="Initial value; derived from the data if not given.", metavar="NAME=V"),

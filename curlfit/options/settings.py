@@ -26,7 +26,8 @@ READER_OPTIONS = (
 """Settings of the readers."""
 _SETTINGS = (
     "law", "load", "since", "until", "exclude", "swept", "stone", "sigma", "fix", "bound", "start",
-    "unbounded", "free", "prior", "systematic", "loss", "noise", "seed", *READER_OPTIONS,
+    "unbounded", "free", "prior", "systematic", "loss", "noise", "seed", "derive",
+    *READER_OPTIONS,
 )  # fmt: skip
 
 
@@ -201,6 +202,9 @@ def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
     free = settings.get("free", [])
     if not isinstance(free, list) or not all(isinstance(name, str) for name in free):
         raise InputError(f"{origin}: free = {free!r}; expected a list of names")
+    derive = settings.get("derive", [])
+    if not isinstance(derive, list) or not all(isinstance(text, str) for text in derive):
+        raise InputError(f"{origin}: derive = {derive!r}; expected a list of texts")
     for name, value in settings.get("prior", {}).items():
         if not isinstance(value, str):
             raise InputError(
@@ -383,12 +387,18 @@ class FitRequest(NamedTuple):
         """Run the fit."""
         from curlfit.inference.fit.fit import fit
 
-        return fit(
+        found = fit(
             self.throw, self.law, load=self.load, stone=self.stone,
             start=self.settings.get("start"), loss=self.loss, noise=self.noise,
             systematics=self.settings.get("systematic"), **row_choices(self.settings),
             **self.choices,
         )  # fmt: skip
+        return self.with_derived(found)
+
+    def with_derived(self, fit: FitResult) -> FitResult:
+        """The fit with the derived quantities that the settings ask for."""
+        wanted = self.settings.get("derive")
+        return fit if wanted is None else fit.with_derived(wanted)
 
 
 def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> FitRequest:
@@ -400,6 +410,7 @@ def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Fi
     """
     from curlfit.friction import check_load, find_law
     from curlfit.inference.conditions import check_systematics
+    from curlfit.inference.derived import check_derived
     from curlfit.inference.noise.models import check_loss, check_noise
     from curlfit.inference.parameters import ParameterSet
     from curlfit.throws.plausibility import require_plausible
@@ -415,6 +426,7 @@ def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Fi
     require_plausible(cut)
     parameters = ParameterSet.for_throw(law, cut, **is_swept(choices))
     parameters.require("--start", settings.get("start", {}))
+    check_derived(settings.get("derive", ()), parameters.names)
     return FitRequest(throw, cut, settings, law, load, loss, noise, stone, choices, parameters)
 
 

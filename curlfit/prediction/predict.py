@@ -25,6 +25,7 @@ import numpy as np
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, no_motion_because
 from curlfit.inference.fit.fit import refit
+from curlfit.inference.fit.quantities import counts_from_hack
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.mcmc.ridge import ridge_move
@@ -39,7 +40,7 @@ from curlfit.prediction.diagnostics import (
 )
 from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import VARIED, ThrowFamily, TrajectoryEnsemble
-from curlfit.prediction.request import ThrowRequest, ThrowStart, counts_from_hack, start_of
+from curlfit.prediction.request import ThrowRequest, ThrowStart, start_of
 from curlfit.prediction.result import (
     PREDICTED,
     QUANTITIES,

@@ -150,11 +150,3 @@ def start_of(fit: FitResult, request: ThrowRequest) -> ThrowStart:
         )  # fmt: skip
         values |= {"v0": found.v0, "heading": found.heading}
     return ThrowStart(values, (0.0, 0.0), line)
-
-
-def counts_from_hack(fit: FitResult) -> bool:
-    """Whether y of the data is measured from the hack, by the notes of the reader."""
-    return any(
-        note.startswith("y from the hack") or (note.startswith("axes:") and "from-" in note)
-        for note in fit.data["notes"]
-    )

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.numerics.arrays import Floats
@@ -72,16 +73,27 @@ def synthetic_throw(
     v0: float = 2.0,
     omega0: float = 1.0,
     heading: float = 0.0,
+    x0: float = 0.0,
+    y0: float = 0.0,
+    phi0: float = 0.0,
+    environment: Environment | None = None,
     until: float = 20.0,
     dt: float = 0.1,
     noise_xy: float = 0.0,
     noise_phi: float = 0.0,
     seed: int = 0,
 ) -> Throw:
-    """A throw from the origin with independent Gaussian noise on x, y (m) and phi (rad).
+    """A throw with independent Gaussian noise on x, y (m) and phi (rad).
 
-    The true coefficients are the reference of the throw. A note reports where the stone gains
-    energy, which friction cannot provide.
+    The true coefficients and conditions are the reference of the throw. A note reports where the
+    stone gains energy, which friction cannot provide.
+
+    Parameters
+    ----------
+    v0, omega0, heading, x0, y0, phi0 : the start (m/s, rad/s, rad, m, m, rad).
+    environment : slope of the ice, drag of the air, sweeping (its times from the start); none of
+        them by default.
+    until, dt : the last time and the time between rows, s.
 
     Raises
     ------
@@ -103,7 +115,10 @@ def synthetic_throw(
                 f"{name} = {value:g}: expected a {'positive' if least is None else 'non-negative'} "
                 "number"
             )
-    for name, value in (("omega0", omega0), ("heading", heading)):
+    for name, value in (
+        ("omega0", omega0), ("heading", heading), ("x0", x0), ("y0", y0), ("phi0", phi0),
+        *(item for item in _conditions(environment).items()),
+    ):  # fmt: skip
         if not math.isfinite(value):
             raise InputError(f"{name} = {value}: expected a finite number")
     rows = math.floor(until / dt + 1e-9) + 1
@@ -114,16 +129,18 @@ def synthetic_throw(
     from curlfit.dynamics.trajectory import InitialState, simulate
 
     t: Floats = np.arange(rows, dtype=np.float64) * dt
-    path = simulate(
-        law, stone, InitialState(heading=heading, v=v0, omega=omega0), t, load=checked
-    ).to_numpy()
+    start = InitialState(x=x0, y=y0, heading=heading, v=v0, phi=phi0, omega=omega0)
+    path = simulate(law, stone, start, t, load=checked, environment=environment).to_numpy()
     if not np.isfinite(path.x).all():
         raise InputError(
             f"law {law.name} with {load} load admits no motion from this start"
             + no_motion_because(load)
         )
     energy = path.vx**2 + path.vy**2 + (stone.rho * path.omega) ** 2
-    gains = np.flatnonzero(np.diff(energy) > _ENERGY_GAIN * energy[:-1])
+    if environment is None or not (environment.slope_x or environment.slope_y):
+        gains = np.flatnonzero(np.diff(energy) > _ENERGY_GAIN * energy[:-1])
+    else:  # by gravity
+        gains = np.zeros(0, int)
     notes: tuple[str, ...] = ()
     if len(gains):
         first, most = t[gains[0]], t[int(np.argmax(energy))]
@@ -141,11 +158,22 @@ def synthetic_throw(
         name="synthetic throw",
         notes=notes,
         reference=Reference(
-            "true value", law.name, {name: float(getattr(law, name)) for name in names}
+            "true value",
+            law.name,
+            {name: float(getattr(law, name)) for name in names} | _conditions(environment),
         ),
         defaults={"stone": stone.as_dict(), "load": checked}
         | ({} if law.origin else {"law": law.name}),
     )
+
+
+def _conditions(environment: Environment | None) -> dict[str, float]:
+    """What is not as on level ice in still air, by name."""
+    if environment is None:
+        return {}
+    usual, names = Environment(), ("slope_x", "slope_y", "drag", "wear", "sweep")
+    found = {name: float(getattr(environment, name)) for name in names}
+    return {name: value for name, value in found.items() if value != getattr(usual, name)}
 
 
 def write_table(throw: Throw) -> str:

@@ -28,7 +28,9 @@ NOT_HERE = tuple(
 )
 MAIN = "curlfit fit data/jensen_shegelski_2004.csv"
 PYTHON = re.findall(r"```python\n(.*?)```", README, re.S)
-FIRST = tuple(f"curlfit {verb} " for verb in ("fit", "simulate", "batch", "predict", "profile"))
+FIRST = tuple(
+    f"curlfit {verb} " for verb in ("fit", "simulate", "batch", "predict", "profile", "export")
+)
 TABLE = re.search(r"A text table with a header:\n\n```text\n(.*?)```", README, re.S)[1]
 INLINE = re.findall(r"`(curlfit(?: [^`]+))`", README)
 

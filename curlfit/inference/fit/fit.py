@@ -17,6 +17,7 @@ from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.change_points import friction_change
 from curlfit.inference.fit.missing_channels import remedies
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
+from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import LeastSquaresFit, summarize, summarize_many
@@ -130,6 +131,7 @@ def fit(
     result = summarize(found, widths_of(model, systematics))
     if not result.converged:
         return result
+    result = replace(result, quantities=quantities_of(result))
     doubtful = any(item.doubtful for item in result.independence.values())
     if doubtful and loss == "linear" and noise == "white" and "sweep" not in result.conditions:
         change = friction_change(found)

@@ -7,6 +7,7 @@ drawn and sampled again without the data file and without fitting.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, fields, replace
 from os import PathLike
 from pathlib import Path
@@ -14,8 +15,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from curlfit.errors import InputError
 from curlfit.friction import LAWS, Law, Parameter, check_load, find_law
 from curlfit.inference.conditions import CONDITIONS
+from curlfit.inference.derived import Derived, FirstOrder, derive
 from curlfit.inference.identifiability import Combination, student_interval
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import WHITE, Independence, Noise
@@ -148,17 +151,23 @@ class NamedEstimates(Displayed):
 
     combinations: tuple[Combination, ...]
     systematics: Systematics
+    derived: tuple[Derived, ...]
 
     @property
     def _estimates(self) -> dict[str, Estimate]:
         """The parameters by name."""
         raise NotImplementedError
 
-    def _items(self) -> dict[str, Estimate | Combination]:
-        return {**self._estimates, **{item.expression: item for item in self.combinations}}
+    def _items(self) -> dict[str, Estimate | Combination | Derived]:
+        sums = {item.expression: item for item in self.combinations}
+        # A combination that was asked for by name is itself.
+        named = self._estimates.keys() | sums.keys()
+        others = {one.expression: one for one in self.derived if one.expression not in named}
+        return {**self._estimates, **sums, **others}
 
-    def __getitem__(self, name: str) -> Estimate | Combination:
-        """A parameter or a determined combination. Raises KeyError for any other name."""
+    def __getitem__(self, name: str) -> Estimate | Combination | Derived:
+        """A parameter, a determined combination or a derived quantity. Raises KeyError for any
+        other name."""
         found = self._items().get(name)
         if found is None:
             raise KeyError(f"no {name!r}; there are {', '.join(self._items())}")
@@ -186,10 +195,11 @@ class NamedEstimates(Displayed):
         rows, errors = [], self.systematics.errors
         for name, item in self._items().items():
             verdict, unit = "determined", ""
-            if isinstance(item, Estimate):
+            if isinstance(item, Estimate | Derived):
                 verdict, unit = item.verdict, item.unit
+            error = item.systematic if isinstance(item, Derived) else errors.get(name)
             value = math.nan if verdict == "not identifiable" else item.value
-            numbers = (item.stderr, errors.get(name), *(item.interval() or (None, None)))
+            numbers = (item.stderr, error, *(item.interval() or (None, None)))
             known = (math.nan if number is None else number for number in numbers)
             rows.append((value, *known, verdict, unit))
         heads = ("value", "stderr", "systematic", "low", "high", "verdict", "unit")
@@ -233,6 +243,9 @@ class FitResult(NamedEstimates):
     chi_squared, prior_chi_squared : of the data, and of the priors.
     events : measured times and places at lines and at rest, each as the attributes of
         `curlfit.throws.events.Event`, with what the fit says, "fitted".
+    derived : what was asked for by `--derive` and `with_derived`.
+    quantities : of the path within the record, by name: "friction" (mean deceleration over g),
+        "curl", "turns", "hog_to_hog" ..., as far as the record determines them.
 
     Examples
     --------
@@ -240,6 +253,7 @@ class FitResult(NamedEstimates):
     FitResult, converged (... steps): front-back law, uniform load, fitted to ...
     mu1_xi = 0.000417(27), mu2_xi = 0.055627(25), mu1_eta + mu2_eta = 0.017573(16)
     not identifiable: mu1_eta, mu2_eta
+    mean deceleration over g 0.0087830(78), curl to the left 0.71242(50) m, turns ...
     1 warning, see curlfit.print_fit
     >>> fit["mu1_eta + mu2_eta"].interval(0.95)
     (0.0175..., 0.0176...)
@@ -285,6 +299,8 @@ class FitResult(NamedEstimates):
     chi_squared: float = math.nan
     prior_chi_squared: float = 0.0
     events: tuple[dict[str, Any], ...] = ()
+    derived: tuple[Derived, ...] = ()
+    quantities: dict[str, Derived] = field(default_factory=dict)
 
     @property
     def law_class(self) -> type[Law]:
@@ -360,6 +376,52 @@ class FitResult(NamedEstimates):
             if name in self.fitted
         }
 
+    @property
+    def fitted_law(self) -> Law:
+        """The law with the fitted coefficients, as `curlfit.simulate` takes it."""
+        return self.law_class.from_vector([item.value for item in self.coefficients.values()])
+
+    @property
+    def first_order(self) -> FirstOrder:
+        """What the fit says of its parameters, to first order."""
+        return FirstOrder(
+            self.parameters, self.covariance, self.null_directions, self.combinations,
+            self.systematics.widths, self.systematics.shifts, self.stone.as_dict(),
+        )  # fmt: skip
+
+    def derive(self, expression: str, chain: Any = None) -> Derived:
+        """A quantity derived from the parameters, with its errors to first order.
+
+        Parameters
+        ----------
+        expression : arithmetic (+ - * / ** and parentheses; sqrt, exp, log, log10, sin, cos, tan,
+            atan, abs, hypot, min, max) of parameters, determined combinations, the stone's R, rho,
+            h and m, g and pi.
+        chain : a posterior sample of this fit, for quantiles.
+
+        Raises
+        ------
+        InputError : it is no arithmetic of such names, or has no finite value.
+
+        Examples
+        --------
+        >>> gap = fit.derive("mu2_xi - mu1_xi")
+        >>> round(gap.value, 4), gap.verdict
+        (0.0552, 'determined')
+        >>> fit.derive("mu1_eta / mu2_eta").verdict
+        'not identifiable'
+        """
+        samples = None
+        if chain is not None:
+            if tuple(chain.names) != tuple(self.parameters):
+                raise InputError("the chain is of another fit: its parameters differ")
+            samples = dict(zip(chain.names, chain.flat.T, strict=True))
+        return derive(self.first_order, expression, samples)
+
+    def with_derived(self, expressions: Iterable[str], chain: Any = None) -> FitResult:
+        """The same with some derived quantities, see `derive`."""
+        return replace(self, derived=tuple(self.derive(text, chain) for text in expressions))
+
     def with_posterior(self, posterior: Posterior) -> FitResult:
         """The same with a posterior."""
         return replace(self, posterior=posterior, sampling="ended")
@@ -403,6 +465,8 @@ class FitResult(NamedEstimates):
             "systematics": asdict(self.systematics),
             "chi_squared": self.chi_squared,
             "prior_chi_squared": self.prior_chi_squared,
+            "derived": [asdict(item) for item in self.derived],
+            "quantities": {name: asdict(item) for name, item in self.quantities.items()},
             "sampling": self.sampling,
             "posterior": None if self.posterior is None else asdict(self.posterior),
             "observed": {name: series.tolist() for name, series in self.observed.items()},
@@ -457,6 +521,13 @@ class FitResult(NamedEstimates):
             systematics=Systematics(**known_fields(Systematics, found.get("systematics", {}))),
             chi_squared=_finite(found.get("chi_squared")),
             prior_chi_squared=_finite(found.get("prior_chi_squared", 0.0)),
+            derived=tuple(
+                Derived(**known_fields(Derived, item)) for item in found.get("derived", ())
+            ),
+            quantities={
+                name: Derived(**known_fields(Derived, item))
+                for name, item in found.get("quantities", {}).items()
+            },
         )
 
     def save(self, file: str | PathLike[str]) -> None:

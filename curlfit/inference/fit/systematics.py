@@ -77,7 +77,7 @@ def residual_changes(
                 change[:, -1] = _of_events(model, problems, values, paths, width, batch)
             change = change * width
         else:
-            changed = _changed(problems, name, _STEP * width)
+            changed = with_condition_off(problems, name, _STEP * width)
             change = (predict_many(model, values, changed, batch) - paths) / _STEP
         change = change[:, :channels] * problems.weight
         if problems.whitener is not None:
@@ -107,7 +107,7 @@ def _of_events(
     return (moved - paths[:, -1]) / small + found
 
 
-def _changed(problems: Problem, name: str, by: float) -> Problem:
+def with_condition_off(problems: Problem, name: str, by: float) -> Problem:
     """Problems with a condition off by something."""
     if name == "time_scale":
         events = problems.events

@@ -16,6 +16,7 @@ import numpy as np
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.inference.fit.prepared import PreparedThrow
+from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import Estimate, Systematics
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize
@@ -25,7 +26,7 @@ from curlfit.inference.fit.systematics import (
     shifts_by_name,
     widths_of,
 )
-from curlfit.inference.identifiability import analyse, visible
+from curlfit.inference.identifiability import Identifiability, analyse, visible
 from curlfit.inference.initial_values import smooth, start_values
 from curlfit.inference.joint.heterogeneity import differences_of
 from curlfit.inference.joint.result import JointResult
@@ -147,6 +148,24 @@ def _information(linearized: LinearizedProblem, own: Indices, open_: Booleans) -
     }
 
 
+def _of_throw(known: Identifiability, joint: Any, names: Sequence[str]) -> dict[str, Any]:
+    """Covariance and null directions of the parameters of a throw, which have other names in the
+    joint vector."""
+    own = dict(zip(map(str, joint), names, strict=True))
+    rows = [row for row, name in enumerate(known.names) if name in own]
+    directions = (
+        {own[name]: weight for name, weight in item.items() if name in own}
+        for item in known.null_directions
+    )
+    return {
+        "covariance": {
+            "names": [own[known.names[row]] for row in rows],
+            "matrix": known.covariance[np.ix_(rows, rows)].tolist(),
+        },
+        "null_directions": tuple(filter(None, directions)),
+    }
+
+
 def _shared(law: type[Law], share: str | Sequence[str]) -> tuple[str, ...]:
     """Names of the shared coefficients. Raises `InputError` for one that the law does not have."""
     own = tuple(item.name for item in law.coefficients())
@@ -225,9 +244,11 @@ def _result(
                 parameters=estimates,
                 combinations=known.combinations,
                 systematics=Systematics(dict(widths), own_shifts),
+                **_of_throw(known, names[layout.index[throw]], tuple(estimates)),
                 information=result.information | _information(linearized, own, open_),
             )
         )
+    throws = [replace(one, quantities=quantities_of(one)) for one in throws]
     coefficients = {name: throws[0].parameters[name] for name in shared}
     decrement = linearized.newton_decrement(linearized.movable())
     reduced = solution.chi_squared / solution.each.residual.size

@@ -8,6 +8,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from curlfit.inference.derived_report import derived_table
 from curlfit.inference.report import systematics
 from curlfit.output.console import terminal
 from curlfit.output.text import STYLE, compact, format_estimate, plain_table
@@ -38,7 +39,8 @@ def report(result: JointResult) -> RenderableType:
         result.status[:1].upper() + result.status[1:],
         style="green" if result.converged else "bold red",
     )
-    parts: list[RenderableType] = [heading, _shared(result), _throws(result)]
+    parts: list[RenderableType] = [heading, _shared(result)]
+    parts += [*derived_table(result.derived), _throws(result)]
     parts.append(
         Padding(
             Text(f"The throws determine {result.rank} of {result.parameters} parameters."),

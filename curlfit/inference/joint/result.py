@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+
+from curlfit.inference.derived import Derived, derive
 from curlfit.inference.fit.result import (
     Estimate,
     FitResult,
@@ -64,6 +68,7 @@ class JointResult(NamedEstimates):
     throws : a `FitResult` for each throw; its standard errors and its information are those of the
         joint fit, so that predictions from it are of all throws.
     systematics : errors of what is shared by the conditions that the fit holds.
+    derived : what was asked for by `--derive` and `with_derived`.
 
     Examples
     --------
@@ -92,11 +97,41 @@ class JointResult(NamedEstimates):
     differences: tuple[Difference, ...]
     throws: tuple[FitResult, ...]
     systematics: Systematics = field(default_factory=Systematics)
+    derived: tuple[Derived, ...] = ()
 
     @property
     def _estimates(self) -> dict[str, Estimate]:
         """What is shared, by name."""
         return self.coefficients
+
+    def derive(self, expression: str) -> Derived:
+        """A quantity derived from what the throws share; see `FitResult.derive`.
+
+        Raises
+        ------
+        InputError : it is no arithmetic of such names, or has no finite value.
+
+        Examples
+        --------
+        >>> joint.derive("mu2_xi - mu1_xi").verdict
+        'determined'
+        """
+        known = self.throws[0].first_order
+        shared = {
+            name: item for name, item in known.parameters.items() if name in self.coefficients
+        }
+        inside = [row for row, name in enumerate(known.names) if name in shared]
+        matrix = np.array(known.covariance["matrix"])[np.ix_(inside, inside)]
+        own = known._replace(
+            parameters=shared,
+            covariance={"names": [known.names[row] for row in inside], "matrix": matrix},
+            combinations=self.combinations,
+        )
+        return derive(own, expression)
+
+    def with_derived(self, expressions: Iterable[str]) -> JointResult:
+        """The same with some derived quantities."""
+        return replace(self, derived=tuple(map(self.derive, expressions)))
 
     def to_json(self) -> dict[str, Any]:
         """The record as written to `joint.json`, without the single throws."""
@@ -115,6 +150,7 @@ class JointResult(NamedEstimates):
                 asdict(item) | {"significant": item.significant} for item in self.differences
             ],
             "systematics": asdict(self.systematics),
+            "derived": [asdict(item) for item in self.derived],
             "throws": [
                 {
                     "file": item.data["file"],
@@ -172,6 +208,9 @@ def load_joint(file: str | PathLike[str]) -> JointResult:
                 load_fit(path.parent / Path(item["file"]).stem) for item in found["throws"]
             ),
             systematics=Systematics(**known_fields(Systematics, found.get("systematics", {}))),
+            derived=tuple(
+                Derived(**known_fields(Derived, item)) for item in found.get("derived", ())
+            ),
         )
 
     return load_record(file, "joint", SCHEMA, build)

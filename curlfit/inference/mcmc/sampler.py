@@ -8,6 +8,7 @@ from os import PathLike
 from pathlib import Path
 
 from curlfit.errors import InputError
+from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.mcmc.chain import Chain, load_chain
 from curlfit.inference.mcmc.checkpoint import Keeper
@@ -94,4 +95,6 @@ def sample(
     if file is not None:
         chain.save(file)
     sampled = summarised(fit, chain, ended, effective)
+    sampled = replace(sampled, quantities=quantities_of(sampled, chain))
+    sampled = sampled.with_derived((item.expression for item in fit.derived), chain)
     return sampled, replace(chain, fit=sampled)

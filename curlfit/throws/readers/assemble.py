@@ -88,6 +88,8 @@ def assemble(
     if not convention.is_standard:
         columns = _to_sheet_axes(columns, convention, len(t))
         notes.append(f"axes: {words}")
+    elif "from-hack" in words:
+        notes.append("y from the hack")
     if mark[0] is not None and mark[1] is not None:
         add_angle_of_mark(merged, t, columns, convention.to_sheet(mark[0], mark[1]), notes)
     channels: dict[str, Any] = {name: columns.get(name) for name in CHANNELS}

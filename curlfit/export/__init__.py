@@ -1,0 +1,1 @@
+"""Saved results in other forms: tables, papers, ArviZ, games."""

@@ -1,0 +1,186 @@
+"""The table of a paper, in LaTeX with booktabs."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+from curlfit.export.tables import Row, rows_of
+from curlfit.output.text import compact
+from curlfit.version import __version__
+
+if TYPE_CHECKING:
+    from curlfit.inference.fit.result import FitResult
+    from curlfit.inference.joint.result import JointResult
+
+_SPECIAL = {
+    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "&": r"\&", "%": r"\%", "$": r"\$",
+    "#": r"\#", "_": r"\_", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+}  # fmt: skip
+
+
+def estimates_table(result: FitResult | JointResult) -> str:
+    """Coefficients, start, combinations and derived quantities of a fit, as a `table` with
+    `booktabs`: values with their standard errors in the last digits."""
+    rows = rows_of(result)
+    systematic = any(row.systematic for row in rows)
+    posterior = getattr(result, "posterior", None)
+    columns = "l l" + " l" * systematic + " l" * (posterior is not None) + " l"
+    head = ["parameter", "estimate"] + ["systematic"] * systematic
+    head += [r"68\,\% of posterior"] * (posterior is not None) + ["unit"]
+    symbols = {row.name: _symbol(row) for row in rows if row.symbol}
+    lines = []
+    for row in rows:
+        cells = [_label(row, symbols), _estimate(row)]
+        if systematic:
+            cells.append("" if row.systematic is None else _number(f"{row.systematic:.2g}"))
+        if posterior is not None:
+            cells.append(_interval(posterior, row))
+        cells.append(_unit(row.unit))
+        lines.append("    " + " & ".join(cells) + r" \\")
+    return _table(columns, head, lines, _caption(result))
+
+
+def candidates_table(comparison: Any) -> str:
+    """The candidates of a comparison, as a `table` with `booktabs`."""
+    head = ["law", "load", "$k$", r"$\Delta$BIC", r"$\Delta$AICc", "$x$ (mm)", "$y$ (mm)",
+            r"$\varphi$ (mrad)", "follows"]  # fmt: skip
+    lines = []
+    for one in comparison.candidates:
+        sizes = [(one.residual_size or {}).get(name) for name in ("x", "y", "phi")]
+        follows = "unclear" if one.follows is None else "yes" if one.follows else "no"
+        cells = [
+            escaped(one.law + (" (any sign)" if one.signs_free else "")),
+            "--" if one.load == "-" else escaped(one.load),
+            "" if one.n_parameters is None else f"{one.n_parameters:.0f}",
+            *("" if v is None else _number(f"{v:.1f}") for v in (one.delta_bic, one.delta_aicc)),
+            *("" if v is None else _number(f"{1000 * v:.3g}") for v in sizes),
+            follows if one.converged else "no fit",
+        ]
+        lines.append("    " + " & ".join(cells) + r" \\")
+    caption = (
+        f"Friction laws fitted to {_file(comparison.data['file'])}, by BIC: number of parameters "
+        rf"$k$, rms of the residuals, and whether the law follows the path. {_software()}"
+    )
+    return _table("l l r r r r r r l", head, lines, caption)
+
+
+def escaped(text: str) -> str:
+    """Text in which TeX's special characters stand for themselves."""
+    return "".join(_SPECIAL.get(character, character) for character in str(text))
+
+
+def _table(columns: str, head: list[str], lines: list[str], caption: str) -> str:
+    return "\n".join(
+        [
+            r"% needs \usepackage{booktabs}",
+            r"\begin{table}",
+            r"  \centering",
+            rf"  \caption{{{caption}}}",
+            rf"  \begin{{tabular}}{{@{{}}{columns}@{{}}}}",
+            r"    \toprule",
+            "    " + " & ".join(head) + r" \\",
+            r"    \midrule",
+            *lines,
+            r"    \bottomrule",
+            r"  \end{tabular}",
+            r"\end{table}",
+            "",
+        ]
+    )
+
+
+def _caption(result: FitResult | JointResult) -> str:
+    throws = getattr(result, "throws", ())
+    first: FitResult = throws[0] if throws else result  # type: ignore[assignment]
+    what = (
+        f"{len(throws)} throws together" if throws
+        else f"{_file(first.data['file'])} ({first.data['rows']} rows)"
+    )  # fmt: skip
+    stone = first.stone
+    text = (
+        f"Estimates of the {escaped(result.law)} law under {escaped(result.load)} load, fitted to "
+        f"{what}; stone $R = {stone.R:g}$\\,m, $\\rho = {stone.rho:g}$\\,m, $h = {stone.h:g}$\\,m, "
+        f"$m = {stone.m:g}$\\,kg. Standard errors in parentheses, in units of the last digits"
+    )
+    if result.systematics.errors:
+        text += "; systematic errors are those of conditions that the fit holds"
+    if first.noise.kind != "white":
+        text += f"; noise model {escaped(first.noise.kind)}"
+    return f"{text}. {_software()}"
+
+
+def _file(name: str) -> str:
+    return escaped(re.split(r"[\\/]", name)[-1])
+
+
+def _software() -> str:
+    return f"Computed with curlfit {escaped(__version__)}."
+
+
+def _symbol(row: Row) -> str:
+    # The symbol of a coefficient that was given none is its name, upright.
+    inner = re.fullmatch(r"\\mathrm\{(\w+)\}", row.symbol)
+    return rf"\mathrm{{{escaped(inner[1])}}}" if inner else row.symbol
+
+
+def _label(row: Row, symbols: dict[str, str]) -> str:
+    if row.name in symbols:
+        return f"${symbols[row.name]}$"
+    if row.weights:
+        text = ""
+        for name, weight in row.weights.items():
+            sign = ("-" if weight < 0 else "") if not text else (" - " if weight < 0 else " + ")
+            size = "" if abs(weight) == 1 else rf"{abs(weight):.4g}\,"
+            text += f"{sign}{size}{symbols.get(name, escaped(name))}"
+        return f"${text}$"
+    return escaped(row.meaning) or _expression(row.name, symbols)
+
+
+def _expression(text: str, symbols: dict[str, str]) -> str:
+    """Sums, products and quotients of parameters in their symbols; other expressions as typed."""
+    parts = re.split(r"(\w+)", text.replace(" ", ""))
+    words, signs = parts[1::2], "".join(parts[::2])
+    plain = all(word in symbols or re.fullmatch(r"\d+", word) for word in words)
+    if not plain or "**" in signs or not set(signs) <= set("+-*/()"):
+        return rf"\texttt{{{escaped(text)}}}"
+    shown = (symbols.get(part, part).replace("*", r"\,") for part in parts)
+    return f"${''.join(shown)}$"
+
+
+def _estimate(row: Row) -> str:
+    if row.value is None:
+        return "not identifiable"
+    text = _number(compact(row.value, row.stderr))
+    note = {"fixed": "fixed", "at bound": "at bound", "weak": "weak", "prior": "with prior"}
+    return text + (f" ({note[row.verdict]})" if row.verdict in note else "")
+
+
+def _number(text: str) -> str:
+    """A number as `compact` writes it, in mathematics."""
+    text = text.replace("+-", r"\pm")
+    text = re.sub(r"e([-+]?)0*(\d+)", lambda m: rf" \times 10^{{{m[1].strip('+')}{m[2]}}}", text)
+    return f"${text}$"
+
+
+def _interval(posterior: Any, row: Row) -> str:
+    found = posterior.quantiles.get(row.name)
+    if found is None:
+        return ""
+    from curlfit.output.text import from_to
+
+    low, _, high = from_to(found["16"], found["84"]).partition(" .. ")
+    return rf"{_number(low)} to {_number(high)}"
+
+
+def _unit(unit: str) -> str:
+    """A unit such as "rad/s^2", upright and with negative powers."""
+    if unit in ("", "1"):
+        return ""
+    above, *below = unit.split("/")
+    parts = [] if above == "1" else [rf"\mathrm{{{above}}}"]
+    for part in below:
+        name, _, power = part.partition("^")
+        parts.append(rf"\mathrm{{{name}}}^{{-{power or 1}}}")
+    joined = r"\,".join(parts)
+    return f"${joined}$" if parts else ""

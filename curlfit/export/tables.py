@@ -1,0 +1,151 @@
+"""Tables as CSV: estimates, the path with its residuals, candidates of a comparison."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from io import StringIO
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from curlfit.inference.derived import Derived
+from curlfit.inference.fit.result import Estimate
+from curlfit.inference.identifiability import Combination
+
+if TYPE_CHECKING:
+    from curlfit.inference.fit.result import FitResult
+    from curlfit.inference.joint.result import JointResult
+
+_HEAD = (
+    "name", "value", "stderr", "systematic", "low_95", "high_95", "dof", "verdict", "unit", "prior",
+)  # fmt: skip
+_CANDIDATE = (
+    "rank", "law", "load", "signs_free", "converged", "n_parameters", "bic", "delta_bic", "aicc",
+    "delta_aicc", "log_evidence", "delta_evidence", "weight", "curl_explained", "follows",
+)  # fmt: skip
+
+
+class Row(NamedTuple):
+    """An estimate, a determined combination or a derived quantity, for a table."""
+
+    name: str
+    value: float | None
+    """None where it is not identifiable"""
+    stderr: float | None
+    systematic: float | None
+    interval: tuple[float, float] | None
+    """of 95 %"""
+    dof: float | None
+    verdict: str
+    unit: str
+    symbol: str
+    """LaTeX; empty where it has none of its own"""
+    weights: dict[str, float]
+    """of a combination"""
+    prior: str = ""
+    meaning: str = ""
+    """of a quantity of the path"""
+
+
+def rows_of(result: FitResult | JointResult) -> list[Row]:
+    """Coefficients first, with what is determined in place of some, then the other parameters, then
+    derived quantities."""
+    errors, found = result.systematics.errors, []
+    estimates = result.coefficients
+    sums = {item.expression: item for item in result.combinations}
+    derived = {item.expression: item for item in result.derived}
+    others = getattr(result, "parameters", {})
+    others = others if isinstance(others, dict) else {}
+    quoted = getattr(result, "quantities", {})
+    everything: dict[str, Estimate | Combination | Derived] = {
+        **estimates, **sums, **{k: v for k, v in others.items() if k not in estimates}, **derived,
+        **quoted,
+    }  # fmt: skip
+    for name, item in everything.items():
+        verdict = "determined" if isinstance(item, Combination) else item.verdict
+        found.append(
+            Row(
+                name=name,
+                value=None if verdict == "not identifiable" else item.value,
+                stderr=item.stderr,
+                systematic=item.systematic if isinstance(item, Derived) else errors.get(name),
+                interval=item.interval(),
+                dof=item.dof,
+                verdict=verdict,
+                unit="" if isinstance(item, Combination) else item.unit,
+                symbol=item.symbol if isinstance(item, Estimate) else "",
+                weights=item.weights if isinstance(item, Combination) else {},
+                prior=item.prior if isinstance(item, Estimate) else "",
+                meaning=item.meaning if isinstance(item, Derived) else "",
+            )
+        )
+    return found
+
+
+def parameters_csv(result: FitResult | JointResult) -> str:
+    """The estimates of a fit as CSV in SI units, a row for each; empty cells where a number is not
+    determined. Of a joint fit, with each throw's own parameters, by the throw in the first column.
+    """
+    throws: Sequence[FitResult] = getattr(result, "throws", ())
+    if not throws:
+        return _csv(_HEAD, map(_cells, rows_of(result)))
+    lines = [("all", *_cells(row)) for row in rows_of(result)]
+    shared = {row.name for row in rows_of(result)}
+    for one in throws:
+        own = (row for row in rows_of(one) if row.name not in shared)
+        lines += [(one.data["file"], *_cells(row)) for row in own]
+    return _csv(("throw", *_HEAD), lines)
+
+
+def _cells(row: Row) -> tuple[Any, ...]:
+    low, high = row.interval or (None, None)
+    return (
+        row.name, row.value, row.stderr, row.systematic, low, high, row.dof, row.verdict, row.unit,
+        row.prior,
+    )  # fmt: skip
+
+
+def path_csv(fits: Sequence[FitResult]) -> str:
+    """Observed, fitted and residual of each measured channel (SI, rad), a row for each time; of
+    several throws with the throw in the first column."""
+    channels = list(dict.fromkeys(name for one in fits for name in one.rms if name in one.fitted))
+    head = ["t"]
+    for name in channels:
+        head += [name, f"{name}_fitted", f"{name}_residual"]
+    lines = []
+    for one in fits:
+        columns = [one.observed["t"]]
+        empty = math.nan * one.observed["t"]
+        for name in channels:
+            observed, fitted = one.observed.get(name, empty), one.fitted.get(name, empty)
+            columns += [observed, fitted, observed - fitted]
+        label = (one.data["file"],) if len(fits) > 1 else ()
+        lines += [(*label, *row) for row in zip(*(c.tolist() for c in columns), strict=True)]
+    return _csv(("throw", *head) if len(fits) > 1 else head, lines)
+
+
+def candidates_csv(comparison: Any) -> str:
+    """The candidates of a comparison, best first; their coefficients in one cell."""
+    lines = []
+    for one in comparison.candidates:
+        rms = [(one.rms or {}).get(name) for name in ("x", "y", "phi")]
+        coefficients = "; ".join(
+            f"{name} = {item['value']:.6g}" for name, item in (one.coefficients or {}).items()
+        )
+        lines.append((*(getattr(one, name) for name in _CANDIDATE), *rms, coefficients))
+    return _csv((*_CANDIDATE, "rms_x", "rms_y", "rms_phi", "coefficients"), lines)
+
+
+def _csv(head: Sequence[str], lines: Iterable[Sequence[Any]]) -> str:
+    out = StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(head)
+    for line in lines:
+        writer.writerow([_cell(value) for value in line])
+    return out.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    return repr(float(value)) if isinstance(value, float) else value

@@ -1,0 +1,191 @@
+"""Arithmetic of named numbers, as text: parsed by Python's grammar, of which little is admitted."""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from curlfit.errors import InputError
+from curlfit.numerics.arrays import Floats
+from curlfit.stone import GRAVITY
+
+_LONGEST = 400  # characters
+_NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_STEP = 1e-30  # imaginary, for derivatives
+_OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Add: np.add,
+    ast.Sub: np.subtract,
+    ast.Mult: np.multiply,
+    ast.Div: np.divide,
+    ast.Pow: lambda base, exponent: np.power(base, _real_if_constant(exponent)),
+}
+
+
+def _real_if_constant(value: Any) -> Any:
+    """Numpy multiplies out whole powers, and only of a real exponent."""
+    return np.real(value) if np.isrealobj(value) or not np.any(np.imag(value)) else value
+
+
+def _choice(pick: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    return lambda a, b: np.where(pick(np.real(a), np.real(b)), a, b)
+
+
+# All differentiable along the imaginary axis, hence no conjugates.
+_FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
+    "sqrt": (1, np.sqrt),
+    "exp": (1, np.exp),
+    "log": (1, np.log),
+    "log10": (1, np.log10),
+    "sin": (1, np.sin),
+    "cos": (1, np.cos),
+    "tan": (1, np.tan),
+    "atan": (1, np.arctan),
+    "abs": (1, lambda a: np.where(np.real(a) < 0, -a, a)),
+    "hypot": (2, lambda a, b: np.sqrt(a * a + b * b)),
+    "min": (2, _choice(np.less)),
+    "max": (2, _choice(np.greater)),
+}
+
+
+@dataclass(frozen=True)
+class Expression:
+    """Arithmetic of named numbers.
+
+    Attributes
+    ----------
+    text : as given.
+    names : of the numbers that it is of, in their order.
+    """
+
+    text: str
+    names: tuple[str, ...]
+    _tree: ast.expr
+
+    def of(self, values: Mapping[str, Any]) -> Any:
+        """The value, a float or an array; NaN or infinite where there is none."""
+        with np.errstate(all="ignore"):
+            return _evaluated(self._tree, values)
+
+    def gradient(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Derivative by each of its names, exact to rounding.
+
+        By a complex step (Squire and Trapp 1998, SIAM Review 40): f(x + ih) = f(x) + ih f'(x).
+        """
+        found = {}
+        for name in self.names:
+            moved = {key: complex(value) for key, value in values.items()}
+            moved[name] += _STEP * 1j
+            found[name] = float(np.imag(self.of(moved)) / _STEP)
+        return found
+
+
+def parse(text: str, names: Iterable[str], sums: Mapping[str, Mapping[str, float]]) -> Expression:
+    """An expression from text.
+
+    Parameters
+    ----------
+    names : that may occur.
+    sums : weights of sums by their expression, which rounds them; they may occur as they are
+        written, in parentheses or alone.
+
+    Raises
+    ------
+    InputError : it is no arithmetic, or of other names.
+    """
+    known = tuple(names)
+    shown = " ".join(str(text).split())
+    said = f"derive {shown!r}"
+    if not shown:
+        raise InputError("derive: the expression is empty; expected arithmetic of parameters")
+    if len(shown) > _LONGEST:
+        raise InputError(f"derive: {len(shown)} characters; expected at most {_LONGEST}")
+    try:
+        tree = ast.parse(_multiplied_out(shown, sums), mode="eval").body
+    except (SyntaxError, ValueError, MemoryError, RecursionError):
+        raise InputError(
+            f"{said}: not an arithmetic expression; expected one such as "
+            f"'{known[0]} / {known[min(1, len(known) - 1)]}', with + - * / ** and parentheses"
+        ) from None
+    used: dict[str, None] = {}
+    _check(tree, said, known, used)
+    if not used:
+        raise InputError(f"{said}: it is of no parameter; there are {', '.join(known)}")
+    return Expression(shown, tuple(used), tree)
+
+
+def _multiplied_out(text: str, sums: Mapping[str, Mapping[str, float]]) -> str:
+    """As Python writes products: "0.977 mu2_eta" is "0.977 * mu2_eta"."""
+    for written, weights in sums.items():
+        product = " + ".join(f"({weight!r}) * {name}" for name, weight in weights.items())
+        if text == written:
+            return product
+        text = re.sub(rf"(?<!\w)\( *{re.escape(written)} *\)", f"({product})", text)
+    return re.sub(rf"(?<![\w.])({_NUMBER}) +(?=[A-Za-z_])", r"\1 * ", text)
+
+
+def _check(node: ast.AST, said: str, names: tuple[str, ...], used: dict[str, None]) -> None:
+    """Raise `InputError` for what is no arithmetic; collect the names."""
+    if isinstance(node, ast.Constant):
+        if isinstance(node.value, bool) or not isinstance(node.value, int | float):
+            raise InputError(f"{said}: {node.value!r} is not a number")
+        if not abs(node.value) < 1e300:
+            raise InputError(f"{said}: a number is too large")
+    elif isinstance(node, ast.Name):
+        if node.id not in names:
+            raise InputError(f"{said}: no parameter {node.id!r}; there are {', '.join(names)}")
+        used.setdefault(node.id)
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.UAdd | ast.USub):
+        _check(node.operand, said, names, used)
+    elif isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+        _check(node.left, said, names, used)
+        _check(node.right, said, names, used)
+    elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        _check_call(node, node.func.id, said)
+        for argument in node.args:
+            _check(argument, said, names, used)
+    else:
+        raise InputError(
+            f"{said}: only numbers, names, + - * / ** and the functions "
+            f"{', '.join(_FUNCTIONS)} may occur"
+        )
+
+
+def _check_call(node: ast.Call, name: str, said: str) -> None:
+    if name not in _FUNCTIONS:
+        raise InputError(f"{said}: no function {name!r}; there are {', '.join(_FUNCTIONS)}")
+    count, _ = _FUNCTIONS[name]
+    if len(node.args) != count or node.keywords:
+        raise InputError(f"{said}: {name} takes {count} argument{'s' if count > 1 else ''}")
+
+
+def _evaluated(node: ast.AST, values: Mapping[str, Any]) -> Any:
+    if isinstance(node, ast.Constant):
+        return np.float64(float(node.value))  # type: ignore[arg-type]
+    if isinstance(node, ast.Name):
+        return np.asarray(values[node.id])[()]
+    if isinstance(node, ast.UnaryOp):
+        inner = _evaluated(node.operand, values)
+        return -inner if isinstance(node.op, ast.USub) else inner
+    if isinstance(node, ast.BinOp):
+        left, right = _evaluated(node.left, values), _evaluated(node.right, values)
+        return _OPERATORS[type(node.op)](left, right)
+    assert isinstance(node, ast.Call)
+    assert isinstance(node.func, ast.Name)
+    _, function = _FUNCTIONS[node.func.id]
+    return function(*(_evaluated(argument, values) for argument in node.args))
+
+
+CONSTANTS = {"g": GRAVITY, "pi": math.pi}
+"""Numbers that an expression may name, unless a parameter has the name; g in m/s^2."""
+
+
+def samples_of(expression: Expression, values: Mapping[str, Any]) -> Floats:
+    """The finite ones among the values of many samples."""
+    found = np.asarray(expression.of(values), float)
+    return found[np.isfinite(found)]

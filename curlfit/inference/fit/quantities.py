@@ -1,0 +1,232 @@
+"""What people quote of a throw, from the fitted path within the record: curl, turns, times from
+line to line, mean friction; with errors to first order by differences of the path."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from curlfit.inference.likelihood import predict_channels
+
+# isort: split
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from curlfit.inference.derived import Derived, with_quantiles
+from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.result import FitResult
+from curlfit.inference.fit.systematics import with_condition_off
+from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Floats
+from curlfit.sheet import HOUSE, LINES, TEE
+from curlfit.stone import GRAVITY
+from curlfit.throws.events import Event, event_arrays
+
+_STEP = 1e-4  # of a typical size, for differences: the path is accurate to 1e-7 m
+_PRECISION = 1e-7  # of the path, m and rad
+_NEAR = 0.05  # m by which a record may miss a line at its ends
+_DRAWS = 400  # of the posterior
+_SHOWN = ("determined", "prior")
+
+
+def counts_from_hack(fit: FitResult) -> bool:
+    """Whether y of the data is measured from the hack, by the notes of the reader."""
+    return any(
+        note.startswith("y from the hack") or (note.startswith("axes:") and "from-" in note)
+        for note in fit.data["notes"]
+    )
+
+
+class _Motion(NamedTuple):
+    """A path within the record, at even times."""
+
+    t: Floats
+    x: Floats
+    y: Floats
+    phi: Floats
+    speed: Floats
+    heading: float
+    rest: float
+    """s since the first row"""
+
+    def time_at(self, y: float) -> float:
+        """When it passes a line, s; NaN where it does not."""
+        n = max(int(np.argmin(self.speed > 0)) + 1 if (self.speed <= 0).any() else len(self.t), 4)
+        roots = CubicSpline(self.t[:n], self.y[:n]).solve(y)
+        late = np.maximum(roots - self.t[n - 1], 0) + np.maximum(self.t[0] - roots, 0)
+        return float(roots[np.argmin(late)]) if len(roots) and late.min() < 1.0 else math.nan
+
+    def curl_at(self, t: float) -> float:
+        """Distance to the right of the line along the initial velocity, m."""
+        x, y = (float(CubicSpline(self.t, series)(t)) for series in (self.x, self.y))
+        s, c = math.sin(self.heading), math.cos(self.heading)
+        return float((x - self.x[0]) * c - (y - self.y[0]) * s)
+
+    @property
+    def friction(self) -> float:
+        """Mean deceleration over g, until rest or the last row."""
+        time = min(self.rest, float(self.t[-1]))
+        end = 0.0 if self.rest <= self.t[-1] else float(self.speed[-1])
+        return (float(self.speed[0]) - end) / (GRAVITY * time)
+
+
+class _Definition(NamedTuple):
+    """A quantity of the path."""
+
+    name: str
+    meaning: str
+    unit: str
+    of: Callable[[_Motion], float]
+
+
+class _Path:
+    """The path of a fit within its record, as a function of parameters and conditions."""
+
+    def __init__(self, fit: FitResult) -> None:
+        self.fit = fit
+        problem, origin = problem_of(fit)
+        self._offset, self._place = origin.offset(len(fit.parameters)), origin.place
+        # As many rows as the fit had, so that no other program is compiled.
+        times = np.linspace(0.0, fit.observed["t"][-1] - origin.t, len(problem.times))
+        rests = fit.fitted["speed"][-1] <= 0
+        rest = Event("rest", "time", 0.0, 1.0)
+        self.problem = problem._replace(
+            times=times, weight=np.zeros_like(problem.weight),
+            events=event_arrays([rest], 0.0) if rests else None,
+        )  # fmt: skip
+
+    def at(self, values: Floats, problem: Problem | None = None) -> _Motion:
+        """The path of a parameter vector, in the coordinates of the data."""
+        problem = self.problem if problem is None else problem
+        found = np.asarray(predict_channels(self.fit.model, values - self._offset, problem))
+        x, y, phi, speed, _ = found[:5] + self._place[:, None]
+        names = list(self.fit.parameters)
+        heading = values[names.index("heading")]
+        rest = math.inf if problem.events is None else float(found[5, 0])
+        return _Motion(np.asarray(problem.times), x, y, phi, speed, float(heading), rest)
+
+
+def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
+    """The quantities that a record determines, by name.
+
+    Curl is the distance from the straight line along the velocity at the first row, positive to the
+    right. Lines of the sheet are known where y is measured from the hack, and passed within the
+    record.
+
+    Parameters
+    ----------
+    chain : a posterior sample of the fit, for quantiles.
+    """
+    scaled = {"length_scale", "time_scale"} & set(fit.conditions)
+    if not fit.converged or scaled or not fit.fitted:
+        return {}
+    path, known = _Path(fit), fit.first_order
+    best = path.at(fit.values)
+    if not np.isfinite(best.y).all():
+        return {}
+    wanted = _definitions(fit, best)
+    free = fit.parameter_set.free
+
+    def change(moved: _Motion, back: _Motion, over: float) -> Floats:
+        return np.array([(item.of(moved) - item.of(back)) / over for item in wanted])
+
+    slopes = {}
+    for index, (name, parameter) in enumerate(fit.parameters.items()):
+        if free[index]:
+            step = np.zeros(len(fit.values))
+            step[index] = _STEP * parameter.typical
+            ends = fit.values - step, fit.values + step
+            slopes[name] = change(path.at(ends[1]), path.at(ends[0]), 2 * step[index])
+    movable = [list(fit.parameters).index(name) for name in known.names]
+    shifted = {}
+    for condition, width in known.widths.items():
+        values = fit.values.copy()
+        values[movable] += known.shift(condition)
+        problem = with_condition_off(path.problem, condition, width)
+        # `assess` adds the part by the shift of the parameters to first order
+        whole = change(path.at(values, problem), best, 1.0)
+        along = sum(slopes[name] * values_by for name, values_by in zip(
+            known.names, known.shift(condition), strict=True))  # fmt: skip
+        shifted[condition] = whole - along
+    samples = _samples(path, chain, wanted)
+    found = {}
+    for row, item in enumerate(wanted):
+        gradient = {name: float(slope[row]) for name, slope in slopes.items()}
+        changes = {name: float(by[row]) for name, by in shifted.items()}
+        numbers = (item.of(best), *gradient.values(), *changes.values())
+        if not all(map(math.isfinite, numbers)):
+            continue
+        one = known.assess(item.name, numbers[0], gradient, changes, held_counts=False)
+        # Where a law cannot curl, its path says nothing of the curl.
+        if one.verdict in _SHOWN and one.stderr is not None and one.stderr > _PRECISION:
+            one = with_quantiles(one, samples[row]) if samples is not None else one
+            found[item.name] = replace(one, meaning=item.meaning, unit=item.unit)
+    return found
+
+
+def _samples(path: _Path, chain: Any, wanted: list[_Definition]) -> list[Floats] | None:
+    if chain is None or not len(chain.flat):
+        return None
+    flat = chain.flat
+    rows = np.unique(np.linspace(0, len(flat) - 1, _DRAWS).astype(int))
+    motions = [path.at(flat[row]) for row in rows]
+    found = [np.array([item.of(one) for one in motions]) for item in wanted]
+    return [values[np.isfinite(values)] for values in found]
+
+
+def _definitions(fit: FitResult, best: _Motion) -> list[_Definition]:
+    """What can be told of the channels that were measured and of the lines that were passed."""
+    seen, end = set(fit.rms), float(best.t[-1])
+    rests = best.rest <= end
+    until = "until rest" if rests else "over the record"
+    found = []
+    if seen & {"y", "speed"}:
+        found.append(
+            _Definition("friction", f"mean deceleration over g, {until}", "1", lambda m: m.friction)
+        )
+    passed: dict[str, float] = {}
+    if "y" in seen and counts_from_hack(fit):
+        low, high = best.y.min() - _NEAR, best.y.max() + _NEAR
+        passed = {name: LINES[name] for name in ("hog", "far-hog", "far-tee")
+                  if low <= LINES[name] <= high}  # fmt: skip
+    if {"x", "y"} <= seen:
+        at_tee = "far-tee" in passed
+        where = "at the tee line" if at_tee else "at rest" if rests else "at the end of the record"
+        found.append(
+            _Definition(
+                "curl", f"curl to the right, {where}", "m",
+                (lambda m: m.curl_at(m.time_at(TEE))) if at_tee
+                else (lambda m: m.curl_at(float(m.t[-1]))),
+            )
+        )  # fmt: skip
+    if seen & {"phi", "omega"}:
+        found.append(
+            _Definition(
+                "turns", f"turns counter-clockwise, {until}", "1",
+                lambda m: float(m.phi[-1] - m.phi[0]) / (2 * math.pi),
+            )
+        )  # fmt: skip
+    if {"hog", "far-hog"} <= passed.keys():
+        found.append(
+            _Definition(
+                "hog_to_hog", "hog line to hog line", "s",
+                lambda m: m.time_at(LINES["far-hog"]) - m.time_at(LINES["hog"]),
+            )
+        )  # fmt: skip
+    if {"hog", "far-tee"} <= passed.keys():
+        found.append(
+            _Definition(
+                "hog_to_tee", "near hog line to tee line", "s",
+                lambda m: m.time_at(TEE) - m.time_at(LINES["hog"]),
+            )
+        )  # fmt: skip
+    if "hog" in passed and rests and abs(best.y[-1] - TEE) < HOUSE:
+        found.append(
+            _Definition(
+                "draw_time", "near hog line to rest in the house", "s",
+                lambda m: m.rest - m.time_at(LINES["hog"]),
+            )
+        )  # fmt: skip
+    return found

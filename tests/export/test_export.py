@@ -1,0 +1,236 @@
+"""`curlfit export`: tables, JSON, netCDF and LaTeX of saved results."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from dataclasses import replace
+from io import StringIO
+
+import numpy as np
+import pytest
+
+import curlfit
+from curlfit.cli import main
+from curlfit.export.latex import candidates_table, estimates_table
+from curlfit.export.tables import candidates_csv, parameters_csv, path_csv
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, eq12, eq12_fit, eq12_posterior):
+    """A fit, a joint fit of two throws, and a sampled one."""
+    folder = tmp_path_factory.mktemp("export")
+    throws = [replace(eq12, name=name, reference=None) for name in ("a.csv", "b.csv")]
+    joint = curlfit.fit_together(throws).with_derived(["mu2_xi*g"])
+    for name in ("plain", "joint", "joint/a", "joint/b", "sampled"):
+        (folder / name).mkdir()
+    joint.save(folder / "joint" / "joint.json")
+    for name, one in zip("ab", joint.throws, strict=True):
+        one.save(folder / "joint" / name / "fit.json")
+    eq12_fit.with_derived(["mu2_xi - mu1_xi", "mu1_eta/mu2_eta"]).save(folder / "plain/fit.json")
+    fit, chain = eq12_posterior
+    fit.save(folder / "sampled" / "fit.json")
+    chain.save(folder / "sampled" / "chain.h5")
+    return folder
+
+
+def rows(text):
+    return list(csv.DictReader(StringIO(text)))
+
+
+def test_parameters_are_those_of_the_fit(eq12_fit):
+    fit = eq12_fit.with_derived(["mu2_xi - mu1_xi"])
+    found = {row["name"]: row for row in rows(parameters_csv(fit))}
+    assert list(found)[:5] == ["mu1_xi", "mu2_xi", "mu1_eta", "mu2_eta", "mu1_eta + mu2_eta"]
+    for name in ("mu2_xi", "v0", "mu1_eta + mu2_eta", "mu2_xi - mu1_xi"):
+        row, item = found[name], fit[name]
+        assert float(row["value"]) == item.value
+        assert float(row["stderr"]) == item.stderr
+        assert (float(row["low_95"]), float(row["high_95"])) == item.interval()
+    assert found["mu1_eta"] | {"unit": ""} == dict.fromkeys(found["mu1_eta"], "") | {
+        "name": "mu1_eta", "verdict": "not identifiable",
+    }  # fmt: skip
+    assert float(found["mu2_xi"]["systematic"]) == fit.systematics.errors["mu2_xi"]
+    assert float(found["curl"]["value"]) == fit.quantities["curl"].value
+
+
+def test_the_path_has_its_residuals(eq12_fit):
+    found = rows(path_csv([eq12_fit]))
+    assert len(found) == 201
+    for name in ("x", "y", "phi"):
+        seen, fitted, left = (
+            np.array([float(row[key]) for row in found])
+            for key in (name, f"{name}_fitted", f"{name}_residual")
+        )
+        np.testing.assert_array_equal(seen, eq12_fit.observed[name])
+        np.testing.assert_array_equal(fitted, eq12_fit.fitted[name])
+        np.testing.assert_array_equal(left, eq12_fit.residuals[name])
+    gap = eq12_fit.observed | {"x": np.where(np.arange(201) == 3, np.nan, eq12_fit.observed["x"])}
+    assert rows(path_csv([replace(eq12_fit, observed=gap)]))[3]["x_residual"] == ""
+
+
+def test_every_form_is_written(typed, folder):
+    said = typed("export", "plain", "--to", "csv", "--to", "json", "--to", "latex", "--out", "one")
+    names = ["parameters.csv", "path.csv", "fit.json", "table.tex"]
+    assert said == "Written: " + ", ".join(f"one/{name}" for name in names) + "\n"
+    shown = json.loads(typed("show", "plain", "--json"))
+    assert json.loads((folder / "one/fit.json").read_text()) == shown
+    typed("export", "joint", "--to", "csv", "--to", "latex", "--to", "json")
+    found = rows((folder / "joint-export/parameters.csv").read_text())
+    assert [row["throw"] for row in found if row["name"] == "mu2_xi"] == ["all"]
+    assert [row["throw"] for row in found if row["name"] == "v0"] == ["a.csv", "b.csv"]
+    shared = [row["name"] for row in found if row["throw"] == "all"]
+    assert shared[-2:] == ["mu1_eta + mu2_eta", "mu2_xi*g"]
+    path = rows((folder / "joint-export/path.csv").read_text())
+    assert {row["throw"] for row in path} == {"a.csv", "b.csv"}
+
+
+def test_the_posterior_goes_to_arviz(typed, folder):
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of ArviZ about its next version
+        typed("export", "sampled", "--to", "netcdf")
+        import arviz
+
+        data = arviz.from_netcdf(str(folder / "sampled-export/posterior.nc"), engine="h5netcdf")
+    chain = curlfit.load_chain(folder / "sampled" / "chain.h5")
+    assert float(data.posterior["mu2_xi"].mean()) == pytest.approx(
+        chain.of({"mu2_xi": 1.0}).mean(), rel=1e-4
+    )
+    assert data.posterior.sizes["chain"] == chain.ensembles
+    assert {"posterior_predictive", "log_likelihood", "observed_data"} <= set(data.groups())
+    data.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("nowhere --to csv", "nowhere"),
+        ("plain --to netcdf", "has no sampled posterior; `curlfit fit ... --resume` samples it"),
+        ("joint --to netcdf", "expected the fit of one throw, such as joint/NAME"),
+        ("joint --to game", "--to table: expected the fit of one throw, such as joint/NAME"),
+        ("plain --to excel", "'excel' is not one of 'csv', 'netcdf', 'json', 'latex'"),
+    ],
+)
+def test_what_cannot_be_exported_is_refused(capsys, monkeypatch, folder, words, said):
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr("sys.argv", ["curlfit", "export", *words.split()])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
+    assert not (folder / "plain-export").exists()
+
+
+# --- LaTeX, read by a strict parser
+
+_KNOWN = {
+    "begin", "end", "centering", "caption", "toprule", "midrule", "bottomrule", "mu", "xi", "eta",
+    "beta", "varphi", "omega", "rho", "mathrm", "texttt", "times", "pm", "Delta",
+    "textbackslash", "textasciitilde", "textasciicircum",
+}  # fmt: skip
+
+
+def cells(text):
+    """Rows of the table's cells; fails where TeX would."""
+    body = re.sub(r"(?<!\\)%.*", "", text)
+    depth, math, opened, bare = 0, False, [], []
+    tokens = re.findall(r"\\[a-zA-Z]+|\\.|\\\n|.|\n", body)
+    for place, token in enumerate(tokens):
+        if token == "{":
+            depth += 1
+        elif token == "}":
+            depth -= 1
+        elif token == "$":
+            math = not math
+        elif token in ("_", "^"):
+            assert math, f"{token} outside of mathematics"
+            bare.append(place)
+        elif token == "#":
+            raise AssertionError("a bare #")
+        elif re.fullmatch(r"\\[a-zA-Z]+", token):
+            assert token[1:] in _KNOWN, token
+        elif token in ("&", "\\\\"):
+            assert depth == 0 or opened
+            assert not math, f"{token} within mathematics"
+        elif token == "\n":
+            assert not math, "mathematics does not end in its line"
+        assert depth >= 0
+    assert (depth, math) == (0, False)
+    # no two subscripts of one symbol
+    for one in re.findall(r"(?<!\\)\$(.*?)(?<!\\)\$", body):
+        assert not re.search(r"_\w+_|_\{[^}]*\}_", one.replace(r"\_", "")), one
+    for kind, name in re.findall(r"\\(begin|end)\{(\w+)\}", body):
+        if kind == "begin":
+            opened.append(name)
+        else:
+            assert opened.pop() == name
+    assert not opened
+    (spec,) = re.findall(r"\\begin\{tabular\}\{@\{\}([lr ]+)@\{\}\}", body)
+    inside = body[body.index(r"\toprule") + 8 : body.index(r"\bottomrule")].replace(r"\midrule", "")
+    found = [re.split(r"(?<!\\)&", row) for row in re.split(r"\\\\\n", inside) if row.strip()]
+    assert {len(row) for row in found} == {len(spec.split())}
+    return [[cell.strip() for cell in row] for row in found]
+
+
+def test_the_table_of_a_paper(eq12_fit):
+    text = estimates_table(eq12_fit.with_derived(["mu2_xi - mu1_xi", "sqrt(mu1_xi)"]))
+    head, *body = cells(text)
+    assert head == ["parameter", "estimate", "systematic", "unit"]
+    found = {row[0]: row[1:] for row in body}
+    assert found[r"$\mu_{2\xi}$"][:2] == ["$0.055627(25)$", "$0.0052$"]
+    assert found[r"$\mu_{1\eta}$"] == ["not identifiable", "", ""]
+    assert found[r"$\mu_{1\eta} + \mu_{2\eta}$"][0] == "$0.017573(16)$"
+    assert found[r"$v_0$"][2] == r"$\mathrm{m}\,\mathrm{s}^{-1}$"
+    assert r"$\mu_{2\xi}-\mu_{1\xi}$" in found
+    assert r"\texttt{sqrt(mu1\_xi)}" in found
+    assert r"the front-back law under uniform load, fitted to jensen\_shegelski\_2004.csv" in text
+    assert r"$R = 0.054$\,m" in text
+    assert f"curlfit {curlfit.__version__}" in text
+
+
+def test_names_that_tex_would_trip_over(eq12_fit):
+    odd = replace(eq12_fit.parameters["mu1_xi"], symbol=r"\mathrm{a_b_c}", unit="1/m^2", value=3e12)
+    fit = replace(
+        eq12_fit, law="50%_law#{", data=eq12_fit.data | {"file": "a/b & ~c^2$%_{.csv"},
+        parameters={"a_b_c": odd} | eq12_fit.parameters,
+    )  # fmt: skip
+    found = {row[0]: row for row in cells(estimates_table(fit))}
+    assert found[r"$\mathrm{a\_b\_c}$"][-1] == r"$\mathrm{m}^{-2}$"
+    assert r"\times 10^{12}" in found[r"$\mathrm{a\_b\_c}$"][1]
+
+
+def test_a_joint_fit_and_a_posterior_in_latex(folder):
+    joint = curlfit.load_joint(folder / "joint")
+    assert "2 throws together" in estimates_table(joint)
+    assert r"$\mu_{1\xi}$" in [row[0] for row in cells(estimates_table(joint))]
+    head, first, *_ = cells(estimates_table(curlfit.load_fit(folder / "sampled")))
+    assert head[3] == r"68\,\% of posterior"
+    assert re.fullmatch(r"\$0.00\d+\$ to \$0.00\d+\$", first[3])
+
+
+def test_a_comparison(eq12_fit):
+    from curlfit.comparison.result import Candidate, Comparison
+
+    size = {"x": 0.001, "y": 0.02, "phi": 0.003}
+    fitted = Candidate(
+        "front-back", "uniform", False, False, "converged", True,
+        coefficients={"mu1_xi": {"value": 0.0005}}, n_parameters=11.0, rms=size, follows=True,
+        bic=3.0, delta_bic=0.0, delta_aicc=-1.5, rank=1,
+    )  # fmt: skip
+    failed = Candidate("radial", "-", False, True, "no motion", follows=None)
+    found = Comparison({"file": "a_b.csv"}, eq12_fit.stone, 0.1, "left", (fitted, failed), {})
+    _, first, second = cells(candidates_table(found))
+    assert first[:5] == ["front-back", "uniform", "11", "$0.0$", "$-1.5$"]
+    assert first[5:] == ["$1$", "$20$", "$3$", "yes"]
+    assert second == ["radial (any sign)", "--", *[""] * 6, "no fit"]
+    one, other = rows(candidates_csv(found))
+    assert (one["law"], one["rms_y"], one["coefficients"]) == (
+        "front-back",
+        "0.02",
+        "mu1_xi = 0.0005",
+    )
+    assert other["rank"] == other["rms_x"] == ""

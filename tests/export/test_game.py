@@ -1,0 +1,265 @@
+"""Accelerations by speed and spin: the table, and the C and JavaScript made of it."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import G, Reference, front_back
+
+from curlfit import LAWS, InitialState, LocalLaw, find_law, simulate
+from curlfit.errors import InputError
+from curlfit.export.accelerations import FASTEST, SLOWEST, Moved, tabulate
+from curlfit.export.game import c_header, javascript_module
+from curlfit.friction import LOADS
+
+THROWS = ((2.35, -1.1, 0.2), (2.1, 2.0, -0.1), (1.0, 14.0, 0.0))  # none of those of `tabulate`
+CM = 0.01
+RINGS = [name for name, law in LAWS.items() if issubclass(law, LocalLaw) and name != "debris"]
+
+
+@pytest.fixture(scope="module")
+def table(eq12_fit):
+    return tabulate(eq12_fit)
+
+
+@pytest.fixture(scope="module")
+def ends(eq12_fit):
+    """Where the law brings the throws to rest, and where they are after 10 s."""
+    found = []
+    for v, omega, heading in THROWS:
+        start = InitialState(x=0.3, y=1.0, v=v, omega=omega, heading=heading)
+        times = np.array([0.0, 10.0, np.inf])
+        path = simulate(eq12_fit.fitted_law, eq12_fit.stone, start, times).to_numpy()
+        found.append([[path.x[k], path.y[k], path.phi[k]] for k in (1, 2)])
+    return np.array(found)
+
+
+def started(v, omega, heading):
+    return Moved(0.3, 1.0, v * math.sin(heading), v * math.cos(heading), 0.0, omega)
+
+
+def test_the_table_is_the_ring_s_force(eq12_fit, table):
+    """By the dense sum over the ring of the tests, which shares no code with the model."""
+    law, R = eq12_fit.fitted_law, eq12_fit.stone.R
+    ring = Reference(
+        front_back(law.mu1_xi, law.mu2_xi, law.mu1_eta, law.mu2_eta), R=R, rho=eq12_fit.stone.rho
+    )
+    random = np.random.default_rng(3)
+    s = np.exp(random.uniform(np.log(SLOWEST), np.log(FASTEST), 60))
+    theta = np.concatenate([
+        random.uniform(-np.pi / 2, np.pi / 2, 50), np.pi / 4 + np.array([0, 1e-3, -1e-3, 0.02]),
+        -np.pi / 4 + np.array([0, 1e-4]), [0.0, np.pi / 2, -np.pi / 2, 1e-5],
+    ])  # fmt: skip
+    largest = np.zeros(3)
+    for v, u in zip(s * np.cos(theta), s * np.sin(theta), strict=True):
+        a_xi, a_eta, moment = G * ring.force(v, u)
+        true = np.array([a_xi, a_eta, moment * R / ring.rho**2])
+        off = np.abs(np.array(table.accelerations(v, u / R)) - true)
+        largest = np.maximum(largest, off)
+    assert (largest < 3 * np.array(table.interpolation)).all()
+    assert max(table.interpolation[:2]) < 1e-4 * G
+    assert table.accelerations(0.0, 0.0) == (0.0, 0.0, 0.0)
+
+
+def test_a_throw_comes_to_rest_where_the_law_brings_it(table, ends):
+    assert table.resting_place < 1e-3
+    for throw, (midway, end) in zip(THROWS, ends, strict=True):
+        stone = started(*throw)
+        for second in range(200):
+            if second == 10:
+                np.testing.assert_allclose(stone[:2], midway[:2], atol=1e-4)
+            stone = table.step(stone, 1.0)
+        assert (stone.vx, stone.vy, stone.omega) == (0.0, 0.0, 0.0)
+        assert math.hypot(stone.x - end[0], stone.y - end[1]) < 2 * table.resting_place < CM
+        assert stone.phi == pytest.approx(end[2], abs=0.01)
+
+
+def test_swept_ice_and_the_length_of_a_step(table):
+    law = started(2.0, 1.0, 0.0)
+    (a, b), short = (table.step(law, 2.0, friction) for friction in (1.0, 0.5)), law
+    for _ in range(2000):
+        short = table.step(short, 0.001)
+    np.testing.assert_allclose(short, a, atol=1e-7)
+    lost = [2.0 - math.hypot(one.vx, one.vy) for one in (a, b)]
+    assert lost[1] == pytest.approx(lost[0] / 2, rel=0.02)
+
+
+C = """
+#include <stdio.h>
+#include <stdlib.h>
+#include "curlfit_stone.h"
+
+int main(int count, char **words)
+{
+    double a[3];
+    curlfit_stone s;
+    if (count != 5) return 2;
+    s.x = 0.3, s.y = 1.0, s.vx = atof(words[1]), s.vy = atof(words[2]), s.phi = 0.0;
+    s.omega = atof(words[3]);
+    curlfit_accelerations(0.7, s.omega, a);
+    while (curlfit_step(&s, atof(words[4]), 1.0)) continue;
+    printf("%.12g %.12g %.12g %.12g %.12g %.12g %g\\n", a[0], a[1], a[2], s.x, s.y, s.phi,
+           fabs(s.vx) + fabs(s.vy) + fabs(s.omega));
+    return 0;
+}
+"""
+JS = """
+import { accelerations, step } from "./curlfit_stone.mjs";
+const [vx, vy, omega, dt] = process.argv.slice(2).map(Number);
+const s = { x: 0.3, y: 1, vx, vy, phi: 0, omega };
+const a = accelerations(0.7, omega);
+while (step(s, dt));
+console.log(...a, s.x, s.y, s.phi, Math.abs(s.vx) + Math.abs(s.vy) + Math.abs(s.omega));
+"""
+
+
+def compiled_as(language, folder, table):
+    """The command that runs the exported stone."""
+    if language == "js":
+        node = shutil.which("node")
+        if node is None:
+            pytest.skip("no node to run JavaScript")
+        (folder / "curlfit_stone.mjs").write_text(javascript_module(table))
+        (folder / "run.mjs").write_text(JS)
+        return [node, str(folder / "run.mjs")]
+    compiler, options = (
+        (shutil.which("cc") or shutil.which("gcc"), ["-std=c99"]) if language == "c"
+        else (shutil.which("c++") or shutil.which("g++"), ["-x", "c++", "-std=c++17"])
+    )  # fmt: skip
+    if compiler is None:
+        pytest.skip(f"no compiler of {language}")
+    (folder / "curlfit_stone.h").write_text(c_header(table))
+    (folder / "run.c").write_text(C)
+    strict = ["-O2", "-Wall", "-Wextra", "-pedantic", "-Werror"]
+    words = [compiler, *options, *strict, "run.c", "-o", f"run-{language}", "-lm"]
+    subprocess.run(words, cwd=folder, check=True)
+    return [str(folder / f"run-{language}")]
+
+
+@pytest.mark.parametrize("language", ["c", "c++", "js"])
+def test_the_exported_stone_comes_to_rest_there_too(tmp_path, table, ends, language):
+    words = compiled_as(language, tmp_path, table)
+    for throw, (_, end) in zip(THROWS, ends, strict=True):
+        start = started(*throw)
+        for dt in (0.001, 1 / 60):
+            numbers = map(str, (start.vx, start.vy, start.omega, dt))
+            done = subprocess.run([*words, *numbers], capture_output=True, text=True, check=True)
+            found = np.array(done.stdout.split(), float)
+            np.testing.assert_allclose(
+                found[:3], table.accelerations(0.7, start.omega), rtol=1e-9, atol=1e-12
+            )
+            assert math.hypot(found[3] - end[0], found[4] - end[1]) < 2 * table.resting_place
+            assert found[6] == 0
+
+
+BODY = """
+#include <cstdio>
+#include <cstdlib>
+
+struct b2Vec2 {
+    float x, y;
+    b2Vec2(float x, float y) : x(x), y(y) {}
+};
+
+struct b2Body {  // what a Box2D body does without collisions
+    b2Vec2 place, velocity;
+    float spin;
+    b2Vec2 GetLinearVelocity() const { return velocity; }
+    float GetAngularVelocity() const { return spin; }
+    void SetLinearVelocity(b2Vec2 v) { velocity = v; }
+    void SetAngularVelocity(float w) { spin = w; }
+    void move(float dt) { place.x += dt * velocity.x; place.y += dt * velocity.y; }
+};
+"""
+FRAMES = """
+int main(int, char **words)
+{
+    b2Body body = {b2Vec2(0.3f, 1.0f), b2Vec2(std::atof(words[1]), std::atof(words[2])),
+                   static_cast<float>(std::atof(words[3]))};
+    for (int k = 0; k < 100000; k++) {
+        slow_down(&body, 0.001);
+        body.move(0.001f);
+    }
+    std::printf("%.9g %.9g %g\\n", body.place.x, body.place.y,
+                std::fabs(body.velocity.x) + std::fabs(body.velocity.y) + std::fabs(body.spin));
+}
+"""
+
+
+def test_frames_as_in_digitalcurling_end_there_too(tmp_path, table, ends):
+    """The page's own lines, in single precision."""
+    compiler = shutil.which("c++") or shutil.which("g++")
+    if compiler is None:
+        pytest.skip("no compiler of C++")
+    page = (Path(__file__).parents[2] / "notebooks" / "in_a_game.md").read_text()
+    (code,) = re.findall(r"<!-- frame -->\n```cpp\n(.*?)```", page, re.S)
+    (tmp_path / "curlfit_stone.h").write_text(c_header(table))
+    (tmp_path / "run.cpp").write_text(BODY + code + FRAMES)
+    words = [compiler, "-std=c++17", "-O2", "-Wall", "-Wextra", "run.cpp", "-o", "run"]
+    subprocess.run(words, cwd=tmp_path, check=True)
+    for throw, (_, end) in zip(THROWS, ends, strict=True):
+        start = started(*throw)
+        numbers = map(str, (start.vx, start.vy, start.omega))
+        done = subprocess.run(
+            [tmp_path / "run", *numbers], capture_output=True, text=True, check=True
+        )
+        x, y, speed = map(float, done.stdout.split())
+        assert math.hypot(x - end[0], y - end[1]) < CM
+        assert speed == 0
+
+
+def test_the_record_is_complete(table):
+    """Interpolated from the JSON alone, as its description says."""
+    record = json.loads(json.dumps(table.to_json()))
+    rows, columns = record["coordinates"]["intervals"]
+    angular = np.array(record["angular"])
+    assert angular.shape == (rows + 3, columns + 3)
+    R, v, k = record["stone"]["R"], 0.9, 11
+    # at a node: the angle whose p belongs to column k of the second half
+    side_p = 4 * (columns // 2 + k) / columns - 3
+    g = np.roots([1 / 15, 0, 0, 0, 0, 0, 14 / 15, -side_p])  # in cbrt(g)
+    g = next(float(x.real) ** 3 for x in g if abs(x.imag) < 1e-9)
+    omega = v * math.tan(math.pi / 4 * (1 + g)) / R
+    at = table.accelerations(v, omega)
+    assert angular[1, columns // 2 + k + 1] == pytest.approx(at[2], rel=1e-6)
+    assert record["error"]["resting_place"] == table.resting_place
+
+
+def test_what_no_table_holds_is_refused(eq12_fit):
+    def like(law):
+        item = eq12_fit.parameters["mu1_xi"]
+        own = {one.name: replace(item, value=one.default) for one in find_law(law).coefficients()}
+        start = {name: eq12_fit.parameters[name] for name in ("x0", "y0", "heading", "v0")}
+        rest = {name: eq12_fit.parameters[name] for name in ("phi0", "omega0")}
+        return replace(eq12_fit, law=law, parameters=own | start | rest)
+
+    with pytest.raises(InputError, match="depends on the angle turned"):
+        tabulate(like("debris"))
+    with pytest.raises(InputError, match="has no contact ring"):
+        tabulate(like("semi-empirical"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize("law", RINGS)
+def test_every_law_of_the_ring(eq12_fit, law, load):
+    item = eq12_fit.parameters["mu1_xi"]
+    own = {one.name: replace(item, value=one.default) for one in find_law(law).coefficients()}
+    others = {
+        name: one for name, one in eq12_fit.parameters.items() if name not in eq12_fit.coefficients
+    }
+    fit = replace(eq12_fit, law=law, load=load, parameters=own | others)
+    found = tabulate(fit)
+    assert found.resting_place < CM
+    start = InitialState(v=2.2, omega=1.7)
+    end = simulate(fit.fitted_law, fit.stone, start, np.array([0.0, np.inf]), load=load).to_numpy()
+    stone = found.step(Moved(0, 0, 0, 2.2, 0, 1.7), 100.0)
+    assert math.hypot(stone.x - end.x[-1], stone.y - end.y[-1]) < CM

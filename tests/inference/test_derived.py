@@ -1,0 +1,289 @@
+"""Derived quantities: expressions, their errors, and what is quoted of a path."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime
+
+import curlfit
+from curlfit.errors import InputError
+from curlfit.inference.expression import parse
+from curlfit.inference.fit.quantities import quantities_of
+from curlfit.sheet import LINES, TEE
+
+G = 9.81
+MU, V0, Y0, T_END = 0.0095, 2.45, 9.5, 24.0
+NAMES = ("a", "b", "c")
+AT = {"a": 0.7, "b": -1.3, "c": 2.1}
+
+
+@pytest.fixture(scope="module")
+def throw():
+    """Friction of Coulomb without spin: constant deceleration, on the sheet, nearly to rest."""
+    law, random = curlfit.law_with("coulomb", {"mu": MU}), np.random.default_rng(8)
+    t = np.linspace(0.0, T_END, 121)
+    start = curlfit.InitialState(x=0.2, y=Y0, heading=0.01, v=V0, omega=0.0)
+    path = curlfit.simulate(law, curlfit.Stone(), start, t).to_numpy()
+    x, y, phi = (
+        series + 0.004 * random.standard_normal(len(t)) for series in (path.x, path.y, path.phi)
+    )
+    made = curlfit.Throw.from_arrays(t, x, y, phi, name="draw.csv")
+    return replace(made, notes=("y from the hack",))
+
+
+@pytest.fixture(scope="module")
+def fit(throw):
+    return curlfit.fit(throw, "coulomb")
+
+
+@pytest.fixture(scope="module")
+def sampled(fit):
+    """The fit, and draws of the normal density of its covariance as a chain."""
+    names, random = tuple(fit.parameters), np.random.default_rng(6)
+    values = np.tile(fit.values, (50, 8, 1))
+    free = [names.index(name) for name in fit.covariance["names"]]
+    matrix = np.array(fit.covariance["matrix"])
+    values[..., free] = random.multivariate_normal(fit.values[free], matrix, (50, 8), tol=1e-6)
+    none = np.zeros((50, 8))
+    chain = curlfit.Chain(names, values, none, none[0].astype(int), 0, 4, 0)
+    found = fit.with_derived(["v0**2 / (2*g*mu)"], chain)
+    return replace(found, quantities=quantities_of(fit, chain)), chain
+
+
+# --- expressions
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a*b - c/a", "a**2 + c**0.5 * b**3", "sqrt(a) * exp(b) + log(c)", "abs(b) * max(a, c)",
+     "hypot(a, b) / (1 + tan(a)**2)", "sin(a) * cos(b) - atan(c) + log10(c)", "-b ** 2 + min(a, c)",
+     "2 a - .5 c", "a ** b"],
+)  # fmt: skip
+def test_gradients_are_those_of_differences(text):
+    found = parse(text, NAMES, {})
+    gradient = found.gradient(AT)
+    python = found.text.replace("2 a", "2*a").replace(".5 c", ".5*c").replace("log10", "lg")
+    functions = {name: getattr(np, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan")}
+    functions |= {"lg": np.log10, "atan": np.arctan, "hypot": np.hypot, "abs": abs}
+
+    def by_python(x):
+        return eval(python, functions | {"min": min, "max": max}, dict(zip(NAMES, x, strict=True)))
+
+    x = np.array(list(AT.values()))
+    assert found.of(AT) == pytest.approx(by_python(x), rel=1e-14)
+    expected = approx_fprime(x, by_python, 1e-7)
+    np.testing.assert_allclose([gradient.get(n, 0.0) for n in NAMES], expected, atol=3e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("a +", "not an arithmetic expression"), ("d", "no parameter 'd'; there are a, b, c"),
+     ("__import__('os')", "no function '__import__'"), ("a.real", "only numbers, names"),
+     ("a[0]", "only numbers, names"), ("'a'", "'a' is not a number"), ("", "empty"),
+     ("True * a", "True is not a number"), ("log(a, b)", "log takes 1 argument"),
+     ("3", "it is of no parameter"), ("a if b else c", "only numbers"), ("a" * 500, "500 chara"),
+     ("(" * 300 + "a" + ")" * 90, "not an arithmetic"), ("1e999*a", "too large"),
+     ("a; b", "not an"),
+     ("[a for a in b]", "only numbers"), ("a := 3", "not an"), ("1j*a", "1j is not a number")],
+)  # fmt: skip
+def test_what_is_no_arithmetic_is_refused(text, said):
+    with pytest.raises(InputError) as caught:
+        parse(text, NAMES, {})
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+# --- errors
+
+
+def test_errors_are_those_of_the_covariance(fit):
+    names = fit.covariance["names"]
+    matrix = np.array(fit.covariance["matrix"])
+    found = fit.derive("v0**2 / (2*g*mu)")
+    mu, v0 = fit["mu"].value, fit["v0"].value
+    assert found.value == pytest.approx(v0**2 / (2 * G * mu), rel=1e-13)
+    row = np.zeros(len(names))
+    row[names.index("v0")], row[names.index("mu")] = v0 / (G * mu), -(v0**2) / (2 * G * mu**2)
+    assert found.stderr == pytest.approx(np.sqrt(row @ matrix @ row), rel=1e-10)
+    assert found.verdict == "determined"
+    one = fit.derive("mu")
+    assert one.stderr == pytest.approx(fit["mu"].stderr, rel=1e-12)
+    assert one.systematic == pytest.approx(fit.systematics.errors["mu"], rel=1e-12)
+    assert one.dof == fit["mu"].dof
+    # a constant of the stone has a systematic error, which adds to that of the parameter
+    ratio = fit.derive("mu / R")
+    shifts, widths = fit.systematics.shifts["mu"], fit.systematics.widths
+    each = [by / fit.stone.R - (name == "R") * mu * widths["R"] / fit.stone.R**2
+            for name, by in shifts.items()]  # fmt: skip
+    assert ratio.systematic == pytest.approx(np.hypot.reduce(each), rel=1e-9)
+
+
+def test_quantiles_are_those_of_the_posterior(sampled):
+    found, chain = sampled
+    item = found["v0**2 / (2*g*mu)"]
+    mu, v0 = (chain.of({name: 1.0}) for name in ("mu", "v0"))
+    draws = v0**2 / (2 * G * mu)
+    assert item.quantiles["16"] == pytest.approx(np.quantile(draws, 0.16), rel=1e-12)
+    assert item.stderr == pytest.approx(draws.std(), rel=0.1)
+    assert curlfit.FitResult.from_json(json.loads(json.dumps(found.to_json()))).derived == (item,)
+
+
+@pytest.mark.parametrize(
+    ("text", "seen"),
+    [("mu1_eta + mu2_eta", True), ("(mu1_eta + mu2_eta)**2 / mu2_xi", True),
+     ("mu2_xi - mu1_xi", True), ("mu1_eta - mu2_eta", False), ("mu1_eta / mu2_eta", False),
+     ("mu1_eta * mu2_eta", False), ("(mu1_eta - mu2_eta)**2", False), ("v0*mu1_eta", False)],
+)  # fmt: skip
+def test_what_depends_on_the_ridge_is_not_identifiable(eq12_fit, text, seen):
+    found = eq12_fit.derive(text)
+    assert (found.verdict == "determined") == seen
+    assert (found.stderr is not None) == (found.interval() is not None) == seen
+    assert seen or found.verdict == "not identifiable"
+    assert seen or found.systematic is None
+
+
+def test_a_combination_has_its_own_errors(eq12_fit):
+    (known,) = eq12_fit.combinations
+    found = eq12_fit.derive(known.expression)
+    assert found.value == pytest.approx(known.value, rel=1e-13)
+    assert found.stderr == pytest.approx(known.stderr, rel=1e-9)
+    errors = eq12_fit.systematics.errors
+    assert found.systematic == pytest.approx(errors[known.expression], rel=1e-6)
+    assert found.dof == known.dof
+    # one that is written with rounded weights is exact
+    odd = replace(known, expression="mu1_eta + 0.98 mu2_eta",
+                  weights={"mu1_eta": 1.0, "mu2_eta": 1.0})  # fmt: skip
+    other = replace(eq12_fit, combinations=(odd,)).derive("2*(mu1_eta + 0.98 mu2_eta)")
+    assert other.value == pytest.approx(2 * known.value, rel=1e-13)
+    with pytest.raises(InputError, match="no finite value"):
+        eq12_fit.derive("log(mu1_xi - mu2_xi)")
+
+
+def test_what_is_at_a_bound_or_fixed_has_no_error(throw, fit):
+    held = curlfit.fit(throw, "coulomb", fix={"mu": MU})
+    assert held.derive("2*mu").verdict == "fixed"
+    assert held.derive("mu*v0").stderr == pytest.approx(MU * held["v0"].stderr)
+    stuck = curlfit.fit(throw, "coulomb", bounds={"mu": (0.0, 0.9 * MU)})
+    found = stuck.derive("mu*v0")
+    assert (found.verdict, found.stderr) == ("at bound", None)
+
+
+# --- what is quoted of the path
+
+
+def passes(y, mu, v0, y0, heading=0.01):
+    """When a stone under constant deceleration passes a line."""
+    a, v, gap = mu * G * np.cos(heading), v0 * np.cos(heading), y - y0
+    return (v - np.sqrt(v**2 - 2 * a * gap)) / a
+
+
+def test_quantities_of_the_path_have_closed_forms_under_constant_deceleration(fit):
+    found = fit.quantities
+    # without spin there is no curl, and a law that cannot curl says nothing of it
+    assert set(found) == {"friction", "turns", "hog_to_hog", "hog_to_tee"}
+    assert found["friction"].value == pytest.approx(fit["mu"].value, rel=1e-9)
+    assert found["friction"].stderr == pytest.approx(fit["mu"].stderr, rel=1e-4)
+    names = fit.covariance["names"]
+    order = [names.index(name) for name in ("mu", "v0", "y0", "heading")]
+    matrix = np.array(fit.covariance["matrix"])[np.ix_(order, order)]
+    at = np.array([fit[name].value for name in ("mu", "v0", "y0", "heading")])
+    for name, line in (("hog_to_hog", LINES["far-hog"]), ("hog_to_tee", TEE)):
+
+        def between(p, line=line):
+            return passes(line, *p) - passes(LINES["hog"], *p)
+
+        assert found[name].value == pytest.approx(between(at), abs=2e-6)
+        row = approx_fprime(at, between, 1e-8)
+        assert found[name].stderr == pytest.approx(np.sqrt(row @ matrix @ row), rel=2e-3)
+    assert found["hog_to_tee"].unit == "s"
+
+
+def test_quantities_agree_with_the_draws_of_the_posterior(sampled):
+    found, chain = sampled
+    item = found.quantities["hog_to_hog"]
+    draws = [chain.of({name: 1.0}) for name in ("mu", "v0", "y0", "heading")]
+    times = passes(LINES["far-hog"], *draws) - passes(LINES["hog"], *draws)
+    low, high = np.quantile(times, [0.16, 0.84])
+    assert item.quantiles["16"] == pytest.approx(low, abs=2e-6)
+    assert item.quantiles["84"] == pytest.approx(high, abs=2e-6)
+    assert item.stderr == pytest.approx(times.std(), rel=0.1)
+
+
+def test_a_sampled_fit_has_quantiles_of_both(eq12_posterior):
+    found, chain = eq12_posterior
+    for name, item in found.quantities.items():
+        low, high = item.quantiles["16"], item.quantiles["84"]
+        assert (high - low) / 2 == pytest.approx(item.stderr, rel=0.2), name
+    again = found.derive("mu2_xi - mu1_xi", chain)
+    draws = chain.of({"mu2_xi": 1.0, "mu1_xi": -1.0})
+    assert again.quantiles["84"] == pytest.approx(np.quantile(draws, 0.84))
+
+
+def test_only_what_the_record_determines_is_quoted(throw, fit, eq12_fit):
+    assert {"hog_to_hog", "draw_time"}.isdisjoint(eq12_fit.quantities)  # its zero of y is unknown
+    assert eq12_fit.quantities["curl"].value < 0
+    early = curlfit.fit(throw, "coulomb", until=10)
+    assert set(early.quantities) == {"friction", "turns"}
+    places = curlfit.Throw.from_arrays(throw.t, throw.x, throw.y)
+    assert "turns" not in curlfit.fit(places, "coulomb").quantities
+    systematic = fit.quantities["hog_to_hog"].systematic
+    # the clock of the record, wrong by 0.1 %, at least
+    assert systematic > 0.9e-3 * fit.quantities["hog_to_hog"].value
+
+
+def test_a_draw_has_its_time_and_its_curl(eq12_fit):
+    """By an independent simulation of the fitted stone."""
+    law, t = eq12_fit.fitted_law, np.linspace(0, 30, 241)
+    start = curlfit.InitialState(y=9.9, v=2.25, omega=1.3)
+    path = curlfit.simulate(law, curlfit.Stone(R=0.054), start, t).to_numpy()
+    assert 0.1 < path.y[-1] - TEE < 1.5
+    made = curlfit.Throw.from_arrays(
+        t, path.x, path.y, path.phi, sigma={"x": 0.003, "y": 0.003, "phi": 0.005}
+    )
+    made = replace(made, notes=("y from the hack",), defaults={"stone": {"R": 0.054}})
+    found = curlfit.fit(made).quantities
+    hog = np.interp(LINES["hog"], path.y[:10], t[:10])
+    assert found["draw_time"].value == pytest.approx(float(path.rest) - hog, abs=2e-3)
+    assert found["turns"].value == pytest.approx(path.phi[-1] / 2 / np.pi, abs=1e-4)
+    end = np.interp(TEE, path.y[:190], path.x[:190])
+    assert found["curl"].value == pytest.approx(end, abs=3e-3)
+
+
+# --- the command line
+
+
+def test_the_command_line_and_the_report(tmp_path, throw, monkeypatch):
+    from typer.testing import CliRunner
+
+    from curlfit.cli import app
+    from curlfit.throws.synthetic import write_table
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.csv").write_text('# axes = "from-hack"\n' + write_table(throw))
+    (tmp_path / "c.toml").write_text('derive = ["1e3*mu"]\n')
+
+    def run(*words):
+        done = CliRunner().invoke(app, [*map(str, words)])
+        assert done.exit_code == 0, done.output
+        return " ".join(done.stdout.split())
+
+    quick = ("--law", "coulomb", "--no-sample", "--no-figures")
+    said = run("fit", "a.csv", *quick, "--derive", "v0**2/(2*g*mu)", "--derive", "mu - 0.01")
+    assert "derived estimate std. error systematic verdict v0**2/(2*g*mu) " in said
+    assert "hog line to hog line (s)" in said
+    assert "mean deceleration over g" in said
+    saved = curlfit.load_fit("a-fit")
+    assert [item.expression for item in saved.derived] == ["v0**2/(2*g*mu)", "mu - 0.01"]
+    assert saved["mu - 0.01"].stderr == pytest.approx(saved["mu"].stderr)
+    assert "hog line to hog line" in repr(saved)
+    assert "mu / v0" in run("show", "a-fit", "--derive", "mu / v0")
+    assert "1e3*mu" in run("fit", "a.csv", *quick, "--config", "c.toml", "--out", "c")
+    (tmp_path / "b.csv").write_text((tmp_path / "a.csv").read_text())
+    assert "mu*g" in run("fit", "a.csv", "b.csv", *quick[:2], quick[3], "--derive", "mu*g")
+    joint = curlfit.load_joint("joint-fit")
+    assert joint["mu*g"].stderr == pytest.approx(G * joint["mu"].stderr)
+    assert saved.to_frame().loc["mu - 0.01", "verdict"] == "determined"
