@@ -438,9 +438,10 @@ def load_fit_and_chain(folder: Path) -> tuple[FitResult, Chain | None]:
     kind = kind_of(folder)
     if kind != "fit":
         what = {"joint": "a joint fit of several throws", "compare": "a comparison of laws"}
+        throws = sorted((folder if folder.is_dir() else folder.parent).glob("*/fit.json"))
         raise InputError(
             f"{folder}: {what.get(kind, f'a result of curlfit {kind}')}; expected the fit of one "
-            "throw" + (f", such as {folder}/NAME" if kind == "joint" else "")
+            "throw" + (f", such as {throws[0].parent}" if kind == "joint" and throws else "")
         )
     result = load_fit(folder)
     file = chain_beside(folder)

@@ -253,10 +253,30 @@ def test_eight_draws_of_an_evening_give_one_friction():
     assert abs(found.value - 0.0085) < 3 * found.stderr
 
 
+def test_draws_that_differ_are_fitted_together_and_stay_usable():
+    """Chi squared of each has a slope at the joint optimum, which is no fault of the search."""
+    random = np.random.default_rng(7)
+    frictions, sides = (0.0080, 0.0090) * 4, (1.2, -1.2) * 4
+    evening = [
+        Throw.from_events(record(**drawn(mu, TEE, side, random)))
+        for mu, side in zip(frictions, sides, strict=True)
+    ]
+    result = fit_together(evening, "coulomb")
+    assert [item.significant for item in result.differences] == [True]
+    assert {one.converged for one in result.throws} == {True}
+    assert {one.status for one in result.throws} == {result.status}
+    # the curl of an event is one number and the heading takes it up: it says nothing of a slope
+    assert not any("slope_x" in text for text in result.warnings)
+
+
 def test_a_number_that_the_law_cannot_follow_is_named():
     events = (*record(hog_to_hog=14.2, rest=TEE, curl=1.0), *record(hog_to_rest=30.0))
     result = curlfit.fit(Throw.from_events(events), "coulomb")
     assert any("the fit misses" in text and "hog_to_rest by" in text for text in result.warnings)
+    assert any(
+        text.endswith("--law power lets the friction change with the speed")
+        for text in result.warnings
+    )
 
 
 def test_systematic_errors_of_lengths_and_times(problem):

@@ -48,6 +48,11 @@ class Difference:
         """Whether chance hardly explains the differences."""
         return self.p_value < _SIGNIFICANT
 
+    @property
+    def p_text(self) -> str:
+        """The p-value of a significant difference in words."""
+        return f"p = {self.p_value:.1g}" if self.p_value > 1e-99 else "p < 1e-99"
+
 
 @dataclass(frozen=True, repr=False)
 class JointResult(NamedEstimates):
