@@ -355,7 +355,9 @@ def _fit_jointly(
     from curlfit.inference.joint.report import print_joint
 
     print_joint(result, console)
-    folders = named if len(named) < 4 else [named[0], "...", named[-1]]
+    folders = list(named)
+    if len(folders) > 3:
+        folders[1:-1] = ["..."]
     console.print(
         "Written: "
         + ", ".join(map(str, written))

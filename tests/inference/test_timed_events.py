@@ -265,6 +265,9 @@ def test_draws_that_differ_are_fitted_together_and_stay_usable():
     assert [item.significant for item in result.differences] == [True]
     assert {one.converged for one in result.throws} == {True}
     assert {one.status for one in result.throws} == {result.status}
+    # two numbers along the sheet fit any law, if not one friction
+    assert any("the fit misses" in text for text in result.warnings)
+    assert not any("--law power" in text for text in result.warnings)
     # the curl of an event is one number and the heading takes it up: it says nothing of a slope
     assert not any("slope_x" in text for text in result.warnings)
 

@@ -178,7 +178,9 @@ def test_a_table_has_a_throw_in_each_row(tmp_path):
     assert first.defaults["law"] == "power"
     assert isinstance(fourth, DataError)
     assert fourth.line == 7
-    assert values(load_throw(file, shot=2)) == values(second)
+    chosen = load_throw(file, shot=2)
+    assert values(chosen) == values(second)
+    assert any("taken: 2 (--shot selects another)" in note for note in chosen.notes)
     assert [part.shot for part in load_throws(file, shot=3)] == [3]
     with pytest.raises(InputError, match="there is no such row; expected one of 1 line 3; 2"):
         load_throw(file, shot=9)

@@ -65,7 +65,12 @@ def read_timings(path: Path, lines: list[str], options: ReadOptions) -> ParsedFi
     """
     rows = _rows(path, lines)
     index = choose("row", "--shot", options.shot, [f"line {min_line(row)}" for row in rows], 0)
-    return _record(path, lines, rows, index)
+    parsed = _record(path, lines, rows, index)
+    if len(rows) > 1:
+        parsed.notes.insert(
+            0, f"{len(rows)} throws, one in each row; taken: {index + 1} (--shot selects another)"
+        )
+    return parsed
 
 
 def _parts(path: Path, lines: list[str], options: ReadOptions) -> list[FilePart]:
