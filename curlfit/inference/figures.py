@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
@@ -129,7 +130,9 @@ def corner_figure(fit: FitResult, chain: Chain) -> Figure:
     --------
     >>> curlfit.corner_figure(sampled, chain).savefig("corner.png")
     """
-    import corner  # imports pyplot, which takes half a second
+    with warnings.catch_warnings():  # it loads ArviZ where it is, which announces its next version
+        warnings.simplefilter("ignore", FutureWarning)
+        import corner  # imports pyplot, which takes half a second
 
     names = [name for name in fit.coefficients if fit.parameters[name].verdict != "fixed"]
     if len(names) < 2:  # one alone has no corner

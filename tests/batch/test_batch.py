@@ -267,6 +267,7 @@ def test_a_log_has_a_row_for_each_shot_and_an_export_one_for_each_object(logs):
     assert fit_files(files[1:2], BatchSettings(how={"stone_index": 1})) == rows[3:4]
 
 
+@pytest.mark.slow
 def test_a_log_cut_off_between_its_shots_is_completed(logs, tmp_path):
     out = tmp_path / "r.csv"
     words = ["batch", str(logs), "--out", str(out), "--workers", "1"]

@@ -77,6 +77,7 @@ def pulls_of(thrown, law, noise):
     )
 
 
+@pytest.mark.slow
 def test_errors_hold_the_truth_under_a_wrong_law():
     throws = thrown(LAWS["stribeck"](), 24)
     white = pulls_of(throws, "coulomb", "white")
@@ -141,6 +142,7 @@ def test_the_likelihood_of_sizes_is_that_of_the_covariance():
     assert found[0] - found[1] == pytest.approx(expected[0] - expected[1], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_memory_is_told_from_a_discrepancy():
     """Wrong law and AR(1) noise of 0.5 s: without a memory the errors are far too small."""
     random, memory = np.random.default_rng(5), 0.5

@@ -40,7 +40,6 @@ def throws():
 CHOICES = {
     "robust": {"loss": "student"},
     "ar1": {"noise": "ar1"},
-    "discrepancy": {"noise": "discrepancy"},
     "ar1+discrepancy": {"noise": "ar1+discrepancy"},
     "fixed": {"fix": {"mu1_eta": 0.009}, "bounds": {"mu2_xi": (0.0, 0.045)}, "unbounded": True},
     "started": {"start": {"mu1_xi": 0.02, "v0": 2.0}},
@@ -128,6 +127,7 @@ def test_log_likelihood_of_correlated_noise_is_that_of_its_covariance(throws):
         assert found == pytest.approx(-(len(t) + determinant) / 2, abs=1e-2)
 
 
+@pytest.mark.slow
 def test_paths_side_by_side_are_those_of_single_throws():
     """With vectors of 512 bits XLA compiles this law wrongly, for a whole batch at a time."""
     law = LAWS["debris"]

@@ -60,7 +60,9 @@ def snapshot(folder):
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
-@pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize(
+    "blow", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)]
+)
 def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(tmp_path, blow):
     struck, whole = tmp_path / "struck", tmp_path / "whole"
     fit = ("fit", DATA, "--no-figures", "--seed", 5)

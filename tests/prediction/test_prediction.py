@@ -192,7 +192,8 @@ def test_a_target_is_met_by_an_independent_integration(fit, place):
 @pytest.mark.parametrize(
     ("law", "load"),
     [
-        ("power", "uniform"), ("semi-empirical", "uniform"), ("front-back", "consistent"),
+        ("power", "uniform"), ("semi-empirical", "uniform"),
+        pytest.param("front-back", "consistent", marks=pytest.mark.slow),
         pytest.param("stribeck", "consistent", marks=pytest.mark.slow),
         pytest.param("angular", "uniform", marks=pytest.mark.slow),
         pytest.param("pressure", "consistent", marks=pytest.mark.slow),

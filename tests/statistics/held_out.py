@@ -43,6 +43,9 @@ CASES = (
     Case("right law", "front-back", "front-back"),
     Case("`power` fitted by `coulomb`", "power", "coulomb"),
     Case("`stribeck` fitted by `coulomb`", "stribeck", "coulomb"),
+    Case("`angular` fitted by `front-back`", "angular", "front-back"),
+    Case("`semi-empirical` fitted by `front-back`", "semi-empirical", "front-back"),
+    Case("`debris` fitted by `front-back`", "debris", "front-back"),
     Case("right law, noise correlated by 0.9 from row to row", "front-back", "front-back", 0.9),
 )
 
@@ -54,6 +57,10 @@ class Answer(NamedTuple):
     parameters: dict[str, dict[str, bool]]
     found: bool
     """whether the law was taken to miss something"""
+    off: dict[str, float]
+    """size of the error of the prediction"""
+    half: dict[str, float]
+    """half the width of the 68 % interval"""
 
 
 def answers(
@@ -132,7 +139,9 @@ def _judged(predicted: curlfit.Prediction, path: curlfit.Trajectory) -> Answer:
     for level, (low, high, _, sigmas) in LEVELS.items():
         both[level] = {k: quantiles[k][low] <= truth[k] <= quantiles[k][high] for k in ASKED}
         parameters[level] = {k: abs(truth[k] - best[k]) <= sigmas * own[k] for k in ASKED}
-    return Answer(both, parameters, predicted.misfit.detected)
+    off = {k: abs(truth[k] - best[k]) for k in ASKED}
+    half = {k: (quantiles[k]["84"] - quantiles[k]["16"]) / 2 for k in ASKED}
+    return Answer(both, parameters, predicted.misfit.detected, off, half)
 
 
 def _time_of_rest(path: curlfit.Trajectory) -> float:
@@ -154,8 +163,9 @@ def table(case: Case, found: list[Answer], left: Counter[str]) -> str:
         "",
         f"{counted}. The law was taken to miss something in {sum(a.found for a in found)}.",
         "",
-        "| | 68 %: both errors | parameters alone | 95 %: both errors | parameters alone |",
-        "|---|---|---|---|---|",
+        "| | 68 %: both errors | parameters alone | 95 %: both errors | parameters alone | median "
+        "error | median half-width at 68 % |",
+        "|---|---|---|---|---|---|---|",
     ]
     for name in ASKED:
         cells = []
@@ -163,6 +173,10 @@ def table(case: Case, found: list[Answer], left: Counter[str]) -> str:
             for kind in ("both", "parameters"):
                 inside = sum(getattr(answer, kind)[level][name] for answer in found)
                 cells.append(share(inside, n, nominal))
+        cells += [
+            f"{np.median([getattr(answer, kind)[name] for answer in found]):.2g}"
+            for kind in ("off", "half")
+        ]
         lines.append(f"| {name.replace('_', ' ')} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 

@@ -105,7 +105,11 @@ def _recognizes(head: list[str]) -> bool:
         return any(key in TIMES for name in _header(head[0]) if (key := name[0]) is not None)
     found = [_pair(line) for line in head]
     keys = [pair[0] for pair in found if pair is not None]
-    return any(key in TIMES for key in keys) or (bool(found) and found[0] is not None)
+    if any(key in TIMES for key in keys):
+        return True
+    # not the header of a table, whose first column has such a name
+    first = found[0] if found else None
+    return first is not None and any(char.isdigit() for char in first[2])
 
 
 TIMINGS = Format("timings", _recognizes, read_timings, _parts, ("shot",))
