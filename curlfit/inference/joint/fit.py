@@ -37,7 +37,7 @@ from curlfit.inference.noise.models import check_loss, check_noise
 from curlfit.inference.priors import Prior
 from curlfit.inference.problem import problem_shape
 from curlfit.stone import Stone
-from curlfit.throws.throw import Throw
+from curlfit.throws.throw import Throw, require_throw
 
 
 def fit_together(
@@ -85,6 +85,8 @@ def fit_together(
     >>> joint.converged, joint.share
     (True, ('mu1_xi', 'mu2_xi', 'mu1_eta', 'mu2_eta'))
     """
+    for throw in throws:
+        require_throw(throw)
     if law is None:
         law = throws[0].defaults.get("law", "front-back") if throws else "front-back"
     law = find_law(law) if isinstance(law, str) else law
