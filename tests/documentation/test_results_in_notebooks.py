@@ -523,7 +523,6 @@ def test_the_name_of_a_file_is_no_throw(takes):
 
 
 def test_a_target_is_a_place(known):
-    namespace, _ = known[:2]
     for target in ("tee", (0.0, 0.0, 0.0)):
         with pytest.raises(InputError, match=r"expected \(x, y\), m from the tee"):
-            curlfit.predict(namespace["fit"], target=target)
+            curlfit.predict(known["fit"], target=target)
