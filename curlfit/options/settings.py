@@ -278,6 +278,7 @@ def prepare_all(
     InputError : as `prepare`; two files of the same name.
     """
     from curlfit.errors import CurlfitError
+    from curlfit.inference.joint.result import folder_name
     from curlfit.throws.readers import holds_timed_rows, load_throws
 
     if len({file.stem for file in files}) < len(files):
@@ -292,8 +293,7 @@ def prepare_all(
         for part in parts:
             if isinstance(part.throw, CurlfitError):
                 raise part.throw
-            name = file.stem if part.shot is None else f"{file.stem}-{part.shot}"
-            found[name] = apply_settings(part.throw, configured, flags)
+            found[folder_name(part.throw.name)] = apply_settings(part.throw, configured, flags)
     return found
 
 

@@ -14,10 +14,12 @@ from curlfit.errors import InputError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.joint.fit import fit_together
+from curlfit.inference.joint.result import load_joint
 from curlfit.inference.likelihood import linearize, predict_channels, predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, build_problem
 from curlfit.numerics.compiled import in_batches, stacked
+from curlfit.options.settings import prepare_all
 from curlfit.throws.events import MOST_EVENTS, Event, even_motion
 from curlfit.throws.throw import Throw
 
@@ -270,6 +272,19 @@ def test_draws_that_differ_are_fitted_together_and_stay_usable():
     assert not any("--law power" in text for text in result.warnings)
     # the curl of an event is one number and the heading takes it up: it says nothing of a slope
     assert not any("slope_x" in text for text in result.warnings)
+
+
+def test_a_saved_evening_is_read_again(tmp_path):
+    file = tmp_path / "evening.csv"
+    file.write_text("h2h;rest\n14,2;0,4\n14,5;-0,3\n")
+    named = prepare_all([file], None, {})
+    assert list(named) == ["evening-1", "evening-2"]
+    joint = fit_together([job.throw for job in named.values()])
+    joint.save(tmp_path / "joint.json")
+    for name, one in zip(named, joint.throws, strict=True):
+        (tmp_path / name).mkdir()
+        one.save(tmp_path / name / "fit.json")
+    assert load_joint(tmp_path).throws == joint.throws
 
 
 def test_a_number_that_the_law_cannot_follow_is_named():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -137,6 +138,12 @@ class JointResult(NamedEstimates):
         write_json(self.to_json(), Path(file))
 
 
+def folder_name(throw: str) -> str:
+    """The folder of a throw beside `joint.json`: `evening-3` of row 3 of `evening.csv`."""
+    row = re.fullmatch(r"(.*) row (\d+)", throw)
+    return Path(throw).stem if row is None else f"{Path(row[1]).stem}-{row[2]}"
+
+
 def load_joint(file: str | PathLike[str]) -> JointResult:
     """Read a saved joint fit, by its folder or its `joint.json`, with the single throws beside it.
 
@@ -174,7 +181,7 @@ def load_joint(file: str | PathLike[str]) -> JointResult:
                 for item in found["differences"]
             ),
             throws=tuple(
-                load_fit(path.parent / Path(item["file"]).stem) for item in found["throws"]
+                load_fit(path.parent / folder_name(item["file"])) for item in found["throws"]
             ),
             systematics=Systematics(**known_fields(Systematics, found.get("systematics", {}))),
         )
