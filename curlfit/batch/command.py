@@ -181,7 +181,9 @@ def batch(
                 progress.advance(task, len({row["file"] for row in rows}))
     counts = table.counts
     console.print(
-        ", ".join(f"{counts[status]} {status}" for status in ("ok", "not usable", "failed"))
+        f"{counts['ok']} ok"
+        + (f" ({table.warned} with warnings, in the column of that name)" if table.warned else "")
+        + f", {counts['not usable']} not usable, {counts['failed']} failed"
         + f". Written: {out}, {table.settings}",
         soft_wrap=True,
     )

@@ -25,6 +25,7 @@ from curlfit.version import __version__
 
 _MAKER = "curlfit batch"
 _OLD_MARK = b"# curlfit batch "
+_COUNTED = ("status", "warnings")
 _OTHERWISE = "name another table with --out, or write over it with --again"
 
 
@@ -45,6 +46,7 @@ class Table:
     Attributes
     ----------
     todo : the files whose rows are not all there. counts : number of rows by status.
+    warned : number of usable rows with warnings.
 
     Raises
     ------
@@ -62,6 +64,7 @@ class Table:
     ) -> None:
         self.file, self.columns = file, list(columns)
         self.counts: Counter[str] = Counter()
+        self.warned = 0
         self.settings = settings_file(file)
         self._place = {name: place for place, name in enumerate(self.columns)}
         head = _lines([self.columns])
@@ -152,14 +155,19 @@ class Table:
             last = len(list(takewhile(lambda row: row[file] == rows[-1][file], reversed(rows))))
             size -= sum(len(line.encode(errors="surrogateescape")) + 1 for line in lines[-last:])
             del rows[-last:]
-        self.counts.update(row[self._place["status"]] for row in rows)
+        self._count({name: row[self._place[name]] for name in _COUNTED} for row in rows)
         return size, {row[file] for row in rows}
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Write rows, in one piece and to the disk."""
         self.stream.write(_lines([row[name] for name in self.columns] for row in rows))
         self._settle()
-        self.counts.update(row["status"] for row in rows)
+        self._count(rows)
+
+    def _count(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        for row in rows:
+            self.counts[row["status"]] += 1
+            self.warned += row["status"] == "ok" and bool(row["warnings"])
 
     def _settle(self) -> None:
         self.stream.flush()

@@ -359,8 +359,14 @@ def _fit_jointly(
     from curlfit.inference.joint.report import print_joint
 
     print_joint(result, console)
+    folders = list(named)
+    if len(folders) > 3:
+        folders[1:-1] = ["..."]
     console.print(
-        "Written: " + ", ".join(map(str, written)) + f", and {folder}/NAME/ for each throw",
+        "Written: "
+        + ", ".join(map(str, written))
+        + f", and in {folder}/ a folder for each throw: "
+        + ", ".join(folders),
         soft_wrap=True,
     )
     if not result.converged:

@@ -30,7 +30,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import options_of, require_known
 from curlfit.inference.priors import Prior
 from curlfit.stone import Stone
-from curlfit.throws.throw import Throw
+from curlfit.throws.throw import Throw, require_throw
 
 
 def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[Law], str]]:
@@ -94,6 +94,7 @@ def compare(
     >>> comparison.best.label
     'front-back, uniform load'
     """
+    require_throw(throw)
     if not throw.has_path:
         raise InputError(
             f"{throw.name}: {len(throw.events)} timed events rank no laws; expected a path. "

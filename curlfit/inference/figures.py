@@ -104,8 +104,9 @@ def _ring_outliers(axes: Any, fit: FitResult, name: str, size: float) -> None:
         [item["t"] for item in found], np.clip(off, -0.97 * inner, 0.97 * inner),
         "x", color=REFERENCE_COLOR, markersize=5, clip_on=False,
     )  # fmt: skip
+    many = "1 outlier" if len(found) == 1 else f"{len(found)} outliers"
     axes.text(
-        0.02, 0.97, f"\N{MULTIPLICATION SIGN} {len(found)} outliers", transform=axes.transAxes,
+        0.02, 0.97, f"\N{MULTIPLICATION SIGN} {many}", transform=axes.transAxes,
         color=REFERENCE_COLOR, fontsize=8, va="top",
     )  # fmt: skip
 

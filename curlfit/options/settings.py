@@ -282,6 +282,7 @@ def prepare_all(
     InputError : as `prepare`; two files of the same name.
     """
     from curlfit.errors import CurlfitError
+    from curlfit.inference.joint.result import folder_name
     from curlfit.throws.readers import holds_timed_rows, load_throws
 
     if len({file.stem for file in files}) < len(files):
@@ -296,8 +297,7 @@ def prepare_all(
         for part in parts:
             if isinstance(part.throw, CurlfitError):
                 raise part.throw
-            name = file.stem if part.shot is None else f"{file.stem}-{part.shot}"
-            found[name] = apply_settings(part.throw, configured, flags)
+            found[folder_name(part.throw.name)] = apply_settings(part.throw, configured, flags)
     return found
 
 
@@ -450,9 +450,10 @@ def load_fit_and_chain(folder: Path) -> tuple[FitResult, Chain | None]:
     kind = kind_of(folder)
     if kind != "fit":
         what = {"joint": "a joint fit of several throws", "compare": "a comparison of laws"}
+        throws = sorted((folder if folder.is_dir() else folder.parent).glob("*/fit.json"))
         raise InputError(
             f"{folder}: {what.get(kind, f'a result of curlfit {kind}')}; expected the fit of one "
-            "throw" + (f", such as {folder}/NAME" if kind == "joint" else "")
+            "throw" + (f", such as {throws[0].parent}" if kind == "joint" and throws else "")
         )
     result = load_fit(folder)
     file = chain_beside(folder)

@@ -60,6 +60,10 @@ class ThrowRequest(NamedTuple):
             raise InputError(
                 f"start on {self.line!r}: expected one of {', '.join(list(LINES)[:-1])}, data"
             )
+        if self.target is not None and (isinstance(self.target, str) or len(self.target) != 2):
+            raise InputError(
+                f"target {self.target!r}: expected (x, y), m from the tee; (0, 0) is the tee"
+            )
         if self.target is not None and self.weight is not None:
             raise InputError("a target and a weight are given; expected one of them")
         if self.weight is not None and self.weight not in WEIGHTS:

@@ -278,27 +278,30 @@ def _friction(t: Floats, speed: Floats, error: Floats) -> tuple[float, float]:
 def _curl(t: Floats, positions: Floats) -> tuple[float, float, tuple[float, float]]:
     """Departure from the initial direction, its error, and the direction of the motion.
 
-    Of a parabola of the distance along the chord, whose ends are means over a tenth of the rows.
+    The initial direction is the tangent of a parabola through the first half of the path; the end
+    is a mean over a fortieth of the rows, since the curl grows most at the end.
     """
     few = max(2, len(t) // 10)
-    chord = positions[:, -few:].mean(1) - positions[:, :few].mean(1)
-    length = float(np.hypot(*chord))
+    begin, end = positions[:, :few].mean(1), positions[:, -few:].mean(1)
+    length = float(np.hypot(*(end - begin)))
     if length == 0:
         return 0.0, math.inf, (math.nan, math.nan)
-    along_x, along_y = chord / length
-    along = along_x * positions[0] + along_y * positions[1]
-    left = -along_y * positions[0] + along_x * positions[1]
-    scaled = (along - along.mean()) / length
-    powers = np.stack([np.ones_like(scaled), scaled, scaled**2])
+    along_x, along_y = (end - begin) / length
+    x, y = positions - begin[:, None]
+    along, left = (along_x * x + along_y * y) / length, along_x * y - along_y * x
+    near = along < 0.5
+    if near.sum() < _FEWEST // 2:
+        near[:] = True
+    powers = np.stack([np.ones_like(along), along, along**2])[:, near]
     inverse = np.linalg.pinv(powers @ powers.T)
-    found = inverse @ (powers @ left)
-    residual = left - found @ powers
-    noise = math.sqrt(float(residual @ residual) / max(len(t) - 3, 1))
-    spread = float(inverse[2, 2])
-    reach = float(np.ptp(scaled)) ** 2
+    found = inverse @ (powers @ left[near])
+    residual = left[near] - found @ powers
+    variance = float(residual @ residual) / max(int(near.sum()) - 3, 1)
+    last = max(2, len(t) // 40)
+    tangent = np.array([1.0, float(along[-last:].mean()), 0.0])
     return (
-        float(found[2]) * reach,
-        noise * math.sqrt(spread) * reach,
+        float(left[-last:].mean() - tangent @ found),
+        math.sqrt(variance * (float(tangent @ inverse @ tangent) + 1 / last)),
         (float(along_x), float(along_y)),
     )
 
@@ -636,15 +639,12 @@ def _axes(throw: Throw, motion: Motion) -> Iterator[Finding]:
     counter-clockwise seen from above.
     """
     turned, _ = _turning(throw)
-    if turned is None or not math.isfinite(motion.direction[0]):
+    if not math.isfinite(motion.direction[0]):
         return
     words = "" if throw.conventions is None else throw.conventions.axes
     along_x = abs(motion.direction[0]) > 2 * abs(motion.direction[1])
-    certain = (
-        abs(motion.curl) - _SURE * motion.curl_error > _CLEAR_CURL and abs(turned) > _CLEAR_TURN
-    )
-    opposite = certain and motion.curl * turned < 0
-    if not opposite:
+    certain = abs(motion.curl) - _SURE * motion.curl_error > _CLEAR_CURL
+    if turned is None or not (certain and abs(turned) > _CLEAR_TURN and motion.curl * turned < 0):
         if along_x:
             forward = 1 if motion.direction[0] > 0 else -1
             word = corrected(words, -forward, forward, 1, exchanged=True)  # a rotation

@@ -471,6 +471,15 @@ def _same(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
+def require_throw(throw: object) -> None:
+    """Raise `InputError` for what is no throw, such as the name of a file."""
+    if not isinstance(throw, Throw):
+        raise InputError(
+            f"{type(throw).__name__} {str(throw)[:40]!r} found, expected a Throw, as "
+            "curlfit.load_throw(file) or curlfit.Throw.from_arrays(t, x, y, phi) makes"
+        )
+
+
 def check_sigma(sigma: Mapping[str, float]) -> None:
     """Raise `InputError` where a standard deviation is not positive, or of no channel."""
     for name, value in sigma.items():

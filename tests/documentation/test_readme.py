@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shlex
 import shutil
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
-import numpy as np
 import pytest
+from transcripts import ROOT, blocks, require_shown, run, typed, without_gaps
 
-ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
-BASH = [
-    line
-    for block in re.findall(r"```bash\n(.*?)```", README, re.S)
-    for line in block.splitlines()
-    if line.strip()
-]
+BASH = [line for lines, _ in blocks(README) for line in lines]
 # These are done by .ci/run, each in an environment that has nothing yet.
 NOT_HERE = tuple(
     re.search(rf"<!-- {name} -->\n```bash\n(.*)\n```", README)[1] for name in ("fit", "tests")
@@ -41,22 +30,6 @@ def clone(tmp_path_factory):
     folder = tmp_path_factory.mktemp("clone")
     shutil.copytree(ROOT / "data", folder / "data")
     return folder
-
-
-def run(words, folder):
-    return subprocess.run(
-        [sys.executable, *words], cwd=folder, capture_output=True, text=True, check=False,
-        timeout=500, env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-
-
-def typed(line, folder):
-    """A `curlfit` line as a user types it."""
-    program, *words = shlex.split(line)
-    assert program == "curlfit"
-    found = run(["-m", "curlfit", *words], folder)
-    assert (found.returncode, found.stderr) == (0, ""), line
-    return found.stdout
 
 
 def test_every_block_of_commands_is_known():
@@ -82,28 +55,7 @@ def shown(command, after):
     """The lines of the README's text block after a command, without the gaps."""
     rest = README[README.index(f"{command}\n```") :]
     block = re.search(r"```text\n(.*?)```", rest[: rest.index(after)], re.S)[1]
-    return [line for line in block.splitlines() if line.strip() and line != "..."]
-
-
-NUMBER = r"-?\d+\.\d+"
-
-
-def alike(line, text):
-    """Whether the text has the line, but for five units of the last digits of numbers, or 5 %:
-    quantiles of samples have an error, and hang on the processor's rounding."""
-    pattern = f"({NUMBER})".join(map(re.escape, re.split(NUMBER, line)))
-    for match in re.finditer(pattern, text):
-        pairs = zip(re.findall(NUMBER, line), match.groups(), strict=True)
-        if all(
-            abs(float(one) - float(other))
-            <= max(5.5 * 10.0 ** -len(one.partition(".")[2]), 0.05 * abs(float(one)))
-            for one, other in pairs
-        ):
-            return True
-    return False
-
-
-FLAT = r"(\w+)(?:\s+-)+\s+not identifiable\s+([\d.]+) \.\. ([\d.]+)"
+    return without_gaps(block)
 
 
 @pytest.mark.parametrize(
@@ -120,21 +72,8 @@ FLAT = r"(\w+)(?:\s+-)+\s+not identifiable\s+([\d.]+) \.\. ([\d.]+)"
     ],
 )
 def test_the_commands_print_what_the_readme_shows(printed, command, after):
-    def words(text):
-        # how many steps a fit takes may depend on the machine
-        text = re.sub(r"\(\d+ steps\)", "(some steps)", " ".join(text.split()))
-        return re.sub(FLAT, r"\1 not identifiable", text)
-
     (command,) = [line for line in printed if line.endswith(command)]
-    found = words(printed[command])
-    for line in shown(command, after):
-        assert words(line) in found or alike(words(line), found), line
-    # So do the quantiles of a flat posterior, which is wide, in their last digit.
-    ranges = {item[0]: item[1:] for item in re.findall(FLAT, printed[command])}
-    for name, *limits in re.findall(FLAT, "\n".join(shown(command, after))):
-        np.testing.assert_allclose(
-            np.array(ranges[name], float), np.array(limits, float), atol=5e-4
-        )
+    require_shown(shown(command, after), printed[command])
 
 
 def test_the_commands_write_what_the_readme_says(printed, clone):

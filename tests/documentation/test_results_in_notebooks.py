@@ -512,3 +512,17 @@ def test_sliders_keep_to_bounds(known):
         assert slider.max <= fit[name].upper, name
     lost = replace(explorer.curves, chi_squared=np.nan)
     assert describe(lost, fit) == "The law admits no motion at these values."
+
+
+@pytest.mark.parametrize(
+    "takes", [curlfit.fit, curlfit.compare, lambda name: curlfit.fit_together([name])]
+)
+def test_the_name_of_a_file_is_no_throw(takes):
+    with pytest.raises(InputError, match=r"str 'a.csv' found, expected a Throw, as curlfit.load_"):
+        takes("a.csv")
+
+
+def test_a_target_is_a_place(known):
+    for target in ("tee", (0.0, 0.0, 0.0)):
+        with pytest.raises(InputError, match=r"expected \(x, y\), m from the tee"):
+            curlfit.predict(known["fit"], target=target)

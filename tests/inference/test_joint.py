@@ -15,6 +15,7 @@ from scipy.stats import chi2
 import curlfit
 from curlfit import LAWS, InitialState, Stone, fit_together, simulate
 from curlfit.errors import InputError
+from curlfit.options.settings import load_fit_and_chain
 
 LAW = LAWS["front-back"]
 STONE = Stone()
@@ -186,6 +187,9 @@ def test_on_the_command_line(three, tmp_path):
     done = run(*names)
     assert done.returncode == 0, done.stderr
     assert "3 throws together" in done.stdout
+    assert "a folder for each throw: throw0, throw1, throw2" in " ".join(done.stdout.split())
+    with pytest.raises(InputError, match=r"expected the fit of one throw, such as .*throw0"):
+        load_fit_and_chain(tmp_path / "joint-fit")
     record = json.loads((tmp_path / "joint-fit" / "joint.json").read_text())
     assert record["combinations"][0]["expression"] == "mu1_eta + mu2_eta"
     assert len(record["throws"]) == 3

@@ -13,6 +13,7 @@ from scipy.stats import binomtest, chi2, f, t
 
 import curlfit
 from curlfit.inference.fit.covariance import Covariance
+from curlfit.inference.fit.residuals import outlier_warning
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.report import identifiability, report
 from curlfit.profile_likelihood.result import levels_of
@@ -160,3 +161,12 @@ def test_a_weak_parameter_says_why():
     assert weak
     assert all(item.reason for item in weak.values())
     assert "weakly determined: its standard error" in identifiability(fit)
+
+
+def test_outliers_in_the_first_rows_alone_have_a_flag_that_leaves_them_out():
+    t = np.array([0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+    early = [{"channel": name, "t": 0.0, "line": 2, "sigmas": 60.0} for name in ("y", "phi")]
+    assert "--since 0.5 leaves out the first rows" in outlier_warning(tuple(early), t)
+    late = {"channel": "y", "t": 0.8, "line": 6, "sigmas": 50.0}
+    assert "--since" not in outlier_warning((*early, late), t)
+    assert "--since" not in outlier_warning((late,), t)

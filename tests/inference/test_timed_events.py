@@ -14,10 +14,12 @@ from curlfit.errors import InputError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.joint.fit import fit_together
+from curlfit.inference.joint.result import load_joint
 from curlfit.inference.likelihood import linearize, predict_channels, predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, build_problem
 from curlfit.numerics.compiled import in_batches, stacked
+from curlfit.options.settings import prepare_all
 from curlfit.throws.events import MOST_EVENTS, Event, even_motion
 from curlfit.throws.throw import Throw
 
@@ -253,10 +255,48 @@ def test_eight_draws_of_an_evening_give_one_friction():
     assert abs(found.value - 0.0085) < 3 * found.stderr
 
 
+def test_draws_that_differ_are_fitted_together_and_stay_usable():
+    """Chi squared of each has a slope at the joint optimum, which is no fault of the search."""
+    random = np.random.default_rng(7)
+    frictions, sides = (0.0080, 0.0090) * 4, (1.2, -1.2) * 4
+    evening = [
+        Throw.from_events(record(**drawn(mu, TEE, side, random)))
+        for mu, side in zip(frictions, sides, strict=True)
+    ]
+    result = fit_together(evening, "coulomb")
+    assert [item.significant for item in result.differences] == [True]
+    assert {one.converged for one in result.throws} == {True}
+    assert {one.status for one in result.throws} == {result.status}
+    # two numbers along the sheet fit any law, if not one friction
+    assert any("the fit misses" in text for text in result.warnings)
+    assert not any("--law power" in text for text in result.warnings)
+    # the curl of an event is one number and the heading takes it up: it says nothing of a slope
+    assert not any("slope_x" in text for text in result.warnings)
+
+
+def test_a_saved_evening_is_read_again(tmp_path):
+    file = tmp_path / "evening.csv"
+    file.write_text("h2h;rest\n14,2;0,4\n14,5;-0,3\n")
+    named = prepare_all([file], None, {})
+    assert list(named) == ["evening-1", "evening-2"]
+    joint = fit_together([job.throw for job in named.values()])
+    joint.save(tmp_path / "joint.json")
+    for name, one in zip(named, joint.throws, strict=True):
+        (tmp_path / name).mkdir()
+        one.save(tmp_path / name / "fit.json")
+    again = load_joint(tmp_path)
+    assert [one.data["file"] for one in again.throws] == [one.data["file"] for one in joint.throws]
+    assert again.throws[1]["mu"] == joint.throws[1]["mu"]
+
+
 def test_a_number_that_the_law_cannot_follow_is_named():
     events = (*record(hog_to_hog=14.2, rest=TEE, curl=1.0), *record(hog_to_rest=30.0))
     result = curlfit.fit(Throw.from_events(events), "coulomb")
     assert any("the fit misses" in text and "hog_to_rest by" in text for text in result.warnings)
+    assert any(
+        text.endswith("--law power lets the friction change with the speed")
+        for text in result.warnings
+    )
 
 
 def test_systematic_errors_of_lengths_and_times(problem):

@@ -134,6 +134,7 @@ def test_two_objects_side_by_side(write):
     file = write(two_masses())
     throw = load_throw(file)
     assert said(throw, "2 objects: 1 mass A, 2 mass B; taken: 1 mass A")
+    assert said(throw, "--handle N, one that marks the handle")
     np.testing.assert_allclose(throw.x, X, atol=1e-8)
     other = load_throw(file, stone_index=2)
     np.testing.assert_allclose(other.x, X[T > 1] + 0.1, atol=1e-8)

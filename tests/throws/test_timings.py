@@ -64,7 +64,8 @@ def test_a_record(read):
         "hog_to_rest = 0.1716667 min\nHOG_TO_HOG: 14200 ms\n",
         "hog-to-hog: 14.2\nHog to rest = 10,3 s\n", "hog to hog 14.2 s\nhog to rest 10.3 s\n",
         "# sheet 3\n\nhog-to-hog = 14.2 sec # by hand\nhog-to-rest: 10.3;\n",
-        "hog_to_hog, hog_to_rest\n14.2, 10.3\n", "hog-to-hog;hog to rest;who\n14,2;10,3;me\n",
+        "hog_to_hog, hog_to_rest\n14.2, 10.3\n", "h2h (s)\thog_to_rest\n14.2\t10.3\n",
+        "hog-to-hog;hog to rest;who\n14,2;10,3;me\n",
         "hog_to_hog_ms,hog_to_rest\n14200,10.3\n",
     ],
 )  # fmt: skip
@@ -132,6 +133,8 @@ def test_sigmas_are_set(read):
         ("hog_to_hog = 14\ncurl = 1 m left\n", None, "alone gives the mean speed"),
         ("rest = 0.6\ncurl = 1 m left\n", None, "no time; expected lines such as"),
         ("hog_to_hog = -14\nhog_to_rest = 3\n", 1, "expected a number above 0"),
+        ("hog_to_hog = 142\nhog_to_rest = 3\n", 1, "142 found, expected a number up to 60"),
+        ("hog_to_hog,rest\n,2\n14.2,1\n", 2, "no time; expected"),
         ("hog_to_hog = fast\nhog_to_rest = 3\n", 1, "'fast' found, expected a number"),
         ("hog_to_hog = 14 m\nhog_to_rest = 3\n", 1, "unknown unit"),
         ("hog_to_hog = 14\nhog_to_hog = 14\n", 2, "given twice"),
@@ -178,7 +181,9 @@ def test_a_table_has_a_throw_in_each_row(tmp_path):
     assert first.defaults["law"] == "power"
     assert isinstance(fourth, DataError)
     assert fourth.line == 7
-    assert values(load_throw(file, shot=2)) == values(second)
+    chosen = load_throw(file, shot=2)
+    assert values(chosen) == values(second)
+    assert any("taken: 2 (--shot selects another)" in note for note in chosen.notes)
     assert [part.shot for part in load_throws(file, shot=3)] == [3]
     with pytest.raises(InputError, match="there is no such row; expected one of 1 line 3; 2"):
         load_throw(file, shot=9)

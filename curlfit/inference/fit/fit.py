@@ -41,7 +41,7 @@ from curlfit.inference.priors import Prior
 from curlfit.inference.problem import Origin, problem_shape
 from curlfit.numerics.compiled import BATCH, gc_paused, stacked, unstacked
 from curlfit.stone import Stone
-from curlfit.throws.throw import Reference, Throw
+from curlfit.throws.throw import Reference, Throw, require_throw
 
 _OPEN = ("not identifiable", "weak")  # verdicts that another measurement might change
 _ROWS = 2 * BATCH * 256  # of throws that are fitted together, for the sake of memory
@@ -117,6 +117,7 @@ def fit(
     >>> fit["mu1_eta"].verdict
     'not identifiable'
     """
+    require_throw(throw)
     law = throw.defaults.get("law", "front-back") if law is None else law
     law = find_law(law) if isinstance(law, str) else law
     loss, noise = check_loss(loss), check_noise(noise, loss)

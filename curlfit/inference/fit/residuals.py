@@ -19,6 +19,7 @@ from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS, Throw
 
+_EARLY = 5  # rows that a hand may still have been on the stone
 _FEWEST = 10  # values of a channel in which outliers are looked for
 _FEW = 50  # values that one of them pulls the fit of
 _BY_CHANCE = 1e-3  # share of throws that may have one by chance
@@ -142,14 +143,17 @@ def outliers_of(
     return tuple(sorted(found, key=lambda item: -item["sigmas"]))
 
 
-def outlier_warning(outliers: tuple[dict[str, Any], ...]) -> str:
-    """How many there are, and the farthest."""
+def outlier_warning(outliers: tuple[dict[str, Any], ...], t: Floats) -> str:
+    """How many there are, the farthest, and whether they are the first rows, at the times `t`."""
     first = outliers[0]
     line = f" (line {first['line']})" if first["line"] is not None else ""
     many = "one outlier" if len(outliers) == 1 else f"{len(outliers)} outliers, the farthest"
+    times = sorted({item["t"] for item in outliers})
+    early = len(times) <= _EARLY < len(t) and times == t[: len(times)].tolist()
+    remedy = f"--since {t[len(times)]:g} leaves out the first rows, and " if early else ""
     return (
         f"{many}: {first['channel']} at t = {first['t']:g} s{line}, {first['sigmas']:.2g} sigma "
-        "off; --loss student is robust to outliers"
+        f"off; {remedy}--loss student is robust to outliers"
     )
 
 
@@ -188,11 +192,15 @@ def event_warnings(events: Sequence[Mapping[str, Any]], law: str) -> list[str]:
         item["name"]: abs(item["fitted"] - item["value"]) / item["sigma"] for item in events
     }  # fmt: skip
     listed = [f"{name} by {sigmas:.2g} sigma" for name, sigmas in far.items() if sigmas > _MISSED]
+    # Two such numbers of a throw determine its speed and one coefficient, and no law is told.
+    along = sum(item["quantity"] in ("time", "y") for item in events)
+    changing = law == "coulomb" and along > 2
     if not listed:
         return []
     return [
         f"the fit misses {', '.join(listed)}: the {law} law does not describe it, or it was "
         "measured or written wrongly"
+        + ("; --law power lets the friction change with the speed" if changing else "")
     ]
 
 

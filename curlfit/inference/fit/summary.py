@@ -170,7 +170,7 @@ def _record(
             "these standard errors are rough; use the profile likelihood or the posterior"
         )
     if outliers and fit.loss == "linear":
-        warnings.append(outlier_warning(outliers))
+        warnings.append(outlier_warning(outliers, throw.t))
     if fit.loss == "linear" and noise.kind == "white":
         warnings += given_sigma_warnings(throw, fit.solution.residual[:, :n], outliers)
     warnings += _memory_warnings(noise, throw.t, curves)

@@ -38,7 +38,7 @@ from curlfit.inference.noise.models import check_loss, check_noise
 from curlfit.inference.priors import Prior
 from curlfit.inference.problem import problem_shape
 from curlfit.stone import Stone
-from curlfit.throws.throw import Throw
+from curlfit.throws.throw import Throw, require_throw
 
 
 def fit_together(
@@ -86,6 +86,8 @@ def fit_together(
     >>> joint.converged, joint.share
     (True, ('mu1_xi', 'mu2_xi', 'mu1_eta', 'mu2_eta'))
     """
+    for throw in throws:
+        require_throw(throw)
     if law is None:
         law = throws[0].defaults.get("law", "front-back") if throws else "front-back"
     law = find_law(law) if isinstance(law, str) else law
@@ -222,6 +224,10 @@ def _result(
         value = float(values[joint])
         return replace(item, value=value, stderr=stderr, verdict=verdict, reason=reason)
 
+    decrement = linearized.newton_decrement(linearized.movable())
+    reduced = solution.chi_squared / solution.each.residual.size
+    converged = bool(solution.success and decrement < 0.01 * max(1.0, np.sqrt(reduced)))
+    status = f"{'converged' if converged else 'not converged'} ({solution.steps} steps)"
     throws = []
     for throw, result in enumerate(single):
         estimates = {
@@ -238,6 +244,10 @@ def _result(
         if prior is not None:  # of its own parameters and of the shared ones
             own_prior = float(prior.chi_squared(solution.each.values[throw]))
             result = replace(result, prior_chi_squared=own_prior)
+        if not result.status.startswith(IMPLAUSIBLE):
+            # The search was one for all throws: chi squared of each has a slope at its end.
+            same = converged and result.status.startswith("converged")
+            result = replace(result, converged=converged, status=result.status if same else status)
         throws.append(
             replace(
                 result,
@@ -250,9 +260,6 @@ def _result(
         )
     throws = [replace(one, quantities=quantities_of(one)) for one in throws]
     coefficients = {name: throws[0].parameters[name] for name in shared}
-    decrement = linearized.newton_decrement(linearized.movable())
-    reduced = solution.chi_squared / solution.each.residual.size
-    converged = solution.success and decrement < 0.01 * max(1.0, np.sqrt(reduced))
     absurd = [
         f"{item.data['file']}: {item.status}"
         for item in single
@@ -268,11 +275,14 @@ def _result(
             warnings.insert(
                 0,
                 f"{item.expression} differs from throw to throw beyond its errors "
-                f"(p = {item.p_value:.1g}); its error about the mean of such throws is "
+                f"({item.p_text}); its error about the mean of such throws is "
                 f"{item.stderr:.2g}, not the one of the shared fit",
             )
     spins = {one.parameters["omega0"].value > 0 for one in throws}
-    if any(item.significant for item in differences) and len(spins) > 1 and not model.has_slope:
+    # Of a throw without a path the curl is at most one number, which the heading takes up.
+    paths = any(one.throw.has_path for one in rounds.throws)
+    differ = any(item.significant for item in differences) and len(spins) > 1
+    if differ and paths and not model.has_slope:
         warnings.insert(
             0,
             "throws of both spins differ; where the ice is not level they do, and `--free slope_x` "
@@ -282,9 +292,8 @@ def _result(
         law=model.law.name,
         load=model.load,
         share=shared,
-        converged=bool(converged) and not absurd,
-        status=". ".join(absurd)
-        or f"{'converged' if converged else 'not converged'} ({solution.steps} steps)",
+        converged=converged and not absurd,
+        status=". ".join(absurd) or status,
         warnings=tuple(warnings),
         coefficients=coefficients,
         combinations=tuple(item for item in known.combinations if set(item.weights) <= set(shared)),

@@ -89,9 +89,8 @@ def _said(item: Difference | None) -> Text:
         return Text("")
     if not item.significant:
         return Text(f"no (p = {item.p_value:.2g})", style="green")
-    p = f"p = {item.p_value:.1g}" if item.p_value > 1e-99 else "p < 1e-99"
     return Text(
-        f"yes ({p}): spread {item.spread:.2g}, mean {compact(item.mean, item.stderr)}",
+        f"yes ({item.p_text}): spread {item.spread:.2g}, mean {compact(item.mean, item.stderr)}",
         style="yellow",
     )
 

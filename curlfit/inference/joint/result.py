@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
 from os import PathLike
@@ -51,6 +52,11 @@ class Difference:
     def significant(self) -> bool:
         """Whether chance hardly explains the differences."""
         return self.p_value < _SIGNIFICANT
+
+    @property
+    def p_text(self) -> str:
+        """The p-value of a significant difference in words."""
+        return f"p = {self.p_value:.1g}" if self.p_value > 1e-99 else "p < 1e-99"
 
 
 @dataclass(frozen=True, repr=False)
@@ -168,6 +174,12 @@ class JointResult(NamedEstimates):
         write_json(self.to_json(), Path(file))
 
 
+def folder_name(throw: str) -> str:
+    """The folder of a throw beside `joint.json`: `evening-3` of row 3 of `evening.csv`."""
+    row = re.fullmatch(r"(.*) row (\d+)", throw)
+    return Path(throw).stem if row is None else f"{Path(row[1]).stem}-{row[2]}"
+
+
 def load_joint(file: str | PathLike[str]) -> JointResult:
     """Read a saved joint fit, by its folder or its `joint.json`, with the single throws beside it.
 
@@ -205,7 +217,7 @@ def load_joint(file: str | PathLike[str]) -> JointResult:
                 for item in found["differences"]
             ),
             throws=tuple(
-                load_fit(path.parent / Path(item["file"]).stem) for item in found["throws"]
+                load_fit(path.parent / folder_name(item["file"])) for item in found["throws"]
             ),
             systematics=Systematics(**known_fields(Systematics, found.get("systematics", {}))),
             derived=tuple(

@@ -34,8 +34,16 @@ _KINDS = {
     **dict.fromkeys(TIMES, "t"), "curl": "x", "rest": "y", "turns": "phi", "handle": "word",
     "hand": "word", "sigma_time": "t", "sigma_rest": "y", "sigma_curl": "x", "sigma_turns": "phi",
 }  # fmt: skip
-_ALIASES = {"sigma_t": "sigma_time", "spin": "handle", "rotation": "handle", "split": "back_to_hog"}
-_LIMITS = {"rest": 40.0, "curl": 10.0, "turns": 1000.0 * 2 * math.pi}
+_ALIASES = {
+    "sigma_t": "sigma_time",
+    "spin": "handle",
+    "rotation": "handle",
+    "split": "back_to_hog",
+    "h2h": "hog_to_hog",
+    "hog_hog": "hog_to_hog",
+}
+# Friction of 0.002, the least of any ice, stops a stone from hog line to tee within 54 s.
+_LIMITS = dict.fromkeys(TIMES, 60.0) | {"rest": 40.0, "curl": 10.0, "turns": 1000.0 * 2 * math.pi}
 _EXPECTED = (
     "expected lines such as hog_to_hog = 14.2, back_to_hog = 3.4, hog_to_tee = 18.1, "
     "hog_to_rest = 10.3 (s), curl = 4 ft left, rest = 0.6 (m past the far tee), turns = 2.5 cw, "
@@ -65,7 +73,12 @@ def read_timings(path: Path, lines: list[str], options: ReadOptions) -> ParsedFi
     """
     rows = _rows(path, lines)
     index = choose("row", "--shot", options.shot, [f"line {min_line(row)}" for row in rows], 0)
-    return _record(path, lines, rows, index)
+    parsed = _record(path, lines, rows, index)
+    if len(rows) > 1:
+        parsed.notes.insert(
+            0, f"{len(rows)} throws, one in each row; taken: {index + 1} (--shot selects another)"
+        )
+    return parsed
 
 
 def _parts(path: Path, lines: list[str], options: ReadOptions) -> list[FilePart]:
@@ -191,7 +204,7 @@ def _record(path: Path, lines: list[str], rows: list[dict[str, _Entry]], index: 
     comments = [(k, line) for k, line in enumerate(lines, 1) if line.lstrip().startswith("#")]
     settings, reference, notes = defaults_of(path, comments)
     settings.setdefault("law", "coulomb")
-    record = _Record(path, entries)
+    record = _Record(path, entries, min_line(entries) if len(rows) > 1 else None)
     events = record.events()
     record.require_friction(events)
     spin, said = record.spin(events)
@@ -212,8 +225,8 @@ def _record(path: Path, lines: list[str], rows: list[dict[str, _Entry]], index: 
 class _Record:
     """One record, as its quantities are read."""
 
-    def __init__(self, path: Path, entries: dict[str, _Entry]) -> None:
-        self.path, self.entries = path, entries
+    def __init__(self, path: Path, entries: dict[str, _Entry], line: int | None) -> None:
+        self.path, self.entries, self.line = path, entries, line
         self.values = {key: self._read(key) for key in entries}
 
     def _error(self, key: str, message: str) -> DataError:
@@ -363,7 +376,7 @@ class _Record:
         """Raise `DataError` where no friction follows, or what was measured cannot be."""
         times = [event for event in events if event.quantity == "time"]
         if not times:
-            raise DataError(f"no time; {_EXPECTED}", file=self.path)
+            raise DataError(f"no time; {_EXPECTED}", file=self.path, line=self.line)
         if len(times) == 1 and "rest" not in self.values:
             (only,) = times
             others = [
@@ -373,6 +386,7 @@ class _Record:
                 f"{only.name} alone gives the mean speed and no friction; expected one more of "
                 + ", ".join([*others[:2], "or another time"]),
                 file=self.path,
+                line=self.line,
             )
         value = {event.name: event.value for event in times}
         if value.get("hog_to_tee", math.inf) <= value.get("hog_to_hog", 0.0):

@@ -74,7 +74,9 @@ def read_tracker(path: Path, lines: list[str], options: ReadOptions) -> ParsedFi
         listed = ", ".join(f"{k} {name}" for k, name in enumerate(labels, 1))
         notes.append(
             f"{len(blocks)} objects: {listed}; taken: {selected + 1} {labels[selected]} "
-            "(--stone-index selects another)"
+            "(--stone-index selects another"
+            + ("" if options.handle else "; --handle N, one that marks the handle of this stone")
+            + ")"
         )
     elif titled:
         notes.append(f"object: {labels[0]}")

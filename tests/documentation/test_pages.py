@@ -1,0 +1,34 @@
+"""The pages that tell a user's way from a file to a decision: typed as they stand."""
+
+from __future__ import annotations
+
+import re
+import shutil
+
+import pytest
+from transcripts import ROOT, blocks, require_shown, typed, without_gaps
+
+PAGES = sorted((ROOT / "notebooks").glob("*.md"))
+QUOTED = re.compile(r"```text\n((?:Time|draw)[^\n]*;.*?)```", re.S)
+
+
+def test_all_are_there():
+    assert [page.stem for page in PAGES] == ["stopwatch_evening", "tracked_throws"]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_commands_print_what_the_page_shows(page, tmp_path):
+    shutil.copytree(ROOT / "data", tmp_path / "data")
+    told = blocks(page.read_text())
+    assert len(told) >= 2
+    for lines, shown in told:
+        printed = "".join(typed(line, tmp_path) for line in lines)
+        assert without_gaps(shown), lines
+        require_shown(without_gaps(shown), printed)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_lines_of_a_file_are_those_of_the_file(page):
+    (quoted,) = QUOTED.findall(page.read_text())
+    files = [file.read_text() for file in (ROOT / "data").glob("*.csv")]
+    assert any(text.startswith(quoted) for text in files)

@@ -1,0 +1,79 @@
+"""Commands of a page are typed as they stand, and print the lines that the page shows."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+NUMBER = r"-?\d+\.\d+"
+_FLAT = r"(\w+)(?:\s+-)+\s+not identifiable\s+([\d.]+) \.\. ([\d.]+)"
+
+
+def run(words: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """Python with some words, in a folder."""
+    return subprocess.run(
+        [sys.executable, *words], cwd=folder, capture_output=True, text=True, check=False,
+        timeout=500, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+
+
+def typed(line: str, folder: Path) -> str:
+    """What a `curlfit` line prints as a user types it."""
+    program, *words = shlex.split(line)
+    assert program == "curlfit"
+    found = run(["-m", "curlfit", *words], folder)
+    assert (found.returncode, found.stderr) == (0, ""), line
+    return found.stdout
+
+
+def blocks(page: str) -> list[tuple[list[str], str]]:
+    """The commands of each block of a page, and the block of output that follows it, if any."""
+    found = re.findall(r"```bash\n(.*?)```(?:\n\n```text\n(.*?)```)?", page, re.S)
+    return [([line for line in part.splitlines() if line.strip()], text) for part, text in found]
+
+
+def without_gaps(text: str) -> list[str]:
+    """The lines of a block of output without those that stand for others."""
+    return [line for line in text.splitlines() if line.strip() and line != "..."]
+
+
+def alike(line: str, text: str) -> bool:
+    """Whether the text has the line, but for five units of the last digits of numbers, or 5 %:
+    quantiles of samples have an error, and hang on the processor's rounding."""
+    pattern = f"({NUMBER})".join(map(re.escape, re.split(NUMBER, line)))
+    for match in re.finditer(pattern, text):
+        pairs = zip(re.findall(NUMBER, line), match.groups(), strict=True)
+        if all(
+            abs(float(one) - float(other))
+            <= max(5.5 * 10.0 ** -len(one.partition(".")[2]), 0.05 * abs(float(one)))
+            for one, other in pairs
+        ):
+            return True
+    return False
+
+
+def require_shown(lines: Sequence[str], printed: str) -> None:
+    """Assert that what was printed has the lines that a page shows."""
+
+    def words(text: str) -> str:
+        # how many steps a fit takes may depend on the machine
+        text = re.sub(r"\(\d+ steps\)", "(some steps)", " ".join(text.split()))
+        return re.sub(_FLAT, r"\1 not identifiable", text)
+
+    found = words(printed)
+    for line in lines:
+        assert words(line) in found or alike(words(line), found), line
+    # So do the quantiles of a flat posterior, which is wide, in their last digit.
+    ranges = {item[0]: item[1:] for item in re.findall(_FLAT, printed)}
+    for name, *limits in re.findall(_FLAT, "\n".join(lines)):
+        np.testing.assert_allclose(
+            np.array(ranges[name], float), np.array(limits, float), atol=5e-4
+        )
