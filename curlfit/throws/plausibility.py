@@ -278,8 +278,8 @@ def _friction(t: Floats, speed: Floats, error: Floats) -> tuple[float, float]:
 def _curl(t: Floats, positions: Floats) -> tuple[float, float, tuple[float, float]]:
     """Departure from the initial direction, its error, and the direction of the motion.
 
-    The initial direction is the tangent of a parabola through the first half of the path; the end
-    is a mean over a fortieth of the rows, since the curl grows most at the end.
+    The initial direction is the tangent, in the first rows, of a parabola through the first half of
+    the path; the end is a mean over a fortieth of the rows, since the curl grows most at the end.
     """
     few = max(2, len(t) // 10)
     begin, end = positions[:, :few].mean(1), positions[:, -few:].mean(1)
@@ -298,7 +298,8 @@ def _curl(t: Floats, positions: Floats) -> tuple[float, float, tuple[float, floa
     residual = left[near] - found @ powers
     variance = float(residual @ residual) / max(int(near.sum()) - 3, 1)
     last = max(2, len(t) // 40)
-    tangent = np.array([1.0, float(along[-last:].mean()), 0.0])
+    first, end_along = float(along[:last].mean()), float(along[-last:].mean())
+    tangent = np.array([1.0, end_along, first * (2 * end_along - first)])
     return (
         float(left[-last:].mean() - tangent @ found),
         math.sqrt(variance * (float(tangent @ inverse @ tangent) + 1 / last)),

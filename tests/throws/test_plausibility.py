@@ -146,10 +146,10 @@ def test_a_wrapped_angle_in_arrays_is_refused(written):
 @pytest.mark.parametrize(
     ("made", "said", "flag", "mirrored"),
     [
-        (scaled(x=-1), "turns counter-clockwise and curls 0.67 m to the right",
+        (scaled(x=-1), "turns counter-clockwise and curls 0.72 m to the right",
          "x-left,counter-clockwise", False),
         (scaled(y=-1), "y points back at the thrower", "y-back,counter-clockwise", False),
-        (scaled(phi=-1), "turns clockwise and curls 0.67 m to the left",
+        (scaled(phi=-1), "turns clockwise and curls 0.72 m to the left",
          "x-left,counter-clockwise", True),
         (exchanged, "x runs along the sheet and y across it", "x-along,y-right,counter-clockwise",
          False),
