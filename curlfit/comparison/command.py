@@ -127,6 +127,9 @@ def compare(
             priors=own["prior"],
             swept="swept" in settings,
         )
+    from curlfit.comparison.compare import require_path
+
+    require_path(cut)
     folder = prepare_folder(out or Path(f"{data.stem}-compare"))
 
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn

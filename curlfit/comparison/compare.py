@@ -49,6 +49,15 @@ def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[L
     ]
 
 
+def require_path(throw: Throw) -> None:
+    """Raise `InputError` for a throw of timed events alone."""
+    if not throw.has_path:
+        raise InputError(
+            f"{throw.name}: {len(throw.events)} timed events rank no laws; expected a path. "
+            "`curlfit fit --law NAME` fits one law to them"
+        )
+
+
 def compare(
     throw: Throw,
     laws: Sequence[str | type[Law]] | None = None,
@@ -95,11 +104,7 @@ def compare(
     'front-back, uniform load'
     """
     require_throw(throw)
-    if not throw.has_path:
-        raise InputError(
-            f"{throw.name}: {len(throw.events)} timed events rank no laws; expected a path. "
-            "`curlfit fit --law NAME` fits one law to them"
-        )
+    require_path(throw)
     todo = plan(laws, load)
     fits = [(law, one_load, kind) for kind in noise_models(noise, loss) for law, one_load in todo]
     options: dict[str, Mapping[str, Any]] = {

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 
 import curlfit
 from curlfit import LAWS, InitialState, Stone, fit_together, simulate
+from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.options.settings import load_fit_and_chain
 
@@ -132,11 +133,23 @@ def test_a_coefficient_that_varies_is_found_and_its_spread_measured():
     assert varying["mu2_xi"].spread == pytest.approx(spread, rel=0.5)
     assert abs(varying["mu2_xi"].mean - LAW().mu2_xi) < 3 * varying["mu2_xi"].stderr
     assert any("mu2_xi differs from throw to throw" in warning for warning in joint.warnings)
+    assert not any("--free slope_x" in warning for warning in joint.warnings)
     # what each throw says alone is what its own fit says, to first order
     alone = curlfit.fit(sheet(12, spread=spread)[0], "front-back").parameters["mu2_xi"]
     estimate, error = varying["mu2_xi"].each[0]
     assert abs(estimate - alone.value) < 0.5 * alone.stderr
     assert error == pytest.approx(alone.stderr, rel=0.2)
+
+
+def test_throws_of_both_spins_that_differ_are_told_of_the_slope():
+    environment = Environment(slope_x=3e-4)
+    throws = [
+        curlfit.synthetic_throw(LAW(), STONE, v0=2.1, omega0=omega, noise_xy=0.005, noise_phi=0.01,
+                                seed=seed, environment=environment)
+        for seed, omega in enumerate((1.2, -1.2, 1.6))
+    ]  # fmt: skip
+    joint = fit_together(throws)
+    assert any("--free slope_x" in warning for warning in joint.warnings)
 
 
 def test_a_coefficient_may_be_each_throw_s_own():

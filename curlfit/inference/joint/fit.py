@@ -29,7 +29,7 @@ from curlfit.inference.fit.systematics import (
 from curlfit.inference.identifiability import Identifiability, analyse, visible
 from curlfit.inference.initial_values import smooth, start_values
 from curlfit.inference.joint.heterogeneity import differences_of
-from curlfit.inference.joint.result import JointResult
+from curlfit.inference.joint.result import Difference, JointResult
 from curlfit.inference.least_squares import Indices
 from curlfit.inference.likelihood import predict_many
 from curlfit.inference.linearized_problem import LinearizedProblem, classify
@@ -168,6 +168,22 @@ def _of_throw(known: Identifiability, joint: Any, names: Sequence[str]) -> dict[
     }
 
 
+def _differs_by_spin(item: Difference, counter_clockwise: Booleans) -> bool:
+    """Whether throws of either spin agree among themselves, more than all do."""
+    known = np.array([one is not None for one in item.each])
+    value, error = np.array([one for one in item.each if one is not None]).T
+    sense = counter_clockwise[known]
+
+    def chi_squared(rows: Booleans) -> float:
+        if not rows.any():
+            return 0.0
+        mean = np.average(value[rows], weights=error[rows] ** -2)
+        return float((((value[rows] - mean) / error[rows]) ** 2).sum())
+
+    within = chi_squared(sense) + chi_squared(~sense)
+    return within < chi_squared(np.ones_like(sense)) / 2
+
+
 def _shared(law: type[Law], share: str | Sequence[str]) -> tuple[str, ...]:
     """Names of the shared coefficients. Raises `InputError` for one that the law does not have."""
     own = tuple(item.name for item in law.coefficients())
@@ -278,10 +294,10 @@ def _result(
                 f"({item.p_text}); its error about the mean of such throws is "
                 f"{item.stderr:.2g}, not the one of the shared fit",
             )
-    spins = {one.parameters["omega0"].value > 0 for one in throws}
     # Of a throw without a path the curl is at most one number, which the heading takes up.
     paths = any(one.throw.has_path for one in rounds.throws)
-    differ = any(item.significant for item in differences) and len(spins) > 1
+    senses = np.array([one.parameters["omega0"].value > 0 for one in throws])
+    differ = any(item.significant and _differs_by_spin(item, senses) for item in differences)
     if differ and paths and not model.has_slope:
         warnings.insert(
             0,
