@@ -114,6 +114,15 @@ def design(
             help="Noise of a directly measured spin.", metavar="V", rich_help_panel=_RECORD
         ),
     ] = "none",
+    discrepancy: Annotated[
+        float,
+        typer.Option(
+            help="Size of the accelerations that the law may lack, over the friction, such as "
+            "0.05. [default: 0, an exact law]",
+            show_default=False,
+            rich_help_panel=_RECORD,
+        ),
+    ] = 0.0,
     separate: Annotated[
         str | None,
         typer.Option(
@@ -205,6 +214,7 @@ def design(
             stone=(known.stone if known else Stone()).with_values(body),
             until=until,
             sigma=sigma,
+            discrepancy=discrepancy,
             throws=throws,
             separate=pair,
             relative_error=relative_error,

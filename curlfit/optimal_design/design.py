@@ -73,6 +73,7 @@ def design(
     rate: float | Sequence[float] = 30.0,
     until: float | None = None,
     sigma: Mapping[str, float] | None = None,
+    discrepancy: float = 0.0,
     throws: int = 3,
     separate: Sequence[str] | None = None,
     relative_error: float = 0.2,
@@ -90,6 +91,9 @@ def design(
     until : end of the records in s; the time of rest if not given.
     sigma : noise by channel (m, rad, m/s, rad/s) of x, y, phi, speed, omega; other channels are
         not measured. 5 mm and 10 mrad if not given.
+    discrepancy : size of the accelerations that the law may lack, over the friction, such as 0.05;
+        as functions of speed, see `curlfit.inference.noise.accelerations`. The separation of two
+        coefficients is without it.
     throws : number of throws, chosen optimally among the candidates, with repetition.
     separate : two coefficients to be separated; if not given, two of which the candidates under
         uniform load determine only the sum.
@@ -124,7 +128,10 @@ def design(
             f"candidates; expected at most {_MAX_CANDIDATES}"
         )
     channels = 5 if {"speed", "omega"} & sigma.keys() else 3
-    record: dict[str, Any] = {"until": until, "channels": channels}
+    if not 0 <= discrepancy < math.inf:
+        raise InputError(f"discrepancy = {discrepancy:g}; expected 0 or more, over the friction")
+    exact: dict[str, Any] = {"until": until, "channels": channels}
+    record = exact | {"discrepancy": discrepancy}
     progress("the information of each throw")
     records = record_information(kind, load, values, candidates, **record)
     model = _DesignModel(kind, values, free, sigma)
@@ -144,11 +151,11 @@ def design(
             f"no {throws} of these throws determine what all of them together do; increase "
             "the number of throws, or give other candidates"
         )
-    by_load: dict[str, list[RecordInformation]] = {load: records}
+    by_load: dict[str, list[RecordInformation]] = {} if discrepancy else {load: records}
     if pair is None:
         if load == "consistent":
             progress("the directions hidden under uniform load")
-            by_load["uniform"] = record_information(kind, "uniform", values, candidates, **record)
+            by_load["uniform"] = record_information(kind, "uniform", values, candidates, **exact)
             hidden = [model.factor(one) for one in by_load["uniform"]]
             together = model.identifiability(combined(hidden))
         names = _undetermined_pair(together)
@@ -166,7 +173,7 @@ def design(
     separation = None
     if pair is not None:
         separation = analyse_separation(
-            pair, candidates, throws, sigma, relative_error, record, by_load, progress
+            pair, candidates, throws, sigma, relative_error, exact, by_load, progress
         )
     return Design(
         law=kind.name,
@@ -192,7 +199,8 @@ def design(
         best=best,
         curves=curves,
         separation=separation,
-        notes=_notes(rates, until, records),
+        notes=_notes(rates, until, records, discrepancy),
+        discrepancy=discrepancy,
         scenarios=found,
     )  # fmt: skip
 
@@ -368,12 +376,21 @@ def _curves(
 
 
 def _notes(
-    rates: Sequence[float], until: float | None, records: Sequence[RecordInformation]
+    rates: Sequence[float],
+    until: float | None,
+    records: Sequence[RecordInformation],
+    discrepancy: float,
 ) -> tuple[str, ...]:
     notes = [
         "these errors hold if the law is correct and noise is independent from row to row; the "
-        "discrepancy of a law does not average out"
+        "discrepancy of a law does not average out: `--discrepancy 0.05` allows for one"
     ]
+    if discrepancy:
+        notes = [
+            "these errors allow for accelerations that the law lacks, of "
+            f"{100 * discrepancy:.2g} % of the friction and independent from throw to throw; where "
+            "they recur, more throws help less"
+        ]
     if len(rates) > 1:
         notes.append(
             "with independent noise more rows always reduce the errors: the highest rate is chosen"

@@ -28,6 +28,7 @@ from curlfit.inference.identifiability import visible
 from curlfit.inference.least_squares import Indices
 from curlfit.inference.likelihood import linearize, predict_channels, predict_many
 from curlfit.inference.model import Model
+from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.numerics.arrays import Booleans, Floats
@@ -74,8 +75,10 @@ class RecordInformation(NamedTuple):
     """from the first row to rest, m"""
     factors: Floats
     """by channel, for noise of 1 m, 1 rad ...: R factor of the information on coefficients and
-    initial state, by typical sizes, and then on the conditions that are looked at, by their widths;
-    shape (channels, parameters, parameters)"""
+    initial state, by typical sizes, on the conditions that are looked at, by their widths, and on
+    the shapes of a model discrepancy, by their sizes; shape (channels, parameters, parameters)"""
+    shapes: int = 0
+    """of a model discrepancy"""
 
 
 def record_information(
@@ -87,6 +90,7 @@ def record_information(
     until: float | None = None,
     channels: int = 3,
     widths: Mapping[str, float] | None = None,
+    discrepancy: float = 0.0,
 ) -> list[RecordInformation]:
     """The information of each of several throws.
 
@@ -96,6 +100,8 @@ def record_information(
     until : end of the records in s; the time of rest if None.
     channels : number of the channels x, y, phi, speed, omega: 3 or 5.
     widths : of conditions to look at, see `curlfit.inference.conditions`.
+    discrepancy : size of the accelerations that the law may lack, over the friction; see
+        `curlfit.inference.noise.accelerations`.
 
     Raises
     ------
@@ -121,6 +127,11 @@ def record_information(
         for first in range(0, len(clock), _ROWS)
     ]
     factors: list[list[Floats]] = [[] for _ in throws]
+    responses = (
+        _responses(law, load, coefficients, throws, [clock[-1] for clock in clocks])
+        if discrepancy
+        else None
+    )
     for first in range(0, len(parts), BATCH):
         some = parts[first : first + BATCH]
         batch = some + [some[-1]] * (BATCH - len(some))
@@ -136,11 +147,41 @@ def record_information(
         for column, (index, _) in enumerate(some):
             if not np.isfinite(jacobian[column]).all():
                 raise _no_motion(law, load, throws[index])
-            factors[index].append(_r_factor(jacobian[column]))
+            own_rows = jacobian[column]
+            if responses is not None:
+                here = problems.times[column]
+                lacking = [responses[index].at(here, row) for row in range(channels)]
+                weighted = discrepancy * np.stack(lacking) * problems.weight[column][..., None]
+                own_rows = np.concatenate([own_rows, weighted], -1)
+            factors[index].append(_r_factor(own_rows))
+    shapes = 0 if responses is None else responses[0].by_channel.shape[-1]
     return [
-        RecordInformation(len(clock), float(clock[-1]), *end, _r_factor(np.concatenate(parts, 1)))
+        RecordInformation(
+            len(clock), float(clock[-1]), *end, _r_factor(np.concatenate(parts, 1)), shapes
+        )
         for clock, end, parts in zip(clocks, ends, factors, strict=True)
     ]
+
+
+def _responses(
+    law: type[Law], load: Load, coefficients: Floats, throws: Sequence[PlannedThrow],
+    ends: Sequence[float],
+) -> list[Responses]:  # fmt: skip
+    """What accelerations of the size of the friction do to the paths of throws."""
+    found = []
+    clocks = [np.linspace(0.0, end, _ROWS) for end in ends]
+    for first in range(0, len(throws), BATCH):
+        some = list(enumerate(throws))[first : first + BATCH]
+        batch = some + [some[-1]] * (BATCH - len(some))
+        own = [throw for _, throw in batch]
+        values = np.stack([_vector(coefficients, throw) for throw in own])
+        parts = [(index, clocks[index]) for index, _ in batch]
+        paths = predict_many(Model(law, load), values, _problems(parts, own, 3))
+        found += [
+            Responses.of(clocks[index], path[:5], throw.stone)
+            for (index, throw), path in zip(some, paths, strict=False)
+        ]
+    return found
 
 
 def _r_factor(matrix: Floats) -> Floats:
@@ -240,13 +281,15 @@ def marginal_factor(
         for row, name in enumerate(CHANNELS[: len(record.factors)])
         if name in sigma
     ]
-    stacked = np.concatenate(rows)
+    lacking = np.arange(record.factors.shape[-1])[record.factors.shape[-1] - record.shapes :]
+    # a priori the shapes of a discrepancy have size 1
+    stacked = np.concatenate([*rows, np.eye(record.factors.shape[-1])[lacking]])
     estimated = {
         "x0": "x" in sigma, "y0": "y" in sigma, "phi0": "phi" in sigma,
         "heading": {"x", "y"} <= sigma.keys(),
     }  # fmt: skip
     state = [k + column for column, item in enumerate(START) if estimated.get(item.name, True)]
-    wanted, start = stacked[:, columns], stacked[:, state]
+    wanted, start = stacked[:, columns], stacked[:, [*state, *lacking]]
     left, singular, _ = np.linalg.svd(start, full_matrices=False)
     left = left[:, singular > _ROUNDING * singular[0]]
     for _ in range(2):  # twice, against rounding

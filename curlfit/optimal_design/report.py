@@ -137,7 +137,13 @@ def _heading(design: Design) -> Text:
     text.append(
         f"{', '.join(f'{rate:g}' for rate in rates)} Hz "
         f"{'until the stone is at rest' if until is None else f'for {until:g} s'}, independent "
-        f"noise of {noise_text(design.sigma)}; stone R = {stone.R:g} m, rho = {stone.rho:g} m, "
+        f"noise of {noise_text(design.sigma)}"
+        + (
+            f", a discrepancy of {100 * design.discrepancy:.2g} % of the friction"
+            if design.discrepancy
+            else ""
+        )
+        + f"; stone R = {stone.R:g} m, rho = {stone.rho:g} m, "
         f"h = {stone.h:g} m"
     )
     return text

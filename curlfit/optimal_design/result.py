@@ -117,6 +117,7 @@ class Design(Displayed):
     separation : separability of two coefficients, if requested or if only their sum is
         determined.
     notes : caveats, as sentences.
+    discrepancy : size of the accelerations that the law may lack, over the friction.
     scenarios : systematic errors of the D-best throws, as planned and thrown otherwise.
 
     Examples
@@ -149,6 +150,7 @@ class Design(Displayed):
     separation: Separation | None
     notes: tuple[str, ...]
     scenarios: tuple[Scenario, ...] = ()
+    discrepancy: float = 0.0
 
     def to_frame(self) -> Any:
         """The candidates as a pandas DataFrame, a row for each: the throw, and the standard error

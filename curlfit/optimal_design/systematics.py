@@ -70,7 +70,8 @@ def scenarios(
         for sense, heading in ways
     ]
     records = record_information(law, load, values, varied, widths=widths, **record)
-    conditions = records[0].factors.shape[-1] - len(widths) + np.arange(len(widths))
+    first = records[0].factors.shape[-1] - records[0].shapes - len(widths)
+    conditions = first + np.arange(len(widths))
     columns = np.concatenate([np.flatnonzero(free), conditions])
     factors = [marginal_factor(law, one, sigma, columns) for one in records]
     found = []

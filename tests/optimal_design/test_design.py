@@ -16,6 +16,7 @@ from curlfit.cli import app
 from curlfit.dynamics.contact import accelerations
 from curlfit.errors import InputError
 from curlfit.inference.fit.fit import fit_throws
+from curlfit.inference.noise.accelerations import Responses
 from curlfit.optimal_design.design import design
 from curlfit.optimal_design.information import (
     PlannedThrow,
@@ -63,6 +64,43 @@ def plain():
 def single():
     """One throw of one kind, 201 rows."""
     return design(v0=[2.0], omega0=[1.5], rate=10, until=20.0, throws=1)
+
+
+def test_a_discrepancy_enters_as_its_covariance():
+    """Dense, with derivatives by differences; the difference of the eta coefficients is held."""
+    size, t = 0.01, np.linspace(0.0, 15.0, 76)
+
+    def path(values):
+        one, two, total, *start = values
+        law = LAW(one, two, total / 2, total / 2)
+        x, y, phi, v, heading, omega = start
+        start = curlfit.InitialState(x=x, y=y, phi=phi, v=v, heading=heading, omega=omega)
+        return curlfit.simulate(law, STONE, start, t).to_numpy()
+
+    def series(values):
+        found = path(values)
+        return np.concatenate(
+            [found.x / NOISE["x"], found.y / NOISE["y"], found.phi / NOISE["phi"]]
+        )
+
+    best = np.array([0.005, 0.05, 0.018, 0.0, 0.0, 0.0, 2.0, 0.0, 1.5])
+    steps = 1e-4 * np.eye(9)
+    jacobian = np.array([(series(best + h) - series(best - h)) / 2e-4 for h in steps]).T
+    found = path(best)
+    motion = np.array([found.x, found.y, found.phi, found.speed, found.omega])
+    responses = Responses.of(t, motion, STONE)
+    lacking = size * np.concatenate(
+        [responses.at(t, row) / sigma for row, sigma in enumerate(NOISE.values())]
+    )
+    covariance = np.eye(3 * len(t)) + lacking @ lacking.T
+    errors = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ np.linalg.solve(covariance, jacobian))))
+    options = {"v0": [2.0], "omega0": [1.5], "rate": 5, "until": 15.0, "throws": 1}
+    values = dict(zip(("mu1_xi", "mu2_xi", "mu1_eta", "mu2_eta"), TRUE, strict=True))
+    plan, exact = (design(coefficients=values, discrepancy=one, **options) for one in (size, 0.0))
+    for name, error in zip(("mu1_xi", "mu2_xi", SUM), errors, strict=False):
+        assert plan.candidates[0].stderr[name] == pytest.approx(error, rel=0.03)
+        assert plan.candidates[0].stderr[name] > 2 * exact.candidates[0].stderr[name]
+    assert "1 % of the friction" in plan.notes[0]
 
 
 def throw_of(v0, omega0, stone=STONE, load="uniform", seed=None, until=20.0, rate=10.0):
