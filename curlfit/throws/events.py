@@ -138,7 +138,7 @@ def along_path(
 ) -> Floats:
     """What events of a path would be, from its rows up to rest; shape (events,).
 
-    Interpolated linearly; the rest follows evenly from a row at a tenth of the first speed.
+    Interpolated linearly; the rest follows evenly from a row at a tenth of the initial speed.
     """
     late = int(np.argmax(speed < speed[0] / 10)) or len(t) - 1
     rest = t[late] + 2 * math.hypot(x[-1] - x[late], y[-1] - y[late]) / max(speed[late], 1e-9)
