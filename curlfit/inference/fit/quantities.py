@@ -60,7 +60,14 @@ class _Motion(NamedTuple):
 
     def curl_at(self, t: float) -> float:
         """Distance to the right of the line along the initial velocity, m."""
-        x, y = (float(CubicSpline(self.t, series)(t)) for series in (self.x, self.y))
+        return self._right_of_line(*CubicSpline(self.t, np.stack([self.x, self.y]), axis=1)(t))
+
+    @property
+    def curl(self) -> float:
+        """The same at the last row."""
+        return self._right_of_line(self.x[-1], self.y[-1])
+
+    def _right_of_line(self, x: float, y: float) -> float:
         s, c = math.sin(self.heading), math.cos(self.heading)
         return float((x - self.x[0]) * c - (y - self.y[0]) * s)
 
@@ -198,7 +205,7 @@ def _definitions(fit: FitResult, best: _Motion) -> list[_Definition]:
             _Definition(
                 "curl", f"curl to the right, {where}", "m",
                 (lambda m: m.curl_at(m.time_at(TEE))) if at_tee
-                else (lambda m: m.curl_at(float(m.t[-1]))),
+                else (lambda m: m.curl),
             )
         )  # fmt: skip
     if seen & {"phi", "omega"}:
