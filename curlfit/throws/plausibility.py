@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +19,18 @@ from curlfit.errors import InputError
 from curlfit.numerics.arrays import Floats
 from curlfit.sheet import LENGTH, WIDTH
 from curlfit.stone import GRAVITY
+from curlfit.throws.motion import (
+    FEWEST,
+    SURE,
+    Motion,
+    extent,
+    motion_of,
+    turning,
+    velocity_jump,
+)
 from curlfit.throws.readers.axes import MAX_SPIN, corrected, unwrap
 from curlfit.throws.readers.columns import units_of
-from curlfit.throws.throw import Conventions, Throw, scatter
+from curlfit.throws.throw import Conventions, Throw
 
 FRICTION = (0.002, 0.1)
 """Mean coefficient of friction; published ones are 0.006 to 0.02 (Penner 2001, Denny 2002), on
@@ -33,14 +42,8 @@ _USUAL_SPEED = 4.5
 _LENGTH = 1.05 * LENGTH  # 5 % for a wrong scale
 _USUAL_CURL = 4.0  # m; ordinary throws curl 0.5 to 2 m
 _MOST_TURNS = 10.0
-_SURE = 6.0  # standard errors
 _GROWTH = 0.1, 0.05  # m/s, and relative to the highest speed, by which a speed may grow
-_JUMP = 0.25  # m/s, by which a velocity may change at once, beside friction
-_BRAKING = 0.5  # m/s^2, more than any friction on ice
 _CLEAR_CURL, _CLEAR_TURN = 0.2, 0.5  # m, rad: above these their sides are compared
-_FEWEST = 10  # positions that a motion is estimated from
-_BLOCKS = 24
-_REST = 0.03  # m/s
 _NAMES = {
     "ms": "milliseconds", "us": "microseconds", "min": "minutes", "cm": "centimetres",
     "mm": "millimetres", "ft": "feet", "in": "inches", "s": "seconds", "m": "metres",
@@ -68,38 +71,6 @@ class Finding:
         return f"{self.says}; {self.remedy}" if self.remedy else self.says
 
 
-class Motion(NamedTuple):
-    """Velocities of a throw, from straight lines through blocks of rows.
-
-    Attributes
-    ----------
-    t, begin, end : middle, first and last time of each block in s, shape (k,).
-    speed, error : speed and its standard error in m/s, shape (k,).
-    velocity : in m/s, shape (2, k); NaN where only speeds were measured.
-    length : of the path's extent, m. friction, friction_error : mean deceleration over g.
-    curl, curl_error : departure at the end from the initial direction in m, positive to the left of
-        the motion in right-handed axes. direction : of the motion as (x, y), of length 1.
-    """
-
-    t: Floats
-    begin: Floats
-    end: Floats
-    speed: Floats
-    error: Floats
-    velocity: Floats
-    length: float
-    friction: float
-    friction_error: float
-    curl: float
-    curl_error: float
-    direction: tuple[float, float]
-
-    @property
-    def fastest(self) -> float:
-        """Highest speed, m/s."""
-        return float(self.speed.max())
-
-
 def examine(throw: Throw) -> tuple[Finding, ...]:
     """What is implausible in a throw before it is fitted, the gravest first."""
     most = 1500
@@ -111,7 +82,7 @@ def examine(throw: Throw) -> tuple[Finding, ...]:
         found += off
         if not any(item.refused for item in off):
             hands = list(_other_hands(one, motion))
-            found += hands or [*_axes(one, motion), *_measured_speed(one)]
+            found += hands or [*_axes(one, motion), *_measured_speed(one, motion)]
     else:
         found += _scale_of_few(one)
     return tuple(sorted(found, key=lambda item: not item.refused))
@@ -185,126 +156,6 @@ def examine_fit(
     if throw.defaults.get("as_given"):
         found = [replace(item, refused=False) for item in found]
     return tuple(found)
-
-
-def motion_of(throw: Throw) -> Motion | None:
-    """The motion of a throw; None where there are too few positions and speeds."""
-    complete = np.isfinite(throw.x) & np.isfinite(throw.y)
-    if complete.sum() >= _FEWEST:
-        return _motion(throw.t[complete], np.stack([throw.x, throw.y])[:, complete])
-    known = np.isfinite(throw.speed)
-    if known.sum() >= _FEWEST:
-        return _motion_of_speeds(throw.t[known], throw.speed[known])
-    return None
-
-
-def _motion(t: Floats, positions: Floats) -> Motion:
-    t, positions = _without_outliers(t, positions)
-    begin, end, middle, slope, error = _block_slopes(t, positions)
-    speed = np.hypot(*slope)
-    if len(speed) >= 8:  # noise that is correlated from row to row shows from block to block
-        rough = np.abs(speed[2:] - 2 * speed[1:-1] + speed[:-2])
-        error = np.maximum(error, float(np.median(rough)) / (0.6745 * math.sqrt(6)))
-    friction, friction_error = _friction(middle, speed, error)
-    curl, curl_error, direction = _curl(t, positions)
-    length = float(np.hypot(*np.ptp(positions, axis=1)))
-    return Motion(
-        middle, begin, end, speed, error, slope, length, friction, friction_error, curl,
-        curl_error, direction,
-    )  # fmt: skip
-
-
-def _without_outliers(t: Floats, positions: Floats) -> tuple[Floats, Floats]:
-    """The rows near the median of five, which noise and friction leave."""
-    five = np.sort(np.lib.stride_tricks.sliding_window_view(positions, 5, axis=1), axis=-1)
-    bend = 0.5 * _BRAKING * (2 * float(np.median(np.diff(t)))) ** 2
-    limit = 0.02 + bend + 6 * scatter(positions)[:, None]
-    near = np.ones(len(t), bool)
-    near[2:-2] = (np.abs(positions[:, 2:-2] - five[..., 2]) < limit).all(0)
-    return (t, positions) if near.all() else (t[near], positions[:, near])
-
-
-def _motion_of_speeds(t: Floats, speed: Floats) -> Motion:
-    groups = np.array_split(np.arange(len(t)), min(_BLOCKS, len(t) // 3))
-    begin, end = (np.array([t[group[k]] for group in groups]) for k in (0, -1))
-    mean = np.array([float(np.median(speed[group])) for group in groups])
-    noise = float(scatter(speed))
-    error = np.array([noise / math.sqrt(len(group)) for group in groups])
-    middle = (begin + end) / 2
-    friction, friction_error = _friction(middle, mean, error)
-    length = float(np.sum(np.diff(t) * (speed[1:] + speed[:-1]) / 2))
-    nothing = np.full((2, len(groups)), np.nan)
-    return Motion(
-        middle, begin, end, mean, error, nothing, length, friction, friction_error, 0.0, math.inf,
-        (math.nan, math.nan),
-    )  # fmt: skip
-
-
-def _block_slopes(t: Floats, values: Floats) -> tuple[Floats, ...]:
-    """First and last time, mean time, slopes and the error of their length, by block."""
-    blocks = max(min(4, len(t) // 2), min(_BLOCKS, len(t) // 5))
-    first = np.arange(blocks) * len(t) // blocks
-    last = np.append(first[1:], len(t)) - 1
-    count = last - first + 1
-    owner = np.repeat(np.arange(blocks), count)
-    middle = np.add.reduceat(t, first) / count
-    at = t - middle[owner]
-    spread = np.add.reduceat(at**2, first)
-    slopes = np.add.reduceat(values * at, first, axis=1) / spread
-    mean = np.add.reduceat(values, first, axis=1) / count
-    residual = values - mean[:, owner] - slopes[:, owner] * at
-    own = np.add.reduceat((residual**2).sum(0), first) / np.maximum(count - 2, 1)
-    noise = np.maximum(own, float((scatter(values) ** 2).sum()))
-    return t[first], t[last], middle, slopes, np.sqrt(noise / spread)
-
-
-def _friction(t: Floats, speed: Floats, error: Floats) -> tuple[float, float]:
-    """Mean deceleration over g while the stone moves, and its standard error."""
-    moving = speed > np.maximum(_REST, 0.03 * speed.max())
-    if speed.max() < 2 * _REST:  # in other units, perhaps
-        moving = speed > 0.2 * speed.max()
-    if moving.sum() < 3:
-        return math.nan, math.inf
-    at = t[moving] - t[moving].mean()
-    spread = float(at @ at)
-    slope = float(speed[moving] @ at) / spread
-    rest = speed[moving] - speed[moving].mean() - slope * at
-    noise = max(
-        float(np.median(error[moving])), float(np.sqrt((rest @ rest) / max(len(at) - 2, 1)))
-    )
-    return -slope / GRAVITY, noise / math.sqrt(spread) / GRAVITY
-
-
-def _curl(t: Floats, positions: Floats) -> tuple[float, float, tuple[float, float]]:
-    """Departure from the initial direction, its error, and the direction of the motion.
-
-    The initial direction is the tangent, in the first rows, of a parabola through the first half of
-    the path; the end is a mean over a fortieth of the rows, since the curl grows most at the end.
-    """
-    few = max(2, len(t) // 10)
-    begin, end = positions[:, :few].mean(1), positions[:, -few:].mean(1)
-    length = float(np.hypot(*(end - begin)))
-    if length == 0:
-        return 0.0, math.inf, (math.nan, math.nan)
-    along_x, along_y = (end - begin) / length
-    x, y = positions - begin[:, None]
-    along, left = (along_x * x + along_y * y) / length, along_x * y - along_y * x
-    near = along < 0.5
-    if near.sum() < _FEWEST // 2:
-        near[:] = True
-    powers = np.stack([np.ones_like(along), along, along**2])[:, near]
-    inverse = np.linalg.pinv(powers @ powers.T)
-    found = inverse @ (powers @ left[near])
-    residual = left[near] - found @ powers
-    variance = float(residual @ residual) / max(int(near.sum()) - 3, 1)
-    last = max(2, len(t) // 40)
-    first, end_along = float(along[:last].mean()), float(along[-last:].mean())
-    tangent = np.array([1.0, end_along, first * (2 * end_along - first)])
-    return (
-        float(left[-last:].mean() - tangent @ found),
-        math.sqrt(variance * (float(tangent @ inverse @ tangent) + 1 / last)),
-        (float(along_x), float(along_y)),
-    )
 
 
 def _option(throw: Throw, name: str, value: Any) -> str:
@@ -385,10 +236,10 @@ def _scale(throw: Throw, motion: Motion) -> Iterator[Finding]:
 
 def _scale_of_few(throw: Throw) -> Iterator[Finding]:
     """The same for a few positions, of which only the distance and its time are used."""
-    extent = _extent(throw)
-    if extent is None:
+    length_and_time = extent(throw)
+    if length_and_time is None:
         return
-    length, time = extent
+    length, time = length_and_time
     faults = list(_faults_of_few(length, time))
     if not faults:
         return
@@ -407,19 +258,6 @@ def _scale_of_few(throw: Throw) -> Iterator[Finding]:
         else f"if those are its units: {_option(throw, 'units', usual[1])}"
     )
     yield Finding("units", ", and ".join(faults), remedy)
-
-
-def _extent(throw: Throw) -> tuple[float, float] | None:
-    """Length of a path in m, and the time in s until 98 % of it; None of too few rows."""
-    complete = np.isfinite(throw.x) & np.isfinite(throw.y)
-    if complete.sum() < 4:
-        return None
-    t, x, y = throw.t[complete], throw.x[complete], throw.y[complete]
-    off = np.hypot(x - x[-1], y - y[-1])
-    if not off[0] > 0:
-        return None
-    there = int(np.argmax(off < 0.02 * off[0]))
-    return float(off[0]), float(t[there] - t[0])
 
 
 def _faults_of_few(length: float, time: float) -> Iterator[str]:
@@ -505,7 +343,7 @@ def _wrapped(throw: Throw) -> Iterator[Finding]:
 
 def _spin(throw: Throw) -> Iterator[Finding]:
     """Turning too fast for radians."""
-    turned, mean = _turning(throw)
+    turned, mean = turning(throw)
     if turned is None or mean is None or abs(turned) < 2 * math.pi * _MOST_TURNS:
         return
     turns = abs(turned) / (2 * math.pi)
@@ -521,25 +359,9 @@ def _spin(throw: Throw) -> Iterator[Finding]:
     )
 
 
-def _turning(throw: Throw) -> tuple[float | None, float | None]:
-    """Angle turned in rad and its mean rate in rad/s, of the stone in motion or not."""
-    seen = np.isfinite(throw.phi)
-    if seen.sum() >= 4:
-        t, phi = throw.t[seen], throw.phi[seen]
-        few = max(1, min(len(t) // 10, 5))
-        turned = float(np.median(phi[-few:]) - np.median(phi[:few]))
-        return turned, turned / float(t[-1] - t[0])
-    seen = np.isfinite(throw.omega)
-    if seen.sum() >= 4:
-        t, omega = throw.t[seen], throw.omega[seen]
-        turned = float(np.sum(np.diff(t) * (omega[1:] + omega[:-1]) / 2))
-        return turned, turned / float(t[-1] - t[0])
-    return None, None
-
-
 def _other_hands(throw: Throw, motion: Motion) -> Iterator[Finding]:
     """What is not friction: the hand before the release, another stone, a stone picked up."""
-    jump = _collision(throw, motion)
+    jump = velocity_jump(throw, motion)
     if jump is not None:
         at, change = jump
         early = at - throw.t[0] < throw.t[-1] - at
@@ -557,7 +379,7 @@ def _other_hands(throw: Throw, motion: Motion) -> Iterator[Finding]:
     peak = int(np.argmax(rise))
     trough = int(np.argmin(speed[: peak + 1]))
     limit = max(
-        _GROWTH[0], _GROWTH[1] * motion.fastest, _SURE * math.hypot(error[peak], error[trough])
+        _GROWTH[0], _GROWTH[1] * motion.fastest, SURE * math.hypot(error[peak], error[trough])
     )
     if rise[peak] <= limit:
         return
@@ -588,63 +410,18 @@ def _other_hands(throw: Throw, motion: Motion) -> Iterator[Finding]:
         )
 
 
-def _collision(throw: Throw, motion: Motion) -> tuple[float, float] | None:
-    """Time in s and size in m/s of the largest jump of the velocity; None without one.
-
-    Straight lines through some rows before and after each time differ by more than noise and
-    friction explain. Where no velocity changes as much from block to block, none does from row to
-    row.
-    """
-    velocity = motion.velocity
-    if not np.hypot(*(velocity[:, 2:] - velocity[:, :-2])).max(initial=0.0) > _JUMP:
-        return None
-    complete = np.isfinite(throw.x) & np.isfinite(throw.y)
-    if complete.sum() < 20:
-        return None
-    t, positions = throw.t[complete], np.stack([throw.x, throw.y])[:, complete]
-    noise = float(np.hypot(*scatter(positions)))
-    dt = float(np.median(np.diff(t)))
-    # so many rows that the error of a slope is some 0.03 m/s: its variance is 12 s^2/(m^3 dt^2)
-    rows = int(np.clip(math.ceil((12 * (noise / (0.03 * dt)) ** 2) ** (1 / 3)), 5, len(t) // 3))
-    windows = np.lib.stride_tricks.sliding_window_view
-    at = windows(t, rows)
-    middle = at.mean(1)
-    centred = at - middle[:, None]
-    spread = (centred**2).sum(1)
-    slope = np.stack([(windows(part, rows) * centred).sum(1) / spread for part in positions])
-    mean = np.stack([windows(part, rows).mean(1) for part in positions])
-    change = slope[:, rows:] - slope[:, :-rows]
-    elapsed = middle[rows:] - middle[:-rows]
-    error = noise * np.sqrt(1 / spread[rows:] + 1 / spread[:-rows])
-    size = np.hypot(*change) - _SURE * error - _BRAKING * elapsed
-    # An outlying row bends a line, which then misses its own rows.
-    residual = np.zeros(len(at))
-    for part, inclination, centre in zip(positions, slope, mean, strict=True):
-        off = windows(part, rows) - centre[:, None] - inclination[:, None] * centred
-        residual = np.maximum(residual, np.abs(off).max(1))
-    straight = residual < 0.02 + 6 * noise + 0.5 * _BRAKING * (at[:, -1] - at[:, 0]) ** 2 / 4
-    size[~(straight[rows:] & straight[:-rows])] = -math.inf
-    # Over a pause the stone may have done anything.
-    gap = t[rows : rows + len(size)] - t[rows - 1 : rows - 1 + len(size)]
-    size[gap > 5 * dt] = -math.inf
-    best = int(np.argmax(size)) if len(size) else 0
-    if not len(size) or not size[best] > _JUMP:
-        return None
-    return float(t[best + rows]), float(np.hypot(*change[:, best]))
-
-
 def _axes(throw: Throw, motion: Motion) -> Iterator[Finding]:
     """The side of the curl against the sense of the spin.
 
     A stone curls to the side to which its front turns (Penner 2001): to the left, where it turns
     counter-clockwise seen from above.
     """
-    turned, _ = _turning(throw)
+    turned, _ = turning(throw)
     if not math.isfinite(motion.direction[0]):
         return
     words = "" if throw.conventions is None else throw.conventions.axes
     along_x = abs(motion.direction[0]) > 2 * abs(motion.direction[1])
-    certain = abs(motion.curl) - _SURE * motion.curl_error > _CLEAR_CURL
+    certain = abs(motion.curl) - SURE * motion.curl_error > _CLEAR_CURL
     if turned is None or not (certain and abs(turned) > _CLEAR_TURN and motion.curl * turned < 0):
         if along_x:
             forward = 1 if motion.direction[0] > 0 else -1
@@ -678,19 +455,17 @@ def _axes(throw: Throw, motion: Motion) -> Iterator[Finding]:
     )
 
 
-def _measured_speed(throw: Throw) -> Iterator[Finding]:
+def _measured_speed(throw: Throw, motion: Motion) -> Iterator[Finding]:
     """A measured speed or spin that is not that of the path or the angle."""
-    both = np.isfinite(throw.x) & np.isfinite(throw.y)
-    if both.sum() >= _FEWEST and np.isfinite(throw.speed).sum() >= 4:
-        path = _motion(throw.t[both], np.stack([throw.x, throw.y])[:, both])
-        seen = np.isfinite(throw.speed)
-        own = np.interp(path.t, throw.t[seen], throw.speed[seen])
-        fast = path.speed > max(0.3 * path.fastest, 10 * float(np.median(path.error)))
+    seen = np.isfinite(throw.speed)
+    if np.isfinite(motion.velocity).all() and seen.sum() >= 4:
+        own = np.interp(motion.t, throw.t[seen], throw.speed[seen])
+        fast = motion.speed > max(0.3 * motion.fastest, 10 * float(np.median(motion.error)))
         if fast.sum() >= 3:
-            yield from _ratio(throw, "speed", float(np.median(own[fast] / path.speed[fast])))
+            yield from _ratio(throw, "speed", float(np.median(own[fast] / motion.speed[fast])))
     angle, rate = np.isfinite(throw.phi), np.isfinite(throw.omega)
-    if angle.sum() >= _FEWEST and rate.sum() >= 4:
-        turned, mean = _turning(throw)
+    if angle.sum() >= FEWEST and rate.sum() >= 4:
+        turned, mean = turning(throw)
         t = throw.t[angle]
         own = np.interp(t, throw.t[rate], throw.omega[rate])
         by_rate = float(np.sum(np.diff(t) * (own[1:] + own[:-1]) / 2))

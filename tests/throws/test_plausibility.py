@@ -24,7 +24,8 @@ from typer.testing import CliRunner
 import curlfit
 from curlfit import InputError, Throw, load_throw
 from curlfit.cli import app
-from curlfit.throws.plausibility import examine, motion_of, require_plausible
+from curlfit.throws.motion import motion_of
+from curlfit.throws.plausibility import examine, require_plausible
 
 GOOD = good()
 FOOT = 0.3048
