@@ -12,12 +12,12 @@ from curlfit.numerics.arrays import Floats
 from curlfit.stone import GRAVITY
 from curlfit.throws.throw import Throw, scatter
 
-_JUMP = 0.25  # m/s, by which a velocity may change at once, beside friction
+_JUMP = 0.15  # m/s, by which a velocity may change at once, beside friction
 SURE = 6.0
 """Standard errors that a finding takes."""
 FEWEST = 10
 """Positions that a motion is estimated from."""
-_BRAKING = 0.5  # m/s^2, more than any friction on ice
+_BRAKING = 0.3  # m/s^2, three times that of friction on ice
 _BLOCKS = 24
 _REST = 0.03  # m/s
 

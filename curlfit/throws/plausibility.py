@@ -78,14 +78,25 @@ def examine(throw: Throw) -> tuple[Finding, ...]:
     motion = motion_of(one)
     found = [*_wrapped(one), *_spin(one)]
     if motion is not None:
-        off = list(_scale(one, motion))
-        found += off
-        if not any(item.refused for item in off):
-            hands = list(_other_hands(one, motion))
-            found += hands or [*_axes(one, motion), *_measured_speed(one, motion)]
+        found += _sound(one, motion)
     else:
         found += _scale_of_few(one)
     return tuple(sorted(found, key=lambda item: not item.refused))
+
+
+def _sound(throw: Throw, motion: Motion) -> list[Finding]:
+    """Findings on the motion. What follows from a fault is not looked at: a stone that was hit has
+    any curl, and in wrong units any stone looks hit."""
+    off = list(_scale(throw, motion))
+    if any(item.refused for item in off):
+        return off
+    hands = list(_other_hands(throw, motion))
+    if hands:
+        return [*off, *hands]
+    off += _curl(throw, motion)
+    if any(item.refused for item in off):
+        return off
+    return [*off, *_axes(throw, motion), *_measured_speed(throw, motion)]
 
 
 def require_plausible(throw: Throw) -> tuple[Finding, ...]:
@@ -223,15 +234,18 @@ def _scale(throw: Throw, motion: Motion) -> Iterator[Finding]:
             f"it slows down by {deceleration:.2g} m/s^2, a friction of {mu:.2g}, and stones on ice "
             f"have {low:g} to {high:g}"
         )
-    if abs(motion.curl) - 3 * motion.curl_error > WIDTH:
-        faults.append(f"it curls {abs(motion.curl):.3g} m, and a sheet is {WIDTH:.1f} m wide")
-    elif abs(motion.curl) - 3 * motion.curl_error > _USUAL_CURL:
-        unusual.append(f"it curls {abs(motion.curl):.3g} m, and few curl more than 2 m")
-    if not faults and not unusual:
-        return
-    remedy = _unit_remedy(throw)
-    text = ", and ".join((faults or unusual)[:2])
-    yield Finding("units", text, remedy, refused=bool(faults))
+    if faults or unusual:
+        text = ", and ".join((faults or unusual)[:2])
+        yield Finding("units", text, _unit_remedy(throw), refused=bool(faults))
+
+
+def _curl(throw: Throw, motion: Motion) -> Iterator[Finding]:
+    """A curl that no stone has: a wrong unit across the sheet."""
+    sure = abs(motion.curl) - 3 * motion.curl_error
+    if sure > _USUAL_CURL:
+        most = f"a sheet is {WIDTH:.1f} m wide" if sure > WIDTH else "few curl more than 2 m"
+        text = f"the stone curls {abs(motion.curl):.3g} m, and {most}"
+        yield Finding("units", text, _unit_remedy(throw), refused=sure > WIDTH)
 
 
 def _scale_of_few(throw: Throw) -> Iterator[Finding]:

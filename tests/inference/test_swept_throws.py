@@ -69,6 +69,24 @@ def test_where_nothing_happened_nothing_is_said(seed, eq12_fit):
         assert not any("changes at once" in text for text in fit.warnings)
 
 
+@pytest.mark.parametrize(
+    ("at", "size", "flag", "limits"),
+    [(12.0, 0.2, "--until", (10.5, 12.0)), (6.0, 0.2, "--since", (6.0, 7.5))],
+)
+def test_a_stone_that_another_one_touches_is_found(at, size, flag, limits):
+    plain = thrown(1, factor=1.0)
+    hit = plain.x + size * np.maximum(TIMES - at, 0.0)
+    throw = Throw.from_arrays(plain.t, hit, plain.y, plain.phi)
+    (warning,) = (text for text in curlfit.fit(throw).warnings if "velocity changes" in text)
+    assert float(warning.split("by about ")[1].split()[0]) == pytest.approx(size, rel=0.2)
+    assert float(warning.split("t = ")[1].split()[0]) == pytest.approx(T0 + at, abs=0.6)
+    value = float(warning.split(f"`{flag} ")[1].split("`")[0]) - T0
+    assert limits[0] <= value <= limits[1]
+    cut = {"--until": "until", "--since": "since"}[flag]
+    again = curlfit.fit(throw, **{cut: T0 + value})
+    assert not any("changes at once" in text for text in again.warnings)
+
+
 def test_side_by_side_it_is_the_same(swept, fitted):
     other = thrown(1)
     many = fit_throws([swept, other], swept=[T0 + time for time in SWEPT])

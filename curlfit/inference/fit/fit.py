@@ -14,7 +14,7 @@ import numpy as np
 from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
 from curlfit.inference.conditions import ALL
-from curlfit.inference.fit.change_points import friction_change
+from curlfit.inference.fit.change_points import sudden_change
 from curlfit.inference.fit.missing_channels import remedies
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.quantities import quantities_of
@@ -135,7 +135,7 @@ def fit(
     result = replace(result, quantities=quantities_of(result))
     doubtful = any(item.doubtful for item in result.independence.values())
     if doubtful and loss == "linear" and noise == "white" and "sweep" not in result.conditions:
-        change = friction_change(found)
+        change = sudden_change(found)
         if change is not None:
             result = replace(result, warnings=(change.warning(), *result.warnings))
     if result.reference is not None:
