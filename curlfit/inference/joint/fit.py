@@ -292,7 +292,8 @@ def _result(
                 0,
                 f"{item.expression} differs from throw to throw beyond its errors "
                 f"({item.p_text}); its error about the mean of such throws is "
-                f"{item.stderr:.2g}, not the one of the shared fit",
+                f"{item.stderr:.2g}, not the one of the shared fit, and large residuals of single "
+                "throws may come from the common value, not from their data",
             )
     # Of a throw without a path the curl is at most one number, which the heading takes up.
     paths = any(one.throw.has_path for one in rounds.throws)
