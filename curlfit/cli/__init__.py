@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from curlfit.batch.command import batch
+from curlfit.cli.example import example
 from curlfit.cli.export import export
 from curlfit.cli.fit import fit
 from curlfit.cli.laws import laws
@@ -32,9 +33,18 @@ app = typer.Typer(
 )
 
 
+_LIBRARIES = ("jax", "jaxlib", "optimistix", "numpy", "scipy", "emcee", "matplotlib")
+
+
 def _version(requested: bool) -> None:
     if requested:
+        import platform
+        from importlib.metadata import version
+
         typer.echo(f"curlfit {__version__}")
+        libraries = ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)
+        typer.echo(f"Python {platform.python_version()}, {libraries}")
+        typer.echo(f"{platform.platform()}, {platform.machine()}")
         raise typer.Exit
 
 
@@ -42,7 +52,12 @@ def _version(requested: bool) -> None:
 def _root(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+        typer.Option(
+            "--version",
+            callback=_version,
+            is_eager=True,
+            help="Print the versions of curlfit and of what it rests on.",
+        ),
     ] = False,
 ) -> None:
     """Friction coefficients from the trajectory of a curling stone, and what it cannot tell.
@@ -53,7 +68,7 @@ def _root(
 
 for _verb in (
     check, fit, compare, batch, predict, profile, design, show, plot, export, simulate, laws,
-    reproduce,
+    reproduce, example,
 ):  # fmt: skip
     app.command()(_verb)
 

@@ -182,8 +182,8 @@ class Chain(Displayed):
         log_likelihood (by channel; where noise is correlated, of each value given all others),
         sample_stats (`lp`, up to a constant), observed_data, constant_data (`t`, `sigma_x` ...).
         The draws of a chain are those of one walker after another, as the coordinates `walker` and
-        `step` of `draw` say. A channel with gaps has a dimension `time_x` of its own. ArviZ takes one
-        channel at a time, as `arviz.loo(data, var_name="x")`; the sum over channels is that of all.
+        `step` of `draw` say. A channel with gaps has a dimension `time_x` of its own. ArviZ takes
+        one channel at a time, as `arviz.loo(data, var_name="x")`; elpd of all is the sum.
 
         Parameters
         ----------

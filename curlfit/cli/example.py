@@ -1,0 +1,45 @@
+"""`curlfit example`: the example data and the notebooks, copied to where they can be changed."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+_PACKAGE = Path(__file__).parents[1]
+_PARTS = {"data": "*", "notebooks": "*.ipynb"}
+_FIRST = "data/jensen_shegelski_2004.csv"
+
+
+def example(
+    folder: Annotated[
+        Path, typer.Argument(help="Where to; made if there is none.", metavar="[DIR]")
+    ] = Path("curlfit-examples"),
+) -> None:
+    """Copy the example data and the notebooks to a folder of your own.
+
+    Files that are there already are left as they are.
+    """
+    from curlfit.errors import InputError
+
+    # a wheel has them in a folder of its own, a clone beside the package
+    source = next(
+        (root for root in (_PACKAGE / "examples", _PACKAGE.parent) if (root / _FIRST).is_file()),
+        None,
+    )
+    if source is None:
+        raise InputError(f"this installation has no examples ({_PACKAGE / 'examples'} is missing)")
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: a file; expected a folder, or a name that is not taken")
+    for part, pattern in _PARTS.items():
+        (folder / part).mkdir(parents=True, exist_ok=True)
+        for file in sorted((source / part).glob(pattern)):
+            target = folder / part / file.name
+            if target.exists():
+                typer.echo(f"Left as it is: {target}")
+            elif file.is_file():
+                shutil.copyfile(file, target)
+                typer.echo(f"Written: {target}")
+    typer.echo(f"\nTry: cd {folder} && curlfit fit {_FIRST}")

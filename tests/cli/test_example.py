@@ -1,0 +1,56 @@
+"""The examples that an installation brings along."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from pathlib import Path
+
+from typer.testing import CliRunner
+
+import curlfit
+from curlfit.cli import app
+
+ROOT = Path(__file__).parents[2]
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(one) for one in arguments])
+
+
+def test_data_and_notebooks_are_copied(tmp_path):
+    found = run("example", tmp_path / "mine")
+    assert found.exit_code == 0, found.output
+    for part, pattern in (("data", "*"), ("notebooks", "*.ipynb")):
+        originals = sorted((ROOT / part).glob(pattern))
+        copies = sorted((tmp_path / "mine" / part).iterdir())
+        assert [one.name for one in copies] == [one.name for one in originals]
+        assert all(a.read_bytes() == b.read_bytes() for a, b in zip(copies, originals, strict=True))
+    assert f"cd {tmp_path / 'mine'} && curlfit fit data/" in found.output.replace("\n", "")
+
+
+def test_what_is_there_is_left(tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "evening.csv").write_text("my own\n")
+    found = run("example", tmp_path)
+    assert "Left as it is:" in found.output
+    assert (tmp_path / "data" / "evening.csv").read_text() == "my own\n"
+    assert (tmp_path / "data" / "tracker.txt").exists()
+
+
+def test_a_file_is_no_folder(tmp_path):
+    (tmp_path / "name").write_text("")
+    error = run("example", tmp_path / "name").exception
+    assert isinstance(error, curlfit.InputError)
+    assert "a file; expected a folder" in str(error)
+
+
+def test_the_version_names_what_computes():
+    text = run("--version").output
+    assert text.startswith(f"curlfit {curlfit.__version__}\n")
+    assert f"jax {version('jax')}" in text
+    assert f"optimistix {version('optimistix')}" in text
+
+
+def test_the_citation_is_of_this_version():
+    citation = (Path(curlfit.__file__).parent / "CITATION.cff").read_text()
+    assert f"\nversion: {curlfit.__version__}\n" in citation
