@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import emcee
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
 import curlfit
 from curlfit import Stone, fit, law_with, load_chain, sample, synthetic_throw
 from curlfit.inference.fit.result import load_fit
 from curlfit.inference.mcmc.convergence import r_hat
 from curlfit.inference.mcmc.proposals import EnsembleMove, RidgeMove
+from curlfit.inference.mcmc.ridge import _extent
 
 
 def test_the_ridge_is_explored_to_its_ends_evenly(eq12_posterior):
@@ -164,3 +168,28 @@ def test_r_hat_by_hand():
     apart = same + np.array([0, 0, 0, 2.0])[None, :, None, None]
     # between variance of means 0, 0, 0, 2 is 1; within is 1
     assert r_hat(apart)[0] == pytest.approx(np.sqrt(2), abs=0.1)
+
+
+def test_the_extent_of_one_unseen_direction_is_that_of_linear_programming():
+    random = np.random.default_rng(5)
+    for _ in range(20):
+        walls, room = random.normal(size=(8, 1)), random.uniform(0.1, 2.0, 8)
+        walls[0], walls[1] = 1.0, -1.0
+        along = random.normal(size=1)
+        bounds = {"A_ub": walls, "b_ub": room, "bounds": (None, None)}
+        least, greatest = optimize.linprog(along, **bounds), optimize.linprog(-along, **bounds)
+        assert _extent(along, walls, room) == pytest.approx((least.fun, -greatest.fun), abs=1e-9)
+
+
+def test_what_is_slow_to_load_is_not_loaded_and_still_works():
+    program = (
+        "import sys, curlfit.inference.mcmc.sampler, emcee\n"
+        "assert 'scipy.stats' not in sys.modules\n"
+        "import numpy as np\n"
+        "state = emcee.State(np.random.default_rng(0).normal(size=(8, 2)))\n"
+        "walk = emcee.EnsembleSampler(8, 2, lambda x: -x @ x / 2, moves=emcee.moves.KDEMove())\n"
+        "assert walk.run_mcmc(state, 3).coords.shape == (8, 2)\n"
+        "import scipy.stats\n"
+        "assert scipy.stats.norm.cdf(0) == 0.5\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -12,7 +12,6 @@ from curlfit.inference.likelihood import predict_channels
 
 # isort: split
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from curlfit.inference.derived import Derived, with_quantiles
 from curlfit.inference.fit.prepared import problem_of
@@ -53,6 +52,8 @@ class _Motion(NamedTuple):
 
     def time_at(self, y: float) -> float:
         """When it passes a line, s; NaN where it does not."""
+        from scipy.interpolate import CubicSpline  # slow to load, and few fits need it
+
         n = max(int(np.argmin(self.speed > 0)) + 1 if (self.speed <= 0).any() else len(self.t), 4)
         roots = CubicSpline(self.t[:n], self.y[:n]).solve(y)
         late = np.maximum(roots - self.t[n - 1], 0) + np.maximum(self.t[0] - roots, 0)
@@ -60,6 +61,8 @@ class _Motion(NamedTuple):
 
     def curl_at(self, t: float) -> float:
         """Distance to the right of the line along the initial velocity, m."""
+        from scipy.interpolate import CubicSpline
+
         return self._right_of_line(*CubicSpline(self.t, np.stack([self.x, self.y]), axis=1)(t))
 
     @property

@@ -11,7 +11,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, cast
 
-import emcee
 import h5py
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from curlfit.errors import DataError, InputError
 from curlfit.friction import Law
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.mcmc.library import emcee
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
 from curlfit.output.display import Displayed, Overview

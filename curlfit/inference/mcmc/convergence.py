@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import cast
 
-import emcee
 import numpy as np
 
+from curlfit.inference.mcmc.library import emcee
 from curlfit.numerics.arrays import Floats
 
 BLOCK = 20  # steps between the first looks at convergence; later a fifth of those done

@@ -12,10 +12,9 @@ from __future__ import annotations
 from typing import Any, cast
 
 import numpy as np
-from emcee.moves import Move
-from emcee.state import State
 from numpy.typing import NDArray
 
+from curlfit.inference.mcmc.library import Move, State
 from curlfit.numerics.arrays import Booleans, Floats
 
 Indices = NDArray[np.int64]

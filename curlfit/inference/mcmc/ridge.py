@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linprog
 
 from curlfit.errors import UnusableFitError
 from curlfit.inference.fit.result import FitResult
@@ -70,14 +69,24 @@ def _pivots(
     walls = np.concatenate([null.T, -null.T])
     room = np.concatenate([upper + reach, reach - lower])
     finite = np.isfinite(room)
-    low, high = np.zeros(len(pivots)), np.zeros(len(pivots))
-    for place, pivot in enumerate(pivots):
-        for ends, sign in ((low, 1.0), (high, -1.0)):
-            found = linprog(
-                sign * null[:, pivot], A_ub=walls[finite], b_ub=room[finite], bounds=(None, None)
-            )
-            ends[place] = np.clip(sign * found.fun, lower[pivot], upper[pivot])
+    ends = [_extent(null[:, pivot], walls[finite], room[finite]) for pivot in pivots]
+    low, high = np.clip(np.array(ends).T.reshape(2, -1), lower[pivots], upper[pivots])
     return np.array(pivots, int), low, high
+
+
+def _extent(along: Floats, walls: Floats, room: Floats) -> tuple[float, float]:
+    """Least and greatest `along @ z` of all z with `walls @ z <= room`."""
+    if len(along) == 1:  # by far the most frequent, and scipy's optimizers are slow to load
+        slope, product = walls[:, 0], along[0] * walls[:, 0]
+        limits = along[0] * room[product != 0] / slope[product != 0]
+        product = product[product != 0]
+        return float(limits[product < 0].max()), float(limits[product > 0].min())
+    from scipy.optimize import linprog
+
+    least, greatest = (
+        linprog(sign * along, A_ub=walls, b_ub=room, bounds=(None, None)).fun for sign in (1, -1)
+    )
+    return float(least), -float(greatest)
 
 
 def first_walkers(

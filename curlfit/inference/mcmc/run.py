@@ -6,9 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import emcee
 import numpy as np
-from emcee.state import State
 
 from curlfit.errors import DataError
 from curlfit.inference.fit.prepared import problem_of
@@ -16,6 +14,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import log_posterior
 from curlfit.inference.mcmc.chain import Chain, SamplerState, require_same, subject_of
 from curlfit.inference.mcmc.convergence import BLOCK, Diagnosis, diagnose, steps_to_discard
+from curlfit.inference.mcmc.library import State, emcee
 from curlfit.inference.mcmc.proposals import EnsembleMove
 from curlfit.inference.mcmc.ridge import first_walkers, ridge_move
 from curlfit.numerics.arrays import Floats
