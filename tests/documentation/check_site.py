@@ -52,7 +52,7 @@ def faults(site: Path) -> list[str]:
                 continue
             there = (file.parent / unquote(parts.path)).resolve() if parts.path else file
             there = there / "index.html" if there.is_dir() else there
-            ids = pages[there].ids if there in pages else {""}
+            ids = pages[there].ids | {""} if there in pages else {""}
             if not there.is_file():
                 found.append(f"{name}: no file {link}")
             elif (

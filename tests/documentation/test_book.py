@@ -202,11 +202,10 @@ def _slugs(text):
     return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
 
 
-@pytest.mark.parametrize(
-    "file",
-    [ROOT / "README.md", *sorted(NOTEBOOKS.glob("*.md")), *sorted(NOTEBOOKS.glob("book/*.md"))],
-    ids=lambda file: file.stem,
-)
+FILES = [ROOT / "README.md", *NOTEBOOKS.glob("*.md"), *NOTEBOOKS.glob("book/*.md")]
+
+
+@pytest.mark.parametrize("file", sorted(FILES), ids=lambda file: file.stem)
 def test_links_lead_somewhere(file):
     text = file.read_text()
     for target, anchor in LINK.findall(text):
