@@ -61,7 +61,19 @@ def rewrite(
     lines[:] = [*found, ""]
 
 
+_CALLED = ("Stone", "InitialState")
+
+
+def without_fields(
+    app: Any, what: str, name: str, obj: Any, options: Any, signature: Any, returned: Any
+) -> Any:
+    """No signature for records that are not made by hand: their attributes follow."""
+    made = what != "class" or name.rpartition(".")[2] in _CALLED
+    return (signature, returned) if made else ("", None)
+
+
 def setup(app: Any) -> dict[str, Any]:
     """Called by Sphinx."""
     app.connect("autodoc-process-docstring", rewrite)
+    app.connect("autodoc-process-signature", without_fields)
     return {"parallel_read_safe": True}
