@@ -27,7 +27,7 @@ extensions = [
 ]
 exclude_patterns = ["_build", "_extensions", "**.ipynb_checkpoints"]
 nitpicky = True
-suppress_warnings = ["config.cache"]
+smartquotes = False
 
 # Markdown that GitHub shows as well
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist"]

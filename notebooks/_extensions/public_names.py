@@ -68,8 +68,8 @@ def without_fields(
     app: Any, what: str, name: str, obj: Any, options: Any, signature: Any, returned: Any
 ) -> Any:
     """No signature for records that are not made by hand: their attributes follow."""
-    made = what != "class" or name.rpartition(".")[2] in _CALLED
-    return (signature, returned) if made else ("", None)
+    made = what != "class" or not signature or name.rpartition(".")[2] in _CALLED
+    return None if made else ("", None)
 
 
 def setup(app: Any) -> dict[str, Any]:
