@@ -6,7 +6,9 @@ All commands are typed in one folder, in the order of the book. Pages with data 
 
 from __future__ import annotations
 
+import ast
 import importlib.util
+import inspect
 import json
 import re
 import shutil
@@ -15,8 +17,10 @@ from pathlib import Path
 
 import pytest
 from transcripts import ROOT, blocks, require_shown, run, typed, without_gaps
+from typer.main import get_command
 
 import curlfit
+from curlfit.cli import app
 from curlfit.options.settings import check_settings, read_config
 from curlfit.sheet import CIRCLES, LINES
 
@@ -126,6 +130,26 @@ def test_the_table_of_fit_json_has_its_fields(printed, clone):
     first = [line.split(" | ")[0] for line in table.splitlines() if line.startswith("| `")]
     told = {name for cell in first for name in re.findall(r"`(\w+)`", cell)}
     assert told == record.keys()
+
+
+def test_options_within_sentences_exist():
+    verbs = get_command(app).commands.values()
+    known = {word for verb in verbs for item in verb.params for word in item.opts}
+    told = set(re.findall(r"(?<=`)--[a-z0-9-]+", BOOK))
+    assert len(told) > 40
+    assert told <= known | {"--help", "--version"}, told - known
+
+
+def test_calls_within_sentences_fit_their_functions():
+    """Their arguments, by name and number."""
+    calls = re.findall(r"`(curlfit\.\w+\([^`]*\))`", BOOK)
+    assert len(calls) >= 10
+    for text in calls:
+        call = ast.parse(" ".join(text.split()), mode="eval").body
+        assert isinstance(call, ast.Call)
+        named = {str(item.arg): None for item in call.keywords}
+        function = getattr(curlfit, call.func.attr)
+        inspect.signature(function).bind(*call.args, **named)
 
 
 @pytest.mark.parametrize("line", sorted(INLINE))
