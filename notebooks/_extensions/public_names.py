@@ -28,7 +28,9 @@ def sections(lines: list[str]) -> list[tuple[str, list[str]]]:
 def items(lines: list[str]) -> list[str]:
     """A section as definitions, or as it is where it has none."""
     paragraphs: list[list[str]] = []
-    for line in lines:
+    # names that take more than a line
+    whole = re.sub(r"^([\w, ]+,)\n(?=\w)", r"\1 ", "\n".join(lines), flags=re.M)
+    for line in whole.split("\n"):
         if _ITEM.match(line) or (line.strip() and not paragraphs):
             paragraphs.append([line])
         elif line.strip():
