@@ -288,3 +288,20 @@ def test_the_sheet_is_that_of_the_program():
     lines = [float(value) for value in re.findall(r"^\| [^|]* \| ([\d.]+) \|$", section, re.M)]
     assert lines == pytest.approx([y for y in LINES.values() if y > 0])
     assert ", ".join(f"{radius:.3f}" for radius in CIRCLES[:3]) in section
+
+
+def test_what_is_wrong_with_a_site_is_found(tmp_path):
+    site = _module(Path(__file__).with_name("check_site.py"))
+    (tmp_path / "a.html").write_text('<p id="here"><a href="b.html#there"></a><a href="#here"></a>')
+    (tmp_path / "b.html").write_text('<p id="there"><a href="https://example.org">away</a>')
+    assert site.faults(tmp_path) == []
+    (tmp_path / "b.html").write_text(
+        '<a href="a.html#nowhere">a</a><a href="c.html">c</a><script src="https://x.org/y.js"></script>'
+    )
+    (tmp_path / "style.css").write_text("@import '//x.org/z.css'; b {background: url(own.png)}")
+    assert site.faults(tmp_path) == [
+        "a.html: no anchor b.html#there", "b.html: no anchor a.html#nowhere",
+        "b.html: no file c.html", "b.html: https://x.org/y.js comes from a network",
+        "style.css: //x.org/z.css comes from a network",
+    ]  # fmt: skip
+    assert site.faults(tmp_path / "empty") != []
