@@ -20,8 +20,8 @@ Most used:
     predict      another throw on the same ice; `design` plans a measurement
     simulate     the model itself, for `jax.jit`, `vmap` and derivatives
 
-`dir(curlfit)` lists all names, `help(curlfit.fit)` has arguments and an example; the README and
-four notebooks have the rest.
+`dir(curlfit)` lists all names, `help(curlfit.fit)` has arguments and an example; the pages and
+notebooks that the README names have the rest.
 
 Axes: y along the sheet, x to the right of it, angle and spin counter-clockwise; SI units and
 radians. With `import curlfit` JAX computes with 64-bit numbers, whatever JAX_ENABLE_X64 says.

@@ -29,7 +29,7 @@ DATA = Path(__file__).parents[1] / "data" / "jensen_shegelski_2004.csv"
 G = 9.81
 
 
-LONG = ("test_readme", "test_laws", "test_motion", "test_prediction", "test_hard_numerics")
+LONG = ("test_book", "test_laws", "test_motion", "test_prediction", "test_hard_numerics")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -55,7 +55,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest files first, so that none of them runs on alone at the end.
 
-    What compares all laws comes later, when the README's commands have compiled them.
+    What compares all laws comes later, when the commands of the book have compiled them.
     """
     place = {name: -1 - LONG[::-1].index(name) for name in LONG}
     items.sort(key=lambda item: place.get(item.path.stem, 0))

@@ -33,7 +33,7 @@ _REST_TIME = 1e30  # s, when every stone is at rest
 )
 @dataclass(frozen=True)
 class InitialState:
-    """Position and velocity at the start of a throw. Axes and signs as in the README.
+    """Position and velocity at the start of a throw, in the axes of the program.
 
     Attributes
     ----------

@@ -153,7 +153,7 @@ class Prediction(Displayed):
     measured: dict[str, Floats] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """The record as written to `predict.json`; see the README for its fields."""
+        """The record as written to `predict.json`: the attributes, by name."""
         found = {item.name: getattr(self, item.name) for item in fields(self)}
         listed = {name: values.tolist() for name, values in self.series.items()}
         check = None

@@ -1,4 +1,4 @@
-"""The command as a process: what the README promises, and every refusal."""
+"""The command as a process: what the book promises, and every refusal."""
 
 from __future__ import annotations
 

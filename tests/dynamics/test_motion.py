@@ -50,7 +50,7 @@ def test_path_agrees_with_order_8_integration_on_a_dense_ring(mu, h, v, omega, h
     stone = Stone(R=0.054, rho=0.1, h=h or 0.057)
     path = simulate(LAWS["front-back"](*mu), stone, start, times, load=load)
     error = np.abs(places(path) - Reference(front_back(*mu), h=h).path(start, times))
-    assert error.max() < 5e-8  # m, m, rad; the README promises 1e-7
+    assert error.max() < 5e-8  # m, m, rad; the book promises 1e-7
 
 
 def test_error_falls_with_the_fifth_power_of_the_step(monkeypatch):

@@ -124,7 +124,7 @@ LAWS_OF_THE_RING = [
     ("front-back", (0.005, 0.05, 0.009, 0.009)),
 ]
 THROW = InitialState(x=1.0, y=-2.0, heading=0.3, v=2.0, phi=0.5, omega=1.5)
-EXACT = 5e-8  # m and rad; the README promises 1e-7
+EXACT = 5e-8  # m and rad; the book promises 1e-7
 FAST_SPIN = InitialState(heading=-0.2, v=0.6, omega=-25.0)  # epsilon = -2.7
 both_loads = pytest.mark.parametrize("load", LOADS)
 any_law = pytest.mark.parametrize(("name", "values"), LAWS_OF_THE_RING)

@@ -431,7 +431,7 @@ class FitResult(NamedEstimates):
         return replace(self, posterior=None, sampling="unfinished")
 
     def to_json(self) -> dict[str, Any]:
-        """The record as written to `fit.json`; see the README for its fields."""
+        """The record as written to `fit.json`; `notebooks/book/files.md` lists its fields."""
         return {
             "schema": SCHEMA,
             "law": self.law,
