@@ -54,3 +54,5 @@ def test_the_version_names_what_computes():
 def test_the_citation_is_of_this_version():
     citation = (Path(curlfit.__file__).parent / "CITATION.cff").read_text()
     assert f"\nversion: {curlfit.__version__}\n" in citation
+    page = (ROOT / "notebooks" / "book" / "citing.md").read_text()
+    assert f"version = {{{curlfit.__version__}}}" in page
