@@ -16,6 +16,7 @@ from curlfit.output.figures import (
     ZERO_LINE,
     Picture,
     feet,
+    letter,
     line_styles,
     note_stretch,
     some_rows,
@@ -46,8 +47,8 @@ def comparison_figure(comparison: Comparison) -> Figure:
     t, x, y = (np.array(comparison.observed[name], float) for name in ("t", "x", "y"))
     some = some_rows(len(t))
     curves = _curves(shown, x)
-    figure = Picture(figsize=(WIDTH, 4.6 + 0.2 * len(shown)), layout="constrained")
-    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 0.6 + 0.06 * len(shown)))
+    figure = Picture(figsize=(WIDTH, 4.0 + 0.17 * len(shown)), layout="constrained")
+    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 0.6 + 0.05 * len(shown)))
     path = figure.add_subplot(rows[0].subgridspec(1, 1)[0])
     lower = rows[1].subgridspec(1, 2, width_ratios=(1.3, 1.0))
     residual, dots = figure.add_subplot(lower[0]), figure.add_subplot(lower[1])
@@ -77,8 +78,8 @@ def comparison_figure(comparison: Comparison) -> Figure:
         values = [1000 * item.residual_size.get(name, np.nan) for item in shown]
         unit = "mrad" if name == "phi" else "mm"
         dots.plot(
-            values, range(len(shown)), marker, color="0.15", markerfacecolor=filling, markersize=4.5,
-            markeredgewidth=0.9, label=f"${CHANNEL_LABEL[name]}$ ({unit})",
+            values, range(len(shown)), marker, color="0.15", markerfacecolor=filling,
+            markersize=4.5, markeredgewidth=0.9, label=f"${CHANNEL_LABEL[name]}$ ({unit})",
         )  # fmt: skip
     dots.set_yticks(range(len(shown)), [item.label for item in shown])
     for tick, item in zip(dots.get_yticklabels(), shown, strict=True):
@@ -87,9 +88,11 @@ def comparison_figure(comparison: Comparison) -> Figure:
     dots.set_xscale("log")
     dots.set_axisbelow(True)
     size = "rms" if comparison.loss == "linear" else "bulk"
-    dots.set_xlabel(f"{size} of the residuals; bold: follows the path")
+    dots.set_xlabel(f"{size} of the residuals\nbold: follows the path")
     dots.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
-    figure.draw_without_rendering()
+    for axes, mark in ((path, "a"), (residual, "b")):
+        letter(axes, mark, 0.45)
+    figure.draw_without_rendering()  # the layout, which the note depends on
     note_stretch(path)
     return figure
 

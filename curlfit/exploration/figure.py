@@ -47,6 +47,7 @@ class MovingFigure:
                 data = (fit.observed[name][self._some] for name in (across, along))
                 axes.plot(*data, **DATA_STYLE)
             axes.set(xlabel=names[0], ylabel=names[1])
+        path.invert_yaxis()  # as seen from above, thrown to the right
         (self.path,) = path.plot([], [], color=FIT_COLOR, lw=1.3)
         (self.spin,) = spin.plot([], [], color=FIT_COLOR)
         self.residuals: dict[str, Any] = {}

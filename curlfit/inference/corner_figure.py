@@ -95,7 +95,7 @@ def corner_figure(fit: FitResult, chain: Chain) -> Figure:
 
 
 def _names(fit: FitResult) -> list[str]:
-    """Coefficients and conditions that are not fixed; where there is one alone, of the start too."""
+    """Coefficients and conditions that are not fixed; with the start where there is one alone."""
     start = ("v0", "omega0", "heading")
     wanted = [*fit.coefficients, *fit.conditions]
     free = [name for name in (*wanted, *start) if fit.parameters[name].verdict != "fixed"]
@@ -188,10 +188,11 @@ def _ridge(
         x[some], y[some], ".", color=POSTERIOR_COLOR, markersize=1.5, mew=0, rasterized=True
     )  # fmt: skip
     falling = first * second > 0
-    axes.text(
+    text = axes.text(
         0.95 if falling else 0.05, 0.95, f"only\n${_as_math(fit, weights)}$\nis determined",
         transform=axes.transAxes, ha="right" if falling else "left", va="top", fontsize=7,
     )  # fmt: skip
+    shrink(text, 0.52 * axes.get_window_extent().width)
     for item in fit.combinations:
         value = known.get(item.expression)
         if value is not None and item.weights.keys() == weights.keys():

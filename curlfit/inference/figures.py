@@ -16,11 +16,11 @@ from curlfit.output.figures import (
     DATA_STYLE,
     FIT_COLOR,
     OUTLIER_COLOR,
-    REFERENCE_COLOR,
     WIDTH,
     ZERO_LINE,
     Picture,
     feet,
+    in_symbols,
     legend_above,
     letter,
     line_styles,
@@ -105,9 +105,9 @@ def _residuals(axes: Any, fit: FitResult, channel: str, found: Floats, some: Any
     axes.axhline(0, **ZERO_LINE)
     axes.plot(fit.observed["t"][some], left[some] / size, **DATA_STYLE | {"color": "0.25"})
     _mark_outliers(axes, fit, channel, left, size)
-    of = " of what both leave" if fit.discrepancy else ""
-    title(axes, f"${CHANNEL_LABEL[channel]}$: rms{of} {rms / size:.3g} {unit}", columns=3)
-    axes.set(xlabel="t (s)", ylabel=f"residual ({unit})")
+    title(axes, f"${CHANNEL_LABEL[channel]}$: rms {rms / size:.3g} {unit}", columns=3)
+    of = " of both" if fit.discrepancy else ""
+    axes.set(xlabel="t (s)", ylabel=f"residual{of} ({unit})")
 
 
 def _mark_outliers(axes: Any, fit: FitResult, channel: str, left: Floats, size: float) -> None:
@@ -183,45 +183,50 @@ def joint_figure(result: JointResult) -> Figure:
     """
     count, shown = len(result.throws), result.differences
     columns = min(count, 3)
-    names_below = 0.17 * -(-count // columns + 1)
-    figure = Picture(figsize=(WIDTH, 4.0 + 0.2 * count + names_below), layout="constrained")
-    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 0.5 + 0.07 * count))
-    path = figure.add_subplot(rows[0])
-    styles = line_styles(count)
-    for one, style in zip(result.throws, styles, strict=True):
-        some = some_rows(len(one.observed["t"]), 400)
-        path.plot(
-            one.observed["y"][some], one.observed["x"][some],
-            **DATA_STYLE | {"color": style["color"]},
-        )  # fmt: skip
-        found = one.predicted
-        path.plot(found["y"], found["x"], **style, lw=1, label=FilePath(one.data["file"]).name)
-    path.set(xlabel="along the sheet, y (m)", ylabel="to the right, x (m)")
-    path.invert_yaxis()
-    feet(path, "right")
-    title(path, f"{result.law} law, {result.load} load: {count} throws together")
-    handles = path.get_legend_handles_labels()[0]
+    paths = any(one.rms for one in result.throws)  # of timed events there is none to be seen
+    names_below = 0.17 * -(-count // columns + 1) if paths else 0.2
+    height = (2.9 if paths else 0.2) + 0.8 + 0.2 * count + names_below
+    figure = Picture(figsize=(WIDTH, height), layout="constrained")
+    ratios = (1.0, 0.35 + 0.065 * count) if paths else (1.0,)
+    rows = figure.add_gridspec(len(ratios), 1, height_ratios=ratios)
+    styles = line_styles(count) if paths else [{"color": FIT_COLOR}] * count
+    heading = f"{result.law} law, {result.load} load: {count} throws together"
+    handles = []
+    if paths:
+        path = figure.add_subplot(rows[0])
+        for one, style in zip(result.throws, styles, strict=True):
+            some, found = some_rows(len(one.observed["t"]), 400), one.predicted
+            path.plot(
+                one.observed["y"][some], one.observed["x"][some],
+                **DATA_STYLE | {"color": style["color"]},
+            )  # fmt: skip
+            path.plot(found["y"], found["x"], **style, lw=1, label=FilePath(one.data["file"]).name)
+        path.set(xlabel="along the sheet, y (m)", ylabel="to the right, x (m)")
+        path.invert_yaxis()
+        feet(path, "right")
+        title(path, heading)
+        handles = path.get_legend_handles_labels()[0]
+    else:
+        figure.suptitle(heading)
     if shown:
-        handles.append(Patch(color="0.5", alpha=0.35, lw=0, label="mean, with its standard error"))
+        label = "mean, with its standard error"
+        handles.append(Patch(color=DATA_COLOR, alpha=0.35, lw=0, label=label))
     figure.legend(handles=handles, loc="outside lower center", ncols=columns + 1)
-    panels = rows[1].subgridspec(1, len(shown), wspace=0.05) if shown else None
+    panels = rows[-1].subgridspec(1, len(shown), wspace=0.05) if shown else None
+    symbols = {
+        name: item.symbol for name, item in result.throws[0].parameters.items()
+    }  # fmt: skip
     estimates: list[tuple[Any, str]] = []
     for place, item in enumerate(shown):
         assert panels is not None
         axes = figure.add_subplot(panels[place])
-        low, high = item.mean - item.stderr, item.mean + item.stderr
-        color = REFERENCE_COLOR if item.significant else DATA_COLOR
-        axes.axvspan(low, high, color=color, alpha=0.25, lw=0)
+        axes.axvspan(
+            item.mean - item.stderr, item.mean + item.stderr, color=DATA_COLOR, alpha=0.25, lw=0
+        )
         for row, (alone, style) in enumerate(zip(item.each, styles, strict=True)):
             if alone is not None:
                 axes.errorbar(
-                    alone[0],
-                    row,
-                    xerr=alone[1],
-                    fmt="o",
-                    color=style["color"],
-                    markersize=3,
-                    lw=1,
+                    alone[0], row, xerr=alone[1], fmt="o", color=style["color"], markersize=3, lw=1
                 )
         axes.set_yticks(
             range(count),
@@ -230,10 +235,11 @@ def joint_figure(result: JointResult) -> Figure:
         )  # fmt: skip
         axes.set_ylim(count - 0.4, -0.6)
         differs = "differs" if item.significant else "no difference seen"
-        title(axes, f"{differs}, p = {item.p_value:.2g}", columns=len(shown))
-        estimates.append((axes, item.expression))
+        title(axes, f"{differs}, p = {item.p_value:.2g}", columns=len(shown), margin=0.25)
+        estimates.append((axes, in_symbols(item.expression, symbols)))
     figure.draw_without_rendering()  # the layout, by which ticks and the note are chosen
     for axes, expression in estimates:
         neat_axis(axes.xaxis, expression)
-    note_stretch(path)
+    if paths:
+        note_stretch(path)
     return figure

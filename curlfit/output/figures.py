@@ -7,7 +7,7 @@ meaning everywhere; marker, dashes and lightness tell the same without colour.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from io import BytesIO
 from pathlib import Path as FilePath
@@ -194,8 +194,7 @@ def panels(
         x = left
         for part in row:
             wide = across * part / sum(row)
-            box = (x / width, 1 - (above + tall) / height, wide / width, tall / height)
-            places.append(figure.add_axes(box))
+            places.append(place(figure, x, above, wide, tall))
             x += wide + gap[0]
         found.append(places)
         above += tall + gap[1]
@@ -243,6 +242,20 @@ def feet(axes: Any, side: str, label: str = "") -> None:
     axis.grid(visible=False)
 
 
+def in_symbols(expression: str, symbols: Mapping[str, str]) -> str:
+    """A sum of parameters with their symbols in place of their names, for matplotlib."""
+    words = [f"${symbols[word]}$" if word in symbols else word for word in expression.split()]
+    return " ".join(word.replace("-", "\N{MINUS SIGN}") for word in words)
+
+
+def place(figure: Figure, left: float, top: float, width: float, height: float) -> Any:
+    """Axes at a place of the figure, inches from its left and its top."""
+    across, tall = figure.get_size_inches()
+    return figure.add_axes(
+        (left / across, 1 - (top + height) / tall, width / across, height / tall)
+    )  # fmt: skip
+
+
 def legend_above(axes: Any, **options: Any) -> None:
     """A legend in one line above the right end of the axes, where no curve runs."""
     count = len(axes.get_legend_handles_labels()[1])
@@ -255,10 +268,10 @@ def legend_above(axes: Any, **options: Any) -> None:
     )  # fmt: skip
 
 
-def letter(axes: Any, text: str, aside: float = 0.5) -> None:
-    """The letter of a panel at its upper left, so many inches beside the axes."""
+def letter(axes: Any, text: str, aside: float = 0.5, up: float = 4) -> None:
+    """The letter of a panel at its upper left, so many inches beside and points above the axes."""
     axes.annotate(
-        text, (0, 1), (-72 * aside, 4), xycoords="axes fraction", textcoords="offset points",
+        text, (0, 1), (-72 * aside, up), xycoords="axes fraction", textcoords="offset points",
         fontsize=9, fontweight="bold", va="bottom", ha="left", annotation_clip=False,
     )  # fmt: skip
 
@@ -350,10 +363,9 @@ def note_stretch(axes: Any) -> None:
 
 
 def line_styles(number: int) -> list[dict[str, Any]]:
-    """Colour and dashes of each of `number` lines."""
-    count = len(PALETTE)
+    """Colour and dashes of each of `number` lines; neighbours differ in both."""
     return [
-        {"color": PALETTE[index % count], "ls": DASHES[index // count % len(DASHES)]}
+        {"color": PALETTE[index % len(PALETTE)], "ls": DASHES[index % len(DASHES)]}
         for index in range(number)
     ]
 

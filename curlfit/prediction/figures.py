@@ -23,6 +23,7 @@ from curlfit.output.figures import (
     legend_above,
     letter,
     measured_slopes,
+    place,
     styled,
     title,
 )
@@ -49,28 +50,26 @@ def prediction_figure(prediction: Prediction) -> Figure:
     --------
     >>> curlfit.prediction_figure(prediction).savefig("predict.png")
     """
-    checked = prediction.check is not None
-    figure = Picture(figsize=(WIDTH, 6.4 if checked else 4.9), layout="constrained")
-    rows = figure.add_gridspec(3 if checked else 2, 1, height_ratios=(0.9, 3, 1.1)[: 2 + checked])
-    top = figure.add_subplot(rows[0])
-    lower = rows[1].subgridspec(1, 2, width_ratios=(1.0, 1.2))
-    house = figure.add_subplot(lower[0])
-    right = lower[1].subgridspec(2, 2, height_ratios=(1.25, 1.0))
-    across = figure.add_subplot(right[0, :])
-    speed, spin = figure.add_subplot(right[1, 0]), figure.add_subplot(right[1, 1])
+    check = prediction.check
+    figure = Picture(figsize=(WIDTH, 5.4 if check is None else 7.0))
+    top = place(figure, 0.45, 0.3, WIDTH - 0.53, 0.9)
+    house = place(figure, 0.6, 1.9, 2.5, 3.05)
+    across = place(figure, 4.1, 1.9, WIDTH - 4.62, 1.25)
+    speed, spin = (place(figure, left, 3.95, 0.98, 1.0) for left in (4.1, 5.78))
     _sheet_view(prediction, top)
     _resting_place(prediction, house)
     _cross_track(prediction, across)
     _rates(prediction, speed, spin)
-    if prediction.check is not None:
-        panels = rows[2].subgridspec(1, len(prediction.check.channels))
-        for index, name in enumerate(prediction.check.channels):
-            _residuals(prediction, figure.add_subplot(panels[index]), name)
+    channels = [] if check is None else list(check.channels)
+    wide = (WIDTH - 0.12 + 0.05) / max(len(channels), 1)
+    for index, name in enumerate(channels):
+        _residuals(prediction, place(figure, 0.6 + index * wide, 5.75, wide - 0.65, 0.85), name)
     file = FilePath(prediction.fit["file"]).name
     of = "extrapolated to rest" if prediction.of == "fitted" else "another throw on this ice"
-    title(top, f"{prediction.law} law fitted to {file}, {of}", margin=0.2)
-    for axes, mark in zip((top, house, across, speed), "abcd", strict=True):
-        letter(axes, mark, 0.12 if axes is top else 0.42)
+    title(top, f"{prediction.law} law fitted to {file}, {of}", margin=0.6)
+    letter(top, "a", 0.38, 5)
+    for axes, mark in zip((house, across, speed, *figure.axes[5:6]), "bcde", strict=False):
+        letter(axes, mark)
     return figure
 
 
@@ -146,16 +145,16 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
     )  # fmt: skip
     rest = prediction.rest
     both = np.array(rest.get("both", np.add(rest["parameter"], rest["model"])))
-    for first, last, alpha, label in _LEVELS:
+    for first, last, alpha, _ in _LEVELS:
         _ellipse(
             axes, *_interval(prediction, first, last), both, facecolor=PREDICTION_COLOR,
-            alpha=alpha, edgecolor="none", zorder=3, label=label,
+            alpha=alpha, edgecolor="none", zorder=3,
         )  # fmt: skip
     own = 1.96 * np.array([prediction.quantities[name].parameter_sd for name in _REST])
     _ellipse(
         axes, np.array([x, y]), own, np.array(rest["parameter"]),
         facecolor="none", edgecolor=FIT_COLOR, lw=0.8, ls="--", zorder=5,
-        label="95 %, parameters alone",
+        label="95 %, by errors of parameters alone",
     )  # fmt: skip
     _stone(axes, (x, y), hollow=True)
     if prediction.goal is not None:
@@ -167,19 +166,25 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
     away = y - reach[1] > end
     sides = half if away else max(half, abs(x) + reach[0])
     low = -sheet.HOUSE - 0.5
-    axes.set_aspect("equal", adjustable="box")
-    axes.set(
-        xlim=(-sides, sides),
-        ylim=(low if away else min(low, y - reach[1]), end if away else max(-low, y + reach[1])),
-        xlabel="right of the centre line (m)",
-        ylabel="beyond the tee line (m)",
-    )
+    ends = low if away else min(low, y - reach[1]), end if away else max(-low, y + reach[1])
+    _equal_scales(axes, (-sides, sides), ends)
+    axes.set(xlabel="right of the centre line (m)", ylabel="beyond the tee line (m)")
     axes.grid(visible=False)
     feet(axes, "right")
     if away:
         title(axes, "passes through the house; band: 95 %", columns=2)
     else:  # as wide and high as the intervals of the table
-        legend_above(axes, title="region of the resting place", alignment="right")
+        legend_above(axes)
+
+
+def _equal_scales(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
+    """Limits that hold both intervals, a metre as long across as along."""
+    box = axes.get_window_extent()
+    metre = min(box.width / np.ptp(x), box.height / np.ptp(y))
+    for setter, size, ends in (
+        (axes.set_xlim, box.width, x), (axes.set_ylim, box.height, y),
+    ):  # fmt: skip
+        setter(np.mean(ends) - size / metre / 2, np.mean(ends) + size / metre / 2)
 
 
 def _interval(prediction: Prediction, low: str, high: str) -> tuple[Any, Any]:
@@ -223,7 +228,7 @@ def _cross_track(prediction: Prediction, axes: Any) -> None:
     axes.invert_yaxis()
     axes.set(xlabel="along the sheet, from the far tee (m)", ylabel="to the right, x (m)")
     feet(axes, "right")
-    legend_above(axes, columnspacing=0.8, handlelength=1.2)
+    legend_above(axes, ncols=3)
     axes.margins(x=0.02)
 
 

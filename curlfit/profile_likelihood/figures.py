@@ -12,12 +12,12 @@ from curlfit.output.figures import (
     COVARIANCE_COLOR,
     DASHES,
     FIT_COLOR,
-    PALETTE,
     POSTERIOR_COLOR,
     QUIET,
     WIDTH,
     ZERO_LINE,
     Picture,
+    line_styles,
     neat_axis,
     styled,
     title,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-_REGIONS = ("#7fb8d8", "#d3e7f2")  # of the profile, 68 and 95 %
+_REGIONS = ("#a6cfe5", "#deedf6")  # of the profile, 68 and 95 %
 _HIGH, _LOW = 10.0, 5.5  # upper ends of the axis, of limited profiles and of others
 _MOVES = 0.05  # smallest change of another parameter that is shown, standard errors
 _MAX_SHOWN = 8  # of these
@@ -92,8 +92,8 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
     if profile.posterior is not None:
         found = profile.posterior
         axes.errorbar(
-            found["at"], found["height"], found["error"], fmt="o", color=POSTERIOR_COLOR, markersize=3.5,
-            lw=0.9, capsize=0, label=r"posterior, $-2\,\ln$ density", zorder=2,
+            found["at"], found["height"], found["error"], fmt="o", color=POSTERIOR_COLOR,
+            markersize=3, lw=0.9, capsize=0, label=r"posterior, $-2\,\ln$ density", zorder=2,
         )  # fmt: skip
     axes.plot(
         profile.best, 0, "v", color=FIT_COLOR, markersize=5, zorder=5, clip_on=False, mec="white"
@@ -153,20 +153,21 @@ def _others(profile: Profile, axes: Any) -> None:
             values[name] = series
     largest = sorted(moves, key=lambda name: -float(np.abs(moves[name][shown]).max()))[:_MAX_SHOWN]
     axes.axhline(0, **ZERO_LINE)
-    lines = []
+    lines, styles = [], line_styles(len(moves))
     for index, name in enumerate(name for name in moves if name in largest):
         label = f"${profile.parameters[name].symbol}$"
         lines += axes.plot(
-            profile.at[shown], moves[name][shown], color=PALETTE[index % len(PALETTE)],
-            ls=DASHES[index // len(PALETTE)], lw=1.4, label=label,
+            profile.at[shown], moves[name][shown], lw=1.2, label=label, **styles[index],
         )  # fmt: skip
     axes.set_ylabel("change of the others\n(their standard errors)")
     if values:
         right = axes.twinx()
+        right.grid(visible=False)
+        right.spines["right"].set_visible(True)
         for index, (name, series) in enumerate(values.items()):
             item = profile.parameters[name]
             lines += right.plot(
-                profile.at[shown], series[shown], ls=("-", "--", ":")[index % 3], color="0.15",
+                profile.at[shown], series[shown], ls=DASHES[index % len(DASHES)], color="0.15",
                 lw=1.8, label=f"${item.symbol}$ (right)",
             )  # fmt: skip
         units = {profile.parameters[name].unit for name in values} - {"", "1"}
@@ -214,7 +215,7 @@ def _pair_figure(profile: PairProfile) -> Figure:
         _limits(axes.set_xlim, low, high)
         shown = (profile.second - below(profile.first))[near]
         _limits(axes.set_ylim, shown.min(), shown.max())
-    title(panels[0], _title(profile.each[0]), columns=len(panels))
+    title(panels[0], _title(profile.each[0]), columns=len(panels), margin=0.5)
     if thin:
         title(panels[1], "the same, minus the refitted value", columns=len(panels))
     handles = [
@@ -246,7 +247,7 @@ def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
     if len(profile.samples):
         a, b = profile.samples.T
         axes.plot(
-            a, b - below(a), ".", color=POSTERIOR_COLOR, markersize=1.8, mew=0, alpha=0.6, zorder=2,
+            a, b - below(a), ".", color=POSTERIOR_COLOR, markersize=2.6, mew=0, zorder=2,
             rasterized=True,
             label="posterior",
         )  # fmt: skip
