@@ -109,7 +109,7 @@ def _distance(
         if sheet.LINES[line] >= y[0] - 1e-6:
             axes.axhline(sheet.LINES[line], **_LINE)
             axes.text(0.01, sheet.LINES[line], name, transform=axes.get_yaxis_transform(),
-                      fontsize=8, color=QUIET, va="bottom")  # fmt: skip
+                      fontsize=7, color=QUIET, va="bottom")  # fmt: skip
     for event, found in events:
         if event.quantity == "time":
             end = y[moving][-1] if event.at is None else event.at  # at rest the last row

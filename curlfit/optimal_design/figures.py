@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from curlfit.output.figures import (
     Picture,
     in_symbols,
     line_styles,
-    save_figure,
     styled,
 )
 
@@ -26,8 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from curlfit.optimal_design.result import Design, Separation
-
-FILES = ("design-map", "design-errors", "design-separate")
 
 _MAX_LABELLED = 80  # cells of a map with a number in each
 
@@ -47,15 +43,6 @@ def design_figures(design: Design) -> dict[str, Figure]:
     if separation is not None and separation.scenario("consistent").stderr is not None:
         found["design-separate"] = _separation(design, separation)
     return found
-
-
-def save_figures(design: Design, folder: Path, format: str = "png") -> list[Path]:
-    """Write the figures into a folder; returns the files."""
-    written = []
-    for name, figure in design_figures(design).items():
-        written.append(folder / f"{name}.{format}")
-        save_figure(figure, written[-1])
-    return written
 
 
 def _label(design: Design, expression: str) -> str:
@@ -142,9 +129,7 @@ def _map(design: Design) -> Figure:
     for axes, name in zip(panels, names, strict=False):
         _cells(axes, design, [one.stderr[name] for one in design.candidates], shares=False)
         _frame_selected(axes, design, best)
-        axes.set_title(
-            f"{_label(design, name)}{_unit(design, design.quantities[name])}", fontsize=10
-        )
+        axes.set_title(f"{_label(design, name)}{_unit(design, design.quantities[name])}")
     for axes in panels[len(names) :]:
         axes.set_visible(False)
     for axes in panels[::columns]:
@@ -160,8 +145,8 @@ def _errors(design: Design) -> Figure:
     about = {
         "place": f"noise, times\n{_noise_of(design, ('x', 'y', 'speed'))}",
         "angle": f"noise, times\n{_noise_of(design, ('phi', 'omega'))}",
-        "rate": "rows per second (Hz)",
-        "throws": "number of throws, optimal for each",
+        "rate": "rows per second\n(Hz)",
+        "throws": "number of throws,\noptimal for each",
     }
     names = [name for name in about if name in design.curves]
     figure = Picture(figsize=(WIDTH, 3.2), layout="constrained")
@@ -235,7 +220,7 @@ def _separation(design: Design, separation: Separation) -> Figure:
         )  # fmt: skip
     left.axhline(100 * separation.wanted, color=REFERENCE_COLOR, lw=1.4)
     left.text(
-        6e-3,
+        1.2e-4,
         115 * separation.wanted,
         f"required: {100 * separation.wanted:g} %",
         color=REFERENCE_COLOR,
@@ -252,7 +237,7 @@ def _separation(design: Design, separation: Separation) -> Figure:
             color=REFERENCE_COLOR,
         )  # fmt: skip
     figure.legend(
-        *left.get_legend_handles_labels(), loc="outside lower center", ncols=3,
+        *left.get_legend_handles_labels(), loc="outside lower center", ncols=2,
         title="consistent load",
     )  # fmt: skip
     shares = [None if one is None else one / separation.size for one in scenario.each]

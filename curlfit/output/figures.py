@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from functools import wraps
 from io import BytesIO
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 from matplotlib import rc_context
@@ -131,12 +132,16 @@ _SLOPES = 40  # of a series of measured places, at most
 MAX_POINTS = 2000  # drawn of a series
 
 
+def _style() -> AbstractContextManager[None]:
+    return rc_context(cast("Any", _STYLE))
+
+
 class Picture(Figure):
     """A matplotlib figure of the common style, that notebooks display without pyplot."""
 
     def draw(self, renderer: Any) -> None:
         """Draw: ticks are made only now."""
-        with rc_context(_STYLE):
+        with _style():
             super().draw(renderer)
 
     def savefig(self, fname: Any, *, transparent: bool | None = None, **options: Any) -> None:
@@ -144,7 +149,7 @@ class Picture(Figure):
         format = options.get("format") or FilePath(str(fname)).suffix[1:].lower()
         if format in _UNDATED:
             options["metadata"] = _UNDATED[format] | (options.get("metadata") or {})
-        with rc_context(_STYLE):
+        with _style():
             super().savefig(fname, transparent=transparent, **options)
 
     def _repr_png_(self) -> bytes:
@@ -158,7 +163,7 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(draw)
     def drawn(*args: P.args, **options: P.kwargs) -> R:
-        with rc_context(_STYLE):
+        with _style():
             return draw(*args, **options)
 
     return drawn

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from curlfit.output.figures import (
     PALETTE,
+    POSTERIOR_COLOR,
     QUIET,
     REFERENCE_COLOR,
     WIDTH,
@@ -158,7 +159,7 @@ def eq_24_figure(found: Reproduction) -> Figure:
         axes.plot(ring.t, series, color=color, lw=1.4)
         axes.plot(20.6, fitted, "D", color=color, ms=5, clip_on=False)
         axes.text(0.4, series[0] - 0.0018, name, color=color, va="top")
-    axes.text(20.6, 0.0475, "trajectory\nfit", ha="center", va="top", color=QUIET)
+    axes.text(20.9, 0.045, "fit of the trajectory", ha="right", color=QUIET)
     if ring.l1_zero is not None:
         axes.plot(ring.l1_zero, 0, "o", color=_COLORS[0], ms=5)
         axes.annotate(
@@ -195,12 +196,12 @@ def eq_28_figure(found: Reproduction) -> Figure:
         for row, height in zip(rows, heights, strict=True):
             fitted = row.method.startswith("trajectory")
             dots.axhline(height, color="0.92", lw=0.8, zorder=0)
-            dots.plot(row.mu[column], height, "o" if fitted else "s", ms=6, zorder=3,
+            dots.plot(row.mu[column], height, "o" if fitted else "s", ms=4, zorder=3,
                       color=_CORRECT if fitted else _COLORS[1])  # fmt: skip
-        dots.set_title(f"{symbols[column]}, printed {PRINTED[column]:g}")
+        dots.set_title(f"printed: {PRINTED[column]:g}")
         dots.set_ylim(-0.7, len(rows) - 0.3)
         dots.set_yticks([])
-        below.hist(posterior.mu[:, column], bins=40, color="0.7", density=True)
+        below.hist(posterior.mu[:, column], bins=40, color=POSTERIOR_COLOR, density=True)
         for end in posterior.interval[column]:
             below.axvline(end, color=_CORRECT, lw=1, ls=":")
         below.set_yticks([])
@@ -213,11 +214,11 @@ def eq_28_figure(found: Reproduction) -> Figure:
         [], [], color=_PRINTED, alpha=0.35, label="eq. 28 within its rounding"
     )
     panels[0, 0].fill_between(
-        [], [], color="0.7",
+        [], [], color=POSTERIOR_COLOR,
         label=r"posterior over R 0.0535..0.0545 m, $\rho$ 0.095..0.105 m (dotted: 95 %)",
     )  # fmt: skip
     handles = panels[0, 0].get_legend_handles_labels()
-    figure.legend(*handles, loc="outside upper center", ncols=4)
+    figure.legend(*handles, loc="outside upper center", ncols=2)
     first = panels[0, 0]
     first.axvline(0, color="0.4", lw=0.8)
     panels[1, 0].axvline(0, color="0.4", lw=0.8)

@@ -244,8 +244,8 @@ def _rates(prediction: Prediction, speed: Any, spin: Any) -> None:
         if "omega" in rows:
             spin.plot(rows["t"], rows["omega"], **style)
         elif "phi" in rows:
-            at, (slopes,), _ = measured_slopes(rows["t"], rows["phi"])
-            spin.plot(at, slopes, **style)
+            at, (turning,), _ = measured_slopes(rows["t"], rows["phi"])
+            spin.plot(at, turning, **style)
     for axes, name in ((speed, "speed"), (spin, "omega")):
         axes.plot(series["t"], series[name], color=FIT_COLOR)
         axes.set(xlabel="t (s)", xlim=(0, 1.05 * prediction.quantities["time"].value))
