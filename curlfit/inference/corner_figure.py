@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.72, 0.12, 0.42, 0.62  # inches around the panels
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.8, 0.12, 0.42, 0.65  # inches around the panels
 _GAP = 0.06  # between them
 _SMALLEST = 0.95  # panel
 _BINS = 30

@@ -105,7 +105,8 @@ def _residuals(axes: Any, fit: FitResult, channel: str, found: Floats, some: Any
     axes.axhline(0, **ZERO_LINE)
     axes.plot(fit.observed["t"][some], left[some] / size, **DATA_STYLE | {"color": "0.25"})
     _mark_outliers(axes, fit, channel, left, size)
-    title(axes, f"${CHANNEL_LABEL[channel]}$: rms {rms / size:.3g} {unit}", columns=3)
+    said = f"${CHANNEL_LABEL[channel]}$: rms {rms / size:.3g} {unit}"
+    title(axes, said, columns=_IN_A_ROW, margin=0.7, loc="center")
     of = " of both" if fit.discrepancy else ""
     axes.set(xlabel="t (s)", ylabel=f"residual{of} ({unit})")
 

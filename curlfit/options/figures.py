@@ -29,7 +29,11 @@ class FigureFiles(NamedTuple):
         """
         if none and text is not None:
             raise InputError(f"{flag} {text}: --no-figures draws nothing; give one of them")
-        names = [] if none else [one.strip().lower() for one in (text or FORMATS[0]).split(",")]
+        names = (
+            []
+            if none
+            else [one.strip().lower() for one in (FORMATS[0] if text is None else text).split(",")]
+        )
         for name in names:
             if name not in FORMATS:
                 raise InputError(

@@ -83,6 +83,7 @@ _STYLE: dict[str, Any] = {
     "mathtext.fontset": "dejavusans",
     "text.usetex": False,
     "axes.unicode_minus": True,
+    "axes.formatter.limits": (-4, 4),
     "font.size": 8,
     "axes.titlesize": 8,
     "axes.titlelocation": "center",
