@@ -11,8 +11,10 @@ from curlfit import sheet
 from curlfit.output.figures import (
     FIT_COLOR,
     QUIET,
+    RINGS,
     WIDTH,
     Picture,
+    legend_above,
     styled,
     title,
 )
@@ -27,7 +29,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 _LINE: dict[str, Any] = {"color": "0.6", "lw": 0.8, "zorder": 1}
-_RINGS = ("#9fc3df", "#ffffff", "#e3a09b", "#ffffff")
 _MEASURED: dict[str, Any] = {
     "color": "0.25", "fmt": "o", "markersize": 3, "capsize": 2, "lw": 1, "zorder": 5,
 }  # fmt: skip
@@ -57,11 +58,7 @@ def event_figure(fit: FitResult, name: str) -> Figure:
     _sheet(on_sheet, fit, events, moving)
     title(on_sheet, f"{name}: {fit.law} law, {fit.load} load")
     _distance(figure.add_subplot(below[0]), fit, events, t, moving)
-    speed = figure.add_subplot(below[1])
-    speed.plot(t[moving], fit.fitted["speed"][moving], color=FIT_COLOR)
-    speed.set(xlabel="t (s)", ylabel="speed (m/s)")
-    speed.set_ylim(bottom=0)
-    speed.set_xlim(left=0)
+    _speed(figure.add_subplot(below[1]), fit, events, t, moving)
     _residuals(figure.add_subplot(below[2]), events)
     return figure
 
@@ -70,7 +67,7 @@ def _sheet(axes: Any, fit: FitResult, events: list[tuple[Event, float]], moving:
     """The path over lines and house, throws to the right; x drawn larger than y."""
     x, y = fit.fitted["x"][moving], fit.fitted["y"][moving]
     half = sheet.WIDTH / 2
-    for radius, color in zip(sheet.CIRCLES, _RINGS, strict=True):
+    for radius, color in zip(sheet.CIRCLES, RINGS, strict=True):
         axes.add_patch(
             Circle((sheet.TEE, 0), radius, facecolor=color, edgecolor="0.55", lw=0.6, zorder=0.5)
         )
@@ -121,6 +118,28 @@ def _distance(
     axes.set_xlim(left=0)
 
 
+def _speed(
+    axes: Any, fit: FitResult, events: list[tuple[Event, float]], t: Floats, moving: slice
+) -> None:
+    """The speed, and the mean speeds between lines that measured times give."""
+    y, label = fit.fitted["y"], "measured mean between lines"
+    for event, _ in events:
+        if event.quantity == "time" and event.at is not None and event.since is not None:
+            begin = float(np.interp(event.since, y[moving], t[moving]))
+            mean = (event.at - event.since) / event.value
+            axes.plot(
+                [begin, begin + event.value], [mean, mean], marker="|", color=_MEASURED["color"],
+                lw=1, zorder=5, label=label,
+            )  # fmt: skip
+            label = ""
+    axes.plot(t[moving], fit.fitted["speed"][moving], color=FIT_COLOR)
+    axes.set(xlabel="t (s)", ylabel="speed (m/s)")
+    axes.set_ylim(bottom=0)
+    axes.set_xlim(left=0)
+    if not label:
+        legend_above(axes)
+
+
 def _residuals(axes: Any, events: list[tuple[Event, float]]) -> None:
     """Measured less fitted, in sigmas."""
     off = [(event.value - found) / event.sigma for event, found in events]
@@ -129,8 +148,8 @@ def _residuals(axes: Any, events: list[tuple[Event, float]]) -> None:
     axes.errorbar(np.clip(off, -_MOST, _MOST), rows, xerr=1.0, **_MEASURED)
     for row, value in zip(rows, off, strict=True):
         if abs(value) > _MOST:
-            axes.text(0.5, row + 0.12, f"{value:.2g} sigma", ha="center",
-                      transform=axes.get_yaxis_transform())  # fmt: skip
+            far = f"{value:.2g} sigma".replace("-", "\N{MINUS SIGN}")
+            axes.text(0.5, row + 0.12, far, ha="center", transform=axes.get_yaxis_transform())
     axes.set_yticks(rows, [event.name for event, _ in events])
     axes.set_ylim(len(events) - 0.5, -0.5)
     reach = max(2.5, *(min(abs(value), _MOST) + 1.5 for value in off))

@@ -16,6 +16,7 @@ from curlfit.output.figures import (
     DATA_STYLE,
     FIT_COLOR,
     OUTLIER_COLOR,
+    QUIET,
     WIDTH,
     ZERO_LINE,
     Picture,
@@ -152,6 +153,8 @@ def _spin(axes: Any, fit: FitResult, alone: dict[str, Any]) -> None:
     _curves(axes, fit, "omega", alone)
     axes.set(xlabel="t (s)", ylabel=r"spin $\omega$ (rad/s)")
     _include_zero(axes, fit.fitted["omega"])
+    if fit.parameters["omega0"].verdict == "not identifiable":
+        axes.set_title("not identifiable", loc="right", color=QUIET)
 
 
 def _curves(axes: Any, fit: FitResult, channel: str, alone: dict[str, Any]) -> None:

@@ -62,6 +62,8 @@ DATA_STYLE: dict[str, Any] = {
 }
 LATER_STYLE = DATA_STYLE | {"markeredgewidth": 0.5, "markerfacecolor": "white", "markersize": 2.6}
 """of data that were not fitted"""
+RINGS = ("#cfe0ee", "#ffffff", "#f0d2cd", "#ffffff")
+"""of a house, twelve-foot circle to button"""
 ZERO_LINE: dict[str, Any] = {"color": "0.6", "lw": 0.7, "zorder": 0.9}
 
 DASHES = ("-", "--", "-.", ":")
@@ -218,11 +220,11 @@ def measured_slopes(t: Floats, *series: Floats) -> tuple[Floats, list[Floats], f
     Returns
     -------
     mean times of the groups, slopes of each series there, and the duration of a group, s. Groups
-    have four rows at least and are 40 at most; rows with a gap in any series are left out.
+    have three rows at least and are 40 at most; rows with a gap in any series are left out.
     """
     there = np.isfinite(np.array(series)).all(0)
     t, series = t[there], tuple(one[there] for one in series)
-    number = min(_SLOPES, len(t) // 4)
+    number = min(_SLOPES, len(t) // 3)
     if number < 2:
         return np.zeros(0), [np.zeros(0) for _ in series], 0.0
     groups = [

@@ -16,6 +16,7 @@ from curlfit.output.figures import (
     LATER_STYLE,
     PREDICTION_COLOR,
     REFERENCE_COLOR,
+    RINGS,
     WIDTH,
     ZERO_LINE,
     Picture,
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 
     from curlfit.prediction.result import Prediction
 
-_RINGS = ("#cfe0ee", "#ffffff", "#f0d2cd", "#ffffff")
 _LINE: dict[str, Any] = {"color": "0.6", "lw": 0.6, "zorder": 1}
 _UNITS = {"x": (100.0, "cm"), "y": (100.0, "cm"), "phi": (1000.0, "mrad")}
 _REST = ("rest_x", "rest_y")
@@ -51,11 +51,11 @@ def prediction_figure(prediction: Prediction) -> Figure:
     >>> curlfit.prediction_figure(prediction).savefig("predict.png")
     """
     check = prediction.check
-    figure = Picture(figsize=(WIDTH, 5.4 if check is None else 7.0))
+    figure = Picture(figsize=(WIDTH, 5.15 if check is None else 6.75))
     top = place(figure, 0.45, 0.3, WIDTH - 0.53, 0.9)
-    house = place(figure, 0.6, 1.9, 2.5, 3.05)
-    across = place(figure, 4.1, 1.9, WIDTH - 4.62, 1.25)
-    speed, spin = (place(figure, left, 3.95, 0.98, 1.0) for left in (4.1, 5.78))
+    house = place(figure, 0.6, 1.65, 2.5, 3.05)
+    across = place(figure, 4.1, 1.65, WIDTH - 4.62, 1.25)
+    speed, spin = (place(figure, left, 3.7, 0.98, 1.0) for left in (4.1, 5.78))
     _sheet_view(prediction, top)
     _resting_place(prediction, house)
     _cross_track(prediction, across)
@@ -63,7 +63,7 @@ def prediction_figure(prediction: Prediction) -> Figure:
     channels = [] if check is None else list(check.channels)
     wide = (WIDTH - 0.12 + 0.05) / max(len(channels), 1)
     for index, name in enumerate(channels):
-        _residuals(prediction, place(figure, 0.6 + index * wide, 5.75, wide - 0.65, 0.85), name)
+        _residuals(prediction, place(figure, 0.6 + index * wide, 5.5, wide - 0.65, 0.85), name)
     file = FilePath(prediction.fit["file"]).name
     of = "extrapolated to rest" if prediction.of == "fitted" else "another throw on this ice"
     title(top, f"{prediction.law} law fitted to {file}, {of}", margin=0.6)
@@ -112,7 +112,7 @@ def _sheet_view(prediction: Prediction, axes: Any) -> None:
 
 
 def _house(axes: Any, centre: tuple[float, float]) -> None:
-    for radius, color in zip(sheet.CIRCLES, _RINGS, strict=True):
+    for radius, color in zip(sheet.CIRCLES, RINGS, strict=True):
         axes.add_patch(
             Circle(centre, radius, facecolor=color, edgecolor="0.55", lw=0.6, zorder=0.5)
         )

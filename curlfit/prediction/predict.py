@@ -264,7 +264,7 @@ def _measured_rows(fit: FitResult, throw_start: ThrowStart) -> dict[str, Floats]
     """The fitted rows on the sheet, where x and y were measured; moved and turned to the place and
     direction in which a new throw starts."""
     measured = fit.observed
-    if "x" not in measured or "y" not in measured:
+    if not all(np.isfinite(measured.get(name, np.nan)).any() for name in ("x", "y")):
         return {}
     rows = thin(np.arange(len(measured["t"])))
     begin, fitted = (
