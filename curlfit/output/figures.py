@@ -62,7 +62,7 @@ DATA_STYLE: dict[str, Any] = {
 }
 LATER_STYLE = DATA_STYLE | {"markeredgewidth": 0.5, "markerfacecolor": "white", "markersize": 2.6}
 """of data that were not fitted"""
-RINGS = ("#cfe0ee", "#ffffff", "#f0d2cd", "#ffffff")
+RINGS = ("#e8ecf0", "#ffffff", "#f5e4e0", "#ffffff")
 """of a house, twelve-foot circle to button"""
 ZERO_LINE: dict[str, Any] = {"color": "0.6", "lw": 0.7, "zorder": 0.9}
 
