@@ -18,8 +18,8 @@ from curlfit.output.figures import (
     Picture,
     some_rows,
     styled,
-    unit_for,
 )
+from curlfit.output.ticks import unit_for
 
 _DPI = 110
 

@@ -15,11 +15,11 @@ from curlfit.output.figures import (
     REFERENCE_COLOR,
     WIDTH,
     Picture,
-    neat_axis,
     shrink,
     styled,
 )
 from curlfit.output.text import format_estimate
+from curlfit.output.ticks import neat_axis
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -26,14 +26,13 @@ from curlfit.output.figures import (
     letter,
     line_styles,
     measured_slopes,
-    neat_axis,
     note_stretch,
     panels,
     some_rows,
     styled,
     title,
-    unit_for,
 )
+from curlfit.output.ticks import neat_axis, unit_for
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,7 +6,6 @@ meaning everywhere; marker, dashes and lightness tell the same without colour.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import wraps
@@ -69,16 +68,6 @@ ZERO_LINE: dict[str, Any] = {"color": "0.6", "lw": 0.7, "zorder": 0.9}
 DASHES = ("-", "--", "-.", ":")
 CHANNEL_MARKER = {"x": "o", "y": "s", "phi": "^"}
 CHANNEL_LABEL = {"x": "x", "y": "y", "phi": r"\varphi", "speed": "v", "omega": r"\omega"}
-_LENGTHS = ((1e3, "km"), (1.0, "m"), (1e-3, "mm"), (1e-6, "\N{MICRO SIGN}m"))
-_ANGLES = ((2 * np.pi, "turns"), (1.0, "rad"), (1e-3, "mrad"), (1e-6, "\N{MICRO SIGN}rad"))
-_UNIT_SIZES = {
-    "x": _LENGTHS,
-    "y": _LENGTHS,
-    "phi": _ANGLES,
-    "speed": tuple((size, f"{unit}/s") for size, unit in _LENGTHS),
-    "omega": tuple((size, f"{unit}/s") for size, unit in _ANGLES),
-}
-
 _STYLE: dict[str, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],  # which comes with matplotlib: the same figure anywhere
@@ -127,10 +116,7 @@ _STYLE: dict[str, Any] = {
 }
 _UNDATED = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
 
-_MIN_IN_UNIT = 0.1  # size in a unit below which the next smaller unit is used
-_LETTER_WIDTH = 0.065  # inches, of a tick label
 _MIN_FONT_SIZE = 1.0  # points
-_MAX_RATIO = 1e4  # of a tick to the step, above which an offset is subtracted from all ticks
 _SLOPES = 40  # of a series of measured places, at most
 MAX_POINTS = 2000  # drawn of a series
 
@@ -303,59 +289,6 @@ def shrink(text: Any, max_width: float) -> None:
     """Reduce the font size of a text until it is at most `max_width` pixels wide."""
     while text.get_window_extent().width > max_width and text.get_fontsize() > _MIN_FONT_SIZE:
         text.set_fontsize(0.95 * text.get_fontsize())
-
-
-def unit_for(size: float, channel: str) -> tuple[float, str]:
-    """The unit suited to a size of a channel: its factor to SI and its name."""
-    units = _UNIT_SIZES[channel]
-    label = (one for one in units if size >= one[0] * (1.0 if one[0] >= 1 else _MIN_IN_UNIT))
-    return next(label, units[-1])
-
-
-def neat_axis(axis: Any, label: str, unit: str = "", *, neighbours: bool = False) -> None:
-    """Few ticks with short numbers; a common offset and power of ten go into the label.
-
-    With `neighbours`, no tick label extends beyond the ends of the axis.
-    """
-    low, high = sorted(map(float, axis.get_view_interval()))
-    inches = axis.axes.get_window_extent().width / axis.axes.get_figure().dpi
-    letter_width = _LETTER_WIDTH if axis.axis_name == "x" else 0.0
-    unit = "" if unit == "1" else unit.replace("^2", "\N{SUPERSCRIPT TWO}")
-    most, steps = (5, [1, 2, 3, 4, 5, 10]) if neighbours else (7, [1, 2, 5, 10])
-    while True:
-        ticks = np.asarray(MaxNLocator(most, steps=steps).tick_values(low, high))
-        step = float(ticks[1] - ticks[0])
-        ticks = ticks[(ticks >= low) & (ticks <= high)]
-        numbers, start, power = _tick_labels(ticks, step)
-        letters = max(map(len, numbers), default=0)
-        label_width = max(0.12, letter_width * letters / inches) * (high - low)
-        margin = label_width / 2 if neighbours else 0.0
-        inside = (ticks >= low + margin) & (ticks <= high - margin)
-        if step > 1.1 * label_width or most == 2:
-            break
-        most -= 1
-    labels = [number for number, shown in zip(numbers, inside, strict=True) if shown]
-    axis.set_ticks(ticks[inside], labels=labels)
-    ten = f"$10^{{{power}}}$" if power else ""
-    in_brackets = " ".join(part for part in (ten, unit) if part)
-    between = "\n" if start else " "
-    axis.set_label_text(label + start + (f"{between}({in_brackets})" if in_brackets else ""))
-
-
-def _tick_labels(ticks: Floats, step: float) -> tuple[list[str], str, int]:
-    """Tick labels, the offset subtracted from them as text, and their power of ten."""
-    start, power = 0.0, 0
-    largest = float(np.abs(ticks).max(initial=0.0))
-    if largest > _MAX_RATIO * step:
-        start = float(ticks[len(ticks) // 2])
-        power = math.floor(math.log10(step) + 1e-9)
-    elif largest > 0:
-        power = 3 * math.floor((math.log10(largest) + 1) / 3)
-    decimals = max(0, power - math.floor(math.log10(step) + 1e-9))
-    numbers = [f"{(value - start) / 10.0**power + 0.0:.{decimals}f}" for value in ticks]
-    minus = "\N{MINUS SIGN}"
-    offset = f" {'+' if start < 0 else minus} {abs(start):.12g}" if start else ""
-    return [number.replace("-", minus) for number in numbers], offset, power
 
 
 def note_stretch(axes: Any) -> None:

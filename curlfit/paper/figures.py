@@ -15,9 +15,9 @@ from curlfit.output.figures import (
     REFERENCE_COLOR,
     WIDTH,
     Picture,
-    neat_axis,
     styled,
 )
+from curlfit.output.ticks import neat_axis
 
 if TYPE_CHECKING:
     from curlfit.paper.reproduce import Reproduction

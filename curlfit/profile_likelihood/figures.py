@@ -18,10 +18,10 @@ from curlfit.output.figures import (
     ZERO_LINE,
     Picture,
     line_styles,
-    neat_axis,
     styled,
     title,
 )
+from curlfit.output.ticks import neat_axis
 from curlfit.profile_likelihood.result import PairProfile, Profile
 
 if TYPE_CHECKING:

@@ -14,7 +14,8 @@ from curlfit.inference.figures import corner_figure, fit_figure, joint_figure
 from curlfit.inference.joint.result import Difference, JointResult
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.options.figures import FigureFiles
-from curlfit.output.figures import PALETTE, Picture, measured_slopes, neat_axis, unit_for
+from curlfit.output.figures import PALETTE, Picture, measured_slopes
+from curlfit.output.ticks import neat_axis, unit_for
 
 
 def texts(figure):
