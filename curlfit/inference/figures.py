@@ -73,7 +73,14 @@ def fit_figure(fit: FitResult) -> Figure:
     t, found = fit.observed["t"], fit.predicted
     some = some_rows(len(t))
 
-    path.plot(fit.observed["y"][some], fit.observed["x"][some], **DATA_STYLE, label="data")
+    unseen = [name for name in ("x", "y") if not np.isfinite(fit.observed[name]).any()]
+    if unseen:
+        path.text(
+            0.99, 0.05, f"{' and '.join(unseen)} not measured", transform=path.transAxes,
+            ha="right", color=QUIET,
+        )  # fmt: skip
+    else:
+        path.plot(fit.observed["y"][some], fit.observed["x"][some], **DATA_STYLE, label="data")
     if fit.discrepancy:
         path.plot(found["y"], found["x"], color=FIT_COLOR, label="law and discrepancy")
     alone = {"ls": "--", "lw": 0.9} if fit.discrepancy else {}
