@@ -5,6 +5,7 @@ from __future__ import annotations
 from io import BytesIO
 from typing import Any
 
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from curlfit.exploration.curves import Curves
@@ -16,6 +17,7 @@ from curlfit.output.figures import (
     WIDTH,
     ZERO_LINE,
     Picture,
+    measured_slopes,
     some_rows,
     styled,
 )
@@ -48,6 +50,9 @@ class MovingFigure:
                 axes.plot(*data, **DATA_STYLE)
             axes.set(xlabel=names[0], ylabel=names[1])
         path.invert_yaxis()  # as seen from above, thrown to the right
+        if "omega" not in fit.observed and np.isfinite(fit.observed["phi"]).any():
+            at, (turning,), _ = measured_slopes(t, fit.observed["phi"])
+            spin.plot(at, turning, **DATA_STYLE)
         (self.path,) = path.plot([], [], color=FIT_COLOR, lw=1.3)
         (self.spin,) = spin.plot([], [], color=FIT_COLOR)
         self.residuals: dict[str, Any] = {}

@@ -216,7 +216,7 @@ def _separation(design: Design, separation: Separation) -> Figure:
     for dash, item in zip(("--", "-.", ":"), heights, strict=False):
         line(
             item.half, f"{count} x ({ordinary}), half with h = {1000 * item.value:.3g} mm",
-            color=PALETTE[1], lw=1.4, ls=dash,
+            color=PALETTE[2], lw=1.4, ls=dash,
         )  # fmt: skip
     left.axhline(100 * separation.wanted, color=REFERENCE_COLOR, lw=1.4)
     left.text(
@@ -234,7 +234,7 @@ def _separation(design: Design, separation: Separation) -> Figure:
     if separation.proof.hidden:
         left.set_title(
             "uniform load: not separable, at any noise, with any number of throws",
-            color=REFERENCE_COLOR,
+            color=REFERENCE_COLOR, fontsize=7,
         )  # fmt: skip
     figure.legend(
         *left.get_legend_handles_labels(), loc="outside lower center", ncols=2,
@@ -248,6 +248,7 @@ def _separation(design: Design, separation: Separation) -> Figure:
     right.set_title(
         f"{difference} from one throw, % of {separation.size:g}\n"
         f"consistent load; framed: in the optimal {count} throws",
+        fontsize=7,
     )
     figure.suptitle(f"{design.law} law: separation of {' and '.join(separation.pair)}")
     return figure
