@@ -38,7 +38,7 @@ DPI = 220
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Colours distinguishable with colour-vision deficiency (Okabe and Ito 2008)."""
 
-DATA_COLOR = "0.45"
+DATA_COLOR = "#737373"
 FIT_COLOR = PALETTE[0]
 """of the law as fitted"""
 REFERENCE_COLOR = PALETTE[1]
@@ -108,12 +108,9 @@ _STYLE: dict[str, Any] = {
     "figure.constrained_layout.h_pad": 0.04,
     "figure.constrained_layout.w_pad": 0.04,
     "figure.titlesize": 8,
-    # text as text, with embedded TrueType fonts; the same bytes for the same figure
-    "pdf.fonttype": 42,
-    "ps.fonttype": 42,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "curlfit",
 }
+_FILES = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.hashsalt": "curlfit"}
+"""Embedded TrueType fonts; the same bytes for the same figure."""
 _UNDATED = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
 
 _MIN_FONT_SIZE = 1.0  # points
@@ -121,8 +118,8 @@ _SLOPES = 40  # of a series of measured places, at most
 MAX_POINTS = 2000  # drawn of a series
 
 
-def _style() -> AbstractContextManager[None]:
-    return rc_context(cast("Any", _STYLE))
+def _style(more: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
+    return rc_context(cast("Any", _STYLE | dict(more or {})))
 
 
 class Picture(Figure):
@@ -134,11 +131,11 @@ class Picture(Figure):
             super().draw(renderer)
 
     def savefig(self, fname: Any, *, transparent: bool | None = None, **options: Any) -> None:
-        """As of `Figure`; text in PDF and SVG files stays text, and there is no date in them."""
+        """As of `Figure`; PDF files have their fonts embedded, and no file has a date."""
         format = options.get("format") or FilePath(str(fname)).suffix[1:].lower()
         if format in _UNDATED:
             options["metadata"] = _UNDATED[format] | (options.get("metadata") or {})
-        with _style():
+        with _style(_FILES):
             super().savefig(fname, transparent=transparent, **options)
 
     def _repr_png_(self) -> bytes:
@@ -317,6 +314,7 @@ def save_figure(figure: Figure, file: str | PathLike[str], dpi: int = DPI) -> No
 
     # Drawn in memory: matplotlib's own writers leave half a file on a full disk.
     path, image = FilePath(file), BytesIO()
-    figure.savefig(image, dpi=dpi, format=path.suffix[1:].lower() or "png")
+    with rc_context({"svg.fonttype": "none"}):  # text as text
+        figure.savefig(image, dpi=dpi, format=path.suffix[1:].lower() or "png")
     with atomic_write(path) as temporary:
         temporary.write_bytes(image.getbuffer())
