@@ -5,19 +5,23 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import curlfit
 from curlfit.options import flags as o
 from curlfit.options import settings as s
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.console import Console
 
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.mcmc.chain import Chain
+    from curlfit.options.figures import FigureFiles
 
 
 def fit(
@@ -91,6 +95,7 @@ def fit(
             "continued.",
         ),
     ] = False,
+    figures: o.FigureFormats = None,
     no_figures: o.NoFigures = False,
     quiet: o.Quiet = False,
 ) -> None:
@@ -103,8 +108,10 @@ def fit(
     Example: `curlfit fit data/jensen_shegelski_2004.csv --stone rho=0.1025`
     """
     from curlfit.errors import InputError
+    from curlfit.options.figures import FigureFiles, remove_figure
     from curlfit.output.files import prepare_folder
 
+    drawn = FigureFiles.of(figures, none=no_figures)
     if resume and no_sample:
         raise InputError("--resume continues sampling, and --no-sample skips it; give one of them")
     flags = s.fit_flags(
@@ -123,7 +130,7 @@ def fit(
     if len(jobs) > 1:
         if resume:
             raise InputError("--resume continues the sampling of one throw; give one file")
-        _fit_jointly(jobs, share, flags, out, no_figures=no_figures, quiet=quiet)
+        _fit_jointly(jobs, share, flags, out, drawn, quiet=quiet)
         return
     (file,) = data
     if share is not None:
@@ -149,14 +156,9 @@ def fit(
         result = result.before_sampling()
     result.save(folder / "fit.json")
     if saved is None:
-        for name in ("corner.png", "chain.h5"):  # of an earlier fit
-            (folder / name).unlink(missing_ok=True)
-    if not no_figures:
-        from curlfit.inference.figures import fit_figure
-        from curlfit.output.figures import save_figure
-
-        save_figure(fit_figure(result), folder / "fit.png")
-        written.append(folder / "fit.png")
+        remove_figure(folder, "corner")  # of an earlier fit
+        (folder / "chain.h5").unlink(missing_ok=True)
+    written += drawn.replace(folder, ["fit"], lambda: {"fit": curlfit.fit_figure(result)})
     if not no_sample:
         chain_file = folder / "chain.h5"
         result, chain = _sample(
@@ -170,18 +172,22 @@ def fit(
         )
         result.save(folder / "fit.json")
         written.append(chain_file)
-        if not no_figures:
-            from curlfit.inference.figures import corner_figure
-
-            save_figure(corner_figure(result, chain), folder / "corner.png")
-            written.append(folder / "corner.png")
-    _remove_stale(folder, written)
+        written += drawn.replace(
+            folder, ["corner"], lambda: {"corner": curlfit.corner_figure(result, chain)}
+        )
+    else:
+        remove_figure(folder, "corner")
+        (folder / "chain.h5").unlink(missing_ok=True)
 
     from curlfit.inference.report import print_fit
 
     print_fit(result, console)
     console.print("Written: " + ", ".join(str(file) for file in written), soft_wrap=True)
     _finish(result)
+
+
+def _fit_figures(fit: FitResult) -> dict[str, Figure]:
+    return {"fit": curlfit.fit_figure(fit)}
 
 
 def _load_saved(folder: Path, seed: int, request: s.FitRequest) -> FitResult | None:
@@ -215,13 +221,6 @@ def _finish(result: FitResult) -> None:
         raise typer.Exit(1)
     if result.posterior is not None and not result.posterior.converged:
         print(f"curlfit: warning: posterior {result.posterior.status}", file=sys.stderr)
-
-
-def _remove_stale(folder: Path, written: list[Path]) -> None:
-    """Remove the files of an earlier fit that this one did not replace."""
-    for name in ("fit.png", "chain.h5", "corner.png"):
-        if folder / name not in written:
-            (folder / name).unlink(missing_ok=True)
 
 
 @contextmanager
@@ -266,8 +265,8 @@ def _fit_jointly(
     share: str | None,
     flags: Mapping[str, Any],
     out: Path | None,
+    drawn: FigureFiles,
     *,
-    no_figures: bool,
     quiet: bool,
 ) -> None:
     """Fit several throws jointly and print the report; write `joint.json`, figures, single fits."""
@@ -344,17 +343,8 @@ def _fit_jointly(
     for name, one in zip(named, result.throws, strict=True):
         own_folder = prepare_folder(folder / name)
         one.save(own_folder / "fit.json")
-        if not no_figures:
-            from curlfit.inference.figures import fit_figure
-            from curlfit.output.figures import save_figure
-
-            save_figure(fit_figure(one), own_folder / "fit.png")
-    if not no_figures:
-        from curlfit.inference.figures import joint_figure
-        from curlfit.output.figures import save_figure
-
-        written.append(folder / "joint.png")
-        save_figure(joint_figure(result), written[1])
+        drawn.replace(own_folder, ["fit"], partial(_fit_figures, one))
+    written += drawn.replace(folder, ["joint"], lambda: {"joint": curlfit.joint_figure(result)})
 
     from curlfit.inference.joint.report import print_joint
 

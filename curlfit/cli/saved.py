@@ -10,9 +10,12 @@ import typer
 
 import curlfit
 from curlfit.options import flags as o
+from curlfit.options.figures import FigureFiles
 from curlfit.options.settings import chain_beside, kind_of
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.mcmc.chain import Chain
 
@@ -75,35 +78,30 @@ def show(
 def plot(
     folder: Annotated[Path, typer.Argument(help="Folder of results.", metavar="DIR")],
     out: Annotated[Path | None, typer.Option(help="Folder for the figures. [default: DIR]")] = None,
-    format: Annotated[str, typer.Option(help="png, pdf or svg.")] = "png",
+    format: Annotated[
+        str,
+        typer.Option(help="`png`, `pdf` or `svg`; several separated by commas.", metavar="FORMAT"),
+    ] = "png",
 ) -> None:
     """Draw the figures again of a saved fit, joint fit, comparison, prediction, profile, design."""
-    from curlfit.errors import InputError
-    from curlfit.output.figures import save_figure
     from curlfit.output.files import prepare_folder
 
-    if format not in ("png", "pdf", "svg"):
-        raise InputError(f"--format {format}: expected png, pdf or svg")
+    files = FigureFiles.of(format, "--format")
     kind = kind_of(folder)
     target = out or (folder if folder.is_dir() else folder.parent)
-    if kind == "design":
-        from curlfit.optimal_design.figures import save_figures
-
-        written = save_figures(curlfit.load_design(folder), prepare_folder(target), format)
-    elif kind == "fit":
+    figures: dict[str, Figure] = {}
+    if kind == "fit":
         result, chain = _load_fit(folder)
         if chain is None and result.posterior is not None:
             chain = curlfit.load_chain(chain_beside(folder))
-        written = [prepare_folder(target) / f"fit.{format}"]
-        save_figure(curlfit.fit_figure(result), written[0])
+        figures["fit"] = curlfit.fit_figure(result)
         if chain is not None:
-            written.append(target / f"corner.{format}")
-            save_figure(curlfit.corner_figure(result, chain), written[1])
+            figures["corner"] = curlfit.corner_figure(result, chain)
     else:
         names = _KINDS[kind]
-        figure = getattr(curlfit, names.draw)(getattr(curlfit, names.load)(folder))
-        written = [prepare_folder(target) / f"{kind}.{format}"]
-        save_figure(figure, written[0])
+        drawn = getattr(curlfit, names.draw)(getattr(curlfit, names.load)(folder))
+        figures |= drawn if kind == "design" else {kind: drawn}
+    written = files.write(prepare_folder(target), lambda: figures)
     typer.echo("Written: " + ", ".join(map(str, written)))
 
 

@@ -83,7 +83,7 @@ def check(
         from curlfit.output.figures import save_figure
         from curlfit.throws.figures import throw_figure
 
-        save_figure(throw_figure(throw), out, dpi=130)
+        save_figure(throw_figure(throw), out)
         console.print(f"Written: {out}", soft_wrap=True)
     require_plausible(cut)
 

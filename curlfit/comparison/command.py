@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from curlfit.options import flags as o
 from curlfit.options import settings as s
+from curlfit.options.figures import FigureFiles
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from curlfit.comparison.result import Comparison
 
 
 def compare(
@@ -61,6 +68,7 @@ def compare(
         Path | None,
         typer.Option(help="Folder for the results. [default: DATA's name with -compare]"),
     ] = None,
+    figures: o.FigureFormats = None,
     no_figures: o.NoFigures = False,
     quiet: o.Quiet = False,
 ) -> None:
@@ -84,6 +92,7 @@ def compare(
     from curlfit.output.files import prepare_folder
     from curlfit.throws.plausibility import require_plausible
 
+    drawn = FigureFiles.of(figures, none=no_figures)
     flags = {
         **o.reader_options(format, axes, units, reference, stone_index, shot, handle, as_given),
         "load": None if load == "both" else load,
@@ -172,14 +181,7 @@ def compare(
         )
     written = [folder / "compare.json"]
     found.save(written[0])
-    if no_figures:
-        (folder / "compare.png").unlink(missing_ok=True)
-    else:
-        from curlfit.comparison.figures import comparison_figure
-        from curlfit.output.figures import save_figure
-
-        written.append(folder / "compare.png")
-        save_figure(comparison_figure(found), written[1])
+    written += drawn.replace(folder, ["compare"], partial(_figures, found))
 
     from curlfit.comparison.report import print_comparison
 
@@ -187,3 +189,9 @@ def compare(
     for finding in unusual:
         console.print(f"Warning: {finding}.", style="yellow", markup=False)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+
+
+def _figures(found: Comparison) -> dict[str, Figure]:
+    from curlfit.comparison.figures import comparison_figure
+
+    return {"compare": comparison_figure(found)}

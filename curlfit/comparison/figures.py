@@ -9,14 +9,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from curlfit.output.figures import (
-    CHANNEL_COLOR,
     CHANNEL_LABEL,
     CHANNEL_MARKER,
     DATA_STYLE,
-    MAX_POINTS,
+    WIDTH,
+    ZERO_LINE,
     Picture,
+    feet,
+    letter,
     line_styles,
     note_stretch,
+    some_rows,
+    styled,
     title,
 )
 from curlfit.output.text import join_words
@@ -31,6 +35,7 @@ if TYPE_CHECKING:
 _SAME = 0.0075  # share of an axis, about a line's width, up to which curves are one
 
 
+@styled
 def comparison_figure(comparison: Comparison) -> Figure:
     """All fitted paths over the data, their residuals sideways, and the residuals by channel.
 
@@ -40,10 +45,10 @@ def comparison_figure(comparison: Comparison) -> Figure:
     """
     shown = [item for item in comparison.candidates if item.fitted is not None]
     t, x, y = (np.array(comparison.observed[name], float) for name in ("t", "x", "y"))
-    some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MAX_POINTS)).astype(int))
+    some = some_rows(len(t))
     curves = _curves(shown, x)
-    figure = Picture(figsize=(11, 6.4 + 0.24 * len(shown)), layout="constrained")
-    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 0.6 + 0.06 * len(shown)))
+    figure = Picture(figsize=(WIDTH, 4.0 + 0.17 * len(shown)), layout="constrained")
+    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 0.6 + 0.05 * len(shown)))
     path = figure.add_subplot(rows[0].subgridspec(1, 1)[0])
     lower = rows[1].subgridspec(1, 2, width_ratios=(1.3, 1.0))
     residual, dots = figure.add_subplot(lower[0]), figure.add_subplot(lower[1])
@@ -53,7 +58,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
         fitted = {name: np.array(values) for name, values in (same[0].fitted or {}).items()}
         drawn: dict[str, Any] = {
             **style,
-            "lw": 1.8 if same[0].follows else 1.1,
+            "lw": 1.5 if same[0].follows else 0.9,
             "zorder": 3 + len(curves) - place,
         }
         path.plot(fitted["y"], fitted["x"], **drawn, label=_names_of(same))
@@ -61,30 +66,33 @@ def comparison_figure(comparison: Comparison) -> Figure:
     path.set(xlabel="along the sheet, y (m)", ylabel="to the right, x (m)")
     title(path, f"{FilePath(comparison.data['file']).name}: {len(shown)} fits")
     path.margins(x=0.02, y=0.1)
-    path.legend(
-        loc="upper left", bbox_to_anchor=(1.01, 1.02), frameon=False, fontsize=8, labelspacing=0.8
-    )
-    residual.axhline(0, color="0.7", lw=0.8)
+    path.invert_yaxis()  # as seen from above, thrown to the right
+    feet(path, "right")
+    path.legend(loc="upper left", bbox_to_anchor=(1.1, 1.04), labelspacing=0.6)
+    residual.axhline(0, **ZERO_LINE)
     residual.set(xlabel="t (s)", ylabel="residual of x (mm)")
 
-    for name, marker in CHANNEL_MARKER.items():
+    for (name, marker), filling in zip(
+        CHANNEL_MARKER.items(), ("white", "0.15", "0.7"), strict=True
+    ):
         values = [1000 * item.residual_size.get(name, np.nan) for item in shown]
         unit = "mrad" if name == "phi" else "mm"
         dots.plot(
-            values, range(len(shown)), marker, color=CHANNEL_COLOR[name], markerfacecolor="none",
-            markeredgewidth=1.6, label=f"${CHANNEL_LABEL[name]}$ ({unit})",
+            values, range(len(shown)), marker, color="0.15", markerfacecolor=filling,
+            markersize=4.5, markeredgewidth=0.9, label=f"${CHANNEL_LABEL[name]}$ ({unit})",
         )  # fmt: skip
-    dots.grid(axis="y", color="0.9", lw=0.7)
-    dots.set_yticks(range(len(shown)), [item.label for item in shown], fontsize=8)
+    dots.set_yticks(range(len(shown)), [item.label for item in shown])
     for tick, item in zip(dots.get_yticklabels(), shown, strict=True):
         tick.set_fontweight("bold" if item.follows else "normal")
     dots.set_ylim(len(shown) - 0.4, -0.6)
     dots.set_xscale("log")
     dots.set_axisbelow(True)
     size = "rms" if comparison.loss == "linear" else "bulk"
-    dots.set_xlabel(f"{size} of the residuals; bold: follows the path")
-    dots.legend(frameon=False, fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
-    figure.draw_without_rendering()
+    dots.set_xlabel(f"{size} of the residuals\nbold: follows the path")
+    dots.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    for axes, mark in ((path, "a"), (residual, "b")):
+        letter(axes, mark, 0.45)
+    figure.draw_without_rendering()  # the layout, which the note depends on
     note_stretch(path)
     return figure
 
@@ -113,6 +121,7 @@ def _names_of(same: list[Candidate]) -> str:
     ranks: dict[tuple[str, str], list[str]] = {}
     for item in same:
         noise = "" if item.noise == "white" else f", {item.noise} noise"
+        noise += ", law alone" if "discrepancy" in item.noise else ""
         law = item.law, (", any sign" if item.signs_free else "") + noise
         loads.setdefault(law, []).append(item.load)
         ranks.setdefault(law, []).extend([] if item.rank is None else [str(item.rank)])

@@ -11,29 +11,33 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from curlfit.exploration.curves import Curves
 from curlfit.inference.fit.result import FitResult
 from curlfit.output.figures import (
-    CHANNEL_COLOR,
     CHANNEL_LABEL,
     DATA_STYLE,
     FIT_COLOR,
-    MAX_POINTS,
+    WIDTH,
+    ZERO_LINE,
     Picture,
-    unit_for,
+    measured_slopes,
+    some_rows,
+    styled,
 )
+from curlfit.output.ticks import unit_for
 
-_DPI = 80
+_DPI = 110
 
 
 class MovingFigure:
     """Path, residuals and spin of a fit, drawn once and then moved."""
 
+    @styled
     def __init__(self, fit: FitResult, curves: Curves) -> None:
-        self.figure = Picture(figsize=(9, 6), dpi=_DPI)
+        self.figure = Picture(figsize=(WIDTH, 4.8), dpi=_DPI)
         self._canvas = FigureCanvasAgg(self.figure)
         t = fit.observed["t"]
-        self._some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MAX_POINTS)).astype(int))
+        self._some = some_rows(len(t))
         # Fixed panels, with room for long tick labels.
         rows = self.figure.add_gridspec(
-            3, 1, height_ratios=(1.2, 1, 0.8), left=0.09, right=0.98, top=0.97, bottom=0.08,
+            3, 1, height_ratios=(1.2, 1, 0.8), left=0.1, right=0.98, top=0.97, bottom=0.09,
             hspace=0.55,
         )  # fmt: skip
         path, spin = self.figure.add_subplot(rows[0]), self.figure.add_subplot(rows[2])
@@ -45,19 +49,23 @@ class MovingFigure:
                 data = (fit.observed[name][self._some] for name in (across, along))
                 axes.plot(*data, **DATA_STYLE)
             axes.set(xlabel=names[0], ylabel=names[1])
+        path.invert_yaxis()  # as seen from above, thrown to the right
+        if "omega" not in fit.observed and np.isfinite(fit.observed["phi"]).any():
+            at, (turning,), _ = measured_slopes(t, fit.observed["phi"])
+            spin.plot(at, turning, **DATA_STYLE)
         (self.path,) = path.plot([], [], color=FIT_COLOR, lw=1.3)
-        (self.spin,) = spin.plot([], [], color=CHANNEL_COLOR["phi"])
+        (self.spin,) = spin.plot([], [], color=FIT_COLOR)
         self.residuals: dict[str, Any] = {}
         self._sizes: dict[str, float] = {}
         panels = rows[1].subgridspec(1, len(fit.rms), wspace=0.3)
         for place, name in enumerate(fit.rms):
             axes = self.figure.add_subplot(panels[place])
             size, unit = unit_for(max(fit.rms[name], 1e-12), name)
-            axes.axhline(0, color="0.7", lw=0.8)
+            axes.axhline(0, **ZERO_LINE)
             axes.set(xlabel="t (s)")
-            axes.set_title(f"${CHANNEL_LABEL[name]}$ residual ({unit})", fontsize=9)
+            axes.set_title(f"${CHANNEL_LABEL[name]}$ residual ({unit})", fontsize=8)
             (self.residuals[name],) = axes.plot(
-                t[self._some], t[self._some], ".", color=CHANNEL_COLOR[name], markersize=3
+                t[self._some], t[self._some], **DATA_STYLE | {"color": "0.25"}
             )
             self._sizes[name] = size
         self.move(curves)

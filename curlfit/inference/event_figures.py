@@ -8,7 +8,16 @@ import numpy as np
 from matplotlib.patches import Circle
 
 from curlfit import sheet
-from curlfit.output.figures import FIT_COLOR, REFERENCE_COLOR, Picture, title
+from curlfit.output.figures import (
+    FIT_COLOR,
+    QUIET,
+    RINGS,
+    WIDTH,
+    Picture,
+    legend_above,
+    styled,
+    title,
+)
 from curlfit.throws.events import Event
 
 if TYPE_CHECKING:
@@ -20,14 +29,14 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 _LINE: dict[str, Any] = {"color": "0.6", "lw": 0.8, "zorder": 1}
-_RINGS = ("#9fc3df", "#ffffff", "#e3a09b", "#ffffff")
 _MEASURED: dict[str, Any] = {
-    "color": REFERENCE_COLOR, "fmt": "o", "markersize": 4, "capsize": 3, "zorder": 5,
+    "color": "0.25", "fmt": "o", "markersize": 3, "capsize": 2, "lw": 1, "zorder": 5,
 }  # fmt: skip
 _NAMES = {"back": "back", "hog": "hog", "far-hog": "hog", "far-tee": "tee"}
 _MOST = 5.0  # sigmas shown
 
 
+@styled
 def event_figure(fit: FitResult, name: str) -> Figure:
     """The path on the sheet, the crossings in time, the speed, and the residuals.
 
@@ -35,8 +44,8 @@ def event_figure(fit: FitResult, name: str) -> Figure:
     ----------
     name : of the throw, for the title.
     """
-    figure = Picture(figsize=(10, 7.2), layout="constrained")
-    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 2.1))
+    figure = Picture(figsize=(WIDTH, 5.0), layout="constrained")
+    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 1.9))
     below = rows[1].subgridspec(1, 3, width_ratios=(1.3, 1.1, 0.9))
     events = [
         (Event(**{key: value for key, value in item.items() if key != "fitted"}), item["fitted"])
@@ -49,11 +58,7 @@ def event_figure(fit: FitResult, name: str) -> Figure:
     _sheet(on_sheet, fit, events, moving)
     title(on_sheet, f"{name}: {fit.law} law, {fit.load} load")
     _distance(figure.add_subplot(below[0]), fit, events, t, moving)
-    speed = figure.add_subplot(below[1])
-    speed.plot(t[moving], fit.fitted["speed"][moving], color=FIT_COLOR)
-    speed.set(xlabel="t (s)", ylabel="speed (m/s)")
-    speed.set_ylim(bottom=0)
-    speed.set_xlim(left=0)
+    _speed(figure.add_subplot(below[1]), fit, events, t, moving)
     _residuals(figure.add_subplot(below[2]), events)
     return figure
 
@@ -62,7 +67,7 @@ def _sheet(axes: Any, fit: FitResult, events: list[tuple[Event, float]], moving:
     """The path over lines and house, throws to the right; x drawn larger than y."""
     x, y = fit.fitted["x"][moving], fit.fitted["y"][moving]
     half = sheet.WIDTH / 2
-    for radius, color in zip(sheet.CIRCLES, _RINGS, strict=True):
+    for radius, color in zip(sheet.CIRCLES, RINGS, strict=True):
         axes.add_patch(
             Circle((sheet.TEE, 0), radius, facecolor=color, edgecolor="0.55", lw=0.6, zorder=0.5)
         )
@@ -86,8 +91,9 @@ def _sheet(axes: Any, fit: FitResult, events: list[tuple[Event, float]], moving:
         [sheet.LINES[line] for line in shown], [f"{_NAMES[line]} line" for line in shown]
     )
     axes.set_yticks([-half, 0, half], ["left", "0", "right"])
-    axes.tick_params(length=0, labelsize=8)
-    axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(0.0, -0.08), ncols=2)
+    axes.tick_params(length=0)
+    axes.grid(visible=False)
+    axes.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.08), ncols=2)
 
 
 def _distance(
@@ -100,7 +106,7 @@ def _distance(
         if sheet.LINES[line] >= y[0] - 1e-6:
             axes.axhline(sheet.LINES[line], **_LINE)
             axes.text(0.01, sheet.LINES[line], name, transform=axes.get_yaxis_transform(),
-                      fontsize=8, color="0.4", va="bottom")  # fmt: skip
+                      fontsize=7, color=QUIET, va="bottom")  # fmt: skip
     for event, found in events:
         if event.quantity == "time":
             end = y[moving][-1] if event.at is None else event.at  # at rest the last row
@@ -112,6 +118,28 @@ def _distance(
     axes.set_xlim(left=0)
 
 
+def _speed(
+    axes: Any, fit: FitResult, events: list[tuple[Event, float]], t: Floats, moving: slice
+) -> None:
+    """The speed, and the mean speeds between lines that measured times give."""
+    y, label = fit.fitted["y"], "measured mean between lines"
+    for event, _ in events:
+        if event.quantity == "time" and event.at is not None and event.since is not None:
+            begin = float(np.interp(event.since, y[moving], t[moving]))
+            mean = (event.at - event.since) / event.value
+            axes.plot(
+                [begin, begin + event.value], [mean, mean], marker="|", color=_MEASURED["color"],
+                lw=1, zorder=5, label=label,
+            )  # fmt: skip
+            label = ""
+    axes.plot(t[moving], fit.fitted["speed"][moving], color=FIT_COLOR)
+    axes.set(xlabel="t (s)", ylabel="speed (m/s)")
+    axes.set_ylim(bottom=0)
+    axes.set_xlim(left=0)
+    if not label:
+        legend_above(axes)
+
+
 def _residuals(axes: Any, events: list[tuple[Event, float]]) -> None:
     """Measured less fitted, in sigmas."""
     off = [(event.value - found) / event.sigma for event, found in events]
@@ -120,9 +148,9 @@ def _residuals(axes: Any, events: list[tuple[Event, float]]) -> None:
     axes.errorbar(np.clip(off, -_MOST, _MOST), rows, xerr=1.0, **_MEASURED)
     for row, value in zip(rows, off, strict=True):
         if abs(value) > _MOST:
-            axes.text(0.5, row + 0.12, f"{value:.2g} sigma", fontsize=8, ha="center",
-                      transform=axes.get_yaxis_transform())  # fmt: skip
-    axes.set_yticks(rows, [event.name for event, _ in events], fontsize=8)
+            far = f"{value:.2g} sigma".replace("-", "\N{MINUS SIGN}")
+            axes.text(0.5, row + 0.12, far, ha="center", transform=axes.get_yaxis_transform())
+    axes.set_yticks(rows, [event.name for event, _ in events])
     axes.set_ylim(len(events) - 0.5, -0.5)
     reach = max(2.5, *(min(abs(value), _MOST) + 1.5 for value in off))
     axes.set_xlim(-reach, reach)

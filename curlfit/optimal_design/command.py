@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from curlfit.options import flags as o
 from curlfit.options import settings as s
+from curlfit.options.figures import FigureFiles
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from curlfit.optimal_design.result import Design
+
+_FIGURES = ("design-map", "design-errors", "design-separate")
 _TRUTH = "Assumed values"
 _THROWS = "The throws"
 _RECORD = "The record"
@@ -139,6 +147,7 @@ def design(
         ),
     ] = 0.2,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("design"),
+    figures: o.FigureFormats = None,
     no_figures: o.NoFigures = False,
     quiet: o.Quiet = False,
 ) -> None:
@@ -165,6 +174,7 @@ def design(
     from curlfit.errors import InputError
     from curlfit.output.files import prepare_folder
 
+    drawn = FigureFiles.of(figures, none=no_figures)
     if fit is not None and law is not None:
         raise InputError("--law and --fit: expected one of them")
     kind = s.kind_of(fit) if fit is not None else "fit"
@@ -225,14 +235,15 @@ def design(
     written = [folder / "design.json"]
     result.save(written[0])
 
-    from curlfit.optimal_design.figures import FILES, save_figures
-
-    for name in FILES:
-        (folder / f"{name}.png").unlink(missing_ok=True)
-    if not no_figures:
-        written += save_figures(result, folder)
+    written += drawn.replace(folder, _FIGURES, partial(_figures, result))
 
     from curlfit.optimal_design.report import print_design
 
     print_design(result, console)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+
+
+def _figures(found: Design) -> dict[str, Figure]:
+    from curlfit.optimal_design.figures import design_figures
+
+    return design_figures(found)

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from curlfit.optimal_design.report import noise_text, two_digits
-from curlfit.output.figures import DASHES, PALETTE, Picture, save_figure
+from curlfit.output.figures import (
+    PALETTE,
+    REFERENCE_COLOR,
+    WIDTH,
+    Picture,
+    in_symbols,
+    line_styles,
+    styled,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -18,12 +25,10 @@ if TYPE_CHECKING:
 
     from curlfit.optimal_design.result import Design, Separation
 
-FILES = ("design-map", "design-errors", "design-separate")
-
-_ACCENT = "#e07a1f"
 _MAX_LABELLED = 80  # cells of a map with a number in each
 
 
+@styled
 def design_figures(design: Design) -> dict[str, Figure]:
     """The figures by name: a map of single throws, errors against noise, rate and number of throws,
     and, where two coefficients are separable, what that takes.
@@ -40,24 +45,9 @@ def design_figures(design: Design) -> dict[str, Figure]:
     return found
 
 
-def save_figures(design: Design, folder: Path, format: str = "png") -> list[Path]:
-    """Write the figures into a folder; returns the files."""
-    written = []
-    for name, figure in design_figures(design).items():
-        written.append(folder / f"{name}.{format}")
-        save_figure(figure, written[-1])
-    return written
-
-
 def _label(design: Design, expression: str) -> str:
     """A quantity with its symbols, for matplotlib."""
-    words = [
-        f"${design.symbols[word]}$"
-        if word in design.symbols
-        else word.replace("-", "\N{MINUS SIGN}")
-        for word in expression.split()
-    ]
-    return " ".join(words)
+    return in_symbols(expression, design.symbols)
 
 
 def _unit(design: Design, weights: Mapping[str, float]) -> str:
@@ -89,6 +79,7 @@ def _cells(axes: Any, design: Design, values: Sequence[float | None], *, shares:
     if shares:
         cells = 100 * cells
     axes.set_facecolor("0.9")
+    axes.grid(visible=False)
     known = cells[np.isfinite(cells)]
     low, high = (known.min(), known.max()) if len(known) else (1.0, 1.0)
     if not high > 1.01 * low:
@@ -102,7 +93,7 @@ def _cells(axes: Any, design: Design, values: Sequence[float | None], *, shares:
             text = f"{two_digits(value)} %" if shares else _number(value)
             axes.text(
                 column, row, text if np.isfinite(value) else "not\ndetermined", ha="center",
-                va="center", fontsize=7.5, color="white" if dark else "black",
+                va="center", fontsize=6, color="white" if dark else "black",
             )  # fmt: skip
     else:
         axes.figure.colorbar(shown, ax=axes, label="%" if shares else "")
@@ -124,25 +115,21 @@ def _frame_selected(axes: Any, design: Design, indices: Sequence[int]) -> None:
     for index in Counter(indices):
         one = design.candidates[index]
         corner = speeds.index(one.v0) - 0.47, spins.index(one.omega0) - 0.47
-        axes.add_patch(Rectangle(corner, 0.94, 0.94, fill=False, edgecolor=_ACCENT, lw=2.2))
+        axes.add_patch(Rectangle(corner, 0.94, 0.94, fill=False, edgecolor=REFERENCE_COLOR, lw=2.2))
 
 
 def _map(design: Design) -> Figure:
     names = list(design.quantities)
     columns = 2 if len(names) == 4 else min(len(names), 3)
     rows = -(-len(names) // columns)
-    tall = 1.2 + 0.42 * len({one.omega0 for one in design.candidates})
-    figure = Picture(
-        figsize=(max(3.4 * columns, 6.5), max(tall, 2.4) * rows + 0.7), layout="constrained"
-    )
+    tall = 0.8 + 0.28 * len({one.omega0 for one in design.candidates})
+    figure = Picture(figsize=(WIDTH, max(tall, 1.9) * rows + 0.5), layout="constrained")
     panels = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).reshape(-1)
     best = next(iter(design.best.values())).throws
     for axes, name in zip(panels, names, strict=False):
         _cells(axes, design, [one.stderr[name] for one in design.candidates], shares=False)
         _frame_selected(axes, design, best)
-        axes.set_title(
-            f"{_label(design, name)}{_unit(design, design.quantities[name])}", fontsize=10
-        )
+        axes.set_title(f"{_label(design, name)}{_unit(design, design.quantities[name])}")
     for axes in panels[len(names) :]:
         axes.set_visible(False)
     for axes in panels[::columns]:
@@ -150,7 +137,6 @@ def _map(design: Design) -> Figure:
     figure.suptitle(
         f"{design.law} law, {design.load} load: standard error from one throw\n"
         f"noise {noise_text(design.sigma)}; framed: in the optimal {design.throws} throws",
-        fontsize=10,
     )
     return figure
 
@@ -159,22 +145,21 @@ def _errors(design: Design) -> Figure:
     about = {
         "place": f"noise, times\n{_noise_of(design, ('x', 'y', 'speed'))}",
         "angle": f"noise, times\n{_noise_of(design, ('phi', 'omega'))}",
-        "rate": "rows per second (Hz)",
-        "throws": "number of throws, optimal for each",
+        "rate": "rows per second\n(Hz)",
+        "throws": "number of throws,\noptimal for each",
     }
     names = [name for name in about if name in design.curves]
-    figure = Picture(figsize=(2.9 * len(names) + 0.6, 4.5), layout="constrained")
+    figure = Picture(figsize=(WIDTH, 3.2), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
     for axes, name in zip(panels, names, strict=True):
-        curve = design.curves[name]
+        curve, styles = design.curves[name], line_styles(len(design.quantities))
         for index, (quantity, weights) in enumerate(design.quantities.items()):
             values = [np.nan if value is None else value for value in curve[quantity]]
             axes.plot(
-                curve["at"], values, ".", color=PALETTE[index % len(PALETTE)], ms=5, lw=1.4,
-                ls=DASHES[index % 2], label=_label(design, quantity) + _unit(design, weights),
+                curve["at"], values, ".", ms=4, lw=1.2, **styles[index],
+                label=_label(design, quantity) + _unit(design, weights),
             )  # fmt: skip
         axes.set(xscale="log", yscale="log", xlabel=about[name])
-        axes.grid(alpha=0.3, which="major")
         if name in ("place", "angle"):
             axes.axvline(1.0, color="0.5", lw=0.9, ls=":")
         if name == "rate":
@@ -183,16 +168,15 @@ def _errors(design: Design) -> Figure:
         if name == "throws":
             axes.axvline(design.throws, color="0.5", lw=0.9, ls=":")
             counts = [int(one) for one in curve["at"] if one is not None]
-            axes.set_xticks(counts, [str(one) for one in counts], fontsize=8)
+            axes.set_xticks(counts, [str(one) for one in counts])
             axes.minorticks_off()
     panels[0].set_ylabel("standard error")
     figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside lower center", frameon=False,
-        ncols=len(design.quantities), fontsize=9.5,
+        *panels[0].get_legend_handles_labels(), loc="outside lower center",
+        ncols=len(design.quantities),
     )  # fmt: skip
     figure.suptitle(
         f"{design.law} law, {design.load} load, optimal {design.throws} throws; dotted: as planned",
-        fontsize=10,
     )
     return figure
 
@@ -203,7 +187,7 @@ def _noise_of(design: Design, channels: Sequence[str]) -> str:
 
 def _separation(design: Design, separation: Separation) -> Figure:
     """Left: error of the difference against noise. Right: from single throws."""
-    figure = Picture(figsize=(11, 5.6), layout="constrained")
+    figure = Picture(figsize=(WIDTH, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
     difference = _label(design, f"{separation.pair[0]} - {separation.pair[1]}")
     scenario = separation.scenario("consistent")
@@ -232,15 +216,14 @@ def _separation(design: Design, separation: Separation) -> Figure:
     for dash, item in zip(("--", "-.", ":"), heights, strict=False):
         line(
             item.half, f"{count} x ({ordinary}), half with h = {1000 * item.value:.3g} mm",
-            color=PALETTE[1], lw=1.4, ls=dash,
+            color=PALETTE[2], lw=1.4, ls=dash,
         )  # fmt: skip
-    left.axhline(100 * separation.wanted, color=_ACCENT, lw=1.4)
+    left.axhline(100 * separation.wanted, color=REFERENCE_COLOR, lw=1.4)
     left.text(
-        6e-3,
+        1.2e-4,
         115 * separation.wanted,
         f"required: {100 * separation.wanted:g} %",
-        color=_ACCENT,
-        fontsize=9,
+        color=REFERENCE_COLOR,
     )
     left.axvline(1.0, color="0.5", lw=0.9, ls=":")
     left.set(
@@ -248,15 +231,14 @@ def _separation(design: Design, separation: Separation) -> Figure:
         xlabel=f"noise, times {noise_text(design.sigma)} (dotted: as planned)",
         ylabel=f"error of {difference}, % of {separation.size:g}",
     )  # fmt: skip
-    left.grid(alpha=0.3)
     if separation.proof.hidden:
         left.set_title(
-            "uniform load: not separable, at any noise, with any number of throws", fontsize=10,
-            color="#b02a37",
+            "uniform load: not separable, at any noise, with any number of throws",
+            color=REFERENCE_COLOR, fontsize=7,
         )  # fmt: skip
     figure.legend(
-        *left.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False,
-        fontsize=8.5, title="consistent load", title_fontsize=9,
+        *left.get_legend_handles_labels(), loc="outside lower center", ncols=2,
+        title="consistent load",
     )  # fmt: skip
     shares = [None if one is None else one / separation.size for one in scenario.each]
     _cells(right, design, shares, shares=True)
@@ -266,9 +248,9 @@ def _separation(design: Design, separation: Separation) -> Figure:
     right.set_title(
         f"{difference} from one throw, % of {separation.size:g}\n"
         f"consistent load; framed: in the optimal {count} throws",
-        fontsize=10,
+        fontsize=7,
     )
-    figure.suptitle(f"{design.law} law: separation of {' and '.join(separation.pair)}", fontsize=11)
+    figure.suptitle(f"{design.law} law: separation of {' and '.join(separation.pair)}")
     return figure
 
 

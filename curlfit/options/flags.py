@@ -125,6 +125,15 @@ Config = Annotated[
     Path | None,
     typer.Option(help="TOML file with any settings of `curlfit fit`; flags override it."),
 ]
+FigureFormats = Annotated[
+    str | None,
+    typer.Option(
+        "--figures",
+        help="Format of the figures, `png`, `pdf` or `svg`; several separated by commas. "
+        "[default: png]",
+        metavar="FORMAT",
+    ),
+]
 NoFigures = Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 

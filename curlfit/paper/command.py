@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from curlfit.options import flags as o
+from curlfit.options.figures import FigureFiles
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -19,6 +22,7 @@ def reproduce(
     out: Annotated[
         Path, typer.Option(help="Folder for claims.json, claims.md and its figures.")
     ] = Path("reproduction"),
+    figures: o.FigureFormats = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing.")] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print claims.json in place of the table.")
@@ -31,6 +35,7 @@ def reproduce(
     """
     from curlfit.output.files import atomic_write, prepare_folder
 
+    drawn = FigureFiles.of(figures)
     folder = prepare_folder(out)
 
     from curlfit.output.console import terminal
@@ -38,18 +43,17 @@ def reproduce(
     console = terminal(quiet=quiet or as_json)
     result = _computed(console)
 
-    from curlfit.output.figures import save_figure
     from curlfit.paper.figures import FIGURES
     from curlfit.paper.page import claims_table, page, verdicts
 
     claims = json.dumps([claim.as_dict() for claim in result.claims], indent=1)
     written = [folder / "claims.json", folder / "claims.md"]
-    for file, text in zip(written, (claims + "\n", page(result)), strict=True):
+    for file, text in zip(written, (claims + "\n", page(result, drawn.formats[0])), strict=True):
         with atomic_write(file) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    for name, figure in FIGURES.items():
-        written.append(folder / f"{name}.png")
-        save_figure(figure(result), written[-1])
+    written += drawn.replace(
+        folder, list(FIGURES), lambda: {name: draw(result) for name, draw in FIGURES.items()}
+    )
     if as_json and not quiet:
         typer.echo(claims)
     console.print(claims_table(result.claims))

@@ -64,9 +64,9 @@ def overview(found: Reproduction) -> Overview:
     )
 
 
-def page(found: Reproduction) -> str:
-    """`claims.md`: the table of claims, and the results behind it with figures."""
-    return "\n\n".join(
+def page(found: Reproduction, format: str = "png") -> str:
+    """`claims.md`: the table of claims, and the results behind it with figures of a format."""
+    text = "\n\n".join(
         [
             "# The claims of Ivanov and Shuvalov (2012), recomputed",
             "A. P. Ivanov, N. D. Shuvalov, \"Friction in curling game\". Every number under "
@@ -83,7 +83,8 @@ def page(found: Reproduction) -> str:
             *_eq_28(found),
             *_split(found),
         ]
-    ) + "\n"  # fmt: skip
+    )  # fmt: skip
+    return text.replace(".png)", f".{format})") + "\n"
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:

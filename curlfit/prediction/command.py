@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from curlfit.options import flags as o
 from curlfit.options import settings as s
+from curlfit.options.figures import FigureFiles
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from curlfit.prediction.result import Prediction
 
 _START = "Another throw: its start (by default that of the fitted throw)"
 _GOAL = "Another throw: its goal (speed and heading are found)"
@@ -111,8 +118,9 @@ def predict(
         Path | None,
         typer.Option(help="Folder for the results. [default: the fit's name with -predict]"),
     ] = None,
-    no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    figures: o.FigureFormats = None,
+    no_figures: o.NoFigures = False,
+    quiet: o.Quiet = False,
 ) -> None:
     """Predict a throw: path and resting place, with their uncertainties.
 
@@ -134,6 +142,7 @@ def predict(
     from curlfit.errors import InputError
     from curlfit.output.files import atomic_write, prepare_folder
 
+    drawn = FigureFiles.of(figures, none=no_figures)
     start = {
         name: value
         for name, value in {
@@ -171,14 +180,7 @@ def predict(
     found.save(written[0])
     with atomic_write(written[1]) as temporary:
         temporary.write_text(found.table())
-    if no_figures:
-        (folder / "predict.png").unlink(missing_ok=True)
-    else:
-        from curlfit.output.figures import save_figure
-        from curlfit.prediction.figures import prediction_figure
-
-        written.append(folder / "predict.png")
-        save_figure(prediction_figure(found), written[2])
+    written += drawn.replace(folder, ["predict"], partial(_figures, found))
 
     from curlfit.prediction.report import print_prediction
 
@@ -194,3 +196,9 @@ def _point(text: str) -> tuple[float, float]:
         raise InputError(f"--target {text}: expected X,Y in m from the tee")
     x, y = (s.number("--target", name, part) for name, part in zip("XY", parts, strict=True))
     return x, y
+
+
+def _figures(found: Prediction) -> dict[str, Figure]:
+    from curlfit.prediction.figures import prediction_figure
+
+    return {"predict": prediction_figure(found)}

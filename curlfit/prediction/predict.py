@@ -29,6 +29,7 @@ from curlfit.inference.fit.quantities import counts_from_hack
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.mcmc.ridge import ridge_move
+from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction.diagnostics import (
     compare_held_out,
@@ -48,7 +49,7 @@ from curlfit.prediction.result import (
     Quantity,
 )
 from curlfit.sheet import END, HOUSE, LINES, STONE_RADIUS, TEE
-from curlfit.throws.throw import Throw
+from curlfit.throws.throw import CHANNELS, Throw
 
 LEVELS = ("2.5", "16", "50", "84", "97.5")
 _BAND_POINTS = 121
@@ -192,7 +193,7 @@ def predict(
         series=_series(best, plain, full),
         band=_band(best, full),
         rest=_rest(plain, full),
-        measured={} if request.new else _measured_path(fit, throw_start),
+        measured=_measured_rows(fit, throw_start),
         quantities=quantities,
         chances=_chances(full),
         sensitivity=_sensitivity(probed, best),
@@ -259,16 +260,24 @@ def _drawn_values(
     return values, "covariance"
 
 
-def _measured_path(fit: FitResult, throw_start: ThrowStart) -> dict[str, Floats]:
-    """The fitted rows on the sheet, where x and y were measured."""
+def _measured_rows(fit: FitResult, throw_start: ThrowStart) -> dict[str, Floats]:
+    """The fitted rows on the sheet, where x and y were measured; moved and turned to the place and
+    direction in which a new throw starts."""
     measured = fit.observed
-    if "x" not in measured or "y" not in measured:
+    if not all(np.isfinite(measured.get(name, np.nan)).any() for name in ("x", "y")):
         return {}
     rows = thin(np.arange(len(measured["t"])))
+    begin, fitted = (
+        throw_start.values,
+        {item.name: fit.parameters[item.name].value for item in START},
+    )
+    right, along = (measured[name][rows] - fitted[f"{name}0"] for name in ("x", "y"))
+    turn = begin["heading"] - fitted["heading"]  # from +y toward +x
     return {
         "t": measured["t"][rows] - measured["t"][0],
-        "x": measured["x"][rows] + throw_start.shift[0],
-        "y": measured["y"][rows] + throw_start.shift[1],
+        "x": begin["x0"] + right * math.cos(turn) + along * math.sin(turn),
+        "y": begin["y0"] + along * math.cos(turn) - right * math.sin(turn),
+        **{name: measured[name][rows] for name in CHANNELS[2:] if name in measured},
     }
 
 

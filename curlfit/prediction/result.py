@@ -115,7 +115,8 @@ class Prediction(Displayed):
     sensitivity : by name of the start, the change of the resting place (m right, m along) by "by".
     warnings, notes : for the reader.
     check : None, or the comparison with measured rows.
-    measured : t (s since the start), x, y of the fitted rows on the sheet; empty for a new throw.
+    measured : t (s since the start) and the measured channels of the fitted rows, on the sheet; for
+        a new throw moved and turned to its start.
 
     Examples
     --------

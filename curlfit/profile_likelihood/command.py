@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,10 +12,14 @@ import typer
 
 from curlfit.options import flags as o
 from curlfit.options import settings as s
+from curlfit.options.figures import FigureFiles
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.mcmc.chain import Chain
+    from curlfit.profile_likelihood.result import PairProfile, Profile
 
 
 def profile(
@@ -79,6 +84,7 @@ def profile(
         Path | None,
         typer.Option(help="Folder for the results. [default: DATA's name with -profile-NAME]"),
     ] = None,
+    figures: o.FigureFormats = None,
     no_figures: o.NoFigures = False,
     quiet: o.Quiet = False,
 ) -> None:
@@ -97,6 +103,7 @@ def profile(
     from curlfit.errors import InputError
     from curlfit.output.files import prepare_folder
 
+    drawn = FigureFiles.of(figures, none=no_figures)
     flags = s.fit_flags(
         o.reader_options(format, axes, units, reference, stone_index, shot, handle, as_given),
         law=law, load=load, since=since, until=until, exclude=exclude, swept=sweep,
@@ -138,14 +145,7 @@ def profile(
         )
     written = [folder / "profile.json"]
     found.save(written[0])
-    if no_figures:
-        (folder / "profile.png").unlink(missing_ok=True)
-    else:
-        from curlfit.output.figures import save_figure
-        from curlfit.profile_likelihood.figures import profile_figure
-
-        written.append(folder / "profile.png")
-        save_figure(profile_figure(found), written[1])
+    written += drawn.replace(folder, ["profile"], partial(_figures, found))
 
     from curlfit.output.console import terminal
     from curlfit.profile_likelihood.report import print_profile
@@ -178,3 +178,9 @@ def _progress(quiet: bool) -> Iterator[Callable[[int], None]]:
         return
     with console.status("Fitting (a first run on a machine compiles the model)") as status:
         yield lambda done: status.update(f"Fitting the other parameters again: {done} fits")
+
+
+def _figures(found: Profile | PairProfile) -> dict[str, Figure]:
+    from curlfit.profile_likelihood.figures import profile_figure
+
+    return {"profile": profile_figure(found)}

@@ -8,7 +8,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.patches import Patch
 
-from curlfit.output.figures import DASHES, PALETTE, Picture, neat_axis, title
+from curlfit.output.figures import (
+    COVARIANCE_COLOR,
+    DASHES,
+    FIT_COLOR,
+    POSTERIOR_COLOR,
+    QUIET,
+    WIDTH,
+    ZERO_LINE,
+    Picture,
+    line_styles,
+    styled,
+    title,
+)
+from curlfit.output.ticks import neat_axis
 from curlfit.profile_likelihood.result import PairProfile, Profile
 
 if TYPE_CHECKING:
@@ -19,17 +32,14 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-_PROFILE = "#1b2a49"
-_COVARIANCE = "#e07a1f"
-_POSTERIOR = "#7b5ea7"
-_SAMPLES = "#3d0c45"
-_REGIONS = ("#5f8fc4", "#bcd3ea")
+_REGIONS = ("#a6cfe5", "#deedf6")  # of the profile, 68 and 95 %
 _HIGH, _LOW = 10.0, 5.5  # upper ends of the axis, of limited profiles and of others
 _MOVES = 0.05  # smallest change of another parameter that is shown, standard errors
 _MAX_SHOWN = 8  # of these
 _THIN = 0.4  # relative width of a valley below which it is also drawn straightened
 
 
+@styled
 def profile_figure(profile: Profile | PairProfile) -> Figure:
     """Chi squared along one parameter and the response of the others, or regions of two.
 
@@ -41,7 +51,7 @@ def profile_figure(profile: Profile | PairProfile) -> Figure:
 
 
 def _single_figure(profile: Profile) -> Figure:
-    figure = Picture(figsize=(8.5, 7.2), layout="constrained")
+    figure = Picture(figsize=(WIDTH, 5.6), layout="constrained")
     rows = figure.add_gridspec(2, 1, height_ratios=(1.6, 1.0))
     above = figure.add_subplot(rows[0])
     below = figure.add_subplot(rows[1], sharex=above)
@@ -66,27 +76,27 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
         axes.axhline(level.delta_chi2, color="0.6", lw=0.8, ls=":")
         axes.annotate(
             level.name, (1.0, level.delta_chi2), xycoords=("axes fraction", "data"), xytext=(4, 0),
-            textcoords="offset points", va="center", fontsize=8, color="0.4",
+            textcoords="offset points", va="center", color=QUIET,
         )  # fmt: skip
     if limited:
         for interval, alpha in zip(profile.intervals, (0.16, 0.08), strict=True):
-            axes.axvspan(interval.low, interval.high, color=_PROFILE, alpha=alpha, lw=0)
+            axes.axvspan(interval.low, interval.high, color=FIT_COLOR, alpha=alpha, lw=0)
     if item.stderr is not None:
         fine = np.linspace(at[0], at[-1], 400)
         axes.plot(
-            fine, ((fine - item.value) / item.stderr) ** 2, "--", color=_COVARIANCE, lw=1.6,
+            fine, ((fine - item.value) / item.stderr) ** 2, "--", color=COVARIANCE_COLOR, lw=1.4,
             label="covariance", zorder=4,
         )  # fmt: skip
-    axes.plot(at, profile.delta, color=_PROFILE, lw=1.5, label="profile", zorder=3)
-    axes.plot(at, profile.delta, ".", color=_PROFILE, markersize=4, zorder=3)
+    axes.plot(at, profile.delta, color=FIT_COLOR, lw=1.5, label="profile", zorder=3)
+    axes.plot(at, profile.delta, ".", color=FIT_COLOR, markersize=4, zorder=3)
     if profile.posterior is not None:
         found = profile.posterior
         axes.errorbar(
-            found["at"], found["height"], found["error"], fmt="o", color=_POSTERIOR, markersize=3.5,
-            lw=0.9, capsize=0, label=r"posterior, $-2\,\ln$ density", zorder=2,
+            found["at"], found["height"], found["error"], fmt="o", color=POSTERIOR_COLOR,
+            markersize=3, lw=0.9, capsize=0, label=r"posterior, $-2\,\ln$ density", zorder=2,
         )  # fmt: skip
     axes.plot(
-        profile.best, 0, "v", color=_PROFILE, markersize=7, zorder=5, clip_on=False, mec="white"
+        profile.best, 0, "v", color=FIT_COLOR, markersize=5, zorder=5, clip_on=False, mec="white"
     )
     lowest = -0.04 * top
     if profile.posterior is not None:
@@ -95,7 +105,7 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
     axes.set_ylim(lowest, top)
     axes.set_xlim(*_span(profile))
     axes.set_ylabel(r"$\Delta\chi^2$, all others refitted")
-    axes.legend(frameon=False, fontsize=9, loc="upper center", bbox_to_anchor=(0.62, 1.0))
+    axes.legend(loc="upper center", bbox_to_anchor=(0.62, 1.0))
     if not limited:
         _annotate(profile, axes)
 
@@ -113,15 +123,15 @@ def _annotate(profile: Profile, axes: Any) -> None:
     rise = f"{profile.rise:.1g}" if profile.rise < 1e-3 else f"{profile.rise:.2g}"
     axes.text(
         0.04, 0.93, rf"$\Delta\chi^2 \leq$ {rise} over {low:.5g} .. {high:.5g}",
-        transform=axes.transAxes, fontsize=10, va="top", color=_PROFILE,
+        transform=axes.transAxes, va="top", color=FIT_COLOR,
     )  # fmt: skip
     if profile.verdict != "hardly" or profile.rise > 0.5:
         return
     inside = (profile.at >= low) & (profile.at <= high)
     inset = axes.inset_axes((0.12, 0.46, 0.33, 0.3))
-    inset.plot(profile.at[inside], profile.delta[inside], color=_PROFILE, lw=1.3)
-    inset.set_title(r"the same $\Delta\chi^2$, magnified", fontsize=8)
-    inset.tick_params(labelsize=7)
+    inset.plot(profile.at[inside], profile.delta[inside], color=FIT_COLOR, lw=1.3)
+    inset.set_title(r"the same $\Delta\chi^2$, magnified")
+    inset.tick_params(labelsize=6)
     inset.locator_params(nbins=4)
     inset.margins(x=0.02)
 
@@ -142,21 +152,22 @@ def _others(profile: Profile, axes: Any) -> None:
         elif name in partners:
             values[name] = series
     largest = sorted(moves, key=lambda name: -float(np.abs(moves[name][shown]).max()))[:_MAX_SHOWN]
-    axes.axhline(0, color="0.7", lw=0.8)
-    lines = []
+    axes.axhline(0, **ZERO_LINE)
+    lines, styles = [], line_styles(len(moves))
     for index, name in enumerate(name for name in moves if name in largest):
         label = f"${profile.parameters[name].symbol}$"
         lines += axes.plot(
-            profile.at[shown], moves[name][shown], color=PALETTE[index % len(PALETTE)],
-            ls=DASHES[index // len(PALETTE)], lw=1.4, label=label,
+            profile.at[shown], moves[name][shown], lw=1.2, label=label, **styles[index],
         )  # fmt: skip
     axes.set_ylabel("change of the others\n(their standard errors)")
     if values:
         right = axes.twinx()
+        right.grid(visible=False)
+        right.spines["right"].set_visible(True)
         for index, (name, series) in enumerate(values.items()):
             item = profile.parameters[name]
             lines += right.plot(
-                profile.at[shown], series[shown], ls=("-", "--", ":")[index % 3], color="0.15",
+                profile.at[shown], series[shown], ls=DASHES[index % len(DASHES)], color="0.15",
                 lw=1.8, label=f"${item.symbol}$ (right)",
             )  # fmt: skip
         units = {profile.parameters[name].unit for name in values} - {"", "1"}
@@ -169,13 +180,12 @@ def _others(profile: Profile, axes: Any) -> None:
         axes.text(
             0.02, 0.05, f"none of the {'others' if values else 'parameters'} changes by more than "
             f"{_MOVES:g} standard errors",
-            transform=axes.transAxes, fontsize=9, color="0.4",
+            transform=axes.transAxes, color=QUIET,
         )  # fmt: skip
     if lines:
         axes.get_figure().legend(
-            lines, [line.get_label() for line in lines], loc="outside lower center", frameon=False,
-            fontsize=9, ncols=min(len(lines), 9), title="the other parameters, refitted",
-            title_fontsize=8,
+            lines, [line.get_label() for line in lines], loc="outside lower center",
+            ncols=min(len(lines), 9), title="the other parameters, refitted",
         )  # fmt: skip
 
 
@@ -188,7 +198,7 @@ def _pair_figure(profile: PairProfile) -> Figure:
     near = np.isfinite(profile.delta) & (profile.delta < _HIGH)
     height = float(np.ptp(profile.second[near]))
     thin = profile.across is not None and 8 * profile.across < _THIN * height
-    figure = Picture(figsize=(11.5 if thin else 7, 5.8), layout="constrained")
+    figure = Picture(figsize=(WIDTH if thin else 0.72 * WIDTH, 4.2), layout="constrained")
     panels = figure.subplots(1, 2 if thin else 1, squeeze=False)[0]
     one, other = (profile.parameters[name] for name in profile.names)
     labels = [_label(item, name) for item, name in zip((one, other), profile.names, strict=True)]
@@ -205,16 +215,14 @@ def _pair_figure(profile: PairProfile) -> Figure:
         _limits(axes.set_xlim, low, high)
         shown = (profile.second - below(profile.first))[near]
         _limits(axes.set_ylim, shown.min(), shown.max())
-    title(panels[0], _title(profile.each[0]), columns=len(panels))
+    title(panels[0], _title(profile.each[0]), columns=len(panels), margin=0.5)
     if thin:
         title(panels[1], "the same, minus the refitted value", columns=len(panels))
     handles = [
-        Patch(facecolor=color, edgecolor=_PROFILE, label=level.name)
+        Patch(facecolor=color, edgecolor=FIT_COLOR, label=level.name)
         for level, color in zip(profile.levels, _REGIONS, strict=True)
     ] + panels[-1].get_legend_handles_labels()[0]
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=9
-    )
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     _annotate_plane(profile, panels[0])
     figure.draw_without_rendering()  # the layout, which the ticks depend on
     refitted = f"${other.symbol}$ \N{MINUS SIGN} refitted ${other.symbol}$", other.unit
@@ -235,16 +243,17 @@ def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
     delta = np.ma.masked_invalid(profile.delta)
     edges = [level.delta_chi2_pair for level in profile.levels]
     axes.contourf(first, second, delta, levels=[-1, *edges], colors=_REGIONS, zorder=1)
-    axes.contour(first, second, delta, levels=edges, colors=_PROFILE, linewidths=0.9, zorder=3)
+    axes.contour(first, second, delta, levels=edges, colors=FIT_COLOR, linewidths=0.9, zorder=3)
     if len(profile.samples):
         a, b = profile.samples.T
         axes.plot(
-            a, b - below(a), ".", color=_SAMPLES, markersize=2.2, alpha=0.45, zorder=2,
+            a, b - below(a), ".", color=POSTERIOR_COLOR, markersize=2.6, mew=0, zorder=2,
+            rasterized=True,
             label="posterior",
         )  # fmt: skip
     at, valley = profile.each[0].at, profile.valley
     axes.plot(
-        at, valley - below(at), color=_PROFILE, lw=1.2, ls="-.", zorder=4,
+        at, valley - below(at), color=FIT_COLOR, lw=1.2, ls="-.", zorder=4,
         label=f"${profile.parameters[profile.names[1]].symbol}$ refitted",
     )  # fmt: skip
     if profile.covariance is not None:
@@ -254,11 +263,11 @@ def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
         for index, edge in enumerate(edges):
             a, b = np.array(profile.best)[:, None] + np.sqrt(edge) * (root @ circle)
             axes.plot(
-                a, b - below(a), "--", color=_COVARIANCE, lw=1.3, zorder=5,
+                a, b - below(a), "--", color=COVARIANCE_COLOR, lw=1.3, zorder=5,
                 label=None if index else "68 %, 95 % of the covariance",
             )  # fmt: skip
     a, b = np.array(profile.best)
-    axes.plot(a, b - below(np.array(a)), "+", color="black", markersize=10, mew=1.6, zorder=6)
+    axes.plot(a, b - below(np.array(a)), "+", color="black", markersize=7, mew=1.2, zorder=6)
 
 
 def _annotate_plane(profile: PairProfile, axes: Any) -> None:
@@ -277,5 +286,5 @@ def _annotate_plane(profile: PairProfile, axes: Any) -> None:
     falling = profile.valley[-1] < profile.valley[0]
     axes.text(
         0.95 if falling else 0.05, 0.95, "\n".join(lines), transform=axes.transAxes,
-        ha="right" if falling else "left", va="top", fontsize=10,
+        ha="right" if falling else "left", va="top",
     )  # fmt: skip

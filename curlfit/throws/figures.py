@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from curlfit.output.figures import CHANNEL_COLOR, CHANNEL_LABEL, Picture, title
+from curlfit.output.figures import CHANNEL_LABEL, DATA_STYLE, WIDTH, Picture, styled, title
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
+@styled
 def throw_figure(throw: Throw) -> Figure:
     """Measured channels over time, a panel for each."""
     channels = throw.seen
-    figure = Picture(figsize=(8, 1.8 * len(channels) + 0.6), layout="constrained")
+    figure = Picture(figsize=(WIDTH, 1.4 * len(channels) + 0.5), layout="constrained")
     panels = np.atleast_1d(figure.subplots(len(channels), 1, sharex=True))
     for axes, name in zip(panels, channels, strict=True):
-        axes.plot(throw.t, getattr(throw, name), ".", color=CHANNEL_COLOR[name], markersize=3)
+        axes.plot(throw.t, getattr(throw, name), **DATA_STYLE)
         axes.set_ylabel(f"${CHANNEL_LABEL[name]}$ ({UNITS[name]})")
-        axes.grid(alpha=0.3)
     panels[-1].set_xlabel("t (s)")
     title(panels[0], FilePath(throw.name).name)
     return figure

@@ -145,6 +145,7 @@ def test_flags_override_the_configuration_and_that_the_file(tmp_path):
         (["fit", DATA, "--nonsense"], "No such option"),
         (["fit", DATA, "--seed", 2**32], "4294967295"),
         (["fit", DATA, "--format", "video"], "expected one of table, tracker"),
+        (["fit", DATA, "--figures", "gif"], "--figures gif: expected png, pdf or svg"),
         (["fit", DATA, "--axes", "x-up"], "axes 'x-up': unknown word"),
         (["fit", DATA, "--axes", "x-left,y-left"], "lie on one line"),
         (["fit", DATA, "--units", "x=kg"], "x in 'kg': unknown unit"),

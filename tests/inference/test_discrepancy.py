@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -100,28 +102,73 @@ def test_under_the_right_law_errors_are_those_of_noise_and_somewhat_larger():
     assert own.sigma["x"] == pytest.approx(0.005, rel=0.2)
 
 
-@pytest.mark.parametrize("kind", ["discrepancy", "ar1+discrepancy"])
-def test_its_whitening_is_the_inverse_root_of_its_covariance(kind):
+@pytest.fixture(scope="module", params=["discrepancy", "ar1+discrepancy"])
+def wrong_law(request):
+    """A fit by a wrong law, with a gap in x."""
     (_, throw), *_ = thrown(LAWS["stribeck"](), 1)
-    fit = curlfit.fit(throw, "coulomb", noise=kind)
-    problem, _ = problem_of(fit)
-    n, weight = len(TIMES), np.asarray(problem.weight)
+    x = throw.x.copy()
+    x[60:80] = np.nan
+    return curlfit.fit(replace(throw, x=x), "coulomb", noise=request.param)
+
+
+def dense_covariances(fit):
+    """Of the discrepancy (five channels) and of the other noise (x, y, phi), over sigma 1 and that
+    of the fit."""
     responses = Responses.of(TIMES, np.array([fit.fitted[name] for name in CHANNELS]), fit.stone)
     sizes = np.repeat([fit.noise.sizes[name] for name in accelerations.COMPONENTS],
                       accelerations.SHAPES)  # fmt: skip
-    rows = np.concatenate([weight[c, :n, None] * responses.at(TIMES, c) * sizes for c in range(3)])
-    covariance = np.eye(3 * n) + rows @ rows.T
-    if kind != "discrepancy":
+    rows = np.concatenate([responses.at(TIMES, c) * sizes for c in range(5)])
+    own = np.eye(len(TIMES))
+    if fit.noise.memory:
         (memory,) = set(fit.noise.memory.values())
         own = np.exp(-np.abs(TIMES[:, None] - TIMES) / memory)
-        covariance += np.kron(np.eye(3), own) - np.eye(3 * n)
+    return rows @ rows.T, np.kron(np.eye(3), own)
+
+
+def test_its_whitening_is_the_inverse_root_of_its_covariance(wrong_law):
+    fit = wrong_law
+    problem, _ = problem_of(fit)
+    n, weight = len(TIMES), np.asarray(problem.weight)
+    missing, noise = dense_covariances(fit)
+    scale = weight[:, :n].ravel()
+    covariance = noise + scale[:, None] * missing[: 3 * n, : 3 * n] * scale
+    seen = scale > 0
+    covariance = covariance[seen][:, seen]
     residual = np.random.default_rng(0).standard_normal((3, weight.shape[1]))
-    residual[:, n:] = 0.0
+    residual[weight == 0] = 0.0
     white = np.asarray(problem.whitener.whiten(residual))[:, :n].ravel()
-    own = residual[:, :n].ravel()
+    own = residual[:, :n].ravel()[seen]
     assert white @ white == pytest.approx(own @ np.linalg.solve(covariance, own), rel=1e-8)
     determinant = -0.5 * np.linalg.slogdet(covariance)[1]
     assert problem.whitener.log_determinant().sum() == pytest.approx(determinant, rel=1e-8)
+
+
+def test_the_recorded_discrepancy_is_its_mean_given_the_residuals(wrong_law, tmp_path):
+    """K (K + N)^-1 r with dense matrices, in metres; at rows in the gap and channels that were not
+    measured by the covariances with those that were."""
+    fit = wrong_law
+    missing, noise = dense_covariances(fit)
+    sigma = np.repeat([fit.sigma[name] for name in ("x", "y", "phi")], len(TIMES))
+    residual = np.concatenate([fit.residuals[name] for name in ("x", "y", "phi")])
+    seen = np.flatnonzero(np.isfinite(residual))
+    of_data = (missing[: len(sigma), : len(sigma)] + sigma[:, None] * noise * sigma)[seen][:, seen]
+    expected = missing[:, seen] @ np.linalg.solve(of_data, residual[seen])
+    for name, mean in zip(CHANNELS, expected.reshape(5, -1), strict=True):
+        scale = np.abs(mean).max()
+        np.testing.assert_allclose(fit.discrepancy[name], mean, atol=1e-5 * scale)
+        np.testing.assert_array_equal(fit.predicted[name], fit.fitted[name] + fit.discrepancy[name])
+    # the law alone is far off along the path, both together are as near as the noise
+    left = fit.observed["y"] - fit.predicted["y"]
+    assert np.std(fit.residuals["y"]) > 5 * np.std(left)
+    assert np.std(left) == pytest.approx(0.005, rel=0.3)
+
+    fit.save(tmp_path / "fit.json")
+    again = curlfit.load_fit(tmp_path / "fit.json")
+    np.testing.assert_array_equal(again.discrepancy["omega"], fit.discrepancy["omega"])
+    assert "discrepancy" not in again.summary()
+    record = fit.to_json()
+    del record["discrepancy"]  # as in the records of earlier versions
+    assert curlfit.FitResult.from_json(record).discrepancy == {}
 
 
 def test_the_likelihood_of_sizes_is_that_of_the_covariance():

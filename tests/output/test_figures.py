@@ -13,7 +13,9 @@ from curlfit.comparison.result import Candidate, Comparison
 from curlfit.inference.figures import corner_figure, fit_figure, joint_figure
 from curlfit.inference.joint.result import Difference, JointResult
 from curlfit.inference.mcmc.chain import Chain
-from curlfit.output.figures import PALETTE, neat_axis, unit_for
+from curlfit.options.figures import FigureFiles
+from curlfit.output.figures import PALETTE, Picture, measured_slopes
+from curlfit.output.ticks import neat_axis, unit_for
 
 
 def texts(figure):
@@ -170,6 +172,52 @@ def test_ticks_say_what_they_stand_for():
         assert "m/s\N{SUPERSCRIPT TWO})" in label
 
 
+@pytest.fixture
+def sampled_slope(eq12_posterior, monkeypatch):
+    """A fit with a condition estimated, and Gaussian samples of all its parameters."""
+    fit, chain = eq12_posterior
+    slope = replace(
+        fit.parameters["mu1_xi"], value=0.0, verdict="prior", unit="m/m", symbol="s_x",
+        typical=1e-3, lower=-np.inf, upper=np.inf,
+    )  # fmt: skip
+    start = {name: fit.parameters[name] for name in list(fit.parameters)[len(fit.coefficients) :]}
+    parameters = {**fit.coefficients, "slope_x": slope, **start}
+    rng = np.random.default_rng(2)
+    samples = {name: rng.normal(size=60_000) for name in parameters}
+    monkeypatch.setattr(Chain, "of", lambda self, weights: samples[next(iter(weights))])
+    plain = replace(
+        fit, parameters=parameters, combinations=(), null_directions=(), reference=None
+    )  # fmt: skip
+    return plain, chain
+
+
+def test_a_corner_has_the_conditions_that_were_estimated(sampled_slope):
+    fit, chain = sampled_slope
+    figure = corner_figure(fit, chain)
+    assert len(figure.axes) == 15
+    below = [axes.get_xlabel() for axes in figure.axes[-5:]]
+    symbols = [f"${item.symbol}$" for item in fit.coefficients.values()]
+    for label, symbol in zip(below, [*symbols, "$s_x$ (m/m)"], strict=True):
+        assert label.startswith(symbol)
+    held = {**fit.parameters, "slope_x": replace(fit.parameters["slope_x"], verdict="fixed")}
+    assert len(corner_figure(replace(fit, parameters=held), chain).axes) == 10
+
+
+def test_regions_of_a_corner_hold_the_shares_they_say(sampled_slope):
+    """Of independent normal variables the regions are circles, of squared radius -2 ln(1 - p)."""
+    from matplotlib.contour import QuadContourSet
+
+    figure = corner_figure(*sampled_slope)
+    (lines,) = [
+        one
+        for one in figure.axes[1].collections
+        if isinstance(one, QuadContourSet) and not one.filled
+    ]
+    radii = [np.hypot(*path.vertices.T).mean() for path in lines.get_paths()]
+    expected = np.sqrt(-2 * np.log(1 - np.array([0.95, 0.68])))
+    assert radii == pytest.approx(expected, rel=0.05)
+
+
 # --- a fit ---------------------------------------------------------------------------------------
 
 
@@ -192,6 +240,145 @@ def test_texts_of_a_fit_lie_within_the_figure(eq12_fit, times, channels):
     renderer = figure.canvas.get_renderer()
     boxes = [title.get_window_extent(renderer) for title in titles]
     assert not [1 for a, b in combinations(boxes, 2) if a.overlaps(b)]
+
+
+def lines_of(axes):
+    """By label, what the lines show."""
+    return {
+        line.get_label(): np.array([line.get_xdata(), line.get_ydata()]) for line in axes.lines
+    }  # fmt: skip
+
+
+def test_a_fit_with_a_discrepancy_is_drawn_with_it(eq12_fit):
+    t = eq12_fit.observed["t"]
+    missing = {name: (0.01 + k) * np.sin(t) for k, name in enumerate(eq12_fit.fitted)}
+    fit = replace(eq12_fit, discrepancy=missing)
+    path, *residuals, speed, spin = fit_figure(fit).axes
+    shown = lines_of(path)
+    for label, series in (
+        ("data", fit.observed), ("law alone", fit.fitted), ("law and discrepancy", fit.predicted),
+    ):  # fmt: skip
+        np.testing.assert_allclose(shown[label], [series["y"], series["x"]])
+    (alone,) = [line for line in path.lines if line.get_label() == "law alone"]
+    assert alone.get_linestyle() == "--"
+    for axes, name in zip(residuals, ("x", "y", "phi"), strict=True):
+        (drawn,) = [line.get_ydata() for line in axes.lines if len(line.get_ydata()) == len(t)]
+        left = fit.observed[name] - fit.fitted[name] - missing[name]
+        scale = np.abs(left).max() / np.abs(drawn).max()
+        np.testing.assert_allclose(drawn * scale, left, atol=1e-12)
+        rms = np.sqrt(np.mean(left**2))
+        said, unit = axes.get_title().split("rms ")[1].split()
+        size = {"m": 1, "mm": 1e-3, "rad": 1, "mrad": 1e-3}[unit]
+        assert float(said) * size == pytest.approx(rms, rel=0.006)
+        assert "of both" in axes.get_ylabel()
+    for axes, name in ((speed, "speed"), (spin, "omega")):
+        drawn = [line.get_ydata() for line in axes.lines if len(line.get_ydata()) == len(t)]
+        np.testing.assert_allclose(drawn, [fit.predicted[name], fit.fitted[name]])
+
+
+def test_a_fit_without_one_is_the_law(eq12_fit):
+    path = fit_figure(eq12_fit).axes[0]
+    shown = lines_of(path)
+    assert set(shown) == {"data", "front-back law"}
+    low, high = path.get_ylim()
+    assert low > high  # as seen from above: left of the stone is up
+    (second,) = path.child_axes
+    second.apply_aspect()
+    second._set_lims()
+    assert np.array(second.get_ylim()) * 0.3048 == pytest.approx((low, high))
+
+
+def test_slopes_of_data_are_those_of_the_motion():
+    """Of evenly spaced rows a straight line has the slope of a parabola at the middle."""
+    t = np.linspace(2.0, 12.0, 201)
+    x, phi = 3 * t - 0.1 * t**2, 0.5 * t**2
+    gap = (t > 5) & (t < 6)
+    at, (speed, spin), over = measured_slopes(t, np.where(gap, np.nan, x), phi)
+    whole = np.abs(at - 5.5) > 1  # away from groups on both sides of the gap
+    np.testing.assert_allclose(speed[whole], 3 - 0.2 * at[whole], rtol=1e-9)
+    np.testing.assert_allclose(spin[whole], at[whole], rtol=1e-9)
+    assert 0.15 < over < 0.3
+    at, (nothing,), _ = measured_slopes(t, np.full(201, np.nan))
+    assert len(at) == len(nothing) == 0
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def written(eq12_posterior, tmp_path_factory):
+    """The figures of a fit in all formats, written twice, once under other settings of
+    matplotlib."""
+    from matplotlib import rc_context
+
+    folders = [tmp_path_factory.mktemp(name) for name in ("one", "other")]
+    everything = FigureFiles.of("png, pdf,svg")
+
+    def draw():
+        return {"fit": fit_figure(eq12_posterior[0]), "corner": corner_figure(*eq12_posterior)}
+
+    files = everything.write(folders[0], draw)
+    with rc_context({"font.size": 25, "pdf.fonttype": 3, "axes.grid": True, "lines.linewidth": 9}):
+        again = everything.write(folders[1], draw)
+    return files, again
+
+
+def test_figures_are_of_the_format_they_are_named_for(written):
+    begins = {".png": b"\x89PNG\r\n", ".pdf": b"%PDF-", ".svg": b"<?xml"}
+    assert {file.name for file in written[0]} == {
+        f"{name}{suffix}" for name in ("fit", "corner") for suffix in begins
+    }
+    for file in written[0]:
+        content = file.read_bytes()
+        assert content.startswith(begins[file.suffix])
+        assert len(content) < 1_000_000
+
+
+def test_the_same_figure_is_the_same_file_under_any_settings(written):
+    for file, again in zip(*written, strict=True):
+        assert file.read_bytes() == again.read_bytes(), file.name
+
+
+def test_text_of_vector_figures_is_text_in_embedded_fonts(written):
+    for file in written[0]:
+        content = file.read_bytes()
+        if file.suffix == ".pdf":
+            fonts = content.count(b"/Type /FontDescriptor")
+            assert fonts > 0
+            assert content.count(b"/FontFile2") == fonts  # TrueType
+            assert b"/Type3" not in content
+            assert b"CreationDate" not in content
+        if file.suffix == ".svg":
+            assert b"jensen_shegelski_2004.csv: front-back law, uniform load</text>" in content
+            assert b"<dc:date>" not in content
+
+
+def test_formats_are_checked(tmp_path):
+    assert FigureFiles.of(None).formats == ("png",)
+    assert FigureFiles.of("pdf,PNG,pdf").formats == ("pdf", "png")
+    assert FigureFiles.of(None, none=True).formats == ()
+    for text in ("gif", "png,,pdf", ""):
+        with pytest.raises(curlfit.InputError, match=r"--figures .*: expected png, pdf or svg"):
+            FigureFiles.of(text)
+    with pytest.raises(curlfit.InputError, match="--no-figures draws nothing"):
+        FigureFiles.of("pdf", none=True)
+
+
+def test_figures_of_an_earlier_result_do_not_stay(tmp_path):
+    def draw():
+        return {"a": Picture(figsize=(1, 1))}
+
+    def names():
+        return sorted(file.name for file in tmp_path.iterdir())
+
+    (tmp_path / "data.svg").write_text("of the user")
+    FigureFiles.of("png,svg").replace(tmp_path, ["a", "b"], draw)
+    assert names() == ["a.png", "a.svg", "data.svg"]
+    (tmp_path / "b.pdf").write_text("of another result")
+    FigureFiles.of("pdf").replace(tmp_path, ["a", "b"], draw)
+    assert names() == ["a.pdf", "data.svg"]
+    FigureFiles.of(None, none=True).replace(tmp_path, ["a", "b"], draw)
+    assert names() == ["data.svg"]
 
 
 def test_units_go_by_size():
@@ -288,6 +475,21 @@ def test_colours_are_told_apart_by_the_colour_blind():
 
 
 # --- several throws ------------------------------------------------------------------------------
+
+
+def test_throws_of_a_stop_watch_have_no_path_to_draw(eq12_fit):
+    throws = (replace(eq12_fit, rms={}), replace(eq12_fit, rms={}))
+    found = Difference("mu1_xi", ((0.01, 1e-4), (0.02, 1e-4)), 0.0, 5e-3, 0.015, 5e-3)
+    result = JointResult(
+        law="coulomb", load="uniform", share=("mu1_xi",), converged=True, status="converged",
+        warnings=(), coefficients={}, combinations=(), rank=1, parameters=1,
+        differences=(found,), throws=throws,
+    )  # fmt: skip
+    figure = agg(joint_figure(result))
+    (estimates,) = figure.axes
+    assert [container[0].get_xdata()[0] for container in estimates.containers] == [0.01, 0.02]
+    assert "mu_{1" in estimates.get_xlabel()
+    assert not outside(figure)
 
 
 def test_a_joint_figure_has_room_for_all(eq12_fit):

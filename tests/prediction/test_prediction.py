@@ -648,6 +648,36 @@ def test_the_figure_shows_the_measured_path_and_the_intervals_of_the_table(game_
             assert middle + size == pytest.approx(shown[high], abs=1e-9)
 
 
+def test_a_new_throw_has_the_rows_of_the_fitted_one_beside_it(fit):
+    found = curlfit.predict(fit, start={"v0": 2.3, "heading": 0.02, "x0": 0.4}, draws=100)
+    begin, fitted = (
+        {name: one[name] for name in ("x0", "y0", "heading")}
+        for one in (
+            {name: item["value"] for name, item in found.start.items()},
+            {name: item.value for name, item in fit.parameters.items()},
+        )
+    )
+    places, rows = (
+        np.array([of["x"], of["y"]]) - [[start["x0"]], [start["y0"]]]
+        for of, start in ((found.measured, begin), (fit.observed, fitted))
+    )
+    # distances from the start stay, and directions seen from it are turned by the heading
+    np.testing.assert_allclose(np.hypot(*places), np.hypot(*rows), atol=1e-12)
+    far = np.hypot(*rows) > 1
+    turned = np.arctan2(*places[:, far]) - np.arctan2(*rows[:, far])
+    np.testing.assert_allclose(turned, begin["heading"] - fitted["heading"], atol=1e-9)
+    *_, across, speed, spin = prediction_figure(found).axes
+    assert "data of the fitted throw" in across.get_legend_handles_labels()[1]
+    rows, gap = len(fit.observed["t"]) // 40, np.diff(fit.observed["t"])[0]
+    for axes, name, of in ((speed, "speed", "y"), (spin, "omega", "phi")):
+        measured, law = axes.lines
+        assert len(measured.get_xdata()) == 40
+        wanted = np.interp(measured.get_xdata(), fit.observed["t"], fit.fitted[name])
+        error = fit.sigma[of] / (gap * np.sqrt(rows * (rows**2 - 1) / 12))  # of a line's slope
+        np.testing.assert_allclose(measured.get_ydata(), wanted, atol=5 * error)
+        np.testing.assert_array_equal(law.get_ydata(), found.series[name])
+
+
 def test_a_record_comes_back(carried, tmp_path):
     carried.save(tmp_path / "predict.json")
     again = curlfit.load_prediction(tmp_path)

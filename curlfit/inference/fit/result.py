@@ -33,6 +33,7 @@ from curlfit.throws.events import Event
 from curlfit.throws.throw import CHANNELS, Reference, Throw
 
 SCHEMA = 1
+_SERIES = ("observed", "fitted", "discrepancy")
 _LATER = (
     "law_file",
     "since",
@@ -233,6 +234,9 @@ class FitResult(NamedEstimates):
     observed : t, x, y, phi as measured, speed and omega if they were, and given sigmas.
     fitted : x, y, phi, speed, omega of the fit at the same times; empty where nobody wanted them.
     posterior : None until sampled.
+    discrepancy : of a fit with the noise "discrepancy", the mean of what the law lacks given the
+        residuals: x, y, phi, speed, omega at the times of the rows, to be added to `fitted`. Empty
+        without such noise, and in records of earlier versions.
     loss : how large residuals count, see `curlfit.inference.noise.losses`.
     noise : how noise is correlated from row to row, see `curlfit.inference.noise.models`.
     outliers : values far off the fit: {"channel", "t", "line" (of the file, or None), "off" (SI),
@@ -301,6 +305,7 @@ class FitResult(NamedEstimates):
     events: tuple[dict[str, Any], ...] = ()
     derived: tuple[Derived, ...] = ()
     quantities: dict[str, Derived] = field(default_factory=dict)
+    discrepancy: dict[str, Floats] = field(default_factory=dict)
 
     @property
     def law_class(self) -> type[Law]:
@@ -374,6 +379,14 @@ class FitResult(NamedEstimates):
             name: self.observed[name] - self.fitted[name]
             for name in self.rms
             if name in self.fitted
+        }
+
+    @property
+    def predicted(self) -> dict[str, Floats]:
+        """What the fit says of the channels at the rows: the path of the law and, where the noise
+        has one, the mean of the discrepancy."""
+        return {
+            name: series + self.discrepancy.get(name, 0.0) for name, series in self.fitted.items()
         }
 
     @property
@@ -471,12 +484,13 @@ class FitResult(NamedEstimates):
             "posterior": None if self.posterior is None else asdict(self.posterior),
             "observed": {name: series.tolist() for name, series in self.observed.items()},
             "fitted": {name: series.tolist() for name, series in self.fitted.items()},
+            "discrepancy": {name: series.tolist() for name, series in self.discrepancy.items()},
         }
 
     def summary(self) -> dict[str, Any]:
         """The JSON record without the series of data and fit."""
         record = json_safe(self.to_json())
-        return {key: value for key, value in record.items() if key not in ("observed", "fitted")}
+        return {key: value for key, value in record.items() if key not in _SERIES}
 
     @classmethod
     def from_json(cls, found: dict[str, Any]) -> FitResult:
@@ -504,6 +518,7 @@ class FitResult(NamedEstimates):
             else Reference(**known_fields(Reference, reference)),
             observed=_series(found["observed"]),
             fitted=_series(found["fitted"]),
+            discrepancy=_series(found.get("discrepancy", {})),
             posterior=None
             if posterior is None
             else Posterior(**known_fields(Posterior, posterior)),

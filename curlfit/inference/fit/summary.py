@@ -35,6 +35,8 @@ from curlfit.inference.fit.systematics import residual_changes, shifts, shifts_b
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.linearized_problem import classify
 from curlfit.inference.model import Model
+from curlfit.inference.noise.accelerations import Responses
+from curlfit.inference.noise.discrepancy import posterior_mean
 from curlfit.inference.noise.models import Noise, time_of_motion
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
@@ -229,12 +231,27 @@ def _record(
         reference=reference if reference and reference.law == law.name else None,
         observed=observed,
         fitted=curves,
+        discrepancy=_discrepancy(fit, statistics),
         loss=fit.loss,
         noise=noise,
         independence=statistics.by_channel(statistics.independence, 3),
         outliers=outliers,
         events=events,
     )
+
+
+def _discrepancy(fit: LeastSquaresFit, statistics: ResidualStatistics) -> dict[str, Floats]:
+    """Mean of what the law lacks, by channel; empty where the noise has no such part."""
+    if statistics.path is None or not fit.noise.sizes:
+        return {}
+    n, channels = len(fit.prepared.throw), min(len(fit.problem.weight), len(CHANNELS))
+    times = np.asarray(fit.problem.times)[:n]
+    responses = Responses.of(times, statistics.path[: len(CHANNELS), :n], fit.prepared.stone)
+    weight = np.asarray(fit.problem.weight)[:channels, :n]
+    mean = posterior_mean(
+        fit.noise, times, weight, statistics.residual[:channels, :n], responses
+    )  # fmt: skip
+    return dict(zip(CHANNELS, mean, strict=True))
 
 
 def _events(fit: LeastSquaresFit) -> tuple[dict[str, Any], ...]:

@@ -72,10 +72,7 @@ class DiscrepancyWhitener(NamedTuple):
         before = AR1Whitener.of(noise, times, weight) if "ar1" in noise.kind else None
         if not noise.sizes or responses is None:
             return cls(np.zeros((*weight.shape, _COUNT)), np.zeros(_COUNT), before)
-        rows = np.stack([responses.at(times, row) for row in range(len(weight))])
-        rows *= weight[..., None] * np.repeat([noise.sizes[name] for name in COMPONENTS], SHAPES)
-        if before is not None:
-            rows = np.asarray(jax.vmap(before.whiten, -1, -1)(jnp.asarray(rows)))
+        rows = _weighted_responses(noise, times, weight, responses, before)
         q, r = np.linalg.qr(rows.reshape(-1, _COUNT))  # faster than a decomposition of all rows
         left, singular, _ = np.linalg.svd(r, full_matrices=False)
         directions = np.zeros((weight.size, _COUNT))
@@ -96,6 +93,52 @@ class DiscrepancyWhitener(NamedTuple):
         found = np.zeros(self.directions.shape[0])
         found[0] = np.log1p(-self.shrink).sum()  # of all channels together
         return found if self.ar1 is None else found + self.ar1.log_determinant()
+
+
+def _weighted_responses(
+    noise: Noise, times: Floats, weight: Floats, responses: Responses, before: AR1Whitener | None
+) -> Floats:
+    """B of the covariance N + B B^T of the residuals over sigma, with independent amplitudes of
+    variance 1, after AR(1) noise has been made independent; shape (channels, n, 3 * SHAPES)."""
+    rows = np.stack([responses.at(times, row) for row in range(len(weight))])
+    rows *= weight[..., None] * _amplitudes(noise)
+    if before is not None:
+        rows = np.asarray(jax.vmap(before.whiten, -1, -1)(jnp.asarray(rows)))
+    return rows
+
+
+def _amplitudes(noise: Noise) -> Floats:
+    """Standard deviation of each shape of each component, over the friction."""
+    return np.repeat([noise.sizes[name] for name in COMPONENTS], SHAPES)
+
+
+def posterior_mean(
+    noise: Noise, times: Floats, weight: Floats, residual: Floats, responses: Responses
+) -> Floats:
+    """Mean of the discrepancy given the residuals, in every channel at the times of the rows.
+
+    K (K + N)^-1 r, with the covariances K of the discrepancy and N of the remaining noise
+    (Rasmussen and Williams 2006, eq. 2.25). With K = B B^T, at rows that were not observed too, it
+    is B (1 + B^T N^-1 B)^-1 B^T N^-1 r.
+
+    Parameters
+    ----------
+    times : s since the first row, shape (n,).
+    weight : 1/sigma, 0 where nothing was observed, shape (channels, n).
+    residual : measured less the path of the law, 0 where nothing was observed, of that shape; SI.
+
+    Returns
+    -------
+    shape (5, n), SI: of x, y, phi, speed and spin.
+    """
+    before = AR1Whitener.of(noise, times, weight) if "ar1" in noise.kind else None
+    rows = _weighted_responses(noise, times, weight, responses, before).reshape(-1, _COUNT)
+    white = weight * residual
+    if before is not None:
+        white = np.asarray(before.whiten(jnp.asarray(white)))
+    mean = np.linalg.solve(np.eye(_COUNT) + rows.T @ rows, rows.T @ white.ravel())
+    found = [responses.at(times, channel) for channel in range(len(CHANNELS))]
+    return np.array(found) @ (_amplitudes(noise) * mean)
 
 
 def estimate(

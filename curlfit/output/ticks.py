@@ -1,0 +1,81 @@
+"""Numbers on the axes of figures: units suited to a size, few ticks with short labels."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+_LENGTHS = ((1e3, "km"), (1.0, "m"), (1e-3, "mm"), (1e-6, "\N{MICRO SIGN}m"))
+_ANGLES = ((2 * np.pi, "turns"), (1.0, "rad"), (1e-3, "mrad"), (1e-6, "\N{MICRO SIGN}rad"))
+_UNIT_SIZES = {
+    "x": _LENGTHS,
+    "y": _LENGTHS,
+    "phi": _ANGLES,
+    "speed": tuple((size, f"{unit}/s") for size, unit in _LENGTHS),
+    "omega": tuple((size, f"{unit}/s") for size, unit in _ANGLES),
+}
+
+_MIN_IN_UNIT = 0.1  # size in a unit below which the next smaller unit is used
+_LETTER_WIDTH = 0.065  # inches, of a tick label
+_MAX_RATIO = 1e4  # of a tick to the step, above which an offset is subtracted from all ticks
+
+
+def unit_for(size: float, channel: str) -> tuple[float, str]:
+    """The unit suited to a size of a channel: its factor to SI and its name."""
+    units = _UNIT_SIZES[channel]
+    label = (one for one in units if size >= one[0] * (1.0 if one[0] >= 1 else _MIN_IN_UNIT))
+    return next(label, units[-1])
+
+
+def neat_axis(axis: Any, label: str, unit: str = "", *, neighbours: bool = False) -> None:
+    """Few ticks with short numbers; a common offset and power of ten go into the label.
+
+    With `neighbours`, no tick label extends beyond the ends of the axis.
+    """
+    low, high = sorted(map(float, axis.get_view_interval()))
+    inches = axis.axes.get_window_extent().width / axis.axes.get_figure().dpi
+    letter_width = _LETTER_WIDTH if axis.axis_name == "x" else 0.0
+    unit = "" if unit == "1" else unit.replace("^2", "\N{SUPERSCRIPT TWO}")
+    most, steps = (5, [1, 2, 3, 4, 5, 10]) if neighbours else (7, [1, 2, 5, 10])
+    while True:
+        ticks = np.asarray(MaxNLocator(most, steps=steps).tick_values(low, high))
+        step = float(ticks[1] - ticks[0])
+        ticks = ticks[(ticks >= low) & (ticks <= high)]
+        numbers, start, power = _tick_labels(ticks, step)
+        letters = max(map(len, numbers), default=0)
+        label_width = max(0.12, letter_width * letters / inches) * (high - low)
+        margin = label_width / 2 if neighbours else 0.0
+        inside = (ticks >= low + margin) & (ticks <= high - margin)
+        if step > 1.1 * label_width or most == 2:
+            break
+        most -= 1
+    labels = [number for number, shown in zip(numbers, inside, strict=True) if shown]
+    axis.set_ticks(ticks[inside], labels=labels)
+    ten = f"$10^{{{power}}}$" if power else ""
+    in_brackets = " ".join(part for part in (ten, unit) if part)
+    between = "\n" if start else " "
+    axis.set_label_text(label + start + (f"{between}({in_brackets})" if in_brackets else ""))
+
+
+def _tick_labels(ticks: Floats, step: float) -> tuple[list[str], str, int]:
+    """Tick labels, the offset subtracted from them as text, and their power of ten."""
+    start, power = 0.0, 0
+    largest = float(np.abs(ticks).max(initial=0.0))
+    if largest > _MAX_RATIO * step:
+        start = float(ticks[len(ticks) // 2])
+        power = math.floor(math.log10(step) + 1e-9)
+    elif largest > 0:
+        power = 3 * math.floor((math.log10(largest) + 1) / 3)
+    decimals = max(0, power - math.floor(math.log10(step) + 1e-9))
+    numbers = [f"{(value - start) / 10.0**power + 0.0:.{decimals}f}" for value in ticks]
+    minus = "\N{MINUS SIGN}"
+    offset = f" {'+' if start < 0 else minus} {abs(start):.12g}" if start else ""
+    return [number.replace("-", minus) for number in numbers], offset, power
