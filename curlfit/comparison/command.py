@@ -62,8 +62,9 @@ def compare(
         typer.Option(help="Folder for the results. [default: DATA's name with -compare]"),
     ] = None,
     no_figures: o.NoFigures = False,
+    report: o.Report = False,
     quiet: o.Quiet = False,
-) -> None:
+) -> o.Saved | None:
     """Fit many friction laws to one throw, under one or several noise models, and rank them.
 
     Each law is fitted within its own bounds; one that fails with a coefficient at zero is fitted
@@ -187,3 +188,4 @@ def compare(
     for finding in unusual:
         console.print(f"Warning: {finding}.", style="yellow", markup=False)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+    return o.Saved(folder, quiet) if report else None

@@ -140,8 +140,9 @@ def design(
     ] = 0.2,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("design"),
     no_figures: o.NoFigures = False,
+    report: o.Report = False,
     quiet: o.Quiet = False,
-) -> None:
+) -> o.Saved | None:
     """Optimal design: the expected errors of a law's coefficients, and the best choice of throws.
 
     Every combination of speed, spin and rate is a candidate. Each throw has its own unknown initial
@@ -236,3 +237,4 @@ def design(
 
     print_design(result, console)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+    return o.Saved(folder, quiet) if report else None

@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
+
+
+class Saved(NamedTuple):
+    """What a verb leaves to be done: the page of what it saved."""
+
+    folder: Path
+    quiet: bool = False
+    status: int = 0
+    """exit status of the command"""
+
 
 Law = Annotated[
     str | None,
@@ -126,6 +136,13 @@ Config = Annotated[
     typer.Option(help="TOML file with any settings of `curlfit fit`; flags override it."),
 ]
 NoFigures = Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")]
+Report = Annotated[
+    bool,
+    typer.Option(
+        "--report",
+        help="Write `report.html` too: the result as one page to send, as `curlfit report` does.",
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 PANEL = "How to read DATA"

@@ -111,9 +111,10 @@ def predict(
         Path | None,
         typer.Option(help="Folder for the results. [default: the fit's name with -predict]"),
     ] = None,
-    no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
+    no_figures: o.NoFigures = False,
+    report: o.Report = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
-) -> None:
+) -> o.Saved | None:
     """Predict a throw: path and resting place, with their uncertainties.
 
     Without options: the fitted throw, extrapolated to rest. With a start or a goal: another throw
@@ -184,6 +185,7 @@ def predict(
 
     print_prediction(found, console)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+    return o.Saved(folder, quiet) if report else None
 
 
 def _point(text: str) -> tuple[float, float]:

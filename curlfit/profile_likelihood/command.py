@@ -80,8 +80,9 @@ def profile(
         typer.Option(help="Folder for the results. [default: DATA's name with -profile-NAME]"),
     ] = None,
     no_figures: o.NoFigures = False,
+    report: o.Report = False,
     quiet: o.Quiet = False,
-) -> None:
+) -> o.Saved | None:
     """Profile likelihood: a parameter is fixed at many values, all others are fitted at each.
 
     The increase of chi squared gives intervals that are valid where it is not quadratic, and shows
@@ -153,6 +154,7 @@ def profile(
     console = terminal(quiet=quiet)
     print_profile(found, console)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+    return o.Saved(folder, quiet) if report else None
 
 
 def _range(text: str) -> tuple[float, float]:
