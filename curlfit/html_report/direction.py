@@ -18,7 +18,7 @@ from curlfit.html_report.document import Block
 from curlfit.html_report.replay import rounded, thin
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
-from curlfit.output.text import compact, from_to, join_words
+from curlfit.output.text import compact, join_words
 from curlfit.throws.throw import UNITS
 
 _POSITIONS = 33  # along a direction
@@ -169,7 +169,7 @@ def _axes(fit: FitResult, sides: tuple[str, str], low: Floats, high: Floats, thr
     """What the drawing shows, in words."""
     units = {"t": "s"} | UNITS
     along, across = (
-        f"{name} ({from_to(float(a), float(b))} {units[name]})"
+        f"{name} ({a:.3g} .. {b:.3g} {units[name]})"
         for name, a, b in zip(sides, low, high, strict=True)
     )
     name = Path(fit.data["file"]).name
