@@ -18,6 +18,7 @@ Most used:
     compare      which law?
     profile      intervals where chi squared is not quadratic
     predict      another throw on the same ice; `design` plans a measurement
+    write_report any of these as one HTML page to send
     simulate     the model itself, for `jax.jit`, `vmap` and derivatives
 
 `dir(curlfit)` lists all names, `help(curlfit.fit)` has arguments and an example; the README and

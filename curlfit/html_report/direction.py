@@ -100,8 +100,10 @@ def _direction(
         name: max(abs(fit.parameters[name].value + step * direction[name]) for step in steps)
         for name in names
     }
+    what = "the path" if sides[0] == "y" else "what was measured"
     data = {
         "kind": "direction",
+        "what": what,
         "names": names,
         "values": [
             rounded(np.array([fit.parameters[name].value for name in names]) + step * weights, 9)
@@ -126,7 +128,7 @@ def _direction(
     block = Block(
         "direction",
         {
-            "id": id, "names": names, "start": data["start"], "last": last,
+            "id": id, "what": what, "names": names, "start": data["start"], "last": last,
             "values": dict(zip(names, data["values"][data["start"]], strict=True)),
             "shares": [
                 100 * abs(value) / size
@@ -169,8 +171,8 @@ def _axes(fit: FitResult, sides: tuple[str, str], low: Floats, high: Floats, thr
     """What the drawing shows, in words."""
     units = {"t": "s"} | UNITS
     along, across = (
-        f"{name} ({a:.3g} .. {b:.3g} {units[name]})"
-        for name, a, b in zip(sides, low, high, strict=True)
+        f"{name} ({a:.2f} .. {b:.2f} {units[name]})"
+        for name, a, b in zip(sides, low.round(2) + 0.0, high.round(2) + 0.0, strict=True)
     )
     name = Path(fit.data["file"]).name
     return f"{across} against {along}" + (f" of {name}, one of {throws} throws" * (throws > 1))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from curlfit.errors import CurlfitError
 from curlfit.html_report.document import (
     Block,
     Page,
@@ -100,6 +101,11 @@ def direction_blocks(
     """The moving parts of directions that change nothing, whose data are added."""
     if not directions or not all(fit.converged for fit in fits):
         return []
+    try:
+        fits[0].law_class  # noqa: B018  (a user's own is read from its file)
+    except CurlfitError as error:
+        return [paragraph(f"The paths along it are not here: {error}.", "note")]
+
     from curlfit.html_report.direction import directions_of
 
     found = []

@@ -6,11 +6,13 @@ import math
 import platform
 import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from curlfit.comparison.result import Comparison
+from curlfit.errors import CurlfitError
 from curlfit.friction import Parameter
 from curlfit.html_report.document import Block, Section, rows, section
 from curlfit.inference.conditions import CONDITIONS, WIDTHS
@@ -123,19 +125,18 @@ def fit_command(fit: FitResult) -> str:
 def fit_flags(fit: FitResult) -> list[str]:
     """The flags of a fit: all that its record tells and that is not the default."""
     data = fit.data
-    law = fit.law_class
     words = [f"--law={data.get('law_file') or fit.law}", f"--load={fit.load}", *_stone(fit.stone)]
     words += [f"--{name}={_number(data[name])}" for name in ("since", "until")
               if data.get(name) is not None]  # fmt: skip
     words += [f"--exclude={_number(a)}:{_number(b)}" for a, b in data.get("exclude") or ()]
     if data.get("swept"):
         words.append("--sweep=" + ":".join(map(_number, data["swept"])))
-    usual: dict[str, Parameter] = {
-        item.name: item for item in (*law.coefficients(), *CONDITIONS, *START)
-    }
+    usual = _usual(fit)
     assumed = {**fit.throw.assumed} if fit.events else {}
     for name, item in fit.parameters.items():
-        own = usual[name]
+        own = usual.get(name)
+        if own is None:
+            continue
         if item.verdict == "fixed":
             default = getattr(own, "default", None) if getattr(own, "optional", False) else None
             unseen = own in START and item.value == 0.0
@@ -157,6 +158,15 @@ def fit_flags(fit: FitResult) -> list[str]:
     }  # fmt: skip
     words += _pairs("--systematic", held)
     return [*words, *(f"--derive={item.expression}" for item in fit.derived)]
+
+
+def _usual(fit: FitResult) -> dict[str, Parameter]:
+    """What the parameters of a fit are by default; without coefficients where the file of a user's
+    law is gone."""
+    found: tuple[Parameter, ...] = (*CONDITIONS, *START)
+    with suppress(CurlfitError):
+        found += fit.law_class.coefficients()
+    return {item.name: item for item in found}
 
 
 def _file(name: str) -> str:

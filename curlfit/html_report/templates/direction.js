@@ -26,7 +26,7 @@ moving.direction = (root, data) => {
     });
     const change = data.changes[k], alone = data.apart[k], chi = data.chi_squared[k];
     let said = data.names.map((name, i) => `${name} = ${Number(values[i].toPrecision(4))}`).join(", ");
-    said += change ? `: the path changes by ${change.text}` : ": the law admits no motion here";
+    said += change ? `: ${data.what} changes by ${change.text}` : ": the law admits no motion here";
     if (chi !== null) said += `; chi squared ${Number(chi.toPrecision(6))}`;
     if (alone && k !== data.start) said += `. ${data.names[0]} alone: ${alone.text}`;
     slider.setAttribute("aria-valuetext", said);
@@ -34,5 +34,9 @@ moving.direction = (root, data) => {
   }
   slider.addEventListener("input", () => show(true));
   part("back").addEventListener("click", () => { slider.value = data.start; show(true); });
+  let before = data.start; // on paper an end of the slider, where what moves can be told
+  finishedInPrint(
+    () => { before = slider.value; slider.value = slider.max; show(false); },
+    () => { slider.value = before; show(false); });
   show(false);
 };
