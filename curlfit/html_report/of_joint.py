@@ -18,7 +18,13 @@ from curlfit.html_report.document import (
     warned,
 )
 from curlfit.html_report.of_fit import direction_blocks, drawing, throw_section
-from curlfit.html_report.provenance import fit_settings, joint_command, made_by, reading_notes
+from curlfit.html_report.provenance import (
+    data_files,
+    fit_settings,
+    joint_command,
+    made_by,
+    reading_notes,
+)
 from curlfit.inference.derived_report import quantities_line
 from curlfit.inference.joint.report import report
 from curlfit.inference.joint.result import JointResult
@@ -50,7 +56,7 @@ def page_of(joint: JointResult) -> Page:
         warnings = [text.replace(f"{one.data['file']}:", f"{name}:") for text in warnings]
     moving = throw_section(list(joint.throws[:_MOVING]), data)
     settings = fit_settings(first) | {
-        "Data": ", ".join(one.data["file"] for one in joint.throws),
+        "Data": ", ".join(data_files(joint)),
         "In common": ", ".join(joint.share),
     }
     parts = others(said.parts[1:], [determined])

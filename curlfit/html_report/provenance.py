@@ -184,9 +184,14 @@ def reading_notes(data: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def data_files(joint: JointResult) -> list[str]:
+    """The files of the throws, each once."""
+    return list(dict.fromkeys(_file(one.data["file"]) for one in joint.throws))
+
+
 def joint_command(joint: JointResult) -> str:
     """The command line of a joint fit, as far as its record tells."""
-    files = list(dict.fromkeys(_file(one.data["file"]) for one in joint.throws))
+    files = data_files(joint)
     flags = [f for f in fit_flags(joint.throws[0]) if not f.startswith("--derive")]
     if tuple(joint.share) != tuple(joint.throws[0].coefficients):
         flags.append("--share=" + ",".join(joint.share))

@@ -143,7 +143,8 @@ def _replay(
     block = Block(
         "replay",
         {
-            "id": id, "label": label, "where": where, "view": view, "points": points,
+            "id": id, "label": label, "explained": id.endswith("-0"), "where": where,
+            "view": view, "points": points,
             "path": list(zip(path["x"].tolist(), path["y"].tolist(), strict=True)),
             "end": {name: float(path[name][-1]) for name in _NAMES},
             "from": float(t[0]), "to": float(t[-1]), "step": _step(float(t[-1] - t[0])),
