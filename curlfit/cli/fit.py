@@ -185,7 +185,7 @@ def fit(
     console.print("Written: " + ", ".join(str(file) for file in written), soft_wrap=True)
     if result.converged:
         _warn_of_posterior(result)
-    return _finish(result, o.Saved(folder, quiet) if report else None)
+    return _finish(result, o.saved(folder, report=report, quiet=quiet))
 
 
 def _load_saved(folder: Path, seed: int, request: s.FitRequest) -> FitResult | None:
@@ -381,4 +381,4 @@ def _fit_jointly(
         + ", ".join(folders),
         soft_wrap=True,
     )
-    return _finish(result, o.Saved(folder, quiet) if report else None)
+    return _finish(result, o.saved(folder, report=report, quiet=quiet))

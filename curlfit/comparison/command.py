@@ -188,4 +188,4 @@ def compare(
     for finding in unusual:
         console.print(f"Warning: {finding}.", style="yellow", markup=False)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
-    return o.Saved(folder, quiet) if report else None
+    return o.saved(folder, report=report, quiet=quiet)

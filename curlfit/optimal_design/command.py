@@ -237,4 +237,4 @@ def design(
 
     print_design(result, console)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
-    return o.Saved(folder, quiet) if report else None
+    return o.saved(folder, report=report, quiet=quiet)

@@ -17,6 +17,14 @@ class Saved(NamedTuple):
     """exit status of the command"""
 
 
+def saved(folder: Path, *, report: bool, quiet: bool) -> Saved | None:
+    """What is left to do where a page is wanted; else one of an earlier result is removed."""
+    if report:
+        return Saved(folder, quiet)
+    (folder / "report.html").unlink(missing_ok=True)
+    return None
+
+
 Law = Annotated[
     str | None,
     typer.Option(

@@ -185,7 +185,7 @@ def predict(
 
     print_prediction(found, console)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
-    return o.Saved(folder, quiet) if report else None
+    return o.saved(folder, report=report, quiet=quiet)
 
 
 def _point(text: str) -> tuple[float, float]:

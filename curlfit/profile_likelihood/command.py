@@ -154,7 +154,7 @@ def profile(
     console = terminal(quiet=quiet)
     print_profile(found, console)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
-    return o.Saved(folder, quiet) if report else None
+    return o.saved(folder, report=report, quiet=quiet)
 
 
 def _range(text: str) -> tuple[float, float]:

@@ -128,7 +128,11 @@ def test_play_moves_the_stone_and_pause_stops_it(shown):
     assert (place(browser, "replay-0") == stopped).all()
     now = float(part(browser, "replay-0", "now").text)
     said = part(browser, "replay-0", "status").text
-    assert said.startswith(f"{now:.1f} s: {stopped[1]:.2f} m from the hack")
+    time_told, place_told = map(
+        float, re.match(r"([\d.]+) s: ([\d.]+) m from the hack", said).groups()
+    )
+    assert time_told == pytest.approx(now, abs=0.06)
+    assert place_told == pytest.approx(stopped[1], abs=0.006)
     cursor = part(browser, "replay-0", "cursor").get_attribute("transform")
     assert float(re.search(r"\(([\d.]+)", cursor)[1]) == pytest.approx(now / 20, abs=1e-3)
 

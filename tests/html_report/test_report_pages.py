@@ -316,9 +316,12 @@ def test_pages_that_integrate_nothing_load_no_jax(folder):
     assert done.stdout == "False\n"
 
 
-def test_the_command_writes_the_page_beside_the_result(folder, typed, records):
-    said = typed("report", "comparison")
+def test_the_command_writes_the_page_beside_the_result(folder, typed, monkeypatch):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    said = typed("report", "comparison", "--open")
     assert said == "Written: comparison/report.html\n"
+    assert opened == [(folder / "comparison" / "report.html").as_uri()]
     text = (folder / "comparison" / "report.html").read_text(encoding="utf-8")
     assert text == render(page_of(curlfit.load_comparison(folder / "comparison")))
     assert typed("report", "profile/profile.json", "--out", "new/a.html") == "Written: new/a.html\n"
@@ -328,6 +331,10 @@ def test_the_command_writes_the_page_beside_the_result(folder, typed, records):
 def test_verbs_write_the_page_on_request(folder, typed):
     said = typed("profile", "fit", "--param", "mu1_xi", "--points", 5, "--no-figures", "--report")
     assert said.endswith("Written: fit-profile-mu1_xi/report.html\n")
+    page = folder / "fit-profile-mu1_xi" / "report.html"
+    assert page.is_file()
+    typed("profile", "fit", "--param", "mu1_xi", "--points", 5, "--no-figures")
+    assert not page.exists()  # it was of the earlier result
     assert typed("predict", "fit", "--draws", 100, "--quiet", "--report", "--out", "p") == ""
     assert "rests" in Page((folder / "p" / "report.html").read_text()).data
     with pytest.raises(typer.Exit) as left:
