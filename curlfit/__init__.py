@@ -18,6 +18,7 @@ Most used:
     compare      which law?
     profile      intervals where chi squared is not quadratic
     predict      another throw on the same ice; `design` plans a measurement
+    write_report any of these as one HTML page to send
     simulate     the model itself, for `jax.jit`, `vmap` and derivatives
 
 `dir(curlfit)` lists all names, `help(curlfit.fit)` has arguments and an example; the pages and
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from curlfit.errors import CurlfitError, DataError, InputError, UnusableFitError
     from curlfit.exploration.explore import explore
     from curlfit.friction import LAWS, Law, LocalLaw, NetLaw, coefficient, find_law
+    from curlfit.html_report.page import write_report
     from curlfit.inference.figures import corner_figure, fit_figure, joint_figure
     from curlfit.inference.fit.fit import fit
     from curlfit.inference.fit.result import FitResult, Posterior, load_fit
@@ -120,6 +122,7 @@ _HOMES = {
     "throws.synthetic": ("law_with", "synthetic_throw"),
     "throws.throw": ("Throw",),
     "inference.joint.fit": ("fit_together",),
+    "html_report.page": ("write_report",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -132,6 +135,7 @@ __all__ = [  # noqa: RUF022  (in the order of use)
     "held_out", "aim", "Aim",
     "design", "Design", "print_design", "design_figures", "load_design",
     "profile", "Profile", "PairProfile", "print_profile", "profile_figure", "load_profile",
+    "write_report",
     "Stone", "InitialState", "Trajectory", "simulate", "synthetic_throw",
     "reproduce", "Reproduction", "Claim",
     "LAWS", "law_with", "find_law", "Law", "LocalLaw", "NetLaw", "coefficient",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -13,11 +13,12 @@ from curlfit.cli.example import example
 from curlfit.cli.export import export
 from curlfit.cli.fit import fit
 from curlfit.cli.laws import laws
-from curlfit.cli.saved import plot, show
+from curlfit.cli.saved import plot, report, show, write_page
 from curlfit.cli.throws import check, simulate
 from curlfit.comparison.command import compare
 from curlfit.errors import CurlfitError
 from curlfit.optimal_design.command import design
+from curlfit.options.flags import Saved
 from curlfit.paper.command import reproduce
 from curlfit.prediction.command import predict
 from curlfit.profile_likelihood.command import profile
@@ -48,7 +49,17 @@ def _version(requested: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
+def _finished(saved: Saved | None, **_: Any) -> None:
+    """Write the page of what a verb has saved, where it was asked for with `--report`."""
+    if isinstance(saved, Saved):
+        file = write_page(saved.folder)
+        if not saved.quiet:
+            typer.echo(f"Written: {file}")
+        if saved.status:
+            raise typer.Exit(saved.status)
+
+
+@app.callback(result_callback=_finished)
 def _root(
     version: Annotated[
         bool,
@@ -67,8 +78,8 @@ def _root(
 
 
 for _verb in (
-    check, fit, compare, batch, predict, profile, design, show, plot, export, simulate, laws,
-    reproduce, example,
+    check, fit, compare, batch, predict, profile, design, show, plot, report, export, simulate,
+    laws, reproduce, example,
 ):  # fmt: skip
     app.command()(_verb)
 

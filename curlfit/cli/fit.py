@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from curlfit.inference.fit.result import FitResult
+    from curlfit.inference.joint.result import JointResult
     from curlfit.inference.mcmc.chain import Chain
     from curlfit.options.figures import FigureFiles
 
@@ -97,8 +98,9 @@ def fit(
     ] = False,
     figures: o.FigureFormats = None,
     no_figures: o.NoFigures = False,
+    report: o.Report = False,
     quiet: o.Quiet = False,
-) -> None:
+) -> o.Saved | None:
     """Fit a friction law to a throw, or to several jointly, and show what the path determines.
 
     Writes `fit.json`, `fit.png` and, unless `--no-sample`, `chain.h5` and `corner.png`; for
@@ -130,8 +132,7 @@ def fit(
     if len(jobs) > 1:
         if resume:
             raise InputError("--resume continues the sampling of one throw; give one file")
-        _fit_jointly(jobs, share, flags, out, drawn, quiet=quiet)
-        return
+        return _fit_jointly(jobs, share, flags, out, drawn, quiet=quiet, report=report)
     (file,) = data
     if share is not None:
         raise InputError("--share needs several files")
@@ -183,7 +184,9 @@ def fit(
 
     print_fit(result, console)
     console.print("Written: " + ", ".join(str(file) for file in written), soft_wrap=True)
-    _finish(result)
+    if result.converged:
+        _warn_of_posterior(result)
+    return _finish(result, o.saved(folder, report=report, quiet=quiet))
 
 
 def _fit_figures(fit: FitResult) -> dict[str, Figure]:
@@ -215,10 +218,17 @@ def _load_saved(folder: Path, seed: int, request: s.FitRequest) -> FitResult | N
     return found
 
 
-def _finish(result: FitResult) -> None:
+def _finish(result: FitResult | JointResult, saved: o.Saved | None) -> o.Saved | None:
+    """Say on stderr what is wrong; the page of an unusable fit is written before the exit."""
     if not result.converged:
         print(f"curlfit: the fit is not usable: {result.status}", file=sys.stderr)
-        raise typer.Exit(1)
+        if saved is None:
+            raise typer.Exit(1)
+        return saved._replace(status=1)
+    return saved
+
+
+def _warn_of_posterior(result: FitResult) -> None:
     if result.posterior is not None and not result.posterior.converged:
         print(f"curlfit: warning: posterior {result.posterior.status}", file=sys.stderr)
 
@@ -268,7 +278,8 @@ def _fit_jointly(
     drawn: FigureFiles,
     *,
     quiet: bool,
-) -> None:
+    report: bool,
+) -> o.Saved | None:
     """Fit several throws jointly and print the report; write `joint.json`, figures, single fits."""
     from curlfit.errors import InputError
     from curlfit.friction import check_load, find_law
@@ -359,6 +370,4 @@ def _fit_jointly(
         + ", ".join(folders),
         soft_wrap=True,
     )
-    if not result.converged:
-        print(f"curlfit: the fit is not usable: {result.status}", file=sys.stderr)
-        raise typer.Exit(1)
+    return _finish(result, o.saved(folder, report=report, quiet=quiet))

@@ -1,4 +1,4 @@
-"""`curlfit show` and `curlfit plot`: saved results printed and drawn again."""
+"""`curlfit show`, `curlfit plot` and `curlfit report`: saved results printed, drawn, as a page."""
 
 from __future__ import annotations
 
@@ -103,6 +103,49 @@ def plot(
         figures |= drawn if kind == "design" else {kind: drawn}
     written = files.write(prepare_folder(target), lambda: figures)
     typer.echo("Written: " + ", ".join(map(str, written)))
+
+
+def report(
+    folder: Annotated[
+        Path,
+        typer.Argument(help="Folder of results, or the JSON file in it.", metavar="DIR"),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The file. [default: DIR/report.html]", metavar="FILE.html"),
+    ] = None,
+    show_it: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+) -> None:
+    """Write a saved result as one HTML file to send: numbers, figures, warnings, moving parts.
+
+    Of a fit, joint fit, comparison, prediction, profile or design. The file needs no network and no
+    other file; what moves in it are the stone on the sheet, the directions that the path does not
+    determine, and the draws of a prediction.
+
+    Example: `curlfit report throw-fit --open`
+    """
+    file = write_page(folder, out)
+    typer.echo(f"Written: {file}")
+    if show_it:
+        import webbrowser
+
+        webbrowser.open(file.resolve().as_uri())
+
+
+def write_page(folder: Path, out: Path | None = None) -> Path:
+    """Write the page of a saved result; returns the file."""
+    kind = kind_of(folder)
+    result: Any
+    chain = None
+    if kind == "fit":
+        result, chain = _load_fit(folder)
+        if chain is None and result.posterior is not None and chain_beside(folder).is_file():
+            chain = curlfit.load_chain(chain_beside(folder))
+    else:
+        result = getattr(curlfit, _KINDS[kind].load)(folder)
+    file = out or (folder if folder.is_dir() else folder.parent) / "report.html"
+    curlfit.write_report(result, file, chain=chain)
+    return file
 
 
 def _load_fit(folder: Path) -> tuple[FitResult, Chain | None]:

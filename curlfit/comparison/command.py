@@ -70,8 +70,9 @@ def compare(
     ] = None,
     figures: o.FigureFormats = None,
     no_figures: o.NoFigures = False,
+    report: o.Report = False,
     quiet: o.Quiet = False,
-) -> None:
+) -> o.Saved | None:
     """Fit many friction laws to one throw, under one or several noise models, and rank them.
 
     Each law is fitted within its own bounds; one that fails with a coefficient at zero is fitted
@@ -189,6 +190,7 @@ def compare(
     for finding in unusual:
         console.print(f"Warning: {finding}.", style="yellow", markup=False)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+    return o.saved(folder, report=report, quiet=quiet)
 
 
 def _figures(found: Comparison) -> dict[str, Figure]:

@@ -46,28 +46,35 @@ def print_fit(fit: FitResult, console: Console | None = None) -> None:
 
 def report(fit: FitResult) -> RenderableType:
     """The report of a fit, for a rich console."""
-    parts: list[RenderableType] = [_heading(fit), _coefficients(fit), *_student(fit)]
-    parts += [*derived_table(fit.derived), *quantities_table(fit.quantities)]
-    if said := systematics(fit.systematics, _reported(fit)):
-        parts.append(Padding(Text(said), (0, 0, 1, 0)))
-    parts += _beside_reference(fit)
-    if fit.rms:
-        parts.append(_quality(fit))
-    if fit.events:
-        parts.append(_events(fit))
-    parts.append(Padding(Text(identifiability(fit)), (0, 0, 1, 0)))
-    if fit.posterior is not None:
-        parts.append(Padding(about_posterior(fit.posterior), (0, 0, 1, 0)))
-    if fit.outliers:
-        parts.append(Padding(Text(outliers(fit)), (0, 0, 1, 0)))
-    if fit.sampling == "unfinished":
-        parts.append(Padding(Text(_UNFINISHED, style="bold yellow"), (0, 0, 1, 0)))
-    parts += [
-        Padding(Text(f"Warning: {warning}.", style="yellow"), (0, 0, 1, 0))
-        for warning in fit.warnings
-    ]
-    parts += [Text(f"Note: {note}.", style="dim") for note in fit.data["notes"]]
-    return Group(*parts)
+    return Group(*(part for parts in sections(fit).values() for part in parts))
+
+
+def sections(fit: FitResult) -> dict[str, list[RenderableType]]:
+    """The parts of the report by name, in their order; some are empty."""
+    said = systematics(fit.systematics, _reported(fit))
+    posterior = fit.posterior
+    return {
+        "heading": [_heading(fit)],
+        "estimates": [_coefficients(fit), *_student(fit)],
+        "derived": derived_table(fit.derived),
+        "path": quantities_table(fit.quantities),
+        "systematics": [_spaced(said)] * bool(said),
+        "reference": _beside_reference(fit),
+        "quality": [_quality(fit)] * bool(fit.rms),
+        "events": [_events(fit)] * bool(fit.events),
+        "identifiability": [_spaced(identifiability(fit))],
+        "posterior": []
+        if posterior is None
+        else [Padding(about_posterior(posterior), (0, 0, 1, 0))],
+        "outliers": [_spaced(outliers(fit))] * bool(fit.outliers),
+        "sampling": [_spaced(_UNFINISHED, "bold yellow")] * (fit.sampling == "unfinished"),
+        "warnings": [_spaced(f"Warning: {warning}.", "yellow") for warning in fit.warnings],
+        "notes": [Text(f"Note: {note}.", style="dim") for note in fit.data["notes"]],
+    }
+
+
+def _spaced(text: str, style: str = "") -> RenderableType:
+    return Padding(Text(text, style=style), (0, 0, 1, 0))
 
 
 def _heading(fit: FitResult) -> RenderableType:

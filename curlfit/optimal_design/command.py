@@ -149,8 +149,9 @@ def design(
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("design"),
     figures: o.FigureFormats = None,
     no_figures: o.NoFigures = False,
+    report: o.Report = False,
     quiet: o.Quiet = False,
-) -> None:
+) -> o.Saved | None:
     """Optimal design: the expected errors of a law's coefficients, and the best choice of throws.
 
     Every combination of speed, spin and rate is a candidate. Each throw has its own unknown initial
@@ -241,6 +242,7 @@ def design(
 
     print_design(result, console)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+    return o.saved(folder, report=report, quiet=quiet)
 
 
 def _figures(found: Design) -> dict[str, Figure]:

@@ -3,9 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
+
+
+class Saved(NamedTuple):
+    """What a verb leaves to be done: the page of what it saved."""
+
+    folder: Path
+    quiet: bool = False
+    status: int = 0
+    """exit status of the command"""
+
+
+def saved(folder: Path, *, report: bool, quiet: bool) -> Saved | None:
+    """What is left to do where a page is wanted; else one of an earlier result is removed."""
+    if report:
+        return Saved(folder, quiet)
+    (folder / "report.html").unlink(missing_ok=True)
+    return None
+
 
 Law = Annotated[
     str | None,
@@ -135,6 +153,13 @@ FigureFormats = Annotated[
     ),
 ]
 NoFigures = Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")]
+Report = Annotated[
+    bool,
+    typer.Option(
+        "--report",
+        help="Write `report.html` too: the result as one page to send, as `curlfit report` does.",
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 PANEL = "How to read DATA"

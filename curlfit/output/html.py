@@ -17,7 +17,8 @@ from rich.text import Text
 
 from curlfit.output.console import Items
 
-_COLORS = {"green": "#2c8a4b", "yellow": "#a87000", "red": "#d9483b"}
+COLORS = {"green": "#2c8a4b", "yellow": "#a87000", "red": "#d9483b"}
+"""Of words, by their name on a terminal."""
 _LINE = "1px solid rgba(128, 128, 128, 0.4)"
 _CELL = (
     "padding: 0.15em 1em 0.15em 0; vertical-align: top; background-color: transparent; "
@@ -38,13 +39,14 @@ def _block(part: Any) -> str:
         return "".join(map(_block, part.renderables))
     if isinstance(part, Table):
         return _table(part)
-    text = _inline(part).strip()
+    text = inline(part).strip()
     return f'<p style="margin: 0.4em 0; text-align: left">{text}</p>' if text else ""
 
 
-def _inline(part: Any) -> str:
+def inline(part: Any) -> str:
+    """A text, or the content of a cell, escaped."""
     if isinstance(part, Items):
-        return ", ".join(map(_inline, part.items))
+        return ", ".join(map(inline, part.items))
     if isinstance(part, Text):
         return "".join(_styled(run.plain, run) for run in _runs(part))
     return escape(str(part)).replace("\n", "<br>")
@@ -63,8 +65,8 @@ def _styled(plain: str, run: Text) -> str:
         css.append("font-weight: bold")
     if style.dim:
         css.append("opacity: 0.75")
-    if style.color is not None and style.color.name in _COLORS:
-        css.append(f"color: {_COLORS[style.color.name]}")
+    if style.color is not None and style.color.name in COLORS:
+        css.append(f"color: {COLORS[style.color.name]}")
     shown = escape(plain).replace("\n", "<br>")
     return f'<span style="{"; ".join(css)}">{shown}</span>' if css else shown
 
@@ -86,4 +88,4 @@ def _table(table: Table) -> str:
 
 def _cell(content: Any, justify: str, tag: str = "td") -> str:
     side = "right" if justify == "right" else "left"
-    return f'<{tag} style="text-align: {side}; {_CELL}">{_inline(content)}</{tag}>'
+    return f'<{tag} style="text-align: {side}; {_CELL}">{inline(content)}</{tag}>'

@@ -120,8 +120,9 @@ def predict(
     ] = None,
     figures: o.FigureFormats = None,
     no_figures: o.NoFigures = False,
+    report: o.Report = False,
     quiet: o.Quiet = False,
-) -> None:
+) -> o.Saved | None:
     """Predict a throw: path and resting place, with their uncertainties.
 
     Without options: the fitted throw, extrapolated to rest. With a start or a goal: another throw
@@ -186,6 +187,7 @@ def predict(
 
     print_prediction(found, console)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+    return o.saved(folder, report=report, quiet=quiet)
 
 
 def _point(text: str) -> tuple[float, float]:

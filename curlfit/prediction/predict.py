@@ -25,7 +25,6 @@ import numpy as np
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, no_motion_because
 from curlfit.inference.fit.fit import refit
-from curlfit.inference.fit.quantities import counts_from_hack
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.mcmc.ridge import ridge_move
@@ -53,6 +52,8 @@ from curlfit.throws.throw import CHANNELS, Throw
 
 LEVELS = ("2.5", "16", "50", "84", "97.5")
 _BAND_POINTS = 121
+_SAMPLED, _SAMPLE_TIMES = 60, 30  # draws kept, and times of each
+_DIGITS = 4  # decimals of these: 0.1 mm
 _HEADING_CHANGE = 0.001  # for the sensitivity of the resting place, rad
 
 
@@ -109,7 +110,7 @@ def predict(
     24.3
     """
     request = ThrowRequest(dict(start or {}), line or "hog", target, weight, tee_speed)
-    if line is None and not request.new and counts_from_hack(fit):
+    if line is None and not request.new and fit.counts_from_hack:
         request = request._replace(line="data")
     request.require(fit, check)
     if not fit.converged:
@@ -194,6 +195,7 @@ def predict(
         band=_band(best, full),
         rest=_rest(plain, full),
         measured=_measured_rows(fit, throw_start),
+        sample=_sample(full),
         quantities=quantities,
         chances=_chances(full),
         sensitivity=_sensitivity(probed, best),
@@ -352,6 +354,18 @@ def _series(
             if level != "50":
                 found[f"{name}_{level}"] = values
     return found
+
+
+def _sample(full: TrajectoryEnsemble) -> dict[str, Floats]:
+    """The first draws, which are as random as any."""
+    few = full.select(slice(_SAMPLED))
+    last = int(np.searchsorted(full.t[:-1], few.rest.max()))
+    times = np.unique(np.linspace(0, last, _SAMPLE_TIMES).astype(int))
+    state = few.state[:, :3, times].round(_DIGITS)
+    return {
+        "t": full.t[times], **dict(zip(PREDICTED, state.swapaxes(0, 1), strict=True)),
+        "rest": few.rest.round(_DIGITS),
+    }  # fmt: skip
 
 
 def _band(best: TrajectoryEnsemble, full: TrajectoryEnsemble) -> dict[str, Floats]:

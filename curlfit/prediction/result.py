@@ -19,7 +19,7 @@ from curlfit.sheet import TEE
 from curlfit.stone import Stone
 
 SCHEMA = 1
-_SERIES = ("series", "band", "measured")
+_SERIES = ("series", "band", "measured", "sample")
 PREDICTED = ("x", "y", "phi")
 """Predicted channels."""
 QUANTITIES = {
@@ -117,6 +117,9 @@ class Prediction(Displayed):
     check : None, or the comparison with measured rows.
     measured : t (s since the start) and the measured channels of the fitted rows, on the sheet; for
         a new throw moved and turned to its start.
+    sample : the first of the draws, both errors included: "t" (s since the start, shape (times,)),
+        "x", "y", "phi" (shape (draws, times)), held once at rest, and "rest", its time, shape
+        (draws,); empty in records of earlier versions.
 
     Examples
     --------
@@ -152,6 +155,7 @@ class Prediction(Displayed):
     notes: tuple[str, ...]
     check: HeldOut | None = None
     measured: dict[str, Floats] = field(default_factory=dict)
+    sample: dict[str, Floats] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """The record as written to `predict.json`: the attributes, by name."""
@@ -171,6 +175,7 @@ class Prediction(Displayed):
             "series": listed,
             "band": {name: values.tolist() for name, values in self.band.items()},
             "measured": {name: values.tolist() for name, values in self.measured.items()},
+            "sample": {name: values.tolist() for name, values in self.sample.items()},
         }  # fmt: skip
 
     def summary(self) -> dict[str, Any]:
@@ -192,6 +197,10 @@ class Prediction(Displayed):
                 "series": _arrays(found["series"]),
                 "band": _arrays(found["band"]),
                 "measured": _arrays(found.get("measured", {})),
+                "sample": {
+                    name: np.array(values, float)
+                    for name, values in found.get("sample", {}).items()
+                },
                 "quantities": {
                     name: Quantity(
                         **known_fields(Quantity, item) | {"value": _number(item["value"])}

@@ -86,8 +86,9 @@ def profile(
     ] = None,
     figures: o.FigureFormats = None,
     no_figures: o.NoFigures = False,
+    report: o.Report = False,
     quiet: o.Quiet = False,
-) -> None:
+) -> o.Saved | None:
     """Profile likelihood: a parameter is fixed at many values, all others are fitted at each.
 
     The increase of chi squared gives intervals that are valid where it is not quadratic, and shows
@@ -153,6 +154,7 @@ def profile(
     console = terminal(quiet=quiet)
     print_profile(found, console)
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+    return o.saved(folder, report=report, quiet=quiet)
 
 
 def _range(text: str) -> tuple[float, float]:

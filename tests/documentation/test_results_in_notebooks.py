@@ -134,7 +134,7 @@ def test_what_a_fit_finds_comes_first_and_nothing_undetermined_has_an_error(know
     assert f"Warning: {fit.warnings[0]}." in page
     failed = replace(fit, converged=False, status="Did not converge: 200 steps were not enough")
     assert repr(failed).startswith("FitResult, did not converge: 200 steps were not enough:")
-    assert html._COLORS["red"] in failed._repr_html_().partition("<table")[0]
+    assert html.COLORS["red"] in failed._repr_html_().partition("<table")[0]
     assert "not determined" in repr(known["flat"]).splitlines()[0]
 
 
@@ -158,7 +158,7 @@ def test_colours_are_readable_on_white_and_on_black():
         curved = ((channels + 0.055) / 1.055) ** 2.4
         return np.where(channels <= 0.04045, channels / 12.92, curved) @ [0.2126, 0.7152, 0.0722]
 
-    for color in html._COLORS.values():
+    for color in html.COLORS.values():
         light = luminance(color)
         for page in ("#ffffff", "#111111"):
             pair = sorted((light + 0.05, luminance(page) + 0.05))

@@ -30,14 +30,6 @@ _DRAWS = 400  # of the posterior
 _SHOWN = ("determined", "prior")
 
 
-def counts_from_hack(fit: FitResult) -> bool:
-    """Whether y of the data is measured from the hack, by the notes of the reader."""
-    return any(
-        note.startswith("y from the hack") or (note.startswith("axes:") and "from-" in note)
-        for note in fit.data["notes"]
-    )
-
-
 class _Motion(NamedTuple):
     """A path within the record, at even times."""
 
@@ -197,7 +189,7 @@ def _definitions(fit: FitResult, best: _Motion) -> list[_Definition]:
             _Definition("friction", f"mean deceleration over g, {until}", "1", lambda m: m.friction)
         )
     passed: dict[str, float] = {}
-    if "y" in seen and counts_from_hack(fit):
+    if "y" in seen and fit.counts_from_hack:
         low, high = best.y.min() - _NEAR, best.y.max() + _NEAR
         passed = {name: LINES[name] for name in ("hog", "far-hog", "far-tee")
                   if low <= LINES[name] <= high}  # fmt: skip

@@ -367,6 +367,14 @@ class FitResult(NamedEstimates):
         )
 
     @property
+    def counts_from_hack(self) -> bool:
+        """Whether y of the data is measured from the hack, by the notes of the reader."""
+        return any(
+            note.startswith("y from the hack") or (note.startswith("axes:") and "from-" in note)
+            for note in self.data["notes"]
+        )
+
+    @property
     def _estimates(self) -> dict[str, Estimate]:
         """The parameters by name."""
         return self.parameters

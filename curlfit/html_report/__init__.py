@@ -1,0 +1,1 @@
+"""Reports: a saved result as one HTML page that needs no network."""

@@ -1,0 +1,222 @@
+"""A direction in parameter space that leaves the path unchanged, with the paths along it.
+
+Every path is that of the model at its own values of the parameters: that they are the same is for
+the reader to see, not an assumption.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from curlfit.exploration.curves import CurveModel, Curves
+from curlfit.html_report.document import Block
+from curlfit.html_report.replay import rounded, thin
+from curlfit.inference.fit.result import FitResult
+from curlfit.numerics.arrays import Floats
+from curlfit.output.text import compact, join_words
+from curlfit.throws.throw import UNITS
+
+_POSITIONS = 33  # along a direction
+_INSTANTS = 49  # of a path
+_REACH = 3.0  # values or typical sizes, where there is no bound
+_PRECISION = 1e-7  # of the computed path, m and rad
+_MEASURES = {"position": ("x", "y"), "angle": ("phi",), "speed": ("speed",), "spin": ("omega",)}
+_WIDTH, _HEIGHT, _MARGIN = 640.0, 200.0, 16.0  # of the drawing
+
+
+def directions_of(
+    fits: Sequence[FitResult], directions: Sequence[dict[str, float]], id: str
+) -> list[tuple[Block, dict[str, Any]]]:
+    """Directions of what some throws have in common, within the bounds, as far as there is room.
+
+    The path of the first throw is drawn; the changes are the largest of all throws.
+    """
+    models = [CurveModel(fit) for fit in fits if fit.fitted and fit.rms]
+    if not models:
+        return []
+    found = [
+        _direction(models, direction, f"{id}-{place}") for place, direction in enumerate(directions)
+    ]
+    return [item for item in found if item is not None]
+
+
+def positions_along(fit: FitResult, direction: dict[str, float]) -> Floats:
+    """Steps along a direction from the fit, 0 among them, at which all parameters are within their
+    bounds, or within a few of their sizes where they have none."""
+    ends = [-math.inf, math.inf]
+    for name, weight in direction.items():
+        item = fit.parameters[name]
+        far = _REACH * max(abs(item.value), item.typical)
+        low = max(item.lower, item.value - far) - item.value
+        high = min(item.upper, item.value + far) - item.value
+        first, last = sorted((low / weight, high / weight))
+        ends = [max(ends[0], first), min(ends[1], last)]
+    steps = np.linspace(ends[0], ends[1], _POSITIONS)
+    steps[np.argmin(np.abs(steps))] = 0.0  # the fit itself
+    return steps
+
+
+def _direction(
+    models: list[CurveModel], direction: dict[str, float], id: str
+) -> tuple[Block, dict[str, Any]] | None:
+    fit = models[0].fit
+    names = [name for name, weight in direction.items() if weight]
+    steps = positions_along(fit, {name: direction[name] for name in names})
+    if not np.isfinite(steps).all() or not np.ptp(steps) > 0:
+        return None
+    places = [list(fit.parameters).index(name) for name in names]
+    weights = np.array([direction[name] for name in names])
+
+    def at(model: CurveModel, step: float, count: int) -> Curves:
+        values = model.fit.values
+        values[places[:count]] += step * weights[:count]
+        # The step to a bound ends on it, but for rounding.
+        values = np.clip(values, fit.parameter_set.lower, fit.parameter_set.upper)
+        return model.at(values)
+
+    everywhere = [[at(one, float(step), len(names)) for step in steps] for one in models]
+    elsewhere = [[at(one, float(step), 1) for step in steps] for one in models]
+    start = int(np.flatnonzero(steps == 0)[0])
+    along, alone, best = everywhere[0], elsewhere[0], everywhere[0][start]
+    changes, apart = (
+        [_change([one[place] for one in curves], [one[start] for one in everywhere], models)
+         for place in range(len(steps))]
+        for curves in (everywhere, elsewhere)
+    )  # fmt: skip
+    sides = ("y", "x") if {"x", "y"} <= fit.rms.keys() else ("t", next(iter(fit.rms)))
+    some = thin(len(best.t), _INSTANTS)
+    curves = [[_series(one, name)[some] for name in sides] for one in along]
+    others = [[_series(one, name)[some] for name in sides] for one in alone]
+    whole = np.array(curves + others)
+    low, high = np.nanmin(whole, axis=(0, 2)), np.nanmax(whole, axis=(0, 2))
+    size = np.where(high > low, high - low, 1.0)
+    scale = [(_WIDTH - 2 * _MARGIN) / size[0], (_HEIGHT - 2 * _MARGIN) / size[1]]
+    sizes = {
+        name: max(abs(fit.parameters[name].value + step * direction[name]) for step in steps)
+        for name in names
+    }
+    what = "the path" if sides[0] == "y" else "what was measured"
+    data = {
+        "kind": "direction",
+        "what": what,
+        "names": names,
+        "values": [
+            rounded(np.array([fit.parameters[name].value for name in names]) + step * weights, 9)
+            for step in steps
+        ],
+        "sizes": [sizes[name] or 1.0 for name in names],
+        "low": low.tolist(), "scale": scale, "margin": _MARGIN,
+        "paths": [[rounded(values, 8) for values in one] for one in curves],
+        "alone": [[rounded(values, 4) for values in one] for one in others],
+        "changes": changes,
+        "apart": apart,
+        "chi_squared": [
+            _number(sum(one[place].chi_squared for one in everywhere))
+            for place in range(len(steps))
+        ],
+        "start": start,
+        "t": rounded(best.t[some], 6),
+    }  # fmt: skip
+    last = len(steps) - 1
+    largest = max((one for one in changes if one), key=lambda one: one["size"])
+    far = [one for one in apart if one]
+    block = Block(
+        "direction",
+        {
+            "id": id, "what": what, "names": names, "start": data["start"], "last": last,
+            "values": dict(zip(names, data["values"][data["start"]], strict=True)),
+            "shares": [
+                100 * abs(value) / size
+                for value, size in zip(data["values"][data["start"]], data["sizes"], strict=True)
+            ],
+            "sum": _constant(fit, names),
+            "largest": largest["text"], "joined": join_words(names),
+            "apart": max(far, key=lambda one: one["size"])["text"] if far else "",
+            "width": _WIDTH, "height": _HEIGHT, "margin": _MARGIN,
+            "axes": _axes(fit, sides, low, high, len(models)),
+            "points": _drawn(
+                np.array([_observed(fit, name)[thin(len(fit.observed["t"]), 200)]
+                          for name in sides]), low, scale
+            ),
+            "path": _drawn(np.array(curves[data["start"]]), low, scale),
+        },
+    )  # fmt: skip
+    return block, data
+
+
+def _constant(fit: FitResult, names: list[str]) -> str:
+    """The combination that stays the same, with its value."""
+    said = [
+        f"{item.expression} = {compact(item.value, item.stderr)}"
+        for item in fit.combinations
+        if set(item.weights) <= set(names)
+    ]
+    return join_words(said) if said else ""
+
+
+def _series(curves: Curves, name: str) -> Floats:
+    return curves.t if name == "t" else curves.path[name]
+
+
+def _observed(fit: FitResult, name: str) -> Floats:
+    return fit.observed[name]
+
+
+def _axes(fit: FitResult, sides: tuple[str, str], low: Floats, high: Floats, throws: int) -> str:
+    """What the drawing shows, in words."""
+    units = {"t": "s"} | UNITS
+    along, across = (
+        f"{name} ({a:.2f} .. {b:.2f} {units[name]})"
+        for name, a, b in zip(sides, low.round(2) + 0.0, high.round(2) + 0.0, strict=True)
+    )
+    name = Path(fit.data["file"]).name
+    return f"{across} against {along}" + (f" of {name}, one of {throws} throws" * (throws > 1))
+
+
+def _change(
+    curves: list[Curves], best: list[Curves], models: list[CurveModel]
+) -> dict[str, Any] | None:
+    """The largest change of the paths, of what was measured, in words; None where there is no
+    path."""
+    sizes: dict[str, float] = {}
+    for one, other, model in zip(curves, best, models, strict=True):
+        for name, channels in _MEASURES.items():
+            seen = [channel for channel in channels if channel in model.fit.rms]
+            if seen:
+                squares = sum((one.path[item] - other.path[item]) ** 2 for item in seen)
+                largest = float(np.max(np.sqrt(squares)))
+                sizes[name] = float(np.maximum(sizes.get(name, 0.0), largest))
+    if not all(map(math.isfinite, sizes.values())):
+        return None
+    said = [f"{_size(size, _MEASURES[name][0])} in {name}" for name, size in sizes.items()]
+    return {"size": max(sizes.values()), "text": join_words(said)}
+
+
+def _size(value: float, channel: str) -> str:
+    """A size to two digits, in thousandths unless it is large."""
+    unit = UNITS[channel]
+    if value >= 1:
+        return f"{value:.2g} {unit}" if value < 10 else f"{value:.0f} {unit}"
+    if value < _PRECISION:
+        return f"less than {1e3 * _PRECISION:.4f} m{unit}"
+    return f"{float(f'{1e3 * value:.2g}'):.10g} m{unit}"
+
+
+def _number(value: float) -> float | None:
+    return float(f"{value:.8g}") if math.isfinite(value) else None
+
+
+def _drawn(points: Floats, low: Floats, scale: list[float]) -> list[tuple[float, float]]:
+    """Places in the drawing, of values along two axes."""
+    across = _MARGIN + (points[0] - low[0]) * scale[0]
+    down = _HEIGHT - _MARGIN - (points[1] - low[1]) * scale[1]
+    return [
+        (u, v)
+        for u, v in zip(across.tolist(), down.tolist(), strict=True)
+        if math.isfinite(u) and math.isfinite(v)
+    ]

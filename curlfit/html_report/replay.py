@@ -1,0 +1,165 @@
+"""A throw that moves in the page: its path on the sheet, and the residuals at each instant."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from curlfit.html_report.document import Block
+from curlfit.inference.fit.result import FitResult
+from curlfit.numerics.arrays import Floats
+from curlfit.output.figures import DATA_COLOR
+from curlfit.output.text import decimals, join_words
+from curlfit.output.ticks import unit_for
+from curlfit.prediction.result import Prediction
+from curlfit.sheet import LINES, STONE_RADIUS, TEE, WIDTH
+
+_MOST = 600  # instants of a path in a page
+_NAMES = {
+    "x": ("to the right", "m"), "y": ("along the sheet", "m"), "phi": ("angle", "turns"),
+    "speed": ("speed", "m/s"), "omega": ("spin", "rad/s"),
+}  # fmt: skip
+_STARTS = {"x": ("x0", "heading"), "phi": ("phi0", "omega0"), "omega": ("omega0",)}
+_ASSUMED = ("fixed", "not identifiable")
+_TURN = {"phi": 2 * math.pi}
+_MARGIN = 0.4  # m beyond what is drawn of the sheet
+
+
+def sheet_view(x: Sequence[float], y: Sequence[float]) -> tuple[float, float, float, float]:
+    """The part of the plane to draw, the throw to the right: least y, least x, and the extent of
+    both, m; the sheet from hack to hack, and the path."""
+    half = WIDTH / 2
+    ends = min(0.0, *y) - _MARGIN, max(TEE + LINES["tee"], *y) + _MARGIN
+    sides = min(-half, *x) - _MARGIN / 2, max(half, *x) + _MARGIN / 2
+    return ends[0], sides[0], ends[1] - ends[0], sides[1] - sides[0]
+
+
+def thin(size: int, most: int = _MOST) -> Any:
+    """Indices of at most so many of `size` rows, first and last among them."""
+    return np.unique(np.linspace(0, size - 1, min(size, most)).astype(int))
+
+
+def rounded(values: Floats, places: int) -> list[float | None]:
+    """Numbers as short as may be; None where there is none."""
+    return [
+        float(round(value, places)) if math.isfinite(value) else None
+        for value in np.asarray(values, float).tolist()
+    ]
+
+
+def replay_of_fit(fit: FitResult, id: str, label: str = "") -> tuple[Block, dict[str, Any]] | None:
+    """The fitted throw; None where the record has no path, as of timed events alone."""
+    if not fit.fitted or len(fit.observed["t"]) < 2:
+        return None
+    some = thin(len(fit.observed["t"]))
+    t = fit.observed["t"][some]
+    path = {name: fit.fitted[name][some] for name in _NAMES}
+    shift = np.array([0.0, 0.0])
+    if fit.counts_from_hack or fit.events:
+        where = "The path is that of the fit, on the sheet as measured."
+    else:
+        start = [fit.parameters[name].value for name in ("x0", "y0")]
+        shift = np.array([0.0, LINES["hog"]]) - start
+        where = (
+            "The path is that of the fit, drawn from the near hog line, since the data do not say "
+            "where on the sheet they were taken."
+        )
+    assumed = [
+        name for name, starts in _STARTS.items()
+        if any(fit.parameters[start].verdict in _ASSUMED for start in starts)
+        and name not in fit.rms
+    ]  # fmt: skip
+    if assumed:
+        said = join_words([_NAMES[name][0] for name in assumed])
+        where += f" Not determined, and drawn as assumed: {said}."
+    measured = {
+        name: fit.observed[name][some] + add
+        for name, add in zip("xy", shift, strict=True)
+        if name in fit.rms
+    }
+    path["x"], path["y"] = path["x"] + shift[0], path["y"] + shift[1]
+    residuals = {name: values[some] for name, values in fit.residuals.items()}
+    shown = [name for name in _NAMES if name not in assumed]
+    return _replay(id, label, where, t, path, measured, residuals, fit.stone.R, shown)
+
+
+def replay_of_prediction(prediction: Prediction, id: str) -> tuple[Block, dict[str, Any]]:
+    """The predicted throw, to rest."""
+    series = prediction.series
+    ends = series["t"] <= prediction.quantities["time"].value
+    some = np.flatnonzero(ends | (np.cumsum(~ends) == 1))  # one more, at rest
+    some = some[thin(len(some))]
+    path = {name: series[name][some] for name in _NAMES}
+    measured = {name: prediction.measured[name] for name in "xy" if name in prediction.measured}
+    where = "The path is that of the best estimate."
+    stone = prediction.stone
+    return _replay(id, "", where, series["t"][some], path, measured, {}, stone.R, list(_NAMES))
+
+
+def _replay(
+    id: str, label: str, where: str, t: Floats, path: dict[str, Floats],
+    measured: dict[str, Floats], residuals: dict[str, Floats], ring: float,
+    names: list[str],
+) -> tuple[Block, dict[str, Any]]:  # fmt: skip
+    data: dict[str, Any] = {"t": rounded(t, 4)}
+    data |= {name: rounded(values, 5) for name, values in path.items()}
+    points: list[tuple[float, float]] = []
+    if {"x", "y"} <= measured.keys():
+        pairs = zip(measured["x"].tolist(), measured["y"].tolist(), strict=True)
+        points = [(x, y) for x, y in pairs if math.isfinite(x) and math.isfinite(y)]
+    traces, data["residuals"] = [], {}
+    for name, values in residuals.items():
+        finite = values[np.isfinite(values)]
+        if not len(finite):
+            continue
+        size, unit = unit_for(max(float(np.sqrt(np.mean(finite**2))), 1e-12), name)
+        scaled = values / size
+        reach = float(np.nanmax(np.abs(scaled))) or 1.0
+        places = min(decimals(reach / 10) + 1, 6)
+        data["residuals"][name] = {"unit": unit, "values": rounded(scaled, places)}
+        span = float(t[-1] - t[0])
+        dots = [
+            (float((time - t[0]) / span), float(-value / reach))
+            for time, value in zip(t, scaled, strict=True)
+            if math.isfinite(value)
+        ]
+        traces.append(
+            {
+                "name": name, "unit": unit, "reach": f"{float(f'{reach:.2g}'):g}", "dots": dots,
+                "color": DATA_COLOR,
+            }
+        )  # fmt: skip
+    view = sheet_view(path["x"].tolist(), path["y"].tolist())
+    shown = [
+        {
+            "name": name, "meaning": _NAMES[name][0], "unit": _NAMES[name][1],
+            "value": float(path[name][-1]) / _TURN.get(name, 1.0),
+            "residual": _last(data["residuals"].get(name)),
+        }
+        for name in names
+    ]  # fmt: skip
+    block = Block(
+        "replay",
+        {
+            "id": id, "label": label, "explained": id.endswith("-0"), "where": where,
+            "view": view, "points": points,
+            "path": list(zip(path["x"].tolist(), path["y"].tolist(), strict=True)),
+            "end": {name: float(path[name][-1]) for name in _NAMES},
+            "from": float(t[0]), "to": float(t[-1]), "step": _step(float(t[-1] - t[0])),
+            "traces": traces, "rows": shown, "radius": STONE_RADIUS, "ring": ring,
+        },
+    )  # fmt: skip
+    return block, {"kind": "replay", **data}
+
+
+def _last(found: dict[str, Any] | None) -> str:
+    value = None if found is None else found["values"][-1]
+    return "" if found is None or value is None else f"{value:+.3g} {found['unit']}"
+
+
+def _step(span: float) -> float:
+    """Of the slider, s: some hundred instants."""
+    return float(10.0 ** math.floor(math.log10(max(span, 1e-3) / 100)))

@@ -1,0 +1,78 @@
+"use strict";
+document.documentElement.classList.add("js");
+const moving = {}; // what starts a part, by its kind
+
+// Calls step(seconds) for every frame while it is on; with reduced motion, once a second.
+function clock(step) {
+  const calm = matchMedia("(prefers-reduced-motion: reduce)");
+  let on = false, last = 0, timer = 0;
+  function tick() {
+    const now = performance.now();
+    const passed = Math.min((now - last) / 1000, 1.5);
+    last = now;
+    step(passed);
+    if (on) wait();
+  }
+  function wait() {
+    if (calm.matches) timer = setTimeout(tick, 1000);
+    else timer = requestAnimationFrame(tick);
+  }
+  return {
+    get on() { return on; },
+    start() {
+      if (on) return;
+      on = true;
+      last = performance.now();
+      wait();
+    },
+    stop() {
+      on = false;
+      clearTimeout(timer);
+      cancelAnimationFrame(timer);
+    },
+  };
+}
+
+function parts(root) {
+  return name => root.querySelector(`[data-part="${name}"]`);
+}
+
+// Space plays and pauses wherever it does nothing of its own.
+function spaceToggles(root, toggle) {
+  root.addEventListener("keydown", event => {
+    const own = event.target.closest("button, select");
+    if (event.key !== " " || own) return;
+    event.preventDefault();
+    toggle();
+  });
+}
+
+// On paper, what has come to its end.
+function finishedInPrint(finish, resume) {
+  addEventListener("beforeprint", finish);
+  addEventListener("afterprint", resume);
+}
+
+// What a screen reader is told: not more often than a person can listen.
+function teller(element) {
+  let last = 0;
+  return (text, now) => {
+    const time = performance.now();
+    if (!now && time - last < 3000) return;
+    last = time;
+    element.textContent = text;
+  };
+}
+
+function side(x) {
+  return Math.abs(x) < 0.005 ? "on the centre line"
+    : `${Math.abs(x).toFixed(2)} m ${x < 0 ? "left" : "right"} of the centre line`;
+}
+
+addEventListener("DOMContentLoaded", () => {
+  const data = JSON.parse(document.getElementById("data").textContent);
+  for (const [id, own] of Object.entries(data)) {
+    const root = document.getElementById(id);
+    if (root) moving[own.kind](root, own);
+  }
+});

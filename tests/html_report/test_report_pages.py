@@ -1,0 +1,414 @@
+"""The pages of results: whole, self-contained, and of the numbers of the record."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+import report_records
+import typer
+from conftest import Reference, front_back
+
+import curlfit
+from curlfit.cli import _finished
+from curlfit.html_report.page import page_of, render
+from curlfit.html_report.provenance import fit_command, fit_flags
+from curlfit.html_report.replay import replay_of_fit
+from curlfit.inference.parameters import ParameterSet
+from curlfit.options import settings
+from curlfit.options.flags import Saved
+from curlfit.prediction.result import Prediction
+
+KINDS = ("fit", "joint", "comparison", "profile", "prediction", "design")
+HOSTILE = """</script>--><img src=x onerror="alert('1')">&<!--`\u2028'.csv"""
+VOID = {"meta", "br", "input"}
+MOST = 3_000_000  # characters
+
+
+class Page(HTMLParser):
+    """Elements of a page, which must close what it opens, with their attributes and texts."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.source, self.open, self.elements, self.tables = text, [], [], []
+        self.texts = {}
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        names = [name for name, _ in attrs]
+        assert len(names) == len(set(names)), (tag, attrs)
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "table":
+            self.tables.append([])
+        if tag == "tr":
+            self.tables[-1].append([])
+        if tag in ("th", "td"):
+            self.tables[-1][-1].append("")
+
+    def handle_startendtag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        where = self.open[-1] if self.open else ""
+        self.texts.setdefault(where, []).append(data)
+        if {"th", "td"} & set(self.open):
+            self.tables[-1][-1][-1] += data
+
+    def of(self, tag):
+        return [attributes for name, attributes in self.elements if name == tag]
+
+    def values(self, name):
+        return [found[name] for _, found in self.elements if name in found]
+
+    @property
+    def data(self):
+        found = re.search(r'id="data">(.*?)</script>', self.source, re.S)
+        return json.loads(found[1])
+
+    def table(self, head):
+        """Rows of the table whose first heading is this."""
+        (found,) = [rows for rows in self.tables if rows[0][:1] == [head]]
+        return found
+
+
+@pytest.fixture(scope="module")
+def records(eq12):
+    return report_records.of_all(eq12)
+
+
+@pytest.fixture(scope="module")
+def pages(records):
+    chains = {"fit": records["chain"]}
+    return {kind: Page(render(page_of(records[kind], chains.get(kind)))) for kind in KINDS}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_page_is_whole_and_loads_nothing(pages, kind):
+    page = pages[kind]
+    assert len(page.source.encode()) < MOST
+    ids = page.values("id")
+    assert len(ids) == len(set(ids))
+    known = set(ids)
+    for name in ("for", "aria-labelledby"):
+        for value in page.values(name):
+            assert set(value.split()) <= known, value
+    links = page.values("href")
+    assert links
+    for link in links:
+        assert link.startswith("data:image/png;base64,") or link[1:] in known, link[:80]
+        assert link[0] in "#d"
+    assert not page.values("src")
+    assert not page.of("link")
+    for found in re.findall(r"url\(([^)]*)\)", page.source):
+        assert found.startswith("#")
+        assert found[1:] in known
+    assert "@import" not in page.source
+    assert not re.search(r"https?:", page.source)
+    policy = [one for one in page.of("meta") if "http-equiv" in one]
+    assert "default-src 'none'" in policy[0]["content"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_page_can_be_read_without_eyes(pages, kind):
+    page = pages[kind]
+    assert page.of("html") == [{"lang": "en"}]
+    for tag in ("main", "nav", "header", "footer", "h1", "title"):
+        assert page.of(tag), tag
+    assert page.texts["h2"][0] == "Finding"
+    tables = len(page.tables)
+    assert page.source.count("<caption>") == tables > 0
+    heads = page.of("th")
+    assert heads
+    assert all(one.get("scope") in ("col", "row") for one in heads)
+    for one in page.of("svg"):
+        assert one["role"] == "img"
+        assert one["aria-labelledby"] in page.values("id")
+    for tag in ("input", "select"):
+        for one in page.of(tag):
+            assert one["id"] in page.values("for")
+    for one in page.of("button"):
+        assert one["type"] == "button"
+
+
+def test_the_numbers_of_the_table_are_those_of_the_record(pages, records):
+    fit = records["fit"]
+    rows = {row[0].partition(" (")[0]: row for row in pages["fit"].table("parameter")[1:]}
+    sums = {item.expression: item for item in fit.combinations}
+    assert rows.keys() == fit.parameters.keys() | sums.keys()
+    for name, (_, shown, error, *_) in rows.items():
+        item = fit.parameters.get(name) or sums[name]
+        if name in ("mu1_eta", "mu2_eta"):
+            assert (shown, error) == ("-", "-")
+            continue
+        for text, value in ((shown, item.value), (error, item.stderr)):
+            digits = len(text.partition(".")[2])
+            assert abs(float(text) - value) <= 0.51 * 10**-digits, name
+        assert len(error.lstrip("0.")) == 2
+    said = " ".join(pages["fit"].texts["p"])
+    assert "mu1_eta and mu2_eta are not identifiable" in said
+    for warning in fit.warnings:
+        assert warning[5:] in html.unescape(pages["fit"].source)
+
+
+def test_lengths_are_in_metres_and_in_feet(pages, records):
+    rows = {row[0]: row[1] for row in pages["fit"].table("along the fitted path")[1:]}
+    metres, feet = (
+        float(rows[f"curl to the left, at the end of the record ({unit})"]) for unit in ("m", "ft")
+    )
+    assert metres == pytest.approx(-records["fit"].quantities["curl"].value, abs=1e-5)
+    assert feet == pytest.approx(metres / 0.3048, abs=1e-4)
+
+
+def test_the_stone_moves_along_the_path_of_the_record(pages, records):
+    fit, data = records["fit"], pages["fit"].data["replay-0"]
+    assert data["t"] == fit.observed["t"].tolist()
+    # the file does not say where y = 0 is: the throw is drawn from the near hog line, 10.059 m
+    shift = 10.059 - fit.parameters["y0"].value
+    np.testing.assert_allclose(data["y"], fit.fitted["y"] + shift, atol=6e-6)
+    np.testing.assert_allclose(data["phi"], fit.fitted["phi"], atol=6e-6)
+    off = fit.observed["y"] - fit.fitted["y"]
+    shown = data["residuals"]["y"]
+    assert shown["unit"] == "mm"
+    np.testing.assert_allclose(shown["values"], 1000 * off, rtol=0.01, atol=0.01)
+
+
+def test_every_path_along_a_null_direction_is_that_of_its_own_values(pages, records):
+    """Against an integration that shares nothing with the program."""
+    fit, data = records["fit"], pages["fit"].data["direction-0"]
+    values = np.array(data["values"])
+    assert data["names"] == ["mu1_eta", "mu2_eta"]
+    np.testing.assert_allclose(values.sum(1), fit.combinations[0].value, atol=2e-9)
+    assert values.min() == 0  # as far as the bounds let it
+    assert np.ptp(values[:, 0]) == pytest.approx(fit.combinations[0].value, rel=1e-6)
+    start = curlfit.InitialState(
+        *(fit.parameters[name].value for name in ("x0", "y0", "heading", "v0", "phi0", "omega0"))
+    )
+    fixed = [fit.parameters[name].value for name in ("mu1_xi", "mu2_xi")]
+    times = np.array(data["t"])[::8]
+
+    def reference(*eta):
+        law = front_back(*fixed, *eta)
+        return Reference(law, R=fit.stone.R, rho=fit.stone.rho).path(start, times)
+
+    y, x = np.array(data["paths"][0])[:, ::8]
+    np.testing.assert_allclose([x, y], reference(*values[0])[:2], atol=3e-7)
+    last = fit.parameters["mu2_eta"].value
+    y, x = np.array(data["alone"][4])[:, ::8]
+    np.testing.assert_allclose([x, y], reference(values[4, 0], last)[:2], atol=1e-4)
+
+    paths = np.array(data["paths"])
+    moved = np.hypot(*(paths - paths[data["start"]]).swapaxes(0, 1)).max()
+    assert moved < 1e-7
+    assert data["changes"][0]["text"].startswith("less than 0.0001 mm in position")
+    alone = np.array(data["alone"][0]) - paths[data["start"]]
+    said = float(re.match(r"([\d.]+) m in position", data["apart"][0]["text"])[1])
+    # the page has fewer instants than it takes the largest change of
+    assert said == pytest.approx(np.hypot(*alone).max(), rel=0.06)
+
+
+def test_draws_come_to_rest_where_the_prediction_has_them(pages, records):
+    prediction, data = records["prediction"], pages["prediction"].data["rests"]
+    ends = np.array([[row[-1] for row in data[name]] for name in "xy"])
+    assert ends.shape == (2, 60)
+    spread = np.sqrt(np.diag(prediction.rest["both"]) / 60)
+    assert (np.abs(ends.mean(1) - prediction.rest["mean"]) < 5 * spread).all()
+    times, y = np.array(data["t"]), np.array(data["y"])
+    for row, rest in zip(y, data["rest"], strict=True):
+        assert np.ptp(row[times >= rest]) == 0
+        assert row[0] < 11 < 30 < row[-1]
+    seen = np.hypot(ends[0], ends[1] - data["tee"]) < 1.829 + 0.145
+    assert data["inside"] == seen.tolist()
+
+
+def test_predictions_of_earlier_versions_have_no_draws(records):
+    record = records["prediction"].to_json()
+    again = Prediction.from_json(record)
+    np.testing.assert_array_equal(again.sample["x"], records["prediction"].sample["x"])
+    del record["sample"]
+    old = Prediction.from_json(record)
+    assert old.sample == {}
+    page = Page(render(page_of(old)))
+    assert page.data.keys() == {"replay-0"}
+    assert "without draws of the posterior" in page.source
+
+
+def test_hostile_names_stay_text(records):
+    fit = records["fit"]
+    named = replace(fit, data=fit.data | {"file": HOSTILE, "notes": [HOSTILE]}, warnings=(HOSTILE,))
+    page = Page(render(page_of(named)))
+    assert not page.of("img")
+    assert len(page.of("script")) == 2
+    assert HOSTILE in "".join(page.texts["td"])
+    assert HOSTILE.rpartition("/")[2] in "".join(page.texts["h1"])
+    assert page.data.keys() == {"direction-0", "replay-0"}
+    alike = replace(named, null_directions=())
+    page = Page(render(page_of(replace(records["joint"], throws=(alike, alike)))))
+    assert not page.of("img")
+    assert HOSTILE.rpartition("/")[2] in "".join(page.texts["h3"])
+
+
+def test_data_of_any_text_can_be_embedded():
+    from curlfit.html_report.page import _embedded
+
+    data = {HOSTILE: [HOSTILE, float("nan"), 1.5]}
+    text = _embedded(data)
+    assert not set("<>&\u2028") & set(text)
+    assert json.loads(text) == {HOSTILE: [HOSTILE, None, 1.5]}
+
+
+def test_a_page_is_the_same_each_time(pages, records):
+    assert render(page_of(records["profile"])) == pages["profile"].source
+
+
+def test_what_is_not_determined_is_not_shown_at_an_instant(records):
+    """A throw without angles: its handle is drawn, but no number is given of it."""
+    fit = records["fit"]
+    unseen = {
+        name: replace(fit.parameters[name], verdict="fixed", stderr=None) for name in ("phi0",)
+    }
+    without = replace(
+        fit, parameters=fit.parameters | unseen,
+        rms={name: value for name, value in fit.rms.items() if name != "phi"},
+    )  # fmt: skip
+    block, _ = replay_of_fit(without, "replay")
+    assert [row["name"] for row in block.shows["rows"]] == ["x", "y", "speed", "omega"]
+    assert block.shows["where"].endswith("Not determined, and drawn as assumed: angle.")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, records):
+    folder = tmp_path_factory.mktemp("saved")
+    names = {"comparison": "compare", "prediction": "predict"}
+    for kind in KINDS:
+        if kind != "joint":
+            name = names.get(kind, kind)
+            (folder / kind).mkdir()
+            records[kind].save(folder / kind / f"{name}.json")
+    return folder
+
+
+def test_pages_that_integrate_nothing_load_no_jax(folder):
+    code = (
+        "import sys, curlfit\n"
+        "for kind in ('comparison', 'prediction'):\n"
+        "    result = getattr(curlfit, f'load_{kind}')(kind)\n"
+        "    curlfit.write_report(result, f'{kind}/report.html')\n"
+        "print('jax' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "False\n"
+
+
+def test_the_command_writes_the_page_beside_the_result(folder, typed, monkeypatch):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    said = typed("report", "comparison", "--open")
+    assert said == "Written: comparison/report.html\n"
+    assert opened == [(folder / "comparison" / "report.html").as_uri()]
+    text = (folder / "comparison" / "report.html").read_text(encoding="utf-8")
+    assert text == render(page_of(curlfit.load_comparison(folder / "comparison")))
+    assert typed("report", "profile/profile.json", "--out", "new/a.html") == "Written: new/a.html\n"
+    assert (folder / "new" / "a.html").read_text().startswith("<!doctype html>")
+
+
+def test_verbs_write_the_page_on_request(folder, typed):
+    said = typed("profile", "fit", "--param", "mu1_xi", "--points", 5, "--no-figures", "--report")
+    assert said.endswith("Written: fit-profile-mu1_xi/report.html\n")
+    page = folder / "fit-profile-mu1_xi" / "report.html"
+    assert page.is_file()
+    typed("profile", "fit", "--param", "mu1_xi", "--points", 5, "--no-figures")
+    assert not page.exists()  # it was of the earlier result
+    assert typed("predict", "fit", "--draws", 100, "--quiet", "--report", "--out", "p") == ""
+    assert "rests" in Page((folder / "p" / "report.html").read_text()).data
+    with pytest.raises(typer.Exit) as left:
+        _finished(Saved(folder / "comparison", quiet=True, status=1))
+    assert left.value.exit_code == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("nowhere",), "nowhere: no such file"),
+        (("comparison", "--out", "fit"), "fit: this is a folder, expected the name of an HTML"),
+        (("comparison", "--out", "fit/fit.json/a.html"), "expected a folder for the results"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_a_sentence(folder, monkeypatch, capsys, words, said):
+    from curlfit.cli import main
+
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", ["curlfit", "report", *words])
+    with pytest.raises(SystemExit) as left:
+        main()
+    error = capsys.readouterr().err
+    assert left.value.code == 2
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_only_results_have_pages():
+    with pytest.raises(curlfit.InputError, match="a Stone has no report; expected a fit"):
+        curlfit.write_report(curlfit.Stone(), "a.html")
+
+
+def test_the_command_on_the_page_makes_the_fit_again(eq12, folder, typed):
+    fit = curlfit.fit(
+        eq12, "coulomb", stone=curlfit.Stone(R=0.06), until=15, exclude=[(3, 4)],
+        fix={"heading": -0.001}, bounds={"mu": (0, 0.5)}, loss="student",
+        systematics={"drag": 0.4},
+    )  # fmt: skip
+    line = fit_command(fit)
+    assert line.replace(" ", "</span> <span>") in html.unescape(render(page_of(fit)))
+    typed(*shlex.split(line)[1:], "--no-figures", "--quiet", "--out", "again")
+    again = curlfit.load_fit(folder / "again")
+    assert again.parameters == fit.parameters
+    assert again.systematics == fit.systematics
+    assert (again.law, again.stone, again.loss) == (fit.law, fit.stone, fit.loss)
+
+
+def test_flags_of_parameters_are_those_of_the_fit(records):
+    """Priors, conditions and bounds, without another fit."""
+    from curlfit.friction import LAWS
+
+    law = LAWS["front-back"]
+    chosen = ParameterSet.build(
+        law, fix={"mu1_xi": 0.001}, bounds={"mu2_xi": (0, 0.2)}, free=["slope_x"],
+        priors={"rho": "0.1+-0.0025", "v0": "uniform:1.5,2.5"},
+    )  # fmt: skip
+    fit = records["fit"]
+    own = {item.name for item in chosen.parameters}
+    estimates = {}
+    for item in chosen.parameters:
+        value = chosen.fixed.get(item.name, (max(item.lower, -1) + min(item.upper, 1)) / 2)
+        estimates[item.name] = replace(
+            fit.parameters["x0"], value=value, lower=item.lower, upper=item.upper,
+            verdict="fixed" if item.name in chosen.fixed else "determined",
+            prior=str(chosen.priors.get(item.name, "")),
+        )  # fmt: skip
+    assert own == estimates.keys()
+    flags = [flag.partition("=")[::2] for flag in fit_flags(replace(fit, parameters=estimates))]
+    given = {name: [text for flag, text in flags if flag == f"--{name}"] for name, _ in
+             {flag[2:]: None for flag, _ in flags}.items()}  # fmt: skip
+    again = ParameterSet.build(
+        law, fix=settings.pairs("--fix", given["fix"]),
+        bounds=settings.intervals("--bound", given["bound"]),
+        free=settings.names(given["free"]), priors=settings.texts("--prior", given["prior"]),
+    )  # fmt: skip
+    assert again == chosen
