@@ -56,15 +56,16 @@ def replay_of_fit(fit: FitResult, id: str, label: str = "") -> tuple[Block, dict
         return None
     some = thin(len(fit.observed["t"]))
     t = fit.observed["t"][some]
-    path = {name: fit.fitted[name][some] for name in _NAMES}
+    path = {name: fit.predicted[name][some] for name in _NAMES}
     shift = np.array([0.0, 0.0])
+    what = "the law with the model discrepancy" if fit.discrepancy else "the fit"
     if fit.counts_from_hack or fit.events:
-        where = "The path is that of the fit, on the sheet as measured."
+        where = f"The path is that of {what}, on the sheet as measured."
     else:
         start = [fit.parameters[name].value for name in ("x0", "y0")]
         shift = np.array([0.0, LINES["hog"]]) - start
         where = (
-            "The path is that of the fit, drawn from the near hog line, since the data do not say "
+            f"The path is that of {what}, drawn from the near hog line, since the data do not say "
             "where on the sheet they were taken."
         )
     assumed = [
@@ -81,7 +82,9 @@ def replay_of_fit(fit: FitResult, id: str, label: str = "") -> tuple[Block, dict
         if name in fit.rms
     }
     path["x"], path["y"] = path["x"] + shift[0], path["y"] + shift[1]
-    residuals = {name: values[some] for name, values in fit.residuals.items()}
+    residuals = {
+        name: fit.observed[name][some] - fit.predicted[name][some] for name in fit.residuals
+    }
     shown = [name for name in _NAMES if name not in assumed]
     return _replay(id, label, where, t, path, measured, residuals, fit.stone.R, shown)
 
