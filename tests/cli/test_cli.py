@@ -282,12 +282,11 @@ def test_how_to_read_may_stand_in_the_configuration(tmp_path):
 
 
 def test_the_seed_may_stand_in_the_file_and_in_the_configuration(tmp_path):
-    made = curlfit("simulate", "--law", "coulomb", "--noise-xy", 0.005, "--out", "a.csv",
-                   cwd=tmp_path)  # fmt: skip
+    made = curlfit("simulate", "--noise-xy", 0.005, "--out", "a.csv", cwd=tmp_path)
     assert made.returncode == 0
     (tmp_path / "a.csv").write_text("# seed = 5\n" + (tmp_path / "a.csv").read_text())
     (tmp_path / "c.toml").write_text("seed = 6\n")
-    words = ("fit", "a.csv", "--law", "coulomb", "--effective", 100, "--no-figures")
+    words = ("fit", "a.csv", "--effective", 100, "--no-figures")
     for more, seed in (
         ((), 5), (("--config", "c.toml"), 6), (("--config", "c.toml", "--seed", 0), 0),
     ):  # fmt: skip
