@@ -7,9 +7,10 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import chdir, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from io import StringIO
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -61,12 +62,39 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: place.get(item.path.stem, 0))
 
 
-def command(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """`curlfit` as a process, in a folder."""
+class Ran(NamedTuple):
+    """What a run of `curlfit` left: the names are those of `subprocess`."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def process(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """`curlfit` as a process of its own, in a folder."""
     return subprocess.run(
         [sys.executable, "-m", "curlfit", *map(str, words)],
         cwd=cwd, capture_output=True, text=True, timeout=300, check=False,
+        env=os.environ,  # not that of the C library, to which readline adds the width of a terminal
     )  # fmt: skip
+
+
+def command(*words: object, cwd: Path) -> Ran:
+    """What that process would do, in this one: it need not load JAX and the programs again."""
+    from curlfit.cli import main
+    from curlfit.errors import warn_once
+
+    warn_once.cache_clear()
+    before, status = sys.argv, 0
+    with chdir(cwd), redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
+        sys.argv = ["curlfit", *map(str, words)]
+        try:
+            main()
+        except SystemExit as ended:
+            status = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+        finally:
+            sys.argv = before
+    return Ran(status, out.getvalue(), err.getvalue())
 
 
 @pytest.fixture

@@ -12,11 +12,16 @@ from curlfit.dynamics.quadrature import panels
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from curlfit.friction import Law, LocalLaw
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.compiled import compiled, in_batches
 from curlfit.stone import Stone
+
+_MOST = 500
+"""Coefficient vectors that a law is tried with."""
 
 
 def opposes_sliding(law: type[Law]) -> bool:
@@ -46,8 +51,8 @@ def sides_of_curl(law: type[Law], load: str, result: FitResult) -> tuple[str, ..
         for item in items
     ]
     grid = np.array(list(product(*ranges)))
-    if len(grid) > 500:
-        grid = grid[np.random.default_rng(0).choice(len(grid), 500, replace=False)]
+    if len(grid) > _MOST:
+        grid = grid[np.random.default_rng(0).choice(len(grid), _MOST, replace=False)]
     v = float(np.median(result.fitted["speed"]))
     omega = float(np.median(np.abs(result.fitted["omega"])))
     xi, eta, _ = _over_coefficients(law, load, grid, result.stone, v, omega)
@@ -59,8 +64,19 @@ def sides_of_curl(law: type[Law], load: str, result: FitResult) -> tuple[str, ..
 def _over_coefficients(
     law: type[Law], load: str, grid: Floats, stone: Stone, v: float, omega: float
 ) -> tuple[Floats, ...]:
-    def one(coefficients: Any) -> Any:
-        # half a radian after release, where a law that depends on the angle still does
-        return accelerations(law.from_vector(coefficients), stone, load, v, omega, 0.5)  # type: ignore[arg-type]
+    def program(rows: Floats) -> Any:
+        return _accelerations(law, load, rows, stone, v, omega)
 
-    return tuple(np.asarray(item) for item in jax.jit(jax.vmap(one))(grid))
+    found: tuple[Floats, ...] = in_batches(program, (grid,), _MOST)
+    return found
+
+
+@compiled("law", "load")
+def _accelerations(
+    law: type[Law], load: Any, grid: Array, stone: Stone, v: Array, omega: Array
+) -> tuple[Array, ...]:
+    def one(coefficients: Array) -> tuple[Array, ...]:
+        # half a radian after release, where a law that depends on the angle still does
+        return accelerations(law.from_vector(coefficients), stone, load, v, omega, 0.5)
+
+    return jax.vmap(one)(grid)

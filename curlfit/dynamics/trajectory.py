@@ -18,12 +18,14 @@ from jaxtyping import Array, ArrayLike
 
 from curlfit.environment import Environment
 from curlfit.friction import Law, Load, check_load
+from curlfit.numerics.compiled import compiled
 from curlfit.output.display import Displayed, Overview
 from curlfit.output.frames import frame
 from curlfit.output.text import plain_table
 from curlfit.stone import Stone
 
 _REST_TIME = 1e30  # s, when every stone is at rest
+_FEWEST_ROWS = 64  # of a program, which serves fewer too
 
 
 @partial(
@@ -240,6 +242,9 @@ def simulate(
     True
     """
     checked = check_load(load)
+    given = (law, stone, start, environment, times, t0)
+    if np.size(times) and not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(given)):
+        return _simulate_known(law, stone, start, times, t0, environment, checked)
     times = jnp.asarray(times, float)
     t0 = jnp.min(times) if t0 is None else jnp.asarray(t0, float)
     law, stone, start, environment = jax.tree.map(
@@ -260,6 +265,46 @@ def simulate(
         )
         path = jax.tree.map(lambda values: values[back] if values.ndim else values, path)
     return replace(path, t=times)
+
+
+def _simulate_known(
+    law: Law, stone: Stone, start: InitialState, times: ArrayLike, t0: ArrayLike | None,
+    environment: Environment | None, load: Load,
+) -> Trajectory:  # fmt: skip
+    """The same outside of JAX's transformations: by a program that is kept on disk and serves all
+    numbers of rows up to a power of two."""
+    t = np.asarray(times, float)
+    finite = np.where(t == np.inf, _REST_TIME, t)
+    order = np.argsort(finite, kind="stable")
+    padded = np.full(max(_FEWEST_ROWS, 1 << (len(t) - 1).bit_length()), np.inf)  # rows not used
+    padded[: len(t)] = finite[order]
+    stone, start, environment, coefficients = jax.tree.map(
+        lambda value: np.asarray(value, float),
+        (stone, start, environment, np.array([float(x) for x in jax.tree.leaves(law)])),
+    )
+    first = t.min() if t0 is None else np.asarray(t0, float)
+    path = _padded_trajectory(
+        type(law), load, coefficients, stone, environment, start, padded, first
+    )
+    back = np.argsort(order)
+
+    def own_rows(values: Array) -> Array:
+        return jnp.asarray(np.asarray(values)[back]) if values.ndim else values
+
+    return replace(jax.tree.map(own_rows, path), t=jnp.asarray(t))
+
+
+@compiled("law", "load")
+def _padded_trajectory(
+    law: type[Law], load: Load, coefficients: Array, stone: Stone,
+    environment: Environment | None, start: InitialState, times: Array, t0: Array,
+) -> Trajectory:  # fmt: skip
+    forces = None
+    if environment is not None:
+        forces = forces_on(stone, environment, start.heading, t0)
+    return ordered_trajectory(
+        law.from_vector(coefficients), stone, forces, start, times, t0, load=load
+    )
 
 
 def _non_decreasing(times: Array) -> bool:

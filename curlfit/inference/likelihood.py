@@ -87,7 +87,19 @@ def _scaled(position: Array, start: Array, scale: Any) -> Array:
     return position if isinstance(scale, float) else start + scale * (position - start)
 
 
-predict_channels = compiled("model")(_channels)
+_single_channels = compiled("model")(_channels)
+
+
+def predict_channels(model: Model, values: Any, problem: Problem) -> Array:
+    """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, in the
+    columns of a sixth row."""
+    found: Array = _single_channels(model, values, _without_data(problem))
+    return found
+
+
+def _without_data(problem: Problem) -> Problem:
+    """What a path depends on: one program serves all channels, losses and noises."""
+    return problem._replace(observed=None, weight=None, loss=None, whitener=None)
 
 
 @compiled("model")
@@ -101,7 +113,7 @@ def predict_many(model: Model, values: Floats, problems: Problem, batch: int = B
         pairs = zip(values, unstacked(problems), strict=True)
         return np.array([predict_channels(model, *pair) for pair in pairs])
     program = partial(_batch_of_channels, model)
-    return np.asarray(in_batches(program, (values, problems), batch))
+    return np.asarray(in_batches(program, (values, _without_data(problems)), batch))
 
 
 def _unpadded_times(problem: Problem) -> Array:

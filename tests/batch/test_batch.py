@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 import pytest
-from conftest import command
+from conftest import command, process
 from distributed import Client, LocalCluster
 from sample_files import log, shot, two_masses
 
@@ -279,7 +279,7 @@ def test_a_log_cut_off_between_its_shots_is_completed(logs, tmp_path):
         assert command(*words, cwd=tmp_path).returncode == 0
         assert out.read_bytes() == whole
     # Rows of files that are not asked for again stay.
-    other = command("batch", str(logs / "b.txt"), "--out", str(out), cwd=tmp_path)
+    other = command("batch", str(logs / "b.txt"), *words[2:], cwd=tmp_path)
     assert other.returncode == 0
     assert out.read_bytes() == whole
 
@@ -294,7 +294,8 @@ def test_a_log_cut_off_between_its_shots_is_completed(logs, tmp_path):
 )
 def test_the_exit_status_tells_what_became_of_the_throws(season, tmp_path, names, status, said):
     out = tmp_path / "r.csv"
-    words = ["batch", *(str(season / name) for name in names), "--out", str(out), "--quiet"]
+    words = ["batch", *(str(season / name) for name in names), "--out", str(out), "--quiet",
+             "--workers", "1"]  # fmt: skip
     for _ in range(2):  # the second time with everything in the table
         run = command(*words, cwd=tmp_path)
         assert run.returncode == status
@@ -305,9 +306,10 @@ def test_the_exit_status_tells_what_became_of_the_throws(season, tmp_path, names
 
 
 def test_the_table_may_lie_among_the_throws(season, tmp_path):
+    """As a user starts it: a process, which shares the work between others."""
     (tmp_path / "a.csv").write_bytes((season / "throw0.csv").read_bytes())
-    for _ in range(2):
-        assert command("batch", ".", cwd=tmp_path).returncode == 0
+    assert process("batch", ".", cwd=tmp_path).returncode == 0
+    assert command("batch", ".", "--workers", 1, cwd=tmp_path).returncode == 0
     assert [row["file"] for row in table(tmp_path / "results.csv")] == ["a.csv"]
 
 
@@ -361,7 +363,8 @@ def test_what_is_not_a_table_of_batch_is_left_alone(season, tmp_path, files, sai
 
 
 def test_rows_of_other_settings_are_begun_anew_with_again(season, tmp_path):
-    words = ["batch", str(season / "throw0.csv"), "--out", str(tmp_path / "r.csv"), "--quiet"]
+    words = ["batch", str(season / "throw0.csv"), "--out", str(tmp_path / "r.csv"), "--quiet",
+             "--workers", "1"]  # fmt: skip
     (tmp_path / "r.csv").write_text('# curlfit batch {"law": "coulomb"}\nfile,status\n')
     assert command(*words, "--again", cwd=tmp_path).returncode == 0
     first = (tmp_path / "r.csv").read_bytes()
@@ -384,7 +387,7 @@ def test_whoever_does_the_work_the_table_is_the_same(season, tmp_path):
     texts = []
     for words in (["--workers", "1"], ["--workers", "2"], ["--dask", "local", "--workers", "2"]):
         out = tmp_path / "results.csv"
-        done = command("batch", str(season), "--again", "--out", str(out), *words, cwd=tmp_path)
+        done = process("batch", str(season), "--again", "--out", str(out), *words, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         texts.append(out.read_bytes())
     assert texts[0] == texts[1] == texts[2]

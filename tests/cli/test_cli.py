@@ -1,4 +1,4 @@
-"""The command as a process: what the book promises, and every refusal."""
+"""The command: what the book promises, and every refusal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import DATA
+from conftest import DATA, process
 from conftest import command as curlfit
 from sample_files import PIXELS, PLAIN, SAMPLES, known_points
 
@@ -20,7 +20,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
     folder = tmp_path_factory.mktemp("main")
-    return folder, curlfit("fit", DATA, "--out", "fit", cwd=folder)
+    return folder, process("fit", DATA, "--out", "fit", cwd=folder)
 
 
 def test_the_main_command_reports_what_it_must(done):
@@ -180,6 +180,20 @@ def test_refusals(words, said, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("fit", "nothing.csv"), "curlfit: nothing.csv: no such file"),
+        (("fit", DATA, "--nonsense"), "No such option"),
+    ],
+)
+def test_a_refusal_ends_the_process_with_status_2(words, said, tmp_path):
+    run = process(*words, cwd=tmp_path)
+    assert (run.returncode, run.stdout) == (2, "")
+    assert said in run.stderr
+    assert "Traceback" not in run.stderr
+
+
 def test_a_refused_fit_leaves_earlier_results_alone(done, tmp_path):
     folder, _ = done
     before = {file.name: file.read_bytes() for file in (folder / "fit").iterdir()}
@@ -192,36 +206,31 @@ def test_a_refused_fit_leaves_earlier_results_alone(done, tmp_path):
 
 
 def test_help_and_refusals_load_no_jax(tmp_path):
-    code = (
-        "import sys; sys.argv[1:] = {words!r}\n"
-        "from curlfit.cli import main\n"
-        "try:\n    main()\nexcept SystemExit:\n    pass\n"
-        "assert 'jax' not in sys.modules and 'matplotlib' not in sys.modules\n"
-    )
-    for words in (
+    each = (
         ["--help"],
         ["fit", "--help"],
         ["check", "--help"],
+        ["reproduce", "--help"],
         ["fit", str(DATA), "--law", "ice"],
         ["laws"],
         ["check", str(DATA)],
         ["check", str(DATA), "--axes", "q"],
-    ):
-        run = subprocess.run(
-            [sys.executable, "-c", code.format(words=words)],
-            cwd=tmp_path, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        assert run.returncode == 0, run.stderr
-
-
-def test_help_computes_nothing():
-    code = (
-        "import sys; sys.argv[1:] = ['fit', '--help']\n"
-        "from curlfit.cli import main\n"
-        "try:\n    main()\nexcept SystemExit:\n    pass\n"
-        "assert 'numpy' not in sys.modules\n"
+        ["reproduce", f"--out={DATA}"],
     )
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    code = (
+        "import sys\n"
+        "from curlfit.cli import main\n"
+        f"for words in {each!r}:\n"
+        "    sys.argv[1:] = words\n"
+        "    try:\n        main()\n    except SystemExit:\n        pass\n"
+        "    assert 'jax' not in sys.modules and 'matplotlib' not in sys.modules, words\n"
+        "    assert 'numpy' not in sys.modules or '--help' not in words, words\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.count("Usage: ") == 4
 
 
 def test_check_shows_what_was_understood(tmp_path):
@@ -274,12 +283,11 @@ def test_how_to_read_may_stand_in_the_configuration(tmp_path):
 
 
 def test_the_seed_may_stand_in_the_file_and_in_the_configuration(tmp_path):
-    made = curlfit("simulate", "--law", "coulomb", "--noise-xy", 0.005, "--out", "a.csv",
-                   cwd=tmp_path)  # fmt: skip
+    made = curlfit("simulate", "--noise-xy", 0.005, "--out", "a.csv", cwd=tmp_path)
     assert made.returncode == 0
     (tmp_path / "a.csv").write_text("# seed = 5\n" + (tmp_path / "a.csv").read_text())
     (tmp_path / "c.toml").write_text("seed = 6\n")
-    words = ("fit", "a.csv", "--law", "coulomb", "--effective", 100, "--no-figures")
+    words = ("fit", "a.csv", "--effective", 100, "--no-figures")
     for more, seed in (
         ((), 5), (("--config", "c.toml"), 6), (("--config", "c.toml", "--seed", 0), 0),
     ):  # fmt: skip

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import command
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
@@ -191,13 +190,7 @@ def test_on_the_command_line(three, tmp_path):
         (tmp_path / f"throw{place}.csv").write_text(write_table(throw))
     names = [f"throw{place}.csv" for place in range(3)]
 
-    def run(*words):
-        return subprocess.run(
-            [sys.executable, "-m", "curlfit", "fit", *words],
-            cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
-        )  # fmt: skip
-
-    done = run(*names)
+    done = command("fit", *names, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "3 throws together" in done.stdout
     assert "a folder for each throw: throw0, throw1, throw2" in " ".join(done.stdout.split())
@@ -212,10 +205,7 @@ def test_on_the_command_line(three, tmp_path):
         (("show", "joint-fit"), done.stdout.partition("Written")[0]),
         (("plot", "joint-fit", "--format", "svg"), "joint.svg"),
     ):
-        again = subprocess.run(
-            [sys.executable, "-m", "curlfit", *words],
-            cwd=tmp_path, capture_output=True, text=True, check=False,
-        )  # fmt: skip
+        again = command(*words, cwd=tmp_path)
         assert again.returncode == 0, again.stderr
         assert expected in again.stdout
     for words, message in (
@@ -224,7 +214,7 @@ def test_on_the_command_line(three, tmp_path):
         (("throw0.csv", "throw0.csv"), "two files have the same name"),
         (("throw0.csv", "none.csv"), "no such file"),
     ):
-        refused = run(*words)
+        refused = command("fit", *words, cwd=tmp_path)
         assert refused.returncode == 2
         assert message in refused.stderr
         assert "Traceback" not in refused.stderr

@@ -13,7 +13,7 @@ from itertools import count
 
 import numpy as np
 import pytest
-from conftest import DATA
+from conftest import DATA, command
 
 from curlfit import DataError, InputError, load_chain, load_fit, sample
 from curlfit.cli import app
@@ -32,7 +32,7 @@ main()
 """
 
 
-def command(*words, room=-1):
+def started(*words, room=-1):
     """The command as a process; with `room`, no file of it may have more bytes."""
     code = LAUNCH.replace("ROOM", str(room))
     return subprocess.Popen(
@@ -66,7 +66,7 @@ def snapshot(folder):
 def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(tmp_path, blow):
     struck, whole = tmp_path / "struck", tmp_path / "whole"
     fit = ("fit", DATA, "--no-figures", "--seed", 5)
-    process = command(*fit, *ENDLESS, "--out", struck)
+    process = started(*fit, *ENDLESS, "--out", struck)
     while process.poll() is None:
         # Moved into place whole, so that it can be read at any moment.
         if (struck / "chain.h5").exists() and len(load_chain(struck / "chain.h5").values) > 3:
@@ -88,7 +88,7 @@ def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(tmp_pat
         assert "stopped by the user" in err
         assert not record.posterior.converged
         assert record.posterior.samples == len(left.flat)
-    status, out, err = finished(command("show", struck))
+    status, out, err = command("show", struck, cwd=tmp_path)
     assert (status, err) == (0, "")
     if blow == signal.SIGKILL:
         shown = " ".join(out.split())
@@ -97,9 +97,9 @@ def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(tmp_pat
         assert "--resume goes on with it" in shown
 
     more = ("--effective", "100000000", "--max-steps", max(40, len(left.values) + 1))
-    status, _, err = finished(command(*fit, *more, "--out", struck, "--resume"))
+    status, _, err = command(*fit, *more, "--out", struck, "--resume", cwd=tmp_path)
     assert status == 0, err
-    status, _, err = finished(command(*fit, *more, "--out", whole))
+    status, _, err = command(*fit, *more, "--out", whole, cwd=tmp_path)
     assert status == 0, err
     once = load_chain(whole / "chain.h5")
     assert len(once.values) > len(left.values)
@@ -294,37 +294,37 @@ def test_a_law_s_file_that_changed_makes_another_subject(eq12_fit, tmp_path, mon
 
 def test_an_unfinished_run_is_shown_and_drawn(saved, tmp_path):
     (saved / "chain.h5").rename(tmp_path / "chain.h5")
-    status, out, err = finished(command("show", saved))
+    status, out, err = command("show", saved, cwd=tmp_path)
     assert (status, err) == (0, "")
     assert "Sampling was not finished" in out
     assert "Posterior:" not in out
     (tmp_path / "chain.h5").rename(saved / "chain.h5")
-    status, out, _ = finished(command("show", saved, "--json"))
+    status, out, _ = command("show", saved, "--json", cwd=tmp_path)
     record = json.loads(out)
     assert record["sampling"] == "unfinished"
     assert record["posterior"]["converged"] is False
     assert record["posterior"]["status"].startswith("not finished: ")
-    status, out, err = finished(command("plot", saved, "--out", tmp_path / "p"))
+    status, out, err = command("plot", saved, "--out", tmp_path / "p", cwd=tmp_path)
     assert (status, err) == (0, "")
     assert (tmp_path / "p" / "corner.png").stat().st_size > 10_000
 
 
-def test_a_chain_of_another_fit_is_not_shown(saved):
+def test_a_chain_of_another_fit_is_not_shown(saved, tmp_path):
     replace(load_fit(saved), load="consistent").save(saved / "fit.json")
-    status, out, err = finished(command("show", saved))
+    status, out, err = command("show", saved, cwd=tmp_path)
     assert (status, err) == (0, "")
     assert "Posterior:" not in out
 
 
 def test_a_disk_that_fills_up_while_sampling(tmp_path):
     fit = ("fit", DATA, "--no-figures", "--effective", 100_000_000, "--out", tmp_path)
-    status, out, err = finished(command(*fit, room=100_000))
+    status, out, err = finished(started(*fit, room=100_000))
     assert (status, out) == (2, "")
     assert err == f"curlfit: {tmp_path}/chain.h5: cannot be written (File too large)\n"
     left = load_chain(tmp_path / "chain.h5")
     assert load_fit(tmp_path).sampling == "unfinished"
     assert sorted(os.listdir(tmp_path)) == ["chain.h5", "fit.json"]
-    status, _, err = finished(command(*fit, "--max-steps", 40, "--resume"))
+    status, _, err = command(*fit, "--max-steps", 40, "--resume", cwd=tmp_path)
     assert status == 0, err
     again = load_chain(tmp_path / "chain.h5")
     assert len(again.values) == 40

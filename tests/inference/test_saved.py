@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
-from conftest import DATA
+from conftest import DATA, command
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
@@ -181,10 +181,7 @@ def test_results_are_shown_and_drawn_without_the_data(eq12_posterior, compared, 
         (["plot", "fit/fit.json", "--out", "more"], "more/corner.png"),
         (["plot", "both"], "compare.png"),
     ):
-        run = subprocess.run(
-            [sys.executable, "-m", "curlfit", *words],
-            cwd=tmp_path, capture_output=True, text=True, check=False,
-        )  # fmt: skip
+        run = command(*words, cwd=tmp_path)
         assert (run.returncode, run.stderr) == (0, "")
         assert said in run.stdout
     assert (tmp_path / "fit" / "corner.png").stat().st_size > 10_000

@@ -13,6 +13,7 @@ from scipy.stats import binomtest, chi2, f, t
 
 import curlfit
 from curlfit.inference.fit.covariance import Covariance
+from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.residuals import outlier_warning
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.report import identifiability, report
@@ -82,8 +83,7 @@ def test_twelve_rows_hold_the_truth_as_often_as_they_say():
     """By 1.96 standard errors it is 92 %."""
     inside = gaussian = outliers = several = 0
     truth = START | TRUE
-    for seed in range(150):
-        fit = curlfit.fit(thrown(seed, 12))
+    for fit in fit_throws([thrown(seed, 12) for seed in range(150)]):
         outliers += len(fit.outliers) > 0
         for name, true in truth.items():
             item = fit.parameters[name]

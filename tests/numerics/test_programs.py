@@ -55,12 +55,8 @@ def traced(tmp_path):
 
 def test_a_second_process_traces_nothing(traced):
     assert traced() == 3
+    assert len(list(traced.folder.iterdir())) == 3  # each word and shape has its own
     assert traced() == 0
-
-
-def test_each_law_word_and_shape_has_its_own(traced):
-    traced()
-    assert len(list(traced.folder.iterdir())) == 3
 
 
 def test_files_may_be_deleted_or_damaged(traced):
@@ -149,17 +145,17 @@ def test_a_file_that_others_may_write_is_not_run(traced, tmp_path):
 
 
 @posix
-@pytest.mark.parametrize("which", ["cache", "cache/programs", "."])
-def test_a_folder_that_others_may_write_is_no_cache(traced, which):
+def test_a_folder_that_others_may_write_is_no_cache(traced):
     traced()
-    open_ = traced.folder.parent.parent / which
-    open_.chmod(0o770)
-    count, said = traced(stderr=True)
-    assert count == 3
-    assert said.count("\n") == 1
-    assert "Warning: compiled programs are not kept in" in said
-    assert f"others may write to {open_.resolve()};" in said
-    open_.chmod(0o700)
+    for which in ("cache", "cache/programs", "."):
+        open_ = traced.folder.parent.parent / which
+        open_.chmod(0o770)
+        count, said = traced(stderr=True)
+        assert count == 3
+        assert said.count("\n") == 1
+        assert "Warning: compiled programs are not kept in" in said
+        assert f"others may write to {open_.resolve()};" in said
+        open_.chmod(0o700)
     assert traced() == 0
 
 
@@ -167,7 +163,7 @@ def test_a_folder_that_others_may_write_is_no_cache(traced, which):
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives away")
 def test_a_file_or_folder_of_another_user_is_not_read(traced):
     traced()
-    for path in (*traced.folder.iterdir(), traced.folder):
+    for path in (next(traced.folder.iterdir()), traced.folder):
         os.chown(path, 12345, -1)
         count, said = traced(stderr=True)
         assert count > 0
@@ -271,13 +267,17 @@ def compiled(tmp_path_factory):
     return tmp_path_factory.mktemp("cache")
 
 
-@pytest.mark.parametrize("imports", ["import curlfit, jax", "import jax, curlfit"])
-@pytest.mark.parametrize("wide", [None, "0"])
+PATHS = "jax.jit(y)(2.0).tolist()", PLACES
+SLOPES = "[jax.grad(lambda v: y(v)[place])(2.0).item() for place in (1, 2)]", [10, 2 / 0.0981]
+
+
 @pytest.mark.parametrize(
-    ("use", "expected"),
-    [
-        ("jax.jit(y)(2.0).tolist()", PLACES),
-        ("[jax.grad(lambda v: y(v)[place])(2.0).item() for place in (1, 2)]", [10, 2 / 0.0981]),
+    ("imports", "wide", "use", "expected"),
+    [  # each pair of choices once
+        ("import curlfit, jax", None, *PATHS),
+        ("import curlfit, jax", "0", *SLOPES),
+        ("import jax, curlfit", None, *SLOPES),
+        ("import jax, curlfit", "0", *PATHS),
     ],
 )
 def test_the_first_use_may_be_traced(imports, wide, use, expected, compiled):

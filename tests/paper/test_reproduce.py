@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import html
 import json
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import DATA, Reference, front_back
+from conftest import DATA, Reference, command, front_back
 from docstring_examples import run_examples
 
 import curlfit
@@ -322,26 +320,8 @@ def test_what_is_written(found, written):
     [(DATA, "this is a file, expected a folder"), ("/proc/no", "output folder cannot be written")],
 )
 def test_refusals(tmp_path, out, said):
-    run = subprocess.run(
-        [sys.executable, "-m", "curlfit", "reproduce", "--out", str(out)],
-        cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60,
-    )  # fmt: skip
+    run = command("reproduce", "--out", out, cwd=tmp_path)
     assert run.returncode == 2
     assert said in run.stderr
     assert "Traceback" not in run.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-def test_help_needs_no_jax(tmp_path):
-    code = (
-        "import sys; sys.argv[1:] = ['reproduce', {word!r}]\n"
-        "from curlfit.cli import main\n"
-        "try:\n    main()\nexcept SystemExit:\n    pass\n"
-        "assert 'jax' not in sys.modules and 'matplotlib' not in sys.modules\n"
-    )
-    for words in ("--help", f"--out={DATA}"):
-        run = subprocess.run(
-            [sys.executable, "-c", code.format(word=words)],
-            cwd=tmp_path, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        assert run.returncode == 0, run.stderr

@@ -118,11 +118,12 @@ def test_path_and_lines_are_those_of_an_independent_integration(fit):
 
 
 def test_a_stone_that_does_not_turn_rests_when_mechanics_say():
-    """Coulomb's law: after v0/(mu g), v0^2/(2 mu g) away."""
-    throw = thrown(law="coulomb", omega0=0.0, noise=(0.0, 0.0))
-    still = curlfit.fit(throw, "coulomb", fix={"omega0": 0.0})
+    """The halves brake by their mean mu: after v0/(mu g), v0^2/(2 mu g) away."""
+    throw = thrown(omega0=0.0, noise=(0.0, 0.0))
+    held = {"omega0": 0.0, "mu1_xi": TRUE["mu1_xi"], "mu1_eta": 0.006}
+    still = curlfit.fit(throw, fix=held)
     found = curlfit.predict(still, start={"v0": 2.2}, draws=100)
-    slowing = still.coefficients["mu"].value * 9.81
+    slowing = (0.006 + still.coefficients["mu2_eta"].value) / 2 * 9.81
     assert found.quantities["time"].value == pytest.approx(2.2 / slowing, abs=1e-3)
     far = sheet.TEE + found.quantities["rest_y"].value - HOG
     assert far == pytest.approx(2.2**2 / (2 * slowing), abs=1e-6)
