@@ -362,3 +362,11 @@ def test_what_a_throw_of_events_alone_is_not_asked_for():
     with pytest.raises(InputError, match="9 events at 9 lines; expected at most 8 at 6"):
         curlfit.fit(Throw.from_events(many), "coulomb")
     assert throw.with_sigma({"time": 0.2}).events[0].sigma == 0.2
+
+
+@pytest.mark.parametrize("noise", ["ar1", "discrepancy"])
+def test_correlated_noise_is_of_rows_and_not_of_events(noise):
+    t = np.linspace(0.0, 10.0, 30)
+    throw = Throw.from_arrays(t, 0 * t, 2 * t - 0.04 * t**2, 0.1 * t, events=EVENTS[:1])
+    with pytest.raises(InputError, match="timed events beside its path"):
+        curlfit.fit(throw, "coulomb", noise=noise)

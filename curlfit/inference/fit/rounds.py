@@ -62,6 +62,13 @@ class Rounds:
         batch: int = 1,
     ) -> None:
         """`shape` is that of all problems; `batch` the number of paths followed side by side."""
+        if noise != "white":
+            for one in throws:
+                if one.throw.events and one.throw.has_path:
+                    raise InputError(
+                        f"{one.throw.name}: noise {noise} is that of rows, and this throw has "
+                        "timed events beside its path; fit the path alone, or with white noise"
+                    )
         self.model, self.throws, self.batch = model, throws, batch
         self.loss = loss
         even = [throw.even_sigma() for throw in throws]
