@@ -125,7 +125,8 @@ def _beside_reference(fit: FitResult) -> list[RenderableType]:
         there.append(f"{again:.{places}f}")
         table.add_row(
             name, format_estimate(value, stderr)[1],
-            *(f"{round(shift, places + 1) + 0.0:+.{places + 1}f}" for shift in shifts), there[-1], f"{known:g}",
+            *(f"{round(shift, places + 1) + 0.0:+.{places + 1}f}" for shift in shifts),
+            there[-1], f"{known:g}",
         )  # fmt: skip
     if not there:
         return []
