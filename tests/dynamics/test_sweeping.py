@@ -67,6 +67,16 @@ def test_path_agrees_with_order_8_integration_in_pieces(environment, error):
     assert np.abs(np.stack([found.x, found.y, found.phi]) - exact).max() < error
 
 
+def test_sweeping_and_times_are_counted_from_the_same_zero():
+    one = simulate(LAW, STONE, START, TIMES, environment=ENVIRONMENT)
+    later = replace(ENVIRONMENT, swept_from=64 + 5.03, swept_to=64 + 9.41)
+    for t0 in (None, 64.0):
+        other = simulate(LAW, STONE, START, 64 + TIMES, environment=later, t0=t0)
+        np.testing.assert_allclose(other.x, one.x, atol=1e-12)
+        np.testing.assert_allclose(other.y, one.y, atol=1e-12)
+        assert other.rest == pytest.approx(64 + float(one.rest), abs=1e-9)
+
+
 def test_a_stone_that_is_swept_all_along_has_less_friction():
     swept = Environment(sweep=0.7, swept_from=-1.0, swept_to=1e3)
     found = simulate(LAW, STONE, START, TIMES, environment=swept)
