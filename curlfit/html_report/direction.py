@@ -96,6 +96,9 @@ def _direction(
     low, high = np.nanmin(whole, axis=(0, 2)), np.nanmax(whole, axis=(0, 2))
     size = np.where(high > low, high - low, 1.0)
     scale = [(_WIDTH - 2 * _MARGIN) / size[0], (_HEIGHT - 2 * _MARGIN) / size[1]]
+    origin = low
+    if sides[1] == "x":  # seen from above, the throw to the right, what is left is up
+        origin, scale[1] = np.array([low[0], high[1]]), -scale[1]
     sizes = {
         name: max(abs(fit.parameters[name].value + step * direction[name]) for step in steps)
         for name in names
@@ -110,7 +113,7 @@ def _direction(
             for step in steps
         ],
         "sizes": [sizes[name] or 1.0 for name in names],
-        "low": low.tolist(), "scale": scale, "margin": _MARGIN,
+        "origin": origin.tolist(), "scale": scale, "margin": _MARGIN,
         "paths": [[rounded(values, 8) for values in one] for one in curves],
         "alone": [[rounded(values, 4) for values in one] for one in others],
         "changes": changes,
@@ -141,9 +144,9 @@ def _direction(
             "axes": _axes(fit, sides, low, high, len(models)),
             "points": _drawn(
                 np.array([_observed(fit, name)[thin(len(fit.observed["t"]), 200)]
-                          for name in sides]), low, scale
+                          for name in sides]), origin, scale
             ),
-            "path": _drawn(np.array(curves[data["start"]]), low, scale),
+            "path": _drawn(np.array(curves[data["start"]]), origin, scale),
         },
     )  # fmt: skip
     return block, data
@@ -211,10 +214,10 @@ def _number(value: float) -> float | None:
     return float(f"{value:.8g}") if math.isfinite(value) else None
 
 
-def _drawn(points: Floats, low: Floats, scale: list[float]) -> list[tuple[float, float]]:
+def _drawn(points: Floats, origin: Floats, scale: list[float]) -> list[tuple[float, float]]:
     """Places in the drawing, of values along two axes."""
-    across = _MARGIN + (points[0] - low[0]) * scale[0]
-    down = _HEIGHT - _MARGIN - (points[1] - low[1]) * scale[1]
+    across = _MARGIN + (points[0] - origin[0]) * scale[0]
+    down = _HEIGHT - _MARGIN - (points[1] - origin[1]) * scale[1]
     return [
         (u, v)
         for u, v in zip(across.tolist(), down.tolist(), strict=True)

@@ -205,6 +205,7 @@ def test_every_path_along_a_null_direction_is_that_of_its_own_values(pages, reco
         law = front_back(*fixed, *eta)
         return Reference(law, R=fit.stone.R, rho=fit.stone.rho).path(start, times)
 
+    assert data["scale"][1] < 0  # left is up, as from above
     y, x = np.array(data["paths"][0])[:, ::8]
     np.testing.assert_allclose([x, y], reference(*values[0])[:2], atol=3e-7)
     last = fit.parameters["mu2_eta"].value

@@ -8,8 +8,8 @@ moving.direction = (root, data) => {
     points[0].forEach((along, i) => {
       const across = points[1][i];
       if (along === null || across === null) { joined = "M"; return; }
-      const u = data.margin + (along - data.low[0]) * data.scale[0];
-      const v = bottom - (across - data.low[1]) * data.scale[1];
+      const u = data.margin + (along - data.origin[0]) * data.scale[0];
+      const v = bottom - (across - data.origin[1]) * data.scale[1];
       text += `${joined}${u.toFixed(4)} ${v.toFixed(4)}`;
       joined = "L";
     });
