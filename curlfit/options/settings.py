@@ -431,10 +431,18 @@ def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Fi
 
 
 def kind_of(folder: Path) -> str:
-    """Kind of the results in a folder, by the name of its JSON file."""
+    """Kind of the results in a folder, by the name of its JSON file.
+
+    Raises
+    ------
+    InputError : a folder without any.
+    """
     for kind in RECORDS:
         if folder.name == f"{kind}.json" or (folder / f"{kind}.json").is_file():
             return kind
+    if folder.is_dir():
+        names = ", ".join(f"{kind}.json" for kind in RECORDS)
+        raise InputError(f"{folder}: no saved result; expected a folder with one of {names}")
     return "fit"
 
 

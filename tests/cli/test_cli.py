@@ -161,6 +161,7 @@ def test_flags_override_the_configuration_and_that_the_file(tmp_path):
         (["check", DATA, "--shot", "one"], "'--shot'"),
         (["show", "nothing"], "no such file"),
         (["plot", "nothing"], "no such file"),
+        (["show", "."], "no saved result; expected a folder with one of fit.json"),
         (["simulate", "--set", "mu=1"], "no coefficient 'mu'"),
         (["simulate", "--set", "mu1_xi=-1"], "mu1_xi = -1: expected 0 .. 1, the bounds of law"),
         (["simulate", "--set", "mu1_xi=-1"], "`unbounded` lets it be negative"),
