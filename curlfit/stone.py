@@ -45,6 +45,8 @@ class Stone:
                 raise InputError(
                     f"stone.{name} = {value} {UNITS[name]}: expected a positive, finite number"
                 )
+            if isinstance(value, int):  # one type, for one compiled program
+                object.__setattr__(self, name, float(value))
 
     def with_values(self, values: dict[str, float]) -> Stone:
         """A copy with some values replaced. Raises `InputError` for an unknown name."""

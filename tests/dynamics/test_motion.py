@@ -292,6 +292,10 @@ def test_many_stones_at_once_are_each_as_alone():
     np.testing.assert_allclose(together, np.stack([y(v) for v in speeds]), atol=1e-12)
 
 
+def test_a_stone_of_whole_numbers_has_the_program_of_any():
+    assert [type(value) for value in vars(Stone(m=20, R=1, rho=1, h=1)).values()] == [float] * 4
+
+
 def test_unknown_load_is_refused():
     with pytest.raises(curlfit.InputError, match="expected uniform or consistent"):
         simulate(FRONT_BACK, STONE, InitialState(), [0.0, 1.0], load="heavy")

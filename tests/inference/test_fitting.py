@@ -119,7 +119,7 @@ def test_synthetic_throws_are_recovered(omega):
     stone = Stone(R=0.054, rho=0.1)
     law = law_with("front-back", {"mu1_xi": 0.01, "mu2_xi": 0.05, "mu1_eta": 0.012})
     throw = synthetic_throw(
-        law, stone, v0=2.1, omega0=omega, heading=0.02, until=30, noise_xy=0.005,
+        law, stone, v0=2.1, omega0=omega, heading=0.02, until=30, dt=0.12, noise_xy=0.005,
         noise_phi=0.01, seed=4,
     )  # fmt: skip
     result = fit(throw)
@@ -178,7 +178,7 @@ def test_gaps_and_missing_angle():
 
 def test_noise_free_throws_come_back_to_the_precision_of_the_path():
     law = law_with("front-back", {"mu1_xi": 0.02})
-    throw = synthetic_throw(law, Stone(R=0.054, rho=0.1), until=30.0)
+    throw = synthetic_throw(law, Stone(R=0.054, rho=0.1), until=30.0, dt=0.12)
     result = fit(throw)
     np.testing.assert_allclose(coefficients(result), [0.02, 0.05, 0.018], atol=1e-8)
 

@@ -330,8 +330,8 @@ def test_noise_is_not_taken_for_a_fault_of_the_law():
 
 
 def game_throw(v0=2.2, omega0=1.5, seed=0, until=np.inf):
-    """A throw as the simulator of DigitalCurling makes it (FCV1), every 0.1 s with noise, and where
-    it comes to rest."""
+    """A throw as the simulator of DigitalCurling makes it (FCV1), every 0.12 s with noise, and
+    where it comes to rest."""
 
     def rates(t, state):
         _, _, v, heading, _, omega = state
@@ -348,7 +348,7 @@ def game_throw(v0=2.2, omega0=1.5, seed=0, until=np.inf):
         rates, (0, 60), [0, 0, v0, 0, 0, omega0], events=resting, dense_output=True,
         rtol=1e-9, atol=1e-10,
     )  # fmt: skip
-    t = np.arange(0, min(path.t[-1], until), 0.1)
+    t = np.arange(0, min(path.t[-1], until), 0.12)
     random = np.random.default_rng(seed)
     x, y, _, _, phi, _ = path.sol(t) + np.array(
         [[0.005], [0.005], [0], [0], [0.01], [0]]
@@ -568,9 +568,9 @@ def test_rows_of_another_throw_are_refused(fit):
     with pytest.raises(InputError, match="no rows after t = 20 s"):
         curlfit.predict(fit, check=thrown(), draws=100)
     with pytest.raises(InputError, match="not the throw that was fitted"):
-        curlfit.predict(fit, check=thrown(v0=3.0, until=30.0), draws=100)
+        curlfit.predict(fit, check=thrown(v0=3.0, until=25.0), draws=100)
     with pytest.raises(InputError, match="leave out the start"):
-        curlfit.predict(fit, check=thrown(until=30.0), start={"v0": 2.0}, draws=100)
+        curlfit.predict(fit, check=thrown(until=25.0), start={"v0": 2.0}, draws=100)
 
 
 # --- what cannot be ------------------------------------------------------------------------------
