@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
 from curlfit.numerics.arrays import Booleans, Floats
 
@@ -75,7 +74,7 @@ def student_quantile(level: float, dof: float | None) -> float:
 
     Student's t with `dof` degrees of freedom; Gaussian where these are None (sigma known).
     """
-    from scipy.special import ndtri, stdtrit
+    from scipy.special import ndtri, stdtrit  # slow to load
 
     upper = (1 + level) / 2
     return float(ndtri(upper) if dof is None else stdtrit(dof, upper))
@@ -269,6 +268,8 @@ def slack(jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room
     push : slope of half of chi squared into the bound, >= 0, for each at a bound.
     typical, room : of those at a bound: typical size, and width of their interval.
     """
+    from scipy.special import log_ndtr  # slow to load
+
     size = np.linalg.norm(jacobian, axis=0)
     size[size == 0] = 1.0
     follow = -np.linalg.lstsq(jacobian / size, bounded, rcond=_ROUNDING)[0] / size[:, None]

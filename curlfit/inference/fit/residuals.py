@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from curlfit.inference.identifiability import r_factors, triangle
 from curlfit.inference.least_squares import Solution
@@ -126,6 +125,8 @@ def outliers_of(
         sigma = np.full(len(throw), bulk) if series is None else np.maximum(series, bulk)
         far = size > limit * sigma[there]
         if studentized:
+            from scipy.special import stdtrit  # slow to load, and few throws need it
+
             free = np.maximum(1 - leverage[row, there], 1e-6)
             others = np.maximum((size**2).sum() - size**2 / free, SIGMA_FLOOR**2) / (dof[row] - 1)
             chance = _BY_CHANCE / (2 * residual.shape[0] * len(there))

@@ -8,6 +8,7 @@ and Welsch 1977); Student's t has 4 degrees of freedom.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -18,7 +19,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
-from scipy.special import beta, erf, kv
 
 from curlfit.inference.noise.models import LOSSES
 from curlfit.numerics.arrays import Floats
@@ -87,12 +87,21 @@ def log_density(r: Floats, loss: str) -> Floats:
     return -(np.asarray(signed_root(r, LOSSES.index(loss))) ** 2) / 2 - np.log(_NORMS[loss])
 
 
+_BESSEL_K1 = 0.6019072301972346
+"""K_1(1); `scipy.special` would be loaded for it alone."""
+
+
+def _beta(a: float, b: float) -> float:
+    return math.gamma(a) * math.gamma(b) / math.gamma(a + b)
+
+
 _NORMS = {
     "linear": np.sqrt(2 * np.pi),
-    "huber": np.sqrt(2 * np.pi) * erf(_HUBER / np.sqrt(2)) + 2 * np.exp(-(_HUBER**2) / 2) / _HUBER,
-    "soft-l1": 2 * np.exp(1.0) * kv(1, 1.0),
-    "cauchy": _CAUCHY * beta(0.5, (_CAUCHY**2 - 1) / 2),
-    "student": np.sqrt(_DEGREES) * beta(0.5, _DEGREES / 2),
+    "huber": np.sqrt(2 * np.pi) * math.erf(_HUBER / np.sqrt(2))
+    + 2 * np.exp(-(_HUBER**2) / 2) / _HUBER,
+    "soft-l1": 2 * np.exp(1.0) * _BESSEL_K1,
+    "cauchy": _CAUCHY * _beta(0.5, (_CAUCHY**2 - 1) / 2),
+    "student": np.sqrt(_DEGREES) * _beta(0.5, _DEGREES / 2),
 }
 
 
