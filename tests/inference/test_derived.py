@@ -213,6 +213,20 @@ def test_quantities_agree_with_the_draws_of_the_posterior(sampled):
     assert item.stderr == pytest.approx(times.std(), rel=0.1)
 
 
+def test_where_draws_are_too_wide_for_first_order_paths_are_followed(sampled, fit):
+    narrow = sampled[1]
+    wide = fit.values + 60 * (narrow.values - fit.values)
+    chain = replace(narrow, values=wide)
+    item = quantities_of(fit, chain)["hog_to_hog"]
+    draws = [chain.of({name: 1.0}) for name in ("mu", "v0", "y0", "heading")]
+    times = passes(LINES["far-hog"], *draws) - passes(LINES["hog"], *draws)
+    low, high = np.quantile(times, [0.16, 0.84])
+    assert item.quantiles["16"] == pytest.approx(low, abs=2e-5)
+    assert item.quantiles["84"] == pytest.approx(high, abs=2e-5)
+    near = quantities_of(fit, narrow)["hog_to_hog"]
+    assert abs(near.value + 60 * (near.quantiles["84"] - near.value) - high) > 2e-4
+
+
 def test_a_sampled_fit_has_quantiles_of_both(eq12_posterior):
     found, chain = eq12_posterior
     for name, item in found.quantities.items():
