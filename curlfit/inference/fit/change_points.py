@@ -37,8 +37,8 @@ that were swept for 2 to 6 s, with friction less by a tenth to a third (noise of
 _SURE_VELOCITY = 40.0
 """The same by the best of 47 times: below 28 in 126 throws in which nothing had changed, under
 wrong laws and correlated noise too; above 58 in 8 whose velocity changed by 0.2 m/s, in 5 of 8 by
-0.05 m/s (noise of 5 mm). Where a law takes the change for curl, it is not seen; with noise of 0.5 mm
-or less a wrong law may pass for a change of either kind (9 of 84 throws)."""
+0.05 m/s (noise of 5 mm). Where a law takes the change for curl, it is not seen; with noise of
+0.5 mm or less a wrong law may pass for a change of either kind (9 of 84 throws)."""
 _FACTORS = 1 / 3, 3.0
 _LEAST_VELOCITY = 0.02  # m/s; and not more than the stone has
 _ENDS = 3  # times at both ends that are left out; there a wrong law fails first
