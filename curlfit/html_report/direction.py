@@ -15,9 +15,10 @@ import numpy as np
 
 from curlfit.exploration.curves import CurveModel, Curves
 from curlfit.html_report.document import Block
-from curlfit.html_report.replay import rounded, thin
+from curlfit.html_report.replay import rounded
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
+from curlfit.output.figures import some_rows
 from curlfit.output.text import compact, join_words
 from curlfit.throws.throw import UNITS
 
@@ -89,7 +90,7 @@ def _direction(
         for curves in (everywhere, elsewhere)
     )  # fmt: skip
     sides = ("y", "x") if {"x", "y"} <= fit.rms.keys() else ("t", next(iter(fit.rms)))
-    some = thin(len(best.t), _INSTANTS)
+    some = some_rows(len(best.t), _INSTANTS)
     curves = [[_series(one, name)[some] for name in sides] for one in along]
     others = [[_series(one, name)[some] for name in sides] for one in alone]
     whole = np.array(curves + others)
@@ -143,7 +144,7 @@ def _direction(
             "width": _WIDTH, "height": _HEIGHT, "margin": _MARGIN,
             "axes": _axes(fit, sides, low, high, len(models)),
             "points": _drawn(
-                np.array([_observed(fit, name)[thin(len(fit.observed["t"]), 200)]
+                np.array([_observed(fit, name)[some_rows(len(fit.observed["t"]), 200)]
                           for name in sides]), origin, scale
             ),
             "path": _drawn(np.array(curves[data["start"]]), origin, scale),

@@ -11,7 +11,7 @@ import numpy as np
 from curlfit.html_report.document import Block
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
-from curlfit.output.figures import DATA_COLOR
+from curlfit.output.figures import DATA_COLOR, some_rows
 from curlfit.output.text import decimals, join_words
 from curlfit.output.ticks import unit_for
 from curlfit.prediction.result import Prediction
@@ -37,11 +37,6 @@ def sheet_view(x: Sequence[float], y: Sequence[float]) -> tuple[float, float, fl
     return ends[0], sides[0], ends[1] - ends[0], sides[1] - sides[0]
 
 
-def thin(size: int, most: int = _MOST) -> Any:
-    """Indices of at most so many of `size` rows, first and last among them."""
-    return np.unique(np.linspace(0, size - 1, min(size, most)).astype(int))
-
-
 def rounded(values: Floats, places: int) -> list[float | None]:
     """Numbers as short as may be; None where there is none."""
     return [
@@ -54,7 +49,7 @@ def replay_of_fit(fit: FitResult, id: str, label: str = "") -> tuple[Block, dict
     """The fitted throw; None where the record has no path, as of timed events alone."""
     if not fit.fitted or len(fit.observed["t"]) < 2:
         return None
-    some = thin(len(fit.observed["t"]))
+    some = some_rows(len(fit.observed["t"]), _MOST)
     t = fit.observed["t"][some]
     path = {name: fit.predicted[name][some] for name in _NAMES}
     shift = np.array([0.0, 0.0])
@@ -94,7 +89,7 @@ def replay_of_prediction(prediction: Prediction, id: str) -> tuple[Block, dict[s
     series = prediction.series
     ends = series["t"] <= prediction.quantities["time"].value
     some = np.flatnonzero(ends | (np.cumsum(~ends) == 1))  # one more, at rest
-    some = some[thin(len(some))]
+    some = some[some_rows(len(some), _MOST)]
     path = {name: series[name][some] for name in _NAMES}
     measured = {name: prediction.measured[name] for name in "xy" if name in prediction.measured}
     where = "The path is that of the best estimate."

@@ -178,10 +178,8 @@ def _samples(
         return None
     flat = chain.flat
     names = list(path.fit.parameters)
-    change = (
-        flat[:, [names.index(name) for name in slopes]]
-        - path.fit.values[[names.index(name) for name in slopes]]
-    )
+    columns = [names.index(name) for name in slopes]
+    change = flat[:, columns] - path.fit.values[columns]
     linear = np.array([item.of(best) for item in wanted]) + change @ np.array([*slopes.values()])
 
     def by_paths(number: int) -> tuple[Any, Floats]:
