@@ -7,6 +7,7 @@ Gauss quadrature otherwise (`quadrature`).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -22,6 +23,7 @@ from curlfit.dynamics.law_structure import (
 # isort: split
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, ArrayLike
 
@@ -77,9 +79,9 @@ def _force(law: LocalLaw, ring: _Ring, tilt: tuple[Any, Any]) -> tuple[Any, ...]
     t_xi = t_eta = moment = 0.0
     if isinstance(ring, _ClosedFormRing):
         for front in (1.0, 0.0):
-            right, forward = (
-                means.loaded(p, q) for means in on_half(ring.right, ring.forward, front)
-            )
+            right, forward = on_half(ring.right, ring.forward, front)
+            if tilt is not _NO_TILT:
+                right, forward = right.loaded(p, q), forward.loaded(p, q)
             point = UNIT_POINT._replace(front=front, turned=ring.turned, time=ring.time)
             across = law.traction(point._replace(e_xi=1.0, e_eta=0.0))
             along = law.traction(point._replace(e_xi=0.0, e_eta=1.0))
@@ -230,8 +232,11 @@ def _differentiable(
 def _differentiable_jvp(
     kind: type[Law], load: Load, primals: tuple[Any, ...], tangents: tuple[Any, ...]
 ) -> tuple[Any, Any]:
-    """One derivative with respect to each input, whatever the number of directions, since most
-    inputs enter little of the sum."""
+    """The derivative with respect to each input, whatever the number of directions.
+
+    Of a sum over points one input after the other, since most enter little of it; of a closed form
+    all at once, which is a smaller program.
+    """
     inputs, clustering = primals
     balance = _solve_load(kind, load, inputs, clustering)
     net = issubclass(kind, NetLaw)
@@ -240,21 +245,54 @@ def _differentiable_jvp(
     moves_the_ring = [True] * len(inputs) if net else _moves_the_ring(kind)
     law, stone, *_ = _unpack(kind, inputs)
     dependences = [True] * (len(inputs) - 2) + depends_on_turned_and_time(law, stone)
+    varying = [
+        index
+        for index, (dependent, tangent) in enumerate(zip(dependences, tangents[0], strict=True))
+        if dependent and not isinstance(tangent, SymbolicZero)
+    ]
     tangent_out = tuple(jnp.zeros_like(value) for value in out)
-    for index, (dependent, tangent) in enumerate(zip(dependences, tangents[0], strict=True)):
-        if isinstance(tangent, SymbolicZero) or not dependent:
-            continue
+    for group in _groups(varying, moves_the_ring, separate=isinstance(ring, list | _MirroredRing)):
+        same = None if moves_the_ring[group[0]] else ring
 
-        def along(value: Array, index: int = index) -> tuple[Array, Array, Array]:
-            shifted = (*inputs[:index], value, *inputs[index + 1 :])
-            same = None if moves_the_ring[index] else ring
+        def shifted(*values: Array, group: tuple[int, ...] = group, same: Any = same) -> Any:
+            moved = list(inputs)
+            for index, value in zip(group, values, strict=True):
+                moved[index] = value
             return _accelerations(
-                kind, load, shifted, clustering, balance, same, differentiate_load=True
+                kind, load, tuple(moved), clustering, balance, same, differentiate_load=True
             )
 
-        _, slope = jax.jvp(along, (inputs[index],), (jnp.ones_like(inputs[index]),))
-        tangent_out = tuple(c + s * tangent for c, s in zip(tangent_out, slope, strict=True))
+        slopes = _partial_derivatives(shifted, tuple(inputs[index] for index in group))
+        for index, slope in zip(group, slopes, strict=True):
+            tangent = tangents[0][index]
+            tangent_out = tuple(c + s * tangent for c, s in zip(tangent_out, slope, strict=True))
     return out, tangent_out
+
+
+def _groups(
+    varying: list[int], moves_the_ring: list[bool], *, separate: bool
+) -> list[tuple[int, ...]]:
+    """Inputs whose derivatives are found together."""
+    if separate:
+        return [(index,) for index in varying]
+    pairs = ([i for i in varying if moves_the_ring[i] is moved] for moved in (False, True))
+    return [tuple(group) for group in pairs if group]
+
+
+def _partial_derivatives(
+    function: Callable[..., Any], inputs: tuple[Array, ...]
+) -> list[tuple[Array, ...]]:
+    """By each of several inputs, of all outputs."""
+    basis = np.eye(len(inputs))
+
+    def along(direction: Array) -> Any:
+        steps = (part + jnp.zeros_like(x) for part, x in zip(direction, inputs, strict=True))
+        return jax.jvp(function, inputs, tuple(steps))[1]
+
+    if len(inputs) == 1:
+        return [along(basis[0])]
+    slopes = jax.vmap(along)(basis)
+    return [tuple(slope[row] for slope in slopes) for row in range(len(inputs))]
 
 
 _differentiable.defjvp(_differentiable_jvp, symbolic_zeros=True)

@@ -141,10 +141,9 @@ def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:
 
 def on_half(right: Means, forward: Means, front: float) -> tuple[Means, Means]:
     """The means on the front half (1.0) or the back half (0.0)."""
-    odd = 2 * front - 1
-    right_signs = (odd, odd, 1.0, odd, 1.0, odd)
-    forward_signs = (1.0, 1.0, odd, 1.0, odd, 1.0)
-    return (
-        Means(*(sign * mean for sign, mean in zip(right_signs, right, strict=True))),
-        Means(*(sign * mean for sign, mean in zip(forward_signs, forward, strict=True))),
+    if front:
+        return right, forward
+    odd = right._replace(
+        one=-right.one, xi=-right.xi, xi_xi=-right.xi_xi, eta_eta=-right.eta_eta
     )
+    return odd, forward._replace(eta=-forward.eta, xi_eta=-forward.xi_eta)

@@ -16,9 +16,11 @@ import inspect
 import os
 import pickle
 import platform
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from threading import Lock
 from typing import Any, TypeVar
 
 from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
@@ -34,6 +36,9 @@ from curlfit.numerics import program_cache as cache
 BATCH = 64
 """Throws or vectors in one call of a program: few enough for a processor's cache, enough to share
 the cost of a pass."""
+
+_MOST_LOADED = 40  # programs in memory, of some 10 MB each
+_PARTS = 4  # of a program, in which code is generated in parallel
 
 Record = TypeVar("Record")
 
@@ -51,6 +56,34 @@ def compiled(
     return lambda function: _CompiledFunction(function, static, optimize)
 
 
+class _LoadedPrograms:
+    """Programs in memory, the most recently used ones; any number of threads may use it."""
+
+    def __init__(self) -> None:
+        self.programs: OrderedDict[Any, Any] = OrderedDict()
+        self.lock = Lock()
+
+    def get(self, key: Any) -> Any:
+        with self.lock:
+            program = self.programs.get(key)
+            if program is not None:
+                self.programs.move_to_end(key)
+            return program
+
+    def __setitem__(self, key: Any, program: Any) -> None:
+        with self.lock:
+            self.programs[key] = program
+            while len(self.programs) > _MOST_LOADED:
+                self.programs.popitem(last=False)
+
+    def clear(self) -> None:
+        with self.lock:
+            self.programs.clear()
+
+
+_loaded = _LoadedPrograms()
+
+
 class _CompiledFunction:
     def __init__(
         self, function: Callable[..., Any], static: tuple[str, ...], optimize: bool
@@ -61,7 +94,6 @@ class _CompiledFunction:
         self.optimize = optimize
         self.names = tuple(inspect.signature(function).parameters)
         self.jitted = jax.jit(function, static_argnames=static)
-        self.programs: dict[Any, Any] = {}
 
     def __call__(self, *args: Any) -> Any:
         named = tuple(zip(self.names, args, strict=True))
@@ -73,11 +105,12 @@ class _CompiledFunction:
         # Lists and Python numbers become arrays, or each type would be compiled.
         leaves = [leaf if isinstance(leaf, jax.Array) else np.asarray(leaf) for leaf in leaves]
         key = (fixed, tree, tuple((leaf.shape, leaf.dtype.str) for leaf in leaves))
-        program = self.programs.get(key)
+        dynamic = jax.tree.unflatten(tree, leaves)
+        program = _loaded.get((self, key))
         if program is None:
-            dynamic = jax.tree.unflatten(tree, leaves)
-            program = self.programs[key] = self._load_or_compile(fixed, dynamic, repr(key[1:]))
-        return program(*jax.tree.unflatten(tree, leaves))
+            program = self._load_or_compile(fixed, dynamic, repr(key[1:]))
+            _loaded[self, key] = program
+        return program(*dynamic)
 
     def _load_or_compile(
         self, fixed: tuple[Any, ...], dynamic: tuple[Any, ...], shapes: str
@@ -96,8 +129,10 @@ class _CompiledFunction:
         fixed_values, arrays = iter(fixed), iter(dynamic)
         args = [next(fixed_values) if name in self.static else next(arrays) for name in self.names]
         # A program from JAX's own cache cannot be serialized.
-        with gc_paused(), _jax_cache_disabled() if file is not None else nullcontext():
-            program = _compile_lowered(self.jitted.lower(*args), self.optimize)
+        with gc_paused(), _jax_cache_disabled if file is not None else nullcontext():
+            lowered = self.jitted.lower(*args)
+            _remove_locations(lowered)
+            program = _compile_lowered(lowered, self.optimize)
         if file is not None:
             # Some devices cannot serialize programs.
             with suppress(ValueError, NotImplementedError):
@@ -120,17 +155,32 @@ class _CompiledFunction:
         return folder / hashlib.sha256(key.encode()).hexdigest()
 
 
+def _remove_locations(lowered: Any) -> None:
+    """Remove the Python source of each operation, which XLA would carry along: a sixth of the time
+    to compile, a tenth of the time to load, and two fifths of the file."""
+    from jaxlib.mlir.passmanager import PassManager
+
+    module = lowered.compiler_ir()
+    with module.context:
+        PassManager.parse("builtin.module(strip-debuginfo)").run(module.operation)
+
+
 def _compile_lowered(lowered: Any, optimize: bool) -> Any:
     """Compile for speed of the program if `optimize`, else for speed of compilation.
 
     XLA's older kernel emitters take half the time and half the memory of the new ones, for programs
-    that are slower by a quarter to a half. `xla_cpu_prefer_vector_width` is left at its default:
-    with 512 bits, trajectories take a tenth less time, but XLA 0.10 silently compiles the law
-    `debris` wrongly (`tests/numerics` has the case).
+    that are slower by a quarter to a half. In fewer parts than by default the same code takes less
+    time. `xla_cpu_prefer_vector_width` is left at its default: with 512 bits, trajectories take a
+    tenth less time, but XLA 0.10 silently compiles the law `debris` wrongly (`tests/numerics` has
+    the case).
     """
     if not optimize and jax.default_backend() == "cpu":
+        options = {
+            "xla_cpu_use_fusion_emitters": False,
+            "xla_cpu_parallel_codegen_split_count": _PARTS,
+        }
         with suppress(jax.errors.JaxRuntimeError):  # of a version that knows no such option
-            return lowered.compile(compiler_options={"xla_cpu_use_fusion_emitters": False})
+            return lowered.compile(compiler_options=options)
     return lowered.compile()
 
 
@@ -147,18 +197,36 @@ def gc_paused() -> Iterator[None]:
             gc.enable()
 
 
-@contextmanager
-def _jax_cache_disabled() -> Iterator[None]:
-    from jax.experimental.compilation_cache.compilation_cache import reset_cache
+class _JaxCacheDisabled:
+    """Context in which JAX does not use its own cache; several threads may be within."""
 
-    enabled = jax.config.values["jax_enable_compilation_cache"]
-    jax.config.update("jax_enable_compilation_cache", False)
-    reset_cache()  # JAX determines only once whether there is a cache
-    try:
-        yield
-    finally:
+    def __init__(self) -> None:
+        self.inside = 0
+        self.enabled = True
+        self.lock = Lock()
+
+    def __enter__(self) -> None:
+        with self.lock:
+            if not self.inside:
+                self.enabled = jax.config.values["jax_enable_compilation_cache"]
+                self._enable(False)
+            self.inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self.lock:
+            self.inside -= 1
+            if not self.inside:
+                self._enable(self.enabled)
+
+    @staticmethod
+    def _enable(enabled: bool) -> None:
+        from jax.experimental.compilation_cache.compilation_cache import reset_cache
+
         jax.config.update("jax_enable_compilation_cache", enabled)
-        reset_cache()
+        reset_cache()  # JAX determines only once whether there is a cache
+
+
+_jax_cache_disabled = _JaxCacheDisabled()
 
 
 @functools.cache
