@@ -29,6 +29,7 @@ from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import options_of, require_known
 from curlfit.inference.priors import Prior
+from curlfit.numerics.threads import in_threads
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw, require_throw
 
@@ -112,28 +113,38 @@ def compare(
         "free": dict.fromkeys(free, True), "priors": priors or {},
     }  # fmt: skip
     require_known([law for law, _ in todo], options)
-    found: list[Fitted] = []
-    for done, (law, one_load, kind) in enumerate(fits):
-        if progress is not None:
-            progress(law.name, done, len(fits))
+
+    def fitted(law: type[Law], one_load: str, kind: str) -> list[Fitted]:
         choices: dict[str, Any] = {
             "load": one_load, "stone": stone, "since": since, "until": until, "exclude": exclude,
             "swept": swept, "unbounded": unbounded, "loss": loss, "noise": kind,
             "systematics": {ALL: 0.0}, **options_of(law, options),
         }  # fmt: skip
-        one = _fitted(throw, law, choices, signs_free=False)
-        found.append(one)
-        at_zero = one.result is not None and any(
-            item.verdict == "at bound" and item.lower == 0 and item.value < 1e-6 * item.typical
-            for item in one.result.coefficients.values()
-        )
-        if at_zero and not one.candidate.follows and not unbounded:
-            again = _fitted(throw, law, choices | {"unbounded": True}, signs_free=True)
-            if again.candidate.negative:
-                found.append(again)
+        return _with_free_signs(throw, law, choices)
+
+    found: list[Fitted] = []
+    with in_threads(fitted, fits) as results:
+        for done, (law, *_) in enumerate(fits):
+            if progress is not None:
+                progress(law.name, done, len(fits))
+            found += next(results)
     if progress is not None:
         progress("", len(fits), len(fits))
     return ranked(found)
+
+
+def _with_free_signs(throw: Throw, law: type[Law], choices: dict[str, Any]) -> list[Fitted]:
+    """A law's fit and, where it needs a coefficient to be negative, the one in which it is."""
+    one = _fitted(throw, law, choices, signs_free=False)
+    at_zero = one.result is not None and any(
+        item.verdict == "at bound" and item.lower == 0 and item.value < 1e-6 * item.typical
+        for item in one.result.coefficients.values()
+    )
+    if at_zero and not one.candidate.follows and not choices["unbounded"]:
+        again = _fitted(throw, law, choices | {"unbounded": True}, signs_free=True)
+        if again.candidate.negative:
+            return [one, again]
+    return [one]
 
 
 def _fitted(throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free: bool) -> Fitted:

@@ -16,9 +16,11 @@ import inspect
 import os
 import pickle
 import platform
+import sys
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
+from ctypes import CDLL
 from pathlib import Path
 from threading import Lock
 from typing import Any, TypeVar
@@ -37,7 +39,7 @@ BATCH = 64
 """Throws or vectors in one call of a program: few enough for a processor's cache, enough to share
 the cost of a pass."""
 
-_MOST_LOADED = 40  # programs in memory, of some 10 MB each
+_MOST_LOADED = 16  # programs in memory, of 5 to 30 MB each
 _PARTS = 4  # of a program, in which code is generated in parallel
 
 Record = TypeVar("Record")
@@ -73,8 +75,11 @@ class _LoadedPrograms:
     def __setitem__(self, key: Any, program: Any) -> None:
         with self.lock:
             self.programs[key] = program
-            while len(self.programs) > _MOST_LOADED:
+            full = len(self.programs) > _MOST_LOADED
+            if full:
                 self.programs.popitem(last=False)
+        if full:
+            return_memory()
 
     def clear(self) -> None:
         with self.lock:
@@ -137,6 +142,8 @@ class _CompiledFunction:
             # Some devices cannot serialize programs.
             with suppress(ValueError, NotImplementedError):
                 cache.write(file, pickle.dumps(serialize(program)))
+        self.jitted.clear_cache()  # of the trace and a second reference to the program
+        return_memory()
         return program
 
     def _cache_file(self, fixed: tuple[Any, ...], shapes: str) -> Path | None:
@@ -182,6 +189,14 @@ def _compile_lowered(lowered: Any, optimize: bool) -> Any:
         with suppress(jax.errors.JaxRuntimeError):  # of a version that knows no such option
             return lowered.compile(compiler_options=options)
     return lowered.compile()
+
+
+def return_memory() -> None:
+    """Return to the system what XLA's threads have freed, which glibc keeps for them: half of what
+    a program needs while it is compiled or loaded."""
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):  # of another library
+            CDLL(None).malloc_trim(0)
 
 
 @contextmanager
