@@ -1,0 +1,38 @@
+"""Independent computations side by side in threads.
+
+Python runs in one thread at a time, but XLA compiles, loads and runs programs beside it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
+
+_MOST_THREADS = 4  # beyond these Python is what they wait for
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@contextmanager
+def in_threads(
+    function: Callable[..., Result], arguments: Sequence[tuple[Any, ...]]
+) -> Iterator[Iterator[Result]]:
+    """The results of a function for each of several arguments, in order.
+
+    What was not begun when the context ends, by an error or by Ctrl-C, is left undone.
+    """
+    pool = ThreadPoolExecutor(min(cores(), _MOST_THREADS))
+    try:
+        yield pool.map(lambda given: function(*given), arguments)
+    finally:
+        pool.shutdown(cancel_futures=True)
