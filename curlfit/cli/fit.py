@@ -147,6 +147,7 @@ def fit(
     console = terminal(quiet=quiet)
     if resume and saved is None:
         console.print(f"Nothing to resume in {folder}; this is a first run.", soft_wrap=True)
+    drawn.draw_beside()
     if saved is None:
         with _status(console, "Fitting (a first run on a machine compiles the model)"):
             result = request.fit()
@@ -159,23 +160,25 @@ def fit(
     if saved is None:
         remove_figure(folder, "corner")  # of an earlier fit
         (folder / "chain.h5").unlink(missing_ok=True)
-    written += drawn.replace(folder, ["fit"], lambda: {"fit": curlfit.fit_figure(result)})
+    drawn.replace(folder, ["fit"], partial(_fit_figures, result))
     if not no_sample:
         chain_file = folder / "chain.h5"
-        result, chain = _sample(
-            console,
-            result,
-            seed=seed,
-            effective=effective,
-            most_steps=max_steps,
-            checkpoint=chain_file,
-            resume=saved is not None,
-        )
+        try:
+            result, chain = _sample(
+                console,
+                result,
+                seed=seed,
+                effective=effective,
+                most_steps=max_steps,
+                checkpoint=chain_file,
+                resume=saved is not None,
+            )
+        except KeyboardInterrupt:
+            drawn.written()
+            raise
         result.save(folder / "fit.json")
         written.append(chain_file)
-        written += drawn.replace(
-            folder, ["corner"], lambda: {"corner": curlfit.corner_figure(result, chain)}
-        )
+        drawn.replace(folder, ["corner"], partial(_corner_figures, result, chain))
     else:
         remove_figure(folder, "corner")
         (folder / "chain.h5").unlink(missing_ok=True)
@@ -183,6 +186,7 @@ def fit(
     from curlfit.inference.report import print_fit
 
     print_fit(result, console)
+    written += drawn.written()
     console.print("Written: " + ", ".join(str(file) for file in written), soft_wrap=True)
     if result.converged:
         _warn_of_posterior(result)
@@ -191,6 +195,14 @@ def fit(
 
 def _fit_figures(fit: FitResult) -> dict[str, Figure]:
     return {"fit": curlfit.fit_figure(fit)}
+
+
+def _corner_figures(fit: FitResult, chain: Chain) -> dict[str, Figure]:
+    return {"corner": curlfit.corner_figure(fit, chain)}
+
+
+def _joint_figures(joint: JointResult) -> dict[str, Figure]:
+    return {"joint": curlfit.joint_figure(joint)}
 
 
 def _load_saved(folder: Path, seed: int, request: s.FitRequest) -> FitResult | None:
@@ -325,6 +337,7 @@ def _fit_jointly(
         ParameterSet.for_throw(law, cut, **s.is_swept(choices))
         throws.append(cut.with_defaults(stone=job.stone.as_dict()))
     folder = prepare_folder(out or Path("joint-fit"))
+    drawn.draw_beside()
 
     from rich.progress import Progress, TextColumn
 
@@ -355,11 +368,12 @@ def _fit_jointly(
         own_folder = prepare_folder(folder / name)
         one.save(own_folder / "fit.json")
         drawn.replace(own_folder, ["fit"], partial(_fit_figures, one))
-    written += drawn.replace(folder, ["joint"], lambda: {"joint": curlfit.joint_figure(result)})
+    drawn.replace(folder, ["joint"], partial(_joint_figures, result))
 
     from curlfit.inference.joint.report import print_joint
 
     print_joint(result, console)
+    written += drawn.written()
     folders = list(named)
     if len(folders) > 3:
         folders[1:-1] = ["..."]

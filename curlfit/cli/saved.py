@@ -10,7 +10,7 @@ import typer
 
 import curlfit
 from curlfit.options import flags as o
-from curlfit.options.figures import FigureFiles
+from curlfit.options.figures import FigureFiles, write_figures
 from curlfit.options.settings import chain_beside, kind_of
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def plot(
     """Draw the figures again of a saved fit, joint fit, comparison, prediction, profile, design."""
     from curlfit.output.files import prepare_folder
 
-    files = FigureFiles.of(format, "--format")
+    formats = FigureFiles.of(format, "--format").formats
     kind = kind_of(folder)
     target = out or (folder if folder.is_dir() else folder.parent)
     figures: dict[str, Figure] = {}
@@ -101,7 +101,7 @@ def plot(
         names = _KINDS[kind]
         drawn = getattr(curlfit, names.draw)(getattr(curlfit, names.load)(folder))
         figures |= drawn if kind == "design" else {kind: drawn}
-    written = files.write(prepare_folder(target), lambda: figures)
+    written = write_figures(prepare_folder(target), figures, formats)
     typer.echo("Written: " + ", ".join(map(str, written)))
 
 

@@ -147,6 +147,7 @@ def compare(
     from curlfit.output.console import terminal
 
     console = terminal(quiet=quiet)
+    drawn.draw_beside()
     with Progress(
         TextColumn("Fitting {task.description}"),
         BarColumn(),
@@ -182,13 +183,14 @@ def compare(
         )
     written = [folder / "compare.json"]
     found.save(written[0])
-    written += drawn.replace(folder, ["compare"], partial(_figures, found))
+    drawn.replace(folder, ["compare"], partial(_figures, found))
 
     from curlfit.comparison.report import print_comparison
 
     print_comparison(found, console)
     for finding in unusual:
         console.print(f"Warning: {finding}.", style="yellow", markup=False)
+    written += drawn.written()
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
     return o.saved(folder, report=report, quiet=quiet)
 

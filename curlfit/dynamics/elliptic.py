@@ -143,7 +143,5 @@ def on_half(right: Means, forward: Means, front: float) -> tuple[Means, Means]:
     """The means on the front half (1.0) or the back half (0.0)."""
     if front:
         return right, forward
-    odd = right._replace(
-        one=-right.one, xi=-right.xi, xi_xi=-right.xi_xi, eta_eta=-right.eta_eta
-    )
+    odd = right._replace(one=-right.one, xi=-right.xi, xi_xi=-right.xi_xi, eta_eta=-right.eta_eta)
     return odd, forward._replace(eta=-forward.eta, xi_eta=-forward.xi_eta)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -31,6 +30,8 @@ def in_threads(
 
     What was not begun when the context ends, by an error or by Ctrl-C, is left undone.
     """
+    from concurrent.futures import ThreadPoolExecutor
+
     pool = ThreadPoolExecutor(min(cores(), _MOST_THREADS))
     try:
         yield pool.map(lambda given: function(*given), arguments)

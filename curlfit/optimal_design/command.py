@@ -209,6 +209,7 @@ def design(
     from curlfit.output.console import terminal
 
     console = terminal(quiet=quiet)
+    drawn.draw_beside()
     errors = Console(stderr=True, quiet=quiet)
     with errors.status("Reading") as status:
 
@@ -236,11 +237,12 @@ def design(
     written = [folder / "design.json"]
     result.save(written[0])
 
-    written += drawn.replace(folder, _FIGURES, partial(_figures, result))
+    drawn.replace(folder, _FIGURES, partial(_figures, result))
 
     from curlfit.optimal_design.report import print_design
 
     print_design(result, console)
+    written += drawn.written()
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
     return o.saved(folder, report=report, quiet=quiet)
 

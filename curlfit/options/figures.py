@@ -1,23 +1,33 @@
-"""Which figures a verb writes: their formats, and their files."""
+"""Which figures a verb writes: their formats, their files, and the process that draws them."""
 
 from __future__ import annotations
 
+import pickle
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from curlfit.errors import InputError
+from curlfit.numerics.threads import cores
 
 if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
     from matplotlib.figure import Figure
 
 FORMATS = ("png", "pdf", "svg")
 
 
-class FigureFiles(NamedTuple):
-    """The formats in which a verb writes its figures; none where it draws nothing."""
+class FigureFiles:
+    """The figures of a verb and the formats in which it writes them; none where it draws
+    nothing."""
 
-    formats: tuple[str, ...]
+    def __init__(self, formats: tuple[str, ...]) -> None:
+        self.formats = formats
+        self._second: Connection | None = None
+        self._tasks: list[_Task] = []
+        self._files: list[Path] = []
 
     @classmethod
     def of(cls, text: str | None, flag: str = "--figures", *, none: bool = False) -> FigureFiles:
@@ -42,27 +52,117 @@ class FigureFiles(NamedTuple):
                 )
         return cls(tuple(dict.fromkeys(names)))
 
-    def write(self, folder: Path, draw: Callable[[], Mapping[str, Figure]]) -> list[Path]:
-        """Draw figures, by name, and write them in each format; returns the files."""
-        if not self.formats:
-            return []
-        from curlfit.output.figures import save_figure
+    def draw_beside(self) -> None:
+        """From now on draw in a second process, which loads matplotlib while this one computes.
 
-        written = []
-        for name, figure in draw().items():
-            for format in self.formats:
-                written.append(folder / f"{name}.{format}")
-                save_figure(figure, written[-1])
-        return written
+        Where there is but one core, figures are drawn here; so are they where JAX is loaded
+        already, whose threads a fork does not copy. The process ends with this one.
+        """
+        if self._second is None and self.formats and cores() > 1 and "jax" not in sys.modules:
+            import multiprocessing
+
+            context: Any = multiprocessing.get_context(
+                "fork" if sys.platform == "linux" else "spawn"
+            )
+            self._second, other = context.Pipe()
+            context.Process(target=_draw, args=(other,), daemon=True).start()
+            other.close()
 
     def replace(
         self, folder: Path, names: Sequence[str], draw: Callable[[], Mapping[str, Figure]]
-    ) -> list[Path]:
-        """The same in place of the figures of an earlier result, of which none stays."""
-        written = self.write(folder, draw)
-        for name in names:
-            remove_figure(folder, name, keep=written)
+    ) -> None:
+        """Draw figures, by name, and write them in place of those of an earlier result, of which
+        none stays; `written` waits for the files.
+
+        Parameters
+        ----------
+        names : of all figures that there may be.
+        draw : a function of a module with its arguments, so that another process can call it.
+        """
+        task = _Task(folder, tuple(names), self.formats, draw)
+        if self._second is not None:
+            try:
+                self._second.send_bytes(pickle.dumps(task))
+            except (pickle.PicklingError, AttributeError, TypeError, OSError):
+                pass  # of a law of the user's, say; or the process is gone
+            else:
+                self._tasks.append(task)
+                return
+        self._files += task.carried_out()
+
+    def written(self) -> list[Path]:
+        """The files of all figures, once they are written; raises what drawing them raised."""
+        for task in self._tasks:
+            assert self._second is not None
+            try:
+                found = self._second.recv()
+            except (EOFError, OSError):  # killed, perhaps for its memory
+                found = task.carried_out()
+            if isinstance(found, Exception):
+                raise found
+            self._files += found
+        self._tasks = []
+        return self._files
+
+
+class _Task(NamedTuple):
+    """Figures to be drawn and written."""
+
+    folder: Path
+    names: tuple[str, ...]
+    formats: tuple[str, ...]
+    draw: Callable[[], Mapping[str, Figure]]
+
+    def carried_out(self) -> list[Path]:
+        """Draw and write; returns the files."""
+        written = write_figures(self.folder, self.draw(), self.formats) if self.formats else []
+        for name in self.names:
+            remove_figure(self.folder, name, keep=written)
         return written
+
+
+def _draw(tasks: Connection) -> None:
+    """What the second process does."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the first process
+    _load_matplotlib()
+    while True:
+        try:
+            task: _Task = pickle.loads(tasks.recv_bytes())
+        except EOFError:
+            return
+        answer: Any
+        try:
+            answer = task.carried_out()
+        except Exception as error:
+            answer = error
+        tasks.send(answer)
+
+
+def _load_matplotlib() -> None:
+    """All that a first figure would have to load, fonts too."""
+    from io import BytesIO
+
+    from curlfit.output.figures import Picture
+
+    figure = Picture(figsize=(1, 1))
+    figure.text(0, 0, "$v_0$ 0")
+    figure.savefig(BytesIO(), format="png")
+
+
+def write_figures(
+    folder: Path, figures: Mapping[str, Figure], formats: Sequence[str]
+) -> list[Path]:
+    """Write figures, by name, in each format; returns the files."""
+    from curlfit.output.figures import save_figure
+
+    written = []
+    for name, figure in figures.items():
+        for format in formats:
+            written.append(folder / f"{name}.{format}")
+            save_figure(figure, written[-1])
+    return written
 
 
 def remove_figure(folder: Path, name: str, keep: Sequence[Path] = ()) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,7 @@ from curlfit.options import flags as o
 from curlfit.options.figures import FigureFiles
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.console import Console
 
     from curlfit.paper.reproduce import Reproduction
@@ -41,6 +43,7 @@ def reproduce(
     from curlfit.output.console import terminal
 
     console = terminal(quiet=quiet or as_json)
+    drawn.draw_beside()
     result = _computed(console)
 
     from curlfit.paper.figures import FIGURES
@@ -51,14 +54,19 @@ def reproduce(
     for file, text in zip(written, (claims + "\n", page(result, drawn.formats[0])), strict=True):
         with atomic_write(file) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    written += drawn.replace(
-        folder, list(FIGURES), lambda: {name: draw(result) for name, draw in FIGURES.items()}
-    )
+    drawn.replace(folder, list(FIGURES), partial(_figures, result))
     if as_json and not quiet:
         typer.echo(claims)
     console.print(claims_table(result.claims))
     console.print(verdicts(result.claims))
+    written += drawn.written()
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
+
+
+def _figures(result: Reproduction) -> dict[str, Figure]:
+    from curlfit.paper.figures import FIGURES
+
+    return {name: draw(result) for name, draw in FIGURES.items()}
 
 
 def _computed(console: Console) -> Reproduction:

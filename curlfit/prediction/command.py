@@ -169,6 +169,7 @@ def predict(
     from curlfit.output.console import terminal
 
     console = terminal(quiet=quiet)
+    drawn.draw_beside()
     with console.status("Simulating the draws (a first run on a machine compiles the model)"):
         from curlfit.prediction.predict import predict as prediction_of
 
@@ -181,11 +182,12 @@ def predict(
     found.save(written[0])
     with atomic_write(written[1]) as temporary:
         temporary.write_text(found.table())
-    written += drawn.replace(folder, ["predict"], partial(_figures, found))
+    drawn.replace(folder, ["predict"], partial(_figures, found))
 
     from curlfit.prediction.report import print_prediction
 
     print_prediction(found, console)
+    written += drawn.written()
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
     return o.saved(folder, report=report, quiet=quiet)
 

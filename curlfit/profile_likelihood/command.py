@@ -133,6 +133,7 @@ def profile(
 
     require_usable(parameters, param, points, ranges)
     name = s.name_of(data) if saved else data.stem
+    drawn.draw_beside()
 
     with _progress(quiet) as progress:
         fit, chain = make_fit()
@@ -146,13 +147,14 @@ def profile(
         )
     written = [folder / "profile.json"]
     found.save(written[0])
-    written += drawn.replace(folder, ["profile"], partial(_figures, found))
+    drawn.replace(folder, ["profile"], partial(_figures, found))
 
     from curlfit.output.console import terminal
     from curlfit.profile_likelihood.report import print_profile
 
     console = terminal(quiet=quiet)
     print_profile(found, console)
+    written += drawn.written()
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
     return o.saved(folder, report=report, quiet=quiet)
 
