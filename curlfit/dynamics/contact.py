@@ -285,7 +285,7 @@ def _partial_derivatives(
     """By each of several inputs, of all outputs."""
     basis = np.eye(len(inputs))
 
-    def along(direction: Array) -> Any:
+    def along(direction: Any) -> Any:
         steps = (part + jnp.zeros_like(x) for part, x in zip(direction, inputs, strict=True))
         return jax.jvp(function, inputs, tuple(steps))[1]
 

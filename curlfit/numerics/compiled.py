@@ -98,7 +98,7 @@ class _CompiledFunction:
         self.static = static
         self.optimize = optimize
         self.names = tuple(inspect.signature(function).parameters)
-        self.jitted = jax.jit(function, static_argnames=static)
+        self.jitted: Any = jax.jit(function, static_argnames=static)
 
     def __call__(self, *args: Any) -> Any:
         named = tuple(zip(self.names, args, strict=True))

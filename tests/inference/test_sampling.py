@@ -13,7 +13,7 @@ from scipy import optimize, stats
 import curlfit
 from curlfit import Stone, fit, law_with, load_chain, sample, synthetic_throw
 from curlfit.inference.fit.result import load_fit
-from curlfit.inference.mcmc.convergence import r_hat
+from curlfit.inference.mcmc.convergence import autocorrelation_times, r_hat
 from curlfit.inference.mcmc.proposals import EnsembleMove, RidgeMove
 from curlfit.inference.mcmc.ridge import _extent
 
@@ -159,6 +159,18 @@ def test_ridge_move_leaves_its_target_as_it_is():
     chain = _run(move, log_prob, first, 3000)[100:].reshape(-1, 2)
     assert stats.kstest(chain[::40, 0] / 2, "uniform").pvalue > 1e-3
     assert stats.kstest((chain[::40].sum(1) - 2) / np.sqrt(2) / 0.25, "norm").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("steps", [5, 64, 333])
+def test_autocorrelation_times_are_those_of_emcee(steps):
+    random = np.random.default_rng(0)
+    values = random.normal(size=(steps, 12, 3))
+    for step in range(1, steps):
+        values[step] += [0.0, 0.5, 0.9] * values[step - 1]
+    expected = emcee.autocorr.integrated_time(values, tol=0)
+    np.testing.assert_allclose(autocorrelation_times(values), expected, rtol=1e-12)
+    values[:, 3, 1] = 2.0
+    assert np.isnan(autocorrelation_times(values)).tolist() == [False, True, False]
 
 
 def test_r_hat_by_hand():

@@ -7,11 +7,11 @@ from typing import cast
 
 import numpy as np
 
-from curlfit.inference.mcmc.library import emcee
 from curlfit.numerics.arrays import Floats
 
 BLOCK = 20  # steps between the first looks at convergence; later a fifth of those done
 _R_HAT = 1.01
+_WINDOW = 5.0  # autocorrelation times over which autocorrelations are summed
 _SHORTEST_IN_TIMES = 30.0  # steps over autocorrelation time, below which no estimate is trusted
 
 
@@ -55,8 +55,7 @@ def diagnose(values: Floats, ensembles: int) -> Diagnosis:
     steps, walkers, dimension = values.shape
     discarded = steps_to_discard(steps)
     kept = values[discarded:]
-    with np.errstate(invalid="ignore"):  # a walker that never moved; counted as no information
-        times = emcee.autocorr.integrated_time(kept, tol=0, has_walkers=True)
+    times = autocorrelation_times(kept)
     times = np.maximum(np.nan_to_num(times, nan=float(len(kept))), 1.0)
     effective = kept.shape[0] * walkers / times
     groups = kept.reshape(len(kept), ensembles, -1, dimension)
@@ -64,6 +63,27 @@ def diagnose(values: Floats, ensembles: int) -> Diagnosis:
     half = len(kept) // 2
     parts = np.concatenate([groups[:half], groups[half : 2 * half]], 1)
     return Diagnosis(discarded, times, effective, r_hat(parts), steps)
+
+
+def autocorrelation_times(values: Floats) -> Floats:
+    """Integrated autocorrelation times of values (steps, walkers, parameters), in steps; NaN where
+    a walker never moved.
+
+    Sokal (1997, sect. 3.3), with the autocorrelation averaged over the walkers, as in emcee, whose
+    own function takes seven times as long, one walker after the other.
+    """
+    steps = len(values)
+    size = 2 << (steps - 1).bit_length()  # so that ends do not meet
+    times = []
+    for series in np.moveaxis(values, 2, 0):
+        transform = np.fft.rfft(series.T - series.mean(0)[:, None], size)
+        covariance = np.fft.irfft(np.abs(transform) ** 2, size)[:, :steps]
+        with np.errstate(invalid="ignore"):
+            correlation = (covariance / covariance[:, :1]).mean(0)
+        sums = 2 * np.cumsum(correlation) - 1
+        within = np.arange(steps) < _WINDOW * sums
+        times.append(sums[np.argmin(within) if within.any() else -1])
+    return np.array(times)
 
 
 def r_hat(groups: Floats) -> Floats:
