@@ -12,7 +12,7 @@ from curlfit.dynamics.quadrature import panels
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jax import Array
 
 from curlfit.friction import Law, LocalLaw
 from curlfit.inference.fit.result import FitResult

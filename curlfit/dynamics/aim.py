@@ -19,7 +19,7 @@ from curlfit.dynamics.trajectory import InitialState, forces_on, ordered_traject
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jax import Array
 
 from curlfit.environment import Environment
 from curlfit.errors import InputError

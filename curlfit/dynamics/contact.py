@@ -24,8 +24,9 @@ from curlfit.dynamics.law_structure import (
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Array, ArrayLike
+from jax.typing import ArrayLike
 
 from curlfit.dynamics.elliptic import Means, mean_directions, on_half
 from curlfit.dynamics.quadrature import (

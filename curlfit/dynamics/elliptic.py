@@ -21,7 +21,7 @@ from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its
 # isort: split
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jax import Array
 
 _AGM_ITERATIONS = 5  # of the arithmetic-geometric mean: to rounding for m1 >= _MIN_M1
 _MIN_M1 = 1e-10  # 1 - q^2: an error of 1e-9 of the force at |epsilon| = 1

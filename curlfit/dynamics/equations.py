@@ -29,7 +29,7 @@ from curlfit.dynamics.quadrature import NodeClustering, singularity_distance
 
 # isort: split
 import jax.numpy as jnp
-from jaxtyping import Array
+from jax import Array
 
 from curlfit.environment import WEAR_KNOTS
 from curlfit.friction import Law, Load, NetLaw, power

@@ -41,9 +41,9 @@ from curlfit.dynamics.quadrature import node_clustering
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
-from jaxtyping import Array
 
 from curlfit.friction import Law, Load, NetLaw
 from curlfit.stone import Stone

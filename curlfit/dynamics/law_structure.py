@@ -17,7 +17,7 @@ from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jax import Array
 
 from curlfit.friction import LAWS, Law, Load, LocalLaw, Motion, NetLaw, RingPoint, power
 from curlfit.friction.base import on_new_law

@@ -15,7 +15,7 @@ from curlfit.dynamics.trajectory import InitialState, Trajectory, ordered_trajec
 # isort: split
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jax import Array
 
 from curlfit.friction import Law, Load
 from curlfit.stone import Stone

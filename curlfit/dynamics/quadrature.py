@@ -23,7 +23,7 @@ from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jax import Array
 
 from curlfit.friction import LocalLaw, RingPoint
 

@@ -14,7 +14,8 @@ from curlfit.dynamics.integrator import integrate
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jax import Array
+from jax.typing import ArrayLike
 
 from curlfit.environment import Environment
 from curlfit.friction import Law, Load, check_load

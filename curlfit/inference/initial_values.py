@@ -18,7 +18,7 @@ from curlfit.dynamics.contact import accelerations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jax import Array
 from numpy.polynomial.chebyshev import chebder, chebint, chebval, chebvander
 
 from curlfit.friction import Coefficient, Law, Load

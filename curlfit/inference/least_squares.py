@@ -18,7 +18,7 @@ from curlfit.inference.likelihood import linearize
 # isort: split
 import jax
 import numpy as np
-from jaxtyping import Array
+from jax import Array
 from numpy.typing import NDArray
 
 from curlfit.inference.identifiability import inverted

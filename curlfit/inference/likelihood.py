@@ -23,7 +23,7 @@ from curlfit.dynamics.trajectory import forces_on, ordered_trajectory, positions
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jax import Array
 
 from curlfit.inference.model import Model
 from curlfit.inference.noise.correlated import whitened

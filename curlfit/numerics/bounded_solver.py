@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array
+from jax import Array
 
 from curlfit.numerics.levenberg_marquardt import (
     Bounds,

@@ -23,17 +23,19 @@ from contextlib import contextmanager, nullcontext, suppress
 from ctypes import CDLL
 from pathlib import Path
 from threading import Lock
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
 
 # isort: split
 import jax
 import numpy as np
+from jax import Array
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
 from jaxlib import version as jaxlib_version
 
 from curlfit.numerics import program_cache as cache
+from curlfit.numerics.read_ahead import ReadAhead
 
 BATCH = 64
 """Throws or vectors in one call of a program: few enough for a processor's cache, enough to share
@@ -89,16 +91,26 @@ class _LoadedPrograms:
 _loaded = _LoadedPrograms()
 
 
+class _Program(NamedTuple):
+    """A compiled program, of arrays alone, and the structure of what it returns."""
+
+    run: Any
+    structure: Any
+
+    def __call__(self, leaves: list[Any]) -> Any:
+        return jax.tree.unflatten(self.structure, self.run(*leaves))
+
+
 class _CompiledFunction:
     def __init__(
         self, function: Callable[..., Any], static: tuple[str, ...], optimize: bool
     ) -> None:
         functools.update_wrapper(self, function)
+        self.function = function
         self.name = function.__qualname__
         self.static = static
         self.optimize = optimize
         self.names = tuple(inspect.signature(function).parameters)
-        self.jitted: Any = jax.jit(function, static_argnames=static)
 
     def __call__(self, *args: Any) -> Any:
         named = tuple(zip(self.names, args, strict=True))
@@ -110,41 +122,48 @@ class _CompiledFunction:
         # Lists and Python numbers become arrays, or each type would be compiled.
         leaves = [leaf if isinstance(leaf, jax.Array) else np.asarray(leaf) for leaf in leaves]
         key = (fixed, tree, tuple((leaf.shape, leaf.dtype.str) for leaf in leaves))
-        dynamic = jax.tree.unflatten(tree, leaves)
         program = _loaded.get((self, key))
-        if program is None:
-            program = self._load_or_compile(fixed, dynamic, repr(key[1:]))
-            _loaded[self, key] = program
-        return program(*dynamic)
+        if program is not None:
+            return program(leaves)
+        file = self._cache_file(fixed, repr(key[1:]))
+        found = None if file is None else _load(file, leaves)
+        program, result = found or self._compile(fixed, tree, leaves, file)
+        _loaded[self, key] = program
+        return result
 
-    def _load_or_compile(
-        self, fixed: tuple[Any, ...], dynamic: tuple[Any, ...], shapes: str
-    ) -> Any:
-        file = self._cache_file(fixed, shapes)
-        content = None if file is None else cache.read(file)
-        if content is not None:
-            # A damaged file, or one of another build, may raise any exception, also when run.
-            with suppress(Exception):
-                program = _deserialize(content)
-                jax.block_until_ready(program(*dynamic))
-                return program
-        return self._compile(fixed, dynamic, file)
+    @functools.cached_property
+    def jitted(self) -> Any:
+        """The function as `jax.jit` has it, for use within other programs."""
+        return jax.jit(self.function, static_argnames=self.static)
 
-    def _compile(self, fixed: tuple[Any, ...], dynamic: tuple[Any, ...], file: Path | None) -> Any:
-        fixed_values, arrays = iter(fixed), iter(dynamic)
-        args = [next(fixed_values) if name in self.static else next(arrays) for name in self.names]
+    def _compile(
+        self, fixed: tuple[Any, ...], tree: Any, leaves: list[Any], file: Path | None
+    ) -> tuple[_Program, Any]:
+        structures = []
+
+        def of_leaves(*leaves: Array) -> list[Array]:
+            fixed_values, arrays = iter(fixed), iter(jax.tree.unflatten(tree, leaves))
+            result = self.function(
+                *(next(fixed_values if name in self.static else arrays) for name in self.names)
+            )
+            out, structure = jax.tree.flatten(result)
+            structures.append(structure)
+            return out
+
+        of_leaves.__name__ = self.name
         # A program from JAX's own cache cannot be serialized.
         with gc_paused(), _jax_cache_disabled if file is not None else nullcontext():
-            lowered = self.jitted.lower(*args)
+            lowered = jax.jit(of_leaves).lower(*leaves)
             _remove_locations(lowered)
-            program = _compile_lowered(lowered, self.optimize)
+            program = _Program(_compile_lowered(lowered, self.optimize), structures[0])
         if file is not None:
             # Some devices cannot serialize programs.
             with suppress(ValueError, NotImplementedError):
-                cache.write(file, pickle.dumps(serialize(program)))
-        self.jitted.clear_cache()  # of the trace and a second reference to the program
+                cache.write(file, _serialized(program))
+                _ahead.note(file)
+        del lowered
         return_memory()
-        return program
+        return program, program(leaves)
 
     def _cache_file(self, fixed: tuple[Any, ...], shapes: str) -> Path | None:
         """The file of the program; None where it is not to be stored."""
@@ -261,11 +280,39 @@ def _fingerprint() -> str:
     return "\n".join((*stamps, *versions, device.platform, device.device_kind, cpu, *settings))
 
 
-def _deserialize(content: bytes) -> Any:
-    from jaxlib import lapack
+def _serialized(program: _Program) -> bytes:
+    # The structure has curlfit's types, which need not be known where the rest is read ahead.
+    return pickle.dumps((serialize(program.run), pickle.dumps(program.structure)))
 
-    lapack.prepare_lapack_call("geqrf_ffi", np.dtype(float))  # registers LAPACK
-    return deserialize_and_load(*pickle.loads(content))
+
+def _deserialized(content: bytes) -> tuple[Any, bytes]:
+    if b"lapack" in content:  # a tenth of a second to load
+        from jaxlib import lapack
+
+        lapack.prepare_lapack_call("geqrf_ffi", np.dtype(float))
+    serialized, structure = pickle.loads(content)
+    return deserialize_and_load(*serialized), structure
+
+
+def _load(file: Path, leaves: list[Any]) -> tuple[_Program, Any] | None:
+    """The program in a file, and what it returns; None where there is no such file."""
+    # A damaged file, or one of another build, may raise any exception, also when run.
+    with suppress(Exception):
+        found = _ahead.taken(file)
+        if found is None:
+            content = cache.read(file)
+            if content is None:
+                return None
+            found = _deserialized(content)
+        run, structure = found
+        program = _Program(run, pickle.loads(structure))
+        result = jax.block_until_ready(program(leaves))
+        _ahead.note(file)
+        return program, result
+    return None
+
+
+_ahead = ReadAhead(_deserialized)
 
 
 def stacked(records: Sequence[Record]) -> Record:

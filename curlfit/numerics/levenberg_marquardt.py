@@ -245,7 +245,7 @@ def _bounded_step(values: Any, model: QuadraticModel, damping: Any, bounds: Boun
         diagonal = xp.where(held, 1.0, damping[..., None] + _REGULAR)
         matrix = matrix + xp.eye(values.shape[-1]) * diagonal[..., None]
         right = -(gradient + _product(hessian, step)) * free
-        return xp.where(held, step, xp.linalg.solve(matrix, right[..., None])[..., 0] * free)
+        return xp.where(held, step, _solution(matrix, right) * free)
 
     def outside(carry: tuple[Any, Any]) -> Any:
         held, step = carry
@@ -260,6 +260,23 @@ def _bounded_step(values: Any, model: QuadraticModel, damping: Any, bounds: Boun
     step = (trial - values) / bounds.typical
     # Not as the difference of two chi squared, of which rounding leaves nothing near the optimum.
     return trial, -2 * (gradient * step).sum(-1) - (step * _product(hessian, step)).sum(-1)
+
+
+def _solution(matrix: Any, right: Any) -> Any:
+    """Of a positive-definite system. A compiled program eliminates without pivots, as such a matrix
+    allows: LAPACK, which it would call otherwise, takes a tenth of a second to load."""
+    if not isinstance(matrix, jax.core.Tracer):
+        return np.linalg.solve(matrix, right[..., None])[..., 0]
+    count = matrix.shape[-1]
+
+    def eliminated(k: Any, system: Any) -> Any:
+        row = jax.lax.dynamic_index_in_dim(system, k, -2)
+        row = row / jax.lax.dynamic_index_in_dim(row, k, -1)
+        rest = system - jax.lax.dynamic_index_in_dim(system, k, -1) * row
+        return jnp.where(jnp.arange(count)[:, None] == k, row, rest)
+
+    system = jnp.concatenate([matrix, right[..., None]], -1)
+    return jax.lax.fori_loop(0, count, eliminated, system)[..., -1]
 
 
 def _product(matrix: Any, vector: Any) -> Any:

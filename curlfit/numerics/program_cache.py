@@ -26,6 +26,9 @@ LIMIT = 256 * 2**20
 PARTS = ("programs", "jax")
 """Folders within the cache: programs of `curlfit.numerics.compiled`, and JAX's own."""
 
+command = ""
+"""The command whose programs are read ahead, without what differs from one throw to the next."""
+
 _CHECK_INTERVAL = 1 / 32  # of the limit, written by a process between two checks of the size
 
 

@@ -21,7 +21,7 @@ from curlfit.optimal_design.result import LoadScenario, Proof, Separation, Stone
 # isort: split
 import jax
 import numpy as np
-from jaxtyping import Array
+from jax import Array
 
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load

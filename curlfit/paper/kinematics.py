@@ -15,7 +15,7 @@ from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jax import Array
 from scipy.optimize import brentq
 
 from curlfit.numerics.arrays import Floats

@@ -11,7 +11,7 @@ from curlfit.dynamics.contact import accelerations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jax import Array
 
 from curlfit.friction import Load, LocalLaw
 from curlfit.friction.anisotropic import Radial

@@ -10,7 +10,7 @@ from curlfit.dynamics.trajectory import simulate
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jax import Array
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
@@ -100,3 +101,17 @@ def test_a_start_without_a_derivative_has_no_residual():
     )  # fmt: skip
     assert found.result != optx.RESULTS.successful
     assert np.isnan(found.state.residual).all()
+
+
+def test_elimination_solves_as_lapack_does_and_needs_none_of_it():
+    random = np.random.default_rng(0)
+    factor = random.normal(size=(10, 10)) * 10.0 ** random.uniform(-3, 0, 10)
+    matrix = factor @ factor.T
+    size = np.sqrt(np.diagonal(matrix))
+    matrix = matrix / np.outer(size, size) + 1e-10 * np.eye(10)
+    right = random.normal(size=10)
+    program = jax.jit(lm._solution).lower(matrix, right)
+    assert "custom_call" not in program.as_text()
+    found, expected = program.compile()(matrix, right), np.linalg.solve(matrix, right)
+    allowed = 10 * np.finfo(float).eps * np.linalg.cond(matrix)
+    assert np.linalg.norm(found - expected) < allowed * np.linalg.norm(expected)

@@ -15,7 +15,7 @@ from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its
 # isort: split
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jax import Array
 
 from curlfit.inference.noise.estimation import (
     ChannelResiduals,

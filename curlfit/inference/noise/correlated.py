@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
 
 # isort: split
-from jaxtyping import Array
+from jax import Array
 
 from curlfit.inference.noise import ar1, discrepancy
 from curlfit.inference.noise.accelerations import Responses

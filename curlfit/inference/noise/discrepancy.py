@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jax import Array
 
 from curlfit.inference.identifiability import triangle
 from curlfit.inference.noise import ar1

@@ -18,7 +18,8 @@ from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jax import Array
+from jax.typing import ArrayLike
 
 from curlfit.inference.noise.models import LOSSES
 from curlfit.numerics.arrays import Floats

@@ -1,0 +1,72 @@
+"""Programs that the same command needed last time, loaded while this one still begins.
+
+XLA loads a program without Python, so that it takes no time where a core is free. Which programs a
+command needs is only known when it needs them: a list of those of its last run is kept beside them.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from curlfit.numerics import program_cache as cache
+from curlfit.numerics.threads import cores
+
+_MOST = 8  # programs that are read ahead
+
+
+class ReadAhead:
+    """The programs of one command, which `program_cache.command` names; none where it is empty.
+
+    Parameters
+    ----------
+    load : makes a program of the content of its file.
+    """
+
+    def __init__(self, load: Callable[[bytes], Any]) -> None:
+        folder = cache.folder("programs")
+        if not cache.command or folder is None or cores() < 2:
+            self.list: Path | None = None
+            return
+        self.list = folder / f"{hashlib.sha256(cache.command.encode()).hexdigest()}.list"
+        self.noted: list[str] = []
+        self.expected = (cache.read(self.list) or b"").decode(errors="replace").split()
+        self.programs: dict[str, Future[Any]] = {name: Future() for name in self.expected}
+        self.load = load
+        atexit.register(self._write)
+        if self.expected:
+            todo = [(folder / name, program) for name, program in self.programs.items()]
+            threading.Thread(target=self._load_all, args=(todo,)).start()
+
+    def _load_all(self, todo: list[tuple[Path, Future[Any]]]) -> None:
+        for file, program in todo:
+            if not threading.main_thread().is_alive():
+                return
+            if program.set_running_or_notify_cancel():
+                try:
+                    content = cache.read(file)
+                    program.set_result(None if content is None else self.load(content))
+                except Exception:  # a damaged file is found to be so where it is needed
+                    program.set_result(None)
+
+    def taken(self, file: Path) -> Any:
+        """A program that was read ahead, once; None for any other."""
+        program = None if self.list is None else self.programs.pop(file.name, None)
+        return None if program is None or program.cancel() else program.result()
+
+    def note(self, file: Path) -> None:
+        """Note that a program was needed."""
+        if self.list is not None and file.name not in self.noted:
+            self.noted.append(file.name)
+
+    def _write(self) -> None:
+        names = self.noted[:_MOST]
+        if self.list is not None and names and names != self.expected:
+            with suppress(Exception):
+                cache.write(self.list, "\n".join(names).encode())
