@@ -216,7 +216,7 @@ def chi_squared_of_many(
         return np.asarray(in_batches(program, (values, problems), batch))
     found = raw_residuals(model, values, problems, batch)
     roots = [signed_root(*pair) for pair in zip(found, problems.loss, strict=True)]
-    return np.asarray((np.asarray(roots) ** 2).sum((1, 2)))
+    return (np.array(roots) ** 2).sum((1, 2))
 
 
 def raw_residuals(model: Model, values: Floats, problems: Problem, batch: int = BATCH) -> Floats:

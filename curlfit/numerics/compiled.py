@@ -31,11 +31,11 @@ from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its
 import jax
 import numpy as np
 from jax import Array
-from jax.experimental.serialize_executable import deserialize_and_load, serialize
+from jax.experimental.serialize_executable import serialize
 from jaxlib import version as jaxlib_version
 
 from curlfit.numerics import program_cache as cache
-from curlfit.numerics.read_ahead import ReadAhead
+from curlfit.numerics.read_ahead import AHEAD, deserialized
 
 BATCH = 64
 """Throws or vectors in one call of a program: few enough for a processor's cache, enough to share
@@ -160,7 +160,7 @@ class _CompiledFunction:
             # Some devices cannot serialize programs.
             with suppress(ValueError, NotImplementedError):
                 cache.write(file, _serialized(program))
-                _ahead.note(file)
+                AHEAD.note(file)
         del lowered
         return_memory()
         return program, program(leaves)
@@ -285,34 +285,22 @@ def _serialized(program: _Program) -> bytes:
     return pickle.dumps((serialize(program.run), pickle.dumps(program.structure)))
 
 
-def _deserialized(content: bytes) -> tuple[Any, bytes]:
-    if b"lapack" in content:  # a tenth of a second to load
-        from jaxlib import lapack
-
-        lapack.prepare_lapack_call("geqrf_ffi", np.dtype(float))
-    serialized, structure = pickle.loads(content)
-    return deserialize_and_load(*serialized), structure
-
-
 def _load(file: Path, leaves: list[Any]) -> tuple[_Program, Any] | None:
     """The program in a file, and what it returns; None where there is no such file."""
     # A damaged file, or one of another build, may raise any exception, also when run.
     with suppress(Exception):
-        found = _ahead.taken(file)
+        found = AHEAD.taken(file)
         if found is None:
             content = cache.read(file)
             if content is None:
                 return None
-            found = _deserialized(content)
+            found = deserialized(content)
         run, structure = found
         program = _Program(run, pickle.loads(structure))
         result = jax.block_until_ready(program(leaves))
-        _ahead.note(file)
+        AHEAD.note(file)
         return program, result
     return None
-
-
-_ahead = ReadAhead(_deserialized)
 
 
 def stacked(records: Sequence[Record]) -> Record:

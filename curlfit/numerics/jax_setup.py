@@ -63,3 +63,6 @@ def _use_program_cache(folder: Path) -> None:
 
 
 _configure()
+
+# Begins to load programs, now that JAX is configured.
+from curlfit.numerics import read_ahead  # noqa: E402, F401

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import atexit
 import hashlib
+import pickle
 import threading
-from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from jax.experimental.serialize_executable import deserialize_and_load
 
 from curlfit.numerics import program_cache as cache
 from curlfit.numerics.threads import cores
@@ -21,15 +24,20 @@ from curlfit.numerics.threads import cores
 _MOST = 8  # programs that are read ahead
 
 
+def deserialized(content: bytes) -> tuple[Any, bytes]:
+    """A program of arrays, and the structure of what it returns, from the content of its file."""
+    if b"lapack" in content:  # a tenth of a second to load
+        from jaxlib import lapack
+
+        lapack.prepare_lapack_call("geqrf_ffi", np.dtype(float))
+    serialized, structure = pickle.loads(content)
+    return deserialize_and_load(*serialized), structure
+
+
 class ReadAhead:
-    """The programs of one command, which `program_cache.command` names; none where it is empty.
+    """The programs of one command, which `program_cache.command` names; none where it is empty."""
 
-    Parameters
-    ----------
-    load : makes a program of the content of its file.
-    """
-
-    def __init__(self, load: Callable[[bytes], Any]) -> None:
+    def __init__(self) -> None:
         folder = cache.folder("programs")
         if not cache.command or folder is None or cores() < 2:
             self.list: Path | None = None
@@ -38,7 +46,6 @@ class ReadAhead:
         self.noted: list[str] = []
         self.expected = (cache.read(self.list) or b"").decode(errors="replace").split()
         self.programs: dict[str, Future[Any]] = {name: Future() for name in self.expected}
-        self.load = load
         atexit.register(self._write)
         if self.expected:
             todo = [(folder / name, program) for name, program in self.programs.items()]
@@ -51,7 +58,7 @@ class ReadAhead:
             if program.set_running_or_notify_cancel():
                 try:
                     content = cache.read(file)
-                    program.set_result(None if content is None else self.load(content))
+                    program.set_result(None if content is None else deserialized(content))
                 except Exception:  # a damaged file is found to be so where it is needed
                     program.set_result(None)
 
@@ -70,3 +77,6 @@ class ReadAhead:
         if self.list is not None and names and names != self.expected:
             with suppress(Exception):
                 cache.write(self.list, "\n".join(names).encode())
+
+
+AHEAD = ReadAhead()

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
 
@@ -18,8 +18,6 @@ from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jax.typing import ArrayLike
 
 from curlfit.inference.noise.models import LOSSES
 from curlfit.numerics.arrays import Floats
@@ -29,30 +27,43 @@ _CAUCHY = 2.385
 _DEGREES = 4.0
 
 
-def _log_ratio(q: Array) -> Array:
+def _namespace(array: Any) -> Any:
+    return jnp if isinstance(array, jax.Array) else np
+
+
+def _log_ratio(q: Any) -> Any:
     """log(1 + q)/q, also at 0."""
-    small = q < 1e-8
-    return jnp.where(small, 1 - q / 2, jnp.log1p(q) / jnp.where(small, 1.0, q))
+    xp, small = _namespace(q), q < 1e-8
+    return xp.where(small, 1 - q / 2, xp.log1p(q) / xp.where(small, 1.0, q))
 
 
-def _huber(r: Array) -> Array:
-    size = jnp.abs(r)
-    outer = jnp.sqrt(jnp.maximum(2 * _HUBER * size - _HUBER**2, _HUBER**2))
-    return jnp.where(size <= _HUBER, r, jnp.sign(r) * outer)
+def _huber(r: Any) -> Any:
+    xp, size = _namespace(r), abs(r)
+    outer = xp.sqrt(xp.maximum(2 * _HUBER * size - _HUBER**2, _HUBER**2))
+    return xp.where(size <= _HUBER, r, xp.sign(r) * outer)
 
 
-_ROOTS: tuple[Callable[[Array], Array], ...] = (
-    lambda r: r,
-    _huber,
-    lambda r: r * jnp.sqrt(2 / (jnp.sqrt(1 + r**2) + 1)),
-    lambda r: r * jnp.sqrt(_log_ratio(r**2 / _CAUCHY**2)),
-    lambda r: r * jnp.sqrt((1 + 1 / _DEGREES) * _log_ratio(r**2 / _DEGREES)),
-)
+def _soft(r: Any) -> Any:
+    xp = _namespace(r)
+    return r * xp.sqrt(2 / (xp.sqrt(1 + r**2) + 1))
 
 
-def signed_root(r: ArrayLike, loss: ArrayLike) -> Array:
-    """sqrt(rho) with the sign of r; `loss` is a place in `LOSSES`, a scalar."""
-    return jax.lax.switch(loss, _ROOTS, jnp.asarray(r))
+def _cauchy(r: Any) -> Any:
+    return r * _namespace(r).sqrt(_log_ratio(r**2 / _CAUCHY**2))
+
+
+def _student(r: Any) -> Any:
+    return r * _namespace(r).sqrt((1 + 1 / _DEGREES) * _log_ratio(r**2 / _DEGREES))
+
+
+_ROOTS: tuple[Callable[[Any], Any], ...] = (lambda r: r, _huber, _soft, _cauchy, _student)
+
+
+def signed_root(r: Any, loss: Any) -> Any:
+    """sqrt(rho) with the sign of r, of NumPy or JAX; `loss` is a place in `LOSSES`, a scalar."""
+    if isinstance(r, jax.Array) or isinstance(loss, jax.Array):
+        return jax.lax.switch(loss, _ROOTS, jnp.asarray(r))
+    return _ROOTS[int(loss)](r)
 
 
 class Influence(NamedTuple):
@@ -85,7 +96,7 @@ def log_density(r: Floats, loss: str) -> Floats:
     hyperbolic (soft-l1); Student's t, of 4 degrees of freedom (student) or, widened, of 4.7
     (cauchy).
     """
-    return -(np.asarray(signed_root(r, LOSSES.index(loss))) ** 2) / 2 - np.log(_NORMS[loss])
+    return -(signed_root(r, LOSSES.index(loss)) ** 2) / 2 - np.log(_NORMS[loss])
 
 
 _BESSEL_K1 = 0.6019072301972346
