@@ -150,6 +150,8 @@ def fit(
     drawn.draw_beside()
     if saved is None:
         with _status(console, "Fitting (a first run on a machine compiles the model)"):
+            if not no_sample:
+                request.prepare_sampling()
             result = request.fit()
     else:
         result = request.with_derived(saved)

@@ -100,6 +100,14 @@ def _minimize(
     )
 
 
+def prepare_minimize(model: Model, parameters: ParameterSet, problem: Problem) -> None:
+    """Begin to compile what `minimize` needs."""
+    _minimize.prepare(
+        model, np.zeros(len(parameters)), parameters.lower, parameters.upper, parameters.typical,
+        problem, parameters.penalty,
+    )  # fmt: skip
+
+
 def minimize(
     model: Model, start: Floats, parameters: ParameterSet, problem: Problem
 ) -> Solution | None:

@@ -97,6 +97,11 @@ def predict_channels(model: Model, values: Any, problem: Problem) -> Array:
     return found
 
 
+def prepare_channels(model: Model, parameters: int, problem: Problem) -> None:
+    """Begin to compile what `predict_channels` needs."""
+    _single_channels.prepare(model, np.zeros(parameters), _without_data(problem))
+
+
 def _without_data(problem: Problem) -> Problem:
     """What a path depends on: one program serves all channels, losses and noises."""
     return problem._replace(observed=None, weight=None, loss=None, whitener=None)
@@ -161,9 +166,8 @@ def _under_losses(residual: Array, losses: Array) -> tuple[Array, Array]:
     return jax.lax.cond((losses > 0).any(), robust, squared, residual)
 
 
-@compiled("model", optimize=True)
-def linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, Array]:
-    """Residuals of many throws (throws, channels, n), and their Jacobian by their parameters."""
+def _linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, Array]:
+    """Residuals of throws (throws, channels, n), and their Jacobian by their parameters."""
 
     def one(values: Array, problem: Problem) -> tuple[Array, Array]:
         def residual(values: Array) -> tuple[Array, Array]:
@@ -175,6 +179,11 @@ def linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, Ar
     jacobian, found = jax.vmap(one)(values, problems)
     found, slope = _under_losses(found, problems.loss)
     return found, slope[..., None] * jacobian
+
+
+linearize = compiled("model", optimize=True)(_linearize)
+"""For many throws, or many times."""
+linearize_once = compiled("model")(_linearize)
 
 
 def log_likelihood(model: Model, values: Array, problem: Problem) -> Array:

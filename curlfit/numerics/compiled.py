@@ -19,10 +19,11 @@ import platform
 import sys
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager, nullcontext, suppress
 from ctypes import CDLL
 from pathlib import Path
-from threading import Lock
+from threading import Lock, Thread
 from typing import Any, NamedTuple, TypeVar
 
 from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
@@ -36,6 +37,7 @@ from jaxlib import version as jaxlib_version
 
 from curlfit.numerics import program_cache as cache
 from curlfit.numerics.read_ahead import AHEAD, deserialized
+from curlfit.numerics.threads import cores
 
 BATCH = 64
 """Throws or vectors in one call of a program: few enough for a processor's cache, enough to share
@@ -101,6 +103,22 @@ class _Program(NamedTuple):
         return jax.tree.unflatten(self.structure, self.run(*leaves))
 
 
+class _Call(NamedTuple):
+    """The arguments of a call: those that are fixed in the program, and its arrays."""
+
+    fixed: tuple[Any, ...]
+    tree: Any
+    leaves: list[Any]
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """What the program depends on."""
+        return self.fixed, self.tree, tuple((leaf.shape, leaf.dtype.str) for leaf in self.leaves)
+
+
+_in_preparation: dict[Any, Future[_Program]] = {}
+
+
 class _CompiledFunction:
     def __init__(
         self, function: Callable[..., Any], static: tuple[str, ...], optimize: bool
@@ -113,36 +131,61 @@ class _CompiledFunction:
         self.names = tuple(inspect.signature(function).parameters)
 
     def __call__(self, *args: Any) -> Any:
+        call = self._call(args)
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in call.leaves):
+            return self.jitted(*args)
+        key = self, call.key
+        program = _loaded.get(key)
+        if program is None and key in _in_preparation:
+            with suppress(Exception):  # which comes again below
+                program = _loaded[key] = _in_preparation.pop(key).result()
+        if program is not None:
+            return program(call.leaves)
+        file = self._cache_file(call)
+        found = None if file is None else _load(file, call.leaves)
+        if found is None:
+            program = self._compile(call, file)
+            found = program, program(call.leaves)
+        _loaded[key], result = found
+        return result
+
+    def prepare(self, *args: Any) -> None:
+        """Begin to compile in a thread what this call will need, unless it is stored already."""
+        call = self._call(args)
+        file, key = self._cache_file(call), (self, call.key)
+        if file is None or file.exists() or cores() < 2 or key in _in_preparation:
+            return
+        program: Future[_Program] = Future()
+
+        def compile_it() -> None:
+            try:
+                program.set_result(self._compile(call, file))
+            except Exception as error:
+                program.set_exception(error)
+
+        _in_preparation[key] = program
+        Thread(target=compile_it).start()
+
+    def _call(self, args: tuple[Any, ...]) -> _Call:
         named = tuple(zip(self.names, args, strict=True))
         dynamic = tuple(value for name, value in named if name not in self.static)
-        leaves, tree = jax.tree.flatten(dynamic)
         fixed = tuple(value for name, value in named if name in self.static)
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-            return self.jitted(*args)
+        leaves, tree = jax.tree.flatten(dynamic)
         # Lists and Python numbers become arrays, or each type would be compiled.
         leaves = [leaf if isinstance(leaf, jax.Array) else np.asarray(leaf) for leaf in leaves]
-        key = (fixed, tree, tuple((leaf.shape, leaf.dtype.str) for leaf in leaves))
-        program = _loaded.get((self, key))
-        if program is not None:
-            return program(leaves)
-        file = self._cache_file(fixed, repr(key[1:]))
-        found = None if file is None else _load(file, leaves)
-        program, result = found or self._compile(fixed, tree, leaves, file)
-        _loaded[self, key] = program
-        return result
+        return _Call(fixed, tree, leaves)
 
     @functools.cached_property
     def jitted(self) -> Any:
         """The function as `jax.jit` has it, for use within other programs."""
         return jax.jit(self.function, static_argnames=self.static)
 
-    def _compile(
-        self, fixed: tuple[Any, ...], tree: Any, leaves: list[Any], file: Path | None
-    ) -> tuple[_Program, Any]:
+    def _compile(self, call: _Call, file: Path | None) -> _Program:
         structures = []
 
         def of_leaves(*leaves: Array) -> list[Array]:
-            fixed_values, arrays = iter(fixed), iter(jax.tree.unflatten(tree, leaves))
+            fixed_values = iter(call.fixed)
+            arrays = iter(jax.tree.unflatten(call.tree, leaves))
             result = self.function(
                 *(next(fixed_values if name in self.static else arrays) for name in self.names)
             )
@@ -153,7 +196,7 @@ class _CompiledFunction:
         of_leaves.__name__ = self.name
         # A program from JAX's own cache cannot be serialized.
         with gc_paused(), _jax_cache_disabled if file is not None else nullcontext():
-            lowered = jax.jit(of_leaves).lower(*leaves)
+            lowered = jax.jit(of_leaves).lower(*call.leaves)
             _remove_locations(lowered)
             program = _Program(_compile_lowered(lowered, self.optimize), structures[0])
         if file is not None:
@@ -163,13 +206,13 @@ class _CompiledFunction:
                 AHEAD.note(file)
         del lowered
         return_memory()
-        return program, program(leaves)
+        return program
 
-    def _cache_file(self, fixed: tuple[Any, ...], shapes: str) -> Path | None:
+    def _cache_file(self, call: _Call) -> Path | None:
         """The file of the program; None where it is not to be stored."""
         folder = cache.folder("programs")
         words = []
-        for value in jax.tree.leaves(fixed):
+        for value in jax.tree.leaves(call.fixed):
             if isinstance(value, type):
                 if not value.shipped():  # type: ignore[attr-defined]
                     return None  # a user's law may change from run to run
@@ -177,7 +220,8 @@ class _CompiledFunction:
             words.append(str(value))
         if folder is None:
             return None
-        key = "\n".join((self.__module__, self.name, *words, shapes, _fingerprint()))
+        words += [str(self.optimize), repr(call.key[1:]), _fingerprint()]
+        key = "\n".join((self.__module__, self.name, *words))
         return folder / hashlib.sha256(key.encode()).hexdigest()
 
 

@@ -395,6 +395,22 @@ class FitRequest(NamedTuple):
         )  # fmt: skip
         return self.with_derived(found)
 
+    def prepare_sampling(self) -> None:
+        """Begin to compile what sampling this fit will need, beside the fit itself."""
+        from curlfit.inference.fit.prepared import PreparedThrow
+        from curlfit.inference.fit.rounds import Rounds
+        from curlfit.inference.mcmc.run import prepare_sampling
+        from curlfit.inference.model import Model
+        from curlfit.numerics.compiled import unstacked
+
+        prepared = PreparedThrow.of(
+            self.throw, self.law, self.stone, **row_choices(self.settings), **self.choices
+        )
+        model = Model(self.law, self.load, prepared.parameters.conditions)
+        rounds = Rounds(model, [prepared], loss=self.loss, noise=self.noise)
+        (problem,) = unstacked(rounds.problems)
+        prepare_sampling(model, prepared.local_parameters, problem)
+
     def with_derived(self, fit: FitResult) -> FitResult:
         """The fit with the derived quantities that the settings ask for."""
         wanted = self.settings.get("derive")

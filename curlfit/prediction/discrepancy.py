@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from curlfit.inference.fit.prepared import motion_of, problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import directions
-from curlfit.inference.likelihood import linearize
+from curlfit.inference.likelihood import linearize_once
 from curlfit.inference.noise.accelerations import (
     COMPONENTS,
     SHAPES,
@@ -373,7 +373,7 @@ def _path_jacobian(fit: FitResult) -> tuple[Floats, Floats]:
     values = fit.values - origin.offset(len(fit.values))
     n = len(fit.observed["t"])
     one = stacked([problem])
-    jacobian = linearize(fit.model, values[None], one)[1]
+    jacobian = linearize_once(fit.model, values[None], one)[1]
     weighted = np.asarray(jacobian)[0, :, :n]
     weight = np.asarray(problem.weight)[:, :n]
     return weighted / np.where(weight > 0, weight, 1.0)[..., None], weight

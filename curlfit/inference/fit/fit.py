@@ -32,9 +32,11 @@ from curlfit.inference.least_squares import (
     minimize_many,
     multistart,
     needs_restart,
+    prepare_minimize,
     run_of,
     starts,
 )
+from curlfit.inference.likelihood import prepare_channels
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import check_loss, check_noise
 from curlfit.inference.priors import Prior
@@ -164,6 +166,8 @@ def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSqu
     (prepared,), model = rounds.throws, rounds.model
     parameters = prepared.local_parameters
     (problem,), (sketch,) = unstacked(rounds.problems), unstacked(rounds.sketches)
+    prepare_minimize(model, prepared.first_parameters, problem)
+    prepare_channels(model, len(parameters), problem)
     path = smooth(rounds.sketches)
     tries = starts(model, sketch, path, parameters)
     if start:

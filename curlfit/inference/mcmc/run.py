@@ -17,12 +17,28 @@ from curlfit.inference.mcmc.convergence import BLOCK, Diagnosis, diagnose, steps
 from curlfit.inference.mcmc.library import State, emcee
 from curlfit.inference.mcmc.proposals import EnsembleMove
 from curlfit.inference.mcmc.ridge import first_walkers, ridge_move
+from curlfit.inference.model import Model
+from curlfit.inference.parameters import ParameterSet
+from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.compiled import in_batches
 
 ENSEMBLES = 4
 _BOLD = (0.8, 0.1, 0.1)  # shares of the moves: ridge, stretch, differential evolution
 _WARY = (0.2, 0.4, 0.4)  # the same where ridge proposals are accepted less often than
 _TOO_FEW = 0.2
+
+
+def prepare_sampling(model: Model, parameters: ParameterSet, problem: Problem) -> None:
+    """Begin to compile what sampling needs, of a problem and its parameters."""
+    log_posterior.prepare(
+        model, np.zeros((_walkers(parameters) // 2, len(parameters))), parameters.lower,
+        parameters.upper, problem, parameters.penalty,
+    )  # fmt: skip
+
+
+def _walkers(parameters: ParameterSet) -> int:
+    return ENSEMBLES * max(32, 4 * ((2 * int(parameters.free.sum()) + 3) // 4))
 
 
 class _Step(NamedTuple):
@@ -48,7 +64,7 @@ class Run:
         self.names, self.free = parameters.names, parameters.free
         self._move = ridge_move(fit, self._offset)
         self._dimension = int(self.free.sum())
-        self._walkers = ENSEMBLES * max(32, 4 * ((2 * self._dimension + 3) // 4))
+        self._walkers = _walkers(parameters)
         self._bold = True
         self._interrupted = False
         self._done: list[_Step] = []
@@ -166,14 +182,16 @@ class Run:
         values[:, self.free] = free_values
         return values
 
+    def _log_posterior(self, values: Floats) -> Any:
+        return log_posterior(
+            self._model, values, self._lower, self._upper, self._problem, self._penalty
+        )
+
     def _log_prob(self, free_values: Floats) -> Floats:
         values = self._whole(free_values)
         try:
-            return np.asarray(
-                log_posterior(
-                    self._model, values, self._lower, self._upper, self._problem, self._penalty
-                )
-            )
+            # Half of the walkers at a time, as ensemble moves need them.
+            return np.asarray(in_batches(self._log_posterior, (values,), self._walkers // 2))
         except KeyboardInterrupt:
             # emcee would print its own account of it; this step is thrown away.
             self._interrupted = True
