@@ -235,8 +235,8 @@ def _differentiable_jvp(
 ) -> tuple[Any, Any]:
     """The derivative with respect to each input, whatever the number of directions.
 
-    Of a sum over points one input after the other, since most enter little of it; of a closed form
-    all at once, which is a smaller program.
+    Of a sum over points one input after the other, since most enter little of it. Of a closed
+    form, and of a single motion, all at once, which is a smaller program.
     """
     inputs, clustering = primals
     balance = _solve_load(kind, load, inputs, clustering)
@@ -252,7 +252,8 @@ def _differentiable_jvp(
         if dependent and not isinstance(tangent, SymbolicZero)
     ]
     tangent_out = tuple(jnp.zeros_like(value) for value in out)
-    for group in _groups(varying, moves_the_ring, separate=isinstance(ring, list | _MirroredRing)):
+    separate = isinstance(ring, list | _MirroredRing) and inputs[-1].size > 1
+    for group in _groups(varying, moves_the_ring, separate=separate):
         same = None if moves_the_ring[group[0]] else ring
 
         def shifted(*values: Array, group: tuple[int, ...] = group, same: Any = same) -> Any:
