@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import partial
+from typing import Any, ClassVar
 
+from curlfit.numerics.threads import in_threads
 from curlfit.output.display import Displayed
 from curlfit.paper.claim import Claim
 from curlfit.paper.eq28 import Eq28Findings, eq_28_claims, study_eq_28
@@ -63,12 +65,16 @@ def reproduce(progress: Callable[[str, int, int], None] | None = None) -> Reprod
 
     report("eq. 12 and its derivatives", 0)
     path = study_path()
-    report("isotropic friction (Prop. 1-4)", 1)
-    isotropic = study_isotropic()
-    report("anisotropic friction (eq. 23-27)", 2)
-    ring = study_ring(path.motion)
-    report("eq. 28", 3)
-    eq28 = study_eq_28(path)
+    studies: list[tuple[Callable[[], Any]]] = [
+        (study_isotropic,), (partial(study_ring, path.motion),), (partial(study_eq_28, path),),
+    ]  # fmt: skip
+    with in_threads(lambda study: study(), studies) as results:
+        report("isotropic friction (Prop. 1-4)", 1)
+        isotropic = next(results)
+        report("anisotropic friction (eq. 23-27)", 2)
+        ring = next(results)
+        report("eq. 28", 3)
+        eq28 = next(results)
     report("done", 4)
     claims = (
         path_claims(path)

@@ -16,6 +16,7 @@ from jax import Array
 
 from curlfit.friction import LocalLaw
 from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.compiled import compiled
 from curlfit.stone import GRAVITY, Stone
 
 STONE = Stone(R=0.065, h=0.057)
@@ -65,15 +66,16 @@ class RingStates(NamedTuple):
         return STONE.R * np.abs(self.omega) / self.v
 
 
-@jax.jit
-def _ring(law: Any, v: Array, omega: Array) -> RingStates:
-    def state(law: Any, v: Array, omega: Array) -> RingStates:
-        motion = accelerations(law, STONE, "consistent", v, omega)
-        n1, n2 = consistent_load(law, STONE, v, omega)
+@compiled("law")
+def _ring(law: type[LocalLaw], values: Array, v: Array, omega: Array) -> RingStates:
+    def state(values: Array, v: Array, omega: Array) -> RingStates:
+        one = law.from_vector(values)
+        motion = accelerations(one, STONE, "consistent", v, omega)
+        n1, n2 = consistent_load(one, STONE, v, omega)
         least = jnp.asarray(jnp.inf)
-        for points, _ in panels(law, v, STONE.R * omega, jnp.zeros(()), jnp.zeros(())):
+        for points, _ in panels(one, v, STONE.R * omega, jnp.zeros(()), jnp.zeros(())):
             load = 1 + n1 * points.xi + n2 * points.eta
-            along_xi, along_eta = law.traction(points._replace(load=load))
+            along_xi, along_eta = one.traction(points._replace(load=load))
             mu = -(along_xi * points.e_xi + along_eta * points.e_eta)
             least = jnp.minimum(least, mu.min())
         load = 1 + n1 * np.cos(_ANGLES) + n2 * np.sin(_ANGLES)
@@ -84,7 +86,7 @@ def _ring(law: Any, v: Array, omega: Array) -> RingStates:
             m_xi, m_eta, least,
         )  # fmt: skip
 
-    return jax.vmap(state)(law, v, omega)
+    return jax.vmap(state)(values, v, omega)
 
 
 def ring_states(law: type[LocalLaw], values: Floats, v: Floats, omega: Floats) -> RingStates:
@@ -99,9 +101,9 @@ def ring_states(law: type[LocalLaw], values: Floats, v: Floats, omega: Floats) -
     batches = []
     for begin in range(0, n, BATCH):
         rows = np.minimum(np.arange(begin, begin + BATCH), n - 1)  # equal shapes, one program
-        columns = [jnp.asarray(values[rows, index]) for index in range(values.shape[1])]
-        states = _ring(law.from_vector(columns), jnp.asarray(v[rows]), jnp.asarray(omega[rows]))
-        batches.append([np.asarray(item) for item in states])
+        batches.append(
+            [np.asarray(item) for item in _ring(law, values[rows], v[rows], omega[rows])]
+        )
     return RingStates(*(np.concatenate(parts)[:n] for parts in zip(*batches, strict=True)))
 
 

@@ -1,6 +1,6 @@
 """Benchmarks: each against a peer in the same run, as ratios.
 
-    python tests/benchmarks/run.py [answering] [forward] [roof] [batch] [posterior]
+    python tests/benchmarks/run.py [answering] [verbs] [stopwatch] [forward] [roof] [batch] ...
 
 Prints a table in Markdown; `README.md` beside this keeps the tables with date and machine.
 """
@@ -47,6 +47,18 @@ def processes(
     return [statistics.median(series) for series in taken]
 
 
+def measured(command: list[str], env: dict[str, str] | None = None) -> tuple[float, float]:
+    """Wall time, s, and most memory, MB, of a process; figures are drawn by a second one."""
+    begin = time.perf_counter()
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        env=os.environ | (env or {}),
+    )  # fmt: skip
+    _, status, usage = os.wait4(process.pid, 0)
+    assert status == 0, command
+    return time.perf_counter() - begin, usage.ru_maxrss / 1024
+
+
 def best(function: Callable[[], Any], seconds: float = 2.0) -> float:
     """Least wall time of a call, s, of those in some seconds, after one that compiles."""
     import jax
@@ -84,6 +96,33 @@ def answering() -> None:
         row(name, f"{taken:.2f} s", taken / script)
     row("first run on a machine, no figures", f"{first:.2f} s", first / script)
     row("first run, posterior and two figures", f"{first_whole:.2f} s", first_whole / script)
+
+
+def verbs() -> None:
+    """The other commands, first with nothing compiled and then again, against the scipy script."""
+    curlfit = [sys.executable, "-m", "curlfit"]
+    peer = [sys.executable, str(HERE / "peer_scipy.py"), str(DATA)]
+    with tempfile.TemporaryDirectory() as folder:
+        fit = f"{folder}/fit"
+        commands = {
+            "fit": ["fit", str(DATA)],
+            "compare --load both": ["compare", str(DATA), "--load", "both"],
+            "predict --to-tee": ["predict", fit, "--to-tee"],
+            "profile --param mu1_xi": ["profile", fit, "--param", "mu1_xi"],
+            "design": ["design"],
+            "reproduce": ["reproduce"],
+        }
+        processes([*curlfit, "fit", str(DATA), "--out", fit], times=1)
+        (script,) = processes(peer)
+        row("scipy script", f"{script:.2f} s", 1.0)
+        for number, (name, words) in enumerate(commands.items()):
+            own = {"CURLFIT_CACHE": f"{folder}/cache-{number}"}
+            command = [*curlfit, *words, "--out", f"{folder}/result-{number}"]
+            runs = [measured(command, own) for _ in range(4)]
+            seconds, memory = runs[0]
+            row(f"{name}, first", f"{seconds:.1f} s, {memory:.0f} MB", seconds / script)
+            seconds, memory = (statistics.median(values) for values in zip(*runs[1:], strict=True))
+            row(name, f"{seconds:.2f} s, {memory:.0f} MB", seconds / script)
 
 
 def stopwatch() -> None:
@@ -378,7 +417,7 @@ def roof() -> None:
     row("memory, over a copy's", f"{moved:.3g} B/s", moved / memory)
 
 
-ALL = {f.__name__: f for f in (answering, stopwatch, forward, roof, batch, posterior)}
+ALL = {f.__name__: f for f in (answering, verbs, stopwatch, forward, roof, batch, posterior)}
 
 
 def main() -> None:
