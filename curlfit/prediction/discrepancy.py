@@ -59,6 +59,7 @@ from curlfit.throws.throw import CHANNELS
 _MIN_VALUES = 20  # of a channel whose noise is estimated
 _MIN_SIGMA = 1e-5  # lower limit of the noise, m, rad, m/s or rad/s
 _SMALL = 1e-3  # of the friction, for differences
+_LOG_STEP = 1e-4  # of the logarithm of a size, for differences
 _ROUNDS = 3  # of estimating noise and its correlation
 
 
@@ -301,7 +302,11 @@ class _LinearModel:
         bounds = [(math.log(SIZES[0]), 0.0)] * len(COMPONENTS)
         bounds += [(math.log(square), 14.0) for square in self.min_noise[estimated]]
         start = np.log(np.concatenate([sizes, noise[estimated]]))
-        optimum = minimize(negative_log_posterior, start, method="L-BFGS-B", bounds=bounds).x
+        # By default steps are 1e-8, over which rounding changes this function by more than slopes.
+        optimum = minimize(
+            negative_log_posterior, start, method="L-BFGS-B", bounds=bounds,
+            options={"eps": _LOG_STEP},
+        ).x  # fmt: skip
         squares, sizes = unpack(optimum)
         return squares, sizes[0]
 

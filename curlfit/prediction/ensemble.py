@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from curlfit.environment import Environment
 from curlfit.inference.fit.result import FitResult
@@ -118,11 +117,14 @@ class TrajectoryEnsemble:
             clock, position, rate = clocks[index], positions[index], rates[index]
             distinct = np.flatnonzero(np.diff(clock, prepend=-1.0) > 0)
             times = np.minimum(np.append(self.t[:-1], np.inf), clock[-1])
-            path = CubicHermiteSpline(
-                clock[distinct], position[:, distinct], rate[:, distinct], axis=1
-            )
             moving = times < clock[-1] if speed[index, -1] <= 0 else True
-            new.state[index, :3] = path(times)
+            own, place, slope = clock[distinct], position[:, distinct], rate[:, distinct]
+            k = np.clip(np.searchsorted(own, times, side="right"), 1, len(own) - 1)
+            step = own[k] - own[k - 1]
+            new.state[index, :3] = _cubic(
+                place[:, k - 1], place[:, k], slope[:, k - 1] * step, slope[:, k] * step,
+                (times - own[k - 1]) / step,
+            )  # fmt: skip
             new.state[index, 3:] = [np.interp(times, clock, values) * moving for values in rate]
         new.clock = np.minimum(self.t, new.rest[:, None])
         return new
@@ -134,10 +136,7 @@ class TrajectoryEnsemble:
         a, b = self.state[rows, :3, k - 1], self.state[rows, :3, k]
         slope_a, slope_b = self.state[rows, 3:, k - 1] * step, self.state[rows, 3:, k] * step
         s = part[:, None]
-        value = (
-            a * (1 + 2 * s) * (1 - s) ** 2 + b * s**2 * (3 - 2 * s)
-            + slope_a * s * (1 - s) ** 2 - slope_b * s**2 * (1 - s)
-        )  # fmt: skip
+        value = _cubic(a, b, slope_a, slope_b, s)
         rate = (
             6 * s * (1 - s) * (b - a) + slope_a * (1 - s) * (1 - 3 * s) + slope_b * s * (3 * s - 2)
         ) / np.where(step > 0, step, 1.0)
@@ -268,6 +267,14 @@ def simulate_ensemble(
     return TrajectoryEnsemble(
         t, in_batches(lambda some: _propagated(model, some, stone, environment, t), (values,))
     )
+
+
+def _cubic(a: Floats, b: Floats, slope_a: Floats, slope_b: Floats, s: Floats) -> Floats:
+    """Hermite's cubic from a to b at a fraction s of the way, of these slopes by s at its ends."""
+    return (
+        a * (1 + 2 * s) * (1 - s) ** 2 + b * s**2 * (3 - 2 * s)
+        + slope_a * s * (1 - s) ** 2 - slope_b * s**2 * (1 - s)
+    )  # fmt: skip
 
 
 def _running_sum(steps: Floats) -> Floats:
