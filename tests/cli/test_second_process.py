@@ -1,0 +1,109 @@
+"""Figures that are drawn in a second process while the first computes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from curlfit.numerics.threads import cores
+from curlfit.options.figures import FigureFiles
+
+CODE = """
+import os, sys
+from functools import partial
+from pathlib import Path
+from curlfit.options.figures import FigureFiles
+
+def picture(text):
+    from curlfit.output.figures import Picture
+    if text == "wrong":
+        raise ValueError(text)
+    figure = Picture(figsize=(1, 1))
+    figure.text(0, 0.5, text)
+    Path("pid").write_text(str(os.getpid()))
+    return {text: figure}
+
+folder = Path.cwd()
+files = FigureFiles.of("png,svg")
+files.draw_beside()
+"""
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Run code in a new process in a folder of its own; what it prints."""
+
+    def run(code):
+        done = subprocess.run(
+            [sys.executable, "-W", "error", "-c", CODE + code], cwd=tmp_path, check=False,
+            capture_output=True, text=True, timeout=120,
+        )  # fmt: skip
+        assert (done.returncode, done.stderr) == (0, "")
+        return done.stdout.strip()
+
+    return run
+
+
+def picture():
+    from curlfit.output.figures import Picture
+
+    figure = Picture(figsize=(1, 1))
+    figure.text(0, 0.5, "a")
+    return {"a": figure}
+
+
+def test_the_files_are_the_same_and_old_ones_go(run, tmp_path):
+    (tmp_path / "a.pdf").write_bytes(b"old")
+    code = """
+files.replace(folder, ["a"], partial(picture, "a"))
+files.replace(folder, ["b"], partial(picture, "b"))
+assert [file.name for file in files.written()] == ["a.png", "a.svg", "b.png", "b.svg"]
+assert "matplotlib" not in sys.modules or os.cpu_count() == 1
+print(Path("pid").read_text() != str(os.getpid()))
+"""
+    assert run(code) == str(cores() > 1)
+    assert not (tmp_path / "a.pdf").exists()
+    here, there = FigureFiles.of("png,svg"), {"png": tmp_path / "a.png", "svg": tmp_path / "a.svg"}
+    (tmp_path / "here").mkdir()
+    here.replace(tmp_path / "here", ["a"], picture)
+    assert [file.read_bytes() for file in here.written()] == [
+        there[format].read_bytes() for format in here.formats
+    ]
+
+
+def test_an_error_of_drawing_is_raised(run):
+    code = """
+files.replace(folder, ["wrong"], partial(picture, "wrong"))
+try:
+    files.written()
+except ValueError as error:
+    print(error)
+"""
+    assert run(code) == "wrong"
+
+
+@pytest.mark.skipif(cores() < 2 or os.name != "posix", reason="there is no second process")
+def test_figures_are_drawn_though_the_second_process_is_killed(run, tmp_path):
+    code = """
+import multiprocessing
+files.replace(folder, ["a"], partial(picture, "a"))
+multiprocessing.active_children()[0].kill()
+assert len(files.written()) == 2
+files.replace(folder, ["b"], lambda: picture("b"))  # which no other process can call
+assert len(files.written()) == 4
+print("done")
+"""
+    assert run(code) == "done"
+    assert {"a.png", "b.svg"} <= {file.name for file in tmp_path.iterdir()}
+
+
+def test_what_no_process_can_be_sent_is_drawn_here(run):
+    code = """
+files.replace(folder, ["a"], lambda: picture("a"))
+files.written()
+print(Path("pid").read_text() == str(os.getpid()))
+"""
+    assert run(code) == "True"
