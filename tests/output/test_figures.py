@@ -13,7 +13,7 @@ from curlfit.comparison.result import Candidate, Comparison
 from curlfit.inference.figures import corner_figure, fit_figure, joint_figure
 from curlfit.inference.joint.result import Difference, JointResult
 from curlfit.inference.mcmc.chain import Chain
-from curlfit.options.figures import FigureFiles
+from curlfit.options.figures import FigureFiles, write_figures
 from curlfit.output.figures import PALETTE, Picture, measured_slopes
 from curlfit.output.ticks import neat_axis, unit_for
 
@@ -317,9 +317,9 @@ def written(eq12_posterior, tmp_path_factory):
     def draw():
         return {"fit": fit_figure(eq12_posterior[0]), "corner": corner_figure(*eq12_posterior)}
 
-    files = everything.write(folders[0], draw)
+    files = write_figures(folders[0], draw(), everything.formats)
     with rc_context({"font.size": 25, "pdf.fonttype": 3, "axes.grid": True, "lines.linewidth": 9}):
-        again = everything.write(folders[1], draw)
+        again = write_figures(folders[1], draw(), everything.formats)
     return files, again
 
 
