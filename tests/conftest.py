@@ -25,6 +25,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import curlfit
+from curlfit.numerics import compiled
 
 DATA = Path(__file__).parents[1] / "data" / "jensen_shegelski_2004.csv"
 G = 9.81
@@ -41,6 +42,7 @@ def pytest_configure(config: pytest.Config) -> None:
     change what it computes.
     """
     os.environ.pop("COLUMNS", None)  # reports are as wide as anywhere else
+    compiled._MOST_LOADED = 100  # tests turn from law to law, and there is memory for it
     gc.set_threshold(100_000)  # as in `compiled.gc_paused`, for the tests' own programs
     if hasattr(config, "workerinput"):
         return
