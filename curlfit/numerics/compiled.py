@@ -152,8 +152,11 @@ class _CompiledFunction:
     def prepare(self, *args: Any) -> None:
         """Begin to compile in a thread what this call will need, unless it is stored already."""
         call = self._call(args)
-        file, key = self._cache_file(call), (self, call.key)
-        if file is None or file.exists() or cores() < 2 or key in _in_preparation:
+        key = self, call.key
+        if cores() < 2 or key in _in_preparation or _loaded.get(key) is not None:
+            return
+        file = self._cache_file(call)
+        if file is None or file.exists():
             return
         program: Future[_Program] = Future()
 
