@@ -85,10 +85,6 @@ class _LoadedPrograms:
         if full:
             return_memory()
 
-    def clear(self) -> None:
-        with self.lock:
-            self.programs.clear()
-
 
 _loaded = _LoadedPrograms()
 

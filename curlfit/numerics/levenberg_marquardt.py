@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
+from curlfit.numerics.namespace import namespace
 
 # isort: split
 import jax
@@ -100,10 +100,6 @@ class Outcome(NamedTuple):
     """the last step, taken without an evaluation; 0 where there was none"""
 
 
-def _namespace(array: Any) -> Any:
-    return jnp if isinstance(array, jax.Array) else np
-
-
 def quadratic_model(residual: Any, jacobian: Any, typical: Any) -> QuadraticModel:
     """The model from residuals (..., n) and their Jacobian (..., n, parameters)."""
     column = residual[..., None]
@@ -116,7 +112,7 @@ def quadratic_model(residual: Any, jacobian: Any, typical: Any) -> QuadraticMode
 
 def begin(values: Any, bounds: Bounds, control: Control) -> Search:
     """A search from values of shape (..., parameters)."""
-    xp = _namespace(values)
+    xp = namespace(values)
     start = xp.clip(values, bounds.lower, bounds.upper)
     each = start.shape[:-1]
     return Search(
@@ -139,7 +135,7 @@ def advance(
     search: Search, at_trial: QuadraticModel, bounds: Bounds, control: Control
 ) -> tuple[Search, Outcome]:
     """Judge the trial by the model there, and choose the next."""
-    xp = _namespace(search.values)
+    xp = namespace(search.values)
     before = search.model.chi_squared
     rounding = (search.reduction <= _ROUNDING * before) & (
         at_trial.chi_squared <= (1 + _ROUNDING) * before
@@ -173,7 +169,7 @@ def reweighted(
     search: Search, model: QuadraticModel, bounds: Bounds, control: Control
 ) -> tuple[Search, Outcome]:
     """Go on from the best values under other weights, by the model there."""
-    xp = _namespace(search.values)
+    xp = namespace(search.values)
     first = xp.full(search.damping.shape, control.damping * _LESS)
     anew = search._replace(
         model=model, damping=first, growth=xp.full(first.shape, _MORE),
@@ -186,7 +182,7 @@ def _proposed(
     search: Search, bounds: Bounds, control: Control, accepted: Any
 ) -> tuple[Search, Outcome]:
     """The search with its next trial, or done; its `reduction` is that of the step before."""
-    xp = _namespace(search.values)
+    xp = namespace(search.values)
     values, model, before = search.values, search.model, search.reduction
     chi_squared = model.chi_squared
     lost = ~xp.isfinite(chi_squared) | (search.evaluations >= MOST_EVALUATIONS)
@@ -231,7 +227,7 @@ def _bounded_step(values: Any, model: QuadraticModel, damping: Any, bounds: Boun
     A parameter at a bound that is pushed against it takes no part. One that would pass its bound
     goes to the bound, and the others follow it (active sets).
     """
-    xp = _namespace(values)
+    xp = namespace(values)
     gradient, hessian = model.gradient, model.hessian
     lower, upper = ((end - values) / bounds.typical for end in (bounds.lower, bounds.upper))
     held = (lower >= 0) & (gradient >= 0) | (upper <= 0) & (gradient <= 0) | (lower >= upper)

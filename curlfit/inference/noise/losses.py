@@ -21,39 +21,36 @@ import numpy as np
 
 from curlfit.inference.noise.models import LOSSES
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.namespace import namespace
 
 _HUBER = 1.345
 _CAUCHY = 2.385
 _DEGREES = 4.0
 
 
-def _namespace(array: Any) -> Any:
-    return jnp if isinstance(array, jax.Array) else np
-
-
 def _log_ratio(q: Any) -> Any:
     """log(1 + q)/q, also at 0."""
-    xp, small = _namespace(q), q < 1e-8
+    xp, small = namespace(q), q < 1e-8
     return xp.where(small, 1 - q / 2, xp.log1p(q) / xp.where(small, 1.0, q))
 
 
 def _huber(r: Any) -> Any:
-    xp, size = _namespace(r), abs(r)
+    xp, size = namespace(r), abs(r)
     outer = xp.sqrt(xp.maximum(2 * _HUBER * size - _HUBER**2, _HUBER**2))
     return xp.where(size <= _HUBER, r, xp.sign(r) * outer)
 
 
 def _soft(r: Any) -> Any:
-    xp = _namespace(r)
+    xp = namespace(r)
     return r * xp.sqrt(2 / (xp.sqrt(1 + r**2) + 1))
 
 
 def _cauchy(r: Any) -> Any:
-    return r * _namespace(r).sqrt(_log_ratio(r**2 / _CAUCHY**2))
+    return r * namespace(r).sqrt(_log_ratio(r**2 / _CAUCHY**2))
 
 
 def _student(r: Any) -> Any:
-    return r * _namespace(r).sqrt((1 + 1 / _DEGREES) * _log_ratio(r**2 / _DEGREES))
+    return r * namespace(r).sqrt((1 + 1 / _DEGREES) * _log_ratio(r**2 / _DEGREES))
 
 
 _ROOTS: tuple[Callable[[Any], Any], ...] = (lambda r: r, _huber, _soft, _cauchy, _student)

@@ -1,0 +1,18 @@
+"""Formulas that are written once, for NumPy and for JAX."""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any
+
+from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
+
+# isort: split
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+def namespace(array: Any) -> ModuleType:
+    """The module whose functions an array takes: `jax.numpy`, or `numpy` for all else."""
+    return jnp if isinstance(array, jax.Array) else np
