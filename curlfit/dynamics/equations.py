@@ -22,12 +22,13 @@ All arrays have the batch, one throw in each column, along the last axis.
 from __future__ import annotations
 
 from math import factorial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from curlfit.dynamics.contact import Accelerations, accelerations
 from curlfit.dynamics.quadrature import NodeClustering, singularity_distance
 
 # isort: split
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -65,11 +66,23 @@ def _decay_rate(law: Law, stone: Stone, state: State, rate: State) -> Array:
     inertia = 0.0 if isinstance(law, NetLaw) else stone.rho**2
     square = state.v**2 + inertia * state.omega**2
     power = -(state.v * rate.v + inertia * state.omega * rate.omega)
-    return jnp.maximum(power, 0.0) / jnp.where(square > 0, square, 1.0)
+    return jnp.where(power > 0, power, 0.0) / jnp.where(square > 0, square, 1.0)
+
+
+@jax.custom_jvp
+def _sine_cosine(heading: Array, s: Array, c: Array) -> tuple[Array, Array]:
+    """Sine and cosine of a heading as they are known; the derivatives are those by the heading."""
+    return s, c
+
+
+@_sine_cosine.defjvp
+def _(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
+    _, s, c = primals
+    return (s, c), (c * tangents[0], -s * tangents[0])
 
 
 class HeadingFrame(NamedTuple):
-    """A heading with its sine and cosine."""
+    """A heading with its sine and cosine, without derivatives of its own."""
 
     heading: Array
     s: Array
@@ -78,16 +91,15 @@ class HeadingFrame(NamedTuple):
     def rotated_to(self, heading: Array) -> HeadingFrame:
         """The frame of another heading, by series, which unlike the library's functions are
         vectorized: to 1e-11 up to 0.6 rad between them, to 1e-7 up to 1.5 rad."""
-        turn = heading - self.heading
+        turn = jax.lax.stop_gradient(heading) - self.heading
         square = turn**2
         sine = cosine = jnp.zeros_like(turn)
         for n in range(5, -1, -1):
             sine = sine * square + (-1) ** n / factorial(2 * n + 1)
             cosine = cosine * square + (-1) ** n / factorial(2 * n)
         sine *= turn
-        return HeadingFrame(
-            heading, self.s * cosine + self.c * sine, self.c * cosine - self.s * sine
-        )
+        s, c = self.s * cosine + self.c * sine, self.c * cosine - self.s * sine
+        return HeadingFrame(heading, *_sine_cosine(heading, s, c))
 
     def normalized(self) -> HeadingFrame:
         """The frame with s^2 + c^2 = 1."""
@@ -161,18 +173,25 @@ def turning_limit(law: Law, stone: Stone, span: Array, state: State, rate: State
     return _MAX_TURNING * (1 / span + _decay_rate(law, stone, state, rate))
 
 
-def _remaining_motion(law: Law, stone: Stone, state: State, rate: State) -> tuple[Array, Array]:
+def _remaining_motion(law: Law, state: State, decay_rate: Array) -> tuple[Array, Array]:
     """Whether the stone moves, and the scale of its motion to rest, 1 rad counted as 1 m."""
     turns = (state.omega != 0) & (not isinstance(law, NetLaw))
     moving = (state.v > 0) | turns
     square = jnp.where(moving, state.v**2 + state.omega**2, 1.0)
-    return moving, jnp.sqrt(square) / jnp.maximum(_decay_rate(law, stone, state, rate), 1e-9)
+    return moving, jnp.sqrt(square) / jnp.where(decay_rate > 1e-9, decay_rate, 1e-9)
 
 
 def at_rest(law: Law, stone: Stone, state: State, rate: State) -> Array:
     """Whether the remaining motion is negligible."""
-    moving, remaining = _remaining_motion(law, stone, state, rate)
+    moving, remaining = _remaining_motion(law, state, _decay_rate(law, stone, state, rate))
     return ~moving | (remaining < _REST)
+
+
+def _power(base: Array, exponent: Any) -> Array:
+    """base^exponent, with its derivative by the base alone, which takes little."""
+    fixed = jax.lax.stop_gradient(base)
+    known = fixed**exponent if isinstance(exponent, float) else power(fixed, exponent)
+    return known * (1 + exponent * (base / fixed - 1))
 
 
 def step_size(
@@ -182,7 +201,7 @@ def step_size(
     """Next step in s."""
     v, u = state.v, stone.R * state.omega
     decay_rate = _decay_rate(law, stone, state, rate)
-    _, remaining = _remaining_motion(law, stone, state, rate)
+    _, remaining = _remaining_motion(law, state, decay_rate)
     au, du = jnp.abs(u), stone.R * jnp.sign(u) * rate.omega
     total = jnp.where(v + au > 0, v + au, 1.0)
     distance_rate = 2 * jnp.abs(au * rate.v - v * du) / total**2
@@ -197,7 +216,7 @@ def step_size(
         _KINK_WEIGHT
         * distance_rate
         * (1 + 2 * speed_exponent)
-        / power(kink, (4 + speed_exponent) / 6)
+        / _power(kink, (4 + speed_exponent) / 6)
     )
     frequency = (
         1 / span
@@ -213,10 +232,15 @@ def step_size(
         frequency += turning * (jnp.abs(state.phi) < max(law.corners) - _ANGLE_TOLERANCE)
     # The error of a step is the sixth power of its fraction times the remaining motion; the seventh
     # root minimizes the error of a given number of steps.
-    accuracy_rate = frequency * remaining ** (1 / 7) / STEP
-    stability_rate = jnp.maximum(rest_rate / _MAX_STEP, jnp.abs(rate.heading) / _MAX_TURN)
-    stability_rate = jnp.maximum(stability_rate, distance_rate / kink / _MAX_APPROACH)
-    dt = 1 / jnp.maximum(accuracy_rate, stability_rate)
+    largest = frequency * _power(remaining, 1 / 7) / STEP
+    for stability_rate in (
+        rest_rate / _MAX_STEP,
+        jnp.abs(rate.heading) / _MAX_TURN,
+        distance_rate / kink / _MAX_APPROACH,
+    ):
+        # Not `maximum`, whose derivative takes ten operations.
+        largest = jnp.where(largest > stability_rate, largest, stability_rate)
+    dt = 1 / largest
     for angle in law.corners:
         time_left = _time_to_angle(angle, state, rate)
         # In two steps, since the prediction improves as the time becomes shorter.
@@ -254,18 +278,19 @@ class StepState(NamedTuple):
 
 
 def second_derivatives(frame: HeadingFrame, state: State, rate: State) -> Array:
-    """Second time derivatives of x, y, phi."""
-    _, s, c = frame
+    """Second time derivatives of x, y, phi; `frame` is that of the heading."""
+    s, c = _sine_cosine(state.heading, frame.s, frame.c)
     along, across = rate.v, state.v * rate.heading
     return jnp.stack([along * s + across * c, along * c - across * s, rate.omega])
 
 
-def extrapolated_rest(law: Law, stone: Stone, step: StepState) -> Array:
+def extrapolated_rest(
+    law: Law, stone: Stone, t: Array, frame: HeadingFrame, state: State, rate: State
+) -> Array:
     """x, y, phi and time of rest, shape (4, batch), for speed and spin that decrease linearly."""
-    state, rate = State(*step.state), State(*step.rate)
     decay_rate = _decay_rate(law, stone, state, rate)
-    duration = 0.5 / jnp.maximum(decay_rate, 1e-9)
-    _, s, c = step.frame
+    duration = 0.5 / jnp.where(decay_rate > 1e-9, decay_rate, 1e-9)
+    s, c = _sine_cosine(state.heading, frame.s, frame.c)
     rest_rate = decay_rate * (1 + law.steepness())
     decelerating = rest_rate > 0
     turning = 0.0 if isinstance(law, NetLaw) else jnp.abs(state.omega)
@@ -275,40 +300,33 @@ def extrapolated_rest(law: Law, stone: Stone, step: StepState) -> Array:
             state.x + duration * state.v * s,
             state.y + duration * state.v * c,
             state.phi + duration * state.omega,
-            step.t
-            + jnp.where(decelerating, 1 / jnp.where(decelerating, rest_rate, 1.0), otherwise),
+            t + jnp.where(decelerating, 1 / jnp.where(decelerating, rest_rate, 1.0), otherwise),
         ]
     )
 
 
-class Quintic(NamedTuple):
-    """Polynomials of x, y, phi between two steps."""
-
-    t0: Array
-    inverse_step: Array
-    """1/h"""
-    coefficients: tuple[Array, ...]
-    """by decreasing power of (t - t0)/h, each (3, batch)"""
-
-    def evaluate(self, t: Array) -> tuple[Array, Array]:
-        """Values and time derivatives at times (n, batch or 1), each (3, n, batch)."""
-        s = (t - self.t0) * self.inverse_step
-        value = slope = jnp.zeros_like(s)
-        for coefficient in self.coefficients:
-            slope = slope * s + value
-            value = value * s + coefficient[:, None]
-        return value, slope * self.inverse_step
-
-
-def quintic_interpolant(a: StepState, b: StepState) -> Quintic:
-    """The interpolant from one step to the next."""
-    h = b.t - a.t
-    h = jnp.where(h > 0, h, 1.0)
-    c0, c1, c2 = a.state[:3], h * a.rate[:3], h**2 * (0.5 * a.second)
-    difference = b.state[:3] - (c0 + c1 + c2)
-    slope = h * b.rate[:3] - (c1 + 2 * c2)
-    curvature = h**2 * (0.5 * b.second) - c2
+def quintic_coefficients(
+    h: Array, state_a: Array, rate_a: Array, second_a: Array,
+    state_b: Array, rate_b: Array, second_b: Array,
+) -> tuple[Array, ...]:  # fmt: skip
+    """Polynomials of x, y, phi over a step of length h, from what `StepState` holds at both ends:
+    by decreasing power of (t - t0)/h, each (3, batch)."""
+    c0, c1, c2 = state_a[:3], h * rate_a[:3], h**2 * (0.5 * second_a)
+    difference = state_b[:3] - (c0 + c1 + c2)
+    slope = h * rate_b[:3] - (c1 + 2 * c2)
+    curvature = h**2 * (0.5 * second_b) - c2
     c3 = 10 * difference - 4 * slope + curvature
     c4 = -15 * difference + 7 * slope - 2 * curvature
     c5 = 6 * difference - 3 * slope + curvature
-    return Quintic(a.t, 1 / h, (c5, c4, c3, c2, c1, c0))
+    return c5, c4, c3, c2, c1, c0
+
+
+def quintic(t0: Array, h: Array, coefficients: tuple[Array, ...], t: Array) -> tuple[Array, Array]:
+    """Values and time derivatives of these at times (n, batch or 1), each (3, n, batch)."""
+    inverse_step = 1 / h
+    s = (t - t0) * inverse_step
+    value = slope = jnp.zeros_like(s)
+    for coefficient in coefficients:
+        slope = slope * s + value
+        value = value * s + coefficient[:, None]
+    return value, slope * inverse_step

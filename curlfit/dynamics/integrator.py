@@ -1,8 +1,8 @@
 """Integration of throws in a batch, with their derivatives.
 
 Method. The fifth-order formula of Dormand and Prince (1980), with the step sizes of `equations`. No
-step is rejected, so all throws of a batch advance together, and derivatives are those of a fixed
-smooth map. The requested rows are interpolated as the stones pass them.
+step is rejected, so all throws of a batch advance together, and derivatives are those of a smooth
+map. The requested rows are interpolated as the stones pass them.
 
 A throw has about ten inputs. Its derivatives with respect to these are integrated beside it as
 tangents, on an axis before the batch: the Jacobian costs about ten trajectories and nothing is
@@ -29,7 +29,8 @@ from curlfit.dynamics.equations import (
     StepState,
     at_rest,
     extrapolated_rest,
-    quintic_interpolant,
+    quintic,
+    quintic_coefficients,
     rates,
     second_derivatives,
     step_size,
@@ -163,18 +164,19 @@ def _integrate_batch(
         limit = turning_limit(law, stone, span, state_before, rate_before)
         limit = jnp.where(dt.value > 0, limit, jnp.inf)
 
-        def derivative(parameters: Any, frame: HeadingFrame, state: Array, time: Array) -> State:
+        def derivative(parameters: Any, state: Array, time: Array) -> State:
             outer = forces(parameters)
             return rates(
-                *system(parameters), outer, load, limit, frame, clustering, State(*state), time
-            )
+                *system(parameters), outer, load, limit, frame.value, clustering, State(*state),
+                time,
+            )  # fmt: skip
 
         # A loop over the stages, not six copies of them, keeps the compiled program small.
         def stage(index: Array, carry: tuple[_Dual, _Dual]) -> tuple[_Dual, _Dual]:
             _, derivatives = carry
             state = _map(increment, begin, dt, _weighted_sum(tableau[index], derivatives))
             time = _map(lambda t, dt: t + dt * nodes[index], t, dt)
-            stage_rate = _map(derivative, parameters, frame, state, time)
+            stage_rate = _map(derivative, parameters, state, time)
             for row in range(len(State._fields)):
 
                 def write(whole: Array, part: Array, row: int = row) -> Array:
@@ -188,28 +190,25 @@ def _integrate_batch(
         derivatives = _update(empty, rate, lambda whole, part: whole.at[0].set(part))
         state, derivatives = jax.lax.fori_loop(0, _STAGES, stage, (begin, derivatives))
 
-        def new_frame(frame: HeadingFrame, state: Array) -> HeadingFrame:
-            return frame.rotated_to(State(*state).heading).normalized()
+        t = _map(lambda t, dt: t + dt, t, dt)
+        after = frame.value.rotated_to(State(*state.value).heading).normalized()
+        return step_state(t, after, state, _row(derivatives, -1))
 
-        return step_state(
-            _map(lambda t, dt: t + dt, t, dt), _map(new_frame, frame, state), state,
-            _row(derivatives, -1),
-        )  # fmt: skip
-
-    def step_state(t: _Dual, frame: _Dual, state: _Dual, rate: _Dual) -> _Dual:
+    def step_state(t: _Dual, frame: HeadingFrame, state: _Dual, rate: _Dual) -> _Dual:
         """With the length of the next step."""
 
-        def of(
-            parameters: Any, t: Array, frame: HeadingFrame, packed: Array, packed_rate: Array
-        ) -> StepState:
+        ended = at_rest(law, stone, State(*state.value), State(*rate.value)) | (t.value > last)
+
+        def length(parameters: Any, t: Array, packed: Array, packed_rate: Array) -> Array:
             state, rate = State(*packed), State(*packed_rate)
             dt = step_size(*system(parameters), forces(parameters), span, state, rate, t)
-            ended = at_rest(law, stone, state, rate) | (t > last)
-            dt = jnp.where(ended, 0.0, dt)
-            second = second_derivatives(frame, state, rate)
-            return StepState(t, dt, frame, packed, packed_rate, second)
+            return jnp.where(ended, 0.0, dt)
 
-        return _map(of, parameters, t, frame, state, rate)
+        def second(packed: Array, packed_rate: Array) -> Array:
+            return second_derivatives(frame, State(*packed), State(*packed_rate))
+
+        dt = _map(length, parameters, t, state, rate)
+        return _step(t, dt, _Dual(frame), state, rate, _map(second, state, rate))
 
     def active(step: StepState) -> Array:
         # False for NaN, so that a failed motion does not delay the batch.
@@ -222,7 +221,10 @@ def _integrate_batch(
     def interpolate(a: _Dual, b: _Dual, first: Array, out: _Dual) -> tuple[Array, _Dual]:
         """Fill the rows within a step, a window of rows at a time; and the first row that is not
         complete for the whole batch."""
-        interpolant = _map(quintic_interpolant, a, b)
+        t0, _, _, *first_end = _fields(a)
+        t1, _, _, *second_end = _fields(b)
+        h = _map(lambda t0, t1: jnp.where(t1 > t0, t1 - t0, 1.0), t0, t1)
+        coefficients = _map(quintic_coefficients, h, *first_end, *second_end)
         begin, end, ended = a.value.t, b.value.t, ~active(b.value)
         reach = jnp.where(active(a.value), end, -jnp.inf)
 
@@ -243,7 +245,7 @@ def _integrate_batch(
 
             out = _update(
                 out,
-                _map(lambda interpolant: interpolant.evaluate(t)[:orders], interpolant),
+                _map(lambda t0, h, of: quintic(t0, h, of, t)[:orders], t0, h, coefficients),
                 lambda *pair: jax.tree.map(write, *pair),
             )
             complete = (~(t >= end) | ended).all(1)
@@ -253,9 +255,14 @@ def _integrate_batch(
         return jax.lax.while_loop(within_step, fill_window, (first, first, out))[1:]
 
     def rest_of(step: _Dual) -> _Dual:
-        return _map(
-            lambda parameters, step: extrapolated_rest(*system(parameters), step), parameters, step
-        )
+        t, _, frame, state, rate, _ = _fields(step)
+
+        def rest(parameters: Any, t: Array, state: Array, rate: Array) -> Array:
+            return extrapolated_rest(
+                *system(parameters), t, frame.value, State(*state), State(*rate)
+            )
+
+        return _map(rest, parameters, t, state, rate)
 
     def iterate(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         count, before, _, first, out = carry
@@ -268,22 +275,20 @@ def _integrate_batch(
         return (count < _MAX_STEPS) & ((count == 0) | active(step.value).any())
 
     # The first step has length zero; it computes the rates at the start.
-    def first_step(start: Array) -> StepState:
-        v0, omega0 = start
-        zero = jnp.zeros_like(v0)
-        state = jnp.stack([zero, zero, zero, zero, v0, omega0])
-        frame = HeadingFrame(zero, zero, 1 + zero)
-        return StepState(zero, zero, frame, state, 0 * state, 0 * state[:3])
-
-    step = _map(first_step, start)
+    zero = jnp.zeros_like(omega0)
+    still = _map(lambda start: 0 * start[0], start)
+    frame = _Dual(HeadingFrame(zero, zero, 1 + zero))
+    state = _map(lambda start: jnp.stack([*(0 * start[0],) * 4, *start]), start)
+    rate = _map(lambda state: 0 * state, state)
+    step = _step(still, still, frame, state, rate, _map(lambda state: 0 * state[:3], state))
     empty = _map(
         lambda start: (jnp.full((3, len(rows), start.shape[-1]), jnp.nan),) * orders, start
     )
     # Part of the carry, or XLA would recompute it for each of the times.
-    rest = _map(lambda step: step.state[:4], step)
+    rest = _map(lambda state: state[:4], state)
     _, step, rest, _, out = jax.lax.while_loop(unfinished, iterate, (0, step, rest, 0, empty))
-    state, rate = State(*step.value.state), State(*step.value.rate)
-    constant = at_rest(law, stone, state, rate) & (times >= step.value.t)
+    ended = at_rest(law, stone, State(*step.value.state), State(*step.value.rate))
+    constant = ended & (times >= step.value.t)
     constant |= ~used
 
     def channels(rest: Array, out: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -301,6 +306,13 @@ def _integrate_batch(
 def _fields(step: _Dual) -> list[_Dual]:
     tangents = (None,) * len(step.value) if step.tangents is None else step.tangents
     return [_Dual(*pair) for pair in zip(step.value, tangents, strict=True)]
+
+
+def _step(*fields: _Dual) -> _Dual:
+    """From its fields, of which not all need have tangents."""
+    tangents = StepState(*(item.tangents for item in fields))
+    known = any(item is not None for item in tangents)
+    return _Dual(StepState(*(item.value for item in fields)), tangents if known else None)
 
 
 def _row(rows: _Dual, index: int) -> _Dual:
