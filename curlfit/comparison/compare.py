@@ -154,7 +154,7 @@ def _fitted(throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free
         noise=choices["noise"],
     )  # fmt: skip
     try:
-        result = fit(throw, law, **choices)
+        result = fit(throw, law, **choices, details=False)
     except UnusableFitError as error:
         return Fitted(replace(blank, status=str(error)))
     coefficients = result.coefficients

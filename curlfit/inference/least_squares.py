@@ -25,6 +25,7 @@ from curlfit.inference.identifiability import inverted
 from curlfit.inference.initial_values import SmoothPath, default_guess, start_values
 from curlfit.inference.likelihood import weighted_residuals
 from curlfit.inference.model import Model
+from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
@@ -68,9 +69,9 @@ class Solution(NamedTuple):
         return self.chi_squared + self.penalty
 
 
-@compiled("model")
+@compiled("model", "loss")
 def _minimize(
-    model: Model, start: Array, lower: Array, upper: Array, typical: Array,
+    model: Model, loss: str, start: Array, lower: Array, upper: Array, typical: Array,
     problem: Problem, penalty: Penalty | None,
 ) -> Solution:  # fmt: skip
     # Loaded only where the program is made: that takes as long as all else there is to load.
@@ -79,7 +80,7 @@ def _minimize(
     from curlfit.numerics.bounded_solver import BoundedLevenbergMarquardt
 
     def residual(values: Array, problem: Problem) -> Array:
-        return weighted_residuals(model, values, problem)
+        return weighted_residuals(model, values, problem._replace(loss=LOSSES.index(loss)))
 
     found: Any = optx.least_squares(
         residual,
@@ -102,9 +103,15 @@ def _minimize(
 
 def prepare_minimize(model: Model, parameters: ParameterSet, problem: Problem) -> None:
     """Begin to compile what `minimize` needs."""
-    _minimize.prepare(
-        model, np.zeros(len(parameters)), parameters.lower, parameters.upper, parameters.typical,
-        problem, parameters.penalty,
+    _minimize.prepare(*_arguments(model, np.zeros(len(parameters)), parameters, problem))
+
+
+def _arguments(
+    model: Model, start: Floats, parameters: ParameterSet, problem: Problem
+) -> tuple[Any, ...]:
+    return (
+        model, LOSSES[int(problem.loss)], start, parameters.lower, parameters.upper,
+        parameters.typical, problem._replace(loss=None), parameters.penalty,
     )  # fmt: skip
 
 
@@ -112,18 +119,8 @@ def minimize(
     model: Model, start: Floats, parameters: ParameterSet, problem: Problem
 ) -> Solution | None:
     """The optimum reached from one start; None where that start leads nowhere."""
-    solution: Solution = jax.tree.map(
-        np.asarray,
-        _minimize(
-            model,
-            start,
-            parameters.lower,
-            parameters.upper,
-            parameters.typical,
-            problem,
-            parameters.penalty,
-        ),
-    )
+    found = _minimize(*_arguments(model, start, parameters, problem))
+    solution: Solution = jax.tree.map(np.asarray, found)
     return solution if np.isfinite(solution.chi_squared) else None
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -44,9 +44,8 @@ def reproduce(
 
     console = terminal(quiet=quiet or as_json)
     drawn.draw_beside()
-    result = _computed(console)
+    result = _computed(console, _Figures(folder, drawn).draw)
 
-    from curlfit.paper.figures import FIGURES
     from curlfit.paper.page import claims_table, page, verdicts
 
     claims = json.dumps([claim.as_dict() for claim in result.claims], indent=1)
@@ -54,7 +53,6 @@ def reproduce(
     for file, text in zip(written, (claims + "\n", page(result, drawn.formats[0])), strict=True):
         with atomic_write(file) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    drawn.replace(folder, list(FIGURES), partial(_figures, result))
     if as_json and not quiet:
         typer.echo(claims)
     console.print(claims_table(result.claims))
@@ -63,13 +61,31 @@ def reproduce(
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
 
 
-def _figures(result: Reproduction) -> dict[str, Figure]:
+class _Figures:
+    """The figures, each drawn as soon as the findings that it shows are known."""
+
+    def __init__(self, folder: Path, files: FigureFiles) -> None:
+        self.folder, self.files = folder, files
+        self.found: dict[str, Any] = {}
+
+    def draw(self, study: str, findings: Any) -> None:
+        """Draw what the findings of one more study allow."""
+        from curlfit.paper.findings import SHOWN
+
+        self.found[study] = findings
+        for name, studies in SHOWN.items():
+            if study in studies and self.found.keys() >= set(studies):
+                shown = [self.found[one] for one in studies]
+                self.files.replace(self.folder, [name], partial(_figure, name, shown))
+
+
+def _figure(name: str, findings: Sequence[Any]) -> dict[str, Figure]:
     from curlfit.paper.figures import FIGURES
 
-    return {name: draw(result) for name, draw in FIGURES.items()}
+    return {name: FIGURES[name].draw(*findings)}
 
 
-def _computed(console: Console) -> Reproduction:
+def _computed(console: Console, arrived: Callable[[str, Any], None]) -> Reproduction:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     with Progress(
@@ -89,4 +105,4 @@ def _computed(console: Console) -> Reproduction:
 
         from curlfit.paper.reproduce import reproduce
 
-        return reproduce(progress=report)
+        return reproduce(progress=report, arrived=arrived)

@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from curlfit.errors import UnusableFitError
+from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Floats
 from curlfit.paper.claim import Claim, Verdict
-from curlfit.paper.kinematics import Kinematics, PathFindings
-from curlfit.paper.printed import EQ_28, EQ_28_STONE, EQ_28_UNTIL, SOLID_RHO, jensen_shegelski_throw
-from curlfit.paper.ring import SPLIT, RingFindings
+from curlfit.paper.findings import (
+    HALF_DIGIT,
+    PRINTED,
+    Eq28Findings,
+    Kinematics,
+    PathFindings,
+    RingFindings,
+    Row,
+    Uncertainty,
+    coefficients_of,
+)  # fmt: skip
+from curlfit.paper.printed import EQ_28_STONE, EQ_28_UNTIL, SOLID_RHO, jensen_shegelski_throw
+from curlfit.paper.ring import SPLIT
 from curlfit.stone import GRAVITY, Stone
 from curlfit.throws.throw import Throw
-
-NAMES = ("mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")
-PRINTED: Floats = np.array([EQ_28[name] for name in NAMES])
-HALF_DIGIT: Floats = np.array([0.00005, 0.0005, 0.0005])
-"""Half a unit of the last printed digit of each."""
-
 
 R_RANGE = (0.0535, 0.0545)
 """Ring radii that print as 0.054 m."""
@@ -33,17 +37,6 @@ RHO_RANGE = (0.095, 0.105)
 
 _NODES = 5  # Chebyshev nodes in R and in rho, at which the path is fitted
 _DRAWS = 20_000
-
-
-class Row(NamedTuple):
-    """Eq. 28 computed by one method."""
-
-    method: str
-    radius: float
-    rho: float
-    window: float
-    mu: Floats
-    """mu1_xi, mu2_xi, mu1_eta + mu2_eta"""
 
 
 def pointwise(motion: Kinematics, radius: float, rho: float) -> Floats:
@@ -64,76 +57,9 @@ def least_squares(motion: Kinematics, radius: float, rho: float) -> Floats:
     return np.array([(total + difference) / 2, (total - difference) / 2, along])
 
 
-def coefficients_of(result: FitResult) -> Floats:
-    """mu1_xi, mu2_xi, mu1_eta + mu2_eta of a fit of the front-back law."""
-    mu = {name: result.parameters[name].value for name in result.coefficients}
-    return np.array([mu["mu1_xi"], mu["mu2_xi"], mu["mu1_eta"] + mu["mu2_eta"]])
-
-
 def rounds_to_print(mu: Floats) -> Any:
     """Whether coefficients, shape (..., 3), round to eq. 28 as printed."""
     return (np.abs(mu - PRINTED) <= HALF_DIGIT).all(-1)
-
-
-@dataclass(frozen=True)
-class Uncertainty:
-    """Posterior of eq. 28 when R and rho vary within their printed rounding.
-
-    Attributes
-    ----------
-    radius, rho : draws in m, shape (n,). mu : draws of the three coefficients, shape (n, 3).
-    interval : 95 % intervals, shape (3, 2). noise : the standard error at R = 0.054 m,
-    rho = 0.1 m, all of it from the residuals, shape (3,).
-    preference : difference in chi-squared between the best and the worst stone in the range.
-    positive : share of the draws without bounds in which all coefficients are positive.
-    free_interval : 95 % intervals of these unbounded draws. effective : sample size after weights.
-    check : largest error of the interpolation at stones between the nodes, in standard errors.
-    share : of the draws that round to all three printed numbers. nearest : the radius and rho
-    within the ranges whose fit comes nearest to the print, and nearest_mu that fit.
-    """
-
-    radius: Floats
-    rho: Floats
-    mu: Floats
-    interval: Floats
-    noise: Floats
-    preference: float
-    positive: float
-    free_interval: Floats
-    effective: float
-    check: float
-    share: float
-    nearest: tuple[float, float]
-    nearest_mu: Floats
-
-    @property
-    def covered(self) -> Booleans:
-        """Whether the interval of each coefficient meets the printed value within its rounding."""
-        low, high = self.interval.T
-        return (low <= PRINTED + HALF_DIGIT) & (high >= PRINTED - HALF_DIGIT)
-
-
-@dataclass(frozen=True)
-class Eq28Findings:
-    """Reproductions of eq. 28.
-
-    Attributes
-    ----------
-    rows : results of the methods, in the order of the table. fit : of the trajectory with the
-    printed stone. solid : the same with the radius of gyration of a solid cylinder.
-    uncertainty : over R and rho.
-    """
-
-    rows: tuple[Row, ...]
-    fit: FitResult
-    solid: FitResult
-    uncertainty: Uncertainty
-
-    @property
-    def ratio(self) -> tuple[float, float]:
-        """Mean transversal over mean tangential coefficient, for the printed stone and `solid`."""
-        mu, other = coefficients_of(self.fit), coefficients_of(self.solid)
-        return float((mu[0] + mu[1]) / mu[2]), float((other[0] + other[1]) / other[2])
 
 
 def study_eq_28(path: PathFindings) -> Eq28Findings:
@@ -195,7 +121,10 @@ def _fitted(
 ) -> FitResult:
     """A fit with coefficients of either sign."""
     stone = Stone(R=radius, rho=rho)
-    result = fit(throw, "front-back", stone=stone, until=until, unbounded=True, **more)
+    result = fit(
+        throw, "front-back", stone=stone, until=until, unbounded=True, details=False,
+        systematics={ALL: 0.0}, **more,
+    )  # fmt: skip
     if not result.converged:
         raise UnusableFitError(f"R = {radius:g} m, rho = {rho:g} m: {result.status}")
     return result
@@ -270,8 +199,8 @@ def marginalize_stone(throw: Throw, central: FitResult, seed: int = 1) -> Uncert
         in_a, in_b = (np.polynomial.chebyshev.chebvander(s, _NODES - 1) for s in (a, b))
         return np.einsum("na,nb,abk->nk", in_a, in_b, series)
 
-    test_points = np.array([[0.0, 0.0], [0.9, -0.9], [-1.0, 1.0]])
-    noise = np.sqrt((_lower(at(0.0, 0.0))[0] ** 2).sum(-1))
+    test_points = np.array([[0.9, -0.9], [-1.0, 1.0]])
+    noise = np.sqrt((_lower(interpolated(np.zeros(1), np.zeros(1)))[0] ** 2).sum(-1))
     error = interpolated(test_points[:, 0], test_points[:, 1]) - np.stack(
         [at(a, b) for a, b in test_points]
     )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,6 +17,16 @@ from curlfit.output.figures import (
     styled,
 )
 from curlfit.output.ticks import neat_axis
+from curlfit.paper.findings import (
+    HALF_DIGIT,
+    NAMES,
+    PRINTED,
+    SHOWN,
+    Eq28Findings,
+    IsotropicFindings,
+    PathFindings,
+    RingFindings,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from curlfit.paper.reproduce import Reproduction
@@ -33,10 +42,10 @@ def _figure(height: float, width: float = WIDTH) -> Figure:
 
 
 @styled
-def eq_14_figure(found: Reproduction) -> Figure:
+def eq_14_figure(path: PathFindings) -> Figure:
     """Second derivatives of eq. 12 and eq. 14 as printed."""
     figure = _figure(2.7)
-    path, t = found.path, found.path.motion.t
+    t = path.motion.t
     across, along = figure.subplots(1, 2)
     for axes, right, printed, name in (
         (across, path.ax, path.ax_printed, "x"),
@@ -63,12 +72,12 @@ def eq_14_figure(found: Reproduction) -> Figure:
 
 
 @styled
-def isotropic_figure(found: Reproduction) -> Figure:
+def isotropic_figure(isotropic: IsotropicFindings) -> Figure:
     """Force across and along the motion against spin, under consistent load."""
     figure = _figure(5.5)
     across, along = figure.subplots(2, 1, sharex=True, height_ratios=(1.35, 1.0))
     small, large = 1e-8, 3e-4
-    for curve, color in zip(found.isotropic.curves, _COLORS, strict=True):
+    for curve, color in zip(isotropic.curves, _COLORS, strict=True):
         whole = curve.least > 0
         for axes, series in ((across, curve.t_xi), (along, curve.t_eta)):
             axes.plot(curve.omega, series, color=color, lw=1, ls=":")
@@ -111,10 +120,10 @@ def _math(label: str) -> str:
 
 
 @styled
-def prop_5_figure(found: Reproduction) -> Figure:
+def prop_5_figure(path: PathFindings) -> Figure:
     """Direction of the force of eq. 12, and the bound of isotropic friction."""
     figure = _figure(2.8)
-    path, t = found.path, found.path.motion.t
+    t = path.motion.t
     moving, ice = figure.subplots(1, 2)
     moving.fill_between(t, 0, path.limit, color=_COLORS[1], alpha=0.15, lw=0)
     moving.plot(t, path.limit, color=_COLORS[1], lw=1.5)
@@ -144,11 +153,10 @@ def prop_5_figure(found: Reproduction) -> Figure:
 
 
 @styled
-def eq_24_figure(found: Reproduction) -> Figure:
+def eq_24_figure(ring: RingFindings) -> Figure:
     """The combinations of the radial law's coefficients in eq. 24."""
     figure = _figure(3.2, 0.8 * WIDTH)
     axes = figure.subplots()
-    ring = found.ring
     axes.axhspan(-0.05, 0, color=_COLORS[2], alpha=0.07, lw=0)
     axes.axhline(0, color="0.4", lw=0.8)
     for series, fitted, name, color in zip(
@@ -176,12 +184,10 @@ def eq_24_figure(found: Reproduction) -> Figure:
 
 
 @styled
-def eq_28_figure(found: Reproduction) -> Figure:
+def eq_28_figure(eq28: Eq28Findings) -> Figure:
     """Eq. 28 by every method, and its posterior over R and rho."""
-    from curlfit.paper.eq28 import HALF_DIGIT, NAMES, PRINTED
-
-    rows = [row for row in found.eq28.rows if "eq. 14" not in row.method]
-    posterior = found.eq28.uncertainty
+    rows = [row for row in eq28.rows if "eq. 14" not in row.method]
+    posterior = eq28.uncertainty
     figure = _figure(6.2)
     panels = figure.subplots(2, 3, height_ratios=(3.2, 1.0), sharex="col")
     limits = ((-0.0042, 0.0042), (0.0405, 0.0605), (0.0148, 0.0186))
@@ -237,11 +243,10 @@ def _method_label(row: Any) -> str:
 
 
 @styled
-def split_figure(found: Reproduction) -> Figure:
+def split_figure(ring: RingFindings, eq28: Eq28Findings) -> Figure:
     """Effect of exchanging mu1_eta and mu2_eta, and singular values of the fit."""
     figure = _figure(2.8)
     change, spectrum = figure.subplots(1, 2)
-    ring = found.ring
     change.loglog(
         ring.split_epsilon, np.maximum(ring.split_uniform, 5e-17), "o-", color=_CORRECT,
         label="uniform load: rounding or less",
@@ -255,7 +260,7 @@ def split_figure(found: Reproduction) -> Figure:
                ylim=(1e-17, 1))  # fmt: skip
     change.set_title(r"$(\mu_{1\eta}, \mu_{2\eta})$ = (0.012, 0.006) exchanged", loc="left")
     change.legend(loc="center left")
-    values = np.array(found.eq28.fit.singular_values)
+    values = np.array(eq28.fit.singular_values)
     order = np.arange(1, len(values) + 1)
     spectrum.semilogy(order[:-1], values[:-1], "o", color=_CORRECT)
     spectrum.semilogy(order[-1:], values[-1:], "o", color=_COLORS[2])
@@ -271,12 +276,28 @@ def split_figure(found: Reproduction) -> Figure:
     return figure
 
 
-FIGURES: dict[str, Callable[[Reproduction], Figure]] = {
-    "eq14": eq_14_figure,
-    "isotropic": isotropic_figure,
-    "prop5": prop_5_figure,
-    "eq24": eq_24_figure,
-    "eq28": eq_28_figure,
-    "split": split_figure,
+class Drawing(NamedTuple):
+    """A figure, and the studies whose findings it shows."""
+
+    draw: Any
+    """a function of these findings"""
+    studies: tuple[str, ...]
+
+    def __call__(self, found: Reproduction) -> Figure:
+        """The figure of a whole reproduction."""
+        figure: Figure = self.draw(*(getattr(found, name) for name in self.studies))
+        return figure
+
+
+FIGURES = {
+    name: Drawing(draw, SHOWN[name])
+    for name, draw in {
+        "eq14": eq_14_figure,
+        "isotropic": isotropic_figure,
+        "prop5": prop_5_figure,
+        "eq24": eq_24_figure,
+        "eq28": eq_28_figure,
+        "split": split_figure,
+    }.items()
 }
 """Figures of the page by file name."""

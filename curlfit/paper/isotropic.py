@@ -7,7 +7,6 @@ excluded.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from curlfit.dynamics import law_structure  # noqa: F401  (configures JAX before its first use)
@@ -21,6 +20,7 @@ from curlfit.friction import LAWS, LocalLaw, RingPoint, coefficient
 from curlfit.friction.isotropic import Coulomb, Power, Stribeck
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.paper.claim import Claim
+from curlfit.paper.findings import Curve, DeviationCounts, Example, IsotropicFindings
 from curlfit.paper.ring_states import BATCH, STONE, RingStates, grid_states, ring_states
 
 
@@ -47,119 +47,6 @@ class SpeedMixture(LocalLaw):
 jax.tree_util.register_dataclass(
     SpeedMixture, data_fields=[item.name for item in SpeedMixture.coefficients()], meta_fields=[]
 )
-
-
-@dataclass(frozen=True)
-class DeviationCounts:
-    """Numbers of states by their deviation.
-
-    Attributes
-    ----------
-    states : with a consistent load. left : of these, deviating to the left for counter-clockwise
-    spin. slow, slow_left : the same for |epsilon| < 1, where the instant centre of velocities lies
-    outside the base. speeds_up : states with T_eta > 0. remark : deviating to the left with
-    n1 > 0, n2 < 0 (n1 mirrored for clockwise spin), T_eta > 0 and the rotation slowing.
-    range : least and greatest force to the right over the weight.
-    """
-
-    states: int
-    left: int
-    slow: int
-    slow_left: int
-    speeds_up: int
-    remark: int
-    range: tuple[float, float]
-
-    @classmethod
-    def of(cls, states: RingStates, where: Booleans | None = None) -> DeviationCounts:
-        """Counts of the existing states, or of those in `where`."""
-        use = states.exists if where is None else states.exists & where
-        left, slow = use & (states.right < 0), use & (states.epsilon < 1)
-        speeds_up = use & (states.t_eta > 0)
-        tilted = (states.n1 * np.sign(states.omega) > 0) & (states.n2 < 0)
-        remark = left & speeds_up & tilted & (states.spin_up * states.omega < 0)
-        return cls(
-            states=int(use.sum()),
-            left=int(left.sum()),
-            slow=int(slow.sum()),
-            slow_left=int((slow & left).sum()),
-            speeds_up=int(speeds_up.sum()),
-            remark=int(remark.sum()),
-            range=(float(states.right[use].min()), float(states.right[use].max())),
-        )
-
-
-@dataclass(frozen=True)
-class Example:
-    """A state with the exceptional deviation to the left.
-
-    Coefficients by name; v in m/s, omega in 1/s; forces to the right and forward over the weight;
-    least is the smallest coefficient of friction on the ring.
-    """
-
-    coefficients: dict[str, float]
-    v: float
-    omega: float
-    t_xi: float
-    t_eta: float
-    least: float
-
-
-@dataclass(frozen=True)
-class Curve:
-    """Force over weight against spin at 2 m/s: omega in 1/s, t_xi, t_eta, and smallest mu.
-
-    The label is LaTeX except for the word mu.
-    """
-
-    label: str
-    omega: Floats
-    t_xi: Floats
-    t_eta: Floats
-    least: Floats
-
-
-@dataclass(frozen=True)
-class IsotropicFindings:
-    """Results on the grids.
-
-    Attributes
-    ----------
-    laws : number of local laws for the next three. triple_states : number of states.
-    orthogonality : largest |cos| of the angle between T and M_N. handedness : smallest
-    (T x M_N).k/(|T| |M_N|), 1 for a right triple. arm : largest relative difference of |M_N| and
-    h |T|.
-    coulomb : Prop. 2. power : Prop. 3 for powers of the speed, by exponent. mixture : Prop. 3 for
-    non-monotonic functions. mixture_example, power_example : deviations to the left.
-    stribeck : Prop. 4, by case, where mu > 0 on the whole ring. negative : the same where mu < 0
-    somewhere. stribeck_example : of case (ii), mu > 0.
-    curves : for the figure.
-    """
-
-    laws: int
-    triple_states: int
-    orthogonality: float
-    handedness: float
-    arm: float
-    coulomb: DeviationCounts
-    power: dict[float, DeviationCounts]
-    power_example: Example
-    mixture: DeviationCounts
-    mixture_example: Example
-    stribeck: dict[str, DeviationCounts]
-    negative: dict[str, DeviationCounts]
-    stribeck_example: Example
-    curves: tuple[Curve, ...]
-
-    @property
-    def power_total(self) -> tuple[int, int, int]:
-        """States, states with |epsilon| < 1, and deviations to the left, over all exponents."""
-        all_counts = self.power.values()
-        return (
-            sum(one.states for one in all_counts),
-            sum(one.slow for one in all_counts),
-            sum(one.left for one in all_counts),
-        )
 
 
 SPEEDS = np.geomspace(0.05, 4.0, 16)

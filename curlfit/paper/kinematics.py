@@ -6,7 +6,6 @@ derivatives, which are compared with derivatives by hand.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
@@ -16,19 +15,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from scipy.optimize import brentq
 
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.compiled import compiled, in_batches
 from curlfit.paper.claim import Claim
+from curlfit.paper.findings import RADIUS, Kinematics, PathFindings
 from curlfit.paper.printed import eq_12
-
-RADIUS = 0.065
-"""Ring radius of sect. 4, m; eq. 17's 0.032 belongs to it."""
 
 RING_ANGLES = np.linspace(-np.pi, np.pi, 721)
 """Polar angles of ring points, rad."""
 
 _TIMES = np.arange(201) / 10
+_ROWS = 256  # of one program, for any number of times
+_ORDERS = 3  # of derivatives that it has
+_NEWTON_STEPS = 4  # from within 0.05 s
 _SAMPLE_TIMES = (2.0, 11.0)  # s, from which coefficients and exponents are computed
 
 
@@ -41,14 +41,26 @@ class Derivatives(NamedTuple):
 
 
 def derivatives(t: Floats, order: int) -> Derivatives:
-    """The derivative of eq. 12 of that order at times in s, shape (n,), by JAX."""
+    """The derivative of eq. 12 of order 1, 2 or 3 at times in s, shape (n,), by JAX."""
+    found = in_batches(_derivatives, (t,), _ROWS)
+    return Derivatives(*found[:, order - 1].T)
+
+
+@compiled()
+def _derivatives(t: Array) -> Array:
+    """Of orders 1 to 3, of x, y and phi, shape (n, 3, 3)."""
 
     def at(s: Array) -> Array:
         return jnp.stack(eq_12(s))
 
-    for _ in range(order):
-        at = jax.jacfwd(at)
-    return Derivatives(*np.asarray(jax.jit(jax.vmap(at))(jnp.asarray(t, float))).T)
+    def all_orders(s: Array) -> Array:
+        orders, of = [], at
+        for _ in range(_ORDERS):
+            of = jax.jacfwd(of)
+            orders.append(of(s))
+        return jnp.stack(orders)
+
+    return jax.vmap(all_orders)(t)
 
 
 def by_hand(t: Floats) -> Derivatives:
@@ -65,32 +77,6 @@ def as_printed(t: Floats) -> tuple[Floats, Floats]:
     """Eq. 14 as printed: d2x/dt2 and d2y/dt2 in m/s^2, at times in s."""
     rest = 1 - t / 23
     return -(0.008 + 0.0035 * rest**-0.57), -0.08 * rest**-0.013
-
-
-@dataclass(frozen=True)
-class Kinematics:
-    """Motion by eq. 12 at times of shape (n,).
-
-    t in s; speed in m/s; spin in rad/s, heading from +y toward +x in rad; xi, eta in m/s^2 are the
-    acceleration to the right of the motion and along it (left sides of eq. 24); angular in rad/s^2.
-    """
-
-    t: Floats
-    speed: Floats
-    heading: Floats
-    spin: Floats
-    xi: Floats
-    eta: Floats
-    angular: Floats
-
-    def epsilon(self, radius: float) -> Floats:
-        """`R omega/v`, for a ring radius in m."""
-        return radius * self.spin / self.speed
-
-    def until(self, time: float) -> Kinematics:
-        """The rows with t <= `time`."""
-        rows = self.t <= time + 1e-9
-        return Kinematics(**{name: values[rows] for name, values in vars(self).items()})
 
 
 def kinematics(t: Floats, *, printed: str = "") -> Kinematics:
@@ -112,53 +98,6 @@ def kinematics(t: Floats, *, printed: str = "") -> Kinematics:
         eta=ax * np.sin(beta) + ay * np.cos(beta),
         angular=second.phi,
     )
-
-
-@dataclass(frozen=True)
-class PathFindings:
-    """Properties of eq. 12.
-
-    Attributes
-    ----------
-    motion : by eq. 12, each 0.1 s on 0..20 s. printed, wrong_sign : with eq. 14 as printed, and
-    with its sign alone.
-    start : dx/dt, dy/dt (m/s) and omega (1/s) at t = 0. end : x, y (m) and turns at t = 23 s.
-    x_form : c, k, p of `d2x/dt2 = -(c + k (1 - t/23)^p)`, in m/s^2, m/s^2, 1.
-    y_form : k, p of `d2y/dt2 = -k (1 - t/23)^p`. by_hand : largest relative difference between
-    derivatives by JAX and by hand. sign_change : time in s at which d2x/dt2 changes its sign.
-    ax, ay, ax_printed, ay_printed : d2x/dt2 and d2y/dt2 in m/s^2, right and as printed.
-    bound_form : coefficient and exponents of `R omega/(dy/dt)`, the bound of eq. 17.
-    ice_slope : at each time, the largest dx(A)/dy(A) on the ring, in the ice frame.
-    slope : the same in the moving frame, v_xi(A)/v_eta(A).
-    """
-
-    motion: Kinematics
-    printed: Kinematics
-    wrong_sign: Kinematics
-    start: tuple[float, float, float]
-    end: tuple[float, float, float]
-    x_form: tuple[float, float, float]
-    y_form: tuple[float, float]
-    by_hand: float
-    sign_change: float
-    ax: Floats
-    ay: Floats
-    ax_printed: Floats
-    ay_printed: Floats
-    bound_form: tuple[float, float, float]
-    ice_slope: Floats
-    slope: Floats
-
-    @property
-    def ratio(self) -> Floats:
-        """a_xi/a_eta of the trajectory."""
-        return self.motion.xi / self.motion.eta
-
-    @property
-    def limit(self) -> Floats:
-        """`eps/sqrt(1 - eps^2)`: the bound of isotropic friction on that ratio."""
-        epsilon = self.motion.epsilon(RADIUS)
-        return epsilon / np.sqrt(1 - epsilon**2)
 
 
 def study_path() -> PathFindings:
@@ -187,7 +126,7 @@ def study_path() -> PathFindings:
         x_form=_x_form(),
         y_form=_y_form(),
         by_hand=difference,
-        sign_change=float(brentq(lambda s: derivatives(np.array([s]), 2).x[0], 10, 20)),
+        sign_change=_sign_change(motion.t, second.x),
         ax=second.x,
         ay=second.y,
         ax_printed=ax_printed,
@@ -196,6 +135,14 @@ def study_path() -> PathFindings:
         ice_slope=ice.max(1),
         slope=moving.max(1),
     )
+
+
+def _sign_change(t: Floats, second: Floats) -> float:
+    """Time at which d2x/dt2 changes its sign, by Newton's method from the nearest of some times."""
+    time = t[np.argmin(np.abs(second)), None]
+    for _ in range(_NEWTON_STEPS):
+        time = time - derivatives(time, 2).x / derivatives(time, 3).x
+    return float(time[0])
 
 
 def _power_exponent(values: Floats, rest: Floats) -> float:

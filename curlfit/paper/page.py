@@ -11,13 +11,14 @@ from rich.table import Table
 from rich.text import Text
 
 from curlfit.output.display import Overview
-from curlfit.paper.eq28 import PRINTED, R_RANGE, RHO_RANGE
+from curlfit.paper.eq28 import R_RANGE, RHO_RANGE
+from curlfit.paper.findings import PRINTED
 from curlfit.paper.isotropic import CASES, EXPONENTS, SPEEDS, SPINS
 from curlfit.paper.printed import EQ_28_STONE, SOLID_RHO
 
 if TYPE_CHECKING:
     from curlfit.paper.claim import Claim
-    from curlfit.paper.isotropic import Example
+    from curlfit.paper.findings import Example
     from curlfit.paper.reproduce import Reproduction
 
 _STYLE = {"holds": "green", "holds with a correction": "yellow", "does not hold": "bold red"}

@@ -10,10 +10,11 @@ from typing import Any, ClassVar
 from curlfit.numerics.threads import in_threads
 from curlfit.output.display import Displayed
 from curlfit.paper.claim import Claim
-from curlfit.paper.eq28 import Eq28Findings, eq_28_claims, study_eq_28
-from curlfit.paper.isotropic import IsotropicFindings, isotropic_claims, study_isotropic
-from curlfit.paper.kinematics import PathFindings, path_claims, study_path
-from curlfit.paper.ring import RingFindings, ring_claims, study_ring
+from curlfit.paper.eq28 import eq_28_claims, study_eq_28
+from curlfit.paper.findings import Eq28Findings, IsotropicFindings, PathFindings, RingFindings
+from curlfit.paper.isotropic import isotropic_claims, study_isotropic
+from curlfit.paper.kinematics import path_claims, study_path
+from curlfit.paper.ring import ring_claims, study_ring
 
 ORDER = (
     "eq13", "eq14x", "eq14y", "prop1", "prop2", "prop3", "prop4", "prop5", "eq15-17",
@@ -45,12 +46,17 @@ class Reproduction(Displayed):
         return {claim.id: claim for claim in self.claims}[name]
 
 
-def reproduce(progress: Callable[[str, int, int], None] | None = None) -> Reproduction:
+def reproduce(
+    progress: Callable[[str, int, int], None] | None = None,
+    arrived: Callable[[str, Any], None] | None = None,
+) -> Reproduction:
     """Recompute every numbered claim of Ivanov and Shuvalov (2012) from the model.
 
     Parameters
     ----------
     progress : called before each part with its name, the number of parts done and the total.
+    arrived : called with the findings of each study once they are known, by the name that they have
+        in the result.
 
     Examples
     --------
@@ -59,27 +65,35 @@ def reproduce(progress: Callable[[str, int, int], None] | None = None) -> Reprod
     17
     """
 
-    def report(part: str, done: int) -> None:
-        if progress is not None:
-            progress(part, done, 4)
+    found: dict[str, Any] = {}
 
-    report("eq. 12 and its derivatives", 0)
-    path = study_path()
+    def begin(part: str) -> None:
+        if progress is not None:
+            progress(part, len(found), 4)
+
+    def keep(name: str, findings: Any) -> None:
+        found[name] = findings
+        if arrived is not None:
+            arrived(name, findings)
+
+    begin("eq. 12 and its derivatives")
+    keep("path", study_path())
+    path = found["path"]
     studies: list[tuple[Callable[[], Any]]] = [
-        (study_isotropic,), (partial(study_ring, path.motion),), (partial(study_eq_28, path),),
+        (study_isotropic,), (partial(study_eq_28, path),), (partial(study_ring, path.motion),),
     ]  # fmt: skip
     with in_threads(lambda study: study(), studies) as results:
-        report("isotropic friction (Prop. 1-4)", 1)
-        isotropic = next(results)
-        report("anisotropic friction (eq. 23-27)", 2)
-        ring = next(results)
-        report("eq. 28", 3)
-        eq28 = next(results)
-    report("done", 4)
+        begin("isotropic friction (Prop. 1-4)")
+        keep("isotropic", next(results))
+        begin("eq. 28")
+        keep("eq28", next(results))
+        begin("anisotropic friction (eq. 23-27)")
+        keep("ring", next(results))
+    begin("done")
     claims = (
         path_claims(path)
-        | isotropic_claims(isotropic)
-        | ring_claims(ring)
-        | eq_28_claims(eq28, ring)
+        | isotropic_claims(found["isotropic"])
+        | ring_claims(found["ring"])
+        | eq_28_claims(found["eq28"], found["ring"])
     )
-    return Reproduction(tuple(claims[name] for name in ORDER), path, isotropic, ring, eq28)
+    return Reproduction(tuple(claims[name] for name in ORDER), **found)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from curlfit.dynamics.contact import accelerations
@@ -17,13 +16,12 @@ from curlfit.friction import Load, LocalLaw
 from curlfit.friction.anisotropic import Radial
 from curlfit.friction.front_back import FrontBack, FrontBackFirstOrder
 from curlfit.inference.fit.fit import fit
-from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.model import Model
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.paper.claim import Claim
-from curlfit.paper.kinematics import RADIUS, Kinematics
+from curlfit.paper.findings import RADIUS, Expansion, Kinematics, RingFindings
 from curlfit.paper.printed import first_order_motion, jensen_shegelski_throw
 from curlfit.stone import GRAVITY, Stone
 
@@ -90,27 +88,6 @@ def first_order_front_back(mu: Floats, epsilon: Floats) -> Floats:
     )
 
 
-@dataclass(frozen=True)
-class Expansion:
-    """A first-order form compared with the ring.
-
-    Attributes
-    ----------
-    epsilon : shape (n,). gap : largest relative gap of T_xi, T_eta, M at each epsilon, over the
-    coefficients taken one at a time, shape (n, 3). order : power of epsilon with which each
-    falls, shape (3,); nan where the gap is rounding.
-    """
-
-    epsilon: Floats
-    gap: Floats
-    order: Floats
-
-    @property
-    def largest(self) -> float:
-        """Largest gap at the first epsilon, 0.1."""
-        return float(self.gap[0].max())
-
-
 def _expansion(law: type[LocalLaw], first_order: Any) -> Expansion:
     mu = np.tile(_TEST_VALUE * np.eye(4), (len(EPSILONS), 1))
     epsilon = np.repeat(EPSILONS, 4)
@@ -122,42 +99,6 @@ def _expansion(law: type[LocalLaw], first_order: Any) -> Expansion:
     with np.errstate(divide="ignore", invalid="ignore"):
         order = np.log(gap[0] / gap[-1]) / np.log(EPSILONS[0] / EPSILONS[-1])
     return Expansion(EPSILONS, gap, np.where(gap[0] > 1e-9, order, np.nan))
-
-
-@dataclass(frozen=True)
-class RingFindings:
-    """Results of the ring integrals.
-
-    Attributes
-    ----------
-    radial, front_back : eq. 23 and the right sides of eq. 27 compared with the ring.
-    closed_gap : largest distance (m) and angle (rad) between eq. 27 in closed form and integrated
-    numerically, t <= 20 s. ring_gap : the same between eq. 27 and the full ring.
-    t : s. l1, l2, l3 : combinations that solve eq. 24 at each time, shape (n,).
-    rank : of eq. 24 with respect to the four unknowns, and with l1, l2, l3 as further rows.
-    l1_zero : time in s at which l1 changes its sign, or None. greatest_epsilon : on t <= 20 s.
-    radial_fit : the radial law fitted with coefficients of either sign; radial_l its l1, l2, l3.
-    split_epsilon : examined. split_uniform : largest relative change of the three forces at each
-    when mu1_eta and mu2_eta are exchanged, uniform load. split_consistent : relative change of
-    T_eta, consistent load.
-    """
-
-    radial: Expansion
-    front_back: Expansion
-    closed_gap: tuple[float, float]
-    ring_gap: tuple[float, float]
-    t: Floats
-    l1: Floats
-    l2: Floats
-    l3: Floats
-    rank: tuple[int, int]
-    l1_zero: float | None
-    greatest_epsilon: float
-    radial_fit: FitResult
-    radial_l: tuple[float, float, float]
-    split_epsilon: Floats
-    split_uniform: Floats
-    split_consistent: Floats
 
 
 def solve_eq_24(motion: Kinematics) -> tuple[Floats, Floats, Floats]:
@@ -181,8 +122,9 @@ def study_ring(motion: Kinematics) -> RingFindings:
         k = crossing[0]
         zero = float(motion.t[k] - l1[k] * (motion.t[k + 1] - motion.t[k]) / (l1[k + 1] - l1[k]))
     radial_fit = fit(
-        jensen_shegelski_throw(), Radial, stone=Stone(R=RADIUS, rho=RHO), unbounded=True
-    )
+        jensen_shegelski_throw(), Radial, stone=Stone(R=RADIUS, rho=RHO), unbounded=True,
+        details=False,
+    )  # fmt: skip
     closed_gap, ring_gap = _trajectory_differences()
     uniform, consistent = _exchange_effects()
     mu = [radial_fit.parameters[f"mu{index}"].value for index in (1, 2, 3, 4)]

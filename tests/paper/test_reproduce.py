@@ -13,7 +13,8 @@ from docstring_examples import run_examples
 
 import curlfit
 from curlfit.friction.isotropic import Power
-from curlfit.paper.eq28 import PRINTED, coefficients_of, rounds_to_print
+from curlfit.paper.eq28 import rounds_to_print
+from curlfit.paper.findings import PRINTED, SHOWN, coefficients_of
 from curlfit.paper.isotropic import SpeedMixture
 from curlfit.paper.printed import jensen_shegelski
 from curlfit.paper.reproduce import ORDER
@@ -60,9 +61,14 @@ def written(found, tmp_path_factory):
     from curlfit.cli import app
     from curlfit.paper import reproduce as reproduction
 
+    def known(progress, arrived):
+        for name in {study for studies in SHOWN.values() for study in studies}:
+            arrived(name, getattr(found, name))
+        return found
+
     folder = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reproduction, "reproduce", lambda progress: found)
+        patch.setattr(reproduction, "reproduce", known)
         run = CliRunner().invoke(app, ["reproduce", "--out", str(folder)])
         as_json = CliRunner().invoke(app, ["reproduce", "--out", str(folder), "--json"])
         silent = CliRunner().invoke(app, ["reproduce", "--out", str(folder), "--quiet"])

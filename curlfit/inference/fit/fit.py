@@ -68,6 +68,7 @@ def fit(
     loss: str = "linear",
     noise: str = "white",
     systematics: Mapping[str, float] | None = None,
+    details: bool = True,
 ) -> FitResult:
     """Fit a friction law and the start of the throw to a measured path by least squares.
 
@@ -99,6 +100,8 @@ def fit(
     systematics : standard uncertainties of conditions that are held, such as {"slope_x": 2e-4}, in
         place of those of `curlfit.inference.conditions`; 0 where one is known, "all" for all that
         are not named. They enter the systematic errors alone.
+    details : whether the fit shall also hold the quantities of the path, the fits with the stones
+        of the throw's reference, and what would determine more (`remedies`).
 
     Returns
     -------
@@ -134,12 +137,14 @@ def fit(
     result = summarize(found, widths_of(model, systematics))
     if not result.converged:
         return result
-    result = replace(result, quantities=quantities_of(result))
     doubtful = any(item.doubtful for item in result.independence.values())
     if doubtful and loss == "linear" and noise == "white" and "sweep" not in result.conditions:
         change = sudden_change(found)
         if change is not None:
             result = replace(result, warnings=(change.warning(), *result.warnings))
+    if not details:
+        return result
+    result = replace(result, quantities=quantities_of(result))
     if result.reference is not None:
         result = replace(result, reference_fits=_reference_fits(found, result))
     open_ = [name for name, item in result.parameters.items() if item.verdict in _OPEN]

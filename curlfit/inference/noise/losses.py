@@ -57,8 +57,11 @@ _ROOTS: tuple[Callable[[Any], Any], ...] = (lambda r: r, _huber, _soft, _cauchy,
 
 
 def signed_root(r: Any, loss: Any) -> Any:
-    """sqrt(rho) with the sign of r, of NumPy or JAX; `loss` is a place in `LOSSES`, a scalar."""
-    if isinstance(r, jax.Array) or isinstance(loss, jax.Array):
+    """sqrt(rho) with the sign of r, of NumPy or JAX; `loss` is a place in `LOSSES`, a scalar.
+
+    A compiled program has the losses that `loss` may be: one where it is a number.
+    """
+    if isinstance(loss, jax.Array):
         return jax.lax.switch(loss, _ROOTS, jnp.asarray(r))
     return _ROOTS[int(loss)](r)
 
