@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from scipy.ndimage import median_filter
 
 from curlfit.comparison.result import PLACE
 from curlfit.inference.fit.result import FitResult
@@ -100,7 +99,12 @@ class _Path(NamedTuple):
 
 def _seen(values: Floats, loss: str) -> Floats:
     """What there is to explain of a series: without its outliers, where the loss is robust."""
-    return values if loss == "linear" else median_filter(values, _MEDIAN, mode="nearest")
+    if loss == "linear":
+        return values
+    from scipy.ndimage import median_filter  # slow to load
+
+    filtered: Floats = median_filter(values, _MEDIAN, mode="nearest")
+    return filtered
 
 
 def _noise(t: Floats, values: Floats, loss: str) -> float:

@@ -92,6 +92,7 @@ def compare(
     from curlfit.inference.parameters import ParameterSet, options_of, require_known
     from curlfit.output.files import prepare_folder
     from curlfit.throws.plausibility import require_plausible
+    from curlfit.throws.throw import require_path
 
     drawn = FigureFiles.of(figures, none=no_figures)
     flags = {
@@ -137,8 +138,6 @@ def compare(
             priors=own["prior"],
             swept="swept" in settings,
         )
-    from curlfit.comparison.compare import require_path
-
     require_path(cut)
     folder = prepare_folder(out or Path(f"{data.stem}-compare"))
 

@@ -22,7 +22,7 @@ from curlfit.comparison.criteria import log_likelihood, number_of_parameters, re
 from curlfit.comparison.noise_models import noise_models
 from curlfit.comparison.ranking import Fitted, ranked
 from curlfit.comparison.result import PLACE, Candidate, Comparison
-from curlfit.errors import InputError, UnusableFitError
+from curlfit.errors import UnusableFitError
 from curlfit.friction import LAWS, Law, NetLaw, find_law
 from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.fit import fit
@@ -31,7 +31,7 @@ from curlfit.inference.parameters import options_of, require_known
 from curlfit.inference.priors import Prior
 from curlfit.numerics.threads import in_threads
 from curlfit.stone import Stone
-from curlfit.throws.throw import Throw, require_throw
+from curlfit.throws.throw import Throw, require_path, require_throw
 
 
 def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[Law], str]]:
@@ -48,15 +48,6 @@ def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[L
         for law in dict.fromkeys(chosen)
         for one in (loads[:1] if issubclass(law, NetLaw) else loads)
     ]
-
-
-def require_path(throw: Throw) -> None:
-    """Raise `InputError` for a throw of timed events alone."""
-    if not throw.has_path:
-        raise InputError(
-            f"{throw.name}: {len(throw.events)} timed events rank no laws; expected a path. "
-            "`curlfit fit --law NAME` fits one law to them"
-        )
 
 
 def compare(

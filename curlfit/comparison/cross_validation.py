@@ -24,12 +24,10 @@ parameter is not predicted by the others at all.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr
-from scipy.stats import norm
-from scipy.stats import t as student_t
+from scipy.special import gammaln, log_ndtr
 
 from curlfit.comparison.evidence import prior_terms
 from curlfit.inference.fit.prepared import problem_of
@@ -158,7 +156,7 @@ def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> _Fact
         stiffness = max(float(1 - gain @ scaled[inner, row]), _ALONE)
         push = max(-inward[row] * float(slope[row] - gain @ slope[inner]), 0.0)
         a = push / np.sqrt(stiffness)
-        ratio = np.exp(norm.logpdf(a) - log_ndtr(-a))
+        ratio = np.exp(_log_normal(a) - log_ndtr(-a))
         mean, variance = (ratio - a) / np.sqrt(stiffness), (1 - ratio * (ratio - a)) / stiffness
         if a > _HARD:  # an exponential density, without the rounding of ratio - a
             mean, variance = 1 / push, 1 / push**2
@@ -166,6 +164,19 @@ def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> _Fact
         found.precision[row] = extra * size[row] ** 2
         found.mean[row] = inward[row] * (mean / variance + push) / extra / size[row]
     return found
+
+
+# Not by `scipy.stats`, which takes as long to load as a fit of every law.
+def _log_normal(u: Any) -> Any:
+    """Log density of the standard normal distribution."""
+    return -(u**2) / 2 - np.log(2 * np.pi) / 2
+
+
+def _log_student(u: Floats, dof: Floats) -> Floats:
+    """Log density of Student's t distribution."""
+    norm = gammaln((dof + 1) / 2) - gammaln(dof / 2) - np.log(np.pi * dof) / 2
+    density: Floats = norm - (dof + 1) / 2 * np.log1p(u**2 / dof)
+    return density
 
 
 def densities(
@@ -214,7 +225,7 @@ def densities(
         scale = np.sqrt(np.where(estimated, np.maximum(squares / dof, floor), 1.0))
         lower = np.linalg.cholesky(cov)
         u = np.linalg.solve(lower, off.T[..., None])[..., 0] / scale
-        found = np.where(estimated, student_t.logpdf(u, dof), norm.logpdf(u))
+        found = np.where(estimated, _log_student(u, dof), _log_normal(u))
         found -= np.log(scale * np.diagonal(lower, axis1=1, axis2=2))
         logs = np.log(np.where(there, weight, 1.0)).T
         return np.where(there.T, found + logs, 0.0).sum(1)

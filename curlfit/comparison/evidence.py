@@ -18,8 +18,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr
-from scipy.stats import multivariate_normal
+from scipy.special import log_ndtr, ndtr
 
 from curlfit.friction import Coefficient
 from curlfit.inference.fit.result import FitResult
@@ -164,6 +163,13 @@ def _log_box(mean: Floats, covariance: Floats, lower: Floats, upper: Floats) -> 
     near = (lower > mean - _FAR * sd) | (upper < mean + _FAR * sd)
     if not near.any():
         return 0.0
+    if near.sum() == 1:
+        ends = (np.array([lower[near][0], upper[near][0]]) - mean[near]) / sd[near]
+        # By the tail on which the box lies, where the difference is precise.
+        low, high = ends if ends.sum() <= 0 else -ends[::-1]
+        return math.log(max(float(ndtr(high) - ndtr(low)), _LEAST))
+    from scipy.stats import multivariate_normal  # slow to load, and few boxes need it
+
     some = np.ix_(near, near)
     found = multivariate_normal(mean[near], covariance[some], allow_singular=True, seed=1).cdf(
         upper[near], lower_limit=lower[near]

@@ -44,7 +44,7 @@ BATCH = 64
 the cost of a pass."""
 
 _MOST_LOADED = 16  # programs in memory, of 5 to 30 MB each
-_PARTS = 4  # of a program, in which code is generated in parallel
+_PARTS = 1 if cores() < 4 else 4  # of a program, in which code is generated in parallel
 
 Record = TypeVar("Record")
 
@@ -239,9 +239,10 @@ def _compile_lowered(lowered: Any, optimize: bool) -> Any:
 
     XLA's older kernel emitters take half the time and half the memory of the new ones, for programs
     that are slower by a quarter to a half. In fewer parts than by default the same code takes less
-    time. `xla_cpu_prefer_vector_width` is left at its default: with 512 bits, trajectories take a
-    tenth less time, but XLA 0.10 silently compiles the law `debris` wrongly (`tests/numerics` has
-    the case).
+    time, in one part a fifth less than in four: few cores have enough to do with other programs.
+    `xla_cpu_prefer_vector_width` is left at its default: with 512 bits, trajectories take a tenth
+    less time, but XLA 0.10 silently compiles the law `debris` wrongly (`tests/numerics` has the
+    case).
     """
     if not optimize and jax.default_backend() == "cpu":
         options = {

@@ -480,6 +480,15 @@ def require_throw(throw: object) -> None:
         )
 
 
+def require_path(throw: Throw) -> None:
+    """Raise `InputError` for a throw of timed events alone."""
+    if not throw.has_path:
+        raise InputError(
+            f"{throw.name}: {len(throw.events)} timed events rank no laws; expected a path. "
+            "`curlfit fit --law NAME` fits one law to them"
+        )
+
+
 def check_sigma(sigma: Mapping[str, float]) -> None:
     """Raise `InputError` where a standard deviation is not positive, or of no channel."""
     for name, value in sigma.items():

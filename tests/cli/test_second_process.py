@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -107,3 +108,38 @@ files.written()
 print(Path("pid").read_text() == str(os.getpid()))
 """
     assert run(code) == "True"
+
+
+@pytest.mark.skipif(cores() < 2, reason="one core draws where it computes")
+@pytest.mark.parametrize(
+    "verb",
+    [
+        "fit DATA",
+        "compare DATA",
+        "predict FIT",
+        "profile FIT --param mu1_xi",
+        "design",
+        "reproduce",
+    ],
+)
+def test_no_verb_loads_jax_before_the_process_is_forked(verb, tmp_path, eq12_fit):
+    data = Path(__file__).parents[2] / "data" / "jensen_shegelski_2004.csv"
+    code = """
+import sys
+from curlfit.cli import main
+from curlfit.options.figures import FigureFiles
+
+def draw_beside(self):
+    print("jax" in sys.modules)
+    raise SystemExit
+
+FigureFiles.draw_beside = draw_beside
+main()
+"""
+    eq12_fit.save(tmp_path / "fit.json")
+    words = verb.replace("DATA", str(data)).replace("FIT", str(tmp_path)).split()
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words, "--out", str(tmp_path)], check=False,
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert (done.stdout.strip(), done.stderr) == ("False", "")

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.stats import truncnorm
+from scipy.stats import norm, truncnorm
 
 import curlfit
 from curlfit.comparison.criteria import log_likelihood
 from curlfit.comparison.evidence import (
     _Gaussian,
     _integral,
+    _log_box,
     effective_parameters,
     log_evidence,
 )
@@ -131,3 +132,14 @@ def test_there_is_none_where_residuals_are_correlated(eq12):
     found = curlfit.compare(eq12, ["coulomb"])
     assert found.effective
     assert found.best.log_evidence is found.best.weight is None
+
+
+@pytest.mark.parametrize("ends", [(0.0, np.inf), (-np.inf, -0.5), (3.0, np.inf), (-1.0, 2.0)])
+def test_the_probability_of_a_box_in_one_dimension_and_in_two(ends):
+    low, high = np.array(ends)
+    exact = np.log(norm.sf(low) - norm.sf(high))
+    far = np.array([-np.inf, np.inf])
+    one = _log_box(np.zeros(1), np.eye(1), low[None], high[None])
+    two = _log_box(np.array([0.0, 1.0]), np.eye(2), np.array([low, -1.0]), np.array([high, far[1]]))
+    assert one == pytest.approx(exact, rel=1e-12)
+    assert two == pytest.approx(exact + norm.logsf(-2.0), rel=1e-6)

@@ -15,8 +15,6 @@ import curlfit
 from curlfit import LAWS, InitialState, Stone, Throw, simulate
 from curlfit.dynamics import equations
 from curlfit.dynamics.contact import accelerations
-from curlfit.dynamics.trajectory import ordered_trajectory, positions
-from curlfit.inference.initial_values import default_guess
 from curlfit.inference.likelihood import log_likelihood, predict_channels
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, build_problem
@@ -253,26 +251,6 @@ def test_derivatives_agree_with_finite_differences(load, v, omega, until):
         np.testing.assert_allclose(
             forward[..., k], difference, rtol=0, atol=1e-6 * size + 1e-10, err_msg=str(k)
         )
-
-
-@pytest.mark.parametrize("name", ["front-back", "power", "debris"])
-def test_positions_for_fits_have_the_derivatives_of_the_whole_path(name):
-    law = LAWS[name]
-    values = np.array([*(default_guess(item) for item in law.coefficients()), 0.1, 2.0, 1.2])
-    times = np.linspace(0, 30, ROWS)  # on to rest
-
-    def parts(values):
-        start = InitialState(heading=values[-3], v=values[-2], omega=values[-1])
-        return law.from_vector(values), STONE, None, start, times
-
-    def whole(values):
-        path = ordered_trajectory(*parts(values), jnp.zeros(()), load="uniform")
-        return jnp.stack([path.x, path.y, path.phi])
-
-    found = jax.jacfwd(lambda values: positions(*parts(values), load="uniform"))(values)
-    exact = np.asarray(jax.jacfwd(whole)(values))
-    largest = np.abs(exact).max((0, 1))
-    assert (np.abs(found - exact) / largest).max() < 5e-6
 
 
 @pytest.mark.parametrize(("v", "omega"), [(2.0, 0.0), (0.0, 3.0), (0.0, 0.0)])

@@ -6,19 +6,18 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from importlib.metadata import version as version_of
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import Any, cast
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.errors import DataError, InputError
 from curlfit.friction import Law
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.mcmc.library import emcee
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
 from curlfit.output.display import Displayed, Overview
@@ -209,6 +208,8 @@ class Chain(Displayed):
     def save(self, file: str | PathLike[str], *, compressed: bool = True) -> None:
         """Write `chain.h5`, whole or not at all: the layout of emcee's HDF backend, with curlfit's
         own attributes. Without compression it takes a tenth of the time and twice the room."""
+        import h5py
+
         # Made in memory: HDF5 does not recover from a disk that is full.
         image = BytesIO()
         with h5py.File(image, "w") as out:
@@ -220,7 +221,7 @@ class Chain(Displayed):
         group = out.create_group("mcmc")
         steps, walkers, dimension = self.values.shape
         group.attrs.update(
-            version=emcee.__version__,
+            version=version_of("emcee"),
             nwalkers=walkers,
             ndim=dimension,
             has_blobs=False,
@@ -260,6 +261,8 @@ def load_chain(file: str | PathLike[str]) -> Chain:
     path = Path(file)
     if not path.is_file():
         raise DataError("no such file", file=path)
+    import h5py
+
     try:
         with h5py.File(path, "r") as stored:
             return Chain(
@@ -331,7 +334,7 @@ def subject_of(fit: FitResult, seed: int) -> dict[str, str]:
         "least-squares result": _digest(fit.values, np.array(noise), *information),
         "seed": str(seed),
         "version of curlfit": __version__,
-        "version of emcee": emcee.__version__,
+        "version of emcee": version_of("emcee"),
     }
 
 
