@@ -44,7 +44,7 @@ BATCH = 64
 the cost of a pass."""
 
 _MOST_LOADED = 16  # programs in memory, of 5 to 30 MB each
-_PARTS = 1 if cores() < 4 else 4  # of a program, in which code is generated in parallel
+_MOST_PARTS = 4  # of a program, in which code is generated in parallel
 
 Record = TypeVar("Record")
 
@@ -197,7 +197,9 @@ class _CompiledFunction:
         with gc_paused(), _jax_cache_disabled if file is not None else nullcontext():
             lowered = jax.jit(of_leaves).lower(*call.leaves)
             _remove_locations(lowered)
-            program = _Program(_compile_lowered(lowered, self.optimize), structures[0])
+            with _compiling as programs:
+                run = _compile_lowered(lowered, self.optimize, parts=cores() // programs)
+            program = _Program(run, structures[0])
         if file is not None:
             # Some devices cannot serialize programs.
             with suppress(ValueError, NotImplementedError):
@@ -234,12 +236,32 @@ def _remove_locations(lowered: Any) -> None:
         PassManager.parse("builtin.module(strip-debuginfo)").run(module.operation)
 
 
-def _compile_lowered(lowered: Any, optimize: bool) -> Any:
+class _Count:
+    """Context that knows how many threads are within, this one included."""
+
+    def __init__(self) -> None:
+        self.inside = 0
+        self.lock = Lock()
+
+    def __enter__(self) -> int:
+        with self.lock:
+            self.inside += 1
+            return self.inside
+
+    def __exit__(self, *_: object) -> None:
+        with self.lock:
+            self.inside -= 1
+
+
+_compiling = _Count()
+
+
+def _compile_lowered(lowered: Any, optimize: bool, *, parts: int) -> Any:
     """Compile for speed of the program if `optimize`, else for speed of compilation.
 
     XLA's older kernel emitters take half the time and half the memory of the new ones, for programs
     that are slower by a quarter to a half. In fewer parts than by default the same code takes less
-    time, in one part a fifth less than in four: few cores have enough to do with other programs.
+    time, and the fewer the less: there are as many as there are processors to spare for them.
     `xla_cpu_prefer_vector_width` is left at its default: with 512 bits, trajectories take a tenth
     less time, but XLA 0.10 silently compiles the law `debris` wrongly (`tests/numerics` has the
     case).
@@ -247,7 +269,7 @@ def _compile_lowered(lowered: Any, optimize: bool) -> Any:
     if not optimize and jax.default_backend() == "cpu":
         options = {
             "xla_cpu_use_fusion_emitters": False,
-            "xla_cpu_parallel_codegen_split_count": _PARTS,
+            "xla_cpu_parallel_codegen_split_count": min(max(parts, 1), _MOST_PARTS),
         }
         with suppress(jax.errors.JaxRuntimeError):  # of a version that knows no such option
             return lowered.compile(compiler_options=options)
