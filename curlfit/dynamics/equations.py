@@ -77,7 +77,7 @@ def _sine_cosine(heading: Array, s: Array, c: Array) -> tuple[Array, Array]:
 
 @_sine_cosine.defjvp
 def _(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
-    _, s, c = primals
+    s, c = _sine_cosine(*primals)  # so that derivatives of any order are right
     return (s, c), (c * tangents[0], -s * tangents[0])
 
 
@@ -187,13 +187,6 @@ def at_rest(law: Law, stone: Stone, state: State, rate: State) -> Array:
     return ~moving | (remaining < _REST)
 
 
-def _power(base: Array, exponent: Any) -> Array:
-    """base^exponent, with its derivative by the base alone, which takes little."""
-    fixed = jax.lax.stop_gradient(base)
-    known = fixed**exponent if isinstance(exponent, float) else power(fixed, exponent)
-    return known * (1 + exponent * (base / fixed - 1))
-
-
 def step_size(
     law: Law, stone: Stone, forces: Array | None, span: Array, state: State, rate: State,
     time: Array,
@@ -216,7 +209,7 @@ def step_size(
         _KINK_WEIGHT
         * distance_rate
         * (1 + 2 * speed_exponent)
-        / _power(kink, (4 + speed_exponent) / 6)
+        / power(kink, (4 + speed_exponent) / 6)
     )
     frequency = (
         1 / span
@@ -232,7 +225,7 @@ def step_size(
         frequency += turning * (jnp.abs(state.phi) < max(law.corners) - _ANGLE_TOLERANCE)
     # The error of a step is the sixth power of its fraction times the remaining motion; the seventh
     # root minimizes the error of a given number of steps.
-    largest = frequency * _power(remaining, 1 / 7) / STEP
+    largest = frequency * remaining ** (1 / 7) / STEP
     for stability_rate in (
         rest_rate / _MAX_STEP,
         jnp.abs(rate.heading) / _MAX_TURN,

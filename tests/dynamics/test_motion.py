@@ -273,6 +273,30 @@ def test_second_derivatives_are_those_of_the_closed_form():
     np.testing.assert_allclose(found, exact, rtol=1e-9)
 
 
+def test_second_derivatives_agree_with_differences_of_the_first():
+    """Of a path that curls: the heading turns, and depends on everything."""
+    times = np.array([0.0, 5.0, 12.0, 18.0])
+
+    def path(p):
+        law = LAWS["front-back"](p[0], p[1], 0.009, 0.0083)
+        found = simulate(law, STONE, InitialState(heading=p[2], v=p[3], omega=p[4]), times)
+        return jnp.stack([found.x[1:], found.y[1:], found.phi[1:]])
+
+    values, steps = np.array([0.002, 0.05, 0.1, 2.0, 1.2]), [1e-5, 1e-4, 1e-4, 1e-4, 1e-4]
+    slope = jax.jit(jax.jacfwd(path))
+    found = jax.jit(jax.jacfwd(jax.jacfwd(path)))(values)
+    moves = np.diag(steps)
+    differences = np.stack(
+        [
+            (slope(values + move) - slope(values - move)) / (2 * step)
+            for move, step in zip(moves, steps, strict=True)
+        ],
+        -1,
+    )
+    gap = np.abs(found - differences).max((0, 1)) / np.abs(differences).max((0, 1))
+    assert gap.max() < 2e-6
+
+
 def test_derivative_with_respect_to_time_is_the_velocity():
     def y(t):
         return simulate(FRONT_BACK, STONE, InitialState(v=2.0), t, t0=0.0).y[0]
