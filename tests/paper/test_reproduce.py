@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import html
 import json
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -331,3 +333,10 @@ def test_refusals(tmp_path, out, said):
     assert said in run.stderr
     assert "Traceback" not in run.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_records_and_figures_load_no_jax():
+    code = (
+        "import sys, curlfit.paper.findings, curlfit.paper.figures; sys.exit('jax' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
