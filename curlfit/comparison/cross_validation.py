@@ -166,7 +166,7 @@ def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> _Fact
     return found
 
 
-# Not by `scipy.stats`, which takes as long to load as a fit of every law.
+# Not by `scipy.stats`, which is slow to load.
 def _log_normal(u: Any) -> Any:
     """Log density of the standard normal distribution."""
     return -(u**2) / 2 - np.log(2 * np.pi) / 2

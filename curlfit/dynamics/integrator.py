@@ -196,7 +196,6 @@ def _integrate_batch(
 
     def step_state(t: _Dual, frame: HeadingFrame, state: _Dual, rate: _Dual) -> _Dual:
         """With the length of the next step."""
-
         ended = at_rest(law, stone, State(*state.value), State(*rate.value)) | (t.value > last)
 
         def length(parameters: Any, t: Array, packed: Array, packed_rate: Array) -> Array:

@@ -245,12 +245,22 @@ class _Count:
 
     def __enter__(self) -> int:
         with self.lock:
+            if not self.inside:
+                self.begin()
             self.inside += 1
             return self.inside
 
     def __exit__(self, *_: object) -> None:
         with self.lock:
             self.inside -= 1
+            if not self.inside:
+                self.end()
+
+    def begin(self) -> None:
+        """What the first thread does as it enters."""
+
+    def end(self) -> None:
+        """What the last thread does as it leaves."""
 
 
 _compiling = _Count()
@@ -297,26 +307,19 @@ def gc_paused() -> Iterator[None]:
             gc.enable()
 
 
-class _JaxCacheDisabled:
-    """Context in which JAX does not use its own cache; several threads may be within."""
+class _JaxCacheDisabled(_Count):
+    """Context in which JAX does not use its own cache."""
 
-    def __init__(self) -> None:
-        self.inside = 0
-        self.enabled = True
-        self.lock = Lock()
+    enabled: bool
 
-    def __enter__(self) -> None:
-        with self.lock:
-            if not self.inside:
-                self.enabled = jax.config.values["jax_enable_compilation_cache"]
-                self._enable(False)
-            self.inside += 1
+    def begin(self) -> None:
+        """Remember whether JAX uses it."""
+        self.enabled = jax.config.values["jax_enable_compilation_cache"]
+        self._enable(False)
 
-    def __exit__(self, *_: object) -> None:
-        with self.lock:
-            self.inside -= 1
-            if not self.inside:
-                self._enable(self.enabled)
+    def end(self) -> None:
+        """As it was."""
+        self._enable(self.enabled)
 
     @staticmethod
     def _enable(enabled: bool) -> None:

@@ -24,7 +24,7 @@ from curlfit.paper.findings import (
     Row,
     Uncertainty,
     coefficients_of,
-)  # fmt: skip
+)
 from curlfit.paper.printed import EQ_28_STONE, EQ_28_UNTIL, SOLID_RHO, jensen_shegelski_throw
 from curlfit.paper.ring import SPLIT
 from curlfit.stone import GRAVITY, Stone

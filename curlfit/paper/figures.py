@@ -26,7 +26,7 @@ from curlfit.paper.findings import (
     IsotropicFindings,
     PathFindings,
     RingFindings,
-)  # fmt: skip
+)
 
 if TYPE_CHECKING:
     from curlfit.paper.reproduce import Reproduction

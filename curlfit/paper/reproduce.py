@@ -64,7 +64,6 @@ def reproduce(
     >>> len(reproduction.claims)
     17
     """
-
     found: dict[str, Any] = {}
 
     def begin(part: str) -> None:
@@ -77,8 +76,8 @@ def reproduce(
             arrived(name, findings)
 
     begin("eq. 12 and its derivatives")
-    keep("path", study_path())
-    path = found["path"]
+    path = study_path()
+    keep("path", path)
     studies: list[tuple[Callable[[], Any]]] = [
         (study_isotropic,), (partial(study_eq_28, path),), (partial(study_ring, path.motion),),
     ]  # fmt: skip
