@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import Any
 
-from curlfit.dynamics.contact import accelerations
-from curlfit.dynamics.quadrature import panels
+from curlfit.dynamics.law_structure import sample_points
 
 # isort: split
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
-from curlfit.friction import Law, LocalLaw
+from curlfit.friction import Law, Load, LocalLaw
+from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.forces import POINTS, accelerations_along, vectors_of
+from curlfit.inference.model import Model
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.compiled import compiled, in_batches
+from curlfit.numerics.compiled import stacked
 from curlfit.stone import Stone
 
 _MOST = 500
@@ -32,16 +30,21 @@ def opposes_sliding(law: type[Law]) -> bool:
     general = law.from_vector(
         [item.default + 0.1 * (j + 1) * item.typical for j, item in enumerate(law.coefficients())]
     )
-    zero, one = jnp.zeros(()), jnp.ones(())
-    for points, _ in panels(general, one, 0.1 * one, one, zero):
+    for half in (1.0, 0.0):
+        points = sample_points(half)
         xi, eta = general.traction(points)
         if not np.allclose(xi * points.e_eta, eta * points.e_xi, rtol=0, atol=1e-9):
             return False
     return True
 
 
-def sides_of_curl(law: type[Law], load: str, result: FitResult) -> tuple[str, ...]:
-    """Sides to which the law can curl a counter-clockwise stone that it slows, within bounds."""
+def sides_of_curl(
+    law: type[Law], load: Load, result: FitResult, family: type[LawFamily] | None = None
+) -> tuple[str, ...]:
+    """Sides to which the law can curl a counter-clockwise stone that it slows, within bounds.
+
+    A law of a family is evaluated by the family's program.
+    """
     items = result.coefficients.values()
     steps = np.array([-3, -1, -0.3, 0, 0.3, 1, 3])
     ranges = [
@@ -55,28 +58,24 @@ def sides_of_curl(law: type[Law], load: str, result: FitResult) -> tuple[str, ..
         grid = grid[np.random.default_rng(0).choice(len(grid), _MOST, replace=False)]
     v = float(np.median(result.fitted["speed"]))
     omega = float(np.median(np.abs(result.fitted["omega"])))
-    xi, eta, _ = _over_coefficients(law, load, grid, result.stone, v, omega)
+    # half a radian after release, where a law that depends on the angle still does
+    state = np.tile(np.array([v, omega, 0.5, 0.0])[:, None], POINTS)
+    model = Model(law, load, family=family if family and law in family.members else None)
+    xi, eta = _over_coefficients(model, grid, result.stone, state)[:, :2].T
     sideways = np.where(eta < 0, xi / np.where(eta < 0, -eta, 1.0), 0.0)
     found = [("left", (sideways < -1e-9).any()), ("right", (sideways > 1e-9).any())]
     return tuple(side for side, possible in found if possible)
 
 
-def _over_coefficients(
-    law: type[Law], load: str, grid: Floats, stone: Stone, v: float, omega: float
-) -> tuple[Floats, ...]:
-    def program(rows: Floats) -> Any:
-        return _accelerations(law, load, rows, stone, v, omega)
-
-    found: tuple[Floats, ...] = in_batches(program, (grid,), _MOST)
-    return found
-
-
-@compiled("law", "load")
-def _accelerations(
-    law: type[Law], load: Any, grid: Array, stone: Stone, v: Array, omega: Array
-) -> tuple[Array, ...]:
-    def one(coefficients: Array) -> tuple[Array, ...]:
-        # half a radian after release, where a law that depends on the angle still does
-        return accelerations(law.from_vector(coefficients), stone, load, v, omega, 0.5)
-
-    return jax.vmap(one)(grid)
+def _over_coefficients(model: Model, grid: Floats, stone: Stone, state: Floats) -> Floats:
+    """Accelerations in one state, shape (vectors, 3)."""
+    vectors, size = vectors_of(model), vectors_of(model) * POINTS
+    found = []
+    for first in range(0, len(grid), size):
+        part = grid[np.minimum(first + np.arange(size), len(grid) - 1)]
+        stones = stacked([stone])
+        a = accelerations_along(
+            model, part.reshape(1, vectors, POINTS, -1), stones, state[None], batch=1
+        )
+        found.append(a[0].swapaxes(1, 2).reshape(size, 3))
+    return np.concatenate(found)[: len(grid)]

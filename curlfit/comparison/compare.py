@@ -24,6 +24,7 @@ from curlfit.comparison.ranking import Fitted, ranked
 from curlfit.comparison.result import PLACE, Candidate, Comparison
 from curlfit.errors import UnusableFitError
 from curlfit.friction import LAWS, Law, NetLaw, find_law
+from curlfit.friction.family import family_of
 from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
@@ -105,10 +106,12 @@ def compare(
     }  # fmt: skip
     require_known([law for law, _ in todo], options)
 
+    family = family_of(law for law, _ in todo)
+
     def fitted(law: type[Law], one_load: str, kind: str) -> list[Fitted]:
         choices: dict[str, Any] = {
             "load": one_load, "stone": stone, "since": since, "until": until, "exclude": exclude,
-            "swept": swept, "unbounded": unbounded, "loss": loss, "noise": kind,
+            "swept": swept, "unbounded": unbounded, "loss": loss, "noise": kind, "family": family,
             "systematics": {ALL: 0.0}, **options_of(law, options),
         }  # fmt: skip
         return _with_free_signs(throw, law, choices)
@@ -177,7 +180,7 @@ def _fitted(throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free
             curl_explained=explained,
             follows=follows,
             log_likelihood=sum(likelihood.values()),
-            sides=sides_of_curl(law, choices["load"], result),
+            sides=sides_of_curl(law, choices["load"], result, choices["family"]),
             negative=_needed_negative(result, signed),
             at_bound=_with_verdict(result, "at bound"),
             not_identifiable=_with_verdict(result, "not identifiable"),

@@ -19,12 +19,14 @@ from curlfit.dynamics.law_structure import (
     is_mirror_symmetric,
     is_piecewise_tensor,
 )
+from curlfit.friction.family import LawFamily
 
 # isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
@@ -123,18 +125,16 @@ def _newton_step(jacobian: tuple[Array, Array], value: Array) -> Array:
     return jnp.stack([d * f - b * g, a * g - c * f]) / (a * d - b * c)
 
 
-def _balanced_tilt(law: LocalLaw, ring: _Ring, stone: Stone) -> tuple[Array, tuple[Array, Array]]:
-    """The consistent load (eq. 8-9) as (p, q), and the Jacobian of the imbalance, in columns.
+def _balanced_tilt(law: LocalLaw, ring: _Ring, stone: Stone) -> Array:
+    """The consistent load (eq. 8-9) as (p, q); NaN where no load that is nowhere negative balances
+    the friction."""
 
-    NaN where no load that is nowhere negative balances the friction.
-    """
-
-    def newton(tilt: Array, system: tuple[LocalLaw, _Ring, Stone]) -> tuple[Any, ...]:
-        """The next tilt, the imbalance of this one, and the Jacobian."""
+    def newton(tilt: Array, system: tuple[LocalLaw, _Ring, Stone]) -> tuple[Array, Array]:
+        """The next tilt, and the imbalance of this one."""
         one, zero = jnp.ones_like(tilt[0]), jnp.zeros_like(tilt[0])
         value, slope = jax.linearize(partial(_imbalance, *system), tilt)
         jacobian = slope(jnp.stack([one, zero])), slope(jnp.stack([zero, one]))
-        return tilt - _newton_step(jacobian, value), jnp.abs(value).max(0), jacobian
+        return tilt - _newton_step(jacobian, value), jnp.abs(value).max(0)
 
     system = (law, ring, stone)
     shape = ring.right.one.shape if isinstance(ring, _ClosedFormRing) else ring[0].weight.shape[1:]
@@ -145,7 +145,7 @@ def _balanced_tilt(law: LocalLaw, ring: _Ring, stone: Stone) -> tuple[Array, tup
 
         def iterate(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             tilt, _, count = carry
-            return *newton(tilt, constants)[:2], count + 1
+            return *newton(tilt, constants), count + 1
 
         def unbalanced(carry: tuple[Array, Array, Array]) -> Array:
             _, imbalance, count = carry
@@ -155,11 +155,12 @@ def _balanced_tilt(law: LocalLaw, ring: _Ring, stone: Stone) -> tuple[Array, tup
             unbalanced, iterate, (tilt, jnp.full(tilt.shape[1:], jnp.inf), jnp.zeros((), int))
         )
         tilt = jnp.where(imbalance <= _BALANCE_TOLERANCE, tilt, jnp.nan)
-    tilt, _, jacobian = newton(tilt, system)
-    return jnp.where((tilt**2).sum(0) <= 1, tilt, jnp.nan), jacobian
+    tilt, _ = newton(tilt, system)
+    return jnp.where((tilt**2).sum(0) <= 1, tilt, jnp.nan)
 
 
 _STONE = tuple(Stone.__dataclass_fields__)
+_Tilt = tuple[Any, Any]
 _Inputs = tuple[Array, ...]  # the law's coefficients, the stone's fields, v, omega, turned, time
 
 
@@ -170,7 +171,11 @@ def _unpack(kind: type[Law], inputs: _Inputs) -> tuple[Any, ...]:
     return (kind.from_vector(inputs), stone, *inputs[end:])
 
 
-def _ring(kind: Any, load: Load, inputs: _Inputs, clustering: NodeClustering) -> _Ring:
+def _ring(kind: type[Law], load: Load, inputs: _Inputs, clustering: NodeClustering) -> _Ring | None:
+    """The ring at some inputs; None under a law without one."""
+    if issubclass(kind, NetLaw):
+        return None
+    assert issubclass(kind, LocalLaw)
     law, stone, v, omega, turned, time = _unpack(kind, inputs)
     if is_piecewise_tensor(kind, load):
         return _ClosedFormRing(*mean_directions(v, stone.R * omega), turned, time)
@@ -181,12 +186,13 @@ def _ring(kind: Any, load: Load, inputs: _Inputs, clustering: NodeClustering) ->
     return panels(law, v, stone.R * omega, turned, time, clustering)
 
 
-def _solve_load(kind: type[Law], load: Load, inputs: _Inputs, clustering: NodeClustering) -> Any:
-    """The consistent load and its Jacobian, common to the forces and all their derivatives."""
-    if load == "uniform" or issubclass(kind, NetLaw):
-        return None
+def _solve_load(kind: type[Law], load: Load, inputs: _Inputs, ring: _Ring | None) -> _Tilt:
+    """The tilt of the load, which is none where the load is uniform or there is no ring."""
+    if ring is None or load == "uniform":
+        return _NO_TILT
     law, stone, *_ = _unpack(kind, inputs)
-    return _balanced_tilt(law, _ring(kind, load, inputs, clustering), stone)
+    p, q = _balanced_tilt(law, ring, stone)
+    return p, q
 
 
 def _moves_the_ring(kind: type[Law]) -> list[bool]:
@@ -196,78 +202,188 @@ def _moves_the_ring(kind: type[Law]) -> list[bool]:
     return [edges] * len(kind.coefficients()) + [name == "R" for name in _STONE] + [True] * 4
 
 
+def _enter(kind: type[Law], inputs: _Inputs) -> list[bool]:
+    """Which inputs enter the accelerations under a given load."""
+    law, stone, *_ = _unpack(kind, inputs)
+    of_stone = [issubclass(kind, NetLaw) or name in ("R", "rho") for name in _STONE]
+    of_law = [True] * len(kind.coefficients())
+    return [*of_law, *of_stone, True, True, *depends_on_turned_and_time(law, stone)]
+
+
 def _accelerations(
-    kind: type[Law],
-    load: Load,
-    inputs: _Inputs,
-    clustering: NodeClustering,
-    balance: Any,
-    ring: _Ring | None = None,
-    *,
-    differentiate_load: bool,
+    kind: type[Law], inputs: _Inputs, ring: _Ring | None, tilt: _Tilt
 ) -> tuple[Array, Array, Array]:
-    """xi, eta, angular; with `differentiate_load` the tilt is a function of the inputs."""
+    """xi, eta, angular, under a load of a given tilt."""
     law, stone, v, omega, turned, time = _unpack(kind, inputs)
     if isinstance(law, NetLaw):
         net = law.accelerations(Motion(jnp.where(v > 0, v, 1.0), omega, turned, time), stone)
         return tuple(jnp.where(v > 0, value, 0.0) for value in net)  # type: ignore[return-value]
-    ring = _ring(kind, load, inputs, clustering) if ring is None else ring
-    tilt: Any = _NO_TILT
-    if balance is not None:
-        tilt, jacobian = balance
-        if differentiate_load:
-            tilt = tilt - _newton_step(jacobian, _imbalance(law, ring, stone, tilt))
-        tilt = (tilt[0], tilt[1])
+    assert ring is not None
     t_xi, t_eta, moment = _force(law, ring, tilt)
     return GRAVITY * t_xi, GRAVITY * t_eta, GRAVITY * stone.R * moment / stone.rho**2
+
+
+_Slopes = dict[int, tuple[Array, ...]]
+"""Derivatives of the accelerations by inputs, by their index"""
+
+
+def _switch(
+    kind: type[LawFamily], of_member: Callable[[type[LocalLaw], _Inputs], Any], inputs: _Inputs
+) -> Any:
+    """What a function gives for the member of a family and its own inputs."""
+    k, size = len(kind.coefficients()), len(inputs)
+
+    def branch(member: type[LocalLaw]) -> Callable[..., Any]:
+        own = kind.columns(member, size - k + len(member.coefficients()))
+        return lambda *inputs: of_member(member, tuple(inputs[column] for column in own))
+
+    index = jax.lax.stop_gradient(inputs[0]).astype(int)
+    return jax.lax.switch(_common(index.reshape(-1)[0]), [*map(branch, kind.members)], *inputs)
+
+
+@custom_vmap
+def _common(index: Array) -> Array:
+    """What all motions of a batch have in common; or a `switch` would compute every case."""
+    return index
+
+
+@_common.def_vmap
+def _(_size: int, _mapped: list[bool], index: Array) -> tuple[Array, bool]:
+    return _common(index[0]), False
+
+
+def _with_slopes(
+    kind: type[Law], load: Load, inputs: _Inputs, clustering: NodeClustering, wanted: list[int]
+) -> tuple[tuple[Array, ...], _Slopes]:
+    """Accelerations, and their derivatives by those of the wanted inputs on which they depend.
+
+    Of a sum over points by one input after the other, since most enter little of it. Of a closed
+    form, and of a single motion, by all at once, which is a smaller program.
+    """
+    if issubclass(kind, LawFamily):
+        return _family_with_slopes(kind, load, inputs, clustering, wanted)
+    ring = _ring(kind, load, inputs, clustering)
+    tilt = _solve_load(kind, load, inputs, ring)
+    balanced = tilt is not _NO_TILT
+    everything = (*inputs, *tilt) if balanced else inputs
+    count = len(inputs)
+    enters = _enter(kind, inputs)
+    varying = [index for index in wanted if enters[index]] + list(range(count, len(everything)))
+    moves_the_ring = [True] * count if ring is None else [*_moves_the_ring(kind), False, False]
+
+    def at(*values: Array, group: tuple[int, ...] = ()) -> tuple[Array, ...]:
+        moved = list(everything)
+        for index, value in zip(group, values, strict=True):
+            moved[index] = value
+        now = tuple(moved[:count])
+        moves = bool(group) and moves_the_ring[group[0]]
+        same = _ring(kind, load, now, clustering) if moves else ring
+        return _accelerations(kind, now, same, (moved[-2], moved[-1]) if balanced else tilt)
+
+    out = None
+    slopes: _Slopes = {}
+    separate = isinstance(ring, list | _MirroredRing) and inputs[-1].size > 1
+    for group in _groups(varying, moves_the_ring, separate=separate):
+        out, found = _value_and_derivatives(
+            partial(at, group=group), tuple(everything[index] for index in group)
+        )
+        slopes |= dict(zip(group, found, strict=True))
+    out = at() if out is None else out
+    return out, _rebalanced(kind, inputs, out, slopes, wanted) if balanced else slopes
+
+
+def _family_with_slopes(
+    kind: type[LawFamily], load: Load, inputs: _Inputs, clustering: NodeClustering,
+    wanted: list[int],
+) -> tuple[tuple[Array, ...], _Slopes]:  # fmt: skip
+    """The same for the member of a family."""
+    wanted = wanted[1:] if wanted[0] == 0 else wanted  # which member it is, is no variable
+
+    def of_member(member: type[LocalLaw], own: _Inputs) -> Any:
+        columns = kind.columns(member, len(own))
+        out, slopes = _with_slopes(
+            member,
+            load,
+            own,
+            clustering,
+            [i for i, column in enumerate(columns) if column in wanted],
+        )
+        known = {columns[index]: slope for index, slope in slopes.items()}
+        none = tuple(jnp.zeros_like(value) for value in out)
+        return out, [known.get(column, none) for column in wanted]
+
+    out, slopes = _switch(kind, of_member, inputs)
+    return out, dict(zip(wanted, slopes, strict=True))
+
+
+def _rebalanced(
+    kind: type[Law], inputs: _Inputs, out: tuple[Array, ...], slopes: _Slopes, wanted: list[int]
+) -> _Slopes:
+    """Derivatives under a load that is consistent with the friction, from those under a given tilt
+    and those by the tilt, which are the last two.
+
+    By the implicit function theorem, of the balance `(p, q) + 2 h/(g R) (a_xi, a_eta) = 0` (eq. 8).
+    """
+    _, stone, *_ = _unpack(kind, inputs)
+    k, count = len(kind.coefficients()), len(inputs)
+    by_p, by_q = slopes[count], slopes[count + 1]
+    over_h = 2 / (GRAVITY * stone.R)
+    factor = over_h * stone.h
+    of_stone = {
+        k + _STONE.index("h"): over_h,
+        k + _STONE.index("R"): -factor / stone.R,
+    }
+    jacobian: Any = (
+        (1 + factor * by_p[0], factor * by_p[1]),
+        (factor * by_q[0], 1 + factor * by_q[1]),
+    )
+    found: _Slopes = {}
+    for index in wanted:
+        direct = slopes.get(index)
+        if direct is None and index not in of_stone:
+            continue
+        direct = tuple(jnp.zeros_like(value) for value in out) if direct is None else direct
+        own = of_stone.get(index, 0.0)
+        change = [factor * slope + own * value for slope, value in zip(direct, out, strict=True)]
+        p, q = -_newton_step(jacobian, jnp.stack(change[:2]))
+        found[index] = tuple(
+            slope + p * along_p + q * along_q
+            for slope, along_p, along_q in zip(direct, by_p, by_q, strict=True)
+        )
+    return found
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
 def _differentiable(
     kind: type[Law], load: Load, inputs: _Inputs, clustering: NodeClustering
 ) -> tuple[Array, Array, Array]:
-    balance = _solve_load(kind, load, inputs, clustering)
-    return _accelerations(kind, load, inputs, clustering, balance, differentiate_load=False)
+    if issubclass(kind, LawFamily):
+
+        def of_member(member: type[LocalLaw], own: _Inputs) -> Any:
+            return _differentiable(member, load, own, clustering)
+
+        found: tuple[Array, Array, Array] = _switch(kind, of_member, inputs)
+        return found
+    ring = _ring(kind, load, inputs, clustering)
+    return _accelerations(kind, inputs, ring, _solve_load(kind, load, inputs, ring))
 
 
 def _differentiable_jvp(
     kind: type[Law], load: Load, primals: tuple[Any, ...], tangents: tuple[Any, ...]
 ) -> tuple[Any, Any]:
-    """The derivative with respect to each input, whatever the number of directions.
-
-    Of a sum over points one input after the other, since most enter little of it. Of a closed
-    form, and of a single motion, all at once, which is a smaller program.
-    """
+    """The derivative by each input is found once, whatever the number of directions."""
     inputs, clustering = primals
-    balance = _solve_load(kind, load, inputs, clustering)
-    net = issubclass(kind, NetLaw)
-    ring = None if net else _ring(kind, load, inputs, clustering)
-    out = _accelerations(kind, load, inputs, clustering, balance, ring, differentiate_load=False)
-    moves_the_ring = [True] * len(inputs) if net else _moves_the_ring(kind)
-    law, stone, *_ = _unpack(kind, inputs)
-    dependences = [True] * (len(inputs) - 2) + depends_on_turned_and_time(law, stone)
-    varying = [
-        index
-        for index, (dependent, tangent) in enumerate(zip(dependences, tangents[0], strict=True))
-        if dependent and not isinstance(tangent, SymbolicZero)
-    ]
+    directions = {
+        index: tangent
+        for index, tangent in enumerate(tangents[0])
+        if not isinstance(tangent, SymbolicZero)
+    }
+    out, slopes = _with_slopes(kind, load, inputs, clustering, list(directions))
     tangent_out = tuple(jnp.zeros_like(value) for value in out)
-    separate = isinstance(ring, list | _MirroredRing) and inputs[-1].size > 1
-    for group in _groups(varying, moves_the_ring, separate=separate):
-        same = None if moves_the_ring[group[0]] else ring
-
-        def shifted(*values: Array, group: tuple[int, ...] = group, same: Any = same) -> Any:
-            moved = list(inputs)
-            for index, value in zip(group, values, strict=True):
-                moved[index] = value
-            return _accelerations(
-                kind, load, tuple(moved), clustering, balance, same, differentiate_load=True
-            )
-
-        slopes = _partial_derivatives(shifted, tuple(inputs[index] for index in group))
-        for index, slope in zip(group, slopes, strict=True):
-            tangent = tangents[0][index]
-            tangent_out = tuple(c + s * tangent for c, s in zip(tangent_out, slope, strict=True))
+    for index, slope in slopes.items():
+        tangent_out = tuple(
+            total + part * directions[index] for total, part in zip(tangent_out, slope, strict=True)
+        )
     return out, tangent_out
 
 
@@ -281,20 +397,21 @@ def _groups(
     return [tuple(group) for group in pairs if group]
 
 
-def _partial_derivatives(
-    function: Callable[..., Any], inputs: tuple[Array, ...]
-) -> list[tuple[Array, ...]]:
-    """By each of several inputs, of all outputs."""
+def _value_and_derivatives(
+    function: Callable[..., tuple[Array, ...]], inputs: tuple[Array, ...]
+) -> tuple[tuple[Array, ...], list[tuple[Array, ...]]]:
+    """A function, and by each of its inputs the derivatives of all outputs."""
     basis = np.eye(len(inputs))
 
     def along(direction: Any) -> Any:
         steps = (part + jnp.zeros_like(x) for part, x in zip(direction, inputs, strict=True))
-        return jax.jvp(function, inputs, tuple(steps))[1]
+        return jax.jvp(function, inputs, tuple(steps))
 
     if len(inputs) == 1:
-        return [along(basis[0])]
-    slopes = jax.vmap(along)(basis)
-    return [tuple(slope[row] for slope in slopes) for row in range(len(inputs))]
+        value, slope = along(basis[0])
+        return value, [slope]
+    value, slopes = jax.vmap(along, out_axes=(None, 0))(basis)
+    return value, [tuple(slope[row] for slope in slopes) for row in range(len(inputs))]
 
 
 _differentiable.defjvp(_differentiable_jvp, symbolic_zeros=True)
@@ -325,7 +442,7 @@ def accelerations(
     -------
     Accelerations; NaN where no consistent load with n >= 0 everywhere exists.
     """
-    if not isinstance(law, LocalLaw | NetLaw):
+    if not isinstance(law, LocalLaw | NetLaw | LawFamily):
         raise TypeError(f"{law!r} is neither a LocalLaw nor a NetLaw")
     inputs = tuple(
         jnp.asarray(value, float)
@@ -347,4 +464,4 @@ def consistent_load(
     """
     v, omega, turned = (jnp.asarray(value, float) for value in (v, omega, turned))
     ring = panels(law, v, stone.R * omega, turned, jnp.zeros(()))
-    return _balanced_tilt(law, ring, stone)[0]
+    return _balanced_tilt(law, ring, stone)

@@ -125,7 +125,7 @@ def example_law(kind: type[LocalLaw]) -> LocalLaw:
 
 
 @cache
-def _sample_points(front: float) -> RingPoint:
+def sample_points(front: float) -> RingPoint:
     """Points on one half of the ring in several motions, for numpy; those of the other half are
     their mirror images."""
     v, u = np.array([[1.1], [0.3], [2.3]]), np.array([[-0.6], [0.15], [1.7]])
@@ -159,7 +159,7 @@ def is_piecewise_tensor(kind: type[LocalLaw], load: Load) -> bool:
     if not _is_linear(traction, 2, len(names) - 2):
         return False
     with jax.ensure_compile_time_eval():
-        for point in (_sample_points(1.0), _sample_points(0.0)):
+        for point in (sample_points(1.0), sample_points(0.0)):
             across, along = (
                 law.traction(point._replace(e_xi=e_xi, e_eta=1.0 - e_xi)) for e_xi in (1.0, 0.0)
             )
@@ -187,5 +187,5 @@ def is_mirror_symmetric(kind: type[LocalLaw], load: Load) -> bool:
     except TypeError:  # a law that converts `front` to a Python number
         return False
     with jax.ensure_compile_time_eval():
-        front, back = (law.traction(_sample_points(half)) for half in (1.0, 0.0))
+        front, back = (law.traction(sample_points(half)) for half in (1.0, 0.0))
         return _close(front[0], -np.asarray(back[0])) and _close(front[1], back[1])

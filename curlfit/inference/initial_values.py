@@ -9,30 +9,26 @@ and that only once.
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import cache
 from typing import Any, NamedTuple
 
-from curlfit.dynamics.contact import accelerations
+from curlfit.inference.forces import POINTS, with_slopes
 
 # isort: split
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from numpy.polynomial.chebyshev import chebder, chebint, chebval, chebvander
 
-from curlfit.friction import Coefficient, Law, Load
+from curlfit.friction import Coefficient
 from curlfit.inference.identifiability import inverted, triangle
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
 from curlfit.inference.system import assumed_conditions
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.compiled import BATCH, compiled, in_batches
-from curlfit.stone import Stone
+from curlfit.numerics.compiled import BATCH
 from curlfit.throws.throw import last_motion
 
-_GRID = 128
 _BLOCKS = 64  # of rows that a throw is condensed to
 _DEGREE = 5
 _USUAL_SPEED = 2.0  # m/s, where nothing tells it
@@ -92,29 +88,6 @@ def smooth(problems: Problem) -> SmoothPath:
     return SmoothPath(span, curves[:, :3], known[:, :3], np.where(n >= 2, rms, np.inf))
 
 
-@compiled("law", "load")
-def _forces(
-    law: type[Law], load: Load, coefficients: Array, stones: Stone, paths: Array
-) -> tuple[Array, Array]:
-    """Accelerations (xi, eta, angular) along many paths and their derivatives by coefficient.
-
-    Parameters
-    ----------
-    coefficients : shape (throws, coefficients). stones : each field of shape (throws,).
-    paths : speed, spin, angle and time, shape (throws, 4, n).
-    """
-
-    def of_one(coefficients: Array, stone: Stone, path: Array) -> tuple[Array, Array]:
-        def along(coefficients: Array) -> tuple[Array, Array]:
-            found = jnp.stack(accelerations(law.from_vector(coefficients), stone, load, *path))
-            return found, found
-
-        by_coefficient, found = jax.jacfwd(along, has_aux=True)(coefficients)
-        return found, by_coefficient
-
-    return jax.vmap(of_one)(coefficients, stones, paths)
-
-
 def start_values(
     model: Model,
     problems: Problem,
@@ -134,7 +107,7 @@ def start_values(
     spin : in rad/s, where the angle was never seen.
     batch : how many are computed together.
     """
-    law, load = model.law, model.load
+    law = model.law
     k = len(law.coefficients())
     moving = _moving(path, spin)
     use = (problems.weight > 0) & (problems.times <= path.span[:, None])[:, None]
@@ -146,12 +119,13 @@ def start_values(
     found[:, :k] = np.clip(
         [default_guess(item) for item in law.coefficients()], low[:, :k], high[:, :k]
     )
+    typical = np.array([item.typical for item in law.coefficients()])
     going = np.arange(len(found))
     for _ in range(3):
         here: Any = jax.tree.map(lambda leaf, going=going: leaf[going], (problems, path, moving))
         nominal = found[going, :k]
-        a, by_coefficient = in_batches(
-            partial(_forces, law, load), (nominal, here[0].stone, here[2].measured), batch
+        a, by_coefficient = with_slopes(
+            model, nominal, typical, here[0].stone, here[2].measured, batch
         )
         linear = (by_coefficient @ nominal[:, None, :, None])[..., 0]
         slopes = np.concatenate([by_coefficient, (a - linear)[..., None]], -1)
@@ -185,9 +159,9 @@ class _Moving(NamedTuple):
 def _moving(path: SmoothPath, spin: float) -> _Moving:
     values, slopes = _bases(path.curves.shape[-1])
     pace = path.curves @ slopes.T * (2 / path.span[:, None, None])
-    grid = path.span[:, None] * np.linspace(0, 1, _GRID)
+    grid = path.span[:, None] * np.linspace(0, 1, POINTS)
     unknown_y, turning = ~path.known[:, 1], path.known[:, 2, None]
-    pace[unknown_y, 1] = _USUAL_SPEED * (1 - 0.9 * np.linspace(0, 1, _GRID))
+    pace[unknown_y, 1] = _USUAL_SPEED * (1 - 0.9 * np.linspace(0, 1, POINTS))
     omega = np.where(turning, pace[:, 2], spin)
     turned = np.where(turning, path.curves[:, 2] @ (values - values[0]).T, spin * grid)
     velocity = pace[:, :2]
@@ -218,14 +192,14 @@ def _design(
         ],
         1,
     )
-    step = path.span / (_GRID - 1)
+    step = path.span / (POINTS - 1)
     once = _cumulative(in_ice, step)
     twice = _cumulative(once, step)
 
     channels, k = use.shape[1], slopes.shape[-1] - 1
     count, times, observed = _condensed(use, problems, path)
     t = times / step[:, None, None]
-    below = np.minimum(t.astype(int), _GRID - 2)
+    below = np.minimum(t.astype(int), POINTS - 2)
     share = (t - below)[..., None]
     throw = np.arange(len(t))[:, None]
     scale = np.sqrt(count) / path.rms[..., None]
@@ -282,7 +256,7 @@ def _along(path: SmoothPath, times: Floats) -> Floats:
 @cache
 def _bases(size: int) -> tuple[Any, Any]:
     """Chebyshev polynomials on the grid, and their slopes, by -1 to 1."""
-    places = np.linspace(-1, 1, _GRID)
+    places = np.linspace(-1, 1, POINTS)
     slopes = np.asarray(chebval(places, chebder(np.eye(size))), float)
     return chebvander(places, size - 1), slopes.T
 

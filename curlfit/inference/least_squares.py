@@ -109,9 +109,14 @@ def prepare_minimize(model: Model, parameters: ParameterSet, problem: Problem) -
 def _arguments(
     model: Model, start: Floats, parameters: ParameterSet, problem: Problem
 ) -> tuple[Any, ...]:
+    penalty, typical = parameters.penalty, parameters.typical
+    if model.family is not None:
+        pad = partial(model.family.padded, model.law)
+        penalty, typical = jax.tree.map(pad, penalty), pad(typical, 1.0)
+    bounded = map(model.vector, (start, parameters.lower, parameters.upper))
     return (
-        model, LOSSES[int(problem.loss)], start, parameters.lower, parameters.upper,
-        parameters.typical, problem._replace(loss=None), parameters.penalty,
+        model.of_program, LOSSES[int(problem.loss)], *bounded, typical,
+        problem._replace(loss=None), penalty,
     )  # fmt: skip
 
 
@@ -121,6 +126,11 @@ def minimize(
     """The optimum reached from one start; None where that start leads nowhere."""
     found = _minimize(*_arguments(model, start, parameters, problem))
     solution: Solution = jax.tree.map(np.asarray, found)
+    if model.family is not None:
+        own = model.columns(len(start))
+        solution = solution._replace(
+            values=solution.values[own], jacobian=solution.jacobian[..., own]
+        )
     return solution if np.isfinite(solution.chi_squared) else None
 
 

@@ -93,13 +93,14 @@ _single_channels = compiled("model")(_channels)
 def predict_channels(model: Model, values: Any, problem: Problem) -> Array:
     """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, in the
     columns of a sixth row."""
-    found: Array = _single_channels(model, values, _without_data(problem))
+    found: Array = _single_channels(model.of_program, model.vector(values), _without_data(problem))
     return found
 
 
 def prepare_channels(model: Model, parameters: int, problem: Problem) -> None:
     """Begin to compile what `predict_channels` needs."""
-    _single_channels.prepare(model, np.zeros(parameters), _without_data(problem))
+    values = model.vector(np.zeros(parameters))
+    _single_channels.prepare(model.of_program, values, _without_data(problem))
 
 
 def _without_data(problem: Problem) -> Problem:

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 from curlfit.environment import Environment
 from curlfit.friction import Law, Load
+from curlfit.friction.family import LawFamily
+from curlfit.numerics.arrays import Floats
 
 
 class Model(NamedTuple):
@@ -16,6 +18,21 @@ class Model(NamedTuple):
     load: Load
     conditions: tuple[str, ...] = ()
     """names out of `curlfit.inference.conditions.CONDITIONS`"""
+    family: type[LawFamily] | None = None
+    """of which the law is a member, where the programs of the family shall be used"""
+
+    @property
+    def of_program(self) -> Model:
+        """The model as a program has it, to be called with `vector` in place of parameters."""
+        return self if self.family is None else Model(self.family, self.load, self.conditions)
+
+    def vector(self, values: Floats) -> Floats:
+        """Parameter vectors, or their first columns, as a program takes them."""
+        return values if self.family is None else self.family.vector(self.law, values)
+
+    def columns(self, size: int) -> list[int]:
+        """Where `size` parameters, from the first on, stand in such a vector."""
+        return [*range(size)] if self.family is None else self.family.columns(self.law, size)
 
     @property
     def has_environment(self) -> bool:

@@ -19,7 +19,6 @@ import platform
 import sys
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
 from contextlib import contextmanager, nullcontext, suppress
 from ctypes import CDLL
 from pathlib import Path
@@ -112,7 +111,8 @@ class _Call(NamedTuple):
         return self.fixed, self.tree, tuple((leaf.shape, leaf.dtype.str) for leaf in self.leaves)
 
 
-_in_preparation: dict[Any, Future[_Program]] = {}
+_locks: dict[Any, Lock] = {}
+"""By program, held by the thread that loads or compiles it."""
 
 
 class _CompiledFunction:
@@ -132,37 +132,35 @@ class _CompiledFunction:
             return self.jitted(*args)
         key = self, call.key
         program = _loaded.get(key)
-        if program is None and key in _in_preparation:
-            with suppress(Exception):  # which comes again below
-                program = _loaded[key] = _in_preparation.pop(key).result()
-        if program is not None:
-            return program(call.leaves)
-        file = self._cache_file(call)
-        found = None if file is None else _load(file, call.leaves)
-        if found is None:
-            program = self._compile(call, file)
-            found = program, program(call.leaves)
-        _loaded[key], result = found
-        return result
+        if program is None:
+            with _locks.setdefault(key, Lock()):
+                program = _loaded.get(key)  # of another thread
+                if program is None:
+                    file = self._cache_file(call)
+                    found = None if file is None else _load(file, call.leaves)
+                    if found is not None:
+                        _loaded[key], result = found
+                        return result
+                    program = _loaded[key] = self._compile(call, file)
+        return program(call.leaves)
 
     def prepare(self, *args: Any) -> None:
         """Begin to compile in a thread what this call will need, unless it is stored already."""
         call = self._call(args)
         key = self, call.key
-        if cores() < 2 or key in _in_preparation or _loaded.get(key) is not None:
+        if cores() < 2 or _loaded.get(key) is not None:
             return
-        file = self._cache_file(call)
-        if file is None or file.exists():
+        file, lock = self._cache_file(call), _locks.setdefault(key, Lock())
+        if file is None or file.exists() or not lock.acquire(blocking=False):
             return
-        program: Future[_Program] = Future()
 
         def compile_it() -> None:
             try:
-                program.set_result(self._compile(call, file))
-            except Exception as error:
-                program.set_exception(error)
+                with suppress(Exception):  # which the call will raise again
+                    _loaded[key] = self._compile(call, file)
+            finally:
+                lock.release()
 
-        _in_preparation[key] = program
         Thread(target=compile_it).start()
 
     def _call(self, args: tuple[Any, ...]) -> _Call:

@@ -13,6 +13,7 @@ import numpy as np
 
 from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
+from curlfit.friction.family import LawFamily
 from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.change_points import sudden_change
 from curlfit.inference.fit.missing_channels import remedies
@@ -69,6 +70,7 @@ def fit(
     noise: str = "white",
     systematics: Mapping[str, float] | None = None,
     details: bool = True,
+    family: type[LawFamily] | None = None,
 ) -> FitResult:
     """Fit a friction law and the start of the throw to a measured path by least squares.
 
@@ -102,6 +104,8 @@ def fit(
         are not named. They enter the systematic errors alone.
     details : whether the fit shall also hold the quantities of the path, the fits with the stones
         of the throw's reference, and what would determine more (`remedies`).
+    family : of laws that are fitted to the same throw, this one among them: their programs are
+        compiled as one.
 
     Returns
     -------
@@ -131,7 +135,8 @@ def fit(
         throw, law, stone, since=since, until=until, exclude=exclude, swept=swept, fix=fix,
         bounds=bounds, unbounded=unbounded, free=free, priors=priors,
     )  # fmt: skip
-    model = Model(law, load, prepared.parameters.conditions)
+    own = family if family is not None and law in family.members else None
+    model = Model(law, load, prepared.parameters.conditions, own)
     rounds = Rounds(model, [prepared], loss=loss, noise=noise)
     found = _fitted_alone(rounds, start)
     result = summarize(found, widths_of(model, systematics))
