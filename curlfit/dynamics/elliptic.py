@@ -86,13 +86,19 @@ class Means(NamedTuple):
     xi_eta: Array
     eta_eta: Array
 
+    def under(self, number: int) -> Means:
+        """Means of 1, xi and eta under one of the loads 1, xi and eta."""
+        one, xi, eta = (
+            (self.one, self.xi, self.eta),
+            (self.xi, self.xi_xi, self.xi_eta),
+            (self.eta, self.xi_eta, self.eta_eta),
+        )[number]
+        return self._replace(one=one, xi=xi, eta=eta)
+
     def loaded(self, p: Any, q: Any) -> Means:
-        """Means under the load 1 + p xi + q eta, of 1, xi and eta."""
-        return self._replace(
-            one=self.one + p * self.xi + q * self.eta,
-            xi=self.xi + p * self.xi_xi + q * self.xi_eta,
-            eta=self.eta + p * self.xi_eta + q * self.eta_eta,
-        )
+        """Means of 1, xi and eta under the load 1 + p xi + q eta."""
+        parts = zip(*(self.under(number) for number in range(3)), strict=True)
+        return Means(*(one + p * xi + q * eta for one, xi, eta in parts))
 
 
 def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:

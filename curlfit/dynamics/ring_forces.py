@@ -1,0 +1,474 @@
+"""Net friction of the contact ring, and its derivatives.
+
+A local law is summed over the ring (eq. 2): in closed form where tracing shows that it is linear in
+the direction of sliding (`elliptic`), by Gauss quadrature otherwise (`quadrature`).
+
+Under a consistent load `n/n0 = 1 + p xi + q eta` (eq. 9) the force is linear in p and q, so that it
+is given by those under the loads 1, xi and eta. Of a law that itself depends on the load they are
+those of the tangent at the balance, which has the same value and first derivatives there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from operator import methodcaller
+from typing import Any, NamedTuple
+
+from curlfit.dynamics.law_structure import (
+    UNIT_POINT,
+    depends_on_load,
+    example_law,
+    is_mirror_symmetric,
+    is_piecewise_tensor,
+)
+
+# isort: split
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.custom_batching import custom_vmap
+
+from curlfit.dynamics.elliptic import Means, mean_directions, on_half
+from curlfit.dynamics.quadrature import GAUSS_WEIGHTS, NodeClustering, Panel, panels
+from curlfit.friction import Law, Load, LocalLaw
+from curlfit.friction.family import LawFamily
+
+_BALANCE_TOLERANCE = 1e-9  # change of the tilt after which one more Newton step is exact
+_MAX_NEWTON_STEPS = 30
+_MIN_LOAD = 1e-6  # over the uniform load, as passed to a law
+_SLIDING = ("slide_xi", "slide_eta", "speed", "e_xi", "e_eta")  # fields that depend on v and u
+
+Values = tuple[Array, ...]
+Forces = tuple[Values, ...]
+"""Force over m g to the right and forward and moment over m g R, under the load 1 and, where the
+load is consistent, under the loads xi and eta"""
+
+
+class RingMotion(NamedTuple):
+    """What friction on the ring depends on besides the law."""
+
+    v: Array
+    """speed of the centre, m/s"""
+    u: Array
+    """R omega, m/s"""
+    turned: Array
+    """angle turned since release, rad"""
+    time: Array
+    """since release, s"""
+
+
+Tilt = tuple[Array, Array] | None
+"""(p, q) of a load; None for a uniform one"""
+
+
+class Slopes(NamedTuple):
+    """Derivatives of force and moment by some inputs, one for each element of the first axis."""
+
+    inputs: tuple[int, ...]
+    """their numbers: the coefficients, then the fields of the motion"""
+    values: Values
+
+
+class Contact(NamedTuple):
+    """A ring in motion under a law, or under a member of a family, and its load."""
+
+    kind: type[Law]
+    load: Load
+    coefficients: Values
+    motion: RingMotion
+    clustering: NodeClustering
+    """of the nodes, without derivatives"""
+    lever: Array
+    """2 h/R, by which a force tilts the load (eq. 8)"""
+
+    @property
+    def laws(self) -> list[type[LocalLaw]]:
+        """The laws that it may be under."""
+        if issubclass(self.kind, LawFamily):
+            return list(self.kind.members)
+        assert issubclass(self.kind, LocalLaw)
+        return [self.kind]
+
+    @property
+    def closed(self) -> list[type[LocalLaw]]:
+        """Those whose sum over the ring has a closed form."""
+        return [law for law in self.laws if is_piecewise_tensor(law, self.load)]
+
+    @property
+    def summed(self) -> list[type[LocalLaw]]:
+        """The others, which are summed over points."""
+        return [law for law in self.laws if not is_piecewise_tensor(law, self.load)]
+
+    @property
+    def loads(self) -> int:
+        """How many loads determine the forces."""
+        return 1 if self.load == "uniform" else 3
+
+    def zeros(self, *rows: int) -> Array:
+        """Zero, or rows of zeros, for each motion."""
+        return jnp.zeros((*rows, *self.motion.v.shape))
+
+    def of_law(self, function: Callable[[type[LocalLaw], Values], Any]) -> Any:
+        """What a function gives for the law and its own coefficients."""
+        if not issubclass(self.kind, LawFamily):
+            return function(self.laws[0], self.coefficients)
+
+        def branch(law: type[LocalLaw]) -> Callable[..., Any]:
+            return lambda *inputs: function(law, inputs[1 : 1 + len(law.coefficients())])
+
+        member = jax.lax.stop_gradient(self.coefficients[0]).astype(int).reshape(-1)[0]
+        return jax.lax.switch(_common(member), [*map(branch, self.laws)], *self.coefficients)
+
+
+@custom_vmap
+def _common(index: Array) -> Array:
+    """What all motions of a batch have in common; otherwise a `switch` would compute all cases."""
+    return index
+
+
+@_common.def_vmap
+def _(_size: int, _mapped: list[bool], index: Array) -> tuple[Array, bool]:
+    return _common(index[0]), False
+
+
+def ring_forces(contact: Contact) -> Forces:
+    """Net friction of the ring."""
+    parts = []
+    if contact.closed:
+
+        def tensor(law: type[LocalLaw], own: Values) -> Values:
+            if law not in contact.closed:
+                return (contact.zeros(),) * 8
+            return _tensor(law.from_vector(own), contact.motion)
+
+        traction = contact.of_law(tensor)
+        means = mean_directions(contact.motion.v, contact.motion.u)
+        parts.append(
+            tuple(
+                _in_closed_form(traction, means, methodcaller("under", number))
+                for number in range(contact.loads)
+            )
+        )
+    if contact.summed:
+        shared = _shared_ring(contact)
+
+        def forces(law: type[LocalLaw], own: Values) -> Forces:
+            if law not in contact.summed:
+                return ((contact.zeros(),) * 3,) * contact.loads
+            one = law.from_vector(own)
+            return _sum(one, shared or _ring(one, contact, contact.motion), contact)
+
+        parts.append(contact.of_law(forces))
+    return _total(parts)
+
+
+def ring_slopes(contact: Contact, tilt: Tilt, wanted: Iterable[int]) -> list[Slopes]:
+    """Derivatives of the net friction under a given load, by the inputs with some numbers, at
+    least."""
+    k = len(contact.coefficients)
+    moving = tuple(number for number in wanted if number in (k, k + 1))
+    own = tuple(number for number in wanted if number not in moving)
+    if own and issubclass(contact.kind, LawFamily):
+        own = tuple(range(1, k))  # all but which member it is
+    found = []
+    if contact.closed:
+        found.append(_slopes_in_closed_form(contact, tilt, own, moving))
+    if contact.summed:
+        found.append(_slopes_of_sum(contact, tilt, own, moving))
+    return [
+        Slopes(parts[0].inputs, _total([one.values for one in parts]))
+        for parts in zip(*found, strict=True)
+    ]
+
+
+def _total(parts: Sequence[Any]) -> Any:
+    return jax.tree.map(lambda *values: sum(values[1:], values[0]), *parts)
+
+
+def _tensor(law: LocalLaw, motion: RingMotion) -> Values:
+    """Traction per unit load for sliding to the right (xi, eta) and forward (xi, eta), in front and
+    behind."""
+    found: list[Any] = []
+    for front in (1.0, 0.0):
+        point = UNIT_POINT._replace(front=front, turned=motion.turned, time=motion.time)
+        found += law.traction(point._replace(e_xi=1.0, e_eta=0.0))
+        found += law.traction(point._replace(e_xi=0.0, e_eta=1.0))
+    return tuple(part + jnp.zeros_like(motion.v) for part in found)
+
+
+def _in_closed_form(
+    tensor: Values, means: tuple[Means, Means], under_load: Callable[[Means], Means]
+) -> Values:
+    """Linear in the tensor, and in the means."""
+    t_xi = t_eta = moment = jnp.zeros(())
+    for half, front in enumerate((1.0, 0.0)):
+        to_right, ahead = map(under_load, on_half(*means, front))
+        right_xi, right_eta, forward_xi, forward_eta = tensor[4 * half : 4 * half + 4]
+        t_xi += right_xi * to_right.one + forward_xi * ahead.one
+        t_eta += right_eta * to_right.one + forward_eta * ahead.one
+        moment += right_eta * to_right.xi + forward_eta * ahead.xi
+        moment -= right_xi * to_right.eta + forward_xi * ahead.eta
+    return t_xi, t_eta, moment
+
+
+def _slopes_in_closed_form(
+    contact: Contact, tilt: Tilt, own: tuple[int, ...], moving: tuple[int, ...]
+) -> list[Slopes]:
+    def tensor_and_rows(law: type[LocalLaw], coefficients: Values) -> tuple[Values, Values]:
+        if law not in contact.closed:
+            return (contact.zeros(),) * 8, (contact.zeros(len(own)),) * 8
+        inputs, at = _own_inputs(contact, law, coefficients, own)
+        found, rows = _along(lambda *values: _tensor(*at(*values)), inputs, _each(inputs))
+        return found, _padded(rows, len(own))
+
+    def form(tensor: Values, means: tuple[Means, Means]) -> Values:
+        load = methodcaller("under", 0) if tilt is None else methodcaller("loaded", *tilt)
+        return _in_closed_form(tensor, means, load)
+
+    tensor, rows = contact.of_law(tensor_and_rows)
+    place = contact.motion.v, contact.motion.u
+    slopes = []
+    if own:
+        slopes.append(Slopes(own, jax.vmap(form, (0, None))(rows, mean_directions(*place))))
+    if moving:
+        _, changes = _along(mean_directions, place, _directions(contact, moving))
+        slopes.append(Slopes(moving, jax.vmap(form, (None, 0))(tensor, changes)))
+    return slopes
+
+
+def _slopes_of_sum(
+    contact: Contact, tilt: Tilt, own: tuple[int, ...], moving: tuple[int, ...]
+) -> list[Slopes]:
+    """By one input after the other, as most enter little of it; of a single motion by several at
+    once, which is a smaller program."""
+    shared = _shared_ring(contact)
+    # Where a law has its edges, these move with all its inputs.
+    groups = [own + moving] if shared is None else [own, moving]
+    if contact.motion.v.size > 1 and not issubclass(contact.kind, LawFamily):
+        groups = [(number,) for group in groups for number in group]
+    groups = [group for group in groups if group]
+
+    def sliding(v: Array, u: Array) -> Any:
+        return _sliding(_shared_ring(contact._replace(motion=contact.motion._replace(v=v, u=u))))
+
+    place = contact.motion.v, contact.motion.u
+    changes = {
+        group: _along(sliding, place, _directions(contact, group))[1]
+        for group in groups
+        if shared is not None and group[0] in moving
+    }
+
+    def rows_of(law: type[LocalLaw], coefficients: Values, group: tuple[int, ...]) -> Values:
+        if law not in contact.summed:
+            return (contact.zeros(len(group)),) * 3
+        if group in changes and shared is not None:
+            one = law.from_vector(coefficients)
+
+            def on_moved(fields: Any) -> Values:
+                return _under_load(one, _with_sliding(shared, fields), tilt, contact)
+
+            found: Values = _along(on_moved, (_sliding(shared),), (changes[group],))[1]
+            return found
+        inputs, at = _own_inputs(contact, law, coefficients, group)
+
+        def by_own(*values: Array) -> Values:
+            law, motion = at(*values)
+            ring = _ring(law, contact, motion) if shared is None else _at(shared, motion)
+            return _under_load(law, ring, tilt, contact)
+
+        rows: Values = _padded(_along(by_own, inputs, _each(inputs))[1], len(group))
+        return rows
+
+    def all_rows(law: type[LocalLaw], coefficients: Values) -> list[Values]:
+        return [rows_of(law, coefficients, group) for group in groups]
+
+    return list(map(Slopes, groups, contact.of_law(all_rows)))
+
+
+def _along(
+    function: Callable[..., Any], inputs: tuple[Any, ...], directions: tuple[Any, ...]
+) -> tuple[Any, Any]:
+    """A function, and its derivatives along directions, one for each element of the first axis."""
+
+    def along(*direction: Any) -> Any:
+        return jax.jvp(function, inputs, direction)
+
+    if not inputs:
+        return function(), ()
+    found: tuple[Any, Any] = jax.vmap(along, out_axes=(None, 0))(*directions)
+    return found
+
+
+def _each(inputs: Values) -> Values:
+    """The directions of each of several inputs."""
+    count = len(inputs)
+    basis = np.eye(count).reshape(count, count, *(1 for _ in jnp.shape(inputs[0] if inputs else 0)))
+    return tuple(
+        jnp.broadcast_to(basis[:, column], (count, *jnp.shape(value)))
+        for column, value in enumerate(inputs)
+    )
+
+
+def _directions(contact: Contact, moving: tuple[int, ...]) -> Values:
+    """Those of the speed of the centre, of the speed of rotation, or of both."""
+    rows = [number - len(contact.coefficients) for number in moving]
+    return tuple(part[np.array(rows)] for part in _each((contact.motion.v, contact.motion.u)))
+
+
+def _own_inputs(
+    contact: Contact, law: type[LocalLaw], coefficients: Values, numbers: tuple[int, ...]
+) -> tuple[Values, Callable[..., tuple[LocalLaw, RingMotion]]]:
+    """Inputs of a law, all its coefficients where it is of a family; and the law and the motion at
+    other values of these."""
+    if numbers and issubclass(contact.kind, LawFamily):
+        numbers = tuple(range(len(coefficients)))
+    everything = (*coefficients, *contact.motion)
+
+    def at(*values: Array) -> tuple[LocalLaw, RingMotion]:
+        moved = list(everything)
+        for number, value in zip(numbers, values, strict=True):
+            moved[number] = value
+        return law.from_vector(moved), RingMotion(*moved[len(coefficients) :])
+
+    return tuple(everything[number] for number in numbers), at
+
+
+def _padded(rows: Any, count: int) -> Any:
+    """Derivatives with zeros for inputs that a member of a family does not have."""
+
+    def padded(part: Array) -> Array:
+        missing = count - len(part)
+        return jnp.pad(part, ((0, missing), *((0, 0),) * (part.ndim - 1))) if missing else part
+
+    return jax.tree.map(padded, rows)
+
+
+def _has_edges(law: type[LocalLaw]) -> bool:
+    return any(example_law(law).edges(1.0))
+
+
+def _shared_ring(contact: Contact) -> list[Panel] | None:
+    """The ring as all laws have it whose edges are but the ends of its halves; None where none has.
+
+    Its front half suffices where the back half mirrors it.
+    """
+    plain = [law for law in contact.summed if not _has_edges(law)]
+    if not plain:
+        return None
+    mirrored = all(is_mirror_symmetric(law, contact.load) for law in plain)
+    return _ring(example_law(plain[0]), contact, contact.motion, (1.0,) if mirrored else (1.0, 0.0))
+
+
+def _ring(
+    law: LocalLaw, contact: Contact, motion: RingMotion, halves: tuple[float, ...] = (1.0, 0.0)
+) -> list[Panel]:
+    return panels(law, *motion, contact.clustering, halves=halves)
+
+
+def _sliding(ring: list[Panel] | None) -> list[dict[str, Array]]:
+    """What of the points depends on the motion of the ring."""
+    return [{name: getattr(panel.points, name) for name in _SLIDING} for panel in ring or ()]
+
+
+def _with_sliding(ring: list[Panel], sliding: list[dict[str, Array]]) -> list[Panel]:
+    return [
+        panel._replace(points=panel.points._replace(**fields))
+        for panel, fields in zip(ring, sliding, strict=True)
+    ]
+
+
+def _at(ring: list[Panel], motion: RingMotion) -> list[Panel]:
+    """The ring at another angle turned and time."""
+    there = {"turned": motion.turned, "time": motion.time}
+    return [panel._replace(points=panel.points._replace(**there)) for panel in ring]
+
+
+def _sum(law: LocalLaw, ring: list[Panel], contact: Contact) -> Forces:
+    """Forces by quadrature."""
+    if contact.load == "uniform":
+        return (_under_load(law, ring, None, contact),)
+    if depends_on_load(law, ring[0].points):
+        return _about_balance(law, ring, contact)
+    across, along = (
+        [Panel(points, weight * getattr(points, name)) for points, weight in ring]
+        for name in ("xi", "eta")
+    )
+    return _moments(law, ring), _moments(law, across), _moments(law, along)
+
+
+def _under_load(law: LocalLaw, ring: list[Panel], tilt: Tilt, contact: Contact) -> Values:
+    """Forces by quadrature under one load."""
+    if is_mirror_symmetric(type(law), contact.load):
+        # The transverse forces of the two halves cancel.
+        _, t_eta, moment = _moments(law, ring[:1])
+        return jnp.zeros_like(t_eta), 2 * t_eta, 2 * moment
+    if tilt is None:
+        return _moments(law, ring)
+    p, q = tilt
+    loaded = []
+    for points, weight in ring:
+        load = 1 + p * points.xi + q * points.eta
+        # A trial load may be negative, for which a law need not be defined.
+        law_load = jnp.maximum(load, _MIN_LOAD)
+        loaded.append(Panel(points._replace(load=law_load), weight * load))
+    return _moments(law, loaded)
+
+
+def _moments(law: LocalLaw, ring: list[Panel]) -> Values:
+    """Force and moment of the tractions at the points, with their weights (eq. 2)."""
+    t_xi = t_eta = moment = 0.0
+    for points, weight in ring:
+        along_xi, along_eta = law.traction(points)
+        n_xi, n_eta = weight * along_xi, weight * along_eta
+        t_xi += n_xi
+        t_eta += n_eta
+        moment += points.xi * n_eta - points.eta * n_xi
+    return tuple(jnp.tensordot(GAUSS_WEIGHTS, density, 1) for density in (t_xi, t_eta, moment))
+
+
+def _about_balance(law: LocalLaw, ring: list[Panel], contact: Contact) -> Forces:
+    """The tangent at the balance; NaN where Newton's method finds none."""
+
+    def tangent(law: LocalLaw, ring: list[Panel], tilt: Array) -> Forces:
+        """As forces under the loads 1, xi and eta."""
+
+        def force(tilt: Array) -> Array:
+            return jnp.stack(_under_load(law, ring, (tilt[0], tilt[1]), contact))
+
+        one, zero = jnp.ones_like(tilt[0]), jnp.zeros_like(tilt[0])
+        value, slope = jax.linearize(force, tilt)
+        by_p, by_q = slope(jnp.stack([one, zero])), slope(jnp.stack([zero, one]))
+        return tuple(value - tilt[0] * by_p - tilt[1] * by_q), tuple(by_p), tuple(by_q)
+
+    def without_derivatives(value: Any) -> Any:
+        return jax.lax.stop_gradient(value) if isinstance(value, Array) else value
+
+    held, points, lever = jax.tree.map(without_derivatives, (law, ring, contact.lever))
+
+    def iterate(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        tilt, _, count = carry
+        after = balanced_tilt(tangent(held, points, tilt), lever)
+        return after, jnp.abs(after - tilt).max(0), count + 1
+
+    def unbalanced(carry: tuple[Array, Array, Array]) -> Array:
+        _, change, count = carry
+        return (change > _BALANCE_TOLERANCE).any() & (count < _MAX_NEWTON_STEPS)
+
+    shape = ring[0].weight.shape[1:]
+    start = jnp.zeros((2, *shape)), jnp.full(shape, jnp.inf), jnp.zeros((), int)
+    tilt, change, _ = jax.lax.while_loop(unbalanced, iterate, start)
+    return tangent(law, ring, jnp.where(change <= _BALANCE_TOLERANCE, tilt, jnp.nan))
+
+
+def balanced_tilt(forces: Forces, lever: Array) -> Array:
+    """The consistent load (eq. 8-9) as (p, q); NaN where it would be negative somewhere.
+
+    On a thin ring eq. 8 reads `(p, q) = -2 (h/R) T/(m g)`.
+    """
+    constant, by_p, by_q = forces
+    f, g = lever * constant[0], lever * constant[1]
+    a, b = 1 + lever * by_p[0], lever * by_q[0]
+    c, d = lever * by_p[1], 1 + lever * by_q[1]
+    tilt = -jnp.stack([d * f - b * g, a * g - c * f]) / (a * d - b * c)
+    return jnp.where((tilt**2).sum(0) <= 1, tilt, jnp.nan)
