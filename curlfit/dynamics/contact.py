@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-from curlfit.dynamics.law_structure import depends_on_turned_and_time
+from curlfit.dynamics.law_structure import depends_on_turned_and_time, example_law
 from curlfit.dynamics.quadrature import NodeClustering, node_clustering
 from curlfit.dynamics.ring_forces import (
     Contact,
@@ -134,12 +134,9 @@ def _ring_change(kind: type[Law], inputs: _Inputs, change: _Inputs) -> tuple[Sto
         if not _is_zero(part)
     ]
     numbered[k + 1] = sum(terms) if terms else spin
-    seen = [True] * (k + 2)
-    seen += (
-        [False, False]
-        if issubclass(kind, LawFamily)
-        else depends_on_turned_and_time(kind.from_vector(inputs.coefficients), inputs.stone)
-    )
+    laws = kind.members if issubclass(kind, LawFamily) else (kind,)
+    depends = (depends_on_turned_and_time(example_law(law), inputs.stone) for law in laws)
+    seen = [True] * (k + 2) + [any(flags) for flags in zip(*depends, strict=True)]
     return change.stone, {
         number: part for number, part in enumerate(numbered) if seen[number] and not _is_zero(part)
     }

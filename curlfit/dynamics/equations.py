@@ -222,7 +222,8 @@ def step_size(
         frequency += jnp.abs(rate.omega) / (jnp.abs(state.omega) + _MIN_SPIN)
     if law.corners:
         turning = jnp.sqrt(1 / span**2 + state.omega**2 + jnp.abs(rate.omega))
-        frequency += turning * (jnp.abs(state.phi) < max(law.corners) - _ANGLE_TOLERANCE)
+        last = jnp.stack([jnp.asarray(angle) for angle in law.corners]).max()
+        frequency += turning * (jnp.abs(state.phi) < last - _ANGLE_TOLERANCE)
     # The error of a step is the sixth power of its fraction times the remaining motion; the seventh
     # root minimizes the error of a given number of steps.
     largest = frequency * remaining ** (1 / 7) / STEP
@@ -246,7 +247,7 @@ def step_size(
     return dt
 
 
-def _time_to_angle(target: float, state: State, rate: State) -> Array:
+def _time_to_angle(target: Any, state: State, rate: State) -> Array:
     """Time until the angle reaches `target`, for constant angular acceleration; or inf."""
     sense = jnp.sign(state.omega)
     spin, gain = sense * state.omega, sense * rate.omega

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
-from typing import Any
+from typing import Any, TypeVar
 
 from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
 
@@ -26,6 +26,7 @@ from curlfit.stone import Stone
 UNIT_POINT = RingPoint(*(1.0 for _ in RingPoint._fields))
 _ROOT_HALF = np.float64(0.5**0.5).view(np.int64)  # mantissas lie between this and sqrt(2)
 _MANTISSA_BITS = 52
+AnyLaw = TypeVar("AnyLaw", bound=Law)
 _TERMS = 11  # to rounding, for these mantissas
 
 
@@ -119,7 +120,7 @@ def _is_linear(function: Callable[..., Any], size: int, parameters: int) -> bool
     return not any(depends_on(function, *inputs)[size:])
 
 
-def example_law(kind: type[LocalLaw]) -> LocalLaw:
+def example_law(kind: type[AnyLaw]) -> AnyLaw:
     """A law with coefficients that are all different."""
     return kind.from_vector([0.1 + 0.01 * index for index, _ in enumerate(kind.coefficients())])
 

@@ -157,7 +157,7 @@ def ring_forces(contact: Contact) -> Forces:
             if law not in contact.summed:
                 return ((contact.zeros(),) * 3,) * contact.loads
             one = law.from_vector(own)
-            return _sum(one, shared or _ring(one, contact, contact.motion), contact)
+            return _sum(one, _ring(one, shared, contact, contact.motion), contact)
 
         parts.append(contact.of_law(forces))
     return _total(parts)
@@ -170,7 +170,7 @@ def ring_slopes(contact: Contact, tilt: Tilt, wanted: Iterable[int]) -> list[Slo
     moving = tuple(number for number in wanted if number in (k, k + 1))
     own = tuple(number for number in wanted if number not in moving)
     if own and issubclass(contact.kind, LawFamily):
-        own = tuple(range(1, k))  # all but which member it is
+        own = own[1:] if own[0] == 0 else own  # which member it is, is no variable
     found = []
     if contact.closed:
         found.append(_slopes_in_closed_form(contact, tilt, own, moving))
@@ -218,9 +218,10 @@ def _slopes_in_closed_form(
     def tensor_and_rows(law: type[LocalLaw], coefficients: Values) -> tuple[Values, Values]:
         if law not in contact.closed:
             return (contact.zeros(),) * 8, (contact.zeros(len(own)),) * 8
-        inputs, at = _own_inputs(contact, law, coefficients, own)
-        found, rows = _along(lambda *values: _tensor(*at(*values)), inputs, _each(inputs))
-        return found, _padded(rows, len(own))
+        found: tuple[Values, Values] = _OwnInputs.of(contact, law, coefficients, own).derivatives(
+            _tensor
+        )
+        return found
 
     def form(tensor: Values, means: tuple[Means, Means]) -> Values:
         load = methodcaller("under", 0) if tilt is None else methodcaller("loaded", *tilt)
@@ -244,7 +245,7 @@ def _slopes_of_sum(
     once, which is a smaller program."""
     shared = _shared_ring(contact)
     # Where a law has its edges, these move with all its inputs.
-    groups = [own + moving] if shared is None else [own, moving]
+    groups = [own, moving] if shared else [own + moving]
     if contact.motion.v.size > 1 and not issubclass(contact.kind, LawFamily):
         groups = [(number,) for group in groups for number in group]
     groups = [group for group in groups if group]
@@ -256,13 +257,13 @@ def _slopes_of_sum(
     changes = {
         group: _along(sliding, place, _directions(contact, group))[1]
         for group in groups
-        if shared is not None and group[0] in moving
+        if shared and group[0] in moving
     }
 
     def rows_of(law: type[LocalLaw], coefficients: Values, group: tuple[int, ...]) -> Values:
         if law not in contact.summed:
             return (contact.zeros(len(group)),) * 3
-        if group in changes and shared is not None:
+        if group in changes and not _has_edges(law):
             one = law.from_vector(coefficients)
 
             def on_moved(fields: Any) -> Values:
@@ -270,14 +271,12 @@ def _slopes_of_sum(
 
             found: Values = _along(on_moved, (_sliding(shared),), (changes[group],))[1]
             return found
-        inputs, at = _own_inputs(contact, law, coefficients, group)
 
-        def by_own(*values: Array) -> Values:
-            law, motion = at(*values)
-            ring = _ring(law, contact, motion) if shared is None else _at(shared, motion)
-            return _under_load(law, ring, tilt, contact)
+        def force(law: LocalLaw, motion: RingMotion) -> Values:
+            return _under_load(law, _ring(law, shared, contact, motion), tilt, contact)
 
-        rows: Values = _padded(_along(by_own, inputs, _each(inputs))[1], len(group))
+        rows: Values
+        _, rows = _OwnInputs.of(contact, law, coefficients, group).derivatives(force)
         return rows
 
     def all_rows(law: type[LocalLaw], coefficients: Values) -> list[Values]:
@@ -316,59 +315,81 @@ def _directions(contact: Contact, moving: tuple[int, ...]) -> Values:
     return tuple(part[np.array(rows)] for part in _each((contact.motion.v, contact.motion.u)))
 
 
-def _own_inputs(
-    contact: Contact, law: type[LocalLaw], coefficients: Values, numbers: tuple[int, ...]
-) -> tuple[Values, Callable[..., tuple[LocalLaw, RingMotion]]]:
-    """Inputs of a law, all its coefficients where it is of a family; and the law and the motion at
-    other values of these."""
-    if numbers and issubclass(contact.kind, LawFamily):
-        numbers = tuple(range(len(coefficients)))
-    everything = (*coefficients, *contact.motion)
+class _OwnInputs(NamedTuple):
+    """Those of a law among inputs with some numbers, all but coefficients that it does not have."""
 
-    def at(*values: Array) -> tuple[LocalLaw, RingMotion]:
-        moved = list(everything)
-        for number, value in zip(numbers, values, strict=True):
-            moved[number] = value
-        return law.from_vector(moved), RingMotion(*moved[len(coefficients) :])
+    values: Values
+    law_and_motion: Callable[..., tuple[LocalLaw, RingMotion]]
+    """from other values"""
+    known: list[bool]
+    """which of the inputs it has"""
 
-    return tuple(everything[number] for number in numbers), at
+    @classmethod
+    def of(
+        cls, contact: Contact, law: type[LocalLaw], coefficients: Values, numbers: tuple[int, ...]
+    ) -> _OwnInputs:
+        first, k = int(issubclass(contact.kind, LawFamily)), len(contact.coefficients)
+        count = len(coefficients)
+        places = [number - first if number < k else number - k + count for number in numbers]
+        known = [
+            number >= k or place < count for number, place in zip(numbers, places, strict=True)
+        ]
+        own = [place for place, is_known in zip(places, known, strict=True) if is_known]
+        everything = (*coefficients, *contact.motion)
 
+        def law_and_motion(*values: Array) -> tuple[LocalLaw, RingMotion]:
+            moved = list(everything)
+            for place, value in zip(own, values, strict=True):
+                moved[place] = value
+            return law.from_vector(moved), RingMotion(*moved[count:])
 
-def _padded(rows: Any, count: int) -> Any:
-    """Derivatives with zeros for inputs that a member of a family does not have."""
+        return cls(tuple(everything[place] for place in own), law_and_motion, known)
 
-    def padded(part: Array) -> Array:
-        missing = count - len(part)
-        return jnp.pad(part, ((0, missing), *((0, 0),) * (part.ndim - 1))) if missing else part
+    def derivatives(self, function: Callable[[LocalLaw, RingMotion], Values]) -> Any:
+        """Of a function of the law and the motion, with its value; 0 by what the law lacks."""
+        value, rows = _along(
+            lambda *values: function(*self.law_and_motion(*values)), self.values, _each(self.values)
+        )
+        if all(self.known):
+            return value, rows
+        first = self.known.index(False)
+        missing = self.known.count(False)
 
-    return jax.tree.map(padded, rows)
+        def with_zeros(part: Array) -> Array:
+            none = jnp.zeros((missing, *part.shape[1:]))
+            return jnp.concatenate([part[:first], none, part[first:]])
+
+        return value, tuple(map(with_zeros, rows))
 
 
 def _has_edges(law: type[LocalLaw]) -> bool:
     return any(example_law(law).edges(1.0))
 
 
-def _shared_ring(contact: Contact) -> list[Panel] | None:
-    """The ring as all laws have it whose edges are but the ends of its halves; None where none has.
+def _shared_ring(contact: Contact) -> list[Panel]:
+    """The ring of all laws without edges within the halves; empty where there is none.
 
     Its front half suffices where the back half mirrors it.
     """
     plain = [law for law in contact.summed if not _has_edges(law)]
     if not plain:
-        return None
+        return []
     mirrored = all(is_mirror_symmetric(law, contact.load) for law in plain)
-    return _ring(example_law(plain[0]), contact, contact.motion, (1.0,) if mirrored else (1.0, 0.0))
+    halves = (1.0,) if mirrored else (1.0, 0.0)
+    return panels(example_law(plain[0]), *contact.motion, contact.clustering, halves=halves)
 
 
-def _ring(
-    law: LocalLaw, contact: Contact, motion: RingMotion, halves: tuple[float, ...] = (1.0, 0.0)
-) -> list[Panel]:
-    return panels(law, *motion, contact.clustering, halves=halves)
+def _ring(law: LocalLaw, shared: list[Panel], contact: Contact, motion: RingMotion) -> list[Panel]:
+    """The ring of a law, after another angle turned and time than the shared one."""
+    if _has_edges(type(law)):
+        return panels(law, *motion, contact.clustering)
+    there = {"turned": motion.turned, "time": motion.time}
+    return [panel._replace(points=panel.points._replace(**there)) for panel in shared]
 
 
-def _sliding(ring: list[Panel] | None) -> list[dict[str, Array]]:
+def _sliding(ring: list[Panel]) -> list[dict[str, Array]]:
     """What of the points depends on the motion of the ring."""
-    return [{name: getattr(panel.points, name) for name in _SLIDING} for panel in ring or ()]
+    return [{name: getattr(panel.points, name) for name in _SLIDING} for panel in ring]
 
 
 def _with_sliding(ring: list[Panel], sliding: list[dict[str, Array]]) -> list[Panel]:
@@ -376,12 +397,6 @@ def _with_sliding(ring: list[Panel], sliding: list[dict[str, Array]]) -> list[Pa
         panel._replace(points=panel.points._replace(**fields))
         for panel, fields in zip(ring, sliding, strict=True)
     ]
-
-
-def _at(ring: list[Panel], motion: RingMotion) -> list[Panel]:
-    """The ring at another angle turned and time."""
-    there = {"turned": motion.turned, "time": motion.time}
-    return [panel._replace(points=panel.points._replace(**there)) for panel in ring]
 
 
 def _sum(law: LocalLaw, ring: list[Panel], contact: Contact) -> Forces:

@@ -7,7 +7,7 @@ number among its coefficients, and only the forces of the ring are in the progra
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any, ClassVar
 
@@ -15,6 +15,8 @@ import numpy as np
 
 from curlfit.friction.base import Law, LocalLaw, coefficient, on_new_law
 from curlfit.numerics.arrays import Floats
+
+_NEVER = -1e9  # rad, no angle on the way of any stone
 
 
 class LawFamily(Law):
@@ -31,13 +33,36 @@ class LawFamily(Law):
         """Whether all members are part of curlfit."""
         return all(member.shipped() for member in cls.members)
 
+    @property
+    def corners(self) -> tuple[Any, ...]:  # type: ignore[override]
+        """Angles turned (rad) at which friction has a kink, and angles that are never reached."""
+        most = max(len(member.corners) for member in self.members)
+        each = [(*member.corners, *(_NEVER,) * most)[:most] for member in self.members]
+        index, *_ = self._values()
+        return tuple(
+            sum((index == number) * corner for number, corner in enumerate(corners))
+            for corners in zip(*each, strict=True)
+        )
+
+    def quickness(self, time: Any) -> Any:
+        """Relative rate of the explicit change of friction with time since release, 1/s."""
+        changing = [member for member in self.members if member.quickness is not Law.quickness]
+        return self._of_member(lambda law: law.quickness(time), changing) + 0.0 * time
+
     def steepness(self) -> Any:
         """Absolute exponent of the dependence of friction on the speed."""
-        index, *coefficients = (getattr(self, item.name) for item in self.coefficients())
+        steep = [member for member in self.members if member.steepness is not Law.steepness]
+        return self._of_member(lambda law: law.steepness(), steep)
+
+    def _values(self) -> list[Any]:
+        return [getattr(self, item.name) for item in self.coefficients()]
+
+    def _of_member(self, value: Callable[[Law], Any], members: list[type[LocalLaw]]) -> Any:
+        """A value of the member that this is, where it is one of some; else 0."""
+        index, *coefficients = self._values()
         return sum(
-            (index == number) * member.from_vector(coefficients).steepness()
-            for number, member in enumerate(self.members)
-            if member.steepness is not Law.steepness
+            (index == self.members.index(member)) * value(member.from_vector(coefficients))
+            for member in members
         )
 
     @classmethod
@@ -65,15 +90,10 @@ class LawFamily(Law):
 
 def family_of(laws: Iterable[type[Law]]) -> type[LawFamily] | None:
     """The family of those laws that can be in one; None where they are fewer than two."""
-    members = tuple(dict.fromkeys(law for law in laws if _can_be_member(law)))
+    # A user's law may change from run to run, so that programs with it are not stored.
+    ring = (law for law in laws if issubclass(law, LocalLaw) and law.shipped())
+    members = tuple(dict.fromkeys(ring))
     return _family(members) if len(members) > 1 else None
-
-
-def _can_be_member(law: type[Law]) -> bool:
-    """A law of the ring that enters the steps of a motion by its steepness alone."""
-    plain = not law.corners and law.quickness is Law.quickness
-    # A user's law may change from run to run, and programs with it are not stored.
-    return issubclass(law, LocalLaw) and plain and law.shipped()
 
 
 @cache
