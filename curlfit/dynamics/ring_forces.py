@@ -34,7 +34,7 @@ from curlfit.dynamics.quadrature import GAUSS_WEIGHTS, NodeClustering, Panel, pa
 from curlfit.friction import Law, Load, LocalLaw
 from curlfit.friction.family import LawFamily
 
-_BALANCE_TOLERANCE = 1e-9  # change of the tilt after which one more Newton step is exact
+_BALANCE_TOLERANCE = 1e-9  # change of the tilt by the last Newton step
 _MAX_NEWTON_STEPS = 30
 _MIN_LOAD = 1e-6  # over the uniform load, as passed to a law
 _SLIDING = ("slide_xi", "slide_eta", "speed", "e_xi", "e_eta")  # fields that depend on v and u
@@ -444,9 +444,14 @@ def _moments(law: LocalLaw, ring: list[Panel]) -> Values:
 
 def _about_balance(law: LocalLaw, ring: list[Panel], contact: Contact) -> Forces:
     """The tangent at the balance; NaN where Newton's method finds none."""
+    leaves, tree = jax.tree.flatten((law, ring))
+    changing = [number for number, leaf in enumerate(leaves) if isinstance(leaf, Array)]
 
-    def tangent(law: LocalLaw, ring: list[Panel], tilt: Array) -> Forces:
+    def tangent(arrays: list[Array], tilt: Array) -> Forces:
         """As forces under the loads 1, xi and eta."""
+        for number, array in zip(changing, arrays, strict=True):
+            leaves[number] = array
+        law, ring = jax.tree.unflatten(tree, leaves)
 
         def force(tilt: Array) -> Array:
             return jnp.stack(_under_load(law, ring, (tilt[0], tilt[1]), contact))
@@ -456,24 +461,34 @@ def _about_balance(law: LocalLaw, ring: list[Panel], contact: Contact) -> Forces
         by_p, by_q = slope(jnp.stack([one, zero])), slope(jnp.stack([zero, one]))
         return tuple(value - tilt[0] * by_p - tilt[1] * by_q), tuple(by_p), tuple(by_q)
 
-    def without_derivatives(value: Any) -> Any:
-        return jax.lax.stop_gradient(value) if isinstance(value, Array) else value
+    @jax.custom_jvp
+    def balanced(arrays: list[Array], lever: Array) -> Forces:
+        def iterate(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+            tilt, _, _, count = carry
+            forces = tangent(arrays, tilt)
+            after = balanced_tilt(forces, lever)
+            return after, forces, jnp.abs(after - tilt).max(0), count + 1
 
-    held, points, lever = jax.tree.map(without_derivatives, (law, ring, contact.lever))
+        def unbalanced(carry: tuple[Any, ...]) -> Array:
+            *_, change, count = carry
+            return (change > _BALANCE_TOLERANCE).any() & (count < _MAX_NEWTON_STEPS)
 
-    def iterate(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        tilt, _, count = carry
-        after = balanced_tilt(tangent(held, points, tilt), lever)
-        return after, jnp.abs(after - tilt).max(0), count + 1
+        none = jnp.zeros_like(lever)
+        start = jnp.stack([none, none]), ((none,) * 3,) * 3, none + jnp.inf, jnp.zeros((), int)
+        _, forces, change, _ = jax.lax.while_loop(unbalanced, iterate, start)
+        # The error is the square of this change.
+        unknown = ~(change <= _BALANCE_TOLERANCE)
+        return jax.tree.map(lambda part: jnp.where(unknown, jnp.nan, part), forces)
 
-    def unbalanced(carry: tuple[Array, Array, Array]) -> Array:
-        _, change, count = carry
-        return (change > _BALANCE_TOLERANCE).any() & (count < _MAX_NEWTON_STEPS)
+    @balanced.defjvp
+    def _(primals: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Forces, Forces]:
+        forces = balanced(*primals)
+        tilt = jax.lax.stop_gradient(balanced_tilt(forces, primals[1]))
+        change = jax.jvp(lambda arrays: tangent(arrays, tilt), primals[:1], tangents[:1])[1]
+        return forces, change
 
-    shape = ring[0].weight.shape[1:]
-    start = jnp.zeros((2, *shape)), jnp.full(shape, jnp.inf), jnp.zeros((), int)
-    tilt, change, _ = jax.lax.while_loop(unbalanced, iterate, start)
-    return tangent(law, ring, jnp.where(change <= _BALANCE_TOLERANCE, tilt, jnp.nan))
+    found: Forces = balanced([leaves[number] for number in changing], contact.lever)
+    return found
 
 
 def balanced_tilt(forces: Forces, lever: Array) -> Array:
