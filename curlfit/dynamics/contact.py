@@ -63,8 +63,8 @@ class _Inputs(NamedTuple):
         return Contact(kind, load, self.coefficients, motion, clustering, lever)
 
 
-def _under_load(forces: Forces, stone: Stone) -> Accelerations:
-    """Accelerations by the forces; NaN where no load that is nowhere negative balances them."""
+def accelerations_under(forces: Forces, stone: Stone) -> Accelerations:
+    """Accelerations by the forces of a ring; NaN where no load with n >= 0 balances them."""
     t_xi, t_eta, moment = forces[0]
     if len(forces) > 1:
         p, q = balanced_tilt(forces, jnp.asarray(2 * stone.h / stone.R))
@@ -86,7 +86,7 @@ def _accelerations(
 ) -> Accelerations:
     if issubclass(kind, NetLaw):
         return _of_net_law(kind, inputs)
-    return _under_load(ring_forces(inputs.contact(kind, load, clustering)), inputs.stone)
+    return accelerations_under(ring_forces(inputs.contact(kind, load, clustering)), inputs.stone)
 
 
 def _accelerations_jvp(
@@ -102,13 +102,13 @@ def _accelerations_jvp(
     contact = inputs.contact(kind, load, clustering)
     forces = ring_forces(contact)
     tilt = None if load == "uniform" else tuple(balanced_tilt(forces, contact.lever))
-    out, total = _along(partial(_under_load, forces), stone, of_stone)
+    out, total = _along(partial(accelerations_under, forces), stone, of_stone)
 
     def under_load(change: Values) -> Accelerations:
         """What a change of the forces under the load makes, which changes the load in turn."""
 
         def at(constant: Values) -> Accelerations:
-            return _under_load((constant, *forces[1:]), stone)
+            return accelerations_under((constant, *forces[1:]), stone)
 
         found: Accelerations = jax.jvp(at, (forces[0],), (change,))[1]
         return found
@@ -213,10 +213,17 @@ def consistent_load(
 
     Shape (2,); NaN where no such load with n >= 0 exists. Arguments as in `accelerations`.
     """
+    contact = contact_of(law, stone, "consistent", v, omega, turned)
+    return balanced_tilt(ring_forces(contact), contact.lever)
+
+
+def contact_of(
+    law: Law, stone: Stone, load: Load, v: ArrayLike, omega: ArrayLike, turned: ArrayLike = 0.0
+) -> Contact:
+    """The ring of a stone in motion. Arguments as in `accelerations`, the law one of the ring."""
     inputs = _inputs(law, stone, v, omega, turned, 0.0)
     clustering = node_clustering(inputs.v, inputs.stone.R * inputs.omega)
-    contact = inputs.contact(type(law), "consistent", clustering)
-    return balanced_tilt(ring_forces(contact), contact.lever)
+    return inputs.contact(type(law), load, clustering)
 
 
 def _inputs(law: Law, stone: Stone, *motion: ArrayLike) -> _Inputs:

@@ -244,7 +244,7 @@ class Law:
     @classmethod
     def shipped(cls) -> bool:
         """Whether the law is part of curlfit."""
-        return cls.__module__.startswith(f"{__name__.rpartition('.')[0]}.")
+        return cls.__module__.partition(".")[0] == __name__.partition(".")[0]
 
     @classmethod
     def register(cls, name: str) -> None:

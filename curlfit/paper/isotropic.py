@@ -7,6 +7,7 @@ excluded.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from curlfit.dynamics import law_structure  # noqa: F401  (configures JAX before its first use)
@@ -17,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from curlfit.friction import LAWS, LocalLaw, RingPoint, coefficient
+from curlfit.friction.family import LawFamily, family_of
 from curlfit.friction.isotropic import Coulomb, Power, Stribeck
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.paper.claim import Claim
@@ -49,6 +51,8 @@ jax.tree_util.register_dataclass(
 )
 
 
+Family = type[LawFamily] | None
+
 SPEEDS = np.geomspace(0.05, 4.0, 16)
 """m/s"""
 SPINS = np.concatenate([-np.geomspace(0.02, 200.0, 28)[::-1], np.geomspace(0.02, 200.0, 28)])
@@ -65,20 +69,19 @@ CASES = {
 def study_isotropic() -> IsotropicFindings:
     """Test Prop. 1-4 on their grids."""
     laws = [law for law in LAWS.values() if issubclass(law, LocalLaw) and law.shipped()]
+    family = family_of([*laws, SpeedMixture])
+    states_of = partial(grid_states, v=SPEEDS, omega=SPINS, family=family)
     triples = []
     for law in laws:
         defaults = tuple(item.default for item in law.coefficients())
-        triples.append(grid_states(law, [defaults], SPEEDS, SPINS)[0])
+        triples.append(states_of(law, [defaults])[0])
     cosine, handedness, arm = zip(*map(_triple_errors, triples), strict=True)
 
-    coulomb, _ = grid_states(Coulomb, [(mu,) for mu in (0.002, 0.01, 0.05, 0.2)], SPEEDS, SPINS)
-    powers = {
-        k: grid_states(Power, [(mu, k) for mu in (0.002, 0.01, 0.03)], SPEEDS, SPINS)
-        for k in EXPONENTS
-    }
+    coulomb, _ = states_of(Coulomb, [(mu,) for mu in (0.002, 0.01, 0.05, 0.2)])
+    powers = {k: states_of(Power, [(mu, k) for mu in (0.002, 0.01, 0.03)]) for k in EXPONENTS}
     largest_exponent = max(k for k, (states, _) in powers.items() if (states.right < 0).any())
-    mixture, mixture_values = _random_mixtures(2 * BATCH)
-    cases = {name: grid_states(Stribeck, sets, SPEEDS, SPINS) for name, sets in CASES.items()}
+    mixture, mixture_values = _random_mixtures(2 * BATCH, family)
+    cases = {name: states_of(Stribeck, sets) for name, sets in CASES.items()}
     positive = {name: states.least > 0 for name, (states, _) in cases.items()}
     return IsotropicFindings(
         laws=len(laws),
@@ -100,7 +103,7 @@ def study_isotropic() -> IsotropicFindings:
             if (states.exists & ~positive[name]).any()
         },
         stribeck_example=_leftmost(Stribeck, *cases["ii"], where=positive["ii"]),
-        curves=_curves(),
+        curves=_curves(family),
     )
 
 
@@ -116,7 +119,7 @@ def _triple_errors(states: RingStates) -> tuple[float, float, float]:
     return float(cosine.max()), float(turn.min()), float(arm.max())
 
 
-def _random_mixtures(n: int) -> tuple[RingStates, Floats]:
+def _random_mixtures(n: int, family: Family) -> tuple[RingStates, Floats]:
     """Random functions of the speed at random speeds and spins of both senses."""
     random = np.random.default_rng(1)
     level = 10 ** random.uniform(-4, -2, n)
@@ -124,7 +127,7 @@ def _random_mixtures(n: int) -> tuple[RingStates, Floats]:
     values = np.stack([level, *others, 10 ** random.uniform(-1, 0.5, n)], 1)
     v = 10 ** random.uniform(-1, 0.6, n)
     omega = 10 ** random.uniform(-1, 2.3, n) * random.choice([-1.0, 1.0], n)
-    return ring_states(SpeedMixture, values, v, omega), values
+    return ring_states(SpeedMixture, values, v, omega, family), values
 
 
 def _leftmost(
@@ -146,7 +149,7 @@ def _leftmost(
     )
 
 
-def _curves() -> tuple[Curve, ...]:
+def _curves(family: Family) -> tuple[Curve, ...]:
     sign_changes = np.linspace(29, 50, 211)
     omega = np.union1d(np.geomspace(0.3, 200, 120), [1.0, 10.0, *sign_changes, 100.0])
     selected: list[tuple[str, type[LocalLaw], tuple[float, ...]]] = [
@@ -159,7 +162,7 @@ def _curves() -> tuple[Curve, ...]:
     ]
     curves = []
     for label, law, values in selected:
-        states, _ = grid_states(law, [values], np.array([2.0]), omega)
+        states, _ = grid_states(law, [values], np.array([2.0]), omega, family)
         curves.append(Curve(label, omega, states.t_xi, states.t_eta, states.least))
     return tuple(curves)
 

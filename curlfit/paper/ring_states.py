@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from curlfit.dynamics.contact import accelerations, consistent_load
+from curlfit.dynamics.contact import accelerations_under, contact_of
 from curlfit.dynamics.quadrature import panels
+from curlfit.dynamics.ring_forces import balanced_tilt, ring_forces
 
 # isort: split
 import jax
@@ -14,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from curlfit.friction import LocalLaw
+from curlfit.friction import Law, LocalLaw
+from curlfit.friction.family import LawFamily
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import compiled
 from curlfit.stone import GRAVITY, Stone
@@ -67,17 +69,23 @@ class RingStates(NamedTuple):
 
 
 @compiled("law")
-def _ring(law: type[LocalLaw], values: Array, v: Array, omega: Array) -> RingStates:
+def _ring(law: type[Law], values: Array, v: Array, omega: Array) -> RingStates:
     def state(values: Array, v: Array, omega: Array) -> RingStates:
-        one = law.from_vector(values)
-        motion = accelerations(one, STONE, "consistent", v, omega)
-        n1, n2 = consistent_load(one, STONE, v, omega)
-        least = jnp.asarray(jnp.inf)
-        for points, _ in panels(one, v, STONE.R * omega, jnp.zeros(()), jnp.zeros(())):
-            load = 1 + n1 * points.xi + n2 * points.eta
-            along_xi, along_eta = one.traction(points._replace(load=load))
-            mu = -(along_xi * points.e_xi + along_eta * points.e_eta)
-            least = jnp.minimum(least, mu.min())
+        contact = contact_of(law.from_vector(values), STONE, "consistent", v, omega)
+        forces = ring_forces(contact)
+        motion = accelerations_under(forces, STONE)
+        n1, n2 = balanced_tilt(forces, contact.lever)
+
+        def least_friction(law: type[LocalLaw], own: tuple[Array, ...]) -> Array:
+            one, least = law.from_vector(own), jnp.asarray(jnp.inf)
+            for points, _ in panels(one, *contact.motion, contact.clustering):
+                load = 1 + n1 * points.xi + n2 * points.eta
+                along_xi, along_eta = one.traction(points._replace(load=load))
+                mu = -(along_xi * points.e_xi + along_eta * points.e_eta)
+                least = jnp.minimum(least, mu.min())
+            return least
+
+        least = contact.of_law(least_friction)
         load = 1 + n1 * np.cos(_ANGLES) + n2 * np.sin(_ANGLES)
         m_xi = STONE.R * (load * np.sin(_ANGLES)).mean()  # eq. 2: r x k n
         m_eta = -STONE.R * (load * np.cos(_ANGLES)).mean()
@@ -89,30 +97,39 @@ def _ring(law: type[LocalLaw], values: Array, v: Array, omega: Array) -> RingSta
     return jax.vmap(state)(values, v, omega)
 
 
-def ring_states(law: type[LocalLaw], values: Floats, v: Floats, omega: Floats) -> RingStates:
+def ring_states(
+    law: type[LocalLaw], values: Floats, v: Floats, omega: Floats,
+    family: type[LawFamily] | None = None,
+) -> RingStates:  # fmt: skip
     """The ring in each of n states.
 
     Parameters
     ----------
     law : a local law. values : its coefficients, shape (n, coefficients).
     v, omega : speed (m/s) and spin (1/s), shape (n,).
+    family : of which the law is a member, whose program then serves it.
     """
-    n = len(v)
+    n, kind = len(v), family or law
+    values = values if family is None else family.vector(law, values)
     batches = []
     for begin in range(0, n, BATCH):
         rows = np.minimum(np.arange(begin, begin + BATCH), n - 1)  # equal shapes, one program
         batches.append(
-            [np.asarray(item) for item in _ring(law, values[rows], v[rows], omega[rows])]
+            [np.asarray(item) for item in _ring(kind, values[rows], v[rows], omega[rows])]
         )
     return RingStates(*(np.concatenate(parts)[:n] for parts in zip(*batches, strict=True)))
 
 
 def grid_states(
-    law: type[LocalLaw], coefficients: Sequence[Sequence[float]], v: Floats, omega: Floats
+    law: type[LocalLaw],
+    coefficients: Sequence[Sequence[float]],
+    v: Floats,
+    omega: Floats,
+    family: type[LawFamily] | None = None,
 ) -> tuple[RingStates, Floats]:
     """RingStates for every set of coefficients, speed and spin; and the coefficients of each."""
     rows = len(v) * len(omega)
     speeds = np.tile(np.repeat(v, len(omega)), len(coefficients))
     spins = np.tile(omega, len(v) * len(coefficients))
     values = np.repeat(np.array(coefficients, float), rows, axis=0)
-    return ring_states(law, values, speeds, spins), values
+    return ring_states(law, values, speeds, spins, family), values
