@@ -151,7 +151,9 @@ def fit(
     if saved is None:
         with _status(console, "Fitting (a first run on a machine compiles the model)"):
             if not no_sample:
-                request.prepare_sampling()
+                from curlfit.inference.mcmc.run import prepare_sampling
+
+                prepare_sampling(*request.problem())
             result = request.fit()
     else:
         result = request.with_derived(saved)

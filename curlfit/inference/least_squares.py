@@ -106,6 +106,11 @@ def prepare_minimize(model: Model, parameters: ParameterSet, problem: Problem) -
     _minimize.prepare(*_arguments(model, np.zeros(len(parameters)), parameters, problem))
 
 
+def prepare_minimize_many(model: Model, parameters: ParameterSet, problem: Problem) -> None:
+    """Begin to compile what `minimize_many` needs, for problems like this one."""
+    linearize.prepare(model, np.zeros((BATCH, len(parameters))), stacked([problem] * BATCH))
+
+
 def _arguments(
     model: Model, start: Floats, parameters: ParameterSet, problem: Problem
 ) -> tuple[Any, ...]:

@@ -31,6 +31,7 @@ from curlfit.optimal_design.information import (
     RecordInformation,
     coefficient_information,
     combined,
+    prepare_information,
     record_information,
     standard_error,
 )
@@ -132,6 +133,9 @@ def design(
         raise InputError(f"discrepancy = {discrepancy:g}; expected 0 or more, over the friction")
     exact: dict[str, Any] = {"until": until, "channels": channels}
     record = exact | {"discrepancy": discrepancy}
+    separated = kind.sums or separate
+    for one_load in ("uniform", "consistent") if separated else (load,):
+        prepare_information(kind, check_load(one_load), values, candidates[0], channels)
     progress("the information of each throw")
     records = record_information(kind, load, values, candidates, **record)
     model = _DesignModel(kind, values, free, sigma)

@@ -26,13 +26,12 @@ from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import visible
 from curlfit.inference.least_squares import Indices
-from curlfit.inference.likelihood import linearize, predict_channels, predict_many
+from curlfit.inference.likelihood import linearize_once, predict_channels, predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.compiled import BATCH
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
 
@@ -42,7 +41,8 @@ MOST_ROWS = 50_000
 """Rows of one throw."""
 
 _REFINEMENTS = 3  # 120 s/255^3 is a hundred thousandth of a second
-_ROWS = 256  # per batch column: the shape of fits, so that their compiled programs are reused
+_ROWS = 256  # in a column of a batch
+_BATCH = 16  # columns, few enough for the record of a throw or two
 _ROUNDING = 1e-13  # of the largest singular value of the start's columns
 _UNDETERMINED = (
     1e-3  # fraction of a combination outside the determined subspace above which it is unknown
@@ -79,6 +79,16 @@ class RecordInformation(NamedTuple):
     the shapes of a model discrepancy, by their sizes; shape (channels, parameters, parameters)"""
     shapes: int = 0
     """of a model discrepancy"""
+
+
+def prepare_information(
+    law: type[Law], load: Load, coefficients: Floats, throw: PlannedThrow, channels: int
+) -> None:
+    """Begin to compile what `record_information` needs."""
+    own = [throw] * _BATCH
+    problems = _problems([(0, np.arange(2.0))] * _BATCH, own, channels)
+    values = np.stack([_vector(coefficients, one) for one in own])
+    linearize_once.prepare(Model(law, load), values, problems)
 
 
 def record_information(
@@ -132,17 +142,17 @@ def record_information(
         if discrepancy
         else None
     )
-    for first in range(0, len(parts), BATCH):
-        some = parts[first : first + BATCH]
-        batch = some + [some[-1]] * (BATCH - len(some))
+    for first in range(0, len(parts), _BATCH):
+        some = parts[first : first + _BATCH]
+        batch = some + [some[-1]] * (_BATCH - len(some))
         own = [throws[index] for index, _ in batch]
         values = np.stack([_vector(coefficients, throw) for throw in own])
         problems, model = _problems(batch, own, channels), Model(law, load)
-        _, found = linearize(model, values, problems)
+        _, found = linearize_once(model, values, problems)
         jacobian = np.asarray(found) * typical
         if widths:
-            paths = predict_many(model, values, problems)
-            changes = residual_changes(model, problems, values, paths, widths, "linear", BATCH)
+            paths = predict_many(model, values, problems, _BATCH)
+            changes = residual_changes(model, problems, values, paths, widths, "linear", _BATCH)
             jacobian = np.concatenate([jacobian, np.stack(list(changes.values()), -1)], -1)
         for column, (index, _) in enumerate(some):
             if not np.isfinite(jacobian[column]).all():
@@ -170,13 +180,13 @@ def _responses(
     """What accelerations of the size of the friction do to the paths of throws."""
     found = []
     clocks = [np.linspace(0.0, end, _ROWS) for end in ends]
-    for first in range(0, len(throws), BATCH):
-        some = list(enumerate(throws))[first : first + BATCH]
-        batch = some + [some[-1]] * (BATCH - len(some))
+    for first in range(0, len(throws), _BATCH):
+        some = list(enumerate(throws))[first : first + _BATCH]
+        batch = some + [some[-1]] * (_BATCH - len(some))
         own = [throw for _, throw in batch]
         values = np.stack([_vector(coefficients, throw) for throw in own])
         parts = [(index, clocks[index]) for index, _ in batch]
-        paths = predict_many(Model(law, load), values, _problems(parts, own, 3))
+        paths = predict_many(Model(law, load), values, _problems(parts, own, 3), _BATCH)
         found += [
             Responses.of(clocks[index], path[:5], throw.stone)
             for (index, throw), path in zip(some, paths, strict=False)

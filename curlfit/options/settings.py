@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from curlfit.friction import Law, Load
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.mcmc.chain import Chain
+    from curlfit.inference.model import Model
     from curlfit.inference.parameters import ParameterSet
+    from curlfit.inference.problem import Problem
     from curlfit.stone import Stone
     from curlfit.throws.throw import Throw
 
@@ -395,11 +397,10 @@ class FitRequest(NamedTuple):
         )  # fmt: skip
         return self.with_derived(found)
 
-    def prepare_sampling(self) -> None:
-        """Begin to compile what sampling this fit will need, beside the fit itself."""
+    def problem(self) -> tuple[Model, ParameterSet, Problem]:
+        """The problem with which the fit begins, for what is compiled beside it."""
         from curlfit.inference.fit.prepared import PreparedThrow
         from curlfit.inference.fit.rounds import Rounds
-        from curlfit.inference.mcmc.run import prepare_sampling
         from curlfit.inference.model import Model
         from curlfit.numerics.compiled import unstacked
 
@@ -409,7 +410,7 @@ class FitRequest(NamedTuple):
         model = Model(self.law, self.load, prepared.parameters.conditions)
         rounds = Rounds(model, [prepared], loss=self.loss, noise=self.noise)
         (problem,) = unstacked(rounds.problems)
-        prepare_sampling(model, prepared.local_parameters, problem)
+        return model, prepared.local_parameters, problem
 
     def with_derived(self, fit: FitResult) -> FitResult:
         """The fit with the derived quantities that the settings ask for."""

@@ -127,7 +127,12 @@ def profile(
     else:
         request = s.request_fit(data, config, flags)
         parameters = request.parameters
-        make_fit = lambda: (request.fit(), None)  # noqa: E731
+
+        def make_fit() -> tuple[FitResult, Chain | None]:
+            from curlfit.inference.least_squares import prepare_minimize_many
+
+            prepare_minimize_many(*request.problem())
+            return request.fit(), None
 
     from curlfit.profile_likelihood.result import require_usable
 
