@@ -13,7 +13,7 @@ from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
 
-from curlfit.inference.likelihood import linearize
+from curlfit.inference.likelihood import linearize, linearize_once
 
 # isort: split
 import jax
@@ -37,6 +37,7 @@ Indices = NDArray[np.intp]
 
 _PRECISE = lm.Control(1e-2, 1e-14, 1e-18)  # for one throw
 _QUICK = lm.Control(1e-4, 1e-8, 1e-10)  # for many: within 1e-5 standard errors
+_FEW = 16  # problems in a batch
 _NOTHING = 1e-7  # of the longest column of a Jacobian, below which another is but rounding
 _ROUNDING = 1e-12  # squares of columns of length 1 that may be but rounding
 _POOR = (3.0, 0.02)  # rms over a polynomial's, and over the range: both, and more starts are tried
@@ -106,9 +107,9 @@ def prepare_minimize(model: Model, parameters: ParameterSet, problem: Problem) -
     _minimize.prepare(*_arguments(model, np.zeros(len(parameters)), parameters, problem))
 
 
-def prepare_minimize_many(model: Model, parameters: ParameterSet, problem: Problem) -> None:
-    """Begin to compile what `minimize_many` needs, for problems like this one."""
-    linearize.prepare(model, np.zeros((BATCH, len(parameters))), stacked([problem] * BATCH))
+def prepare_minimize_few(model: Model, parameters: ParameterSet, problem: Problem) -> None:
+    """Begin to compile what `minimize_many` needs for few problems like this one."""
+    linearize_once.prepare(model, np.zeros((_FEW, len(parameters))), stacked([problem] * _FEW))
 
 
 def _arguments(
@@ -254,6 +255,8 @@ def minimize_many(
     tasks: Tasks,
     revise: Revise | None = None,
     progress: Callable[[int], None] | None = None,
+    *,
+    few: bool = False,
 ) -> Solution:
     """The optima of many problems.
 
@@ -261,13 +264,15 @@ def minimize_many(
     ----------
     revise : says which of the throws that are done to fit again, and how.
     progress : called with the number of throws that are done for good.
+    few : whether there are so few that a program is better compiled quickly than to be fast.
     """
+    program, batch = (linearize_once, _FEW) if few else (linearize, BATCH)
     searches = _Searches(tasks)
     going = np.ones(len(tasks.start), bool)
     while going.any():
-        now = np.flatnonzero(going)[:BATCH]
+        now = np.flatnonzero(going)[:batch]
         trial, problems = searches.trials(now)
-        found = in_batches(partial(linearize, model), (trial, problems))
+        found = in_batches(partial(program, model), (trial, problems), batch)
         done = now[searches.advance(now, *found)]
         while revise is not None and len(done):
             going[done] = False

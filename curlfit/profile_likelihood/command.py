@@ -129,9 +129,9 @@ def profile(
         parameters = request.parameters
 
         def make_fit() -> tuple[FitResult, Chain | None]:
-            from curlfit.inference.least_squares import prepare_minimize_many
+            from curlfit.inference.least_squares import prepare_minimize_few
 
-            prepare_minimize_many(*request.problem())
+            prepare_minimize_few(*request.problem())
             return request.fit(), None
 
     from curlfit.profile_likelihood.result import require_usable

@@ -89,7 +89,7 @@ class Refit:
             if self._progress is not None:
                 self._progress(self.done)
 
-        found = minimize_many(self.model, work, progress=arrived)
+        found = minimize_many(self.model, work, progress=arrived, few=True)
         whole = np.isfinite(found.residual).all((1, 2))
         each = unstacked(found)
         return [one if there else None for one, there in zip(each, whole, strict=True)]
