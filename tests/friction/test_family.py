@@ -1,0 +1,160 @@
+"""A family of laws does what each of its members does by itself."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import curlfit
+from curlfit import LAWS, InitialState, Stone, simulate
+from curlfit.comparison.compare import plan
+from curlfit.dynamics.contact import accelerations
+from curlfit.friction import LOADS, LocalLaw
+from curlfit.friction.family import family_of
+from curlfit.inference.forces import POINTS, vectors_of, with_slopes
+from curlfit.inference.model import Model
+from curlfit.numerics.compiled import stacked
+
+STONE = Stone(R=0.065, rho=0.1, h=0.057)
+FAMILY = family_of([law for law, _ in plan(None, "uniform")])
+TIMES = np.linspace(0, 25, 61)
+both_loads = pytest.mark.parametrize("load", LOADS)
+
+
+def coefficients(law):
+    """All different, and not at bounds."""
+    return np.array(
+        [item.default + 0.2 * (k + 1) * item.typical for k, item in enumerate(law.coefficients())]
+    )
+
+
+def _state(law, values, stone, motion, load):
+    return jnp.stack(accelerations(law.from_vector(values), stone, load, *motion))
+
+
+_value = jax.jit(_state, static_argnums=0, static_argnames="load")
+_slopes = jax.jit(jax.jacfwd(_state, argnums=(1, 2, 3)), static_argnums=0, static_argnames="load")
+
+
+def test_all_laws_of_the_ring_are_in_one():
+    assert set(FAMILY.members) == {
+        law for law, _ in plan(None, "uniform") if issubclass(law, LocalLaw)
+    }
+
+
+@both_loads
+@pytest.mark.parametrize("law", FAMILY.members, ids=lambda law: law.name)
+def test_a_member_has_its_own_accelerations_and_derivatives(law, load):
+    values = coefficients(law)
+    columns = FAMILY.columns(law, len(values))
+    for motion in ((2.0, 1.0, 0.4, 3.0), (0.3, -9.0, -2.0, 8.0)):
+        there = np.array(motion)
+        found, own = (
+            _value(kind, vector, STONE, there, load=load)
+            for kind, vector in ((FAMILY, FAMILY.vector(law, values)), (law, values))
+        )
+        assert np.abs(own[1]) > 1e-3
+        np.testing.assert_allclose(found, own, rtol=1e-12, atol=1e-15)
+        (by_family, *found), (by_own, *own) = (
+            _slopes(kind, vector, STONE, there, load=load)
+            for kind, vector in ((FAMILY, FAMILY.vector(law, values)), (law, values))
+        )
+        np.testing.assert_allclose(by_family[:, columns], by_own, rtol=1e-10, atol=1e-13)
+        others = np.delete(np.asarray(by_family), columns, axis=1)
+        np.testing.assert_array_equal(others, 0.0)
+        for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(own), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", ["debris", "power", "front-back"])
+def test_a_member_takes_its_own_steps(name):
+    # angles at which debris has a kink, a steep law, and one with neither
+    law = LAWS[name]
+    values = coefficients(law)
+    start = InitialState(v=2.0, omega=1.3)
+    own, found = (
+        simulate(kind.from_vector(vector), STONE, start, TIMES).to_numpy()
+        for kind, vector in ((law, values), (FAMILY, FAMILY.vector(law, values)))
+    )
+    assert own.phi[-1] > 2 * np.pi
+    for channel in ("x", "y", "phi", "rest"):
+        np.testing.assert_allclose(
+            getattr(found, channel), getattr(own, channel), rtol=0, atol=1e-13
+        )
+
+
+def test_a_batch_of_one_member_evaluates_no_other():
+    def of_one(v):
+        return accelerations(FAMILY.from_vector(vector), STONE, "uniform", v, 1.0).eta
+
+    vector = FAMILY.vector(LAWS["coulomb"], np.array([0.01]))
+    program = str(jax.make_jaxpr(jax.vmap(of_one))(np.linspace(1, 2, 5)))
+    assert "cond[" in program
+
+
+def test_a_law_of_the_user_and_a_single_law_have_no_family():
+    class Mine(curlfit.LocalLaw):
+        mu: float = curlfit.coefficient(0.01, "friction")
+
+        def traction(self, point):
+            return -self.mu * point.e_xi, -self.mu * point.e_eta
+
+    coulomb, net = LAWS["coulomb"], LAWS["semi-empirical"]
+    assert family_of([coulomb, net, Mine]) is None
+    assert family_of([coulomb, coulomb]) is None
+    pair = family_of([coulomb, Mine, LAWS["power"]])
+    assert pair.members == (coulomb, LAWS["power"])
+    assert pair.shipped()
+    assert pair.name not in LAWS
+
+
+def test_vectors_of_a_member_and_back():
+    law = LAWS["coulomb"]
+    vector = np.arange(1.0, 8.0)  # one coefficient and the start
+    own = FAMILY.vector(law, vector)
+    assert own[0] == FAMILY.members.index(law)
+    assert len(own) == len(FAMILY.coefficients()) + 6
+    np.testing.assert_array_equal(own[FAMILY.columns(law, 7)], vector)
+    assert (FAMILY.padded(law, vector, 1.0)[[0, 2, 3]] == 1.0).all()
+
+
+@pytest.mark.parametrize("name", ["tensor", "power"])
+@pytest.mark.parametrize("family", [None, FAMILY], ids=["alone", "member"])
+def test_forces_along_a_path_and_their_slopes(name, family):
+    law = LAWS[name]
+    model, values = Model(law, "uniform", family=family), coefficients(law)
+    path = np.stack([np.linspace(2, 0.2, POINTS), np.full(POINTS, 1.2), *np.zeros((2, POINTS))])
+    typical = np.array([item.typical for item in law.coefficients()])
+    found, slopes = with_slopes(model, values[None], typical, stacked([STONE]), path[None], 1)
+    assert vectors_of(model) == 1 + len((family or law).coefficients())
+    for point in (0, 50, POINTS - 1):
+        there = path[:, point]
+        np.testing.assert_allclose(
+            found[0, :, point],
+            _value(law, values, STONE, there, load="uniform"),
+            rtol=1e-11,
+            atol=1e-16,
+        )
+        exact, *_ = _slopes(law, values, STONE, there, load="uniform")
+        linear = name == "tensor"
+        np.testing.assert_allclose(
+            slopes[0, :, point],
+            exact,
+            rtol=1e-9 if linear else 1e-3,
+            atol=1e-10 if linear else 1e-6,
+        )
+
+
+@both_loads
+def test_a_fit_beside_others_is_the_fit(eq12, load):
+    law = LAWS["pressure"]
+    alone = curlfit.fit(eq12, law, load=load, details=False)
+    beside = curlfit.fit(eq12, law, load=load, details=False, family=FAMILY)
+    assert beside.coefficients.keys() == alone.coefficients.keys()
+    for name, item in alone.parameters.items():
+        other = beside.parameters[name]
+        assert other.verdict == item.verdict
+        assert other.value == pytest.approx(item.value, rel=1e-7, abs=1e-9 * item.typical)
+    assert beside.rms == pytest.approx(alone.rms, rel=1e-9)
