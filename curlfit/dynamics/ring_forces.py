@@ -6,6 +6,9 @@ the direction of sliding (`elliptic`), by Gauss quadrature otherwise (`quadratur
 Under a consistent load `n/n0 = 1 + p xi + q eta` (eq. 9) the force is linear in p and q, so that it
 is given by those under the loads 1, xi and eta. Of a law that itself depends on the load they are
 those of the tangent at the balance, which has the same value and first derivatives there.
+
+The laws of a family share what does not depend on the law: the means or the points of the ring, and
+how these change with its motion.
 """
 
 from __future__ import annotations
@@ -164,13 +167,11 @@ def ring_forces(contact: Contact) -> Forces:
 
 
 def ring_slopes(contact: Contact, tilt: Tilt, wanted: Iterable[int]) -> list[Slopes]:
-    """Derivatives of the net friction under a given load, by the inputs with some numbers, at
-    least."""
+    """Derivatives of the net friction under a given load, by the inputs with some numbers."""
     k = len(contact.coefficients)
+    first = int(issubclass(contact.kind, LawFamily))  # which member it is, is no variable
     moving = tuple(number for number in wanted if number in (k, k + 1))
-    own = tuple(number for number in wanted if number not in moving)
-    if own and issubclass(contact.kind, LawFamily):
-        own = own[1:] if own[0] == 0 else own  # which member it is, is no variable
+    own = tuple(number for number in wanted if number >= first and number not in moving)
     found = []
     if contact.closed:
         found.append(_slopes_in_closed_form(contact, tilt, own, moving))
@@ -482,10 +483,12 @@ def _about_balance(law: LocalLaw, ring: list[Panel], contact: Contact) -> Forces
 
     @balanced.defjvp
     def _(primals: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Forces, Forces]:
-        forces = balanced(*primals)
-        tilt = jax.lax.stop_gradient(balanced_tilt(forces, primals[1]))
-        change = jax.jvp(lambda arrays: tangent(arrays, tilt), primals[:1], tangents[:1])[1]
-        return forces, change
+        (arrays, lever), (d_arrays, d_lever) = primals, tangents
+        forces = balanced(arrays, lever)
+        tilt = balanced_tilt(forces, lever)
+        at_fixed_tilt = jax.jvp(lambda arrays: tangent(arrays, tilt), (arrays,), (d_arrays,))[1]
+        d_tilt = jax.jvp(balanced_tilt, (forces, lever), (at_fixed_tilt, d_lever))[1]
+        return forces, jax.jvp(tangent, (arrays, tilt), (d_arrays, d_tilt))[1]
 
     found: Forces = balanced([leaves[number] for number in changing], contact.lever)
     return found

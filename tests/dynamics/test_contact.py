@@ -206,3 +206,26 @@ def test_a_law_must_declare_its_coefficients():
 
         class _Careless(LocalLaw):
             mu: float = 0.01
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("pressure", (0.01, 0.5)), ("radial", (0.01, 0.02, 0.03, 0.015))],
+)
+def test_second_derivatives_under_a_consistent_load(name, values):
+    # The load of `pressure` is found by iteration, that of `radial` in one step.
+    def found(x):
+        law, stone = LAWS[name].from_vector(x), Stone(h=x[-1])
+        return jnp.stack(accelerations(law, stone, "consistent", x[-3], x[-2]))
+
+    jacobian = jax.jit(jax.jacfwd(found))
+    at, step = np.array([*values, 1.3, 2.0, 0.07]), 1e-5
+    difference = np.stack(
+        [
+            (jacobian(at + change) - jacobian(at - change)) / (2 * step)
+            for change in step * np.eye(len(at))
+        ],
+        -1,
+    )
+    assert np.abs(difference).max() > 1
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(jacobian))(at), difference, rtol=0, atol=1e-7)
