@@ -16,6 +16,7 @@ from curlfit.output.figures import (
     ZERO_LINE,
     Picture,
     feet,
+    fix_layout,
     letter,
     line_styles,
     note_stretch,
@@ -92,7 +93,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
     dots.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     for axes, mark in ((path, "a"), (residual, "b")):
         letter(axes, mark, 0.45)
-    figure.draw_without_rendering()  # the layout, which the note depends on
+    fix_layout(figure)  # which the note depends on
     note_stretch(path)
     return figure
 

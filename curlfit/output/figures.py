@@ -288,6 +288,14 @@ def shrink(text: Any, max_width: float) -> None:
         text.set_fontsize(0.95 * text.get_fontsize())
 
 
+def fix_layout(figure: Figure) -> None:
+    """Lay out a figure for good: what is changed afterwards is to take as much room as before."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+    figure.set_layout_engine("none")
+
+
 def note_stretch(axes: Any) -> None:
     """Note in the label of the lower axis by how much the scale of the other is larger."""
     width, height = axes.get_figure().get_size_inches()

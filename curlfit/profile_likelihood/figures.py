@@ -17,6 +17,7 @@ from curlfit.output.figures import (
     WIDTH,
     ZERO_LINE,
     Picture,
+    fix_layout,
     line_styles,
     styled,
     title,
@@ -59,7 +60,7 @@ def _single_figure(profile: Profile) -> Figure:
     _others(profile, below)
     above.tick_params(labelbottom=False)
     title(above, _title(profile))
-    figure.draw_without_rendering()  # the layout, which the ticks depend on
+    fix_layout(figure)  # which the ticks depend on
     neat_axis(below.xaxis, *_label(profile.estimate, profile.name))
     return figure
 
