@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -155,14 +156,46 @@ def write_figures(
     folder: Path, figures: Mapping[str, Figure], formats: Sequence[str]
 ) -> list[Path]:
     """Write figures, by name, in each format; returns the files."""
+    files = {
+        folder / f"{name}.{format}": figure
+        for name, figure in figures.items()
+        for format in formats
+    }
+    saves = list(files.items())
+    if len(saves) > 1 and cores() > 1 and sys.platform == "linux" and "jax" not in sys.modules:
+        _save_side_by_side(saves)
+    else:
+        _save(saves)
+    return list(files)
+
+
+def _save(saves: Sequence[tuple[Path, Figure]]) -> None:
     from curlfit.output.figures import save_figure
 
-    written = []
-    for name, figure in figures.items():
-        for format in formats:
-            written.append(folder / f"{name}.{format}")
-            save_figure(figure, written[-1])
-    return written
+    for file, figure in saves:
+        save_figure(figure, file)
+
+
+def _save_side_by_side(saves: Sequence[tuple[Path, Figure]]) -> None:
+    """A share in this process, each of the others in a copy of it, and again here if that fails."""
+    count = min(cores(), len(saves))
+    own, *others = (saves[start::count] for start in range(count))
+    copies = {}
+    for share in others:
+        process = os.fork()  # without threads and programs, as this is done where JAX is not loaded
+        if not process:
+            try:
+                _save(share)
+                os._exit(0)
+            finally:
+                os._exit(1)
+        copies[process] = share
+    try:
+        _save(own)
+    finally:
+        failed = [share for process, share in copies.items() if os.waitpid(process, 0)[1]]
+    for share in failed:
+        _save(share)
 
 
 def remove_figure(folder: Path, name: str, keep: Sequence[Path] = ()) -> None:
