@@ -21,6 +21,7 @@ from curlfit.stone import Stone
 
 POINTS = 128
 """Of a path."""
+_STEP = 1e-4  # of a typical size, for differences
 
 
 def vectors_of(model: Model) -> int:
@@ -49,7 +50,7 @@ def accelerations_along(
     return np.asarray(found)
 
 
-def with_slopes(
+def accelerations_and_slopes(
     model: Model, coefficients: Floats, typical: Floats, stones: Stone, paths: Floats, batch: int
 ) -> tuple[Floats, Floats]:
     """The same for one vector a throw, and the derivatives by its coefficients.
@@ -72,9 +73,6 @@ def with_slopes(
     found = accelerations_along(model, everywhere, stones, paths, batch)
     first = found[:, 0]
     return first, np.moveaxis(found[:, 1 : k + 1] - first[:, None], 1, -1) / step
-
-
-_STEP = 1e-4  # of a typical size
 
 
 @compiled("law", "load")

@@ -12,7 +12,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, NamedTuple
 
-from curlfit.inference.forces import POINTS, with_slopes
+from curlfit.inference.forces import POINTS, accelerations_and_slopes
 
 # isort: split
 import jax
@@ -124,7 +124,7 @@ def start_values(
     for _ in range(3):
         here: Any = jax.tree.map(lambda leaf, going=going: leaf[going], (problems, path, moving))
         nominal = found[going, :k]
-        a, by_coefficient = with_slopes(
+        a, by_coefficient = accelerations_and_slopes(
             model, nominal, typical, here[0].stone, here[2].measured, batch
         )
         linear = (by_coefficient @ nominal[:, None, :, None])[..., 0]

@@ -13,7 +13,7 @@ from curlfit.comparison.compare import plan
 from curlfit.dynamics.contact import accelerations
 from curlfit.friction import LOADS, LocalLaw
 from curlfit.friction.family import family_of
-from curlfit.inference.forces import POINTS, vectors_of, with_slopes
+from curlfit.inference.forces import POINTS, accelerations_and_slopes, vectors_of
 from curlfit.inference.model import Model
 from curlfit.numerics.compiled import stacked
 
@@ -127,7 +127,9 @@ def test_forces_along_a_path_and_their_slopes(name, family):
     model, values = Model(law, "uniform", family=family), coefficients(law)
     path = np.stack([np.linspace(2, 0.2, POINTS), np.full(POINTS, 1.2), *np.zeros((2, POINTS))])
     typical = np.array([item.typical for item in law.coefficients()])
-    found, slopes = with_slopes(model, values[None], typical, stacked([STONE]), path[None], 1)
+    found, slopes = accelerations_and_slopes(
+        model, values[None], typical, stacked([STONE]), path[None], 1
+    )
     assert vectors_of(model) == 1 + len((family or law).coefficients())
     for point in (0, 50, POINTS - 1):
         there = path[:, point]
