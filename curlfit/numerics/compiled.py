@@ -366,6 +366,7 @@ def _load(file: Path, leaves: list[Any]) -> tuple[_Program, Any] | None:
         program = _Program(run, pickle.loads(structure))
         result = jax.block_until_ready(program(leaves))
         AHEAD.note(file)
+        return_memory()
         return program, result
     return None
 
