@@ -95,6 +95,9 @@ def _without_data(words: list[str]) -> str:
     )
 
 
+_INTERRUPTED = 130
+
+
 def main() -> None:
     """Run the command; errors of the input become one sentence and an exit status."""
     # NumPy is not loaded yet. Its matrices here are small: threads would wait for one another.
@@ -108,9 +111,11 @@ def main() -> None:
     except CurlfitError as error:
         print(f"curlfit: {error}", file=sys.stderr)
         sys.exit(error.exit_status)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit) as stop:  # typer ends upon Ctrl-C without a word
+        if isinstance(stop, SystemExit) and stop.code != _INTERRUPTED:
+            raise
         print("curlfit: stopped", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(_INTERRUPTED)
     except OSError as error:
         # Unprinted output is dropped, or Python would try to write it again on exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

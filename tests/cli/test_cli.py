@@ -8,11 +8,12 @@ import sys
 
 import numpy as np
 import pytest
+import typer
 from conftest import DATA, process
 from conftest import command as curlfit
 from sample_files import PIXELS, PLAIN, SAMPLES, known_points
 
-from curlfit import load_chain, load_fit, load_throw
+from curlfit import cli, load_chain, load_fit, load_throw
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -232,6 +233,38 @@ def test_help_and_refusals_load_no_jax(tmp_path):
     )
     assert run.returncode == 0, run.stderr
     assert run.stdout.count("Usage: ") == 4
+
+
+def test_ctrl_c_is_answered_by_a_word(monkeypatch, capsys):
+    app = typer.Typer()
+
+    @app.command()
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "app", app)
+    monkeypatch.setattr(sys, "argv", ["curlfit"])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert stop.value.code == 130
+    assert capsys.readouterr().err == "curlfit: stopped\n"
+
+
+def test_the_process_ends_with_the_status_of_the_command_and_all_it_printed(tmp_path):
+    code = (
+        "import sys, threading, time\n"
+        "import curlfit.__main__ as process\n"
+        "def main():\n"
+        "    threading.Thread(target=lambda: (time.sleep(0.3), print('stored'))).start()\n"
+        "    print('done')\n"
+        "    sys.exit(2)\n"
+        "process.main = main\n"
+        "process.run()\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (run.returncode, run.stdout, run.stderr) == (2, "done\nstored\n", "")
 
 
 def test_check_shows_what_was_understood(tmp_path):
