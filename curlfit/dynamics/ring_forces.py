@@ -450,9 +450,10 @@ def _about_balance(law: LocalLaw, ring: list[Panel], contact: Contact) -> Forces
 
     def tangent(arrays: list[Array], tilt: Array) -> Forces:
         """As forces under the loads 1, xi and eta."""
+        now = list(leaves)
         for number, array in zip(changing, arrays, strict=True):
-            leaves[number] = array
-        law, ring = jax.tree.unflatten(tree, leaves)
+            now[number] = array
+        law, ring = jax.tree.unflatten(tree, now)
 
         def force(tilt: Array) -> Array:
             return jnp.stack(_under_load(law, ring, (tilt[0], tilt[1]), contact))
@@ -467,7 +468,7 @@ def _about_balance(law: LocalLaw, ring: list[Panel], contact: Contact) -> Forces
         def iterate(carry: tuple[Any, ...]) -> tuple[Any, ...]:
             tilt, _, _, count = carry
             forces = tangent(arrays, tilt)
-            after = balanced_tilt(forces, lever)
+            after = _solved_tilt(forces, lever)  # on the way it may be larger than any load's
             return after, forces, jnp.abs(after - tilt).max(0), count + 1
 
         def unbalanced(carry: tuple[Any, ...]) -> Array:
@@ -499,9 +500,13 @@ def balanced_tilt(forces: Forces, lever: Array) -> Array:
 
     On a thin ring eq. 8 reads `(p, q) = -2 (h/R) T/(m g)`.
     """
+    tilt = _solved_tilt(forces, lever)
+    return jnp.where((tilt**2).sum(0) <= 1, tilt, jnp.nan)
+
+
+def _solved_tilt(forces: Forces, lever: Array) -> Array:
     constant, by_p, by_q = forces
     f, g = lever * constant[0], lever * constant[1]
     a, b = 1 + lever * by_p[0], lever * by_q[0]
     c, d = lever * by_p[1], 1 + lever * by_q[1]
-    tilt = -jnp.stack([d * f - b * g, a * g - c * f]) / (a * d - b * c)
-    return jnp.where((tilt**2).sum(0) <= 1, tilt, jnp.nan)
+    return -jnp.stack([d * f - b * g, a * g - c * f]) / (a * d - b * c)

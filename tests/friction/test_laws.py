@@ -337,6 +337,14 @@ def test_force_and_normal_moment_and_the_upward_make_a_right_triple(name, values
     assert np.hypot(*moment) == pytest.approx(STONE.h / STONE.R * size, rel=1e-10)
 
 
+def test_a_load_is_found_though_a_step_towards_it_goes_too_far():
+    # From the uniform load, Newton's first step is to a tilt beyond 1.
+    force = over_weight("pressure", (0.6, 0.5), "consistent", 2.0, 0.5)
+    tilt = np.asarray(tilt_of_load(LAWS["pressure"](0.6, 0.5), STONE, 2.0, 0.5))
+    assert 0.9 < np.hypot(*tilt) < 1
+    np.testing.assert_allclose(tilt, -2 * STONE.h / STONE.R * force[:2], rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("name", "within", "beyond"),
     # without spin q = 2 (h/R) mu, and n >= 0 behind needs q <= 1
