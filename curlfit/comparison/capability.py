@@ -60,20 +60,19 @@ def sides_of_curl(
     omega = float(np.median(np.abs(result.fitted["omega"])))
     # half a radian after release, where a law that depends on the angle still does
     state = np.tile(np.array([v, omega, 0.5, 0.0])[:, None], POINTS)
-    model = Model(law, load, family=family if family and law in family.members else None)
-    xi, eta = _over_coefficients(model, grid, result.stone, state)[:, :2].T
+    model = Model(law, load).within(family)
+    xi, eta = _over_coefficients(model, grid, stacked([result.stone]), state)[:, :2].T
     sideways = np.where(eta < 0, xi / np.where(eta < 0, -eta, 1.0), 0.0)
     found = [("left", (sideways < -1e-9).any()), ("right", (sideways > 1e-9).any())]
     return tuple(side for side, possible in found if possible)
 
 
-def _over_coefficients(model: Model, grid: Floats, stone: Stone, state: Floats) -> Floats:
+def _over_coefficients(model: Model, grid: Floats, stones: Stone, state: Floats) -> Floats:
     """Accelerations in one state, shape (vectors, 3)."""
     vectors, size = vectors_of(model), vectors_of(model) * POINTS
     found = []
     for first in range(0, len(grid), size):
         part = grid[np.minimum(first + np.arange(size), len(grid) - 1)]
-        stones = stacked([stone])
         a = accelerations_along(
             model, part.reshape(1, vectors, POINTS, -1), stones, state[None], batch=1
         )

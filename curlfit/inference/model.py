@@ -21,6 +21,11 @@ class Model(NamedTuple):
     family: type[LawFamily] | None = None
     """of which the law is a member, where the programs of the family shall be used"""
 
+    def within(self, family: type[LawFamily] | None) -> Model:
+        """The model by the programs of a family, if its law is a member."""
+        member = family is not None and self.law in family.members
+        return self._replace(family=family) if member else self
+
     @property
     def of_program(self) -> Model:
         """The model as a program has it, to be called with `vector` in place of parameters."""

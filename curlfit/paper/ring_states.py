@@ -17,6 +17,7 @@ from jax import Array
 
 from curlfit.friction import Law, LocalLaw
 from curlfit.friction.family import LawFamily
+from curlfit.inference.model import Model
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import compiled
 from curlfit.stone import GRAVITY, Stone
@@ -109,8 +110,8 @@ def ring_states(
     v, omega : speed (m/s) and spin (1/s), shape (n,).
     family : of which the law is a member, whose program then serves it.
     """
-    n, kind = len(v), family or law
-    values = values if family is None else family.vector(law, values)
+    n, model = len(v), Model(law, "consistent").within(family)
+    kind, values = model.of_program.law, model.vector(values)
     batches = []
     for begin in range(0, n, BATCH):
         rows = np.minimum(np.arange(begin, begin + BATCH), n - 1)  # equal shapes, one program

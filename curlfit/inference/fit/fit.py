@@ -135,8 +135,7 @@ def fit(
         throw, law, stone, since=since, until=until, exclude=exclude, swept=swept, fix=fix,
         bounds=bounds, unbounded=unbounded, free=free, priors=priors,
     )  # fmt: skip
-    own = family if family is not None and law in family.members else None
-    model = Model(law, load, prepared.parameters.conditions, own)
+    model = Model(law, load, prepared.parameters.conditions).within(family)
     rounds = Rounds(model, [prepared], loss=loss, noise=noise)
     found = _fitted_alone(rounds, start)
     result = summarize(found, widths_of(model, systematics))
