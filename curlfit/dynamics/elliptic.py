@@ -1,10 +1,10 @@
 """Sums over the ring in closed form, for friction that is linear in the direction of sliding.
 
-Under such a law, `t = -n M v/|v|` with a constant tensor M on each half of the ring (front-back,
-tensor, Coulomb's), the force of the ring follows from twelve means of the direction of sliding. In
-units of the larger of the two speeds `v` and `|u| = R |omega|`, with `q` the smaller one and `c`
-the cosine of the angle from the fastest point, the sliding speed is `rho = sqrt(1 + q^2 + 2 q c)`.
-Over a half ring
+Under such a law, `t = -n M v/|v|` with a tensor M that is a polynomial of the place on each half of
+the ring (`ring_polynomials`), the force of the ring follows from ten means of the direction of
+sliding. In units of the larger of the two speeds `v` and `|u| = R |omega|`, with `q` the smaller
+one and `c` the cosine of the angle from the fastest point, the sliding speed is
+`rho = sqrt(1 + q^2 + 2 q c)`. Over a half ring
 
 - means odd in `eta` are integrals of polynomials of c over rho, and `1/rho = sum (-q)^n P_n(c)` is
   the generating function of Legendre's polynomials (DLMF 18.12.11);
@@ -73,39 +73,22 @@ def _(inputs: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Any, Any]:
 
 
 class Means(NamedTuple):
-    """Half-ring means (integrals over the front half, by 2 pi) of one component of the direction of
-    sliding, times 1, xi, eta, xi^2, xi eta and eta^2.
-
-    On the back half those that are odd in eta have the other sign.
-    """
+    """Half-ring means (integrals over the front half, by 2 pi) of one component of a vector, times
+    1, xi, xi^2, eta and xi eta."""
 
     one: Array
     xi: Array
-    eta: Array
     xi_xi: Array
+    eta: Array
     xi_eta: Array
-    eta_eta: Array
-
-    def under(self, number: int) -> Means:
-        """Means of 1, xi and eta under one of the loads 1, xi and eta."""
-        one, xi, eta = (
-            (self.one, self.xi, self.eta),
-            (self.xi, self.xi_xi, self.xi_eta),
-            (self.eta, self.xi_eta, self.eta_eta),
-        )[number]
-        return self._replace(one=one, xi=xi, eta=eta)
-
-    def loaded(self, p: Any, q: Any) -> Means:
-        """Means of 1, xi and eta under the load 1 + p xi + q eta."""
-        parts = zip(*(self.under(number) for number in range(3)), strict=True)
-        return Means(*(one + p * xi + q * eta for one, xi, eta in parts))
 
 
 def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:
     """Means of the directions of sliding, to the right and forward, on the front half.
 
-    `v >= 0` is the speed of the centre and `u = R omega`, of any shape. To the right those of 1,
-    xi, xi^2 and eta^2 are odd in eta, forward those of eta and xi eta. Zero for a stone at rest.
+    `v >= 0` is the speed of the centre and `u = R omega`, of any shape. On the back half those that
+    are odd in eta have the other sign: to the right those of 1, xi and xi^2, forward those of eta
+    and xi eta. Zero for a stone at rest.
     """
     s = jnp.where(u >= 0, 1.0, -1.0)
     au = s * u
@@ -125,29 +108,27 @@ def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:
     cc = (B + (2 + m) * D) * (1 / 3)
     c_ss = q * ((1 + m) * (G + 2 * D) * (1 / 15) - 2 / 5 * D)
     ccc = -q * D - c_ss
-    forward_one = jnp.where(translating, B + H, q * B)
     forward = Means(
-        one=forward_one,
+        one=jnp.where(translating, B + H, q * B),
         xi=s * jnp.where(translating, q * (B - H), B + 2 * H) * (1 / 3),
-        eta=V * odd_1 + U * odd_c,
         xi_xi=V * cc + U * ccc,
+        eta=V * odd_1 + U * odd_c,
         xi_eta=s * (V * odd_c + U * odd_cc),
-        eta_eta=forward_one - V * cc - U * ccc,
     )
     right = Means(
         one=-s * U * odd_1,
         xi=-U * odd_c,
-        eta=-s * U * (2 * B + H) * (1 / 3),
         xi_xi=-s * U * odd_cc,
+        eta=-s * U * (2 * B + H) * (1 / 3),
         xi_eta=-U * c_ss,
-        eta_eta=-s * U * (odd_1 - odd_cc),
     )
     return right, forward
 
 
-def on_half(right: Means, forward: Means, front: float) -> tuple[Means, Means]:
-    """The means on the front half (1.0) or the back half (0.0)."""
-    if front:
-        return right, forward
-    odd = right._replace(one=-right.one, xi=-right.xi, xi_xi=-right.xi_xi, eta_eta=-right.eta_eta)
-    return odd, forward._replace(eta=-forward.eta, xi_eta=-forward.xi_eta)
+def mean_velocities(v: Array, u: Array) -> tuple[Means, Means]:
+    """Means of the velocity of sliding (-u eta, v + u xi) in m/s, as `mean_directions`."""
+    half, pi = (part + jnp.zeros_like(v) for part in (0.5, jnp.pi))
+    none = jnp.zeros_like(v)
+    right = Means(one=-u / pi, xi=none, xi_xi=-u / (3 * pi), eta=-u / 4, xi_eta=none)
+    forward = Means(one=v * half, xi=u / 4, xi_xi=v / 4, eta=v / pi, xi_eta=u / (3 * pi))
+    return right, forward

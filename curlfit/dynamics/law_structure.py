@@ -145,32 +145,6 @@ def _close(a: Any, b: Any) -> bool:
 
 
 @cache
-def is_piecewise_tensor(kind: type[LocalLaw], load: Load) -> bool:
-    """Whether traction on each half is a constant tensor times the direction of sliding."""
-    law = example_law(kind)
-    if any(law.edges(1.0)):
-        return False
-    free = {"front", "turned", "time", "e_xi", "e_eta"}
-    free |= {"load"} if load == "uniform" else set()
-    names = ["e_xi", "e_eta", *(name for name in RingPoint._fields if name not in free)]
-
-    def traction(*values: Array) -> Any:
-        return law.traction(UNIT_POINT._replace(**dict(zip(names, values, strict=True))))
-
-    if not _is_linear(traction, 2, len(names) - 2):
-        return False
-    with jax.ensure_compile_time_eval():
-        for point in (sample_points(1.0), sample_points(0.0)):
-            across, along = (
-                law.traction(point._replace(e_xi=e_xi, e_eta=1.0 - e_xi)) for e_xi in (1.0, 0.0)
-            )
-            for part, right, forward in zip(law.traction(point), across, along, strict=True):
-                if not _close(part, right * point.e_xi + forward * point.e_eta):
-                    return False
-    return True
-
-
-@cache
 def is_mirror_symmetric(kind: type[LocalLaw], load: Load) -> bool:
     """Whether friction behind is the mirror image of that in front, as under an isotropic law."""
     law = example_law(kind)

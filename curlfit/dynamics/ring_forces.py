@@ -1,7 +1,7 @@
 """Net friction of the contact ring, and its derivatives.
 
-A local law is summed over the ring (eq. 2): in closed form where tracing shows that it is linear in
-the direction of sliding (`elliptic`), by Gauss quadrature otherwise (`quadrature`).
+A local law is summed over the ring (eq. 2): in closed form where it is a polynomial of the place on
+the ring (`ring_polynomials`), by Gauss quadrature otherwise (`quadrature`).
 
 Under a consistent load `n/n0 = 1 + p xi + q eta` (eq. 9) the force is linear in p and q, so that it
 is given by those under the loads 1, xi and eta. Of a law that itself depends on the load they are
@@ -14,15 +14,13 @@ how these change with its motion.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from operator import methodcaller
+from functools import partial
 from typing import Any, NamedTuple
 
 from curlfit.dynamics.law_structure import (
-    UNIT_POINT,
     depends_on_load,
     example_law,
     is_mirror_symmetric,
-    is_piecewise_tensor,
 )
 
 # isort: split
@@ -32,8 +30,10 @@ import numpy as np
 from jax import Array
 from jax.custom_batching import custom_vmap
 
-from curlfit.dynamics.elliptic import Means, mean_directions, on_half
+from curlfit.dynamics import ring_polynomials
+from curlfit.dynamics.elliptic import mean_directions, mean_velocities
 from curlfit.dynamics.quadrature import GAUSS_WEIGHTS, NodeClustering, Panel, panels
+from curlfit.dynamics.ring_polynomials import ETA, XI, Term, terms_of
 from curlfit.friction import Law, Load, LocalLaw
 from curlfit.friction.family import LawFamily
 
@@ -96,12 +96,19 @@ class Contact(NamedTuple):
     @property
     def closed(self) -> list[type[LocalLaw]]:
         """Those whose sum over the ring has a closed form."""
-        return [law for law in self.laws if is_piecewise_tensor(law, self.load)]
+        return [law for law in self.laws if terms_of(law, self.load)]
 
     @property
     def summed(self) -> list[type[LocalLaw]]:
         """The others, which are summed over points."""
-        return [law for law in self.laws if not is_piecewise_tensor(law, self.load)]
+        return [law for law in self.laws if not terms_of(law, self.load)]
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The terms of the tractions in closed form."""
+        return tuple(
+            dict.fromkeys(term for law in self.closed for term in terms_of(law, self.load))
+        )
 
     @property
     def loads(self) -> int:
@@ -139,20 +146,17 @@ def ring_forces(contact: Contact) -> Forces:
     """Net friction of the ring."""
     parts = []
     if contact.closed:
+        terms = contact.terms
 
-        def tensor(law: type[LocalLaw], own: Values) -> Values:
+        def coefficients(law: type[LocalLaw], own: Values) -> Values:
             if law not in contact.closed:
-                return (contact.zeros(),) * 8
-            return _tensor(law.from_vector(own), contact.motion)
+                return (contact.zeros(),) * len(terms)
+            return _coefficients(law.from_vector(own), contact.motion, contact.load, terms)
 
-        traction = contact.of_law(tensor)
-        means = mean_directions(contact.motion.v, contact.motion.u)
-        parts.append(
-            tuple(
-                _in_closed_form(traction, means, methodcaller("under", number))
-                for number in range(contact.loads)
-            )
-        )
+        means = _means(contact.motion.v, contact.motion.u)
+        form = partial(_in_closed_form, terms, contact.of_law(coefficients), means)
+        loads = (1.0, XI, ETA)[: contact.loads]
+        parts.append(tuple(form(load, constant=number == 0) for number, load in enumerate(loads)))
     if contact.summed:
         shared = _shared_ring(contact)
 
@@ -187,55 +191,53 @@ def _total(parts: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *values: sum(values[1:], values[0]), *parts)
 
 
-def _tensor(law: LocalLaw, motion: RingMotion) -> Values:
-    """Traction per unit load for sliding to the right (xi, eta) and forward (xi, eta), in front and
-    behind."""
-    found: list[Any] = []
-    for front in (1.0, 0.0):
-        point = UNIT_POINT._replace(front=front, turned=motion.turned, time=motion.time)
-        found += law.traction(point._replace(e_xi=1.0, e_eta=0.0))
-        found += law.traction(point._replace(e_xi=0.0, e_eta=1.0))
-    return tuple(part + jnp.zeros_like(motion.v) for part in found)
+def _coefficients(law: LocalLaw, motion: RingMotion, load: Load, terms: tuple[Term, ...]) -> Values:
+    """Of the terms of the traction, for each motion."""
+    found = ring_polynomials.coefficients(law, load, terms, motion.turned, motion.time)
+    return tuple(value + jnp.zeros_like(motion.v) for value in found)
 
 
 def _in_closed_form(
-    tensor: Values, means: tuple[Means, Means], under_load: Callable[[Means], Means]
+    terms: tuple[Term, ...], coefficients: Values, means: Any, load: Any, *, constant: bool = True
 ) -> Values:
-    """Linear in the tensor, and in the means."""
-    t_xi = t_eta = moment = jnp.zeros(())
-    for half, front in enumerate((1.0, 0.0)):
-        to_right, ahead = map(under_load, on_half(*means, front))
-        right_xi, right_eta, forward_xi, forward_eta = tensor[4 * half : 4 * half + 4]
-        t_xi += right_xi * to_right.one + forward_xi * ahead.one
-        t_eta += right_eta * to_right.one + forward_eta * ahead.one
-        moment += right_eta * to_right.xi + forward_eta * ahead.xi
-        moment -= right_xi * to_right.eta + forward_xi * ahead.eta
-    return t_xi, t_eta, moment
+    """Linear in the coefficients, and in the means; `load` and `constant` as in `Force.under`."""
+    total: Values = (jnp.zeros(()),) * 3
+    for front in (1.0, 0.0):
+        force = ring_polynomials.force(terms, coefficients, front).under(load, constant=constant)
+        parts = (ring_polynomials.mean(part, means, front) for part in force)
+        total = tuple(sum_ + part for sum_, part in zip(total, parts, strict=True))
+    return total
+
+
+def _means(v: Array, u: Array) -> Any:
+    return mean_directions(v, u), mean_velocities(v, u)
 
 
 def _slopes_in_closed_form(
     contact: Contact, tilt: Tilt, own: tuple[int, ...], moving: tuple[int, ...]
 ) -> list[Slopes]:
-    def tensor_and_rows(law: type[LocalLaw], coefficients: Values) -> tuple[Values, Values]:
+    terms = contact.terms
+
+    def coefficients_and_rows(law: type[LocalLaw], values: Values) -> tuple[Values, Values]:
         if law not in contact.closed:
-            return (contact.zeros(),) * 8, (contact.zeros(len(own)),) * 8
-        found: tuple[Values, Values] = _OwnInputs.of(contact, law, coefficients, own).derivatives(
-            _tensor
+            return (contact.zeros(),) * len(terms), (contact.zeros(len(own)),) * len(terms)
+        found: tuple[Values, Values] = _OwnInputs.of(contact, law, values, own).derivatives(
+            partial(_coefficients, load=contact.load, terms=terms)
         )
         return found
 
-    def form(tensor: Values, means: tuple[Means, Means]) -> Values:
-        load = methodcaller("under", 0) if tilt is None else methodcaller("loaded", *tilt)
-        return _in_closed_form(tensor, means, load)
+    def form(coefficients: Values, means: Any) -> Values:
+        load = 1.0 if tilt is None else 1 + tilt[0] * XI + tilt[1] * ETA
+        return _in_closed_form(terms, coefficients, means, load)
 
-    tensor, rows = contact.of_law(tensor_and_rows)
+    coefficients, rows = contact.of_law(coefficients_and_rows)
     place = contact.motion.v, contact.motion.u
     slopes = []
     if own:
-        slopes.append(Slopes(own, jax.vmap(form, (0, None))(rows, mean_directions(*place))))
+        slopes.append(Slopes(own, jax.vmap(form, (0, None))(rows, _means(*place))))
     if moving:
-        _, changes = _along(mean_directions, place, _directions(contact, moving))
-        slopes.append(Slopes(moving, jax.vmap(form, (None, 0))(tensor, changes)))
+        _, changes = _along(_means, place, _directions(contact, moving))
+        slopes.append(Slopes(moving, jax.vmap(form, (None, 0))(coefficients, changes)))
     return slopes
 
 

@@ -295,8 +295,9 @@ class LocalLaw(Law, ABC):
     """A law of friction at a point of the contact ring (eq. 3-5).
 
     A subclass defines `traction`, which curlfit integrates over the ring. The traction may be
-    discontinuous between the front and the back half, and at the angles of `edges`. Where it is a
-    constant tensor times (`e_xi`, `e_eta`) on each half, the integral is in closed form.
+    discontinuous between the front and the back half, and at the angles of `edges`. Where on each
+    half it is a polynomial in `xi` and `eta`, up to the second order, times the direction or the
+    velocity of sliding, the integral is in closed form.
 
     Examples
     --------

@@ -31,6 +31,7 @@ from curlfit.throws.throw import last_motion
 
 _BLOCKS = 64  # of rows that a throw is condensed to
 _DEGREE = 5
+_NOTHING = 1e-13  # of the longest column of a matrix, below which another is but rounding
 _USUAL_SPEED = 2.0  # m/s, where nothing tells it
 
 
@@ -271,7 +272,7 @@ def _bounded_least_squares(matrix: Floats, right: Floats, low: Floats, high: Flo
     """Linear least squares of many throws, the smallest solution where several fit, held within
     bounds."""
     size = np.linalg.norm(matrix, axis=1)
-    size[size == 0] = 1.0
+    size[size <= _NOTHING * size.max(1, keepdims=True)] = np.inf  # has no effect: 0
     held = np.full_like(low, np.nan)
     solution = np.zeros_like(low)
     for _ in range(low.shape[1]):

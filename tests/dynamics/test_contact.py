@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,8 @@ from scipy.special import ellipe, ellipk
 
 from curlfit import LAWS, LocalLaw, Stone, coefficient
 from curlfit.dynamics.contact import accelerations
+from curlfit.dynamics.law_structure import sample_points
+from curlfit.dynamics.ring_polynomials import coefficients, terms_of
 from curlfit.friction import Edges, RingPoint, power
 from curlfit.friction.base import on_new_law
 
@@ -63,23 +66,41 @@ def test_front_back_agrees_with_a_dense_ring(load, omega, tolerance):
 
 
 def _as_written(kind):
-    """The same law in other words, which do not say that it is linear in the direction."""
+    """The same law in other words, which no algebra with polynomials follows."""
 
     def traction(law, point):
+        speed = (point.slide_xi**2 + point.slide_eta**2) ** 0.5
         turned = point._replace(
-            e_xi=point.slide_xi / point.speed, e_eta=point.slide_eta / point.speed
+            e_xi=point.slide_xi / speed, e_eta=point.slide_eta / speed, speed=speed
         )
         return kind.traction(law, turned)
 
     return type(f"Written{kind.__name__}", (kind,), {"traction": traction, "name": ""})
 
 
-@pytest.mark.parametrize("load", ["uniform", "consistent"])
-@pytest.mark.parametrize("name", ["front-back", "tensor", "coulomb"])
+CLOSED = {
+    "uniform": {
+        "front-back", "tensor", "coulomb", "radial", "angular", "pressure", "stribeck"
+    },
+    "consistent": {"front-back", "tensor", "coulomb", "stribeck"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("load", CLOSED)
+def test_laws_with_a_closed_form(load):
+    ring = {name for name, law in LAWS.items() if issubclass(law, LocalLaw)}
+    assert {name for name in ring if terms_of(LAWS[name], load)} == CLOSED[load]
+
+
+@pytest.mark.parametrize(
+    ("name", "load"), [(name, load) for load, names in CLOSED.items() for name in sorted(names)]
+)
 def test_closed_form_and_quadrature_agree_with_all_derivatives(name, load):
     kind = LAWS[name]
     written = _as_written(kind)
     on_new_law[0](written)  # a law without a name is entered by hand
+    assert terms_of(kind, load)
+    assert not terms_of(written, load)
     values = np.array([0.004, 0.05, 0.012, 0.006][: len(kind.coefficients())])
     values = np.array([0.02, 0.009, 0.003]) if name == "tensor" else values
 
@@ -92,6 +113,49 @@ def test_closed_form_and_quadrature_agree_with_all_derivatives(name, load):
         p = np.array([*values, STONE.R, v, omega])
         for closed, summed in zip(both(p, kind), both(p, written), strict=True):
             np.testing.assert_allclose(closed, summed, rtol=1e-8, atol=1e-9)
+
+
+@pytest.mark.parametrize("front", [1.0, 0.0])
+@pytest.mark.parametrize("name", sorted(CLOSED["uniform"]))
+def test_polynomials_are_the_traction_at_every_point(name, front):
+    kind = LAWS[name]
+    law = kind.from_vector([0.3 + 0.1 * k for k, _ in enumerate(kind.coefficients())])
+    terms, point = terms_of(kind, "uniform"), sample_points(front)
+    total = [0.0, 0.0]
+    for term, value in zip(terms, coefficients(law, "uniform", terms, 0.4, 2.0), strict=True):
+        if term.front == front:
+            fields = term.powers._asdict().items()
+            total[term.component] += value * math.prod(getattr(point, f) ** n for f, n in fields)
+    np.testing.assert_allclose(total, law.traction(point), rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "beyond",
+    [
+        lambda p: p.angle * p.e_xi,
+        lambda p: abs(p.eta) * p.e_xi,
+        lambda p: p.e_xi if p.eta > 0 else -p.e_xi,
+        lambda p: p.e_xi if p.xi == 0.5 else -p.e_xi,
+        lambda p: np.where(p.xi == 0.5, 1.0, 2.0) * p.e_xi,
+        lambda p: np.asarray(p.xi) * p.e_xi,
+        lambda p: np.hypot(p.slide_xi, p.slide_eta) * p.e_xi,
+        lambda p: p.e_xi / p.eta,
+        lambda p: p.e_xi / (1 + p.speed),
+        lambda p: p.e_xi**1.5,
+        lambda p: p.e_xi * p.e_eta,
+        lambda p: p.e_xi * p.speed**2,
+        lambda p: p.e_xi * p.xi**3,
+        lambda p: p.e_xi.shape,
+    ],
+)
+def test_friction_beyond_polynomials_has_no_closed_form(beyond):
+    class Beyond(LocalLaw):
+        mu: float = coefficient(0.01, "")
+
+        def traction(self, point):
+            return -self.mu * beyond(point), -self.mu * point.e_eta
+
+    assert not terms_of(Beyond, "uniform")
 
 
 # How friction departs from Coulomb's: share added to its coefficient, and a pull to the right and
@@ -114,7 +178,7 @@ UNEVEN = {
 
 
 @pytest.mark.parametrize("uneven", UNEVEN)
-def test_friction_that_is_not_linear_in_the_direction_is_summed_point_by_point(uneven):
+def test_any_friction_is_summed(uneven):
     class Uneven(LocalLaw):
         mu: float = coefficient(0.01, "")
 
@@ -142,6 +206,8 @@ def test_friction_that_is_not_linear_in_the_direction_is_summed_point_by_point(u
     exact = t_xi.mean(), t_eta.mean(), (np.cos(a) * t_eta - np.sin(a) * t_xi).mean()
     found = over_weight(Uneven(0.01), "uniform", v, u / STONE.R)
     np.testing.assert_allclose(found, exact, rtol=2e-6, atol=1e-10)
+    closed = {"fast", "ahead", "in front", "asking Python"}
+    assert bool(terms_of(Uneven, "uniform")) == (uneven in closed)
 
 
 def test_first_order_law_is_the_limit_of_the_ring():

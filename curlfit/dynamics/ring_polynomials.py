@@ -1,0 +1,254 @@
+"""Friction as a polynomial of the place on the ring, found by evaluating the law with symbols.
+
+A law is arithmetic, so it takes polynomials in place of numbers. Where its traction is then a
+polynomial of `xi` and `eta` times the direction, or the velocity, of sliding, the sum over the ring
+has a closed form (`elliptic`). Any other operation, such as a root or a comparison, raises
+`TypeError`: the law is summed by quadrature.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from curlfit.friction import Load, LocalLaw, RingPoint
+
+_SAMPLES = 8  # of coefficients and motions, for which terms must cancel
+_ROUNDING = 1e-12
+_MEANS = {(0, 0): "one", (1, 0): "xi", (2, 0): "xi_xi", (0, 1): "eta", (1, 1): "xi_eta"}
+
+
+class Powers(NamedTuple):
+    """Exponents of a term."""
+
+    xi: int = 0
+    eta: int = 0
+    e_xi: int = 0
+    e_eta: int = 0
+    speed: int = 0
+    load: int = 0
+
+
+class Polynomial:
+    """A sum of terms, each a coefficient times powers; `eta^2` is written as `1 - xi^2`.
+
+    Coefficients are numbers or arrays. Speed and load may have negative exponents.
+    """
+
+    __array_ufunc__ = None  # leaves NumPy's operators to the ones below
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, terms: dict[Powers, Any]) -> None:
+        self.terms = terms
+
+    @classmethod
+    def of(cls, value: Any) -> Polynomial:
+        """A polynomial, or a number as one."""
+        if isinstance(value, Polynomial):
+            return value
+        if value is None or (isinstance(value, np.ndarray) and value.dtype.hasobject):
+            raise TypeError("expected a number")
+        return cls({Powers(): value})
+
+    def __add__(self, other: Any) -> Polynomial:
+        terms = dict(self.terms)
+        for powers, value in Polynomial.of(other).terms.items():
+            terms[powers] = terms[powers] + value if powers in terms else value
+        return Polynomial(terms)
+
+    def __mul__(self, other: Any) -> Polynomial:
+        total = Polynomial({})
+        for left, a in self.terms.items():
+            for right, b in Polynomial.of(other).terms.items():
+                total += _term(Powers(*map(sum, zip(left, right, strict=True))), a * b)
+        return total
+
+    def __truediv__(self, other: Any) -> Polynomial:
+        if not isinstance(other, Polynomial):
+            return self * (1 / other)
+        if len(other.terms) == 1:
+            ((powers, value),) = other.terms.items()
+            if powers == Powers(speed=powers.speed, load=powers.load):
+                return self * Polynomial({Powers(*(-power for power in powers)): 1 / value})
+        raise TypeError("a polynomial can be divided by a speed or a load only")
+
+    def __pow__(self, exponent: int) -> Polynomial:
+        if not isinstance(exponent, int):
+            raise TypeError("expected a whole number as the exponent of a polynomial")
+        product = Polynomial.of(1.0)
+        for _ in range(abs(exponent)):
+            product = product * self
+        return product if exponent >= 0 else 1.0 / product
+
+    def __neg__(self) -> Polynomial:
+        return self * -1.0
+
+    def __sub__(self, other: Any) -> Polynomial:
+        return self + -Polynomial.of(other)
+
+    def __rsub__(self, other: Any) -> Polynomial:
+        return -self + other
+
+    def __rtruediv__(self, other: Any) -> Polynomial:
+        return Polynomial.of(other) / self
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+    def _undecided(self, *_: Any) -> Any:
+        raise TypeError("a polynomial has no value")
+
+    __eq__ = __ne__ = __bool__ = __array__ = _undecided
+
+
+def _term(powers: Powers, value: Any) -> Polynomial:
+    if powers.eta < 2:
+        return Polynomial({powers: value})
+    one = powers._replace(eta=powers.eta - 2)
+    return _term(one, value) + _term(one._replace(xi=one.xi + 2), -value)
+
+
+def _symbol(**powers: int) -> Polynomial:
+    return Polynomial({Powers(**powers): 1.0})
+
+
+XI, ETA, _LOAD = _symbol(xi=1), _symbol(eta=1), _symbol(load=1)
+
+
+class Force(NamedTuple):
+    """Force to the right and forward and moment of the points of half a ring, as polynomials."""
+
+    xi: Polynomial
+    eta: Polynomial
+    moment: Polynomial
+
+    @classmethod
+    def of(cls, xi: Polynomial, eta: Polynomial) -> Force:
+        """With the moment (eq. 2)."""
+        return cls(xi, eta, XI * eta - ETA * xi)
+
+    def under(self, load: Any, *, constant: bool = True) -> Force:
+        """Under a load; `constant` says whether terms that do not depend on it are included."""
+        return Force(*(_under(part, load, constant) for part in self))
+
+
+def _under(part: Polynomial, load: Any, constant: bool) -> Polynomial:
+    total = Polynomial({})
+    for powers, value in part.terms.items():
+        term = Polynomial({powers._replace(load=0): value})
+        if powers.load:
+            total += term * load
+        elif constant:
+            total += term
+    return total
+
+
+def _traction(
+    law: LocalLaw, load: Load, front: float, turned: Any, time: Any
+) -> tuple[Polynomial, Polynomial]:
+    """Of the points of one half. Raises any exception where it is no polynomial."""
+    point = RingPoint(
+        xi=XI, eta=ETA, angle=None, front=front,
+        slide_xi=_symbol(e_xi=1, speed=1), slide_eta=_symbol(e_eta=1, speed=1),
+        speed=_symbol(speed=1), e_xi=_symbol(e_xi=1), e_eta=_symbol(e_eta=1),
+        load=1.0 if load == "uniform" else _LOAD, turned=turned, time=time,
+    )  # fmt: skip
+    factor = 1.0 if load == "uniform" else _LOAD  # traction is per unit load
+    across, along = law.traction(point)
+    return Polynomial.of(across) * factor, Polynomial.of(along) * factor
+
+
+class Term(NamedTuple):
+    """A term of the traction on the front half (1.0) or the back half (0.0)."""
+
+    front: float
+    component: int
+    """0 to the right, 1 forward"""
+    powers: Powers
+
+
+def coefficients(
+    law: LocalLaw, load: Load, terms: tuple[Term, ...], turned: Any, time: Any
+) -> list[Any]:
+    """Those of some terms, which may not all be of this law."""
+    halves = {front: _traction(law, load, front, turned, time) for front in (1.0, 0.0)}
+    return [halves[term.front][term.component].terms.get(term.powers, 0.0) for term in terms]
+
+
+def force(terms: tuple[Term, ...], values: Any, front: float) -> Force:
+    """That of one half, from the coefficients of its terms."""
+    parts = Polynomial({}), Polynomial({})
+    for term, value in zip(terms, values, strict=True):
+        if term.front == front:
+            parts[term.component].terms[term.powers] = value
+    return Force.of(*parts)
+
+
+def has_mean(powers: Powers) -> bool:
+    """Whether the mean of a term over half a ring has a closed form here."""
+    return (
+        (powers.xi, powers.eta) in _MEANS
+        and powers.e_xi + powers.e_eta == 1
+        and powers.speed in (0, 1)
+    )
+
+
+def mean(part: Polynomial, means: Any, front: float) -> Any:
+    """Mean over half a ring, of the terms that have one; the others cancel.
+
+    Parameters
+    ----------
+    means : by exponent of the speed, of the directions and of the velocities of sliding.
+    """
+    total = 0.0
+    for powers, value in part.terms.items():
+        if has_mean(powers):
+            field = _MEANS[powers.xi, powers.eta]
+            found = getattr(means[powers.speed][powers.e_eta], field)
+            # To the right the ring slides one way in front and the other way behind.
+            mirrored = (powers.eta + powers.e_xi) % 2 == 1 and not front
+            total = total - value * found if mirrored else total + value * found
+    return total
+
+
+@cache
+def terms_of(kind: type[LocalLaw], load: Load) -> tuple[Term, ...]:
+    """The terms of the traction of a law whose sum over the ring has a closed form; else none."""
+    found: tuple[Term, ...] = ()
+    with suppress(Exception):  # a law may do anything with the symbols
+        random = np.random.default_rng(0)
+        tried = {
+            _known_terms(kind.from_vector(list(random.uniform(0.1, 0.9, _size(kind)))), load,
+                         *map(float, random.uniform(0.0, 40.0, 2)))
+            for _ in range(_SAMPLES)
+        }  # fmt: skip
+        if len(tried) == 1:
+            (found,) = tried
+    return found
+
+
+def _size(kind: type[LocalLaw]) -> int:
+    return len(kind.coefficients())
+
+
+def _known_terms(law: LocalLaw, load: Load, turned: float, time: float) -> tuple[Term, ...]:
+    """Raises TypeError where a mean is missing that the force or the moment needs."""
+    if any(law.edges(turned)):
+        raise TypeError("friction jumps within half a ring")
+    terms = []
+    for front in (1.0, 0.0):
+        traction = _traction(law, load, front, turned, time)
+        loads = (1.0,) if load == "uniform" else (1.0, XI, ETA)
+        for part in (part for one in loads for part in Force.of(*traction).under(one)):
+            size = max(map(abs, part.terms.values()), default=0.0)
+            for powers, value in part.terms.items():
+                if abs(value) > _ROUNDING * size and not has_mean(powers):
+                    raise TypeError("a term has no mean in closed form")
+        for component, part in enumerate(traction):
+            if any(powers.load not in (0, 1) for powers in part.terms):
+                raise TypeError("expected a load that is linear in n")
+            terms += [Term(front, component, powers) for powers in part.terms if has_mean(powers)]
+    return tuple(terms)
