@@ -12,15 +12,8 @@ from typing import Any, NamedTuple
 
 from curlfit.dynamics.law_structure import depends_on_turned_and_time, example_law
 from curlfit.dynamics.quadrature import NodeClustering, node_clustering
-from curlfit.dynamics.ring_forces import (
-    Contact,
-    Forces,
-    RingMotion,
-    Values,
-    balanced_tilt,
-    ring_forces,
-    ring_slopes,
-)
+from curlfit.dynamics.ring_forces import Contact, ring_forces, ring_slopes
+from curlfit.dynamics.ring_sum import Forces, RingMotion, Values, balanced_tilt
 
 # isort: split
 import jax

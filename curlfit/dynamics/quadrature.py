@@ -135,53 +135,99 @@ def panels(
     arrays of shape `(NODES, *S)`.
     """
     clustering = node_clustering(v, u) if clustering is None else clustering
-    side, width, sinh_range, half_ring = clustering
-    slow, fast = v - side * u, v + side * u
-
-    def panel(nodes: Nodes, front: float) -> Panel:
-        # v + omega xi (eq. 16) and the square of the sliding speed, without cancellation
-        slide_eta = slow * nodes.square_cos + fast * nodes.square_sin
-        square = slow**2 * nodes.square_cos + fast**2 * nodes.square_sin
-        sliding = square > 0
-        inverse_speed = jnp.where(sliding, 1 / jnp.sqrt(jnp.where(sliding, square, 1.0)), 0.0)
-        sign = 2 * front - 1
-        slide_xi = -u * nodes.eta * sign  # eq. 16
-        points = RingPoint(
-            xi=nodes.xi,
-            eta=nodes.eta * sign,
-            angle=sign * (jnp.pi / 2 + side * (jnp.pi / 2 - 2 * nodes.half_angle)),
-            front=front,
-            slide_xi=slide_xi,
-            slide_eta=slide_eta,
-            speed=square * inverse_speed,
-            e_xi=slide_xi * inverse_speed,
-            e_eta=slide_eta * inverse_speed,
-            load=jnp.ones_like(nodes.xi),
-            turned=turned,
-            time=time,
-        )
-        return Panel(points, nodes.weight)
-
-    def node_variable(from_right: Array) -> Array:
-        """s at the magnitude of a polar angle, differentiable up to the ends of the half."""
-        inside = (from_right >= 0) & (from_right <= jnp.pi)
-        from_right = jnp.where(inside, from_right, jnp.clip(from_right, 0.0, jnp.pi))
-        b = jnp.where(side > 0, jnp.pi - from_right, from_right) / 2
-        return jnp.arcsinh(jnp.tan(b / 2) / width) / sinh_range
-
-    start, end = jnp.zeros_like(side), jnp.ones_like(side)
     ring = []
-    jumps = law.edges(turned)
     for front in halves:
-        angles = jumps.front if front else jumps.back
-        if not angles:
-            ring.append(panel(half_ring, front))
-            continue
-        limits = jnp.stack(
-            [node_variable((2 * front - 1) * angle + jnp.zeros_like(side)) for angle in angles]
-        )
-        ends = [start, *jnp.sort(limits, axis=0), end]
-        ring += [
-            panel(_nodes(side, width, sinh_range, low, high), front) for low, high in pairwise(ends)
+        parts = [
+            clustering.half_ring if whole else _nodes_between(ends, clustering)
+            for ends, whole in _parts(law, front, turned, clustering)
         ]
+        ring += [_panel(nodes, front, v, u, turned, time, clustering) for nodes in parts]
     return ring
+
+
+def angle_before_edges(
+    law: LocalLaw, turned: Array, clustering: NodeClustering, front: float
+) -> Array:
+    """A polar angle on a half between its slowest point and its first edge."""
+    (ends, _), *_ = _parts(law, front, turned, clustering)
+    return _angle_between(ends, front, clustering)
+
+
+def parts_beyond_edges(
+    law: LocalLaw, turned: Array, clustering: NodeClustering, front: float, v: Array, u: Array,
+    time: Array,
+) -> list[tuple[Array, Panel]]:  # fmt: skip
+    """The parts of a half beyond its first edge: a polar angle within, and the Gauss points."""
+    return [
+        (
+            _angle_between(ends, front, clustering),
+            _panel(_nodes_between(ends, clustering), front, v, u, turned, time, clustering),
+        )
+        for ends, _ in _parts(law, front, turned, clustering)[1:]
+    ]
+
+
+def _panel(
+    nodes: Nodes, front: float, v: Array, u: Array, turned: Array, time: Array,
+    clustering: NodeClustering,
+) -> Panel:  # fmt: skip
+    side = clustering.side
+    slow, fast = v - side * u, v + side * u
+    # v + omega xi (eq. 16) and the square of the sliding speed, without cancellation
+    slide_eta = slow * nodes.square_cos + fast * nodes.square_sin
+    square = slow**2 * nodes.square_cos + fast**2 * nodes.square_sin
+    sliding = square > 0
+    inverse_speed = jnp.where(sliding, 1 / jnp.sqrt(jnp.where(sliding, square, 1.0)), 0.0)
+    sign = 2 * front - 1
+    slide_xi = -u * nodes.eta * sign  # eq. 16
+    points = RingPoint(
+        xi=nodes.xi,
+        eta=nodes.eta * sign,
+        angle=_angle(nodes.half_angle, front, side),
+        front=front,
+        slide_xi=slide_xi,
+        slide_eta=slide_eta,
+        speed=square * inverse_speed,
+        e_xi=slide_xi * inverse_speed,
+        e_eta=slide_eta * inverse_speed,
+        load=jnp.ones_like(nodes.xi),
+        turned=turned,
+        time=time,
+    )
+    return Panel(points, nodes.weight)
+
+
+def _angle(half_angle: Array, front: float, side: Array) -> Array:
+    """The polar angle of a point."""
+    return (2 * front - 1) * (jnp.pi / 2 + side * (jnp.pi / 2 - 2 * half_angle))
+
+
+def _angle_between(ends: tuple[Array, Array], front: float, clustering: NodeClustering) -> Array:
+    """The polar angle in the middle of a part."""
+    low, high = ends
+    return jax.lax.stop_gradient(_angle((low + high) / 2, front, clustering.side))
+
+
+def _parts(
+    law: LocalLaw, front: float, turned: Array, clustering: NodeClustering
+) -> list[tuple[tuple[Array, Array], bool]]:
+    """The parts of a half between edges: half the angles from the slowest point at their ends, in
+    rising order, and whether it is the whole half."""
+    jumps = law.edges(turned)
+    start = jnp.zeros_like(clustering.side)
+    end = start + jnp.pi / 2
+    edges = []
+    for angle in jumps.front if front else jumps.back:
+        from_right = (2 * front - 1) * angle + start
+        inside = (from_right >= 0) & (from_right <= jnp.pi)  # differentiable up to the ends
+        from_right = jnp.where(inside, from_right, jnp.clip(from_right, 0.0, jnp.pi))
+        edges.append(jnp.where(clustering.side > 0, jnp.pi - from_right, from_right) / 2)
+    if len(edges) > 1:
+        edges = list(jnp.sort(jnp.stack(edges), axis=0))
+    return [(ends, not edges) for ends in pairwise((start, *edges, end))]
+
+
+def _nodes_between(ends: tuple[Array, Array], clustering: NodeClustering) -> Nodes:
+    side, width, sinh_range, _ = clustering
+    s = (jnp.arcsinh(jnp.tan(b / 2) / width) / sinh_range for b in ends)
+    return _nodes(side, width, sinh_range, *s)

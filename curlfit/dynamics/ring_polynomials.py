@@ -8,8 +8,10 @@ has a closed form (`elliptic`). Any other operation, such as a root or a compari
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +19,7 @@ import numpy as np
 from curlfit.friction import Load, LocalLaw, RingPoint
 
 _SAMPLES = 8  # of coefficients and motions, for which terms must cancel
+_ANGLES = 60  # on half a ring, at which friction between edges must be the same
 _ROUNDING = 1e-12
 _MEANS = {(0, 0): "one", (1, 0): "xi", (2, 0): "xi_xi", (0, 1): "eta", (1, 1): "xi_eta"}
 
@@ -130,7 +133,7 @@ class Force(NamedTuple):
         """With the moment (eq. 2)."""
         return cls(xi, eta, XI * eta - ETA * xi)
 
-    def under(self, load: Any, *, constant: bool = True) -> Force:
+    def under(self, load: Any, constant: bool = True) -> Force:
         """Under a load; `constant` says whether terms that do not depend on it are included."""
         return Force(*(_under(part, load, constant) for part in self))
 
@@ -146,12 +149,13 @@ def _under(part: Polynomial, load: Any, constant: bool) -> Polynomial:
     return total
 
 
-def _traction(
-    law: LocalLaw, load: Load, front: float, turned: Any, time: Any
+def traction(
+    law: LocalLaw, load: Load, front: float, angle: Any, turned: Any, time: Any
 ) -> tuple[Polynomial, Polynomial]:
-    """Of the points of one half. Raises any exception where it is no polynomial."""
+    """Of the points of one half; between two edges of a law, `angle` is any one between them.
+    Raises any exception where it is no polynomial."""
     point = RingPoint(
-        xi=XI, eta=ETA, angle=None, front=front,
+        xi=XI, eta=ETA, angle=angle, front=front,
         slide_xi=_symbol(e_xi=1, speed=1), slide_eta=_symbol(e_eta=1, speed=1),
         speed=_symbol(speed=1), e_xi=_symbol(e_xi=1), e_eta=_symbol(e_eta=1),
         load=1.0 if load == "uniform" else _LOAD, turned=turned, time=time,
@@ -159,32 +163,6 @@ def _traction(
     factor = 1.0 if load == "uniform" else _LOAD  # traction is per unit load
     across, along = law.traction(point)
     return Polynomial.of(across) * factor, Polynomial.of(along) * factor
-
-
-class Term(NamedTuple):
-    """A term of the traction on the front half (1.0) or the back half (0.0)."""
-
-    front: float
-    component: int
-    """0 to the right, 1 forward"""
-    powers: Powers
-
-
-def coefficients(
-    law: LocalLaw, load: Load, terms: tuple[Term, ...], turned: Any, time: Any
-) -> list[Any]:
-    """Those of some terms, which may not all be of this law."""
-    halves = {front: _traction(law, load, front, turned, time) for front in (1.0, 0.0)}
-    return [halves[term.front][term.component].terms.get(term.powers, 0.0) for term in terms]
-
-
-def force(terms: tuple[Term, ...], values: Any, front: float) -> Force:
-    """That of one half, from the coefficients of its terms."""
-    parts = Polynomial({}), Polynomial({})
-    for term, value in zip(terms, values, strict=True):
-        if term.front == front:
-            parts[term.component].terms[term.powers] = value
-    return Force.of(*parts)
 
 
 def has_mean(powers: Powers) -> bool:
@@ -196,59 +174,72 @@ def has_mean(powers: Powers) -> bool:
     )
 
 
-def mean(part: Polynomial, means: Any, front: float) -> Any:
-    """Mean over half a ring, of the terms that have one; the others cancel.
+def mean(part: Polynomial, of: Callable[[Powers], Any]) -> Any:
+    """Mean over a part of the ring, of the terms that have one; the others cancel."""
+    return sum(value * of(powers) for powers, value in part.terms.items() if has_mean(powers))
+
+
+def mean_of_half(means: Any, front: float, powers: Powers) -> Any:
+    """Of the place and sliding at the points of a half.
 
     Parameters
     ----------
-    means : by exponent of the speed, of the directions and of the velocities of sliding.
+    means : of the directions and of the velocities of sliding.
     """
-    total = 0.0
-    for powers, value in part.terms.items():
-        if has_mean(powers):
-            field = _MEANS[powers.xi, powers.eta]
-            found = getattr(means[powers.speed][powers.e_eta], field)
-            # To the right the ring slides one way in front and the other way behind.
-            mirrored = (powers.eta + powers.e_xi) % 2 == 1 and not front
-            total = total - value * found if mirrored else total + value * found
-    return total
+    found = getattr(means[powers.speed][powers.e_eta], _MEANS[powers.xi, powers.eta])
+    # To the right the ring slides one way in front and the other way behind.
+    mirrored = (powers.eta + powers.e_xi) % 2 == 1 and not front
+    return -found if mirrored else found
+
+
+def at_points(point: RingPoint, powers: Powers) -> Any:
+    """Place and sliding at the points of a part."""
+    sliding = ((point.e_xi, point.e_eta), (point.slide_xi, point.slide_eta))
+    place = (point.xi,) * powers.xi + (point.eta,) * powers.eta
+    return prod(place, start=sliding[powers.speed][powers.e_eta])
 
 
 @cache
-def terms_of(kind: type[LocalLaw], load: Load) -> tuple[Term, ...]:
-    """The terms of the traction of a law whose sum over the ring has a closed form; else none."""
-    found: tuple[Term, ...] = ()
+def has_closed_form(kind: type[LocalLaw], load: Load) -> bool:
+    """Whether the sum of a law over the ring has a closed form.
+
+    The law may have edges if its friction is the same between any two of them.
+    """
+    random = np.random.default_rng(0)
     with suppress(Exception):  # a law may do anything with the symbols
-        random = np.random.default_rng(0)
-        tried = {
-            _known_terms(kind.from_vector(list(random.uniform(0.1, 0.9, _size(kind)))), load,
-                         *map(float, random.uniform(0.0, 40.0, 2)))
-            for _ in range(_SAMPLES)
-        }  # fmt: skip
-        if len(tried) == 1:
-            (found,) = tried
-    return found
+        for farthest in (np.pi, 40.0) * (_SAMPLES // 2):
+            coefficients = random.uniform(0.1, 0.9, len(kind.coefficients()))
+            turned, time = random.uniform(-farthest, farthest), random.uniform(0.0, 40.0)
+            _check(kind.from_vector(list(coefficients)), load, turned, time)
+        return True
+    return False
 
 
-def _size(kind: type[LocalLaw]) -> int:
-    return len(kind.coefficients())
-
-
-def _known_terms(law: LocalLaw, load: Load, turned: float, time: float) -> tuple[Term, ...]:
+def _check(law: LocalLaw, load: Load, turned: float, time: float) -> None:
     """Raises TypeError where a mean is missing that the force or the moment needs."""
-    if any(law.edges(turned)):
-        raise TypeError("friction jumps within half a ring")
-    terms = []
+    jumps = law.edges(turned)
     for front in (1.0, 0.0):
-        traction = _traction(law, load, front, turned, time)
-        loads = (1.0,) if load == "uniform" else (1.0, XI, ETA)
-        for part in (part for one in loads for part in Force.of(*traction).under(one)):
-            size = max(map(abs, part.terms.values()), default=0.0)
-            for powers, value in part.terms.items():
-                if abs(value) > _ROUNDING * size and not has_mean(powers):
-                    raise TypeError("a term has no mean in closed form")
-        for component, part in enumerate(traction):
-            if any(powers.load not in (0, 1) for powers in part.terms):
-                raise TypeError("expected a load that is linear in n")
-            terms += [Term(front, component, powers) for powers in part.terms if has_mean(powers)]
-    return tuple(terms)
+        if not any(jumps):
+            _check_means(traction(law, load, front, None, turned, time), load)
+            continue
+        halfway = np.linspace(0, np.pi, _ANGLES + 2)[1:-1]
+        edges = np.sort(jumps.front if front else jumps.back)
+        parts: dict[int, Any] = {}
+        for angle in halfway if front else -halfway:
+            here = traction(law, load, front, angle, turned, time)
+            same = parts.setdefault(int(np.searchsorted(edges, angle)), here)
+            if [part.terms for part in same] != [part.terms for part in here]:
+                raise TypeError("friction varies between two edges")
+        for part in parts.values():
+            _check_means(part, load)
+
+
+def _check_means(found: tuple[Polynomial, Polynomial], load: Load) -> None:
+    if any(powers.load not in (0, 1) for part in found for powers in part.terms):
+        raise TypeError("expected a load that is linear in n")
+    loads = (1.0,) if load == "uniform" else (1.0, XI, ETA)
+    for part in (part for one in loads for part in Force.of(*found).under(one)):
+        size = max(map(abs, part.terms.values()), default=0.0)
+        for powers, value in part.terms.items():
+            if abs(value) > _ROUNDING * size and not has_mean(powers):
+                raise TypeError("a term has no mean in closed form")

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 from curlfit.dynamics.contact import accelerations_under, contact_of
 from curlfit.dynamics.quadrature import panels
-from curlfit.dynamics.ring_forces import balanced_tilt, ring_forces
+from curlfit.dynamics.ring_forces import ring_forces
+from curlfit.dynamics.ring_sum import balanced_tilt
 
 # isort: split
 import jax

@@ -1,0 +1,284 @@
+"""The sum over the contact ring of the friction of one law (eq. 2).
+
+In closed form where the law is a polynomial of the place on the ring (`ring_polynomials`), by Gauss
+quadrature otherwise (`quadrature`).
+
+Under a consistent load `n/n0 = 1 + p xi + q eta` (eq. 9) the force is linear in p and q, so that it
+is given by those under the loads 1, xi and eta. Of a law that itself depends on the load they are
+those of the tangent at the balance, which has the same value and first derivatives there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from typing import Any, NamedTuple
+
+from curlfit.dynamics.law_structure import (
+    depends_on_load,
+    example_law,
+    has_edges,
+    is_mirror_symmetric,
+)
+
+# isort: split
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from curlfit.dynamics.elliptic import mean_directions, mean_velocities
+from curlfit.dynamics.quadrature import (
+    GAUSS_WEIGHTS,
+    NodeClustering,
+    Panel,
+    angle_before_edges,
+    panels,
+    parts_beyond_edges,
+)
+from curlfit.dynamics.ring_polynomials import (
+    ETA,
+    XI,
+    Force,
+    at_points,
+    has_closed_form,
+    mean,
+    mean_of_half,
+    traction,
+)
+from curlfit.friction import Load, LocalLaw
+
+_BALANCE_TOLERANCE = 1e-9  # change of the tilt by the last Newton step
+_MAX_NEWTON_STEPS = 30
+_MIN_LOAD = 1e-6  # over the uniform load, as passed to a law
+_SLIDING = ("slide_xi", "slide_eta", "speed", "e_xi", "e_eta")  # fields that depend on v and u
+
+Values = tuple[Array, ...]
+Forces = tuple[Values, ...]
+"""Force over m g to the right and forward and moment over m g R, under the load 1 and, where the
+load is consistent, under the loads xi and eta"""
+
+Tilt = tuple[Array, Array] | None
+"""(p, q) of a load; None for a uniform one"""
+
+
+class RingMotion(NamedTuple):
+    """What friction on the ring depends on besides the law."""
+
+    v: Array
+    """speed of the centre, m/s"""
+    u: Array
+    """R omega, m/s"""
+    turned: Array
+    """angle turned since release, rad"""
+    time: Array
+    """since release, s"""
+
+
+class Ring(NamedTuple):
+    """What of a ring in motion some laws have in common."""
+
+    clustering: NodeClustering
+    means: Any
+    """of the directions and velocities of sliding, for laws in closed form"""
+    panels: list[Panel]
+    """for laws that are summed and have no edges"""
+
+    @classmethod
+    def of(
+        cls, laws: Iterable[type[LocalLaw]], load: Load, motion: RingMotion,
+        clustering: NodeClustering,
+    ) -> Ring:  # fmt: skip
+        """Its front half suffices where the back half mirrors it, for all that are summed."""
+        summed = [law for law in laws if not has_closed_form(law, load)]
+        plain = [law for law in summed if not has_edges(law)]
+        means, ring = None, []
+        if any(law not in summed for law in laws):
+            place = motion.v, motion.u
+            means = mean_directions(*place), mean_velocities(*place)
+        if plain:
+            mirrored = all(is_mirror_symmetric(law, load) for law in plain)
+            halves = (1.0,) if mirrored else (1.0, 0.0)
+            ring = panels(example_law(plain[0]), *motion, clustering, halves=halves)
+        return cls(clustering, means, ring)
+
+    @property
+    def sliding(self) -> Any:
+        """What depends on the motion of the ring."""
+        return self.means, [
+            {name: getattr(panel.points, name) for name in _SLIDING} for panel in self.panels
+        ]
+
+    def with_sliding(self, sliding: Any) -> Ring:
+        """The ring in another motion."""
+        means, fields = sliding
+        return self._replace(
+            means=means,
+            panels=[
+                panel._replace(points=panel.points._replace(**there))
+                for panel, there in zip(self.panels, fields, strict=True)
+            ],
+        )
+
+    def panels_of(self, law: LocalLaw, motion: RingMotion) -> list[Panel]:
+        """Those of a law, after an angle turned and a time."""
+        if has_edges(type(law)):
+            return panels(law, *motion, self.clustering)
+        there = {"turned": motion.turned, "time": motion.time}
+        return [panel._replace(points=panel.points._replace(**there)) for panel in self.panels]
+
+
+def forces_of(law: LocalLaw, load: Load, motion: RingMotion, ring: Ring, lever: Array) -> Forces:
+    """Net friction of a law; `lever` is 2 h/R, by which a force tilts the load (eq. 8)."""
+    if has_closed_form(type(law), load):
+        found = partial(_in_closed_form, law, load, motion, ring)
+        if load == "uniform":
+            return (found(1.0),)
+        return found(1.0), found(XI, constant=False), found(ETA, constant=False)
+    ring_panels = ring.panels_of(law, motion)
+    if load == "uniform":
+        return (_by_quadrature(law, load, ring_panels, None),)
+    if depends_on_load(law, ring_panels[0].points):
+        return _about_balance(law, ring_panels, lever)
+    across, along = (
+        [Panel(points, weight * getattr(points, name)) for points, weight in ring_panels]
+        for name in ("xi", "eta")
+    )
+    return _moments(law, ring_panels), _moments(law, across), _moments(law, along)
+
+
+def force_under(law: LocalLaw, load: Load, motion: RingMotion, ring: Ring, tilt: Tilt) -> Values:
+    """Net friction of a law under one load."""
+    if has_closed_form(type(law), load):
+        tilted = 1.0 if tilt is None else 1 + tilt[0] * XI + tilt[1] * ETA
+        return _in_closed_form(law, load, motion, ring, tilted)
+    return _by_quadrature(law, load, ring.panels_of(law, motion), tilt)
+
+
+def _in_closed_form(
+    law: LocalLaw, load: Load, motion: RingMotion, ring: Ring, tilted: Any, constant: bool = True
+) -> Values:
+    """`tilted` is the load, with `constant` as in `Force.under`.
+
+    What a law with edges has before the first one is summed over all of each half in closed form,
+    and how much that changes beyond them by quadrature.
+    """
+    turned, time = motion.turned, motion.time
+    total: Values = (jnp.zeros_like(motion.v),) * 3
+    for front in (1.0, 0.0):
+        half = law, turned, ring.clustering, front
+        angle, parts = None, []
+        if has_edges(type(law)):
+            angle = angle_before_edges(*half)
+            parts = parts_beyond_edges(*half, motion.v, motion.u, time)
+        before = traction(law, load, front, angle, turned, time)
+        summed = [(before, partial(mean_of_half, ring.means, front))]
+        for angle, panel in parts:
+            across, along = traction(law, load, front, angle, turned, time)
+            summed.append(((across - before[0], along - before[1]), partial(_mean_of_panel, panel)))
+        for found, of in summed:
+            force = Force.of(*found).under(tilted, constant)
+            total = tuple(sum_ + mean(part, of) for sum_, part in zip(total, force, strict=True))
+    return total
+
+
+def _mean_of_panel(panel: Panel, powers: Any) -> Array:
+    return jnp.tensordot(GAUSS_WEIGHTS, panel.weight * at_points(panel.points, powers), 1)
+
+
+def _by_quadrature(law: LocalLaw, load: Load, ring: list[Panel], tilt: Tilt) -> Values:
+    """Forces by quadrature under one load."""
+    if is_mirror_symmetric(type(law), load):
+        # The transverse forces of the two halves cancel.
+        _, t_eta, moment = _moments(law, ring[:1])
+        return jnp.zeros_like(t_eta), 2 * t_eta, 2 * moment
+    if tilt is None:
+        return _moments(law, ring)
+    p, q = tilt
+    loaded = []
+    for points, weight in ring:
+        tilted = 1 + p * points.xi + q * points.eta
+        # A trial load may be negative, for which a law need not be defined.
+        law_load = jnp.maximum(tilted, _MIN_LOAD)
+        loaded.append(Panel(points._replace(load=law_load), weight * tilted))
+    return _moments(law, loaded)
+
+
+def _moments(law: LocalLaw, ring: list[Panel]) -> Values:
+    """Force and moment of the tractions at the points, with their weights (eq. 2)."""
+    t_xi = t_eta = moment = 0.0
+    for points, weight in ring:
+        along_xi, along_eta = law.traction(points)
+        n_xi, n_eta = weight * along_xi, weight * along_eta
+        t_xi += n_xi
+        t_eta += n_eta
+        moment += points.xi * n_eta - points.eta * n_xi
+    return tuple(jnp.tensordot(GAUSS_WEIGHTS, density, 1) for density in (t_xi, t_eta, moment))
+
+
+def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> Forces:
+    """The tangent at the balance; NaN where Newton's method finds none."""
+    leaves, tree = jax.tree.flatten((law, ring))
+    changing = [number for number, leaf in enumerate(leaves) if isinstance(leaf, Array)]
+
+    def tangent(arrays: list[Array], tilt: Array) -> Forces:
+        """As forces under the loads 1, xi and eta."""
+        now = list(leaves)
+        for number, array in zip(changing, arrays, strict=True):
+            now[number] = array
+        law, ring = jax.tree.unflatten(tree, now)
+
+        def force(tilt: Array) -> Array:
+            return jnp.stack(_by_quadrature(law, "consistent", ring, (tilt[0], tilt[1])))
+
+        one, zero = jnp.ones_like(tilt[0]), jnp.zeros_like(tilt[0])
+        value, slope = jax.linearize(force, tilt)
+        by_p, by_q = slope(jnp.stack([one, zero])), slope(jnp.stack([zero, one]))
+        return tuple(value - tilt[0] * by_p - tilt[1] * by_q), tuple(by_p), tuple(by_q)
+
+    @jax.custom_jvp
+    def balanced(arrays: list[Array], lever: Array) -> Forces:
+        def iterate(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+            tilt, _, _, count = carry
+            forces = tangent(arrays, tilt)
+            after = _solved_tilt(forces, lever)  # on the way it may be larger than any load's
+            return after, forces, jnp.abs(after - tilt).max(0), count + 1
+
+        def unbalanced(carry: tuple[Any, ...]) -> Array:
+            *_, change, count = carry
+            return (change > _BALANCE_TOLERANCE).any() & (count < _MAX_NEWTON_STEPS)
+
+        none = jnp.zeros_like(lever)
+        start = jnp.stack([none, none]), ((none,) * 3,) * 3, none + jnp.inf, jnp.zeros((), int)
+        _, forces, change, _ = jax.lax.while_loop(unbalanced, iterate, start)
+        # The error is the square of this change.
+        unknown = ~(change <= _BALANCE_TOLERANCE)
+        return jax.tree.map(lambda part: jnp.where(unknown, jnp.nan, part), forces)
+
+    @balanced.defjvp
+    def _(primals: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Forces, Forces]:
+        (arrays, lever), (d_arrays, d_lever) = primals, tangents
+        forces = balanced(arrays, lever)
+        tilt = balanced_tilt(forces, lever)
+        at_fixed_tilt = jax.jvp(lambda arrays: tangent(arrays, tilt), (arrays,), (d_arrays,))[1]
+        d_tilt = jax.jvp(balanced_tilt, (forces, lever), (at_fixed_tilt, d_lever))[1]
+        return forces, jax.jvp(tangent, (arrays, tilt), (d_arrays, d_tilt))[1]
+
+    found: Forces = balanced([leaves[number] for number in changing], lever)
+    return found
+
+
+def balanced_tilt(forces: Forces, lever: Array) -> Array:
+    """The consistent load (eq. 8-9) as (p, q); NaN where it would be negative somewhere.
+
+    On a thin ring eq. 8 reads `(p, q) = -2 (h/R) T/(m g)`.
+    """
+    tilt = _solved_tilt(forces, lever)
+    return jnp.where((tilt**2).sum(0) <= 1, tilt, jnp.nan)
+
+
+def _solved_tilt(forces: Forces, lever: Array) -> Array:
+    constant, by_p, by_q = forces
+    f, g = lever * constant[0], lever * constant[1]
+    a, b = 1 + lever * by_p[0], lever * by_q[0]
+    c, d = lever * by_p[1], 1 + lever * by_q[1]
+    return -jnp.stack([d * f - b * g, a * g - c * f]) / (a * d - b * c)
