@@ -144,6 +144,8 @@ def test_polynomials_are_the_traction_at_every_point(name, front):
         lambda p: p.e_xi * p.speed**2,
         lambda p: p.e_xi * p.xi**3,
         lambda p: p.e_xi.shape,
+        lambda p: p.e_xi + (p.turned > 1e3) * p.e_xi * p.xi**3,
+        lambda p: p.e_xi + (p.time > 1e3) * 0.1,
     ],
 )
 def test_friction_beyond_polynomials_has_no_closed_form(beyond):
@@ -154,6 +156,18 @@ def test_friction_beyond_polynomials_has_no_closed_form(beyond):
             return -self.mu * beyond(point), -self.mu * point.e_eta
 
     assert not has_closed_form(Beyond, "uniform")
+
+
+def test_a_term_that_only_some_coefficients_have_counts():
+    class Sometimes(LocalLaw):
+        mu: float = coefficient(0.01, "")
+        k: float = coefficient(0.5, "", upper=3.0)
+
+        def traction(self, point):
+            mu = self.mu + (self.k > 2) * self.mu * point.xi**2
+            return -mu * point.e_xi, -mu * point.e_eta
+
+    assert not has_closed_form(Sometimes, "uniform")
 
 
 # How friction departs from Coulomb's: share added to its coefficient, and a pull to the right and
