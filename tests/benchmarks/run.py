@@ -380,7 +380,9 @@ def roof() -> None:
 
     jax.clear_caches()
     integrator.rates = counted
-    simulate(law, stone, InitialState(v=2.1, omega=1.0), t).x.block_until_ready()
+    # within a program of its own, as one that calls back cannot be stored
+    path = jax.jit(lambda v: simulate(law, stone, InitialState(v=v, omega=1.0), t).x)
+    path(2.1).block_until_ready()
     jax.effects_barrier()
     integrator.rates = rates
     jax.clear_caches()
