@@ -37,6 +37,7 @@ from curlfit.inference.fit.prepared import motion_of, problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import directions
 from curlfit.inference.likelihood import linearize_once
+from curlfit.inference.model import Model
 from curlfit.inference.noise.accelerations import (
     COMPONENTS,
     SHAPES,
@@ -48,7 +49,7 @@ from curlfit.inference.noise.accelerations import (
     shapes,
 )
 from curlfit.inference.noise.models import WHITE, independences
-from curlfit.inference.problem import ROWS_OF_DATA
+from curlfit.inference.problem import ROWS_OF_DATA, Problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import stacked
 from curlfit.prediction.ensemble import TrajectoryEnsemble
@@ -370,17 +371,26 @@ def _null_space(matrix: Floats) -> Floats:
     return cast(Floats, rows[rank:].T)
 
 
-def _path_jacobian(fit: FitResult) -> tuple[Floats, Floats]:
-    """Derivative of the path by the parameters, shape (channels, rows, parameters), and 1/sigma, 0
-    where there is no value."""
+def prepare_discrepancy(fit: FitResult) -> None:
+    """Begin to compile what the discrepancy of a fit needs."""
+    linearize_once.prepare(*_path_problem(fit))
+
+
+def _path_problem(fit: FitResult) -> tuple[Model, Floats, Problem]:
     # The derivatives are those of the path itself, not of what noise and loss make of residuals.
     problem, origin = problem_of(replace(fit, loss="linear", noise=WHITE))
     values = fit.values - origin.offset(len(fit.values))
+    return fit.model, values[None], stacked([problem])
+
+
+def _path_jacobian(fit: FitResult) -> tuple[Floats, Floats]:
+    """Derivative of the path by the parameters, shape (channels, rows, parameters), and 1/sigma, 0
+    where there is no value."""
+    model, values, problems = _path_problem(fit)
+    jacobian = linearize_once(model, values, problems)[1]
     n = len(fit.observed["t"])
-    one = stacked([problem])
-    jacobian = linearize_once(fit.model, values[None], one)[1]
     weighted = np.asarray(jacobian)[0, :, :n]
-    weight = np.asarray(problem.weight)[:, :n]
+    weight = np.asarray(problems.weight)[0, :, :n]
     return weighted / np.where(weight > 0, weight, 1.0)[..., None], weight
 
 

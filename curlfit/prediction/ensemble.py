@@ -20,7 +20,7 @@ from curlfit.inference.parameters import START
 from curlfit.inference.problem import LEVEL_AND_STILL, environment_of
 from curlfit.inference.system import System
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.compiled import compiled, in_batches
+from curlfit.numerics.compiled import BATCH, compiled, in_batches
 from curlfit.prediction.request import ThrowStart
 from curlfit.stone import Stone
 
@@ -257,6 +257,12 @@ class ThrowFamily:
 def fitted_environment(fit: FitResult) -> Environment:
     """What is assumed of the environment of the fitted throw, whose first row is at time 0."""
     return environment_of(fit.data["swept"], float(fit.observed["t"][0]))
+
+
+def prepare_ensemble(fit: FitResult) -> None:
+    """Begin to compile what the trajectories of vectors need."""
+    values = np.zeros((BATCH, len(fit.values)))
+    _propagated.prepare(fit.model, values, fit.stone, LEVEL_AND_STILL, np.zeros(_GRID_TIMES))
 
 
 def simulate_ensemble(

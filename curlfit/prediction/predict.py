@@ -38,8 +38,13 @@ from curlfit.prediction.diagnostics import (
     off_the_sheet,
     thin,
 )
-from curlfit.prediction.discrepancy import discrepancy_posterior
-from curlfit.prediction.ensemble import VARIED, ThrowFamily, TrajectoryEnsemble
+from curlfit.prediction.discrepancy import discrepancy_posterior, prepare_discrepancy
+from curlfit.prediction.ensemble import (
+    VARIED,
+    ThrowFamily,
+    TrajectoryEnsemble,
+    prepare_ensemble,
+)
 from curlfit.prediction.request import ThrowRequest, ThrowStart, start_of
 from curlfit.prediction.result import (
     PREDICTED,
@@ -132,6 +137,8 @@ def predict(
             "the path is that of the least-squares coefficients; the discrepancy that the fit has "
             "as noise is here in the bands"
         )
+    prepare_ensemble(fit)
+    prepare_discrepancy(fit)
     random = np.random.default_rng(seed)
     throw_start = start_of(fit, request)
     values, source = _drawn_values(fit, chain, draws, random)
