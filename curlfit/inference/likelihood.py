@@ -122,6 +122,11 @@ def predict_many(model: Model, values: Floats, problems: Problem, batch: int = B
     return np.asarray(in_batches(program, (values, _without_data(problems)), batch))
 
 
+def prepare_many(model: Model, values: Floats, problems: Problem) -> None:
+    """Begin to compile what `predict_many` needs for batches like this one."""
+    _batch_of_channels.prepare(model, values, _without_data(problems))
+
+
 def _unpadded_times(problem: Problem) -> Array:
     """The times, inf in padded rows, which repeat the last."""
     padded = jnp.diff(problem.times, prepend=-jnp.inf) == 0

@@ -12,7 +12,7 @@ Columns are scaled by typical sizes of the parameters, as in `curlfit.inference.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
@@ -26,7 +26,7 @@ from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import visible
 from curlfit.inference.least_squares import Indices
-from curlfit.inference.likelihood import linearize_once, predict_channels, predict_many
+from curlfit.inference.likelihood import linearize_once, predict_many, prepare_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.parameters import START
@@ -88,6 +88,7 @@ def prepare_information(
     own = [throw] * _BATCH
     problems = _problems([(0, np.arange(2.0))] * _BATCH, own, channels)
     values = np.stack([_vector(coefficients, one) for one in own])
+    prepare_many(Model(law, load), values, problems)
     linearize_once.prepare(Model(law, load), values, problems)
 
 
@@ -119,9 +120,9 @@ def record_information(
         without two rows, or with more than `MOST_ROWS`.
     """
     typical = np.array([item.typical for item in (*law.coefficients(), *START)])
-    clocks, ends = [], []
-    for throw in throws:
-        rest, distance = _rest_time(law, load, coefficients, throw, required=until is None)
+    clocks = []
+    ends = _rests(law, load, coefficients, throws, required=until is None)
+    for throw, (rest, _) in zip(throws, ends, strict=True):
         end = rest if until is None else until
         rows = math.floor(end * throw.rate + 1e-9) + 1
         if not 2 <= rows <= MOST_ROWS:
@@ -129,7 +130,6 @@ def record_information(
                 f"{end:.4g} s at {throw.rate:g} Hz make {rows} rows; expected 2 to {MOST_ROWS}"
             )
         clocks.append(np.arange(rows) / throw.rate)
-        ends.append((rest, distance))
     # Long records are split over several columns of a batch.
     parts = [
         (index, clock[first : first + _ROWS])
@@ -178,20 +178,23 @@ def _responses(
     ends: Sequence[float],
 ) -> list[Responses]:  # fmt: skip
     """What accelerations of the size of the friction do to the paths of throws."""
-    found = []
     clocks = [np.linspace(0.0, end, _ROWS) for end in ends]
-    for first in range(0, len(throws), _BATCH):
-        some = list(enumerate(throws))[first : first + _BATCH]
-        batch = some + [some[-1]] * (_BATCH - len(some))
-        own = [throw for _, throw in batch]
-        values = np.stack([_vector(coefficients, throw) for throw in own])
-        parts = [(index, clocks[index]) for index, _ in batch]
-        paths = predict_many(Model(law, load), values, _problems(parts, own, 3), _BATCH)
-        found += [
-            Responses.of(clocks[index], path[:5], throw.stone)
-            for (index, throw), path in zip(some, paths, strict=False)
-        ]
-    return found
+    return [
+        Responses.of(clock, path, throw.stone)
+        for clock, path, throw in zip(
+            clocks, _paths(law, load, coefficients, throws, clocks), throws, strict=True
+        )
+    ]
+
+
+def _paths(
+    law: type[Law], load: Load, coefficients: Floats, throws: Sequence[PlannedThrow],
+    clocks: Iterable[Floats],
+) -> Floats:  # fmt: skip
+    """x, y, phi, speed and spin of throws at `_ROWS` times of each, shape (throws, 5, times)."""
+    values = np.stack([_vector(coefficients, throw) for throw in throws])
+    problems = _problems(list(enumerate(clocks)), throws, 3)
+    return predict_many(Model(law, load), values, problems, _BATCH)
 
 
 def _r_factor(matrix: Floats) -> Floats:
@@ -219,35 +222,33 @@ def _problems(
     return Problem(times, np.zeros_like(weight), weight, stone, level, np.zeros(n, int))
 
 
-def _rest_time(
-    law: type[Law], load: Load, coefficients: Floats, throw: PlannedThrow, *, required: bool
-) -> tuple[float, float]:
-    """Time of rest (s), above `LONGEST` only if not `required`, and distance (m)."""
+def _rests(
+    law: type[Law], load: Load, coefficients: Floats, throws: Sequence[PlannedThrow], *,
+    required: bool,
+) -> list[tuple[float, float]]:  # fmt: skip
+    """Time of rest (s), above `LONGEST` only if not `required`, and distance (m) of throws."""
     # Between rows that become denser: the first row at rest.
-    early, late, moves = 0.0, LONGEST, False
+    early, late = np.zeros(len(throws)), np.full(len(throws), LONGEST)
+    moves = np.zeros(len(throws), bool)
     for _ in range(_REFINEMENTS):
-        times = np.linspace(early, late, _ROWS)
-        problem = Problem(
-            times, np.zeros((3, _ROWS)), np.ones((3, _ROWS)),
-            jax.tree.map(lambda value: np.asarray(float(value)), throw.stone),
-            LEVEL_AND_STILL, np.asarray(0),
-        )  # fmt: skip
-        x, y, _, speed, _ = np.asarray(
-            predict_channels(Model(law, load), _vector(coefficients, throw), problem)
-        )
-        if np.isnan(speed).any():
-            raise _no_motion(law, load, throw)
-        if moves := bool((speed > 0).all()):
-            break
-        first = max(int(np.argmax(speed == 0)), 1)
-        early, late = times[first - 1], times[first]
-    rest = 2 * LONGEST if moves else late
-    if required and not 0 < rest <= LONGEST:
-        raise InputError(
-            f"a stone of {throw.v0:g} m/s and {throw.omega0:g} rad/s does not come to rest within "
-            f"{LONGEST:g} s; give the length of the record (--until)"
-        )
-    return float(rest), float(np.hypot(x[-1], y[-1]))
+        clocks = np.linspace(early, late, _ROWS, axis=-1)
+        paths = _paths(law, load, coefficients, throws, clocks)
+        speed = paths[:, 3]
+        if (lost := np.isnan(speed).any(1)).any():
+            raise _no_motion(law, load, throws[int(np.argmax(lost))])
+        moves |= (speed > 0).all(1)
+        first = np.maximum(np.argmax(speed == 0, 1), 1)[:, None]
+        early, late = (np.take_along_axis(clocks, first - k, 1)[:, 0] for k in (1, 0))
+        early, late = np.where(moves, 0.0, early), np.where(moves, LONGEST, late)
+    times = np.where(moves, 2 * LONGEST, late)
+    for throw, rest in zip(throws, times, strict=True):
+        if required and not 0 < rest <= LONGEST:
+            raise InputError(
+                f"a stone of {throw.v0:g} m/s and {throw.omega0:g} rad/s does not come to rest "
+                f"within {LONGEST:g} s; give the length of the record (--until)"
+            )
+    distances = np.hypot(paths[:, 0, -1], paths[:, 1, -1])
+    return list(zip(map(float, times), map(float, distances), strict=True))
 
 
 def _no_motion(law: type[Law], load: Load, throw: PlannedThrow) -> InputError:
