@@ -271,8 +271,8 @@ def _compile_lowered(lowered: Any, optimize: bool, *, parts: int) -> Any:
     that are slower by a quarter to a half. In fewer parts than by default the same code takes less
     time, and the fewer the less: there are as many as there are processors to spare for them.
     `xla_cpu_prefer_vector_width` is left at its default: with 512 bits, trajectories take a tenth
-    less time, but XLA 0.10 silently compiles the law `debris` wrongly (`tests/numerics` has the
-    case).
+    less time, but XLA 0.10 silently compiled the law `debris` wrongly, summed by quadrature
+    (`tests/inference/test_many.py` has the case).
     """
     if not optimize and jax.default_backend() == "cpu":
         options = {
