@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
+from curlfit.dynamics.law_structure import has_edges
 from curlfit.dynamics.quadrature import NodeClustering
 from curlfit.dynamics.ring_polynomials import has_closed_form
 
@@ -62,8 +63,10 @@ class Contact(NamedTuple):
 
     @property
     def is_summed(self) -> bool:
-        """Whether it is under a single law, whose sum has no closed form."""
-        return not (issubclass(self.kind, LawFamily) or has_closed_form(self.laws[0], self.load))
+        """Whether it is under a single law of which some is summed over points."""
+        law = self.laws[0]
+        single = not issubclass(self.kind, LawFamily)
+        return single and (has_edges(law) or not has_closed_form(law, self.load))
 
     def ring(self, **motion: Array) -> Ring:
         """What the laws have in common, in this motion or one with other fields."""
