@@ -127,8 +127,7 @@ def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:
 
 def mean_velocities(v: Array, u: Array) -> tuple[Means, Means]:
     """Means of the velocity of sliding (-u eta, v + u xi) in m/s, as `mean_directions`."""
-    half, pi = (part + jnp.zeros_like(v) for part in (0.5, jnp.pi))
-    none = jnp.zeros_like(v)
+    pi, none = jnp.pi, jnp.zeros_like(v)
     right = Means(one=-u / pi, xi=none, xi_xi=-u / (3 * pi), eta=-u / 4, xi_eta=none)
-    forward = Means(one=v * half, xi=u / 4, xi_xi=v / 4, eta=v / pi, xi_eta=u / (3 * pi))
+    forward = Means(one=v / 2, xi=u / 4, xi_xi=v / 4, eta=v / pi, xi_eta=u / (3 * pi))
     return right, forward

@@ -10,7 +10,7 @@ those of the tangent at the balance, which has the same value and first derivati
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -39,6 +39,7 @@ from curlfit.dynamics.ring_polynomials import (
     ETA,
     XI,
     Force,
+    Powers,
     at_points,
     has_closed_form,
     mean,
@@ -130,10 +131,10 @@ class Ring(NamedTuple):
 def forces_of(law: LocalLaw, load: Load, motion: RingMotion, ring: Ring, lever: Array) -> Forces:
     """Net friction of a law; `lever` is 2 h/R, by which a force tilts the load (eq. 8)."""
     if has_closed_form(type(law), load):
-        found = partial(_in_closed_form, law, load, motion, ring)
+        total = partial(_total, _parts_in_closed_form(law, load, motion, ring), motion)
         if load == "uniform":
-            return (found(1.0),)
-        return found(1.0), found(XI, constant=False), found(ETA, constant=False)
+            return (total(1.0),)
+        return total(1.0), total(XI, constant=False), total(ETA, constant=False)
     ring_panels = ring.panels_of(law, motion)
     if load == "uniform":
         return (_by_quadrature(law, load, ring_panels, None),)
@@ -150,38 +151,48 @@ def force_under(law: LocalLaw, load: Load, motion: RingMotion, ring: Ring, tilt:
     """Net friction of a law under one load."""
     if has_closed_form(type(law), load):
         tilted = 1.0 if tilt is None else 1 + tilt[0] * XI + tilt[1] * ETA
-        return _in_closed_form(law, load, motion, ring, tilted)
+        return _total(_parts_in_closed_form(law, load, motion, ring), motion, tilted)
     return _by_quadrature(law, load, ring.panels_of(law, motion), tilt)
 
 
-def _in_closed_form(
-    law: LocalLaw, load: Load, motion: RingMotion, ring: Ring, tilted: Any, constant: bool = True
-) -> Values:
-    """`tilted` is the load, with `constant` as in `Force.under`.
+class _Part(NamedTuple):
+    """Of the ring: the force of its points, and the means of terms over it."""
 
-    What a law with edges has before the first one is summed over all of each half in closed form,
-    and how much that changes beyond them by quadrature.
-    """
+    force: Force
+    mean: Callable[[Powers], Array]
+
+
+def _parts_in_closed_form(law: LocalLaw, load: Load, motion: RingMotion, ring: Ring) -> list[_Part]:
+    """What a law with edges has before the first one is summed over all of each half in closed
+    form, and how much that changes beyond them by quadrature."""
     turned, time = motion.turned, motion.time
-    total: Values = (jnp.zeros_like(motion.v),) * 3
+    parts = []
     for front in (1.0, 0.0):
         half = law, turned, ring.clustering, front
-        angle, parts = None, []
+        angle, beyond = None, []
         if has_edges(type(law)):
             angle = angle_before_edges(*half)
-            parts = parts_beyond_edges(*half, motion.v, motion.u, time)
+            beyond = parts_beyond_edges(*half, motion.v, motion.u, time)
         before = traction(law, load, front, angle, turned, time)
-        summed = [(before, partial(mean_of_half, ring.means, front))]
-        for angle, panel in parts:
+        parts.append(_Part(Force.of(*before), partial(mean_of_half, ring.means, front)))
+        for angle, panel in beyond:
             across, along = traction(law, load, front, angle, turned, time)
-            summed.append(((across - before[0], along - before[1]), partial(_mean_of_panel, panel)))
-        for found, of in summed:
-            force = Force.of(*found).under(tilted, constant)
-            total = tuple(sum_ + mean(part, of) for sum_, part in zip(total, force, strict=True))
-    return total
+            more = Force.of(across - before[0], along - before[1])
+            parts.append(_Part(more, partial(_mean_of_panel, panel)))
+    return parts
 
 
-def _mean_of_panel(panel: Panel, powers: Any) -> Array:
+def _total(parts: list[_Part], motion: RingMotion, tilted: Any, *, constant: bool = True) -> Values:
+    """Force and moment; `tilted` is the load, with `constant` as in `Force.under`."""
+    forces = [part.force.under(tilted, constant) for part in parts]
+    means = (
+        (mean(force[row], part.mean) for force, part in zip(forces, parts, strict=True))
+        for row in range(len(Force._fields))
+    )
+    return tuple(sum(row, start=jnp.zeros_like(motion.v)) for row in means)
+
+
+def _mean_of_panel(panel: Panel, powers: Powers) -> Array:
     return jnp.tensordot(GAUSS_WEIGHTS, panel.weight * at_points(panel.points, powers), 1)
 
 

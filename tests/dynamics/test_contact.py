@@ -170,6 +170,24 @@ def test_a_term_that_only_some_coefficients_have_counts():
     assert not has_closed_form(Sometimes, "uniform")
 
 
+def test_a_law_without_a_transverse_force_is_one_with_a_coefficient_of_zero():
+    class Straight(LocalLaw):
+        mu: float = coefficient(0.01, "")
+
+        def traction(self, point):
+            return 0.0, -self.mu * point.e_eta
+
+    on_new_law[0](Straight)
+    assert has_closed_form(Straight, "uniform")
+    of_zero = LAWS["front-back"](0.0, 0.0, 0.01, 0.01)
+    for v, omega in (np.array([1.5, 0.4]), np.array([2.0, -9.0])), (1.0, 0.0):
+        np.testing.assert_allclose(
+            over_weight(Straight(0.01), "uniform", v, omega),
+            over_weight(of_zero, "uniform", v, omega),
+            atol=1e-16,
+        )
+
+
 # How friction departs from Coulomb's: share added to its coefficient, and a pull to the right and
 # forward.
 UNEVEN = {
