@@ -23,8 +23,8 @@ class Environment:
 
     Attributes
     ----------
-    slope_x, slope_y : fall of the ice toward +x (to the right) and +y (along the sheet), in m per
-        m: gravity accelerates the stone by g times the slope.
+    slope_x, slope_y : downward slope of the ice toward +x (to the right) and +y (along the
+        sheet), in m per m: gravity accelerates the stone by g times the slope.
     drag : drag coefficient of the stone in still air, for its cross section `FRONTAL_AREA`; a short
         cylinder has about 0.8.
     wear : relative change of the friction for each metre along the throw, 1/m, from its start.

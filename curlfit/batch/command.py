@@ -25,7 +25,7 @@ def batch(
     out: Annotated[
         Path,
         typer.Option(
-            help="Table of results, one row a throw; its settings are kept beside it, as in "
+            help="Table of results, one row per throw; its settings are written beside it, as "
             "results.settings.json."
         ),
     ] = Path("results.csv"),
@@ -84,9 +84,9 @@ def batch(
             "--posterior", help="Quantiles of each throw's posterior as well; far slower."
         ),
     ] = False,
-    seed: Annotated[int, typer.Option(help="Of the posterior's random numbers.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the posterior sampling.", min=0)] = 0,
     workers: Annotated[
-        int | None, typer.Option(help="Processes. [default: one a core]", min=1)
+        int | None, typer.Option(help="Number of processes. [default: one per core]", min=1)
     ] = None,
     dask: Annotated[
         str | None,
@@ -97,7 +97,7 @@ def batch(
         ),
     ] = None,
     again: Annotated[
-        bool, typer.Option("--again", help="Begin anew, over what lies in the table.")
+        bool, typer.Option("--again", help="Start again, overwriting the table.")
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
@@ -105,13 +105,12 @@ def batch(
 
     A row has status, rms, coefficients, standard errors, verdicts and what is determined together.
     A log of DigitalCurling 3 has a row for each shot, a Tracker export one for each object, a table
-    one for each throw (columns shot and stone_index). A throw of no use has its reason in its row
-    and stops nothing: status "not usable" where the data were read and no usable fit came of them,
-    "failed" where they could not be read. The same command goes on where an earlier run was stopped
-    or killed.
+    one for each throw (columns shot and stone_index). A throw without a usable fit has the reason
+    in its row and does not stop the batch: status "not usable" if the data were read, "failed" if
+    they could not be read. The same command continues where an earlier run was interrupted.
 
-    Exit status 0 where a throw in the table is ok; 1 where some were read and none is usable; 2
-    where none could be read, or the command itself is refused.
+    Exit status 0 if a throw in the table is ok; 1 if some were read and none is usable; 2 if none
+    could be read, or the command itself is refused.
 
     Example: `curlfit batch season/ --stone R=0.054 --out season.csv`
     """

@@ -118,7 +118,7 @@ def columns(plan: BatchSettings) -> list[str]:
 
 
 def usual_law(file: str, format: str | None) -> str:
-    """The law where none is given: for times of a stop-watch the one that they determine."""
+    """The law where none is given: for times of a stopwatch the one that they determine."""
     try:
         timed = format == "timings" or (format is None and format_of(file) == "timings")
     except CurlfitError:

@@ -126,7 +126,7 @@ class Table:
             raise InputError(f"{self.file}, line 1: not a table of `{_MAKER}`; {_OTHERWISE}")
         if before is None:
             raise InputError(
-                f"{self.file}: nothing tells what its rows were made by, as {self.settings} is "
+                f"{self.file}: the settings of its rows are unknown, because {self.settings} is "
                 f"missing; {_OTHERWISE}"
             )
         before = dict(json.loads(json.dumps(json_safe(BatchSettings().to_json()))), **before)

@@ -68,11 +68,11 @@ def _root(
             "--version",
             callback=_version,
             is_eager=True,
-            help="Print the versions of curlfit and of what it rests on.",
+            help="Print the versions of curlfit and of the libraries it uses.",
         ),
     ] = False,
 ) -> None:
-    """Friction coefficients from the trajectory of a curling stone, and what it cannot tell.
+    """Estimate friction coefficients from the trajectory of a curling stone.
 
     Begin with `curlfit fit DATA.csv`, where DATA.csv has columns t, x, y, phi (s, m, m, rad).
     """

@@ -15,7 +15,8 @@ _FIRST = "data/jensen_shegelski_2004.csv"
 
 def example(
     folder: Annotated[
-        Path, typer.Argument(help="Where to; made if there is none.", metavar="[DIR]")
+        Path,
+        typer.Argument(help="Destination folder; created if it does not exist.", metavar="[DIR]"),
     ] = Path("curlfit-examples"),
 ) -> None:
     """Copy the example data and the notebooks to a folder of your own.

@@ -74,10 +74,10 @@ def fit(
         bool, typer.Option("--no-sample", help="Least squares only; no posterior.")
     ] = False,
     effective: Annotated[
-        int, typer.Option(help="Effective samples required of every parameter.", min=100)
+        int, typer.Option(help="Effective sample size required for every parameter.", min=100)
     ] = 4000,
     max_steps: Annotated[
-        int, typer.Option(help="Most sampling steps, if that is not reached.", min=40)
+        int, typer.Option(help="Maximum number of sampling steps.", min=40)
     ] = 2_000,
     seed: Annotated[
         int | None,

@@ -47,7 +47,7 @@ def show(
     as_json: Annotated[bool, typer.Option("--json", help="Print the JSON record.")] = False,
     derive: o.Derive = None,
 ) -> None:
-    """Print the report again of a saved fit, joint fit, comparison, prediction, profile, design.
+    """Print the report of a saved fit, joint fit, comparison, prediction, profile or design.
 
     Example: `curlfit show throw-fit --derive "mu2_xi - mu1_xi"`
     """
@@ -116,10 +116,10 @@ def report(
     ] = None,
     show_it: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
 ) -> None:
-    """Write a saved result as one HTML file to send: numbers, figures, warnings, moving parts.
+    """Write a saved result as one HTML file to send: numbers, figures, warnings, animations.
 
     Of a fit, joint fit, comparison, prediction, profile or design. The file needs no network and no
-    other file; what moves in it are the stone on the sheet, the directions that the path does not
+    other file; animated are the stone on the sheet, the directions that the path does not
     determine, and the draws of a prediction.
 
     Example: `curlfit report throw-fit --open`

@@ -92,8 +92,8 @@ def simulate(
     fit: Annotated[
         Path | None,
         typer.Option(
-            help="A saved fit: its law, load, stone, conditions and start, each unless another is "
-            "given.",
+            help="Saved fit that supplies law, load, stone, conditions and initial state unless "
+            "given here.",
             metavar="DIR",
         ),
     ] = None,
@@ -146,11 +146,15 @@ def simulate(
     ] = None,
     slope_x: Annotated[
         float | None,
-        typer.Option(help="Fall of the ice to the right, m/m.", rich_help_panel=_CONDITIONS),
+        typer.Option(
+            help="Downward slope of the ice to the right, m/m.", rich_help_panel=_CONDITIONS
+        ),
     ] = None,
     slope_y: Annotated[
         float | None,
-        typer.Option(help="Fall of the ice along the throw, m/m.", rich_help_panel=_CONDITIONS),
+        typer.Option(
+            help="Downward slope of the ice along the throw, m/m.", rich_help_panel=_CONDITIONS
+        ),
     ] = None,
     drag: Annotated[
         float | None,
@@ -159,7 +163,8 @@ def simulate(
     sweep: Annotated[
         str | None,
         typer.Option(
-            help="The stone is swept from A to B (s): the friction meanwhile, over that before.",
+            help="The stone is swept from A to B (s); V is the ratio of the friction then to that "
+            "otherwise.",
             metavar="A:B=V",
             rich_help_panel=_CONDITIONS,
         ),

@@ -26,7 +26,7 @@ def compare(
     laws: Annotated[
         str | None,
         typer.Option(
-            help="Laws to compare, with commas between; FILE.py:CLASS for your own. [default: all]",
+            help="Laws to compare, separated by commas; FILE.py:CLASS for your own. [default: all]",
             metavar="A,B,...",
         ),
     ] = None,
@@ -49,8 +49,8 @@ def compare(
     noise: Annotated[
         list[str] | None,
         typer.Option(
-            help="Noise models, as of `curlfit fit`; of several, each law is fitted under each, "
-            "and all are ranked together. [default: white]",
+            help="Noise models, as in `curlfit fit`; with several, every law is fitted under each "
+            "of them, and all fits are ranked together. [default: white]",
             metavar="A,B,...",
         ),
     ] = None,
@@ -76,10 +76,10 @@ def compare(
     """Fit many friction laws to one throw, under one or several noise models, and rank them.
 
     Each law is fitted within its own bounds; one that fails with a coefficient at zero is fitted
-    again with either sign allowed, which is shown and not ranked. The rank is by BIC; under a
-    robust `--loss` that of the noise which the loss stands for. Where residuals are independent,
-    there are the log evidence (dlnZ) and the expected log predictive density of leave-one-out
-    (delpd, with the standard error of the difference), too. `--fix`, `--bound` and `--start` hold
+    again with either sign allowed, which is shown and not ranked. Laws are ranked by BIC; with a
+    robust `--loss`, by that of the corresponding noise distribution. If residuals are independent,
+    the log evidence (dlnZ) and the expected log predictive density of leave-one-out (delpd, with
+    the standard error of the difference) are given too. `--fix`, `--bound` and `--start` hold
     for the laws that have such a parameter.
     Writes `compare.json` and `compare.png`.
 

@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     from curlfit.comparison.result import Candidate, Comparison
 
 
-_NEIGHBOURS = (
-    "leave-one-out, which predicts a row of correlated noise from its neighbours, whatever the law."
-)
+_NEIGHBOURS = "it would predict a row of correlated noise from its neighbours, whatever the law."
 _PROBABLE = 0.01  # weight of a law that is named
 _FIRST = 3  # laws named in a line
 _WARNING = "Warning: "
@@ -78,7 +76,7 @@ def _heading(comparison: Comparison) -> Text:
         f"rho = {stone.rho:g} m, h = {stone.h:g} m\n"
     )
     bend = (
-        f"bends to the {comparison.side}" if comparison.side else "bends no more than its scatter"
+        f"curls to the {comparison.side}" if comparison.side else "curls no more than its scatter"
     )
     text.append(f"The path {bend}: {comparison.curl:.3g} m (rms) off a straight line")
     return text
@@ -127,25 +125,25 @@ def _ranks(comparison: Comparison) -> RenderableType:
         )
     measure, by = "rms", ""
     if comparison.loss != "linear":
-        measure = "size of the bulk"
+        measure = "robust scale"
         by = (
-            f" BIC and AICc are of noise as the {comparison.loss} loss has it, for which leave-one-"
-            "out has no closed form."
+            f" BIC and AICc are those of the noise distribution of the {comparison.loss} loss, for "
+            "which leave-one-out has no closed form."
         )
     elif with_evidence and comparison.noise != "white":
-        by = f" There is no {_NEIGHBOURS}"
-    criteria = "dlnZ: log evidence less the largest; " if with_evidence else ""
+        by = f" Leave-one-out is not given: {_NEIGHBOURS}"
+    criteria = "dlnZ: log evidence minus the largest; " if with_evidence else ""
     if with_elpd:
         criteria += (
-            "delpd: expected log predictive density of leave-one-out (elpd_loo) less the largest, "
+            "delpd: expected log predictive density of leave-one-out (elpd_loo) minus the largest, "
             "with the standard error of that in its last two digits; "
         )
     note = Text(
-        "k: parameters that the data determine, with those of the noise; "
-        f"{criteria}x, y, phi: {measure} of the residuals; curl: share of the bend "
-        "explained; ccw curls: ways the law can bend a counter-clockwise throw. A law follows the "
-        "path where no residual is above a tenth of the departure from straight, even "
-        f"motion, or above the noise.{by}",
+        "k: effective number of parameters, including those of the noise; "
+        f"{criteria}x, y, phi: {measure} of the residuals; curl: fraction of the curl explained; "
+        "ccw curls: sides to which the law can curl a counter-clockwise stone. A law follows the "
+        "path if no residual exceeds a tenth of the deviation from uniform straight-line motion, "
+        f"or the noise.{by}",
         style="dim",
     )
     return Padding(Group(table, note), (1, 0))
@@ -211,11 +209,11 @@ def conclusions(comparison: Comparison) -> list[str]:
     following = [item.label for item in within if item.follows and not item.negative]
     unclear = [item.label for item in within if item.follows is None and not item.negative]
     if following:
-        lines.append(f"Within their bounds follow the path: {'; '.join(following)}.")
+        lines.append(f"Laws that follow the path within their bounds: {'; '.join(following)}.")
     if unclear:
         lines.append(
-            f"Unclear, for the residuals may be correlated noise: whether {'; '.join(unclear)} "
-            f"follow{'s' if len(unclear) == 1 else ''} the path."
+            "Laws of which it is unclear whether they follow the path, as their residuals may be "
+            f"correlated noise: {'; '.join(unclear)}."
         )
     if not following and not unclear:
         lines.append("No law follows the path within its bounds.")
@@ -243,15 +241,15 @@ def _about_evidence(ranked: list[Candidate]) -> str:
     """The laws that the evidence leaves, and their probabilities."""
     ordered = sorted(ranked, key=lambda item: -(item.weight or 0.0))
     named = [item for item in ordered if (item.weight or 0.0) > _PROBABLE] or ordered[:1]
-    said = join_words([f"{item.label} has {_share(item.weight or 0.0)}" for item in named])
+    said = join_words([f"{item.label} {_share(item.weight or 0.0)}" for item in named])
     return (
-        f"By their evidence, with equal probabilities of the {len(ranked)} before, {said}. That is "
-        "among these laws alone, and none of them may be right."
+        "Posterior probabilities from the evidence, with equal prior probabilities of the "
+        f"{len(ranked)} laws: {said}. They hold among these laws only; possibly none is correct."
     )
 
 
 def _about_predictions(ranked: list[Candidate]) -> str:
-    """Which laws leave-one-out does not tell from the best."""
+    """Which laws leave-one-out does not distinguish from the best."""
     best, *others = sorted(ranked, key=lambda item: -(item.delta_elpd or 0.0))
     same = [
         item.label
@@ -267,7 +265,8 @@ def _about_predictions(ranked: list[Candidate]) -> str:
             f"{apart}."
         )
     return (
-        f"Leave-one-out does not tell {best.label} from {'; '.join(same)}: less than {apart} apart."
+        f"Leave-one-out does not distinguish {best.label} from {'; '.join(same)}: differences of "
+        f"less than {apart}."
     )
 
 
@@ -278,12 +277,12 @@ def _about_noise(comparison: Comparison) -> str:
     for name in comparison.noises:
         own = [item for item in comparison.candidates if item.noise == name and item.rank]
         if own and name != best.noise:
-            others.append(f"that of {name} noise is {_difference(own[0].delta_bic)} higher")
+            others.append(f"with {name} noise {_difference(own[0].delta_bic)} higher")
     return (
-        f"By BIC the noise is {best.noise} ({best.label})"
-        + (f"; the least BIC {join_words(others)}." if others else ".")
-        + " There is no evidence, since the parameters of the noise have no prior, and no "
-        + _NEIGHBOURS
+        f"The lowest BIC is that of {best.noise} noise ({best.label})"
+        + (f"; it is {join_words(others)}." if others else ".")
+        + " The log evidence is not given, because the parameters of the noise have no prior, nor "
+        f"is leave-one-out: {_NEIGHBOURS}"
     )
 
 
@@ -300,13 +299,13 @@ def _about_correlation(comparison: Comparison) -> str:
     )
     return (
         f"{_WARNING}the ranking is not reliable. Even the law that fits best leaves residuals that "
-        f"are correlated from row to row. dBIC and dAICc count effective values ({worth}) and are "
-        "approximate; correlated noise alone can put a wrong law first. "
+        f"are correlated from row to row. dBIC and dAICc use effective sample sizes ({worth}) and "
+        "are approximate; correlated noise alone can put a wrong law first. "
         + (
             ""
             if len(comparison.noises) > 1
-            else f"There is no evidence and no {_NEIGHBOURS} --noise white,ar1 compares noise "
-            "models."
+            else "The log evidence and leave-one-out, which assume independent residuals, are not "
+            "given. Use --noise white,ar1 to compare noise models."
         )
     )
 
@@ -322,9 +321,9 @@ def _about_isotropic(isotropic: list[Candidate]) -> str:
         )
     text = (
         "No isotropic law (friction opposite to sliding at every point) with non-negative "
-        "coefficients follows it"
+        "coefficients follows the path"
     )
     best = max(positive, key=lambda item: item.curl_explained or 0.0, default=None)
     if best is None or best.curl_explained is None:
         return f"{text}."
-    return f"{text}; the nearest gives {_share(best.curl_explained)} of the curl ({best.label})."
+    return f"{text}; the closest explains {_share(best.curl_explained)} of the curl ({best.label})."

@@ -1,7 +1,7 @@
 """When and where a stone crosses lines and comes to rest, with derivatives.
 
 A stone stops short of a line or crosses it, and the time of crossing has a square root's end there:
-a search would meet an infinite slope, and then nothing. Within `_EDGE` of its place of rest, and
+a search would meet an infinite slope, and then nothing. Within `_EDGE` of its resting position, and
 beyond, a line is therefore taken to be crossed at the speed that the stone has there. Times are so
 defined for every line and every motion, and continuous with their first derivatives.
 """
@@ -20,7 +20,7 @@ from jax import Array
 from curlfit.friction import Law, Load
 from curlfit.stone import Stone
 
-_EDGE = 0.02  # m before the place of rest
+_EDGE = 0.02  # m before the resting position
 _NEAR = 0.001  # m to both sides of it, between which the speed there is measured
 _STEPS = 6  # of Newton's method, after a first one to rest
 _AT_REST = 1000.0  # s, by when every stone is at rest

@@ -39,7 +39,7 @@ _SIZES = ((16, 32), (32, 64), (64, 128))  # intervals of log s and of p
 _SMALL = tuple((2, columns) for _, columns in _SIZES)  # of friction that depends on p alone
 _SCALE_FREE = 1e-9  # relative change with s, below which there is none
 _SLOWER = 1e-14  # v/u of a stone that spins in place
-_GOOD = 1e-3  # m, of the resting place of the draws below
+_GOOD = 1e-3  # m, of the resting position of the draws below
 _BEST = 1e-2  # m, what is required of it
 _DRAWS = ((2.3, 1.3), (2.25, -1.5), (2.0, 3.0), (2.9, 0.5), (1.2, 12.0))  # m/s, rad/s
 _TRIALS = 2000  # random motions at which the interpolation is tested
@@ -287,7 +287,7 @@ def _resting_place(law: Law, stone: Stone, load: Any, v: float, omega: float) ->
 
 
 def _distance(table: AccelerationTable, draw: tuple[float, float], end: Floats) -> float:
-    """From the resting place of a throw to that by the table, m."""
+    """From the resting position of a throw to that by the table, m."""
     stone = Moved(0.0, 0.0, 0.0, draw[0], 0.0, draw[1])
     for _ in range(1000):
         stone = table.step(stone, 1.0)

@@ -104,7 +104,7 @@ def _caption(result: FitResult | JointResult) -> str:
         f"$m = {stone.m:g}$\\,kg. Standard errors in parentheses, in units of the last digits"
     )
     if result.systematics.errors:
-        text += "; systematic errors are those of conditions that the fit holds"
+        text += "; systematic errors come from conditions that the fit holds fixed"
     if first.noise.kind != "white":
         text += f"; noise model {escaped(first.noise.kind)}"
     return f"{text}. {_software()}"

@@ -55,7 +55,7 @@ def page_of(prediction: Prediction) -> Page:
         "Draws": f"{prediction.draws['used']} of {prediction.draws['number']}, seed "
         f"{prediction.draws['seed']}",
     }
-    caption = "The path on the sheet, the place of rest, the bands, speed and spin"
+    caption = "The path on the sheet, the resting position, the bands, speed and spin"
     sections = [
         section("predicted", "What is predicted", *(paragraph(sentence(line)) for line in about),
                 blocks_of(others(parts, [describe_rest(prediction)]), _CAPTIONS)),

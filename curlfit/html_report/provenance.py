@@ -33,7 +33,7 @@ def made_by(
     """The section about how a result was made."""
     commanded = Block("commands", {"lines": tuple(commands), "notes": tuple(notes)})
     return section(
-        "made", "How to make it again",
+        "made", "How to reproduce this result",
         commanded, rows("Settings", settings), rows("Versions that wrote this page", _versions()),
     )  # fmt: skip
 

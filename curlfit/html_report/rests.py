@@ -12,7 +12,7 @@ from curlfit.prediction.result import Prediction
 from curlfit.sheet import HOUSE, STONE_RADIUS, TEE
 
 _BEYOND = 0.6  # m drawn about the house
-_CLOSE = 1.6  # of the spread of the places of rest: half the height of the close view
+_CLOSE = 1.6  # of the spread of the resting positions: half the height of the close view
 _SMALLEST = 0.25  # m, half its height at least
 
 

@@ -32,12 +32,12 @@ class Condition(Parameter):
 
 CONDITIONS = (
     Condition(
-        "slope_x", "m/m", -0.02, 0.02, 1e-3, r"s_x", "fall of the ice to the right", 1e-4,
+        "slope_x", "m/m", -0.02, 0.02, 1e-3, r"s_x", "downward slope of the ice to the right", 1e-4,
         "judgement: 1 mm in 10 m, what a careful ice maker reaches with a level",
     ),
     Condition(
-        "slope_y", "m/m", -0.02, 0.02, 1e-3, r"s_y", "fall of the ice along the sheet", 1e-4,
-        "judgement: 1 mm in 10 m, what a careful ice maker reaches with a level",
+        "slope_y", "m/m", -0.02, 0.02, 1e-3, r"s_y", "downward slope of the ice along the sheet",
+        1e-4, "judgement: 1 mm in 10 m, what a careful ice maker reaches with a level",
     ),
     Condition(
         "drag", "1", 0.0, 5.0, 1.0, r"C_d", "drag coefficient in still air", 0.8,
@@ -56,8 +56,8 @@ CONDITIONS = (
         for place in WEAR_KNOTS[1:]
     ),
     Condition(
-        "sweep", "1", 0.0, 2.0, 0.1, "s", "friction while swept, over that before", 0.0,
-        "known where the stone is not swept",
+        "sweep", "1", 0.0, 2.0, 0.1, "s", "ratio of the friction during sweeping to that otherwise",
+        0.0, "known where the stone is not swept",
     ),
     Condition(
         "R", "m", 0.01, 0.14, 0.01, "R", "radius of the contact ring", 0.0015,
@@ -72,18 +72,18 @@ CONDITIONS = (
         "judgement: 3 mm",
     ),
     Condition(
-        "length_scale", "1", 0.2, 5.0, 0.05, r"\lambda", "measured over true lengths", 0.002,
+        "length_scale", "1", 0.2, 5.0, 0.05, r"\lambda", "ratio of measured to true lengths", 0.002,
         "judgement: 1 cm in 5 m",
     ),
     Condition(
-        "time_scale", "1", 0.2, 5.0, 0.05, r"\tau", "measured over true times", 0.001,
+        "time_scale", "1", 0.2, 5.0, 0.05, r"\tau", "ratio of measured to true times", 0.001,
         "30 frames per second counted for 29.97",
     ),
 )  # fmt: skip
 WIDTHS = {item.name: item.width for item in CONDITIONS}
 ALL = "all"
 WEAK_CONDITIONS = ("R", "rho", "h", "length_scale", "time_scale")
-"""Of which one path says little."""
+"""Those that a single path hardly determines."""
 
 
 def check_systematics(given: Mapping[str, float]) -> None:
@@ -92,7 +92,8 @@ def check_systematics(given: Mapping[str, float]) -> None:
     for name, width in given.items():
         if name != ALL and name not in WIDTHS:
             raise InputError(
-                f"systematic: no condition {name!r}; there are {', '.join(WIDTHS)}, and {ALL}"
+                f"systematic: no condition {name!r}; the conditions are {', '.join(WIDTHS)}, and "
+                f"{ALL}"
             )
         if not 0 <= width < math.inf:
             raise InputError(f"systematic: {name} = {width:g}; expected a width of 0 or more")
@@ -101,10 +102,10 @@ def check_systematics(given: Mapping[str, float]) -> None:
 def if_off(name: str, width: float) -> str:
     """That a condition is one width off what is assumed, as the beginning of a sentence."""
     texts = {
-        "slope_x": f"if the ice falls {1e3 * width:g} mm/m to the right",
-        "slope_y": f"if the ice falls {1e3 * width:g} mm/m along the throw",
-        "wear": f"if the friction grows by {100 * width:g} % for each metre along the throw",
-        "drag": f"if the air drags with a coefficient of {width:g}",
+        "slope_x": f"if the ice slopes down to the right by {1e3 * width:g} mm/m",
+        "slope_y": f"if the ice slopes down along the throw by {1e3 * width:g} mm/m",
+        "wear": f"if the friction grows by {100 * width:g} % per metre along the throw",
+        "drag": f"if there is air drag with a coefficient of {width:g}",
         "length_scale": f"if measured lengths are {100 * width:g} % too long",
         "time_scale": f"if measured times are {100 * width:g} % too long",
     }

@@ -249,7 +249,7 @@ def _say_in_corner(fit: FitResult, figure: Figure, side: float) -> None:
         lines.append(rf"${_as_math(fit, item.weights)} = {value} \pm {stderr}$")
     for direction in fit.null_directions:
         pair = ", ".join(f"${fit.parameters[name].symbol}$" for name in direction)
-        lines.append(f"{pair}: not identifiable one by one")
+        lines.append(f"{pair}: not identifiable individually")
     lines.append("dashed: 68 %; shaded: 68 and 95 % of the posterior")
     written = [("black", lines[:-1]), (QUIET, lines[-1:])]
 

@@ -202,7 +202,7 @@ def derive(known: FirstOrder, text: str, samples: Mapping[str, Floats] | None = 
     own = {name: slope for name, slope in gradient.items() if name in values}
     if not own:
         raise InputError(
-            f"derive {expression.text!r}: it is of no parameter of the fit; there are "
+            f"derive {expression.text!r}: it contains no parameter of the fit; the parameters are "
             + ", ".join(values)
         )
     changes = {

@@ -82,7 +82,7 @@ def _sheet(axes: Any, fit: FitResult, events: list[tuple[Event, float]], moving:
             (place[name][0].value, place[name][0].sigma) if name in place else (end, 0.0)
             for name, end in (("x", x[-1]), ("y", y[-1]))
         )
-        axes.errorbar(py, px, xerr=ey, yerr=ex, **_MEASURED, label="measured place of rest")
+        axes.errorbar(py, px, xerr=ey, yerr=ex, **_MEASURED, label="measured resting position")
     axes.set_aspect("equal")
     axes.set_ylim(half + 0.1, -half - 0.1)
     axes.set_xlim(min(float(y[0]), sheet.LINES["hog"]) - 1, max(float(y[-1]), sheet.END) + 0.6)
@@ -141,7 +141,7 @@ def _speed(
 
 
 def _residuals(axes: Any, events: list[tuple[Event, float]]) -> None:
-    """Measured less fitted, in sigmas."""
+    """Measured minus fitted, in sigmas."""
     off = [(event.value - found) / event.sigma for event, found in events]
     rows = np.arange(len(events))
     axes.axvline(0, **_LINE)
@@ -154,4 +154,4 @@ def _residuals(axes: Any, events: list[tuple[Event, float]]) -> None:
     axes.set_ylim(len(events) - 0.5, -0.5)
     reach = max(2.5, *(min(abs(value), _MOST) + 1.5 for value in off))
     axes.set_xlim(-reach, reach)
-    axes.set_xlabel("measured less fitted (sigma)")
+    axes.set_xlabel("measured \N{MINUS SIGN} fit (sigma)")

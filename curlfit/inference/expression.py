@@ -115,7 +115,7 @@ def parse(text: str, names: Iterable[str], sums: Mapping[str, Mapping[str, float
     used: dict[str, None] = {}
     _check(tree, said, known, used)
     if not used:
-        raise InputError(f"{said}: it is of no parameter; there are {', '.join(known)}")
+        raise InputError(f"{said}: it contains no parameter; the parameters are {', '.join(known)}")
     return Expression(shown, tuple(used), tree)
 
 
@@ -138,7 +138,9 @@ def _check(node: ast.AST, said: str, names: tuple[str, ...], used: dict[str, Non
             raise InputError(f"{said}: a number is too large")
     elif isinstance(node, ast.Name):
         if node.id not in names:
-            raise InputError(f"{said}: no parameter {node.id!r}; there are {', '.join(names)}")
+            raise InputError(
+                f"{said}: no parameter {node.id!r}; the parameters are {', '.join(names)}"
+            )
         used.setdefault(node.id)
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.UAdd | ast.USub):
         _check(node.operand, said, names, used)
@@ -158,7 +160,7 @@ def _check(node: ast.AST, said: str, names: tuple[str, ...], used: dict[str, Non
 
 def _check_call(node: ast.Call, name: str, said: str) -> None:
     if name not in _FUNCTIONS:
-        raise InputError(f"{said}: no function {name!r}; there are {', '.join(_FUNCTIONS)}")
+        raise InputError(f"{said}: no function {name!r}; the functions are {', '.join(_FUNCTIONS)}")
     count, _ = _FUNCTIONS[name]
     if len(node.args) != count or node.keywords:
         raise InputError(f"{said}: {name} takes {count} argument{'s' if count > 1 else ''}")

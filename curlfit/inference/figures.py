@@ -244,7 +244,7 @@ def joint_figure(result: JointResult) -> Figure:
             else [""] * count,
         )  # fmt: skip
         axes.set_ylim(count - 0.4, -0.6)
-        differs = "differs" if item.significant else "no difference seen"
+        differs = "differs" if item.significant else "no significant difference"
         title(axes, f"{differs}, p = {item.p_value:.2g}", columns=len(shown), margin=0.25)
         estimates.append((axes, in_symbols(item.expression, symbols)))
     figure.draw_without_rendering()  # the layout, by which ticks and the note are chosen

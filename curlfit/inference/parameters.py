@@ -18,8 +18,8 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.throw import Throw
 
 START = (
-    Parameter("x0", "m", -math.inf, math.inf, 1.0, "x_0", "place at the first time, to the right"),
-    Parameter("y0", "m", -math.inf, math.inf, 1.0, "y_0", "place at the first time, along"),
+    Parameter("x0", "m", -math.inf, math.inf, 1.0, "x_0", "initial position, to the right"),
+    Parameter("y0", "m", -math.inf, math.inf, 1.0, "y_0", "initial position, along the sheet"),
     Parameter(
         "heading",
         "rad",
@@ -30,7 +30,7 @@ START = (
         "initial direction, from +y toward +x",
     ),
     Parameter("v0", "m/s", 0.0, 10.0, 1.0, "v_0", "initial speed"),
-    Parameter("phi0", "rad", -math.inf, math.inf, 1.0, r"\varphi_0", "angle at the first time"),
+    Parameter("phi0", "rad", -math.inf, math.inf, 1.0, r"\varphi_0", "initial angle"),
     Parameter(
         "omega0", "rad/s", -100.0, 100.0, 1.0, r"\omega_0", "initial spin, counter-clockwise"
     ),
@@ -248,7 +248,7 @@ class ParameterSet:
         for name in names:
             if name not in self.names:
                 raise InputError(
-                    f"{option}: no parameter {name!r}; there are {', '.join(self.names)}"
+                    f"{option}: no parameter {name!r}; the parameters are {', '.join(self.names)}"
                 )
 
     def index(self, name: str) -> int:
@@ -302,7 +302,7 @@ def require_known(laws: Iterable[type[Law]], options: Options) -> None:
         for name in values:
             if name not in known:
                 raise InputError(
-                    f"{option}: none of the laws has a parameter {name!r}; there are "
+                    f"{option}: none of the laws has a parameter {name!r}; the parameters are "
                     + ", ".join(known)
                 )
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _NOTABLE = 0.1  # of a standard error: a systematic shift that is named
 _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
-    "Sampling was not finished; the same `curlfit fit` command with --resume goes on with it."
+    "Sampling is unfinished; repeat the `curlfit fit` command with --resume to continue it."
 )
 _WORDS = {
     "x": "x", "y": "y", "phi": "the angle", "speed": "the speed", "omega": "the spin",
@@ -107,11 +107,11 @@ def _beside_reference(fit: FitResult) -> list[RenderableType]:
     if reference is None or not fits:
         return []
     now, table = fit.stone.as_dict(), plain_table()
-    table.add_column("shift of the estimate", no_wrap=True)
+    table.add_column("parameter", no_wrap=True)
     table.add_column("std. error", justify="right", no_wrap=True)
     for item in fits:
-        table.add_column(f"for {_changes(item['stone'], now)}", justify="right", no_wrap=True)
-    table.add_column(f"with {_constants(fits[0]['stone'])}", justify="right", no_wrap=True)
+        table.add_column(f"shift for {_changes(item['stone'], now)}", justify="right", no_wrap=True)
+    table.add_column(f"estimate with {_constants(fits[0]['stone'])}", justify="right", no_wrap=True)
     table.add_column(reference.source, justify="right", no_wrap=True)
     agree, there = True, []
     places = max(map(_places, reference.values.values()))
@@ -183,11 +183,9 @@ def _student(fit: FitResult) -> list[RenderableType]:
         digits = decimals(item.stderr or 0.0)
         low, high = (f"{end:.{digits}f}" for end in interval)
         table.add_row(name, f"{low} .. {high}", "-" if item.dof is None else f"{item.dof:.0f}")
-    text = (
-        "Few values: sigma is itself estimated, and intervals are wider than 1.96 standard errors."
-    )
+    text = "Sigma is estimated from few values, so that 95 % intervals exceed 1.96 standard errors."
     if fit.posterior is not None:
-        text += " The posterior holds sigma fixed; its intervals are too narrow by as much."
+        text += " The posterior holds sigma fixed; its intervals are correspondingly too narrow."
     return [Padding(Group(table, Text(text)), (0, 0, 1, 0))]
 
 
@@ -257,13 +255,14 @@ def systematics(found: Systematics, reported: Mapping[str, tuple[float, float | 
     if not named:
         return ""
     sentences = [
-        f"{if_off(condition, found.widths[condition])}, {join_words(parts)}"
+        f"{if_off(condition, found.widths[condition])}, the true {join_words(parts)}"
         for condition, parts in named.items()
     ]
     return (
-        "Systematic errors are those of conditions that the fit holds; the largest: "
+        "Systematic errors come from conditions that the fit holds fixed; the largest: "
         + "; ".join(sentences)
-        + ". `--systematic` sets their widths; `--prior` or `--free` make them parameters."
+        + ". `--systematic` sets the standard uncertainties of the conditions; `--prior` or "
+        "`--free` estimates them with the coefficients."
     )
 
 
@@ -277,7 +276,7 @@ def _quality(fit: FitResult) -> RenderableType:
     table = plain_table()
     white = fit.noise.kind == "white"
     heads = ["channel", "rms", "unit", "noise assumed", "", "lag-1 correlation"]
-    for head in heads if white else [*heads, "noise model", "lag-1 after it"]:
+    for head in heads if white else [*heads, "noise model", "lag-1 after whitening"]:
         table.add_column(head, justify="right" if head == "rms" else "left", no_wrap=True)
     for name, rms in fit.rms.items():
         origin = fit.data["sigma"][name]
@@ -292,15 +291,15 @@ def _quality(fit: FitResult) -> RenderableType:
 
 
 def _events(fit: FitResult) -> RenderableType:
-    """What was measured at lines and at rest, beside what the fit says."""
+    """What was measured at lines and at rest, beside the fit."""
     table = plain_table()
-    for head in ("measured", "value", "sigma", "unit", "fit", "fit less value"):
+    for head in ("measured", "value", "sigma", "unit", "fit", "measured - fit"):
         justify = "left" if head in ("measured", "unit") else "right"
         table.add_column(head, justify=justify, no_wrap=True)  # type: ignore[arg-type]
     for item in fit.events:
         event = Event(**{key: value for key, value in item.items() if key != "fitted"})
         digits = max(decimals(event.sigma), 2)
-        off = (item["fitted"] - event.value) / event.sigma
+        off = (event.value - item["fitted"]) / event.sigma
         table.add_row(
             event.name, f"{event.value:.{digits}f}", f"{event.sigma:.2g}", event.unit,
             f"{item['fitted']:.{digits}f}", f"{off + 0.0:.1f} sigma",
@@ -316,7 +315,7 @@ def _memory(fit: FitResult, channel: str) -> str:
     """The correlation of a channel's noise, in a few words."""
     parts = ["discrepancy"] if fit.noise.sizes else []
     if channel in fit.noise.memory:
-        parts.append(f"memory {fit.noise.memory[channel]:.2g} s")
+        parts.append(f"correlation time {fit.noise.memory[channel]:.2g} s")
     return ", ".join(parts) or "independent"
 
 
@@ -326,12 +325,13 @@ def identifiability(fit: FitResult) -> str:
     by_prior = [name for name, item in fit.parameters.items() if item.verdict == "prior"]
     held = [name for name in free if name not in fit.covariance["names"]]
     given = any(item.prior for item in fit.parameters.values())
-    what = "The path" if fit.rms else f"{_counted(len(fit.events))} measured"
-    what += " and the priors determine" if given else " determine" + "s" * bool(fit.rms)
+    what = "The path" if fit.rms else _counted(len(fit.events))
+    singular = bool(fit.rms) or len(fit.events) == 1
+    what += " and the priors determine" if given else " determine" + "s" * singular
     if not fit.rms and fit.rank == len(free) and len(fit.coefficients) == 1:
         return (
             f"{what} one coefficient of friction and the initial state ({', '.join(free[1:])}): a "
-            f"mean friction, as the {fit.law} law has it. `--law` fits others."
+            f"mean friction, as in the {fit.law} law. Use `--law` to fit another law."
         )
     text = f"{what} {fit.rank} of {len(free) - len(held)} parameters"
     text += f" ({', '.join(held)} at a bound not counted)." if held else "."
@@ -361,7 +361,7 @@ def identifiability(fit: FitResult) -> str:
 
 def _counted(number: int) -> str:
     words = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight")
-    return f"{words[number]} number{'s' * (number != 1)}"
+    return f"{words[number]} measured value{'s' * (number != 1)}"
 
 
 def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:
@@ -370,11 +370,11 @@ def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:
     if channels:
         also = join_words(channels) if remedy["all"] else _either(channels)
         return f"Measuring {also} as well would determine {join_words(names)}."
-    text = f"Nothing else measured along this path would determine {join_words(names)}"
+    text = f"No further measurement along this path would determine {join_words(names)}"
     own = [name for name in names if name in fit.coefficients]
     if fit.law_class.origin or len(own) != 2:
         return text + "."
-    return text + f"; `curlfit design --separate {own[0]},{own[1]}` looks for throws that would."
+    return text + f"; `curlfit design --separate {own[0]},{own[1]}` searches for throws that would."
 
 
 def _either(words: list[str]) -> str:
@@ -424,7 +424,7 @@ def about_posterior(found: Posterior) -> Text:
     text.append(found.status, style="green" if found.converged else "bold yellow")
     text.append(
         f"; {found.samples} samples ({found.ensembles} ensembles, {found.walkers} walkers, "
-        f"{found.steps} steps), effective at least {found.ess[least]:.0f} ({least}), "
+        f"{found.steps} steps), effective sample size at least {found.ess[least]:.0f} ({least}), "
         f"R-hat at most {found.r_hat[worst]:.4f} ({worst}), "
         f"autocorrelation time {slowest:.1f} steps, acceptance {found.acceptance:.0%}."
     )

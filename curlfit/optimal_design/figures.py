@@ -143,10 +143,10 @@ def _map(design: Design) -> Figure:
 
 def _errors(design: Design) -> Figure:
     about = {
-        "place": f"noise, times\n{_noise_of(design, ('x', 'y', 'speed'))}",
-        "angle": f"noise, times\n{_noise_of(design, ('phi', 'omega'))}",
+        "place": f"noise relative to\n{_noise_of(design, ('x', 'y', 'speed'))}",
+        "angle": f"noise relative to\n{_noise_of(design, ('phi', 'omega'))}",
         "rate": "rows per second\n(Hz)",
-        "throws": "number of throws,\noptimal for each",
+        "throws": "number of throws\n(optimal for each)",
     }
     names = [name for name in about if name in design.curves]
     figure = Picture(figsize=(WIDTH, 3.2), layout="constrained")

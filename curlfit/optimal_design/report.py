@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     )
 
 _CRITERIA = {
-    "D": "smallest volume of the errors together (D-optimal)",
-    "A": "smallest mean squared error over typical sizes (A-optimal)",
+    "D": "smallest volume of the confidence ellipsoid (D-optimal)",
+    "A": "smallest mean squared standard error, in units of typical sizes (A-optimal)",
 }
 _WEAK = 0.05  # relative error above which a difference is weakly determined
 _SCATTER = 0.01  # relative, of the ice from throw to throw
@@ -310,7 +310,8 @@ def _proof(proof: Proof) -> str:
         "(over m g) and moment (over m g R) along the difference are "
         f"{sizes(proof.by_difference)}; along the sum {sizes(proof.by_sum)}. {proof.throws} "
         "throws of various speeds and spins together have the singular values "
-        f"{', '.join(f'{value:.2g}' for value in proof.singular_values)}: the last is rounding."
+        f"{', '.join(f'{value:.2g}' for value in proof.singular_values)}: the last is zero to "
+        "rounding error."
     )
 
 

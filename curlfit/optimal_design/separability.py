@@ -43,7 +43,7 @@ HIDDEN = (
     "the same xi = R cos(alpha), the same v_eta = v + omega xi and the same sliding speed, and "
     "under uniform load the same weight. So int v_eta/|v| dalpha (in T_eta) and "
     "int xi v_eta/|v| dalpha (in M) are equal over both halves, whatever v and omega are, and "
-    "stand before mu1_eta + mu2_eta alone; T_xi has neither. The motion is the same for every "
+    "multiply only mu1_eta + mu2_eta; T_xi contains neither. The motion is the same for every "
     "division of that sum, and no precision, no number of throws and no R, rho or h changes this"
 )
 _STATES = 400

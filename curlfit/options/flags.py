@@ -28,8 +28,8 @@ def saved(folder: Path, *, report: bool, quiet: bool) -> Saved | None:
 Law = Annotated[
     str | None,
     typer.Option(
-        help="Friction law; `curlfit laws` lists them. [default: front-back; of times of a "
-        "stop-watch coulomb]"
+        help="Friction law; `curlfit laws` lists them. [default: front-back; coulomb for "
+        "stopwatch times]"
     ),
 ]
 LoadName = Annotated[
@@ -46,13 +46,13 @@ Bound = Annotated[
     list[str] | None,
     typer.Option(help="Bounds of a parameter, in place of the default ones.", metavar="NAME=LO:HI"),
 ]
-Unbounded = Annotated[bool, typer.Option("--unbounded", help="Let coefficients be negative.")]
+Unbounded = Annotated[bool, typer.Option("--unbounded", help="Allow negative coefficients.")]
 Free = Annotated[
     list[str] | None,
     typer.Option(
-        help="Estimate what is held otherwise: `slope_x`, `slope_y` (fall of the ice, m/m), `drag` "
-        "(of the air), `R`, `rho`, `h` (of the stone), `length_scale`, `time_scale` (measured over "
-        "true), or an optional coefficient of the law.",
+        help="Estimate what is otherwise held fixed: `slope_x`, `slope_y` (downward slope of the "
+        "ice, m/m), `drag` (of the air), `R`, `rho`, `h` (of the stone), `length_scale`, "
+        "`time_scale` (ratio of measured to true), or an optional coefficient of the law.",
         metavar="NAME,...",
     ),
 ]
@@ -69,9 +69,9 @@ PriorText = Annotated[
 Systematic = Annotated[
     list[str] | None,
     typer.Option(
-        help="Standard uncertainty of a condition that is held, for the systematic errors: "
-        "`slope_x=2e-4`; 0 where it is known, `all=0` for none. `curlfit laws --conditions` lists "
-        "the defaults.",
+        help="Standard uncertainty of a condition that is held fixed, for the systematic errors: "
+        "`slope_x=2e-4`; 0 if it is known exactly, `all=0` for no systematic errors. `curlfit laws "
+        "--conditions` lists the defaults.",
         metavar="NAME=V",
     ),
 ]
@@ -89,23 +89,23 @@ Start = Annotated[
     typer.Option(help="Initial value; derived from the data if not given.", metavar="NAME=V"),
 ]
 Since = Annotated[
-    float | None, typer.Option(help="Use the rows with t from this, in s.", metavar="S")
+    float | None, typer.Option(help="Use only rows from this time on, in s.", metavar="S")
 ]
 Until = Annotated[
-    float | None, typer.Option(help="Use the rows with t up to this, in s.", metavar="S")
+    float | None, typer.Option(help="Use only rows up to this time, in s.", metavar="S")
 ]
 Swept = Annotated[
     str | None,
     typer.Option(
         "--sweep",
-        help="The stone was swept in this interval of t, in s: the friction meanwhile, over that "
-        "before, is the parameter `sweep`.",
+        help="The stone was swept between the times A and B, in s; the parameter `sweep` is the "
+        "ratio of the friction during sweeping to that otherwise.",
         metavar="A:B",
     ),
 ]
 Exclude = Annotated[
     list[str] | None,
-    typer.Option(help="Leave out the rows of an interval of t, in s.", metavar="A:B"),
+    typer.Option(help="Leave out the rows between the times A and B, in s.", metavar="A:B"),
 ]
 Sigma = Annotated[
     list[str] | None,
@@ -152,12 +152,13 @@ FigureFormats = Annotated[
         metavar="FORMAT",
     ),
 ]
-NoFigures = Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")]
+NoFigures = Annotated[bool, typer.Option("--no-figures", help="Draw no figures.")]
 Report = Annotated[
     bool,
     typer.Option(
         "--report",
-        help="Write `report.html` too: the result as one page to send, as `curlfit report` does.",
+        help="Also write `report.html`, the result as one self-contained page, as `curlfit report` "
+        "does.",
     ),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
@@ -169,7 +170,7 @@ Format = Annotated[
     typer.Option(
         "--format",
         help="`table`, `tracker` (export of Tracker), `digitalcurling` (log of DigitalCurling 3) "
-        "or `timings` (stop-watch). [default: detected from the file]",
+        "or `timings` (stopwatch). [default: detected from the file]",
         metavar="NAME",
         rich_help_panel=PANEL,
     ),
@@ -228,7 +229,7 @@ AsGiven = Annotated[
     bool,
     typer.Option(
         "--as-given",
-        help="Take data that are implausible for a curling stone as they are: with a warning.",
+        help="Accept data that are implausible for a curling stone, with a warning.",
         rich_help_panel=PANEL,
     ),
 ]

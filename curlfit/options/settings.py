@@ -206,11 +206,11 @@ def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
         raise InputError(f"{origin}: free = {free!r}; expected a list of names")
     derive = settings.get("derive", [])
     if not isinstance(derive, list) or not all(isinstance(text, str) for text in derive):
-        raise InputError(f"{origin}: derive = {derive!r}; expected a list of texts")
+        raise InputError(f"{origin}: derive = {derive!r}; expected a list of strings")
     for name, value in settings.get("prior", {}).items():
         if not isinstance(value, str):
             raise InputError(
-                f"{origin}: prior.{name} = {value!r}; expected a text such as '1+-0.1'"
+                f"{origin}: prior.{name} = {value!r}; expected a string such as '1+-0.1'"
             )
     for key in ("stone", "sigma", "fix", "start", "systematic"):
         for name, value in settings.get(key, {}).items():
@@ -222,13 +222,13 @@ def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
             raise InputError(f"{origin}: {key} = {time!r}; expected a time in s")
     for key in ("law", "load", "loss", "format", "axes", "units", "reference"):
         if not isinstance(settings.get(key, ""), str):
-            raise InputError(f"{origin}: {key} = {settings[key]!r}; expected a text in quotes")
+            raise InputError(f"{origin}: {key} = {settings[key]!r}; expected a quoted string")
     noise = settings.get("noise", "")
     if not isinstance(noise, str) and not (
         isinstance(noise, list) and all(isinstance(name, str) for name in noise)
     ):
         raise InputError(
-            f"{origin}: noise = {noise!r}; expected a text in quotes, for `compare` also a list"
+            f"{origin}: noise = {noise!r}; expected a quoted string, for `compare` also a list"
         )
     if not isinstance(settings.get("as_given", False), bool):
         raise InputError(f"{origin}: as_given = {settings['as_given']!r}; expected true or false")
@@ -276,7 +276,7 @@ def prepare(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Config
 def prepare_all(
     files: Sequence[Path], config: Path | None, flags: Mapping[str, Any]
 ) -> dict[str, ConfiguredThrow]:
-    """The throws of files and their settings, by the name of the file; of a stop-watch's table,
+    """The throws of files and their settings, by the name of the file; of a stopwatch's table,
     those of all rows, unless one is chosen.
 
     Raises

@@ -71,7 +71,7 @@ def predict(
         ),
     ] = None,
     to_tee: Annotated[
-        bool, typer.Option("--to-tee", help="To rest on the tee.", rich_help_panel=_GOAL)
+        bool, typer.Option("--to-tee", help="Come to rest on the tee.", rich_help_panel=_GOAL)
     ] = False,
     weight: Annotated[
         str | None,
@@ -85,13 +85,15 @@ def predict(
     ] = None,
     tee_speed: Annotated[
         float | None,
-        typer.Option(help="Of a takeout, m/s. [default: 1.5]", rich_help_panel=_GOAL),
+        typer.Option(
+            help="Speed of a takeout at the tee line, m/s. [default: 1.5]", rich_help_panel=_GOAL
+        ),
     ] = None,
     target: Annotated[
         str | None,
         typer.Option(
-            help="To rest at this point, m from the tee: right, beyond. Write --target=-0.5,1 "
-            "where the first number is negative.",
+            help="Come to rest at this point: m to the right of the tee and m beyond it. Write "
+            "--target=-0.5,1 if the first number is negative.",
             metavar="X,Y",
             rich_help_panel=_GOAL,
         ),
@@ -123,7 +125,7 @@ def predict(
     report: o.Report = False,
     quiet: o.Quiet = False,
 ) -> o.Saved | None:
-    """Predict a throw: path and resting place, with their uncertainties.
+    """Predict a throw: path and resting position, with their uncertainties.
 
     Without options: the fitted throw, extrapolated to rest. With a start or a goal: another throw
     on the same ice, by default from the near hog line with the spin of the fitted one. Bands

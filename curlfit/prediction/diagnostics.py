@@ -85,14 +85,14 @@ def null_direction_effects(
         if max(moved, turned) < _RELEVANT:
             size = "less than 0.01 mm" if moved < 1e-5 else f"{1000 * moved:.2g} mm"
             notes.append(
-                f"{what}, which has no effect here: over the allowed range the resting place moves "
-                f"by {size}"
+                f"{what}, which has no effect here: over the allowed range the resting "
+                f"position moves by {size}"
             )
         else:
             warnings.append(
-                f"{what}, which affects this throw: the resting place may change by {moved:.2g} m "
-                f"and the final angle by {turned:.2g} rad; the bands include this, uniformly over "
-                "the allowed range"
+                f"{what}, which affects this throw: the resting position may change by {moved:.2g} "
+                f"m and the final angle by {turned:.2g} rad; the bands include this, uniformly "
+                "over the allowed range"
             )
     return warnings, notes
 
@@ -109,7 +109,8 @@ def discrepancy_remarks(discrepancy: Discrepancy) -> tuple[list[str], list[str]]
 
     limit = (
         f"the prior is truncated at the friction (mu = {discrepancy.friction:.2g}, mu g = "
-        f"{discrepancy.ceilings['along']:.2g} m/s^2; 5 % of it would lie above, its mean is 1/3)"
+        f"{discrepancy.ceilings['along']:.2g} m/s^2; untruncated, 5 % of it would lie above, and "
+        "its mean would be a third of that)"
     )
     if not discrepancy.estimated:
         return [

@@ -25,7 +25,7 @@ from curlfit.prediction.request import ThrowStart
 from curlfit.stone import Stone
 
 VARIED = {"v0": 0.01, "omega0": 0.1}
-"""Changes of the start for the sensitivity of the resting place, in m/s and rad/s."""
+"""Changes of the start for the sensitivity of the resting position, in m/s and rad/s."""
 _GRID_TIMES = 301
 _GRID_STEPS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # s between times
 _MAX_FILLED = 0.8  # share of the grid of times within which throws come to rest

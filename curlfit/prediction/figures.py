@@ -43,8 +43,8 @@ _LEVELS = (("2.5", "97.5", 0.3, "95 %"), ("16", "84", 0.6, "68 %"))
 
 @styled
 def prediction_figure(prediction: Prediction) -> Figure:
-    """The path on the sheet, the resting place in the house, bands of path and measured rows, speed
-    and spin.
+    """The path on the sheet, the resting position in the house, bands of path and measured rows,
+    speed and spin.
 
     Examples
     --------
@@ -128,7 +128,7 @@ def _stone(axes: Any, position: tuple[float, float], hollow: bool = False) -> No
 
 
 def _resting_place(prediction: Prediction, axes: Any) -> None:
-    """The resting place, seen along the throw, in m from the tee."""
+    """The resting position, seen along the throw, in m from the tee."""
     series, half = prediction.series, sheet.WIDTH / 2
     x, y = series["x"][-1], series["y"][-1] - sheet.TEE
     centre, size = _interval(prediction, "2.5", "97.5")
@@ -188,7 +188,7 @@ def _equal_scales(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> 
 
 
 def _interval(prediction: Prediction, low: str, high: str) -> tuple[Any, Any]:
-    """Centre and half width of an interval of the resting place, from the tee, m."""
+    """Centre and half width of an interval of the resting position, from the tee, m."""
     ends = np.array(
         [[prediction.quantities[name].quantiles[level] for level in (low, high)] for name in _REST]
     )
@@ -271,5 +271,5 @@ def _residuals(prediction: Prediction, axes: Any, name: str) -> None:
     off = factor * (measured[name] - np.interp(measured["t"], series["t"], series[name]))
     axes.plot(measured["t"], off, **LATER_STYLE)
     axes.set(xlabel="t (s)", ylabel=unit)
-    axes.set_title(f"${CHANNEL_LABEL[name]}$, measured less predicted")
+    axes.set_title(f"${CHANNEL_LABEL[name]}$, measured \N{MINUS SIGN} predicted")
     axes.margins(x=0.02)

@@ -59,7 +59,7 @@ LEVELS = ("2.5", "16", "50", "84", "97.5")
 _BAND_POINTS = 121
 _SAMPLED, _SAMPLE_TIMES = 60, 30  # draws kept, and times of each
 _DIGITS = 4  # decimals of these: 0.1 mm
-_HEADING_CHANGE = 0.001  # for the sensitivity of the resting place, rad
+_HEADING_CHANGE = 0.001  # for the sensitivity of the resting position, rad
 
 
 def predict(
@@ -123,8 +123,8 @@ def predict(
     for name in ("length_scale", "time_scale"):
         if name in fit.conditions and fit.parameters[name].value != 1.0:
             raise InputError(
-                f"{name} of this fit is not 1: its lengths and times are not those of the ice; use "
-                "a fit of data in true ones"
+                f"{name} of this fit is not 1: measured lengths or times differ from the true "
+                "ones; use a fit of corrected data"
             )
     if draws < 100:
         raise InputError(f"{draws} draws: expected at least 100")
@@ -179,7 +179,9 @@ def predict(
     ]
     notes += [*null_notes, *law_notes]
     if request.new:
-        notes.append("the variation of the ice from throw to throw is unknown from one throw")
+        notes.append(
+            "the variation of the ice from throw to throw cannot be estimated from a single throw"
+        )
     if not use.all():
         warnings.append(f"{1 - use.mean():.1%} of the draws do not come to rest and are left out")
     comparison = None
@@ -415,7 +417,7 @@ def _chances(full: TrajectoryEnsemble) -> dict[str, float]:
 def _sensitivity(
     probed: dict[str, TrajectoryEnsemble], best: TrajectoryEnsemble
 ) -> dict[str, dict[str, Any]]:
-    """How the resting place moves with the start."""
+    """How the resting position moves with the start."""
     end = best.state[0, :2, -1]
     found: dict[str, dict[str, Any]] = {}
     for name, by in VARIED.items():

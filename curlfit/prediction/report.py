@@ -199,14 +199,14 @@ def _sentences(prediction: Prediction) -> list[str]:
         ]
         changes.append(f"{item['by']:g} {words}: {', '.join(moves) or 'no change'}")
     if changes:
-        found.append("Sensitivity of the resting place: " + "; ".join(changes) + ".")
+        found.append("Sensitivity of the resting position: " + "; ".join(changes) + ".")
     return found
 
 
 def _check(check: HeldOut) -> RenderableType:
     table = plain_table()
     table.add_column("held out", no_wrap=True)
-    for head in ("rows", "rms", "within 68 %", "within 95 %", "last row off", "expected"):
+    for head in ("rows", "rms", "within 68 %", "within 95 %", "error at end", "std. dev."):
         table.add_column(head, justify="right", no_wrap=True)
     for name, item in check.channels.items():
         unit = "rad" if name == "phi" else "m"

@@ -36,7 +36,7 @@ QUANTITIES = {
     "speed_at_far_hog": ("speed at far hog line", "m/s"),
     "speed_at_tee": ("speed at tee line", "m/s"),
 }
-"""Predicted quantities: meaning and unit by name. Curl is the distance of the resting place from
+"""Predicted quantities: meaning and unit by name. Curl is the distance of the resting position from
 the line of delivery, the straight line along the initial velocity."""
 OUTCOMES = {
     "in the house": "rests in the house or touches it",
@@ -108,11 +108,12 @@ class Prediction(Displayed):
     series : t (s since the start) and x, y, phi, speed, omega of the best estimate; of x, y, phi
         also "x_parameter_sd", "x_model_sd" and the quantiles "x_2.5" ...
     band : x as a function of y: "y", "x" and "x_2.5" ..., as far as half of the draws reach.
-    rest : "mean" of the resting place and its covariances (m^2) by the errors of the parameters,
+    rest : "mean" of the resting position and its covariances (m^2) by the errors of the parameters,
         "parameter", by the model discrepancy, "model" (about zero), and by both, "both".
     quantities : by name, see `QUANTITIES`.
     chances : shares of the draws by outcome.
-    sensitivity : by name of the start, the change of the resting place (m right, m along) by "by".
+    sensitivity : by name of the start, the change of the resting position (m right, m along) by
+        "by".
     warnings, notes : for the reader.
     check : None, or the comparison with measured rows.
     measured : t (s since the start) and the measured channels of the fitted rows, on the sheet; for

@@ -160,7 +160,7 @@ def _others(profile: Profile, axes: Any) -> None:
         lines += axes.plot(
             profile.at[shown], moves[name][shown], lw=1.2, label=label, **styles[index],
         )  # fmt: skip
-    axes.set_ylabel("change of the others\n(their standard errors)")
+    axes.set_ylabel("change of other parameters\n(standard errors of each)")
     if values:
         right = axes.twinx()
         right.grid(visible=False)

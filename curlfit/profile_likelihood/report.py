@@ -129,7 +129,7 @@ def describe_undetermined(profile: Profile) -> str:
     for end, names in zip(profile.free, profile.stops, strict=True):
         if names:
             come = "reaches its bound" if len(names) == 1 else "reach their bounds"
-            text += f" It ends at {_short(end)}, where {join_words(list(names))} {come}."
+            text += f" The profile ends at {_short(end)}, where {join_words(list(names))} {come}."
     return text + _open_ends(profile)
 
 

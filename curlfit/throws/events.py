@@ -1,7 +1,7 @@
 """Timed events of a throw: a stone crosses a line, or comes to rest, when or where.
 
 Such a measurement is no row of a path. A time between two lines is the difference of two crossing
-times, with the error of a stop-watch; the place of rest is measured with a tape.
+times, with the error of a stopwatch; the resting position is measured with a tape.
 """
 
 from __future__ import annotations
@@ -61,7 +61,9 @@ class Event:
                 + ", ".join(QUANTITIES)
             )
         if self.quantity == "y" and self.at is not None:
-            raise InputError(f"event {self.name}: y is that of the line; y is measured at rest")
+            raise InputError(
+                f"event {self.name}: `at` is given, expected none: y is measured at rest"
+            )
         if not math.isfinite(self.value):
             raise InputError(f"event {self.name}: {self.value} found, expected a finite number")
         if not (math.isfinite(self.sigma) and self.sigma > 0):
@@ -177,7 +179,7 @@ class EvenMotion(NamedTuple):
 
 
 def even_motion(events: Sequence[Event], assumed: Mapping[str, float]) -> EvenMotion:
-    """The constant deceleration nearest to the measured times and to the place of rest.
+    """The constant deceleration nearest to the measured times and to the resting position.
 
     With a length s to rest in a time T, a line at a distance d is crossed at T (1 - sqrt(1 - d/s)):
     all times are proportional to T, which is found in closed form for each s of a fine grid.

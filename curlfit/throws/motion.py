@@ -12,7 +12,7 @@ from curlfit.numerics.arrays import Floats
 from curlfit.stone import GRAVITY
 from curlfit.throws.throw import Throw, scatter
 
-_JUMP = 0.15  # m/s, by which a velocity may change at once, beside friction
+_JUMP = 0.15  # m/s, by which a velocity may change abruptly, beside friction
 SURE = 6.0
 """Standard errors that a finding takes."""
 FEWEST = 10

@@ -115,7 +115,7 @@ def require_plausible(throw: Throw) -> tuple[Finding, ...]:
     if refused:
         right = _option(throw, "as-given", None)
         raise InputError(
-            f"{throw.name}: {'. '.join(refused)}. If the data are right as they are: {right}"
+            f"{throw.name}: {'. '.join(refused)}. To accept the data as they are: {right}"
         )
     return found
 
@@ -155,12 +155,13 @@ def examine_fit(
         if motion is not None and math.isfinite(motion.friction_error):
             error = motion.friction_error
         if mean + 3 * error < FRICTION[0] or mean - 3 * error > FRICTION[1]:
-            sense = "speeds up" if mean < 0 else f"has a mean friction of {mean:.2g}"
+            usual = f"on ice it is {FRICTION[0]:g} to {FRICTION[1]:g}"
             found.append(
                 Finding(
                     "fitted friction",
-                    f"the fitted stone {sense}, and stones on ice have "
-                    f"{FRICTION[0]:g} to {FRICTION[1]:g}",
+                    "the fitted stone speeds up, which friction cannot cause"
+                    if mean < 0
+                    else f"the fitted mean coefficient of friction is {mean:.2g}; {usual}",
                     f"if units are wrong, set them as in {units}",
                 )
             )
@@ -231,8 +232,8 @@ def _scale(throw: Throw, motion: Motion) -> Iterator[Finding]:
     if not growing and (mu + 3 * error < low or mu - 3 * error > high):
         deceleration = mu * GRAVITY
         faults.append(
-            f"it slows down by {deceleration:.2g} m/s^2, a friction of {mu:.2g}, and stones on ice "
-            f"have {low:g} to {high:g}"
+            f"it decelerates at {deceleration:.2g} m/s^2, a coefficient of friction of {mu:.2g} "
+            f"(on ice {low:g} to {high:g})"
         )
     if faults or unusual:
         text = ", and ".join((faults or unusual)[:2])
@@ -310,7 +311,7 @@ def _unit_remedy(throw: Throw) -> str:
         return f"set the units of the file, as in {_units_words(throw, 't=ms', 'length=cm')}"
     flag = _option(throw, "units", best[1])
     if best[1].endswith("fps"):
-        return f"if t counts frames: {flag}, with those of the camera a second"
+        return f"if t counts frames: {flag}, with the frame rate of the camera"
     what = {"t": "the time is", "length": "lengths are"}
     parts = [part.partition("=") for part in best[1].split(",")]
     said = [f"{what.get(name, f'{name} is')} in {_NAMES.get(u, u)}" for name, _, u in parts]
@@ -363,10 +364,10 @@ def _spin(throw: Throw) -> Iterator[Finding]:
     turns = abs(turned) / (2 * math.pi)
     channel = "phi" if np.isfinite(throw.phi).sum() >= 2 else "omega"
     unit = "angle=deg" if channel == "phi" else "spin=deg/s"
-    text = f"the stone turns {turns:.3g} times, at {abs(mean):.3g} rad/s, and stones turn 0 to 10"
     yield Finding(
         "turns",
-        text if abs(mean) > MAX_SPIN else f"{text} times",
+        f"the stone turns {turns:.3g} times, at {abs(mean):.3g} rad/s; stones turn at most about "
+        "10 times",
         f"if {'angles are' if channel == 'phi' else 'spins are'} in degrees: "
         + _option(throw, "units", unit),
         refused=abs(mean) > MAX_SPIN,
@@ -382,8 +383,8 @@ def _other_hands(throw: Throw, motion: Motion) -> Iterator[Finding]:
         flag = ("since", _up(at)) if early else ("until", _down(at))
         yield Finding(
             "collision",
-            f"the velocity jumps by {change:.2g} m/s at t = {at:.4g} s, as where stones collide or "
-            "a hand touches one",
+            f"the velocity jumps by {change:.2g} m/s at t = {at:.4g} s, as in a collision or at "
+            "the touch of a hand",
             f"leave out what is {'before' if early else 'after'}: {_option(throw, *flag)}",
         )
         return
@@ -462,7 +463,7 @@ def _axes(throw: Throw, motion: Motion) -> Iterator[Finding]:
         "axes",
         f"the stone turns {sense} and curls {abs(motion.curl):.2g} m to the {side}, and stones on "
         "ice curl to the side to which they turn: unless the ice slopes, an axis or the angle is "
-        "mirrored, and the friction of front and back comes out exchanged",
+        "mirrored, and the fit would interchange the friction of front and back",
         f"if {axis}: {_option(throw, 'axes', first)}; if angles count the other way: "
         + _option(throw, "axes", clockwise),
         refused=False,

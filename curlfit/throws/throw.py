@@ -218,7 +218,7 @@ class Throw(Displayed):
     def from_events(
         cls, events: Sequence[Event], *, assumed: Mapping[str, float] | None = None, **more: Any
     ) -> Throw:
-        """A throw of which only events were measured, such as times of a stop-watch.
+        """A throw of which only events were measured, such as times of a stopwatch.
 
         Its clock begins at the first line; its times are those at which a fit is shown.
 
@@ -424,14 +424,15 @@ class Throw(Displayed):
             limits = {"since": since, "until": until}
             said = " and ".join(f"{key} = {v:g} s" for key, v in limits.items() if v is not None)
             raise InputError(
-                f"no row of {self.name} is left by {said}; it has {self.t[0]:g} .. {self.t[-1]:g} s"
+                f"no row of {self.name} remains with {said}; its times are {self.t[0]:g} .. "
+                f"{self.t[-1]:g} s"
             )
         for begin, end in exclude:
             if not begin < end:
                 raise InputError(f"exclude {begin:g}:{end:g}: expected A:B with A before B")
             keep &= (self.t < begin - 1e-9) | (self.t > end + 1e-9)
         if not keep.any():
-            raise InputError(f"no row of {self.name} is left by what is excluded")
+            raise InputError(f"the excluded intervals leave no row of {self.name}")
         return replace(
             self,
             **{name: getattr(self, name)[keep] for name in ("t", *CHANNELS)},
@@ -484,8 +485,8 @@ def require_path(throw: Throw) -> None:
     """Raise `InputError` for a throw of timed events alone."""
     if not throw.has_path:
         raise InputError(
-            f"{throw.name}: {len(throw.events)} timed events rank no laws; expected a path. "
-            "`curlfit fit --law NAME` fits one law to them"
+            f"{throw.name}: laws cannot be ranked by {len(throw.events)} timed events; expected a "
+            "path. `curlfit fit --law NAME` fits one law to them"
         )
 
 

@@ -17,7 +17,7 @@ SIGMA = np.array([0.1, 0.05, 0.05])
 
 
 def measured(file):
-    """Time between the hog lines (s), place of rest from the near one and curl (m)."""
+    """Time between the hog lines (s), resting position from the near one and curl (m)."""
     with open(file) as lines:
         found = {
             key.strip(): text.split() for key, _, text in (line.partition("=") for line in lines)

@@ -126,7 +126,7 @@ def verbs() -> None:
 
 
 def stopwatch() -> None:
-    """A stop-watch's record by the command, against the scipy script in closed form."""
+    """A stopwatch's record by the command, against the scipy script in closed form."""
     curlfit, peer = (
         [sys.executable, "-m", "curlfit"],
         [sys.executable, str(HERE / "peer_stopwatch.py")],

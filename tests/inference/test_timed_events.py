@@ -1,4 +1,4 @@
-"""Times between lines and places of rest, against constant deceleration in closed form."""
+"""Times between lines and resting positions, against constant deceleration in closed form."""
 
 from __future__ import annotations
 

@@ -523,7 +523,7 @@ def test_what_is_missed_along_a_throw_is_missed_along_a_turned_one(eq12):
     one, other = (estimate_discrepancy(fit).sizes for fit in found)
     assert one["across"] < 0.05 * one["along"]
     assert other["along"] == pytest.approx(one["along"], rel=0.05)
-    # and the errors of the resting place are turned with the throw
+    # and the errors of the resting position are turned with the throw
     one, other = (
         np.array(curlfit.predict(fit, line="data", draws=2000, seed=1).rest["model"])
         for fit in found

@@ -1,4 +1,4 @@
-"""Calibration: do error bars hold the truth as often as they say?
+"""Calibration: do error bars have their nominal coverage?
 
     python tests/statistics/calibration.py [ranks|noise|small|all] [--throws N] [--laws A,B]
                                            [--workers N] [--seed N] [--out DIR]
@@ -103,10 +103,10 @@ TRIALS = {
             for law in BOXES
         ),
         Trial("noise white", "front-back", "front-back", "Right law, white noise", **_MODELS),
-        Trial("noise 0.3 s", "front-back", "front-back", "Right law, noise with a memory of 0.3 s "
-              "(correlated by 0.72 from row to row)", correlation=math.exp(-0.1 / 0.3), **_MODELS),
-        Trial("noise 0.95 s", "front-back", "front-back", "Right law, noise with a memory of "
-              "0.95 s (correlated by 0.9 from row to row)", correlation=0.9, **_MODELS),
+        Trial("noise 0.3 s", "front-back", "front-back", "Right law, noise with a correlation "
+              "time of 0.3 s (correlated by 0.72 from row to row)", correlation=math.exp(-0.1 / 0.3), **_MODELS),
+        Trial("noise 0.95 s", "front-back", "front-back", "Right law, noise with a correlation "
+              "time of 0.95 s (correlated by 0.9 from row to row)", correlation=0.9, **_MODELS),
         Trial("noise stribeck", "stribeck", "coulomb",
               "`stribeck` fitted by `coulomb`, white noise", **_MODELS),
         Trial("noise power", "power", "coulomb",
@@ -149,7 +149,7 @@ class Outcome(NamedTuple):
     correlated: bool = False
     """whether the residuals were said to be correlated"""
     lasting: bool = False
-    """whether the memory of the noise was said to be too long to be told well"""
+    """whether the correlation time of the noise was said to be too long to be estimated well"""
     outliers: int = 0
 
     @classmethod
@@ -443,7 +443,8 @@ def noise_table(trial: Trial, answers: Answers) -> Table:
         if any(cells):  # else no fit gives a standard error, as is said below
             lines.append(row([name, *cells]))
     lines += ["", *head("warnings", *trial.noises)]
-    for title, what in (("residuals correlated", "correlated"), ("memory too long", "lasting")):
+    titles = {"residuals correlated": "correlated", "correlation time too long": "lasting"}
+    for title, what in titles.items():
         lines.append(
             row([title, *(f"{sum(getattr(o, what) for o in found)} of {len(found)}"
                           for found in outcomes.values())])

@@ -4,7 +4,8 @@
 
 writes the table "errors" of README.md beside this file. A throw of 20 s at 10 Hz, 5 mm on x and y
 and 10 mrad on phi, with coefficients within 20 % of their defaults and either sense of spin, is
-drawn and fitted; sigma is estimated. Counted is how often intervals by Student's t hold the truth.
+drawn and fitted; sigma is estimated. Counted is how often intervals by
+Student's t contain the true value.
 """
 
 from __future__ import annotations
@@ -121,8 +122,8 @@ def thrown(case: Case, random: np.random.Generator) -> tuple[curlfit.Throw, dict
 
 
 def counts(case: Case, throws: int, seed: int = 0) -> tuple[dict[str, list[int]], str]:
-    """By group of parameters, intervals that hold the truth by level, and all; and what is left
-    out."""
+    """By group of parameters, intervals that contain the true value by level, and all; and
+    what is left out."""
     random = np.random.default_rng(seed)
     data = [thrown(case, random) for _ in range(throws)]
     fits = fit_throws([throw for throw, _ in data], case.fitted, **case.options)

@@ -124,7 +124,7 @@ def test_noise_says_pulls_and_warnings():
     cells = line_of("v0", text)
     assert (cells[3], cells[6], cells[9]) == ("1.00 ± 1.37", "2.00 ± 2.74", "0.50 ± 0.00")
     assert line_of("residuals correlated", text)[1:] == ["7 of 9", "0 of 9", "0 of 8"]
-    assert line_of("memory too long", text)[1:] == ["0 of 9", "2 of 9", "0 of 8"]
+    assert line_of("correlation time too long", text)[1:] == ["0 of 9", "2 of 9", "0 of 8"]
     assert "- discrepancy: 8 counted; left out: not converged 1." in text
 
 

@@ -1,4 +1,4 @@
-"""Records of a stop-watch and a tape, as people write them."""
+"""Records of a stopwatch and a tape, as people write them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether the motion of a fitted throw changes at once: its friction by sweeping, or its velocity
+"""Whether the motion of a fitted throw changes abruptly: its friction by sweeping, or its velocity
 where stones touch.
 
 Score tests. The path responds linearly to a small change of the friction from some time on; the
@@ -46,7 +46,7 @@ _MOST_LAG1 = 0.7  # of what remains; more is left by a wrong law
 
 
 class SuddenChange(Protocol):
-    """What changes at once, in words."""
+    """What changes abruptly, in words."""
 
     def warning(self) -> str:
         """In words, with the flags that go with it."""
@@ -66,9 +66,9 @@ class FrictionChange(NamedTuple):
         """In words, with the flags that go with it."""
         begin, end = f"{self.begin:.1f}", f"{self.end:.1f}"
         return (
-            f"the friction changes at once, by a factor of about {self.factor:.2f} between {begin} "
-            f"and {end} s: sweeping, or a touched stone; `--sweep {begin}:{end}` makes the factor "
-            "a parameter, `--until` and `--exclude` leave rows out"
+            f"the friction changes abruptly, by a factor of about {self.factor:.2f} between "
+            f"{begin} and {end} s, as by sweeping or a touched stone; `--sweep {begin}:{end}` "
+            "estimates the factor, `--until` and `--exclude` leave rows out"
         )
 
 
@@ -89,8 +89,8 @@ class VelocityChange(NamedTuple):
         else:
             remedy = f"`--until {math.floor(2 * self.time - 0.5) / 2:g}` leaves out what follows"
         return (
-            f"the velocity changes at once, by about {self.size:.2g} m/s near t = {self.time:.1f} "
-            "s, as where stones touch; coefficients and the side of the curl are then wrong; "
+            f"the velocity changes abruptly, by about {self.size:.2g} m/s near t = {self.time:.1f} "
+            "s, as in a collision; coefficients and the side of the curl are then wrong; "
             f"{remedy}"
         )
 
@@ -149,7 +149,7 @@ class _Fitted(NamedTuple):
 
 
 def sudden_change(fit: LeastSquaresFit) -> SuddenChange | None:
-    """What changes at once, friction or velocity, whichever explains more; None if neither."""
+    """What changes abruptly, friction or velocity, whichever explains more; None if neither."""
     fitted = _Fitted.of(fit)
     tests = ((_friction_change, _SURE_FRICTION), (_velocity_change, _SURE_VELOCITY))
     found = [(*test(fitted), limit) for test, limit in tests]
@@ -158,7 +158,7 @@ def sudden_change(fit: LeastSquaresFit) -> SuddenChange | None:
 
 
 def _friction_change(fitted: _Fitted) -> tuple[float, FrictionChange]:
-    """The interval in which the friction differs at once from that before, and its gain."""
+    """The interval in which the friction differs abruptly from that before, and its gain."""
     problem, origin = fitted.fit.problem, fitted.fit.prepared.origin
     times = np.linspace(0.0, fitted.duration, _TIMES + 1)
     responses = []
@@ -191,7 +191,7 @@ def _friction_change(fitted: _Fitted) -> tuple[float, FrictionChange]:
 
 
 def _velocity_change(fitted: _Fitted) -> tuple[float, VelocityChange]:
-    """The time at which the velocity changes at once, and its gain; 0 without both positions."""
+    """The time at which the velocity changes abruptly, and its gain; 0 without both positions."""
     best = 0.0, VelocityChange(0.0, 0.0, True)
     if not (fitted.weight[:2] > 0).any(axis=1).all():
         return best

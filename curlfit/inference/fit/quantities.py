@@ -202,7 +202,7 @@ def _definitions(fit: FitResult, best: _Motion) -> list[_Definition]:
     found = []
     if seen & {"y", "speed"}:
         found.append(
-            _Definition("friction", f"mean deceleration over g, {until}", "1", lambda m: m.friction)
+            _Definition("friction", f"mean deceleration / g, {until}", "1", lambda m: m.friction)
         )
     passed: dict[str, float] = {}
     if "y" in seen and fit.counts_from_hack:

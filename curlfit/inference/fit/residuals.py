@@ -182,8 +182,9 @@ def given_sigma_warnings(
         return []
     listed = ", ".join(f"{times:.2g} times in {name}" for name, times in found.items())
     return [
-        f"the residuals are far larger than the sigma given ({listed}): that is too small, or the "
-        "law or a fixed value is wrong; standard errors are too small by as much or more"
+        f"the residuals are far larger than the given sigma ({listed}): either sigma is too small, "
+        "or the law or a fixed value is wrong; standard errors are too small by at least this "
+        "factor"
     ]
 
 
@@ -199,8 +200,8 @@ def event_warnings(events: Sequence[Mapping[str, Any]], law: str) -> list[str]:
     if not listed:
         return []
     return [
-        f"the fit misses {', '.join(listed)}: the {law} law does not describe it, or it was "
-        "measured or written wrongly"
+        f"the fit deviates from {', '.join(listed)}: the {law} law does not describe the throw, or "
+        "the value was mismeasured or mistyped"
         + ("; --law power lets the friction change with the speed" if changing else "")
     ]
 
@@ -227,9 +228,10 @@ def correlation_warnings(statistics: ResidualStatistics, noise: str) -> list[str
     )
     smooth = max(item.lag1 for item in doubtful.values()) > _SMOOTH
     kind = "are smooth" if smooth else "are correlated from row to row"
-    cause = ", as a model discrepancy or slow noise leaves them" if smooth else ""
+    cause = ", as a model discrepancy or slowly varying noise makes them" if smooth else ""
     return [
         f"the residuals {kind} (lag-1 correlation {listed}){cause}; standard errors, which assume "
-        f"independent noise, are too small (effective number of values: {effective}); fit with "
-        f"--noise {'discrepancy' if smooth else 'ar1'}, or compare both models"
+        f"independent noise, are too small (effective sample size: {effective}); fit with "
+        f"--noise {'discrepancy' if smooth else 'ar1'}, or compare noise models with `curlfit "
+        f"compare --noise white,{'discrepancy' if smooth else 'ar1'}`"
     ]

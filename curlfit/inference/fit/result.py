@@ -171,7 +171,7 @@ class NamedEstimates(Displayed):
         other name."""
         found = self._items().get(name)
         if found is None:
-            raise KeyError(f"no {name!r}; there are {', '.join(self._items())}")
+            raise KeyError(f"no {name!r}; the names are {', '.join(self._items())}")
         return found
 
     def __contains__(self, name: object) -> bool:

@@ -283,8 +283,8 @@ def _status(fit: LeastSquaresFit, newton_decrement: float, unusual: Sequence[Fin
         return f"{IMPLAUSIBLE}: {'. '.join(refused)}"
     if newton_decrement >= _CONVERGED:
         return (
-            f"not converged: the next step would still gain {newton_decrement:.2g} standard errors "
-            f"({steps})"
+            f"not converged: the optimum is still about {newton_decrement:.2g} standard errors "
+            f"away ({steps})"
         )
     if unusual:
         return f"converged ({steps}), but the data are unusual: see the first warning"
@@ -292,18 +292,18 @@ def _status(fit: LeastSquaresFit, newton_decrement: float, unusual: Sequence[Fin
 
 
 def _parameter_warnings(fit: LeastSquaresFit, found: Covariance) -> list[str]:
-    """Coefficients that make no law, and parameters at a bound."""
+    """Coefficients that are not those of a law, and parameters at a bound."""
     warnings = []
     fault = fit.model.law.from_vector(fit.solution.values).fault()
     if fault is not None:
-        warnings.append(f"{fault}; the fitted coefficients make no law of friction")
+        warnings.append(f"{fault}; the fitted coefficients are not those of a friction law")
     for item, stuck in zip(fit.prepared.parameters.parameters, found.at_bound, strict=True):
         if stuck:
             within = f"{item.lower:g}..{item.upper:g}"
             warnings.append(
-                f"{item.name} sits at its bound; "
+                f"{item.name} is at its bound; "
                 + (
-                    f"the data hardly tell this from other values within {within}"
+                    f"the data hardly distinguish this value from others within {within}"
                     if item.name in found.identifiability.names
                     else f"the data favour values outside {within}"
                 )

@@ -290,10 +290,10 @@ def _result(
         if item.significant:
             warnings.insert(
                 0,
-                f"{item.expression} differs from throw to throw beyond its errors "
-                f"({item.p_text}); its error about the mean of such throws is "
-                f"{item.stderr:.2g}, not the one of the shared fit, and large residuals of single "
-                "throws may come from the common value, not from their data",
+                f"{item.expression} varies between throws by more than its errors ({item.p_text}); "
+                f"the standard error of its mean over such throws is {item.stderr:.2g}, not that "
+                "of the shared fit, and large residuals of single throws may be due to the common "
+                "value rather than to their data",
             )
     # Of a throw without a path the curl is at most one number, which the heading takes up.
     paths = any(one.throw.has_path for one in rounds.throws)
@@ -302,8 +302,8 @@ def _result(
     if differ and paths and not model.has_slope:
         warnings.insert(
             0,
-            "throws of both spins differ; where the ice is not level they do, and `--free slope_x` "
-            "fits the slope that they have in common",
+            "throws of opposite spins differ, as they do on ice that is not level; `--free "
+            "slope_x` fits a common slope",
         )
     return JointResult(
         law=model.law.name,

@@ -53,7 +53,8 @@ def summarised(
         )
     if chain.state is not None and not chain.state.bold:
         status += (
-            "; it is not of the shape that the fit foresaw, so ensemble moves did most of the work"
+            "; its shape differs from the approximation by the fit, so most proposals were "
+            "ensemble moves"
         )
     posterior = Posterior(
         samples=len(chain.flat),

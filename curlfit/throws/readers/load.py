@@ -64,7 +64,7 @@ def load_throw(
     Parameters
     ----------
     format : `table`, `tracker` (exports of Tracker), `digitalcurling` (logs of DigitalCurling 3)
-        or `timings` (of a stop-watch); detected from the file if not given.
+        or `timings` (of a stopwatch); detected from the file if not given.
     axes : the file's axes where they are not those of curlfit, as words separated by commas, such
         as `x-along,clockwise,from-tee`; see `curlfit.throws.readers.axes.WORDS`.
     reference : file of known points u, v (pixels), x, y (m), where positions are in pixels.
@@ -146,7 +146,7 @@ def load_throws(
 
 
 def holds_timed_rows(file: str | PathLike[str], format: str | None = None) -> bool:
-    """Whether a file is a stop-watch's table with a throw in each row.
+    """Whether a file is a stopwatch's table with a throw in each row.
 
     Only its beginning is read. False where it cannot be read.
     """

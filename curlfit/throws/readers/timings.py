@@ -1,4 +1,4 @@
-"""Stop-watch records: times between lines, and where the stone came to rest."""
+"""Stopwatch records: times between lines, and where the stone came to rest."""
 
 from __future__ import annotations
 
@@ -368,8 +368,8 @@ class _Record:
             return 0.0, "the spin was not measured and is taken to be zero"
         word = "counter-clockwise" if sense > 0 else "clockwise"
         return sense * USUAL_SPIN, (
-            f"the spin was not measured: it is held at {USUAL_SPIN} rad/s, {word} {why}, as of two "
-            "and a half turns; `turns` measures it"
+            f"the spin was not measured: it is held at {USUAL_SPIN} rad/s, {word} {why}, as for "
+            "two and a half turns; a value of `turns` gives the measured number"
         )
 
     def require_friction(self, events: list[Event]) -> None:
