@@ -104,7 +104,8 @@ TRIALS = {
         ),
         Trial("noise white", "front-back", "front-back", "Right law, white noise", **_MODELS),
         Trial("noise 0.3 s", "front-back", "front-back", "Right law, noise with a correlation "
-              "time of 0.3 s (correlated by 0.72 from row to row)", correlation=math.exp(-0.1 / 0.3), **_MODELS),
+              "time of 0.3 s (correlated by 0.72 from row to row)",
+              correlation=math.exp(-0.1 / 0.3), **_MODELS),
         Trial("noise 0.95 s", "front-back", "front-back", "Right law, noise with a correlation "
               "time of 0.95 s (correlated by 0.9 from row to row)", correlation=0.9, **_MODELS),
         Trial("noise stribeck", "stribeck", "coulomb",
