@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _CAPTIONS = {
     "parameter": "Estimates with standard errors",
-    "shift of the estimate": "Shift of the estimates with the constants of the stone",
+    "refitted parameter": "Shift of the estimates with the constants of the stone",
     "": "Intervals at 95 %",
     "derived": "Derived quantities",
     "along the fitted path": "Along the fitted path",

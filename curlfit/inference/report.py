@@ -107,7 +107,7 @@ def _beside_reference(fit: FitResult) -> list[RenderableType]:
     if reference is None or not fits:
         return []
     now, table = fit.stone.as_dict(), plain_table()
-    table.add_column("parameter", no_wrap=True)
+    table.add_column("refitted parameter", no_wrap=True)
     table.add_column("std. error", justify="right", no_wrap=True)
     for item in fits:
         table.add_column(f"shift for {_changes(item['stone'], now)}", justify="right", no_wrap=True)

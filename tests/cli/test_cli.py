@@ -138,7 +138,7 @@ def test_flags_override_the_configuration_and_that_the_file(tmp_path):
         (["fit", DATA, "--stone", "R=-0.05"], "stone.R = -0.05 m: expected a positive"),
         (["fit", DATA, "--stone", "q=1"], "no property 'q'"),
         (["fit", DATA, "--sigma", "x=0"], "expected a positive number"),
-        (["fit", DATA, "--until", "-3"], "is left by until = -3 s"),
+        (["fit", DATA, "--until", "-3"], "remains with until = -3 s"),
         (["fit", DATA, "--until", "0.5"], "6 rows for 10 parameters"),
         (["fit", DATA, "--out", DATA], "this is a file, expected a folder"),
         (["fit", DATA, "--out", "/proc/nothing"], "output folder cannot be written"),

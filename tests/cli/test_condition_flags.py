@@ -65,7 +65,7 @@ def test_fit_estimates_a_slope_with_a_prior_and_names_systematic_errors(typed, f
     said = body(out)
     assert "slope_x (m/m)" in said
     assert "The path and the priors determine 8 of 8 parameters" in said
-    assert "if the ice falls 0.1 mm/m along the throw, mu is 9.9e-05 higher" in said
+    assert "slopes down along the throw by 0.1 mm/m, the true mu is 9.9e-05 higher" in said
     assert " ".join(typed("show", "a-fit").split()) == said
     record = json.loads(typed("show", "a-fit", "--json"))
     assert record["systematics"]["widths"] == {"slope_y": 1e-4}
@@ -100,7 +100,7 @@ def test_several_throws_share_the_conditions(typed, folder):
     assert joint.systematics.errors["mu1_xi"] > 0
     said = body(out)
     assert "shared: mu1_xi, mu2_xi, mu1_eta, mu2_eta, slope_x" in said
-    assert "Systematic errors are those of conditions that the fit holds" in said
+    assert "Systematic errors come from conditions that the fit holds fixed" in said
     assert " ".join(typed("show", "joint-fit").split()) == said
     saved = load_fit(folder / "joint-fit" / "a")
     assert saved.systematics.widths == joint.systematics.widths
@@ -143,18 +143,24 @@ def test_profile_compare_and_batch_have_the_flags(typed, folder):
         (("compare", "a.csv", "--free", "slope"), "--free: none of the laws has a parameter"),
         (("compare", "a.csv", "--prior", "slope=1+-1"), "--prior: none of the laws has a param"),
         (("batch", "a.csv", "--free", "slope"), "no parameter 'slope'"),
-        (("batch", "a.csv", "--systematic", "slope=1"), "no condition 'slope'; there are slope_x"),
+        (
+            ("batch", "a.csv", "--systematic", "slope=1"),
+            "condition 'slope'; the conditions are slope_x",
+        ),
         (("fit", "a.csv", "--prior", "rho"), "--prior rho: expected NAME=PRIOR"),
         (("fit", "a.csv", "--prior", "rho=1", "--prior", "rho=2+-1"), "rho is given twice"),
         (("fit", "a.csv", "--prior", "rho=about 1"), "prior of rho: 'about 1' is no prior"),
         (("fit", "a.csv", "--prior", "rho=1+-0"), "prior of rho: 1+-0 expected a positive width"),
         (("fit", "a.csv", "--free", "rho", "--fix", "rho=0.1"), "rho is fixed and is free"),
-        (("fit", "a.csv", "--systematic", "slope=1"), "no condition 'slope'; there are slope_x"),
+        (
+            ("fit", "a.csv", "--systematic", "slope=1"),
+            "condition 'slope'; the conditions are slope_x",
+        ),
         (("fit", "a.csv", "b.csv", "--systematic", "slope=1"), "no condition 'slope'"),
         (("fit", "a.csv", "--systematic", "rho=-1"), "rho = -1; expected a width of 0 or more"),
         (("fit", "a.csv", "--systematic", "rho"), "expected NAME=VALUE"),
         (("fit", "a.csv", "--config", "free.toml"), "free = 'rho'; expected a list of names"),
-        (("fit", "a.csv", "--config", "prior.toml"), "prior.rho = 0.1; expected a text such as"),
+        (("fit", "a.csv", "--config", "prior.toml"), "prior.rho = 0.1; expected a string such as"),
         (("fit", "a.csv", "--config", "wide.toml"), "systematic.rho = 'much'; expected a number"),
         (("laws", "coulomb", "--conditions"), "--conditions are those of any law; give no names"),
     ],

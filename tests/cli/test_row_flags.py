@@ -58,10 +58,10 @@ def test_the_rows_of_a_fit_and_sweeping_are_chosen_by_flags_and_in_the_file(type
 
 def test_a_fit_that_does_not_know_of_the_sweeping_proposes_the_flag(typed):
     said = " ".join(typed("fit", "a.csv", *COULOMB, *QUICK, "--out", "plain").split())
-    assert "Warning: the friction changes at once, by a factor of about 0." in said
+    assert "Warning: the friction changes abruptly, by a factor of about 0." in said
     flag = said.split("`--sweep ")[1].split("`")[0]
     again = typed("fit", "a.csv", *COULOMB, "--sweep", flag, *QUICK, "--out", "again")
-    assert "changes at once" not in again
+    assert "changes abruptly" not in again
 
 
 def test_other_verbs_take_them(typed, folder):
@@ -77,10 +77,10 @@ def test_other_verbs_take_them(typed, folder):
 @pytest.mark.parametrize(
     ("words", "fault"),
     [
-        (["--since", "30"], "is left by since = 30 s"),
+        (["--since", "30"], "remains with since = 30 s"),
         (["--exclude", "3"], "--exclude 3: expected A:B"),
         (["--exclude", "4:3"], "A before B"),
-        (["--exclude", "0:40"], "is left by what is excluded"),
+        (["--exclude", "0:40"], "the excluded intervals leave no row"),
         (["--sweep", "5"], "--sweep 5: expected A:B"),
         (["--sweep", "5:6,7:8"], "expected one interval"),
         (["--free", "sweep"], "when was the stone swept"),

@@ -262,7 +262,7 @@ def test_criteria_under_a_loss_are_those_of_its_noise(clean):
 def test_the_report_names_the_loss(spoiled):
     words = _text(compare(spoiled, ["coulomb"], loss="student"))
     assert "student loss" in words
-    assert "size of the bulk" in words
+    assert "robust scale" in words
     words = _text(compare(spoiled, ["coulomb"]))
     assert "loss" not in words
     assert "rms of the residuals" in words

@@ -189,7 +189,7 @@ def test_numbers_are_taken_by_name(known):
     assert "v0" in fit
     assert "v0" not in joint
     with pytest.raises(
-        KeyError, match=r"no 'mu'; there are mu1_xi, .*, omega0, mu1_eta \+ mu2_eta"
+        KeyError, match=r"no 'mu'; the names are mu1_xi, .*, omega0, mu1_eta \+ mu2_eta"
     ):
         fit["mu"]
     with pytest.raises(KeyError, match="no 'v0'; there are mu1_xi"):

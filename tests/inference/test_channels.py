@@ -73,7 +73,7 @@ def test_a_gyroscope_alone_knows_no_speed_and_says_so(seen):
     # which of both depends on how much of the push is left over rounding
     assert v0.verdict in ("at bound", "not identifiable")
     if v0.verdict == "at bound":
-        assert any("v0 sits at its bound; the data hardly tell" in text for text in result.warnings)
+        assert any("v0 is at its bound; the data hardly" in text for text in result.warnings)
     for name in ("mu1_xi", "mu2_xi", "mu1_eta", "mu2_eta"):
         assert result.parameters[name].verdict == "not identifiable"
     throw = curlfit.Throw.from_arrays(T, omega=seen["omega"])

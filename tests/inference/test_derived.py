@@ -81,11 +81,11 @@ def test_gradients_are_those_of_differences(text):
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("a +", "not an arithmetic expression"), ("d", "no parameter 'd'; there are a, b, c"),
+    [("a +", "not an arithmetic expression"), ("d", "no parameter 'd'; the parameters are a, b, c"),
      ("__import__('os')", "no function '__import__'"), ("a.real", "only numbers, names"),
      ("a[0]", "only numbers, names"), ("'a'", "'a' is not a number"), ("", "empty"),
      ("True * a", "True is not a number"), ("log(a, b)", "log takes 1 argument"),
-     ("3", "it is of no parameter"), ("a if b else c", "only numbers"), ("a" * 500, "500 chara"),
+     ("3", "it contains no parameter"), ("a if b else c", "only numbers"), ("a" * 500, "500 chara"),
      ("(" * 300 + "a" + ")" * 90, "not an arithmetic"), ("1e999*a", "too large"),
      ("a; b", "not an"),
      ("[a for a in b]", "only numbers"), ("a := 3", "not an"), ("1j*a", "1j is not a number")],
@@ -289,7 +289,7 @@ def test_the_command_line_and_the_report(tmp_path, throw, monkeypatch):
     said = run("fit", "a.csv", *quick, "--derive", "v0**2/(2*g*mu)", "--derive", "mu - 0.01")
     assert "derived estimate std. error systematic verdict v0**2/(2*g*mu) " in said
     assert "hog line to hog line (s)" in said
-    assert "mean deceleration over g" in said
+    assert "mean deceleration / g" in said
     saved = curlfit.load_fit("a-fit")
     assert [item.expression for item in saved.derived] == ["v0**2/(2*g*mu)", "mu - 0.01"]
     assert saved["mu - 0.01"].stderr == pytest.approx(saved["mu"].stderr)

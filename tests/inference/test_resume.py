@@ -157,7 +157,7 @@ def test_the_change_of_moves_is_resumed_too(eq12_fit, tmp_path, monkeypatch, ste
     monkeypatch.setattr(sampling, "_TOO_FEW", 2.0)
     choices = {"effective": 1e9, "most_steps": 60}
     result, whole = sample(eq12_fit, **choices)
-    assert "ensemble moves did most of the work" in result.posterior.status
+    assert "most proposals were ensemble moves" in result.posterior.status
     file = tmp_path / "chain.h5"
     done = []
     real = checkpoint.Keeper.keep
@@ -296,7 +296,7 @@ def test_an_unfinished_run_is_shown_and_drawn(saved, tmp_path):
     (saved / "chain.h5").rename(tmp_path / "chain.h5")
     status, out, err = command("show", saved, cwd=tmp_path)
     assert (status, err) == (0, "")
-    assert "Sampling was not finished" in out
+    assert "Sampling is unfinished" in out
     assert "Posterior:" not in out
     (tmp_path / "chain.h5").rename(saved / "chain.h5")
     status, out, _ = command("show", saved, "--json", cwd=tmp_path)

@@ -500,7 +500,7 @@ def test_the_command(tmp_path):
         "expected errors of 2 throws selected from 4", "10, 20 Hz for 15 s",
         "5 mm in x and y, 8.7 mrad in phi",
         "h = 0.1 m", "2 x (2 m/s, 5 rad/s, 20 Hz)", "3 of 4 directions",
-        "no throw can separate them", "Why (eq. 16, 25-26)", "the last is rounding",
+        "no throw can separate them", "Why (eq. 16, 25-26)", "the last is zero to rounding error",
         "the highest rate is chosen", "of 4 records 4 end at 15 s",
     ):  # fmt: skip
         assert words in text, words

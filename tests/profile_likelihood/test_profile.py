@@ -390,7 +390,7 @@ def test_options_of_a_fit_are_heeded(tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--param", "mu9"], "no parameter 'mu9'; there are mu1_xi"),
+        (["--param", "mu9"], "no parameter 'mu9'; the parameters are mu1_xi"),
         (["--param", "v0", "--param", "v0"], "v0 is given twice"),
         (["--param", "v0", "--param", "x0", "--param", "y0"], "expected one or two"),
         (["--param", "v0", "--fix", "v0=2"], "it is fixed at 2"),

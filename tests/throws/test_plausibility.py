@@ -86,7 +86,7 @@ def test_the_good_throw_is_good(written):
 @pytest.mark.parametrize(
     ("made", "said", "flag"),
     [
-        (scaled(t=1000), "a friction of 8.", "t=ms"),
+        (scaled(t=1000), "a coefficient of friction of 8.", "t=ms"),
         (scaled(t=1 / 60), "moves at 122 m/s, and none is thrown at more than about 4", "t=min"),
         (scaled(x=100, y=100), "the path is 2.45e+03 m long, and a sheet 45.7 m", "length=cm"),
         (scaled(x=1000, y=1000), "if lengths are in millimetres", "length=mm"),
@@ -95,8 +95,8 @@ def test_the_good_throw_is_good(written):
         (scaled(x=100), "the path is 76.8 m long, and a sheet 45.7 m", "x=cm"),
         (scaled(t=1000, x=100, y=100), "if the time is in milliseconds and lengths are in "
          "centimetres", "t=ms,length=cm"),
-        (scaled(phi=DEGREES), "turns 137 times, at 43.2 rad/s, and stones turn 0 to 10; if angles "
-         "are in degrees", "angle=deg"),
+        (scaled(phi=DEGREES), "turns 137 times, at 43.2 rad/s; stones turn at most about 10 "
+         "times; if angles are in degrees", "angle=deg"),
         (scaled(t=30), "if t counts frames", "t=30fps"),
     ],
 )  # fmt: skip
@@ -109,7 +109,7 @@ def test_wrong_units_are_refused_and_mended(written, made, said, flag):
     assert text.startswith(f"{file}: ")
     assert said in text
     assert typed_flag(text, "units") == flag
-    assert text.endswith("If the data are right as they are: `--as-given`")
+    assert text.endswith("To accept the data as they are: `--as-given`")
     is_good(load_throw(file, units=flag))
     as_given = load_throw(file, as_given=True)
     assert [item.refused for item in require_plausible(as_given)] == [False]
@@ -190,7 +190,7 @@ def test_axes_are_corrected_beside_those_that_the_file_has(written):
     [
         (pushed, "a hand was still on the stone", "since", (0.0, 1.0)),
         (picked_up, "the velocity jumps by 0.47 m/s at t = 21.1 s", "until", (20.9, 21.1)),
-        (collided, "the velocity jumps by 0.78 m/s at t = 12 s, as where stones collide", "until",
+        (collided, "the velocity jumps by 0.78 m/s at t = 12 s, as in a collision", "until",
          (11.5, 12.0)),
     ],
 )  # fmt: skip
@@ -347,7 +347,7 @@ FEW["x"] = np.where(np.arange(len(FEW["x"])) % 6 == 0, FEW["x"], np.nan)  # too 
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (scaled(t=1000), "Implausible: the fitted stone has a mean friction of"),
+        (scaled(t=1000), "Implausible: the fitted mean coefficient of friction is"),
         (scaled(x=100, y=100), "Implausible: the fitted initial speed of 10 m/s is more than"),
     ],
 )

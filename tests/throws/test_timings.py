@@ -212,8 +212,8 @@ def test_an_evening_by_the_command_line(tmp_path, monkeypatch):
     assert run.exit_code == 0, run.output
     text = " ".join(run.output.split())
     for words in (
-        "2 events at lines and at rest", "Two numbers measured determine one coefficient of "
-        "friction and the initial state (v0): a mean friction, as the coulomb law has it",
+        "2 events at lines and at rest", "Two measured values determine one coefficient of "
+        "friction and the initial state (v0): a mean friction, as in the coulomb law",
         "hog_to_hog 13.", "0.0 sigma",
     ):  # fmt: skip
         assert words in text, words
