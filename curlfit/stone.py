@@ -9,6 +9,8 @@ from typing import Any
 from curlfit.errors import InputError
 
 GRAVITY = 9.81  # m/s^2
+LARGEST = 0.3
+"""An upper limit of R, rho and h in m: stones are at most 0.29 m across (World Curling, R2)."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class Stone:
 
     Raises
     ------
-    InputError : a value is not a positive finite number.
+    InputError : a value is not a positive finite number, or a length is larger than any stone.
 
     Examples
     --------
@@ -41,12 +43,19 @@ class Stone:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if isinstance(value, (int, float)) and not (math.isfinite(value) and value > 0):
-                raise InputError(
-                    f"stone.{name} = {value} {UNITS[name]}: expected a positive, finite number"
-                )
-            if isinstance(value, int):  # one type, for one compiled program
-                object.__setattr__(self, name, float(value))
+            if isinstance(value, str):
+                raise InputError(f"stone.{name} = {value!r}: expected a number in {UNITS[name]}")
+            if isinstance(value, (int, float)) and not isinstance(value, bool):  # a mask of JAX's
+                if not (math.isfinite(value) and value > 0):
+                    raise InputError(
+                        f"stone.{name} = {value} {UNITS[name]}: expected a positive, finite number"
+                    )
+                if name != "m" and value > LARGEST:
+                    raise InputError(
+                        f"stone.{name} = {value:g} m: expected at most {LARGEST} m, the size of a "
+                        "stone; the unit is m, not cm or mm"
+                    )
+                object.__setattr__(self, name, float(value))  # one type, for one compiled program
 
     def with_values(self, values: dict[str, float]) -> Stone:
         """A copy with some values replaced. Raises `InputError` for an unknown name."""

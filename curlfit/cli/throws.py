@@ -193,7 +193,7 @@ def simulate(
 
     from curlfit.environment import Environment
     from curlfit.errors import InputError, warn_once
-    from curlfit.throws.synthetic import synthetic_throw, write_table
+    from curlfit.throws.synthetic import SIMULATED, synthetic_throw, write_table
 
     start = {
         name: value
@@ -233,10 +233,11 @@ def simulate(
     if out is None:
         typer.echo(text, nl=False)
         return
-    from curlfit.output.files import atomic_write
+    from curlfit.output.files import atomic_write, require_replaceable
 
     if not out.parent.is_dir():
         raise InputError(f"{out}: the folder {out.parent} does not exist")
+    require_replaceable(out, "a simulated throw", SIMULATED)
     with atomic_write(out) as temporary:
         temporary.write_text(text)
     typer.echo(f"Written: {out}")

@@ -18,12 +18,13 @@ from markupsafe import Markup
 from curlfit import sheet
 from curlfit.errors import InputError
 from curlfit.html_report.document import Page, marked
-from curlfit.output.files import atomic_write, json_safe, prepare_folder
+from curlfit.output.files import atomic_write, json_safe, prepare_folder, require_replaceable
 from curlfit.version import __version__
 
 if TYPE_CHECKING:
     from curlfit.inference.mcmc.chain import Chain
 
+_MARK = '<meta name="generator" content="curlfit'
 _SCRIPTS = ("moving.js", "replay.js", "direction.js", "rests.js")
 _KINDS = {
     "FitResult": "fit",
@@ -49,7 +50,8 @@ def write_report(result: Any, path: str | PathLike[str], *, chain: Chain | None 
 
     Raises
     ------
-    InputError : the result is of another kind, or the file cannot be written.
+    InputError : the result is of another kind, or the file cannot be written, has a name that does
+        not end in .html, or exists and is not such a page.
 
     Examples
     --------
@@ -57,8 +59,9 @@ def write_report(result: Any, path: str | PathLike[str], *, chain: Chain | None 
     """
     page = page_of(result, chain)
     file = Path(path)
-    if file.is_dir():
-        raise InputError(f"{file}: this is a folder, expected the name of an HTML file")
+    require_replaceable(file, "an HTML file", _MARK)
+    if file.suffix not in (".html", ".htm"):
+        raise InputError(f"{file}: expected a name that ends in .html")
     prepare_folder(file.parent)
     text = render(page)
     with atomic_write(file) as temporary:

@@ -46,6 +46,28 @@ def atomic_write(file: Path, *, private: bool = False) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+def require_replaceable(file: Path, what: str, mark: str) -> None:
+    """Raise `InputError` where a file is not one that curlfit itself has written.
+
+    Parameters
+    ----------
+    what, mark : the kind of file that is to be written, and a text that each of them contains.
+    """
+    if file.is_dir():
+        raise InputError(f"{file}: this is a folder, expected the name of {what}")
+    try:
+        found = file.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return
+    except (OSError, ValueError):
+        found = ""
+    if mark not in found:
+        raise InputError(
+            f"{file}: this file exists and is not {what} that curlfit wrote; give another name, or "
+            "delete it"
+        )
+
+
 def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)

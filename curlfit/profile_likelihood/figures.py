@@ -60,8 +60,10 @@ def _single_figure(profile: Profile) -> Figure:
     _others(profile, below)
     above.tick_params(labelbottom=False)
     title(above, _title(profile))
-    fix_layout(figure)  # which the ticks depend on
-    neat_axis(below.xaxis, *_label(profile.estimate, profile.name))
+    label = _label(profile.estimate, profile.name)
+    neat_axis(below.xaxis, *label)  # for which the layout leaves space
+    fix_layout(figure)
+    neat_axis(below.xaxis, *label)  # by the final width
     return figure
 
 

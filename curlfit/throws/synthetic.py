@@ -14,6 +14,9 @@ from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 from curlfit.throws.throw import Reference, Throw
 
+_SOURCE = "true value"
+SIMULATED = f'# reference.source = "{_SOURCE}"'
+"""The line that each table of a simulated throw has."""
 _MOST_ROWS = 2_000_000
 _ENERGY_GAIN = 1e-6  # from row to row, relative; above the error of the velocities
 
@@ -158,7 +161,7 @@ def synthetic_throw(
         name="synthetic throw",
         notes=notes,
         reference=Reference(
-            "true value",
+            _SOURCE,
             law.name,
             {name: float(getattr(law, name)) for name in names} | _conditions(environment),
         ),

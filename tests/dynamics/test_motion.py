@@ -317,7 +317,7 @@ def test_many_stones_at_once_are_each_as_alone():
 
 
 def test_a_stone_of_whole_numbers_has_the_program_of_any():
-    assert [type(value) for value in vars(Stone(m=20, R=1, rho=1, h=1)).values()] == [float] * 4
+    assert [type(value) for value in vars(Stone(m=20)).values()] == [float] * 4
 
 
 def test_unknown_load_is_refused():

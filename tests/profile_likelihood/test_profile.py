@@ -333,6 +333,15 @@ def test_a_saved_pair_is_the_same(fit, tmp_path):
     assert "mu1_xi" in figure.axes[0].get_xlabel()
 
 
+@pytest.mark.parametrize("which", ["sharp", "flat"])
+def test_the_label_of_the_axis_does_not_meet_the_legend(request, which):
+    figure = curlfit.profile_figure(request.getfixturevalue(which))
+    figure.draw_without_rendering()
+    label = figure.axes[1].xaxis.label.get_window_extent()
+    assert label.height > 0
+    assert not any(label.overlaps(legend.get_window_extent()) for legend in figure.legends)
+
+
 def test_what_is_no_profile_is_refused(tmp_path):
     (tmp_path / "profile.json").write_text('{"schema": 1, "kind": "one"}')
     with pytest.raises(DataError, match=r"not a complete profile\.json"):
