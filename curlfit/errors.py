@@ -40,6 +40,13 @@ class InputError(CurlfitError, ValueError):
     exit_status = 2
 
 
+def require_kind(value: object, kind: type | tuple[type, ...], name: str, expected: str) -> None:
+    """Raise `InputError` for an argument of another type."""
+    if not isinstance(value, kind):
+        found = f"{type(value).__name__} {str(value)[:40]!r}"
+        raise InputError(f"{name}: {found} found, expected {expected}")
+
+
 class DataError(InputError):
     """A data file cannot be used; the message begins with the file, line and column.
 

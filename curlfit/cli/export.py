@@ -75,8 +75,8 @@ def export(
             "comparison"
         )
     forms = list(dict.fromkeys(one for form in to for one in _expanded(form)))
-    for form in forms:
-        if form in (Form.netcdf, *_GAME) and kind != "fit":
+    for form in to:
+        if form in (Form.netcdf, Form.game, *_GAME) and kind != "fit":
             such = f", such as {folder}/NAME" if kind == "joint" else ""
             raise InputError(f"--to {form.value}: expected the fit of one throw{such}")
     result = _load(folder, kind)

@@ -74,18 +74,24 @@ def fit(
         bool, typer.Option("--no-sample", help="Least squares only; no posterior.")
     ] = False,
     effective: Annotated[
-        int, typer.Option(help="Effective sample size required for every parameter.", min=100)
-    ] = 4000,
+        int | None,
+        typer.Option(
+            help="Effective sample size required for every parameter. [default: 4000]", min=100
+        ),
+    ] = None,
     max_steps: Annotated[
-        int, typer.Option(help="Maximum number of sampling steps.", min=40)
-    ] = 2_000,
+        int | None, typer.Option(help="Maximum number of sampling steps. [default: 2000]", min=40)
+    ] = None,
     seed: Annotated[
         int | None,
         typer.Option(help="Seed of the sampling. [default: 0]", min=0, max=2**32 - 1),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for the results. [default: DATA's name with -fit]"),
+        typer.Option(
+            help="Folder for the results. [default: DATA's name, with the numbers given by --shot "
+            "and --stone-index, and -fit]"
+        ),
     ] = None,
     resume: Annotated[
         bool,
@@ -132,14 +138,19 @@ def fit(
     if len(jobs) > 1:
         if resume:
             raise InputError("--resume continues the sampling of one throw; give one file")
+        for name, value in {"effective": effective, "max-steps": max_steps, "seed": seed}.items():
+            if value is not None:
+                raise InputError(f"--{name}: several throws are fitted without sampling")
         return _fit_jointly(jobs, share, flags, out, drawn, quiet=quiet, report=report)
     (file,) = data
     if share is not None:
         raise InputError("--share needs several files")
     request = s.request_fit(file, config, flags)
-    seed = request.settings.get("seed", 0)
-    folder = out or Path(f"{file.stem}-fit")
-    saved = _load_saved(folder, seed, request) if resume else None
+    seed = request.settings.get("seed")
+    folder = out or s.result_folder(file, "fit", shot, stone_index)
+    saved = None
+    if resume:
+        saved, seed = _load_saved(folder, seed, request)
     folder = prepare_folder(folder)
 
     from curlfit.output.console import terminal
@@ -171,9 +182,9 @@ def fit(
             result, chain = _sample(
                 console,
                 result,
-                seed=seed,
-                effective=effective,
-                most_steps=max_steps,
+                seed=seed or 0,
+                effective=effective or 4000,
+                most_steps=max_steps or 2000,
                 checkpoint=chain_file,
                 resume=saved is not None,
             )
@@ -209,10 +220,13 @@ def _joint_figures(joint: JointResult) -> dict[str, Figure]:
     return {"joint": curlfit.joint_figure(joint)}
 
 
-def _load_saved(folder: Path, seed: int, request: s.FitRequest) -> FitResult | None:
-    """The saved fit in a folder, if any; it and its chain must be of the same problem."""
+def _load_saved(
+    folder: Path, seed: int | None, request: s.FitRequest
+) -> tuple[FitResult | None, int | None]:
+    """The saved fit in a folder, if any, and the seed, of its chain unless one is given; fit and
+    chain must be of the same problem."""
     if not (folder / "fit.json").exists():
-        return None
+        return None, seed
     from curlfit.inference.fit.result import load_fit
     from curlfit.inference.mcmc.chain import (
         load_chain,
@@ -230,8 +244,10 @@ def _load_saved(folder: Path, seed: int, request: s.FitRequest) -> FitResult | N
     require_same(subject_of_saved(found), now, folder / "fit.json")
     chain = folder / "chain.h5"
     if chain.exists():
-        require_same(load_chain(chain).subject, subject_of(found, seed), chain)
-    return found
+        stored = load_chain(chain)
+        seed = stored.seed if seed is None else seed
+        require_same(stored.subject, subject_of(found, seed), chain)
+    return found, seed
 
 
 def _finish(result: FitResult | JointResult, saved: o.Saved | None) -> o.Saved | None:
@@ -310,11 +326,11 @@ def _fit_jointly(
     settings = jobs[0].settings
     for job in jobs:
         for key in ("law", "load"):
-            if job.settings.get(key) != settings.get(key):
+            own_value, first = (one.get(key, "none named") for one in (job.settings, settings))
+            if own_value != first:
                 raise InputError(
-                    f"{job.throw.name}: {key} = {job.settings.get(key)!r} where "
-                    f"{jobs[0].throw.name} has "
-                    f"{settings.get(key)!r}; give one with --{key}"
+                    f"{job.throw.name}: {key}: {own_value}, where {jobs[0].throw.name} has "
+                    f"{first}; give one with --{key}"
                 )
     law = find_law(settings.get("law", "front-back"))
     load = check_load(settings.get("load", "uniform"))

@@ -42,7 +42,7 @@ def check(
 ) -> None:
     """Show how a data file is read: columns, units, scatter, rest, what is implausible.
 
-    Exit status 0 where the file can be fitted, 2 where it cannot.
+    Exit status 0 if the file can be read and is plausible, 2 otherwise.
 
     Example: `curlfit check data/jensen_shegelski_2004.csv`
     """

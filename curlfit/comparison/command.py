@@ -66,7 +66,10 @@ def compare(
     config: o.Config = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for the results. [default: DATA's name with -compare]"),
+        typer.Option(
+            help="Folder for the results. [default: DATA's name, with the numbers given by --shot "
+            "and --stone-index, and -compare]"
+        ),
     ] = None,
     figures: o.FigureFormats = None,
     no_figures: o.NoFigures = False,
@@ -139,7 +142,7 @@ def compare(
             swept="swept" in settings,
         )
     require_path(cut)
-    folder = prepare_folder(out or Path(f"{data.stem}-compare"))
+    folder = prepare_folder(out or s.result_folder(data, "compare", shot, stone_index))
 
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 

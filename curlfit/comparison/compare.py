@@ -42,7 +42,7 @@ def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[L
     a ring has no load and comes once. Raises `InputError` for an unknown name.
     """
     wanted = laws or [law for law in LAWS.values() if law.shipped() and not law.approximates]
-    chosen = [find_law(law) if isinstance(law, str) else law for law in wanted]
+    chosen = [find_law(law) for law in ([wanted] if isinstance(wanted, str) else wanted)]
     loads = ("uniform", "consistent") if load == "both" else (load,)
     return [
         (law, one)

@@ -67,10 +67,10 @@ def overview(comparison: Comparison) -> Overview:
 
 def _heading(comparison: Comparison) -> Text:
     data, stone = comparison.data, comparison.stone
-    text = Text()
+    text, count = Text(), len(comparison.candidates)
     loss = "" if comparison.loss == "linear" else f", {comparison.loss} loss"
     noise = "" if comparison.noise == "white" else f", {join_words(list(comparison.noises))} noise"
-    text.append(f"{len(comparison.candidates)} fits to {data['file']}{loss}{noise}\n", style="bold")
+    text.append(f"{count} fit{'s' * (count != 1)} to {data['file']}{loss}{noise}\n", style="bold")
     text.append(
         f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s; stone R = {stone.R:g} m, "
         f"rho = {stone.rho:g} m, h = {stone.h:g} m\n"

@@ -108,7 +108,7 @@ class Candidate:
         return self.bulk or self.rms or {}
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Displayed):
     """Candidates, best first: those ranked, then those beyond their bounds, then failures.
 

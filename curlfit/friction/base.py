@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Literal, NamedTuple, Self, dataclass_transform, get_args
 
-from curlfit.errors import InputError
+from curlfit.errors import InputError, require_kind
 
 Load = Literal["uniform", "consistent"]
 """Distribution of the weight over the ring: uniform, or consistent with friction (eq. 8-9)."""
@@ -335,8 +335,8 @@ class NetLaw(Law, ABC):
         """(to the right, forward, angular) in m/s^2, m/s^2, rad/s^2, in the moving frame."""
 
 
-def find_law(name: str, *, from_files: bool = True) -> type[Law]:
-    """The law of that name, or a user's law in a file, as "FILE.py:CLASS".
+def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
+    """The law of that name, or a user's law in a file, as "FILE.py:CLASS"; a law is itself.
 
     `from_files` is False where the name comes from a data file, which must not run a program.
 
@@ -350,6 +350,10 @@ def find_law(name: str, *, from_files: bool = True) -> type[Law]:
     >>> curlfit.find_law("front-back").name
     'front-back'
     """
+    if isinstance(name, type) and issubclass(name, Law):
+        return name
+    require_kind(name, str, "law", "the name of a law, or a law's class")
+    assert isinstance(name, str)
     if name in LAWS:
         return LAWS[name]
     file, colon, kind = name.rpartition(":")

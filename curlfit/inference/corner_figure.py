@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from curlfit.inference.fit.result import require_fit
 from curlfit.output.figures import (
     FIT_COLOR,
     POSTERIOR_COLOR,
@@ -50,6 +51,7 @@ def corner_figure(fit: FitResult, chain: Chain) -> Figure:
     --------
     >>> curlfit.corner_figure(sampled, chain).savefig("corner.png")
     """
+    require_fit(fit)
     names = _names(fit)
     samples = np.stack([chain.of({name: 1.0}) for name in names], 1)
     if len(samples) > _MOST:

@@ -10,6 +10,7 @@ from matplotlib.patches import Patch
 
 from curlfit.inference.corner_figure import corner_figure
 from curlfit.inference.event_figures import event_figure
+from curlfit.inference.fit.result import require_fit
 from curlfit.output.figures import (
     CHANNEL_LABEL,
     DATA_COLOR,
@@ -59,6 +60,7 @@ def fit_figure(fit: FitResult) -> Figure:
     --------
     >>> curlfit.fit_figure(fit).savefig("fit.png")
     """
+    require_fit(fit)
     name = FilePath(fit.data["file"]).name
     if not fit.rms:
         return event_figure(fit, name)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.errors import DataError, InputError
+from curlfit.errors import DataError, InputError, require_kind
 from curlfit.friction import Law, Parameter
 from curlfit.inference.conditions import CONDITIONS, WEAK_CONDITIONS
 from curlfit.inference.priors import NO_PRIOR, Penalty, Prior, parse_priors, penalty_of
@@ -92,7 +92,13 @@ class ParameterSet:
         InputError : an unknown name, a name both fixed and free, a text that is no prior, an empty
             interval, a fixed value outside its bounds, or nothing left to fit.
         """
-        fixed, limits = (tuple((choice or {}).items()) for choice in (fix, bounds))
+        for name, choice in {"fix": fix, "bounds": bounds, "priors": priors}.items():
+            require_kind(choice or {}, Mapping, name, "a mapping by the name of the parameter")
+        for name, pair in (bounds or {}).items():
+            if np.shape(pair) != (2,):
+                raise InputError(f"bounds of {name}: {pair!r} found, expected (lower, upper)")
+        fixed = tuple((fix or {}).items())
+        limits = tuple((name, tuple(pair)) for name, pair in (bounds or {}).items())
         key: Any = law
         named = {*(fix or ()), *(bounds or ()), *free, *(priors or ())}
         if "sweep" in named and not swept:
@@ -146,9 +152,10 @@ class ParameterSet:
                 value = fix[item.name]
                 if not math.isfinite(value):
                     raise InputError(f"{item.name} cannot be fixed at {value}")
-                if item.name in bounds and not lower <= value <= upper:
+                if not lower <= value <= upper:
                     raise InputError(
                         f"{item.name} is fixed at {value:g}, outside its bounds {lower:g}:{upper:g}"
+                        + ("" if item.name in bounds else "; set others to fix it there")
                     )
                 lower = upper = value
             parameters.append(replace(item, lower=lower, upper=upper))

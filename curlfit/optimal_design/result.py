@@ -97,7 +97,7 @@ class Scenario:
         return {name: math.hypot(*shifts.values()) for name, shifts in self.shifts.items()}
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Design(Displayed):
     """The expected errors of planned throws.
 

@@ -273,6 +273,12 @@ def prepare(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Config
     return apply_settings(throw, configured, flags)
 
 
+def result_folder(data: Path, kind: str, shot: int | None, stone_index: int | None) -> Path:
+    """Default folder for the results of a data file, or of the throw that is chosen from it."""
+    chosen = [str(number) for number in (shot, stone_index) if number is not None]
+    return Path("-".join([data.stem, *chosen, kind]))
+
+
 def prepare_all(
     files: Sequence[Path], config: Path | None, flags: Mapping[str, Any]
 ) -> dict[str, ConfiguredThrow]:
@@ -287,12 +293,19 @@ def prepare_all(
     from curlfit.inference.joint.result import folder_name
     from curlfit.throws.readers import holds_timed_rows, load_throws
 
-    if len({file.stem for file in files}) < len(files):
-        raise InputError("two files have the same name; results are stored by name")
+    names = [file.stem for file in files]
+    if len(set(names)) < len(names):
+        names = [f"{file.resolve().parent.name}-{file.stem}" for file in files]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise InputError(
+                f"{files[names.index(name)]}, {files[index]}: two files of the same name; results "
+                "are stored by name"
+            )
     found = {}
-    for file in files:
+    for file, name in zip(files, names, strict=True):
         if not holds_timed_rows(file, flags.get("format")):
-            found[file.stem] = prepare(file, config, flags)
+            found[name] = prepare(file, config, flags)
             continue
         configured = check_settings(read_config(config), str(config))
         parts = load_throws(file, **reader_arguments(configured, flags))

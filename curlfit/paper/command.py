@@ -35,8 +35,11 @@ def reproduce(
     Eq. 12 is differentiated, friction is integrated over the ring, and the laws are fitted.
     Takes about a minute on the first run of a machine.
     """
+    from curlfit.errors import InputError
     from curlfit.output.files import atomic_write, prepare_folder
 
+    if quiet and as_json:
+        raise InputError("--json prints the claims, and --quiet prints nothing; give one of them")
     drawn = FigureFiles.of(figures)
     folder = prepare_folder(out)
 
@@ -53,7 +56,7 @@ def reproduce(
     for file, text in zip(written, (claims + "\n", page(result, drawn.formats[0])), strict=True):
         with atomic_write(file) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    if as_json and not quiet:
+    if as_json:
         typer.echo(claims)
     console.print(claims_table(result.claims))
     console.print(verdicts(result.claims))

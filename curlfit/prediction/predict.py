@@ -25,7 +25,7 @@ import numpy as np
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, no_motion_because
 from curlfit.inference.fit.fit import refit
-from curlfit.inference.fit.result import FitResult
+from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.mcmc.ridge import ridge_move
 from curlfit.inference.parameters import START
@@ -114,6 +114,7 @@ def predict(
     >>> round(prediction.quantities["time"].value, 1)
     24.3
     """
+    require_fit(fit)
     request = ThrowRequest(dict(start or {}), line or "hog", target, weight, tee_speed)
     if line is None and not request.new and fit.counts_from_hack:
         request = request._replace(line="data")

@@ -91,7 +91,7 @@ class HeldOut:
     observed: dict[str, Floats]
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Prediction(Displayed):
     """A predicted throw. `save` writes it, `load_prediction` reads it.
 

@@ -137,13 +137,20 @@ def profile(
     from curlfit.profile_likelihood.result import require_usable
 
     require_usable(parameters, param, points, ranges)
-    name = s.name_of(data) if saved else data.stem
+    kind = f"profile-{'-'.join(param)}"
     drawn.draw_beside()
 
     with _progress(quiet) as progress:
         fit, chain = make_fit()
         require_usable(parameters, param, points, ranges, parameters.values_of(fit.values))
-        folder = prepare_folder(out or Path(f"{name}-profile-{'-'.join(param)}"))
+        folder = prepare_folder(
+            out
+            or (
+                Path(f"{s.name_of(data)}-{kind}")
+                if saved
+                else s.result_folder(data, kind, shot, stone_index)
+            )
+        )
 
         from curlfit.profile_likelihood.profile import profile as compute_profile
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.inference.fit.fit import fit as least_squares
-from curlfit.inference.fit.result import FitResult
+from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.numerics.arrays import Floats
 from curlfit.profile_likelihood.refit import ConstrainedFits, Point, Progress, Refit
@@ -77,6 +77,7 @@ def profile(
     if isinstance(subject, Throw):
         fit = least_squares(subject, **choices)
     else:
+        require_fit(subject)
         fit = subject
         if choices:
             raise InputError(f"{', '.join(choices)}: a fit has its own; give a throw to fit anew")

@@ -85,7 +85,7 @@ class Interval:
     high_by: str
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Profile(Displayed):
     """The minimum of chi squared at fixed values of one parameter, all others fitted again.
 
@@ -234,7 +234,7 @@ class Profile(Displayed):
         write_json(self.to_json(), Path(file))
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PairProfile(Displayed):
     """The minimum of chi squared at fixed values of two parameters, all others fitted again.
 

@@ -60,6 +60,9 @@ class Event:
                 f"event {self.name}: {self.quantity!r} found, expected one of "
                 + ", ".join(QUANTITIES)
             )
+        if self.quantity == "y" and self.since is not None:
+            raise InputError(f"event {self.name}: `since` is given, expected none: y is measured "
+                             "from the hack")  # fmt: skip
         if self.quantity == "y" and self.at is not None:
             raise InputError(
                 f"event {self.name}: `at` is given, expected none: y is measured at rest"

@@ -172,6 +172,8 @@ def examine_fit(
 
 def _option(throw: Throw, name: str, value: Any) -> str:
     """An option in the words of the command line, or of Python where the throw is of arrays."""
+    if value == "":
+        return f"leave out `{name}`" if throw.conventions is None else f"leave out `--{name}`"
     if throw.conventions is not None:
         return f"`--{name}`" if value is None else f"`--{name} {value}`"
     if value is None:
@@ -443,8 +445,10 @@ def _axes(throw: Throw, motion: Motion) -> Iterator[Finding]:
             word = corrected(words, -forward, forward, 1, exchanged=True)  # a rotation
             yield Finding(
                 "axes",
-                "the stone moves along x, and x is taken as the direction across the sheet",
-                f"if x runs along the sheet: {_option(throw, 'axes', word)}",
+                f"with axes {words} the stone moves across the sheet"
+                if words
+                else "the stone moves along x, and x is taken as the direction across the sheet",
+                f"if it moves along the sheet: {_option(throw, 'axes', word)}",
                 refused=False,
             )
         return

@@ -134,7 +134,7 @@ def _of_rows(throw: Throw, inspection: Inspection) -> Iterator[str]:
 
 def _clock(clock: Clock) -> Iterator[str]:
     spread = "" if clock.regular else f" ({clock.shortest:.4g} .. {clock.longest:.4g} s)"
-    yield f"interval   {clock.median:.6g} s{spread}, {1 / clock.median:.6g} rows a second"
+    yield f"interval   {clock.median:.6g} s{spread}, {1 / clock.median:.6g} rows per second"
     if clock.longest_pause is not None:
         yield (
             f"pauses     {clock.pauses}, the longest {clock.longest_pause:.4g} s "

@@ -45,7 +45,7 @@ def law_with(
     >>> curlfit.law_with("coulomb", {"mu": 0.012}).mu
     0.012
     """
-    kind: type[Law] = find_law(law) if isinstance(law, str) else law
+    kind = find_law(law)
     known = {item.name: item for item in kind.coefficients()}
     for name, value in coefficients.items():
         if name not in known:

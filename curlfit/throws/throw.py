@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from curlfit.errors import DataError, InputError
+from curlfit.errors import DataError, InputError, require_kind
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.output.display import Displayed, Overview
 from curlfit.output.frames import frame
@@ -192,6 +192,7 @@ class Throw(Displayed):
         are as for `load_throw`; without them numbers are in SI units and in curlfit's axes, and
         angles unwrapped. `more` are other attributes, `name` for instance.
         """
+        require_kind(sigma or {}, Mapping, "sigma", "a mapping by channel, such as {'x': 0.005}")
         t = np.asarray(t, float)
         if units or axes:
             given_columns = {"t": t, "x": x, "y": y, "phi": phi, "speed": speed, "omega": omega}
@@ -474,11 +475,8 @@ def _same(one: Any, other: Any) -> bool:
 
 def require_throw(throw: object) -> None:
     """Raise `InputError` for what is no throw, such as the name of a file."""
-    if not isinstance(throw, Throw):
-        raise InputError(
-            f"{type(throw).__name__} {str(throw)[:40]!r} found, expected a Throw, as "
-            "curlfit.load_throw(file) or curlfit.Throw.from_arrays(t, x, y, phi) makes"
-        )
+    expected = "a Throw, as from curlfit.load_throw(file) or curlfit.Throw.from_arrays(t, x, y)"
+    require_kind(throw, Throw, "throw", expected)
 
 
 def require_path(throw: Throw) -> None:

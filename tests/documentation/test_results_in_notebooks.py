@@ -518,7 +518,7 @@ def test_sliders_keep_to_bounds(known):
     "takes", [curlfit.fit, curlfit.compare, lambda name: curlfit.fit_together([name])]
 )
 def test_the_name_of_a_file_is_no_throw(takes):
-    with pytest.raises(InputError, match=r"str 'a.csv' found, expected a Throw, as curlfit.load_"):
+    with pytest.raises(InputError, match=r"str 'a.csv' found, expected a Throw, as from curlfit"):
         takes("a.csv")
 
 

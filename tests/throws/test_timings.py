@@ -217,7 +217,7 @@ def test_an_evening_by_the_command_line(tmp_path, monkeypatch):
         "hog_to_hog 13.", "0.0 sigma",
     ):  # fmt: skip
         assert words in text, words
-    assert (tmp_path / "evening-fit" / "fit.png").stat().st_size > 10_000
+    assert (tmp_path / "evening-2-fit" / "fit.png").stat().st_size > 10_000
     run = CliRunner().invoke(app, ["check", "evening.csv"])
     assert "timings, 2 events at lines and at rest" in run.output
     (tmp_path / "watch.txt").write_text(THREE + "curl = 4 ft\n")

@@ -128,7 +128,7 @@ def fit(
     """
     require_throw(throw)
     law = throw.defaults.get("law", "front-back") if law is None else law
-    law = find_law(law) if isinstance(law, str) else law
+    law = find_law(law)
     loss, noise = check_loss(loss), check_noise(noise, loss)
     load = check_load(load or throw.defaults.get("load", "uniform"))
     prepared = PreparedThrow.of(
@@ -259,7 +259,7 @@ def fit_throws(
     ------
     InputError : as in `fit`, of what holds for all throws.
     """
-    law = find_law(law) if isinstance(law, str) else law
+    law = find_law(law)
     checked, loss = check_load(load), check_loss(loss)
     noise = check_noise(noise, loss)
     curves = curves or loss != "linear" or noise != "white"

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.environment import Environment
-from curlfit.errors import InputError
+from curlfit.errors import InputError, require_kind
 from curlfit.friction import Law
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.noise.correlated import Motion
@@ -60,6 +60,9 @@ class PreparedThrow(NamedTuple):
         given = throw
         if stone is None:
             stone = Stone().with_values(throw.defaults.get("stone", {}))
+        elif isinstance(stone, Mapping):
+            stone = Stone().with_values(dict(stone))
+        require_kind(stone, Stone, "stone", "a Stone, or its values by name")
         rows: dict[str, Any] = {
             "since": throw.defaults.get("since") if since is None else since,
             "until": throw.defaults.get("until") if until is None else until,

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from curlfit.errors import InputError
+from curlfit.errors import InputError, require_kind
 from curlfit.friction import LAWS, Law, Parameter, check_load, find_law
 from curlfit.inference.conditions import CONDITIONS
 from curlfit.inference.derived import Derived, FirstOrder, derive
@@ -82,7 +82,7 @@ class Estimate:
         return cls(**known_fields(cls, found) | bounds)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Posterior(Displayed):
     """Summary of a posterior sample; the sample itself is in `chain.h5`.
 
@@ -207,7 +207,7 @@ class NamedEstimates(Displayed):
         return frame(dict(zip(heads, zip(*rows, strict=True), strict=True)), list(self._items()))
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FitResult(NamedEstimates):
     """A fitted throw. `save` writes it, `load_fit` reads it.
 
@@ -556,6 +556,11 @@ class FitResult(NamedEstimates):
     def save(self, file: str | PathLike[str]) -> None:
         """Write the record as JSON, whole or not at all."""
         write_json(self.to_json(), Path(file))
+
+
+def require_fit(fit: object) -> None:
+    """Raise `InputError` for what is not the fit of one throw."""
+    require_kind(fit, FitResult, "fit", "a fit of one throw, as from curlfit.fit(throw)")
 
 
 def load_fit(file: str | PathLike[str]) -> FitResult:

@@ -13,7 +13,7 @@ from curlfit.numerics.compiled import stacked, unstacked
 # isort: split
 import numpy as np
 
-from curlfit.errors import InputError, UnusableFitError
+from curlfit.errors import InputError, UnusableFitError, require_kind
 from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.quantities import quantities_of
@@ -86,11 +86,12 @@ def fit_together(
     >>> joint.converged, joint.share
     (True, ('mu1_xi', 'mu2_xi', 'mu1_eta', 'mu2_eta'))
     """
+    require_kind(throws, Sequence, "throws", "a list of throws")
     for throw in throws:
         require_throw(throw)
     if law is None:
         law = throws[0].defaults.get("law", "front-back") if throws else "front-back"
-    law = find_law(law) if isinstance(law, str) else law
+    law = find_law(law)
     checked, loss = check_load(load), check_loss(loss)
     noise = check_noise(noise, loss)
     if len(throws) < 2:

@@ -59,7 +59,7 @@ class Difference:
         return f"p = {self.p_value:.1g}" if self.p_value > 1e-99 else "p < 1e-99"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class JointResult(NamedEstimates):
     """Several throws fitted together.
 

@@ -55,7 +55,7 @@ class SamplerState:
     taken: int
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Chain(Displayed):
     """A posterior sample.
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from curlfit.errors import InputError
 from curlfit.inference.fit.quantities import quantities_of
-from curlfit.inference.fit.result import FitResult
+from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain, load_chain
 from curlfit.inference.mcmc.checkpoint import Keeper
 from curlfit.inference.mcmc.run import Run
@@ -61,6 +61,7 @@ def sample(
     >>> sampled.posterior.converged
     True
     """
+    require_fit(fit)
     run = Run(fit, seed)
     file = None if checkpoint is None else Path(checkpoint)
     if resume:

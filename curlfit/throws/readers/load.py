@@ -54,8 +54,8 @@ def load_throw(
 ) -> Throw:
     """Read a throw from a file.
 
-    A table has a header and one row for each time. Columns `t`, `x`, `y` are required; `phi`,
-    `speed`, `omega`, `sigma_x` and so on are optional. Common names and units are recognised
+    A table has a header and one row for each time. Columns are `t` and any of `x`, `y`, `phi`,
+    `speed`, `omega`, and `sigma_x` and so on. Common names and units are recognised
     (`time`, `y_ft`, `angle [deg]`, `phi_rev`), and separate clocks of channels (`t_phi`).
     Separators are commas, semicolons, tabs or spaces; decimal commas are read where the separator
     is not a comma. Empty cells are gaps. Leading lines `# key = value` are defaults of this throw.

@@ -45,6 +45,11 @@ def text_of(path: Path) -> str:
         raise DataError(f"cannot be read ({error.strerror})", file=path) from None
     except ValueError:
         raise DataError("this is not a file name", file=repr(str(path))) from None
+    if raw.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
+        raise DataError(
+            "this is a spreadsheet or another archive, not a text file; save the sheet as CSV",
+            file=path,
+        )
     encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     marked = encoding == "utf-16" or raw[:3] == b"\xef\xbb\xbf"
     try:
