@@ -17,7 +17,7 @@ class Stone:
 
     Attributes
     ----------
-    m : mass in kg; it cancels from the motion and scales forces only.
+    m : mass in kg; it scales forces and enters the motion only through air drag.
     R : radius of the contact ring in m. Ivanov and Shuvalov (2012) use 0.0625, 0.065 and
         0.054 m in one paper, so it is an input.
     rho : radius of gyration about the vertical axis in m (0.1 m in the paper; 0.1025 m for a
@@ -45,7 +45,7 @@ class Stone:
                 raise InputError(
                     f"stone.{name} = {value} {UNITS[name]}: expected a positive, finite number"
                 )
-            if isinstance(value, int):  # one type, for one compiled program
+            if isinstance(value, int):  # a single type, for a single compiled program
                 object.__setattr__(self, name, float(value))
 
     def with_values(self, values: dict[str, float]) -> Stone:
