@@ -1,7 +1,7 @@
 """Friction coefficients from the trajectory of a curling stone.
 
-curlfit fits a law of friction to a measured path (time, position and, if possible, angle), samples
-the posterior, and says which coefficients the path determines and which it cannot.
+curlfit fits a friction law to a measured path (time, position and, if available, angle), samples
+the posterior, and reports which coefficients the path determines and which it does not.
 
     import curlfit
     throw = curlfit.load_throw("data/jensen_shegelski_2004.csv")
@@ -13,19 +13,19 @@ the posterior, and says which coefficients the path determines and which it cann
 Most used:
 
     load_throw   a throw from a file; `Throw.from_arrays`, `Throw.from_frame` from memory
-    fit          coefficients and start of one throw; `fit_together` of several
+    fit          coefficients and initial state of one throw; `fit_together` for several
     sample       the posterior; `chain.to_frame`, `chain.to_arviz`
-    compare      which law?
+    compare      which law describes the data best
     profile      intervals where chi squared is not quadratic
     predict      another throw on the same ice; `design` plans a measurement
-    write_report any of these as one HTML page to send
+    write_report any of these results as one HTML page to share
     simulate     the model itself, for `jax.jit`, `vmap` and derivatives
 
-`dir(curlfit)` lists all names, `help(curlfit.fit)` has arguments and an example; the pages and
-notebooks that the README names have the rest.
+`dir(curlfit)` lists all names, `help(curlfit.fit)` shows arguments and an example; for the rest see
+the pages and notebooks named in the README.
 
 Axes: y along the sheet, x to the right of it, angle and spin counter-clockwise; SI units and
-radians. With `import curlfit` JAX computes with 64-bit numbers, whatever JAX_ENABLE_X64 says.
+radians. `import curlfit` makes JAX compute with 64-bit numbers, whatever JAX_ENABLE_X64 says.
 """
 
 from __future__ import annotations
@@ -76,14 +76,14 @@ if TYPE_CHECKING:
     from curlfit.throws.synthetic import law_with, synthetic_throw
     from curlfit.throws.throw import Throw
 
-# A function of the user's may be traced before any name of curlfit is used, and the width of
-# numbers cannot change while it is. JAX reads the variable when it is loaded.
+# A user's function may be traced before any name of curlfit is used, and the width of numbers
+# cannot change during tracing. JAX reads the environment variable when it is imported.
 if "jax" in sys.modules:
     sys.modules["jax"].config.update("jax_enable_x64", True)
 else:
     os.environ["JAX_ENABLE_X64"] = "1"
 
-# Where each public name lives. They are imported on first use, so that `import curlfit` and the
+# The module of each public name. Names are imported on first use, so that `import curlfit` and the
 # command line's help need neither JAX nor matplotlib.
 _HOMES = {
     "dynamics.aim": ("Aim", "aim"),
@@ -153,7 +153,7 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     # `help(curlfit)` would print each of them in full, thousands of lines; the docstring is enough.
-    # pydoc asks by way of `inspect.getmembers`.
+    # pydoc calls this through `inspect.getmembers`.
     frame = sys._getframe(1)
     for _ in range(3):
         if frame.f_globals.get("__name__") == "pydoc":

@@ -1,4 +1,4 @@
-"""`curlfit`, also as `python -m curlfit`."""
+"""Entry point of `curlfit` and of `python -m curlfit`."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from curlfit.cli import main
 
 
 def run() -> None:
-    """Run the command in a process of its own, which ends as soon as all is done.
+    """Run the command and end the process as soon as all work is done.
 
-    Python would take down JAX, XLA's programs and matplotlib piece by piece, for a tenth of the
-    time of a fit.
+    Python would tear down JAX, XLA's programs and matplotlib piece by piece, which takes a tenth of
+    the time of a fit.
     """
     try:
         main()
@@ -25,7 +25,7 @@ def run() -> None:
         status = stop.code or 0
     for thread in threading.enumerate():
         if thread is not threading.current_thread() and not thread.daemon:
-            thread.join()  # a program that is being compiled is stored
+            thread.join()  # until the program being compiled is stored
     atexit._run_exitfuncs()
     sys.stdout.flush()
     sys.stderr.flush()

@@ -1,5 +1,5 @@
-"""What acts on a stone besides its law of friction: gravity along ice that is not level, the air,
-and what changes the friction on the way."""
+"""Effects on a stone besides its friction law: gravity on ice that is not level, air drag, and
+changes of the friction during the throw."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ WEAR_KNOTS = (0.0, 10.0, 20.0, 30.0)  # m along the throw
 
 @dataclass(frozen=True)
 class Environment:
-    """What acts on a stone besides its law of friction; by default nothing, on level ice.
+    """Effects on a stone besides its friction law; none by default, on level ice.
 
     Attributes
     ----------
     slope_x, slope_y : downward slope of the ice toward +x (to the right) and +y (along the
         sheet), in m per m: gravity accelerates the stone by g times the slope.
-    drag : drag coefficient of the stone in still air, for its cross section `FRONTAL_AREA`; a short
-        cylinder has about 0.8.
-    wear : relative change of the friction for each metre along the throw, 1/m, from its start.
-    wear_10, wear_20, wear_30 : relative change of the friction, besides, so many metres along the
-        throw; in between a natural cubic spline, which is 0 at the start.
-    sweep : friction over that of ice that is not swept, for swept_from < t <= swept_to, in s on the
+    drag : drag coefficient of the stone in still air, for the cross section `FRONTAL_AREA`; about
+        0.8 for a short cylinder.
+    wear : relative change of the friction per metre along the throw from its start, 1/m.
+    wear_10, wear_20, wear_30 : additional relative change of the friction at 10, 20 and 30 m along
+        the throw; interpolated by a natural cubic spline that is 0 at the start.
+    sweep : friction relative to that on unswept ice, for swept_from < t <= swept_to, in s on the
         clock of the throw. The distribution of the load on the ring does not change.
     """
 
@@ -46,7 +46,7 @@ class Environment:
     wear_30: Any = 0.0
 
     def gravity_along(self, s: Any, c: Any) -> tuple[Any, Any]:
-        """Acceleration by gravity to the right of a heading and along it, m/s^2.
+        """Acceleration due to gravity, to the right of a heading and along it, m/s^2.
 
         Parameters
         ----------
@@ -57,10 +57,10 @@ class Environment:
         return GRAVITY * right, GRAVITY * along
 
     def wear_along(self) -> tuple[Any, Any, Any, Any, Any]:
-        """Relative change of the friction along the throw, as its slope at the start, 1/m, and
-        a sixth of the jumps of its third derivative at the knots, 1/m^3.
+        """Relative change of the friction along the throw: its slope at the start, 1/m, and one
+        sixth of the jumps of its third derivative at the knots, 1/m^3.
 
-        Of the natural spline the second derivatives M at the inner knots, h apart, obey
+        The second derivatives M of the natural spline at the inner knots, h apart, satisfy
         M_(i-1) + 4 M_i + M_(i+1) = 6 (w_(i-1) - 2 w_i + w_(i+1))/h^2.
         """
         h = WEAR_KNOTS[1] - WEAR_KNOTS[0]
@@ -73,5 +73,5 @@ class Environment:
         return slope, first, second, third, last
 
     def drag_rate(self, m: Any) -> Any:
-        """Deceleration by the air over the square of the speed, 1/m, of a stone of mass `m`."""
+        """Deceleration by air drag divided by the squared speed, 1/m, for a stone of mass `m`."""
         return 0.5 * AIR_DENSITY * FRONTAL_AREA / m * self.drag

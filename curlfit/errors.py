@@ -8,7 +8,7 @@ from os import PathLike
 
 
 class CurlfitError(Exception):
-    """Base of every error that curlfit raises on purpose; `exit_status` is the command's.
+    """Base of all errors that curlfit raises on purpose; `exit_status` is that of the command.
 
     Examples
     --------
@@ -87,5 +87,5 @@ class UnusableFitError(CurlfitError):
 
 @cache
 def warn_once(sentence: str) -> None:
-    """Print a warning on stderr, once."""
+    """Print a warning to stderr, each one only once."""
     print(f"curlfit: Warning: {sentence}", file=sys.stderr)

@@ -19,7 +19,7 @@ class Stone:
 
     Attributes
     ----------
-    m : mass in kg; it cancels from the motion and scales forces only.
+    m : mass in kg; it scales forces and enters the motion only through air drag.
     R : radius of the contact ring in m. Ivanov and Shuvalov (2012) use 0.0625, 0.065 and
         0.054 m in one paper, so it is an input.
     rho : radius of gyration about the vertical axis in m (0.1 m in the paper; 0.1025 m for a

@@ -1,1 +1,1 @@
-"""`curlfit batch`: many throws, each by itself, into one table."""
+"""`curlfit batch`: many throws, each fitted separately, in one table."""

@@ -145,7 +145,7 @@ def batch(
         "posterior": posterior,
         "seed": seed,
     }
-    # Refused before anything slow is loaded.
+    # Invalid settings are refused before anything slow is loaded.
     plan = BatchSettings(**wanted)
     names = columns(plan)
 

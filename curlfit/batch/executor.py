@@ -1,7 +1,7 @@
-"""Who does the work of a batch: processes on this machine, or the workers of a Dask scheduler.
+"""Execution of a batch by processes on this machine, or by the workers of a Dask scheduler.
 
-Throws go out in chunks, and answers come back in the order of the chunks, so that a table is the
-same whoever made it.
+Throws are sent out in chunks and results returned in the order of the chunks, so that a table does
+not depend on who computed it.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ _OF_WORKERS = {
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
-    # The C library gives large arrays back to the system, which clears each page of the next ones:
-    # an eighth of the time. These have it keep them (glibc; nobody else reads them).
+    # The C library returns large arrays to the system, which clears each page of the next ones: an
+    # eighth of the time. These settings make it keep them (glibc; ignored elsewhere).
     "MALLOC_MMAP_THRESHOLD_": str(32 * _MEGABYTE),
     "MALLOC_TRIM_THRESHOLD_": str(256 * _MEGABYTE),
     "MALLOC_TOP_PAD_": str(64 * _MEGABYTE),
 }
-_FEWEST = 64  # throws that are not worth to be parted between two processes
-_SAMPLED = 16  # throws in a chunk where each is sampled, which takes seconds
-_AHEAD = 3  # chunks that wait for each worker
+_FEWEST = 64  # throws not worth dividing between two processes
+_SAMPLED = 16  # throws in a chunk if each is sampled, which takes seconds
+_AHEAD = 3  # chunks submitted ahead for each worker
 
 
 @contextmanager
 def executor(
     plan: BatchSettings, *, workers: int | None = None, dask: str | None = None
 ) -> Iterator[Fitted]:
-    """A function that fits files, and gives rows in their order, chunk by chunk.
+    """A function that fits files and yields rows in their order, chunk by chunk.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def _dask_crew(plan: BatchSettings, address: str, workers: int | None) -> Iterat
         raise InputError(f"--dask {address}: no scheduler answers there ({error})") from None
     try:
         count = max(len(client.scheduler_info()["workers"]), 1)
-        # A worker that dies takes its chunk with it; the scheduler gives it to another.
+        # If a worker dies, the scheduler gives its chunk to another one.
         yield lambda files: _in_order(
             lambda chunk: client.submit(_fit, list(chunk), plan, pure=False, retries=5),
             _chunks(files, plan, count),
@@ -103,13 +103,13 @@ def _dask_crew(plan: BatchSettings, address: str, workers: int | None) -> Iterat
 
 
 def _fit(files: Sequence[str], plan: BatchSettings) -> Rows:
-    from curlfit.batch.fit_many import fit_files  # loads JAX: for those who do the work
+    from curlfit.batch.fit_many import fit_files  # loads JAX, which only workers need
 
     return fit_files(files, plan)
 
 
 def _chunks(files: Sequence[str], plan: BatchSettings, workers: int) -> Iterator[Sequence[str]]:
-    """The files in chunks, as many for one worker as for another."""
+    """The files in chunks, equally many for each worker."""
     most = _SAMPLED if plan.posterior else CHUNK
     count = -(-len(files) // (most * workers)) * workers
     size = max(-(-len(files) // max(count, 1)), min(most, _FEWEST))
@@ -119,7 +119,7 @@ def _chunks(files: Sequence[str], plan: BatchSettings, workers: int) -> Iterator
 def _in_order(
     submit: Callable[[Sequence[str]], Any], chunks: Iterable[Sequence[str]], ahead: int
 ) -> Iterator[Rows]:
-    """Results in the order of the chunks, with no more than `ahead` of them in hand."""
+    """Results in the order of the chunks, with at most `ahead` of them pending."""
     waiting: deque[Any] = deque()
     for chunk in chunks:
         waiting.append(submit(chunk))
@@ -131,7 +131,7 @@ def _in_order(
 
 @contextmanager
 def _settings(values: dict[str, str]) -> Iterator[None]:
-    """Environment of processes that are started within."""
+    """Environment variables for processes started within the block, unless already set."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update({name: value for name, value in values.items() if name not in os.environ})
     try:

@@ -18,8 +18,8 @@ from curlfit.throws.throw import Throw
 def fit_files(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list[dict[str, Any]]:
     """One row for each throw in the files, in their order, with the keys of `columns`.
 
-    The status is "ok", "not usable" (the data were read, and no usable fit came of them) or
-    "failed" (they could not be read); `reason` says why. Values that there are none of are missing.
+    The status is "ok", "not usable" (the data were read but gave no usable fit) or "failed" (they
+    could not be read); `reason` says why. Unavailable values are missing.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def fit_files(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list
 
 @gc_paused()
 def _read(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list[tuple[str, Part]]:
-    """Every throw in the files, beside the name of its file."""
+    """Every throw in the files, with the name of its file."""
     found = []
     for file in map(str, files):
         try:

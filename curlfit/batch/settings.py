@@ -1,4 +1,4 @@
-"""What is done with each throw of a batch, and what its table holds."""
+"""What is done with each throw of a batch, and the columns of its table."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from curlfit.throws.readers import check_reader_options, format_of
 from curlfit.throws.throw import Throw, check_sigma
 
 CHUNK = 128
-"""Throws that are read and fitted together."""
+"""Number of throws that are read and fitted together."""
 QUANTILES = ("16", "50", "84")
-"""Of the posterior, in percent."""
+"""Quantiles of the posterior, in percent."""
 _SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")
 
 
 @dataclass(frozen=True)
 class BatchSettings:
-    """What is done with each throw; `load` and the rest as in `fit`.
+    """What is done with each throw; `load` and the others as in `fit`.
 
     Attributes
     ----------
-    stone : values (m, kg) over those of the throw's own file.
-    sigma : noise by channel, over that of the file.
+    stone : values (m, kg) that override those of the throw's own file.
+    sigma : noise by channel, overriding that of the file.
     how : how to read a file, as the arguments of `load_throw`.
     systematics : widths as in `fit`; None for a table without systematic errors.
     posterior : sample the posterior of each throw as well; hundreds of times slower.
@@ -58,7 +58,7 @@ class BatchSettings:
     seed: int = 0
 
     def checked(self) -> type[Law]:
-        """The law. Raises InputError where the settings are impossible for any throw."""
+        """The law. Raises InputError if the settings are impossible for any throw."""
         law = find_law(self.law)
         check_load(self.load)
         Stone().with_values(dict(self.stone))
@@ -70,14 +70,14 @@ class BatchSettings:
         return law
 
     def parameters(self) -> ParameterSet:
-        """Those of each throw's fit."""
+        """Parameters of each throw's fit."""
         return ParameterSet.build(
             find_law(self.law), fix=dict(self.fix), bounds=dict(self.bounds),
             unbounded=self.unbounded, free=self.free, priors=self.priors,
         )  # fmt: skip
 
     def choices(self) -> dict[str, Any]:
-        """As arguments of `fit_throws`."""
+        """The settings as arguments of `fit_throws`."""
         names = (
             "law", "load", "since", "until", "exclude", "fix", "bounds", "unbounded", "free",
             "priors", "systematics", "start", "loss", "noise",
@@ -90,7 +90,7 @@ class BatchSettings:
         return [stone.with_values(dict(self.stone)) for stone in own]
 
     def sums(self) -> dict[str, tuple[str, ...]]:
-        """Sums of free coefficients that alone enter the motion, by how they are written."""
+        """Free coefficients of which only the sum enters the motion, by the sum as written."""
         law = self.checked()
         if self.load != "uniform" and not issubclass(law, NetLaw):
             return {}
@@ -102,7 +102,7 @@ class BatchSettings:
 
 
 def columns(plan: BatchSettings) -> list[str]:
-    """Columns of the table of results; those of text, which may have commas, come last."""
+    """Columns of the table of results; those of text, which may contain commas, come last."""
     plan.checked()
     names = plan.parameters().names
     found = ["file", "shot", "stone_index", "status", "n_observations", "rms_x", "rms_y", "rms_phi"]
@@ -118,7 +118,7 @@ def columns(plan: BatchSettings) -> list[str]:
 
 
 def usual_law(file: str, format: str | None) -> str:
-    """The law where none is given: for times of a stopwatch the one that they determine."""
+    """The law if none is given: for stopwatch times, the one that they determine."""
     try:
         timed = format == "timings" or (format is None and format_of(file) == "timings")
     except CurlfitError:
@@ -127,11 +127,11 @@ def usual_law(file: str, format: str | None) -> str:
 
 
 def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[Path]:
-    """Data files of folders, patterns and names, each once, sorted, but for those `besides`.
+    """Data files from folders, patterns and names, each once, sorted, except those in `besides`.
 
     Raises
     ------
-    InputError : a folder, pattern or name leads to no file.
+    InputError : a folder, pattern or name matches no file.
     """
     found: set[Path] = set()
     left_out = {file.resolve() for file in besides}

@@ -1,7 +1,7 @@
-"""A table of results that grows row by row and survives a kill at any moment.
+"""A table of results that grows row by row and survives being killed at any moment.
 
-It is plain CSV. What its rows were made by stands in a file beside it (`season.settings.json` for
-`season.csv`); rows of other settings are never mixed in.
+It is plain CSV. The settings of its rows are in a file beside it (`season.settings.json` for
+`season.csv`); rows with other settings are never mixed in.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ def settings_file(table: Path) -> Path:
 
 
 class Table:
-    """A CSV file with one row for each throw, opened to be added to.
+    """A CSV file with one row for each throw, opened for appending.
 
     Parameters
     ----------
-    file : the table. columns : its columns, with `file`, `shot`, `stone_index` and `status`.
-    plan : what the rows are made by. files : those that shall be in the table.
-    again : begin anew.
+    file : the table. columns : its columns, including `file`, `shot`, `stone_index` and `status`.
+    plan : settings of the rows. files : data files whose throws the table is to contain.
+    again : start again.
 
     Attributes
     ----------
-    todo : the files whose rows are not all there. counts : number of rows by status.
+    todo : the files whose rows are not complete. counts : number of rows by status.
     warned : number of usable rows with warnings.
 
     Raises
     ------
-    InputError : the file holds something else, or rows of another plan, or cannot be written.
+    InputError : the file is something else, has rows of another plan, or cannot be written.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Table:
             self.stream.truncate(size)
             self.stream.seek(size)
             if not size:
-                # The table is empty by now: no kill leaves rows beside other settings.
+                # The table is empty now: a kill cannot leave rows beside other settings.
                 write_json({"made_by": f"{_MAKER} {__version__}", "plan": settings}, self.settings)
                 self.stream.write(head)
                 self._settle()
@@ -89,7 +89,7 @@ class Table:
         self.todo = [name for name in files if name not in done]
 
     def _settings(self) -> dict[str, Any] | None:
-        """What the rows that are there were made by; None where nothing says so."""
+        """Settings of the existing rows; None if they are not recorded."""
         try:
             found = json.loads(self.settings.read_text(encoding="utf-8"))
         except FileNotFoundError:
@@ -112,11 +112,11 @@ class Table:
         settings: dict[str, Any],
         files: Sequence[str],
     ) -> tuple[int, set[str]]:
-        """Take note of whole rows: the length of the table up to the last of them, in bytes, and
-        the files that are done."""
+        """Count complete rows; returns the length of the table up to the last of them, in bytes,
+        and the files that are done."""
         whole = self.file.read_bytes()
         if head.startswith(whole):
-            return 0, set()  # killed while it was begun
+            return 0, set()  # killed while the header was written
         if whole.startswith(_OLD_MARK):
             raise InputError(
                 f"{self.file}, line 1: a table of an earlier curlfit, with its settings in this "
@@ -149,7 +149,7 @@ class Table:
                 raise DataError(
                     f"expected {len(self.columns)} columns", file=self.file, line=number
                 )
-        # Of a file with several throws, rows may be missing where they are the last.
+        # If the last rows are of a file with several throws, others of this file may be missing.
         file, shot, stone = (self._place[name] for name in ("file", "shot", "stone_index"))
         if rows and (rows[-1][shot] or rows[-1][stone]) and rows[-1][file] in files:
             last = len(list(takewhile(lambda row: row[file] == rows[-1][file], reversed(rows))))
@@ -159,7 +159,7 @@ class Table:
         return size, {row[file] for row in rows}
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Write rows, in one piece and to the disk."""
+        """Write rows in one piece and flush them to the disk."""
         self.stream.write(_lines([row[name] for name in self.columns] for row in rows))
         self._settle()
         self._count(rows)
@@ -190,7 +190,7 @@ def _shown(value: Any) -> str:
 
 
 def _lines(rows: Iterable[Sequence[Any]]) -> bytes:
-    """Lines of CSV: numbers in full precision, nothing for what is missing, no line breaks."""
+    """Lines of CSV: numbers in full precision, empty cells for missing values, no line breaks."""
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerows(map(_cell, row) for row in rows)
     return out.getvalue().encode(errors="surrogateescape")

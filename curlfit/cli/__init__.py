@@ -51,7 +51,7 @@ def _version(requested: bool) -> None:
 
 
 def _finished(saved: Saved | None, **_: Any) -> None:
-    """Write the page of what a verb has saved, where it was asked for with `--report`."""
+    """Write the page of the result saved by a verb, if requested with `--report`."""
     if isinstance(saved, Saved):
         file = write_page(saved.folder)
         if not saved.quiet:
@@ -111,13 +111,13 @@ def main() -> None:
     except CurlfitError as error:
         print(f"curlfit: {error}", file=sys.stderr)
         sys.exit(error.exit_status)
-    except (KeyboardInterrupt, SystemExit) as stop:  # typer ends upon Ctrl-C without a word
+    except (KeyboardInterrupt, SystemExit) as stop:  # typer exits silently on Ctrl-C
         if isinstance(stop, SystemExit) and stop.code != _INTERRUPTED:
             raise
         print("curlfit: stopped", file=sys.stderr)
         sys.exit(_INTERRUPTED)
     except OSError as error:
-        # Unprinted output is dropped, or Python would try to write it again on exit.
+        # Unprinted output is dropped; Python would otherwise try to write it again on exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
             sys.exit(1)

@@ -1,4 +1,4 @@
-"""`curlfit example`: the example data and the notebooks, copied to where they can be changed."""
+"""`curlfit example`: copies of the example data and notebooks that can be changed."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def export(
             such = f", such as {folder}/NAME" if kind == "joint" else ""
             raise InputError(f"--to {form.value}: expected the fit of one throw{such}")
     result = _load(folder, kind)
-    # All is made before anything is written.
+    # Everything is made before anything is written.
     made: dict[str, Callable[[Path], Any]] = {}
     game = _game(result) if set(forms) & set(_GAME) else {}
     for form in forms:
@@ -114,7 +114,7 @@ def _text(text: str) -> Callable[[Path], Any]:
 
 
 def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, Callable[[Path], Any]]:
-    """What to write, by the name of the file."""
+    """What to write, by file name."""
     if form is Form.csv:
         from curlfit.export.tables import candidates_csv, parameters_csv, path_csv
 

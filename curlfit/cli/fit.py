@@ -251,7 +251,7 @@ def _load_saved(
 
 
 def _finish(result: FitResult | JointResult, saved: o.Saved | None) -> o.Saved | None:
-    """Say on stderr what is wrong; the page of an unusable fit is written before the exit."""
+    """Report an unusable fit on stderr; its page is written before the exit."""
     if not result.converged:
         print(f"curlfit: the fit is not usable: {result.status}", file=sys.stderr)
         if saved is None:

@@ -101,7 +101,7 @@ def _text(law: type[Law], width: int) -> str:
 
 
 def _wrap(head: str, text: str, width: int) -> list[str]:
-    """Lines of a text after a head, hanging indented."""
+    """Lines of a text after a head, with a hanging indent."""
     return textwrap.wrap(
         text, width, initial_indent=head, subsequent_indent=" " * len(head),
         break_long_words=False, break_on_hyphens=False,

@@ -1,4 +1,4 @@
-"""`curlfit show`, `curlfit plot` and `curlfit report`: saved results printed, drawn, as a page."""
+"""`curlfit show`, `plot` and `report`: print or draw a saved result, or write its page."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class _Kind(NamedTuple):
-    """Public names of what loads, prints and draws a result, and the method of its record."""
+    """Public names of what loads, prints and draws a result, and the method for its record."""
 
     load: str
     print: str
@@ -149,7 +149,7 @@ def write_page(folder: Path, out: Path | None = None) -> Path:
 
 
 def _load_fit(folder: Path) -> tuple[FitResult, Chain | None]:
-    """A saved fit; of one whose sampling was interrupted, with the chain so far."""
+    """A saved fit, with the chain so far if its sampling was interrupted."""
     result = curlfit.load_fit(folder)
     if result.sampling == "unfinished":
         from curlfit.inference.mcmc.summary import so_far

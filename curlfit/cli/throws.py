@@ -1,4 +1,4 @@
-"""`curlfit check` and `curlfit simulate`: a data file inspected, a synthetic one made."""
+"""`curlfit check` and `curlfit simulate`: inspect a data file, make a synthetic one."""
 
 from __future__ import annotations
 
@@ -244,7 +244,7 @@ def simulate(
 
 
 class _Given(NamedTuple):
-    """Flags that name the model of a simulation."""
+    """Flags that set the model of a simulation."""
 
     law: str | None
     coefficients: dict[str, float]
@@ -253,7 +253,7 @@ class _Given(NamedTuple):
 
 
 class _Simulated(NamedTuple):
-    """What is simulated where no flag says otherwise."""
+    """What is simulated unless flags say otherwise."""
 
     law: Law
     stone: Stone
@@ -276,7 +276,7 @@ def _given_model(given: _Given) -> _Simulated:
 
 
 def _fitted_model(folder: Path, given: _Given) -> _Simulated:
-    """Law, stone, conditions and start of a saved fit, but for what is given."""
+    """Law, stone, conditions and initial state of a saved fit, except for what is given."""
     from dataclasses import replace
 
     from curlfit.environment import Environment

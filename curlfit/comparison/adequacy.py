@@ -1,7 +1,7 @@
 """Whether a law follows the path, and how much of its curl it explains.
 
-How large residuals are is said by their rms, under a robust loss by that of their bulk, and the
-path to be explained is then seen through a running median: outliers are no law's fault.
+The size of residuals is their rms; under a robust loss it is the scale of their bulk, and the path
+to be explained is filtered by a running median, since no law has to explain outliers.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from curlfit.inference.noise.losses import robust_sigma
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.throw import scatter
 
-_FOLLOWS = 0.1  # rms of a residual over what there is to explain, up to which a law follows a path
-_MEDIAN = 5  # rows of a running median that takes out single outliers
-_NOISE = 1.5  # rms of a residual over the noise of the data, up to which it does in any case
-_UNCLEAR = 3.0  # the same, up to which correlated noise may explain it
-_DEGREE = 5  # of a polynomial in time from which noise is told
+_FOLLOWS = 0.1  # rms of a residual over what is to be explained, up to which a law follows a path
+_MEDIAN = 5  # rows of a running median that removes single outliers
+_NOISE = 1.5  # rms of a residual over the noise of the data, up to which it follows in any case
+_UNCLEAR = 3.0  # the same, up to which correlated noise may explain the residual
+_DEGREE = 5  # of the polynomial in time that separates motion from noise
 
 
 def adequacy(result: FitResult) -> tuple[float | None, bool | None]:
-    """Share of the curl explained, and whether the law follows the path."""
+    """Fraction of the curl explained, and whether the law follows the path."""
     path = _Path.of(result)
     t, place = path.t, path.place
     x, y, phi = (result.observed[name] for name in PLACE)
@@ -70,19 +70,19 @@ def bend(result: FitResult) -> tuple[float, str | None]:
 
 
 class _Path(NamedTuple):
-    """The rows whose place was measured."""
+    """The rows whose position was measured."""
 
     t: Floats
     place: Booleans
     """which rows they are"""
     measured: Floats
     seen: Floats
-    """the same as far as it is to be explained"""
+    """the part of it to be explained"""
     along: Floats
     across: Floats
     """unit vectors; across is to the right"""
     curl: float
-    """rms departure sideways"""
+    """rms lateral departure"""
 
     @classmethod
     def of(cls, result: FitResult) -> _Path:
@@ -98,7 +98,7 @@ class _Path(NamedTuple):
 
 
 def _seen(values: Floats, loss: str) -> Floats:
-    """What there is to explain of a series: without its outliers, where the loss is robust."""
+    """The part of a series to be explained: without outliers where the loss is robust."""
     if loss == "linear":
         return values
     from scipy.ndimage import median_filter  # slow to load
@@ -108,8 +108,8 @@ def _seen(values: Floats, loss: str) -> Floats:
 
 
 def _noise(t: Floats, values: Floats, loss: str) -> float:
-    """Standard deviation of the noise on a smooth series: of its scatter from row to row, or about
-    a polynomial in time where that is larger, which correlated noise makes it."""
+    """Standard deviation of the noise on a smooth series: that of its scatter from row to row, or
+    about a polynomial in time where that is larger, as with correlated noise."""
     by_row = float(scatter(values))
     if len(values) <= 3 * _DEGREE:
         return by_row
@@ -120,12 +120,12 @@ def _noise(t: Floats, values: Floats, loss: str) -> float:
 
 
 def _uneven(t: Floats, values: Floats) -> float:
-    """rms departure from even motion."""
+    """rms departure from uniform motion."""
     return float(np.std(values - np.polyval(np.polyfit(t, values, 1), t)))
 
 
 def sizes(result: FitResult, residuals: dict[str, Floats]) -> dict[str, float]:
-    """rms, or the same of the bulk where the loss is robust."""
+    """rms of residuals, or the scale of their bulk where the loss is robust."""
     size = _rms if result.loss == "linear" else robust_sigma
     return {name: size(values) for name, values in residuals.items()}
 

@@ -1,4 +1,4 @@
-"""What a law is capable of: friction aside from sliding, and to which sides it curls a stone."""
+"""Capabilities of a law: friction not opposite to sliding, and the sides to which it can curl."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from curlfit.numerics.compiled import stacked
 from curlfit.stone import Stone
 
 _MOST = 500
-"""Coefficient vectors that a law is tried with."""
+"""Largest number of coefficient vectors for which a law is evaluated."""
 
 
 def opposes_sliding(law: type[Law]) -> bool:
-    """Whether friction is opposite to sliding round the ring, whatever the coefficients."""
+    """Whether friction opposes sliding all around the ring, whatever the coefficients."""
     if not issubclass(law, LocalLaw):
         return False
     # With coefficients that are all different, which excludes special cases of the law.
@@ -58,7 +58,7 @@ def sides_of_curl(
         grid = grid[np.random.default_rng(0).choice(len(grid), _MOST, replace=False)]
     v = float(np.median(result.fitted["speed"]))
     omega = float(np.median(np.abs(result.fitted["omega"])))
-    # half a radian after release, where a law that depends on the angle still does
+    # half a radian after release, where a law that depends on the angle still depends on it
     state = np.tile(np.array([v, omega, 0.5, 0.0])[:, None], POINTS)
     model = Model(law, load).within(family)
     xi, eta = _over_coefficients(model, grid, stacked([result.stone]), state)[:, :2].T
@@ -68,7 +68,7 @@ def sides_of_curl(
 
 
 def _over_coefficients(model: Model, grid: Floats, stones: Stone, state: Floats) -> Floats:
-    """Accelerations in one state, shape (vectors, 3)."""
+    """Accelerations in one state for each coefficient vector, shape (vectors, 3)."""
     vectors, size = vectors_of(model), vectors_of(model) * POINTS
     found = []
     for first in range(0, len(grid), size):

@@ -1,11 +1,11 @@
-"""Many laws on one throw, under one or several noise models: each is fitted, and they are ranked.
+"""Comparison of laws on one throw: fits under one or several noise models, and their ranking.
 
-Every law is fitted with its own bounds. Where a coefficient then sits at zero and the law does not
+Each law is fitted within its own bounds. Where a coefficient is then at zero and the law does not
 follow the path, it is fitted once more with either sign allowed, to show what it would need; such
-a fit is listed and not ranked.
+a fit is listed but not ranked.
 
-The ranking is in `ranking`, what its criteria count in `criteria`, when a law follows the path in
-`adequacy`.
+The ranking is in `ranking`, its criteria in `criteria`, and the test of whether a law follows the
+path in `adequacy`.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from curlfit.throws.throw import Throw, require_path, require_throw
 def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[Law], str]]:
     """Laws and loads to be fitted; `load` may be "both".
 
-    Where no law is named, all of curlfit's own but those that approximate another. A law without
-    a ring has no load and comes once. Raises `InputError` for an unknown name.
+    Where no law is named, all of curlfit's own except those that approximate another. A law without
+    a ring has no load and is listed once. Raises `InputError` for an unknown name.
     """
     wanted = laws or [law for law in LAWS.values() if law.shipped() and not law.approximates]
     chosen = [find_law(law) for law in ([wanted] if isinstance(wanted, str) else wanted)]
@@ -76,14 +76,13 @@ def compare(
     Parameters
     ----------
     throw, stone, since, until, exclude, swept, loss : as in `fit`.
-    noise : a noise model as in `fit`, or several, as a sequence or with commas between; estimated
-        for each law anew.
-    laws : names or classes; where not given, curlfit's own but those that approximate another.
+    noise : a noise model as in `fit`, or several, as a sequence or separated by commas; estimated
+        anew for each law.
+    laws : names or classes; by default curlfit's own except those that approximate another.
     load : "uniform", "consistent" or "both".
-    fix, bounds, free, priors, start : as in `fit`, for those of the laws that have such a
-        parameter.
-    unbounded : let the coefficients of all laws be negative, and rank them all the same.
-    progress : called with what is being fitted, how many are done, and of how many.
+    fix, bounds, free, priors, start : as in `fit`, for the laws that have such a parameter.
+    unbounded : whether the coefficients of all laws may be negative; the fits are ranked even so.
+    progress : called with the law being fitted, the number of fits done, and their total number.
 
     Raises
     ------
@@ -128,7 +127,7 @@ def compare(
 
 
 def _with_free_signs(throw: Throw, law: type[Law], choices: dict[str, Any]) -> list[Fitted]:
-    """A law's fit and, where it needs a coefficient to be negative, the one in which it is."""
+    """The fit of a law and, where it needs a negative coefficient, the fit with that."""
     one = _fitted(throw, law, choices, signs_free=False)
     at_zero = one.result is not None and any(
         item.verdict == "at bound" and item.lower == 0 and item.value < 1e-6 * item.typical
@@ -193,8 +192,8 @@ def _fitted(throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free
 
 
 def _needed_negative(result: FitResult, signed: set[str]) -> tuple[str, ...]:
-    """Coefficients below zero at that point of the optimum, which may be a ridge, which has least
-    of them below."""
+    """Coefficients below zero at the point of the optimum, possibly a ridge, with the smallest sum
+    of negative parts."""
     from scipy.optimize import linprog
 
     names = [name for name in result.coefficients if name not in signed]
@@ -202,7 +201,7 @@ def _needed_negative(result: FitResult, signed: set[str]) -> tuple[str, ...]:
     typical = np.array([result.parameters[name].typical for name in names])
     ridge = np.array([[row.get(name, 0.0) for row in result.null_directions] for name in names])
     if ridge.size:
-        # least sum of s >= 0 with s >= -(value + ridge step)/typical
+        # minimize the sum of s >= 0 subject to s >= -(value + ridge step)/typical
         p, d = ridge.shape
         found = linprog(
             np.concatenate([np.zeros(d), np.ones(p)]),

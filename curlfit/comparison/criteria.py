@@ -1,18 +1,18 @@
-"""Information criteria: log-likelihoods, and the numbers of values and parameters that count.
+"""Information criteria: log-likelihoods, and effective numbers of values and parameters.
 
-What the path determines counts, not what the law has or a prior says: the effective number of
-parameters (see `evidence`), and one for each parameter of the noise that was estimated. Likelihoods
-are densities of the data in SI units, those of correlated noise with the determinant of its
-covariance, so that AICc and BIC compare noise models as well as laws.
+The number of parameters is that of what the path determines, not of what the law has or a prior
+says: their effective number (see `evidence`), plus one for each estimated parameter of the noise.
+Likelihoods are densities of the data in SI units, with the determinant of the covariance for
+correlated noise, so that AICc and BIC compare noise models as well as laws.
 
 Where the residuals of the fit of greatest likelihood are correlated from row to row, the
-log-likelihood of each channel counts by its effective number of values, less the parameters that
-this fit spends on it, over the number of its rows (quasi-likelihood, its variance inflation
-estimated with n - p degrees of freedom: Burnham and Anderson 2002, sect. 2.5), for all candidates
-alike. That is an approximation, and the report says so.
+log-likelihood of each channel is weighted by its effective sample size, minus the number of
+parameters that this fit spends on it, over the number of its rows (quasi-likelihood, with the
+variance inflation estimated with n - p degrees of freedom: Burnham and Anderson 2002, sect. 2.5),
+for all candidates alike. This is an approximation, and the report says so.
 
-Under a robust loss the likelihood is that of the noise which the loss stands for, at its likeliest
-sigma (see `losses.log_density`); all laws are fitted and ranked under the same.
+Under a robust loss the likelihood is that of the corresponding noise distribution, at its most
+likely sigma (see `losses.log_density`); all laws are fitted and ranked under the same loss.
 """
 
 from __future__ import annotations
@@ -39,27 +39,27 @@ from curlfit.throws.throw import CHANNELS
 
 
 class EffectiveValues(NamedTuple):
-    """What correlated residuals count, from the fit of greatest likelihood."""
+    """Effective sample sizes with correlated residuals, from the fit of greatest likelihood."""
 
     number: dict[str, float]
-    """effective number of values of the channels whose residuals are correlated"""
+    """effective sample size of the channels whose residuals are correlated"""
     spent: float
-    """parameters of the fit that each channel pays for"""
+    """number of parameters that the fit spends on each channel"""
 
     def weight(self, channel: str, rows: int) -> float:
-        """Of the log-likelihood of a channel."""
+        """Weight of the log-likelihood of a channel."""
         if channel not in self.number:
             return 1.0
         return max(self.number[channel] - self.spent, 1.0) / rows
 
     def total(self, rows: Mapping[str, int]) -> float:
-        """Number of values of all channels."""
+        """Effective sample size of all channels together."""
         return sum(self.number.get(name, float(count)) for name, count in rows.items())
 
 
 def number_of_parameters(result: FitResult) -> float:
-    """Parameters that the data determine: of the law and the start, the sigmas that were estimated
-    and the noise model's own: correlation times that differ, and sizes of a discrepancy."""
+    """Number of parameters that the data determine: of the law and the initial state, the estimated
+    sigmas, and the noise model's own (distinct correlation times, sizes of a discrepancy)."""
     noise = result.noise
     own = len(set(noise.memory.values())) + len(noise.sizes)
     return effective_parameters(result) + len(result.sigma) + own
@@ -72,8 +72,8 @@ def residuals_of(result: FitResult) -> dict[str, Floats]:
 
 
 def log_likelihood(result: FitResult) -> dict[str, float]:
-    """At the fit, by channel, of noise as the loss or the noise model has it; an estimated sigma is
-    at its most likely value."""
+    """Log-likelihood at the fit, by channel, under the noise model or the loss; an estimated sigma
+    is at its most likely value."""
     if result.noise.kind != "white":
         return _of_correlated(result)
     found = {}
@@ -89,7 +89,7 @@ def log_likelihood(result: FitResult) -> dict[str, float]:
 
 
 def _of_correlated(result: FitResult) -> dict[str, float]:
-    """The same of Gaussian noise that is correlated as the fit has it."""
+    """The same for Gaussian noise with the correlation of the fit."""
     t = result.observed["t"]
     weight, residual = np.zeros((2, len(CHANNELS), len(t)))
     for row, name in enumerate(CHANNELS):
@@ -115,10 +115,10 @@ def _of_correlated(result: FitResult) -> dict[str, float]:
 
 
 def effective_values(result: FitResult) -> EffectiveValues:
-    """Effective number of values of the channels whose residuals are correlated from row to row.
+    """Effective sample sizes of the channels whose residuals are correlated from row to row.
 
-    n (1 - r)/(1 + r) (Bayley and Hammersley 1946). A fit of p parameters to n rows makes the
-    correlation r of neighbours smaller by (2 r + p (1 + r))/n (Marriott and Pope 1954, for a mean).
+    n (1 - r)/(1 + r) (Bayley and Hammersley 1946). A fit of p parameters to n rows reduces the
+    correlation r of neighbours by (2 r + p (1 + r))/n (Marriott and Pope 1954, for a mean).
     """
     found, p = {}, effective_parameters(result) / len(result.rms)
     for name, residual in residuals_of(result).items():
@@ -135,8 +135,8 @@ def with_criteria(
     likelihood: Mapping[str, float],
     effective: EffectiveValues,
 ) -> Candidate:
-    """AICc (Hurvich and Tsai 1989) and BIC (Schwarz 1978) by the effective number of values, from
-    the log-likelihood of each channel."""
+    """AICc (Hurvich and Tsai 1989) and BIC (Schwarz 1978) with effective sample sizes, from the
+    log-likelihood of each channel."""
     k, n = candidate.n_parameters or 0.0, result.n_observations
     rows = {name: len(residual) for name, residual in residuals_of(result).items()}
     twice = 2 * sum(effective.weight(name, rows[name]) * part for name, part in likelihood.items())

@@ -6,20 +6,20 @@ y_-i)] are those of Vehtari, Gelman and Gabry (2017, Statistics and Computing 27
 and 24. A point i is a row, with all channels that were measured in it. Priors are those of the
 evidence (`curlfit.comparison.evidence`).
 
-Closed form. With the path linear in the parameters within their errors, no row has to be left out
-in fact. For residuals e in units of their sigma and the hat matrix H of all rows,
+Closed form. If the path is linear in the parameters within their errors, no row has to be left out
+explicitly. For residuals e in units of their sigma and the hat matrix H of all rows,
 
     e_-i = (I - H_ii)^-1 e_i,    cov(e_-i) = (I - H_ii)^-1
 
 are the residual of a row from the fit to all others and its covariance (Cook and Weisberg 1982,
-sect. 2.2). Where sigma is estimated, the density is Student's t of n_c - p_c degrees of freedom in
-channel c, p_c the sum of the leverages of its values, and sigma is that without the row. What a
-bound cuts off the density of a parameter that is pushed against it stands as a normal factor of the
-same mean and variance (expectation propagation: Minka 2001).
+sect. 2.2). Where sigma is estimated, the density is Student's t with n_c - p_c degrees of freedom
+in channel c, p_c being the sum of the leverages of its values, and sigma is estimated without the
+row. The bound that a parameter is pushed against is replaced by a normal factor that gives its
+density the same mean and variance (expectation propagation: Minka 2001).
 
-Where there is none. If residuals are correlated from row to row, a row is predicted from its
-neighbours, whatever the law; a robust loss has no closed form; and a row that alone determines a
-parameter is not predicted by the others at all.
+Limits. If residuals are correlated from row to row, a row is predicted from its neighbours,
+whatever the law; a robust loss has no closed form; and a row that alone determines a parameter is
+not predicted by the others at all.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import stacked
 from curlfit.throws.throw import CHANNELS
 
-_STEP = 0.1  # standard errors of a parameter with all others known, for derivatives
+_STEP = 0.1  # standard errors of a parameter with all others known, for finite differences
 _NULL = 1e-13  # of the largest singular value
 _HARD = 50.0  # standard deviations by which a parameter is pushed against its bound
-_ALONE = 1e-9  # 1 less the leverage of a row, beneath which it alone determines a parameter
+_ALONE = 1e-9  # 1 - leverage of a row, below which it alone determines a parameter
 
 
 class LeaveOneOut(NamedTuple):
@@ -68,14 +68,14 @@ class LeaveOneOut(NamedTuple):
 
 
 def standard_error(pointwise: Floats) -> float:
-    """Of a sum over rows, from their scatter; 0 for a single row."""
+    """Standard error of a sum over rows, from their scatter; 0 for a single row."""
     n = len(pointwise)
     return float(np.sqrt(n * pointwise.var(ddof=1))) if n > 1 else 0.0
 
 
 def leave_one_out(result: FitResult) -> LeaveOneOut | None:
     """Cross-validation of a fit; None under a robust loss or correlated noise, where a row alone
-    determines a parameter, and where the law admits no motion beside the fit."""
+    determines a parameter, and where the law admits no motion near the fit."""
     if result.loss != "linear" or result.noise.kind != "white":
         return None
     free = result.information["names"]
@@ -118,7 +118,7 @@ def leave_one_out(result: FitResult) -> LeaveOneOut | None:
 
 
 def _inward(result: FitResult, names: list[str]) -> Floats:
-    """Of each parameter the sign in which it leaves the bound that it is at; 0 at none."""
+    """Sign of the direction in which each parameter leaves its bound; 0 away from bounds."""
     found = np.zeros(len(names))
     for row, name in enumerate(names):
         item = result.parameters[name]
@@ -128,7 +128,7 @@ def _inward(result: FitResult, names: list[str]) -> Floats:
 
 
 class _Factors(NamedTuple):
-    """Normal factors of a density, of each parameter less its estimate."""
+    """Normal factors of the density of each parameter minus its estimate."""
 
     mean: Floats
     precision: Floats
@@ -136,11 +136,11 @@ class _Factors(NamedTuple):
 
 
 def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> _Factors:
-    """What takes the place of the bounds of parameters that are at them.
+    """Normal factors that replace the bounds of parameters at a bound.
 
-    With all others integrated out, the density of the distance d from the bound is exp(-push d -
-    s d^2/2), d > 0: with a = push/sqrt(s) and l = phi(a)/Phi(-a) its mean is (l - a)/sqrt(s), its
-    variance (1 - l (l - a))/s.
+    With all others integrated out, the density of the distance d from the bound is proportional to
+    exp(-push d - s d^2/2), d > 0: with a = push/sqrt(s) and l = phi(a)/Phi(-a), its mean is
+    (l - a)/sqrt(s) and its variance (1 - l (l - a))/s.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> _Fact
         a = push / np.sqrt(stiffness)
         ratio = np.exp(_log_normal(a) - log_ndtr(-a))
         mean, variance = (ratio - a) / np.sqrt(stiffness), (1 - ratio * (ratio - a)) / stiffness
-        if a > _HARD:  # an exponential density, without the rounding of ratio - a
+        if a > _HARD:  # an exponential density, without the rounding error of ratio - a
             mean, variance = 1 / push, 1 / push**2
         extra = 1 / variance - stiffness
         found.precision[row] = extra * size[row] ** 2
@@ -166,7 +166,7 @@ def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> _Fact
     return found
 
 
-# Not by `scipy.stats`, which is slow to load.
+# Not from `scipy.stats`, which is slow to load.
 def _log_normal(u: Any) -> Any:
     """Log density of the standard normal distribution."""
     return -(u**2) / 2 - np.log(2 * np.pi) / 2
@@ -187,7 +187,7 @@ def densities(
 
     Parameters
     ----------
-    residual, jacobian : data less model over sigma, and the derivative of the model over sigma by
+    residual, jacobian : measured - fitted over sigma, and the derivative of fitted over sigma by
         the parameters; shapes (channels, n) and (channels, n, parameters), 0 where not observed.
     weight : 1/sigma, 0 where not observed, shape (channels, n).
     prior_rows, prior_residual : the same of the prior, shapes (rows, parameters) and (rows,).
@@ -195,7 +195,7 @@ def densities(
     """
     channels, n, count = jacobian.shape
     there = weight > 0
-    # Orthonormal columns: with these J^T J without a row is 1 - Q_i^T Q_i.
+    # Orthonormal columns: J^T J without a row is then 1 - Q_i^T Q_i.
     design = np.concatenate([jacobian.reshape(-1, count), prior_rows])
     size = np.sqrt((design**2).sum(0))
     left, singular, _ = np.linalg.svd(design / np.where(size > 0, size, 1.0), full_matrices=False)
@@ -209,8 +209,7 @@ def densities(
         return None
     covariance = np.linalg.inv(left_over)
     e_out = np.einsum("icd,di->ci", covariance, e)
-    # Without row i the parameters change by -Q_i^T e_-i, and the sum of squares of a channel with
-    # them.
+    # Without row i the parameters change by -Q_i^T e_-i, and the sums of squares accordingly.
     change = np.einsum("cik,ci->ik", q, e_out)
     gradient = np.einsum("cik,ci->ck", q, e)
     information = np.einsum("cik,cil->ckl", q, q)

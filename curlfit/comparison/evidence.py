@@ -1,13 +1,13 @@
-"""Evidence: the likelihood of a law, averaged over what its parameters may be before the data.
+"""Evidence: the likelihood of a law, averaged over the prior of its parameters.
 
-Prior. A parameter to which the fit gives a prior has that one. Any other coefficient has a normal
-density about zero, cut off at its bounds, whose standard deviation is three times the larger of its
-typical size and its default: it says no more than the order of magnitude. The initial state, and
-conditions without a prior, have a flat density that is the same for all laws, so that evidences of
-one throw compare, and ratios of them are Bayes factors (Kass and Raftery 1995).
+Prior. A parameter with a prior in the fit keeps it. Any other coefficient has a normal density
+about zero, truncated at its bounds, whose standard deviation is three times the larger of its
+typical size and its default: it specifies only the order of magnitude. The initial state, and
+conditions without a prior, have a flat density common to all laws, so that evidences for one throw
+are comparable and their ratios are Bayes factors (Kass and Raftery 1995).
 
 Integral. Chi squared is taken as quadratic (Laplace), which leaves a Gaussian integral over the box
-of the bounds. It is exact along ridges, where the prior alone limits it, and at bounds: a parameter
+of the bounds. It is exact along ridges, where only the prior limits it, and at bounds: a parameter
 that the data push against its bound contributes the integral over its half-line, and the others the
 probability of the box under their joint normal density.
 """
@@ -26,11 +26,11 @@ from curlfit.numerics.arrays import Booleans, Floats
 
 _ORDER = 3.0  # standard deviation of a coefficient's prior over its typical size or default
 _FAR = 8.0  # standard deviations within which a bound matters
-_LEAST = 1e-12  # probability of a box
+_LEAST = 1e-12  # smallest probability of a box
 
 
 class _Gaussian(NamedTuple):
-    """Exponent c + b d - d A d/2 of an integrand, in d, the free parameters less the estimates."""
+    """Exponent c + b d - d A d/2 of an integrand; d is free parameters minus estimates."""
 
     constant: float
     linear: Floats
@@ -44,7 +44,7 @@ class PriorTerms(NamedTuple):
     precision: Floats
     """0 where the density is flat"""
     log_density: float
-    """of the flat ones, and of what the bounds cut off the others"""
+    """of the flat priors, and the normalization of the truncated normal ones"""
 
 
 def log_evidence(result: FitResult, log_likelihood: float) -> float:
@@ -82,7 +82,7 @@ def effective_parameters(result: FitResult) -> float:
 
 
 def prior_terms(result: FitResult, names: list[str]) -> PriorTerms:
-    """That of parameters by name, as the module's text has it."""
+    """The prior of parameters by name, as described in the module docstring."""
     coefficients = {item.name: item for item in result.law_class.coefficients()}
     priors = result.parameter_set.priors
     mean, precision = np.zeros((2, len(names)))
@@ -117,7 +117,7 @@ def _log_between(low: float, high: float) -> float:
 
 
 def _of_data(result: FitResult, names: list[str]) -> tuple[Floats, Floats]:
-    """Information and gradient of the log-likelihood, without the priors that the fit has."""
+    """Information and gradient of the log-likelihood, without the priors of the fit."""
     information = np.array(result.information["matrix"])
     gradient = np.array(result.information["gradient"])
     penalty = result.parameter_set.penalty
@@ -146,7 +146,7 @@ def _integral(gaussian: _Gaussian, lower: Floats, upper: Floats, pushed: Boolean
     total += 0.5 * (seen.sum() * math.log(2 * math.pi) - float(np.log(squares[seen]).sum()))
     total -= float(np.log(size[inner]).sum())
     total += _log_box(mean, inverse, (lower * size)[inner], (upper * size)[inner])
-    # Each pushed parameter over its half-line, the others following.
+    # Each pushed parameter over its half-line, with the others following.
     for index in outer:
         cross = matrix[index, inner]
         stiffness = max(float(matrix[index, index] - cross @ inverse @ cross), 1e-12)
@@ -165,7 +165,7 @@ def _log_box(mean: Floats, covariance: Floats, lower: Floats, upper: Floats) -> 
         return 0.0
     if near.sum() == 1:
         ends = (np.array([lower[near][0], upper[near][0]]) - mean[near]) / sd[near]
-        # By the tail on which the box lies, where the difference is precise.
+        # By the tail in which the box lies, where the difference is accurate.
         low, high = ends if ends.sum() <= 0 else -ends[::-1]
         return math.log(max(float(ndtr(high) - ndtr(low)), _LEAST))
     from scipy.stats import multivariate_normal  # slow to load, and few boxes need it

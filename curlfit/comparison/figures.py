@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-_SAME = 0.0075  # share of an axis, about a line's width, up to which curves are one
+_SAME = 0.0075  # fraction of an axis, about a line's width, within which curves coincide
 
 
 @styled
 def comparison_figure(comparison: Comparison) -> Figure:
-    """All fitted paths over the data, their residuals sideways, and the residuals by channel.
+    """All fitted paths over the data, their residuals of x, and the size of residuals by channel.
 
     Examples
     --------
@@ -99,7 +99,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
 
 
 def _curves(shown: list[Candidate], x: Floats) -> list[list[Candidate]]:
-    """The candidates by curve: together where no line of the figure would tell them apart."""
+    """The candidates by curve: grouped where the figure would not distinguish them."""
     if not shown:
         return []
     paths = [np.array([item.fitted["x"], item.fitted["y"]]) for item in shown if item.fitted]
@@ -117,7 +117,7 @@ def _curves(shown: list[Candidate], x: Floats) -> list[list[Candidate]]:
 
 
 def _names_of(same: list[Candidate]) -> str:
-    """Ranks, laws and loads of candidates with one path, a line a law."""
+    """Ranks, laws and loads of candidates with one path, one line per law."""
     loads: dict[tuple[str, str], list[str]] = {}
     ranks: dict[tuple[str, str], list[str]] = {}
     for item in same:

@@ -9,9 +9,9 @@ from curlfit.inference.noise.models import NOISES, check_noise
 
 
 def noise_models(noise: str | Sequence[str], loss: str = "linear") -> tuple[str, ...]:
-    """Names of noise models, given as a sequence or with commas between; each comes once.
+    """Names of noise models, given as a sequence or separated by commas, without duplicates.
 
-    Raises `InputError` where one is unknown or the loss does not admit it, or there is none.
+    Raises `InputError` if one is unknown or not compatible with the loss, or if there is none.
     """
     names = noise.split(",") if isinstance(noise, str) else noise
     found = tuple(dict.fromkeys(name.strip() for name in names))

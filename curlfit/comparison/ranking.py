@@ -1,4 +1,4 @@
-"""The order of fits by BIC, and how far each is from the best by each criterion."""
+"""The ranking of fits by BIC, and the difference of each from the best by each criterion."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Fitted(NamedTuple):
 
 
 def ranked(found: list[Fitted]) -> Comparison:
-    """The comparison of fits to one throw, in the order of the request.
+    """The comparison of fits to one throw, given in the order of the request.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def most_likely(found: list[Fitted]) -> FitResult:
 
 def _order(one: Fitted) -> tuple[bool, bool, bool, float]:
     item = one.candidate
-    # Differences below a tenth mean nothing: the order of the request is kept.
+    # Differences below a tenth are meaningless: the order of the request is kept.
     return item.bic is None, item.signs_free, not item.converged, round(item.bic or 0.0, 1)
 
 
@@ -90,9 +90,9 @@ def _counts(item: Candidate) -> bool:
 
 
 def _with_predictions(found: list[Fitted]) -> list[Fitted]:
-    """The same with evidence and leave-one-out, which stand for independent residuals alone: a
-    handful of effective values shapes no likelihood, and a row that is correlated with its
-    neighbours is predicted from them whatever the law."""
+    """The same with evidence and leave-one-out, which are valid for independent residuals only: a
+    small effective sample size does not determine the shape of a likelihood, and a row that is
+    correlated with its neighbours is predicted from them whatever the law."""
     scores = [None if one.result is None else leave_one_out(one.result) for one in found]
     usable = [
         score
@@ -123,7 +123,7 @@ def _predicting(one: Fitted, score: LeaveOneOut | None, best: LeaveOneOut | None
 
 
 def _with_differences(item: Candidate, ranked: list[Candidate]) -> Candidate:
-    """The candidate, and how far it is from the best of the ranked ones."""
+    """The candidate with its differences from the best of the ranked ones."""
 
     def from_best(name: str, best: Callable[..., float]) -> float | None:
         own = getattr(item, name)
@@ -139,7 +139,7 @@ def _with_differences(item: Candidate, ranked: list[Candidate]) -> Candidate:
 
 
 def _weighted(candidates: list[Candidate]) -> list[Candidate]:
-    """The candidates with their ranks, and their probabilities by the evidence."""
+    """The candidates with their ranks and their probabilities from the evidence."""
     place = itertools.count(1)
     odds = [
         math.exp(item.delta_evidence)

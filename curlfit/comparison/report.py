@@ -1,4 +1,4 @@
-"""What a comparison of laws says, as text. Nothing is computed here."""
+"""Report of a comparison of laws as text. Nothing is computed here."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NEIGHBOURS = "it would predict a row of correlated noise from its neighbours, w
 _PROBABLE = 0.01  # weight of a law that is named
 _FIRST = 3  # laws named in a line
 _WARNING = "Warning: "
-_ELPD = 4.0  # below which differences and their errors tell nothing (Sivula, Magnusson, Matamoros
+_ELPD = 4.0  # below which differences and their errors are unreliable (Sivula, Magnusson, Matamoros
 # and Vehtari 2020, Uncertainty in Bayesian leave-one-out)
 
 
@@ -46,7 +46,7 @@ def report(comparison: Comparison) -> RenderableType:
 
 
 def overview(comparison: Comparison) -> Overview:
-    """A comparison at a glance: the ranks, and what follows."""
+    """A comparison at a glance: the ranks and the conclusions."""
     heading = _heading(comparison).plain.splitlines()
     said = conclusions(comparison)
     warnings = [line for line in said if line.startswith(_WARNING)]
@@ -166,7 +166,7 @@ def _with_error(item: Candidate) -> str:
 
 
 def _share(value: float) -> str:
-    """A share in %, never rounded up to the whole."""
+    """A fraction in %, never rounded up to 100 %."""
     percent = 100 * max(value, 0.0)
     return f"{percent:.0f} %" if percent < 99 else f"{min(percent, 99.99):.2f} %"
 
@@ -202,7 +202,7 @@ def _value(found: dict[str, Any]) -> str:
 
 
 def conclusions(comparison: Comparison) -> list[str]:
-    """What follows from the comparison, in sentences."""
+    """The conclusions from the comparison, in sentences."""
     fitted = [item for item in comparison.candidates if item.rms is not None]
     within = [item for item in fitted if not item.signs_free]
     lines = []
@@ -238,7 +238,7 @@ def conclusions(comparison: Comparison) -> list[str]:
 
 
 def _about_evidence(ranked: list[Candidate]) -> str:
-    """The laws that the evidence leaves, and their probabilities."""
+    """The laws that the evidence leaves probable, and their probabilities."""
     ordered = sorted(ranked, key=lambda item: -(item.weight or 0.0))
     named = [item for item in ordered if (item.weight or 0.0) > _PROBABLE] or ordered[:1]
     said = join_words([f"{item.label} {_share(item.weight or 0.0)}" for item in named])
@@ -271,7 +271,7 @@ def _about_predictions(ranked: list[Candidate]) -> str:
 
 
 def _about_noise(comparison: Comparison) -> str:
-    """Which noise model the best fit has, and how far the best fits of the others are from it."""
+    """The noise model of the best fit, and how far the best fits of the others are from it."""
     best = comparison.best
     others = []
     for name in comparison.noises:
@@ -287,7 +287,7 @@ def _about_noise(comparison: Comparison) -> str:
 
 
 def _about_correlation(comparison: Comparison) -> str:
-    """That a ranking by correlated residuals is not reliable, and what it counts."""
+    """That a ranking with correlated residuals is unreliable, and its effective sample sizes."""
     observed = {name: comparison.observed.get(name, []) for name in comparison.effective}
     rows = {
         name: sum(v is not None and math.isfinite(v) for v in values)

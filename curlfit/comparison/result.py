@@ -1,4 +1,4 @@
-"""The record of a comparison, and its one versioned form in JSON."""
+"""The record of a comparison, and its versioned JSON form."""
 
 from __future__ import annotations
 
@@ -23,38 +23,40 @@ class Candidate:
 
     Attributes
     ----------
-    law, load : the law's name, and how the weight rests on the ring ("-" for a law without ring).
+    law, load : the law's name, and the load on the contact ring ("-" for a law without a ring).
     isotropic : whether friction opposes sliding at every point of the ring (eq. 3-4).
-    signs_free : fitted with coefficients of either sign, against the law's own bounds.
-    status, converged : of the fit; all that follows is None or empty where there is none.
+    signs_free : whether coefficients may have either sign, contrary to the law's own bounds.
+    status, converged : of the fit; without a fit, all that follows is None or empty.
     coefficients : by name, {"value", "stderr", "verdict", "unit"}; see `FitResult`.
     combinations : expression and value, where single coefficients are not identifiable.
     noise, noise_model : the noise model's name, and its parameters as in `fit.json`.
-    n_parameters : effective number (see `curlfit.comparison.evidence`), with those of the noise
-        that were estimated.
-    rms : by channel, m, m, rad. bulk : the same of the bulk of the residuals (1.4826 times their
+    n_parameters : effective number (see `curlfit.comparison.evidence`), including the estimated
+        ones of the noise.
+    rms : by channel, m, m, rad. bulk : the scale of the bulk of the residuals (1.4826 times their
         median size), under a robust loss.
-    curl_explained : share of the path's curl that the law gives, 1 at best; None where the path
-        has no curl beyond its scatter.
-    follows : whether each channel's residual is within a tenth of its departure from straight and
-        even motion, or within its noise; None where correlated noise may explain the residual.
-    log_likelihood : of noise as the noise model and the loss have it.
-    aicc, bic : the same, by the effective number of values (see `Comparison.effective`).
+    curl_explained : fraction of the path's curl that the law explains, at most 1; None where the
+        path has no curl beyond its scatter.
+    follows : whether each channel's residual is within a tenth of its departure from uniform
+        straight motion, or within its noise; None where correlated noise may explain the residual.
+    log_likelihood : under the noise model and the loss.
+    aicc, bic : information criteria, with effective sample sizes (see `Comparison.effective`).
     log_evidence : of the likelihood averaged over the prior, up to a constant common to all; None
-        where residuals are correlated from row to row, or between noise models.
+        where residuals are correlated from row to row, or if noise models are compared.
     elpd_loo, elpd_loo_se, p_loo : expected log predictive density of leave-one-out, its standard
         error, and its effective number of parameters (see `curlfit.comparison.cross_validation`);
-        None where residuals are correlated from row to row, under a robust loss and for other
-        noise than white.
-    delta_aicc, delta_bic : above the best of the ranked candidates. delta_evidence : log evidence
-        below the largest of these. delta_elpd, delta_elpd_se : elpd_loo less the largest of these,
-        and the standard error of that difference, from the differences by row.
-    weight : probability of the law by its evidence, if the ranked candidates had equal ones before;
-        None if not ranked.
-    rank : place by BIC among the candidates within their laws' bounds, from 1; None if not ranked.
+        None where residuals are correlated from row to row, under a robust loss and for noise
+        other than white.
+    delta_aicc, delta_bic : aicc and bic minus the smallest of the ranked candidates.
+        delta_evidence : log evidence minus the largest of these. delta_elpd, delta_elpd_se :
+        elpd_loo minus the largest of these, and the standard error of that difference, from the
+        differences by row.
+    weight : posterior probability of the law from its evidence, with equal prior probabilities of
+        the ranked candidates; None if not ranked.
+    rank : by BIC among the candidates within their laws' bounds, from 1; None if not ranked.
     sides : to which sides the law can curl a slowing counter-clockwise stone on this path, within
-        its bounds: a part of ("left", "right").
-    negative : coefficients fitted below zero, except exponents and the like.
+        its bounds: a subset of ("left", "right").
+    negative : coefficients fitted below zero, except those for which either sign is natural, such
+        as exponents.
     at_bound, not_identifiable : names.
     warnings : of the fit.
     """
@@ -104,19 +106,19 @@ class Candidate:
 
     @property
     def residual_size(self) -> dict[str, float]:
-        """Size of the residuals by channel: of their bulk where outliers do not count."""
+        """Size of the residuals by channel: of their bulk under a robust loss."""
         return self.bulk or self.rms or {}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Displayed):
-    """Candidates, best first: those ranked, then those beyond their bounds, then failures.
+    """Candidates, best first: those ranked, then those fitted beyond their bounds, then failures.
 
-    `data` says what was fitted; `curl` is the path's sideways departure from a straight line in m
-    (rms), with the `side` to which it bends seen along the motion. `observed` holds t, x, y, phi.
-    `loss` is how large residuals counted, `noise` the noise models, with commas between several.
-    `effective` is the effective number of values by channel where the residuals of the fit of
-    greatest likelihood are correlated from row to row; else empty.
+    `data` describes what was fitted; `curl` is the path's lateral departure from a straight line in
+    m (rms), and `side` the side to which it bends, seen along the motion. `observed` has t, x, y,
+    phi. `loss` is how much large residuals counted, `noise` the noise models, separated by commas.
+    `effective` is the effective sample size by channel where the residuals of the fit of greatest
+    likelihood are correlated from row to row; otherwise empty.
     `fits` are the full results in the order of the candidates, and empty when read from a file.
 
     Examples
@@ -159,7 +161,7 @@ class Comparison(Displayed):
         signs_free: bool = False,
         noise: str | None = None,
     ) -> Candidate:
-        """The candidate of a law, of several noise models the first in rank unless one is named.
+        """The candidate of a law; with several noise models the best, unless one is named.
         Raises KeyError if there is none."""
         for item in self.candidates:
             same = (item.law, item.signs_free) == (law, signs_free) and item.load in (load, "-")
@@ -168,7 +170,7 @@ class Comparison(Displayed):
         raise KeyError(f"{law}, {load}" + (f", {noise}" if noise else ""))
 
     def to_frame(self) -> Any:
-        """The candidates as a pandas DataFrame, a row for each, best first; sizes in m and rad.
+        """The candidates as a pandas DataFrame, one row each, best first; sizes in m and rad.
 
         Raises
         ------
@@ -199,7 +201,7 @@ class Comparison(Displayed):
         }
 
     def save(self, file: str | PathLike[str]) -> None:
-        """Write the record as JSON, whole or not at all."""
+        """Write the record as JSON, atomically."""
         write_json(self.to_json(), Path(file))
 
 
@@ -208,7 +210,7 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
 
     Raises
     ------
-    DataError : it is not there, or is not a record that this version can read.
+    DataError : it is missing, or is not a record that this version can read.
 
     Examples
     --------

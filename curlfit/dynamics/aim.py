@@ -1,9 +1,9 @@
 """The speed and heading that bring a stone to a target: the inverse problem of a throw.
 
-The ice is isotropic, so the heading only rotates a path about its start: the speed follows from the
-distance alone, and the heading from the direction. The speed is a root of one function, found by
-Newton's method with the exact derivative of the motion, within a bracket that shrinks at every
-step.
+On level ice the heading only rotates the path about its initial position: the speed follows from
+the distance alone, and the heading from the direction. The speed is the root of a function of one
+variable, found by Newton's method with the exact derivative of the motion, within a bracket that
+shrinks at every step.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from curlfit.stone import Stone
 FASTEST = 6.0
 """The largest initial speed considered, m/s; the hardest takeouts are slower."""
 LONGEST = 2000.0
-"""Time in s after which a stone that has not come to rest counts as never doing so."""
+"""Time in s after which a stone still in motion is taken never to come to rest."""
 _SPEEDS = np.append(0.05 * 1.25 ** np.arange(22), FASTEST)  # grid for the bracket
 _TOLERANCE = 1e-9  # m
 _MAX_ITERATIONS = 80
@@ -52,7 +52,7 @@ class Aim(NamedTuple):
 
 
 class _Endpoint(NamedTuple):
-    """Where a throw from the origin along +y reaches a given lower speed."""
+    """Where a throw from the origin along +y has slowed to a given speed."""
 
     position: Floats
     """(x, y) in m"""
@@ -78,15 +78,15 @@ def aim(
     ----------
     law, stone, load, environment : as in `simulate`.
     target : position (x, y) in m.
-    omega0 : spin at the start in rad/s.
+    omega0 : initial spin in rad/s.
     start : initial position (x, y) in m.
-    heading : direction in rad if prescribed; only y of the target is then reached.
-    speed : at the target in m/s; 0 is rest.
+    heading : direction in rad if prescribed; then only y of the target is reached.
+    speed : speed at the target in m/s; 0 for rest.
 
     Returns
     -------
-    Aim, within 1e-9 m of the target. Where several speeds lead there (friction that falls steeply
-    with speed), the lowest that was bracketed.
+    Aim, within 1e-9 m of the target. If several speeds reach it (friction that decreases steeply
+    with speed), the lowest one that was bracketed.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def aim(
     direct = math.atan2(across, along)
     guess = direct if heading is None else heading
     for _ in range(_MAX_ITERATIONS):
-        # The heading enters through the direction of the slope alone.
+        # The heading enters only through the direction of the slope.
         forces = np.asarray(forces_on(stone, surroundings, jnp.asarray(guess)))
         endpoint = partial(_endpoint, law, stone, check_load(load), forces, omega0, speed)
         v0 = _speed_to_reach(endpoint, distance if heading is None else along, heading, speed)
@@ -131,8 +131,8 @@ def aim(
 def _speed_to_reach(
     endpoint: Callable[[float], _Endpoint], distance: float, heading: float | None, speed: float
 ) -> float:
-    """The initial speed that carries the stone over a distance: along the sheet for a heading, else
-    in a straight line."""
+    """Initial speed that carries the stone a given distance, measured along the sheet for a
+    prescribed heading and in a straight line otherwise."""
 
     def overshoot(v: float) -> tuple[float, float]:
         """Distance beyond the target, and its derivative with respect to the speed."""
@@ -165,7 +165,7 @@ def _speed_to_reach(
 
 
 def _root(f: Callable[[float], tuple[float, float]], low: float, high: float) -> float:
-    """Root of a function with its derivative, negative at `low` and not at `high`."""
+    """Root of a function, given with its derivative, negative at `low` and not at `high`."""
     x = (low + high) / 2
     before = math.inf
     for _ in range(_MAX_ITERATIONS):
@@ -174,7 +174,7 @@ def _root(f: Callable[[float], tuple[float, float]], low: float, high: float) ->
             return x
         low, high = (x, high) if value < 0 else (low, x)
         newton = x - value / slope if slope > 0 else math.nan
-        # Newton's step if it stays inside and halves the value; else bisection.
+        # Newton's step if it stays inside and the last step halved the value; else bisection.
         x = newton if low < newton < high and abs(value) < before / 2 else (low + high) / 2
         before = abs(value)
         if high - low < 1e-15 * high:
@@ -235,7 +235,7 @@ def _speed_and_position_compiled(
 def _speed_and_position(
     law: Law, stone: Stone, load: Load, forces: Floats, v: float, omega: float, times: Floats
 ) -> tuple[Floats, Floats]:
-    """x, y, speed, vx, vy at times, shape (5, n), and their derivatives by the initial speed."""
+    """x, y, speed, vx, vy at times, shape (5, n), and their derivatives with respect to `v`."""
     coefficients = np.array([float(getattr(law, item.name)) for item in law.coefficients()])
     path, slopes = _speed_and_position_compiled(
         type(law), load, coefficients, stone, forces, float(v), float(omega), times

@@ -1,7 +1,7 @@
-"""The contact ring: from a law of friction at a point to the acceleration of the stone.
+"""The contact ring: from a friction law at a point to the acceleration of the stone.
 
-The forces of the ring (`ring_forces`) are put under a uniform load, or under the dynamically
-consistent one that they balance (eq. 8-9).
+The forces of the ring (`ring_forces`) are taken under a uniform load, or under the dynamically
+consistent load that balances them (eq. 8-9).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Accelerations(NamedTuple):
 
 
 class _Inputs(NamedTuple):
-    """What accelerations depend on; each a number or an array of one shape."""
+    """What accelerations depend on: numbers, or arrays of one shape."""
 
     coefficients: tuple[Array, ...]
     stone: Stone
@@ -49,7 +49,7 @@ class _Inputs(NamedTuple):
     time: Array
 
     def contact(self, kind: type[Law], load: Load, clustering: NodeClustering) -> Contact:
-        """The ring, as friction depends on it."""
+        """The ring, with all that its friction depends on."""
         R, h = self.stone.R, self.stone.h
         motion = RingMotion(self.v, R * self.omega, self.turned, self.time)
         lever = 2 * h / R + jnp.zeros_like(self.v)
@@ -57,7 +57,7 @@ class _Inputs(NamedTuple):
 
 
 def accelerations_under(forces: Forces, stone: Stone) -> Accelerations:
-    """Accelerations by the forces of a ring; NaN where no load with n >= 0 balances them."""
+    """Accelerations due to the forces of a ring; NaN where no load with n >= 0 balances them."""
     t_xi, t_eta, moment = forces[0]
     if len(forces) > 1:
         p, q = balanced_tilt(forces, jnp.asarray(2 * stone.h / stone.R))
@@ -85,7 +85,7 @@ def _accelerations(
 def _accelerations_jvp(
     kind: type[Law], load: Load, primals: tuple[Any, Any], tangents: tuple[Any, Any]
 ) -> tuple[Accelerations, Accelerations]:
-    """The derivative by each input is found once, whatever the number of directions."""
+    """The derivative with respect to each input is computed once, for any number of directions."""
     inputs, clustering = primals
     change, _ = tangents
     if issubclass(kind, NetLaw):
@@ -98,7 +98,7 @@ def _accelerations_jvp(
     out, total = _along(partial(accelerations_under, forces), stone, of_stone)
 
     def under_load(change: Values) -> Accelerations:
-        """What a change of the forces under the load makes, which changes the load in turn."""
+        """Effect of a change of the forces at fixed load, to which the load then responds."""
 
         def at(constant: Values) -> Accelerations:
             return accelerations_under((constant, *forces[1:]), stone)
@@ -117,7 +117,7 @@ def _accelerations_jvp(
 
 
 def _ring_change(kind: type[Law], inputs: _Inputs, change: _Inputs) -> tuple[Stone, dict[int, Any]]:
-    """Directions of the stone's fields, and of the ring's inputs by their number."""
+    """Tangents of the stone's fields, and of the ring's inputs by their number."""
     numbered: list[Any] = [*change.coefficients, change.v, None, change.turned, change.time]
     k = len(change.coefficients)
     spin, radius = change.omega, change.stone.R
@@ -142,7 +142,7 @@ def _is_zero(tangent: Any) -> bool:
 def _along(
     function: Callable[[Any], Accelerations], inputs: Any, change: Any
 ) -> tuple[Accelerations, Accelerations]:
-    """A function, and its change along a direction that is not zero in some of the inputs."""
+    """A function and its derivative along a direction that may be zero in some inputs."""
     leaves, tree = jax.tree.flatten(inputs)
     parts = jax.tree.leaves(change, is_leaf=_is_zero)
     varying = [number for number, part in enumerate(parts) if not _is_zero(part)]
@@ -202,7 +202,7 @@ def accelerations(
 def consistent_load(
     law: LocalLaw, stone: Stone, v: ArrayLike, omega: ArrayLike, turned: ArrayLike = 0.0
 ) -> Array:
-    """(n1, n2) of eq. 9 times R over n0: the consistent load is `n0 (1 + n1 xi/R + n2 eta/R)`.
+    """(p, q) = (n1, n2) R/n0 of eq. 9: the consistent load is `n0 (1 + p xi/R + q eta/R)`.
 
     Shape (2,); NaN where no such load with n >= 0 exists. Arguments as in `accelerations`.
     """
@@ -213,7 +213,7 @@ def consistent_load(
 def contact_of(
     law: Law, stone: Stone, load: Load, v: ArrayLike, omega: ArrayLike, turned: ArrayLike = 0.0
 ) -> Contact:
-    """The ring of a stone in motion. Arguments as in `accelerations`, the law one of the ring."""
+    """The ring of a stone in motion. Arguments as in `accelerations`; not for a net law."""
     inputs = _inputs(law, stone, v, omega, turned, 0.0)
     clustering = node_clustering(inputs.v, inputs.stone.R * inputs.omega)
     return inputs.contact(type(law), load, clustering)

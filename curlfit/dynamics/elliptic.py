@@ -1,12 +1,12 @@
 """Sums over the ring in closed form, for friction that is linear in the direction of sliding.
 
-Under such a law, `t = -n M v/|v|` with a tensor M that is a polynomial of the place on each half of
-the ring (`ring_polynomials`), the force of the ring follows from ten means of the direction of
+Under such a law, `t = -n M v/|v|` with a tensor M that is a polynomial in the position on each half
+of the ring (`ring_polynomials`), the force of the ring follows from ten means of the direction of
 sliding. In units of the larger of the two speeds `v` and `|u| = R |omega|`, with `q` the smaller
 one and `c` the cosine of the angle from the fastest point, the sliding speed is
 `rho = sqrt(1 + q^2 + 2 q c)`. Over a half ring
 
-- means odd in `eta` are integrals of polynomials of c over rho, and `1/rho = sum (-q)^n P_n(c)` is
+- means odd in `eta` are integrals of polynomials in c over rho, and `1/rho = sum (-q)^n P_n(c)` is
   the generating function of Legendre's polynomials (DLMF 18.12.11);
 - means even in `eta` are those of `c^n/rho`, complete elliptic integrals of the modulus q
   (DLMF 19.2.8, 19.2.29 and, for n > 1, by parts).
@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-_AGM_ITERATIONS = 5  # of the arithmetic-geometric mean: to rounding for m1 >= _MIN_M1
+_AGM_ITERATIONS = 5  # of the arithmetic-geometric mean: exact to rounding for m1 >= _MIN_M1
 _MIN_M1 = 1e-10  # 1 - q^2: an error of 1e-9 of the force at |epsilon| = 1
 _SMALL_M = 1e-5  # m below which dG/dm is taken from its series
 
@@ -73,8 +73,8 @@ def _(inputs: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Any, Any]:
 
 
 class Means(NamedTuple):
-    """Half-ring means (integrals over the front half, by 2 pi) of one component of a vector, times
-    1, xi, xi^2, eta and xi eta."""
+    """Half-ring means (integrals over the front half divided by 2 pi) of one component of a vector,
+    times 1, xi, xi^2, eta and xi eta."""
 
     one: Array
     xi: Array
@@ -86,8 +86,8 @@ class Means(NamedTuple):
 def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:
     """Means of the directions of sliding, to the right and forward, on the front half.
 
-    `v >= 0` is the speed of the centre and `u = R omega`, of any shape. On the back half those that
-    are odd in eta have the other sign: to the right those of 1, xi and xi^2, forward those of eta
+    `v >= 0` is the speed of the centre and `u = R omega`, of any shape. On the back half the means
+    odd in eta have the opposite sign: to the right those of 1, xi and xi^2, forward those of eta
     and xi eta. Zero for a stone at rest.
     """
     s = jnp.where(u >= 0, 1.0, -1.0)
@@ -126,7 +126,7 @@ def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:
 
 
 def mean_velocities(v: Array, u: Array) -> tuple[Means, Means]:
-    """Means of the velocity of sliding (-u eta, v + u xi) in m/s, as `mean_directions`."""
+    """Means of the sliding velocity (-u eta, v + u xi) in m/s, as `mean_directions`."""
     pi, none = jnp.pi, jnp.zeros_like(v)
     right = Means(one=-u / pi, xi=none, xi_xi=-u / (3 * pi), eta=-u / 4, xi_eta=none)
     forward = Means(one=v / 2, xi=u / 4, xi_xi=v / 4, eta=v / pi, xi_eta=u / (3 * pi))

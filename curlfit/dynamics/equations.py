@@ -1,20 +1,20 @@
-"""Equations of motion, the choice of the step size, and the path between two steps.
+"""Equations of motion, choice of the step size, and interpolation of the path within a step.
 
 With speed `v`, heading `b` (beta of eq. 24) and spin `omega`
 
     dv/dt = a_eta,  v db/dt = a_xi,  domega/dt = alpha,  dx/dt = v sin b,  dy/dt = v cos b,
 
-where a_eta and a_xi are those of friction, of gravity on ice that is not level, and of the air.
+where a_eta and a_xi are due to friction, gravity on ice that is not level, and air drag.
 
 The time scales of this motion are the time to rest, the turning of the velocity and the passage of
 |epsilon| = 1, where one point of the ring stops sliding and friction has a logarithmic kink. Each
 step is a fixed fraction of the shortest of these, so steps shrink geometrically toward rest. Toward
 the kink they shrink more slowly, for equal errors, down to one step across the kink that is short
-enough for its error to be negligible. A law may name angles turned at which its friction has a
-kink (`corners`) and its own rate of change in time (`quickness`): steps end at these angles,
-resolve this rate, and resolve the rotation up to the last angle. Steps end where sweeping begins
-and ends, too, and one of a nanosecond leads to the other friction. Between steps the path is the
-quintic polynomial through position, velocity and acceleration at both ends.
+enough for its error to be negligible. A law may declare angles turned at which its friction has a
+kink (`corners`) and a rate of explicit change in time (`quickness`): steps end at these angles,
+resolve this rate, and resolve the rotation up to the last angle. Steps also end where sweeping
+begins and ends, and a step of 2 ns crosses the jump of the friction there. Within a step the path
+is the quintic polynomial that matches position, velocity and acceleration at both ends.
 
 All arrays have the batch, one throw in each column, along the last axis.
 """
@@ -36,17 +36,17 @@ from curlfit.environment import WEAR_KNOTS
 from curlfit.friction import Law, Load, NetLaw, power
 from curlfit.stone import Stone
 
-STEP = 0.25  # step over the shortest time scale, with 1 m or 1 rad remaining
-_REST_WEIGHT, _KINK_WEIGHT = 1.3, 1.1  # of the times to rest and to the kink, over the others
-_MAX_STEP = 0.6  # over the time to rest
+STEP = 0.25  # fraction of the shortest time scale, with 1 m or 1 rad remaining
+_REST_WEIGHT, _KINK_WEIGHT = 1.3, 1.1  # of the rates to rest and kink, relative to the others
+_MAX_STEP = 0.6  # fraction of the time to rest
 _MAX_TURN = 1.5  # rad in a step
-_MAX_APPROACH = 0.6  # over the time to the kink, by singularity distance
+_MAX_APPROACH = 0.6  # fraction of the time to the kink, by singularity distance
 _REST = 1e-10  # remaining motion (m and rad together) of a stone at rest
 _KINK = 2e-5  # singularity distance to which the kink at |epsilon| = 1 is resolved, 1 m remaining
 _MAX_TURNING = 5000.0  # rad of turning of the velocity in one time scale of the motion
 _ANGLE_TOLERANCE = 1e-9  # rad, for reaching an angle of the law's `corners`
-_SWITCH = 1e-9  # s, by which sweeping begins and ends later, so that steps can end there
-_MIN_SPIN = 1e-8  # rad/s, to which the end of the spin is resolved
+_SWITCH = 1e-9  # s, delay of the beginning and end of sweeping, so that steps can end there
+_MIN_SPIN = 1e-8  # rad/s, down to which the end of the spin is resolved
 
 
 class State(NamedTuple):
@@ -71,13 +71,13 @@ def _decay_rate(law: Law, stone: Stone, state: State, rate: State) -> Array:
 
 @jax.custom_jvp
 def _sine_cosine(heading: Array, s: Array, c: Array) -> tuple[Array, Array]:
-    """Sine and cosine of a heading as they are known; the derivatives are those by the heading."""
+    """The known sine and cosine of a heading, differentiated with respect to the heading."""
     return s, c
 
 
 @_sine_cosine.defjvp
 def _(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
-    s, c = _sine_cosine(*primals)  # so that derivatives of any order are right
+    s, c = _sine_cosine(*primals)  # so that derivatives of any order are correct
     return (s, c), (c * tangents[0], -s * tangents[0])
 
 
@@ -90,7 +90,7 @@ class HeadingFrame(NamedTuple):
 
     def rotated_to(self, heading: Array) -> HeadingFrame:
         """The frame of another heading, by series, which unlike the library's functions are
-        vectorized: to 1e-11 up to 0.6 rad between them, to 1e-7 up to 1.5 rad."""
+        vectorized: accurate to 1e-11 for turns up to 0.6 rad, to 1e-7 up to 1.5 rad."""
         turn = jax.lax.stop_gradient(heading) - self.heading
         square = turn**2
         sine = cosine = jnp.zeros_like(turn)
@@ -108,22 +108,22 @@ class HeadingFrame(NamedTuple):
 
 
 class Forces(NamedTuple):
-    """What acts on a stone besides its law, in the frame of the initial heading (y along it)."""
+    """Effects on a stone besides its law, in the frame of the initial heading (y along it)."""
 
     g_x: Array
-    """acceleration by gravity, m/s^2"""
+    """acceleration due to gravity, m/s^2"""
     g_y: Array
     drag: Array
-    """deceleration by the air over v^2, 1/m"""
+    """deceleration by air drag over v^2, 1/m"""
     wear: Array
     """relative change of the friction with y, 1/m"""
     bend_0: Array
-    """a sixth of the jumps of its third derivative at `WEAR_KNOTS`, 1/m^3"""
+    """one sixth of the jumps of its third derivative at `WEAR_KNOTS`, 1/m^3"""
     bend_10: Array
     bend_20: Array
     bend_30: Array
     sweep: Array
-    """factor of the friction between the next two times, s since the start"""
+    """factor on the friction between the next two times, in s since the start"""
     swept_from: Array
     swept_to: Array
 
@@ -141,7 +141,7 @@ def rates(
 ) -> State:
     """Time derivative of the state; `frame` is that of a nearby heading.
 
-    `forces` are as `Forces` has them, shape (11, batch); None for a law alone.
+    `forces` are the fields of `Forces`, shape (11, batch); None for a law alone.
 
     A stone that spins almost in place, under a transverse force, moves on circles of radius
     v^2/a_xi. Where its velocity turns faster than `turning_limit` (rad/s), it is held at their
@@ -168,13 +168,13 @@ def rates(
 
 
 def turning_limit(law: Law, stone: Stone, span: Array, state: State, rate: State) -> Array:
-    """Turning rate (rad/s) of the velocity above which the position is constant: circles completed
+    """Turning rate (rad/s) of the velocity above which the position is held: circles completed
     thousands of times within one time scale of the motion are smaller than 1e-7 m."""
     return _MAX_TURNING * (1 / span + _decay_rate(law, stone, state, rate))
 
 
 def _remaining_motion(law: Law, state: State, decay_rate: Array) -> tuple[Array, Array]:
-    """Whether the stone moves, and the scale of its motion to rest, 1 rad counted as 1 m."""
+    """Whether the stone moves, and the scale of its remaining motion, 1 rad counted as 1 m."""
     turns = (state.omega != 0) & (not isinstance(law, NetLaw))
     moving = (state.v > 0) | turns
     square = jnp.where(moving, state.v**2 + state.omega**2, 1.0)
@@ -191,7 +191,7 @@ def step_size(
     law: Law, stone: Stone, forces: Array | None, span: Array, state: State, rate: State,
     time: Array,
 ) -> Array:  # fmt: skip
-    """Next step in s."""
+    """Length of the next step in s."""
     v, u = state.v, stone.R * state.omega
     decay_rate = _decay_rate(law, stone, state, rate)
     _, remaining = _remaining_motion(law, state, decay_rate)
@@ -200,11 +200,11 @@ def step_size(
     distance_rate = 2 * jnp.abs(au * rate.v - v * du) / total**2
     # The error of the step across the kink is its square times the remaining motion.
     kink = singularity_distance(v, u) + _KINK / jnp.sqrt(jnp.maximum(remaining, _REST))
-    # Where dv/dt ~ v^-n, the time to rest is v/|dv/dt|/(1 + n); the kink is steeper, too.
+    # Where dv/dt ~ v^-n, the time to rest is v/|dv/dt|/(1 + n); the kink is also steeper.
     speed_exponent = law.steepness()
     rest_rate = decay_rate * (1 + speed_exponent)
-    # Friction at a distance d from the kink is like d^(1-n) log d. A step h has an error of h^6
-    # times its fifth derivative, the same at any d where h ~ d^((4+n)/6).
+    # Friction at a distance d from the kink behaves like d^(1-n) log d. A step h has an error of
+    # h^6 times the fifth derivative, which is the same at any d if h ~ d^((4+n)/6).
     kink_rate = (
         _KINK_WEIGHT
         * distance_rate
@@ -225,7 +225,7 @@ def step_size(
         last = jnp.stack([jnp.asarray(angle) for angle in law.corners]).max()
         frequency += turning * (jnp.abs(state.phi) < last - _ANGLE_TOLERANCE)
     # The error of a step is the sixth power of its fraction times the remaining motion; the seventh
-    # root minimizes the error of a given number of steps.
+    # root minimizes the error for a given number of steps.
     largest = frequency * remaining ** (1 / 7) / STEP
     for stability_rate in (
         rest_rate / _MAX_STEP,
@@ -281,7 +281,7 @@ def second_derivatives(frame: HeadingFrame, state: State, rate: State) -> Array:
 def extrapolated_rest(
     law: Law, stone: Stone, t: Array, frame: HeadingFrame, state: State, rate: State
 ) -> Array:
-    """x, y, phi and time of rest, shape (4, batch), for speed and spin that decrease linearly."""
+    """x, y, phi and time at rest, shape (4, batch), if speed and spin decrease linearly."""
     decay_rate = _decay_rate(law, stone, state, rate)
     duration = 0.5 / jnp.where(decay_rate > 1e-9, decay_rate, 1e-9)
     s, c = _sine_cosine(state.heading, frame.s, frame.c)
@@ -303,8 +303,8 @@ def quintic_coefficients(
     h: Array, state_a: Array, rate_a: Array, second_a: Array,
     state_b: Array, rate_b: Array, second_b: Array,
 ) -> tuple[Array, ...]:  # fmt: skip
-    """Polynomials of x, y, phi over a step of length h, from what `StepState` holds at both ends:
-    by decreasing power of (t - t0)/h, each (3, batch)."""
+    """Polynomials for x, y, phi over a step of length h, from fields of `StepState` at both ends:
+    coefficients by decreasing power of (t - t0)/h, each (3, batch)."""
     c0, c1, c2 = state_a[:3], h * rate_a[:3], h**2 * (0.5 * second_a)
     difference = state_b[:3] - (c0 + c1 + c2)
     slope = h * rate_b[:3] - (c1 + 2 * c2)
@@ -316,7 +316,7 @@ def quintic_coefficients(
 
 
 def quintic(t0: Array, h: Array, coefficients: tuple[Array, ...], t: Array) -> tuple[Array, Array]:
-    """Values and time derivatives of these at times (n, batch or 1), each (3, n, batch)."""
+    """Values and time derivatives of these polynomials at times (n, batch or 1): (3, n, batch)."""
     inverse_step = 1 / h
     s = (t - t0) * inverse_step
     value = slope = jnp.zeros_like(s)

@@ -1,20 +1,20 @@
-"""Integration of throws in a batch, with their derivatives.
+"""Integration of a batch of throws, with derivatives.
 
 Method. The fifth-order formula of Dormand and Prince (1980), with the step sizes of `equations`. No
 step is rejected, so all throws of a batch advance together, and derivatives are those of a smooth
 map. The requested rows are interpolated as the stones pass them.
 
-A throw has about ten inputs. Its derivatives with respect to these are integrated beside it as
+A throw has about ten inputs. Its derivatives with respect to these are integrated alongside it as
 tangents, on an axis before the batch: the Jacobian costs about ten trajectories and nothing is
-stored for a reverse pass; both modes of JAX's differentiation are defined by it.
+stored for a reverse pass; both differentiation modes of JAX are derived from it.
 
 Why not a general solver: diffrax with adaptive steps takes several times as long for the same
 accuracy, its run-time checks keep compiled programs out of the cache, and the derivative of the
 rest event is delicate. The tests use it as an independent reference.
 
 For speed under XLA, arrays are joined by writing rows into a larger one, since a `stack` is
-computed element by element; and what is used more than once crosses the boundary of a loop or is
-the result of a matrix product, or it would be recomputed for each use.
+computed element by element; and a value used more than once crosses a loop boundary or is the
+result of a matrix product, since it would otherwise be recomputed for each use.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ from curlfit.friction import Law, Load, NetLaw
 from curlfit.stone import Stone
 
 _MAX_STEPS = 32_000
-_WINDOW = 8  # rows that are interpolated together
+_WINDOW = 8  # rows interpolated together
 
 # Dormand and Prince (1980), RK5(4)7M. The last row is the fifth-order formula itself, so that its
-# derivative is the first one of the next step.
+# derivative is also the first of the next step.
 _TABLEAU = np.zeros((6, 7))
 for _stage, _weights in enumerate(
     (
@@ -73,15 +73,15 @@ Solution = tuple[tuple[Array, ...], Array]
 
 
 class _Dual(NamedTuple):
-    """A value and its tangents, which have one more axis, of directions, before the batch; None
-    where no derivatives are requested."""
+    """A value and its tangents, which have an additional axis of directions before the batch axis;
+    None where no derivatives are requested."""
 
     value: Any
     tangents: Any = None
 
 
 def _map(function: Callable[..., Any], *inputs: _Dual) -> _Dual:
-    """A function of batches, applied to values and tangents."""
+    """Apply a function of batches to values and tangents."""
     values = tuple(item.value for item in inputs)
     if all(item.tangents is None for item in inputs):
         return _Dual(function(*values))
@@ -103,7 +103,7 @@ def _map(function: Callable[..., Any], *inputs: _Dual) -> _Dual:
 def _weighted_sum(weights: Array, derivatives: _Dual) -> _Dual:
     """Weighted sum over the first axis, without the last row.
 
-    For values alone term by term, which XLA fuses with the use of the sum.
+    Values alone are summed term by term, which XLA fuses with the use of the sum.
     """
     if derivatives.tangents is None:
         rows = enumerate(derivatives.value[:-1])
@@ -131,9 +131,9 @@ def _integrate_batch(
 
     Parameters
     ----------
-    system, forces : law and stone, and forces besides the law (`equations.Forces`), from the value
-        of `parameters`.
-    start : speed and spin, shape (2, batch).
+    system, forces : functions of the value of `parameters`: law and stone, and forces besides the
+        law (`equations.Forces`).
+    start : initial speed and spin, shape (2, batch).
     times : in s, non-decreasing from row to row, shape (n, batch or 1); inf for unused rows, which
         cost nothing and are 0.
 
@@ -149,7 +149,7 @@ def _integrate_batch(
     last = jnp.max(jnp.where(used, times, 0.0), 0) + jnp.zeros_like(omega0)
     span = jnp.maximum(last, 1e-9)
     tableau, nodes = jnp.asarray(_TABLEAU), jnp.asarray(_TABLEAU.sum(1))
-    # The speed, and the spin under a net law, end at zero: signs that they keep.
+    # The speed, and under a net law the spin, end at zero: signs that they must keep.
     sign = jnp.zeros((6, len(omega0))).at[4].set(1.0)
     sign = sign.at[5].set(jnp.sign(omega0)) if net else sign
 
@@ -171,7 +171,7 @@ def _integrate_batch(
                 time,
             )  # fmt: skip
 
-        # A loop over the stages, not six copies of them, keeps the compiled program small.
+        # A loop over the stages, rather than six copies, keeps the compiled program small.
         def stage(index: Array, carry: tuple[_Dual, _Dual]) -> tuple[_Dual, _Dual]:
             _, derivatives = carry
             state = _map(increment, begin, dt, _weighted_sum(tableau[index], derivatives))
@@ -195,7 +195,7 @@ def _integrate_batch(
         return step_state(t, after, state, _row(derivatives, -1))
 
     def step_state(t: _Dual, frame: HeadingFrame, state: _Dual, rate: _Dual) -> _Dual:
-        """With the length of the next step."""
+        """The state at the end of a step, with the length of the next."""
         ended = at_rest(law, stone, State(*state.value), State(*rate.value)) | (t.value > last)
 
         def length(parameters: Any, t: Array, packed: Array, packed_rate: Array) -> Array:
@@ -218,8 +218,8 @@ def _integrate_batch(
     rows = jnp.pad(times, ((0, window), (0, 0)), constant_values=jnp.inf)
 
     def interpolate(a: _Dual, b: _Dual, first: Array, out: _Dual) -> tuple[Array, _Dual]:
-        """Fill the rows within a step, a window of rows at a time; and the first row that is not
-        complete for the whole batch."""
+        """Fill the rows within a step, a window at a time; also return the first row that is not
+        yet complete for the whole batch."""
         t0, _, _, *first_end = _fields(a)
         t1, _, _, *second_end = _fields(b)
         h = _map(lambda t0, t1: jnp.where(t1 > t0, t1 - t0, 1.0), t0, t1)
@@ -273,7 +273,7 @@ def _integrate_batch(
         count, step, *_ = carry
         return (count < _MAX_STEPS) & ((count == 0) | active(step.value).any())
 
-    # The first step has length zero; it computes the rates at the start.
+    # The first step has length zero; it computes the initial rates.
     zero = jnp.zeros_like(omega0)
     still = _map(lambda start: 0 * start[0], start)
     frame = _Dual(HeadingFrame(zero, zero, 1 + zero))
@@ -283,7 +283,7 @@ def _integrate_batch(
     empty = _map(
         lambda start: (jnp.full((3, len(rows), start.shape[-1]), jnp.nan),) * orders, start
     )
-    # Part of the carry, or XLA would recompute it for each of the times.
+    # Part of the carry, since XLA would otherwise recompute it for each of the times.
     rest = _map(lambda state: state[:4], state)
     _, step, rest, _, out = jax.lax.while_loop(unfinished, iterate, (0, step, rest, 0, empty))
     ended = at_rest(law, stone, State(*step.value.state), State(*step.value.rate))
@@ -308,7 +308,7 @@ def _fields(step: _Dual) -> list[_Dual]:
 
 
 def _step(*fields: _Dual) -> _Dual:
-    """From its fields, of which not all need have tangents."""
+    """A step from its fields, not all of which need tangents."""
     tangents = StepState(*(item.tangents for item in fields))
     known = any(item is not None for item in tangents)
     return _Dual(StepState(*(item.value for item in fields)), tangents if known else None)
@@ -319,7 +319,7 @@ def _row(rows: _Dual, index: int) -> _Dual:
 
 
 def _mappable(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of one throw from a function of a batch; `vmap` of it is one call for the batch.
+    """Make a function of one throw from one of a batch; its `vmap` is one call for the batch.
 
     Parameters
     ----------
@@ -333,7 +333,7 @@ def _mappable(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @of_batch.def_vmap
     def _(size: int, mapped: list[bool], *arrays: Array) -> Any:
-        if not any(mapped):  # JAX does this when it differentiates what it does not map
+        if not any(mapped):  # JAX does this when differentiating unmapped calls
             out = function(*arrays)
             return out, jax.tree.map(lambda _: False, out)
         batch = max(array.shape[-1] for array in arrays)
@@ -374,14 +374,14 @@ def _values(law: type[Law], load: Load, velocities: bool, *arrays: Array) -> Sol
 
 
 def _forces_in(constants: Sequence[Array]) -> Array | None:
-    """The forces among coefficients, stone and, where there are any, forces."""
+    """The forces in (coefficients, stone[, forces]); None without any."""
     return constants[2] if len(constants) > 2 else None
 
 
 def _values_and_jacobian(
     law: type[Law], load: Load, velocities: bool, active: tuple[bool, ...], *arrays: Array
 ) -> tuple[Solution, Solution]:
-    """A motion, and its derivatives with respect to the active inputs, along the last axis but the
+    """A motion, and its derivatives with respect to the active inputs, along the axis before the
     batch."""
     *inputs, times = arrays
     sizes = [len(vector) * is_active for is_active, vector in zip(active, inputs, strict=True)]
@@ -430,11 +430,11 @@ def integrate(
 
     Parameters
     ----------
-    velocities : whether to return these, which takes as long again as the positions.
+    velocities : whether to return velocities, which takes as long again as the positions.
     inputs : the law's coefficients, the stone's fields, the forces besides the law if there are
         any (see `equations.Forces`), and (v0, omega0), as vectors. Inputs without tangents cost
         nothing; a `vmap` becomes one batch.
-    times : in s, >= 0, non-decreasing, shape (n,). Rows at inf, which may stand at the end, cost
+    times : in s, >= 0, non-decreasing, shape (n,). Rows at inf, allowed at the end, cost
         nothing and are 0.
     """
     return _mappable(partial(_values, law, load, velocities))(*inputs, times)

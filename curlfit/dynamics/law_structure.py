@@ -1,8 +1,8 @@
-"""The structure of a law as compiled programs need it: its pytree, powers, dependences, symmetry.
+"""The structure of a law that compiled programs need: pytree, powers, dependences, symmetry.
 
 What a law depends on is found by tracing it. XLA calls the library's `pow` for one number at a
-time, which takes three times as long as vector instructions: here the logarithm comes from exponent
-and mantissa, by the series of the inverse hyperbolic tangent.
+time, which takes three times as long as vector instructions; here the logarithm is computed from
+exponent and mantissa, by the series of the inverse hyperbolic tangent.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ UNIT_POINT = RingPoint(*(1.0 for _ in RingPoint._fields))
 _ROOT_HALF = np.float64(0.5**0.5).view(np.int64)  # mantissas lie between this and sqrt(2)
 _MANTISSA_BITS = 52
 AnyLaw = TypeVar("AnyLaw", bound=Law)
-_TERMS = 11  # to rounding, for these mantissas
+_TERMS = 11  # of the series: exact to rounding for these mantissas
 
 
 def _register(law: type[Law]) -> None:
     names = [item.name for item in law.coefficients()]
-    # Not `register_dataclass`: jaxlib 0.10 takes the structures of two dataclasses with the same
-    # number of fields for equal, and `jit` may run the program of one law for another.
+    # Not `register_dataclass`: jaxlib 0.10 treats the structures of two dataclasses with the same
+    # number of fields as equal, so that `jit` may run the program of one law for another.
     jax.tree_util.register_pytree_node(
         law,
         lambda value: ([getattr(value, name) for name in names], None),
@@ -121,7 +121,7 @@ def _is_linear(function: Callable[..., Any], size: int, parameters: int) -> bool
 
 
 def example_law(kind: type[AnyLaw]) -> AnyLaw:
-    """A law with coefficients that are all different."""
+    """A law whose coefficients all differ."""
     return kind.from_vector([0.1 + 0.01 * index for index, _ in enumerate(kind.coefficients())])
 
 
@@ -132,8 +132,8 @@ def has_edges(kind: type[LocalLaw]) -> bool:
 
 @cache
 def sample_points(front: float) -> RingPoint:
-    """Points on one half of the ring in several motions, for numpy; those of the other half are
-    their mirror images."""
+    """Points on one half of the ring in several motions, as NumPy arrays; those on the other half
+    are their mirror images."""
     v, u = np.array([[1.1], [0.3], [2.3]]), np.array([[-0.6], [0.15], [1.7]])
     angle = (2 * front - 1) * np.linspace(0.2, 2.9, 7)
     xi, eta = np.cos(angle), np.sin(angle)
@@ -151,7 +151,7 @@ def _close(a: Any, b: Any) -> bool:
 
 @cache
 def is_mirror_symmetric(kind: type[LocalLaw], load: Load) -> bool:
-    """Whether friction behind is the mirror image of that in front, as under an isotropic law."""
+    """Whether friction on the back half mirrors that on the front, as under an isotropic law."""
     law = example_law(kind)
     if load != "uniform" or has_edges(kind):
         return False

@@ -1,9 +1,9 @@
 """When and where a stone crosses lines and comes to rest, with derivatives.
 
-A stone stops short of a line or crosses it, and the time of crossing has a square root's end there:
-a search would meet an infinite slope, and then nothing. Within `_EDGE` of its resting position, and
-beyond, a line is therefore taken to be crossed at the speed that the stone has there. Times are so
-defined for every line and every motion, and continuous with their first derivatives.
+A stone crosses a line or stops short of it, and at the transition the time of crossing ends like a
+square root: a search would meet an infinite slope, and then no value. Lines beyond a point `_EDGE`
+before the resting position are therefore taken to be crossed at the speed at that point. Times are
+thus defined for every line and every motion, and are continuous with their first derivatives.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from curlfit.friction import Law, Load
 from curlfit.stone import Stone
 
 _EDGE = 0.02  # m before the resting position
-_NEAR = 0.001  # m to both sides of it, between which the speed there is measured
-_STEPS = 6  # of Newton's method, after a first one to rest
+_NEAR = 0.001  # m to either side of that point, between which the speed there is taken
+_STEPS = 6  # of Newton's method, after a first one for uniform deceleration
 _AT_REST = 1000.0  # s, by when every stone is at rest
-_SLOWEST = 1e-4  # m/s, to divide by
+_SLOWEST = 1e-4  # m/s, smallest divisor
 
 
 class Passages(NamedTuple):
-    """Times since the start (s), places (m) and angles (rad) at lines, shape (lines,), and rest."""
+    """Times since the start (s), x (m) and angles (rad) at lines, shape (lines,), and at rest."""
 
     time: Array
     x: Array
@@ -47,11 +47,11 @@ def with_passages(
     *,
     load: Load,
 ) -> tuple[Trajectory, Passages]:
-    """The motion at times, as `ordered_trajectory` gives it, and its passages of lines.
+    """The motion at `times`, as from `ordered_trajectory`, and its passages of lines.
 
     Parameters
     ----------
-    lines : y in m, shape (lines,), rising.
+    lines : y in m, shape (lines,), increasing.
     """
     zero = jnp.zeros(())
 
@@ -73,9 +73,9 @@ def with_passages(
     def step(count: Array, t: Array) -> Array:
         path = at(jnp.concatenate([t, last]), fixed=True)
         y_rest = path.y[-1]
-        # From t = 0 Newton's method approaches from below, as a decelerating stone's y is concave.
+        # From t = 0 Newton's method approaches from below, as y(t) is concave under deceleration.
         found = t + (targets(y_rest) - path.y[:-1]) / jnp.maximum(path.vy[:-1], _SLOWEST)
-        # The first step goes to where an even deceleration would have it.
+        # The first step goes to the time for uniform deceleration.
         left = (y_rest - targets(y_rest)) / jnp.maximum(y_rest - path.y[0], _EDGE)
         even = path.rest * (1 - jnp.sqrt(jnp.clip(left, 0.0, 1.0)))
         found = jnp.where((count == 0) & jnp.isfinite(even), even, found)

@@ -4,8 +4,8 @@ With `u = R omega`, the sliding speed at polar angle `alpha` is
 `|v(A)|^2 = (v - |u|)^2 cos^2 b + (v + |u|)^2 sin^2 b`, where `b` is half the angle between the
 point and the slowest point of the ring. Near `|epsilon| = 1` this point nearly stops sliding, and
 the direction of friction reverses within an angle of `d = |v - |u||/(v + |u|)`. Gauss nodes are
-placed by the sinh transform of near-singular integrals (Johnston and Elliott 2005), which resolves
-the reversal at any `d` with the same number of nodes. The rule ends where the front half meets the
+placed by the sinh transform for near-singular integrals (Johnston and Elliott 2005), which resolves
+the reversal at any `d` with the same number of nodes. Each rule ends where the front half meets the
 back half, so laws that jump there are integrated exactly; at further jump angles of a law the
 halves are divided, in the same variable, and the moving limits carry the derivatives with respect
 to the jump angle.
@@ -27,8 +27,8 @@ from jax import Array
 
 from curlfit.friction import LocalLaw, RingPoint
 
-NODES = 20  # on each half of the ring: 1e-14 of the force at |epsilon| 0.7, 1e-9 at 0.98
-_MIN_DISTANCE = 5e-5  # singularity distance for the densest nodes: smallest maximum error, 4e-7
+NODES = 20  # on each half of the ring: error 1e-14 of the force at |epsilon| = 0.7, 1e-9 at 0.98
+_MIN_DISTANCE = 5e-5  # singularity distance of the densest nodes: smallest maximum error, 4e-7
 
 _x, _w = np.polynomial.legendre.leggauss(NODES)
 _GAUSS_NODES, GAUSS_WEIGHTS = (_x + 1) / 2, _w / 2
@@ -42,7 +42,7 @@ def singularity_distance(v: Array, u: Array) -> Array:
 
 
 class Nodes(NamedTuple):
-    """Gauss points of one half of the ring, or of a part of it; the same in front and behind.
+    """Gauss points of one half of the ring, or of a part of it; the same on both halves.
 
     Arrays have the nodes along the first axis and the batch, if any, along the others.
     """
@@ -55,7 +55,7 @@ class Nodes(NamedTuple):
     square_cos: Array
     """of b"""
     weight: Array
-    """fraction of the ring of each point, before the weights of the Gauss rule"""
+    """fraction of the ring that each point represents, without the weights of the Gauss rule"""
 
 
 class NodeClustering(NamedTuple):
@@ -157,7 +157,7 @@ def parts_beyond_edges(
     law: LocalLaw, turned: Array, clustering: NodeClustering, front: float, v: Array, u: Array,
     time: Array,
 ) -> list[tuple[Array, Panel]]:  # fmt: skip
-    """The parts of a half beyond its first edge: a polar angle within, and the Gauss points."""
+    """The parts of a half beyond its first edge: for each, a polar angle and the Gauss points."""
     return [
         (
             _angle_between(ends, front, clustering),
@@ -211,8 +211,8 @@ def _angle_between(ends: tuple[Array, Array], front: float, clustering: NodeClus
 def _parts(
     law: LocalLaw, front: float, turned: Array, clustering: NodeClustering
 ) -> list[tuple[tuple[Array, Array], bool]]:
-    """The parts of a half between edges: half the angles from the slowest point at their ends, in
-    rising order, and whether it is the whole half."""
+    """The parts of a half between edges: for each, half the angles from the slowest point at its
+    ends, increasing, and whether it is the whole half."""
     jumps = law.edges(turned)
     start = jnp.zeros_like(clustering.side)
     end = start + jnp.pi / 2

@@ -34,7 +34,7 @@ from curlfit.friction.family import LawFamily
 
 
 class Slopes(NamedTuple):
-    """Derivatives of force and moment by some inputs, one for each element of the first axis."""
+    """Derivatives of force and moment, one for each of some inputs along the first axis."""
 
     inputs: tuple[int, ...]
     """their numbers: the coefficients, then the fields of the motion"""
@@ -55,7 +55,7 @@ class Contact(NamedTuple):
 
     @property
     def laws(self) -> list[type[LocalLaw]]:
-        """The laws that it may be under."""
+        """The laws that may apply."""
         if issubclass(self.kind, LawFamily):
             return list(self.kind.members)
         assert issubclass(self.kind, LocalLaw)
@@ -63,13 +63,13 @@ class Contact(NamedTuple):
 
     @property
     def is_summed(self) -> bool:
-        """Whether it is under a single law of which some is summed over points."""
+        """Whether a single law applies, at least part of which is summed over points."""
         law = self.laws[0]
         single = not issubclass(self.kind, LawFamily)
         return single and (has_edges(law) or not has_closed_form(law, self.load))
 
     def ring(self, **motion: Array) -> Ring:
-        """What the laws have in common, in this motion or one with other fields."""
+        """What the laws have in common, in this motion or with some of its fields replaced."""
         return Ring.of(self.laws, self.load, self.motion._replace(**motion), self.clustering)
 
     def zeros(self, rows: int) -> Array:
@@ -77,7 +77,7 @@ class Contact(NamedTuple):
         return jnp.zeros((rows, *self.motion.v.shape))
 
     def of_law(self, function: Callable[[type[LocalLaw], Values], Any]) -> Any:
-        """What a function gives for the law and its own coefficients."""
+        """Result of a function for the law that applies and its own coefficients."""
         if not issubclass(self.kind, LawFamily):
             return function(self.laws[0], self.coefficients)
 
@@ -90,7 +90,7 @@ class Contact(NamedTuple):
 
 @custom_vmap
 def _common(index: Array) -> Array:
-    """What all motions of a batch have in common; otherwise a `switch` would compute all cases."""
+    """An index that all motions of a batch share; without it `switch` would compute all cases."""
     return index
 
 
@@ -111,20 +111,20 @@ def ring_forces(contact: Contact) -> Forces:
 
 
 def ring_slopes(contact: Contact, tilt: Tilt, wanted: Iterable[int]) -> list[Slopes]:
-    """Derivatives of the net friction under a given load, by the inputs with some numbers."""
+    """Derivatives of the net friction under a given load with respect to inputs, by number."""
     k = len(contact.coefficients)
-    first = int(issubclass(contact.kind, LawFamily))  # which member it is, is no variable
+    first = int(issubclass(contact.kind, LawFamily))  # the index of the member is not a variable
     moving = tuple(number for number in wanted if number in (k, k + 1))
     own = tuple(number for number in wanted if number >= first and number not in moving)
     groups = [group for group in (own, moving) if group]
     if contact.is_summed and contact.motion.v.size > 1:
-        # As most inputs enter little of it; of a single motion, several are a smaller program.
+        # Most inputs enter only a small part; for a single motion, groups make a smaller program.
         groups = [(number,) for group in groups for number in group]
     ring = contact.ring()
     place = contact.motion.v, contact.motion.u
 
     def directions(group: tuple[int, ...]) -> Values:
-        """Those of the speed of the centre and of rotation."""
+        """Unit directions in the speed of the centre and in that of rotation."""
         return tuple(part[np.array(group) - k] for part in _each(place))
 
     changes = {
@@ -161,7 +161,7 @@ def _own_rows(
     numbers: tuple[int, ...],
     force: Callable[[LocalLaw, RingMotion], Values],
 ) -> Values:
-    """Derivatives by the inputs of a law with some numbers; 0 by coefficients that it lacks."""
+    """Derivatives with respect to inputs of a law, by number; 0 for coefficients it lacks."""
     first, k = int(issubclass(contact.kind, LawFamily)), len(contact.coefficients)
     count = len(coefficients)
     places = [number - first if number < k else number - k + count for number in numbers]
@@ -197,7 +197,7 @@ def _along(
 
 
 def _each(inputs: Values) -> Values:
-    """The directions of each of several inputs."""
+    """Unit directions, one for each of several inputs."""
     count = len(inputs)
     basis = np.eye(count).reshape(count, count, *(1 for _ in jnp.shape(inputs[0])))
     return tuple(

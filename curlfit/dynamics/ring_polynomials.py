@@ -1,9 +1,9 @@
-"""Friction as a polynomial of the place on the ring, found by evaluating the law with symbols.
+"""Friction as a polynomial in the position on the ring, found by evaluating the law with symbols.
 
-A law is arithmetic, so it takes polynomials in place of numbers. Where its traction is then a
-polynomial of `xi` and `eta` times the direction, or the velocity, of sliding, the sum over the ring
+A law is arithmetic, so it accepts polynomials in place of numbers. Where its traction is then a
+polynomial in `xi` and `eta` times the direction, or the velocity, of sliding, the sum over the ring
 has a closed form (`elliptic`). Any other operation, such as a root or a comparison, raises
-`TypeError`: the law is summed by quadrature.
+`TypeError`, and the law is summed by quadrature.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from curlfit.friction import Load, LocalLaw, RingPoint
 
 _SAMPLES = 16  # of coefficients and motions, for which terms must cancel
-_LARGE = 1e3  # coefficient
+_LARGE = 1e3  # bound on the sampled coefficients
 _ANGLES = 60  # on half a ring, at which friction between edges must be the same
 _ROUNDING = 1e-12
 _MEANS = {(0, 0): "one", (1, 0): "xi", (2, 0): "xi_xi", (0, 1): "eta", (1, 1): "xi_eta"}
@@ -42,7 +42,7 @@ class Polynomial:
     Coefficients are numbers or arrays. Speed and load may have negative exponents.
     """
 
-    __array_ufunc__ = None  # leaves NumPy's operators to the ones below
+    __array_ufunc__ = None  # makes NumPy defer to the operators below
     __hash__ = None  # type: ignore[assignment]
 
     def __init__(self, terms: dict[Powers, Any]) -> None:
@@ -55,7 +55,7 @@ class Polynomial:
             return value
         if value is None or (isinstance(value, np.ndarray) and value.dtype.hasobject):
             raise TypeError("expected a number")
-        # A zero that the law itself writes; one of a coefficient may have other values.
+        # Only a zero written in the law itself vanishes; a coefficient may have other values.
         return cls({} if type(value) in (int, float) and value == 0 else {Powers(): value})
 
     def __add__(self, other: Any) -> Polynomial:
@@ -124,7 +124,7 @@ XI, ETA, _LOAD = _symbol(xi=1), _symbol(eta=1), _symbol(load=1)
 
 
 class Force(NamedTuple):
-    """Force to the right and forward and moment of the points of half a ring, as polynomials."""
+    """Force to the right, force forward and moment on half a ring, as polynomials."""
 
     xi: Polynomial
     eta: Polynomial
@@ -132,11 +132,11 @@ class Force(NamedTuple):
 
     @classmethod
     def of(cls, xi: Polynomial, eta: Polynomial) -> Force:
-        """With the moment (eq. 2)."""
+        """A force with its moment (eq. 2)."""
         return cls(xi, eta, XI * eta - ETA * xi)
 
     def under(self, load: Any, constant: bool = True) -> Force:
-        """Under a load; `constant` says whether terms that do not depend on it are included."""
+        """The force under a load; `constant`: whether to include terms independent of it."""
         return Force(*(_under(part, load, constant) for part in self))
 
 
@@ -154,8 +154,8 @@ def _under(part: Polynomial, load: Any, constant: bool) -> Polynomial:
 def traction(
     law: LocalLaw, load: Load, front: float, angle: Any, turned: Any, time: Any
 ) -> tuple[Polynomial, Polynomial]:
-    """Of the points of one half; between two edges of a law, `angle` is any one between them.
-    Raises any exception where it is no polynomial."""
+    """Traction on one half; between two edges of a law, `angle` is any angle between them. Raises
+    some exception where it is not a polynomial."""
     point = RingPoint(
         xi=XI, eta=ETA, angle=angle, front=front,
         slide_xi=_symbol(e_xi=1, speed=1), slide_eta=_symbol(e_eta=1, speed=1),
@@ -177,26 +177,26 @@ def has_mean(powers: Powers) -> bool:
 
 
 def mean(part: Polynomial, of: Callable[[Powers], Any]) -> Any:
-    """Mean over a part of the ring, of the terms that have one; others cancel (of the moment of
-    `radial`, by `xi^2 + eta^2 = 1`)."""
+    """Mean over a part of the ring, from the terms that have one; the others cancel (in the moment
+    of `radial`, by `xi^2 + eta^2 = 1`)."""
     return sum(value * of(powers) for powers, value in part.terms.items() if has_mean(powers))
 
 
 def mean_of_half(means: Any, front: float, powers: Powers) -> Any:
-    """Of the place and sliding at the points of a half.
+    """Mean of a term over a half of the ring.
 
     Parameters
     ----------
-    means : of the directions and of the velocities of sliding.
+    means : means of the directions and of the velocities of sliding.
     """
     found = getattr(means[powers.speed][powers.e_eta], _MEANS[powers.xi, powers.eta])
-    # To the right the ring slides one way in front and the other way behind.
+    # The front and the back half slide to opposite sides.
     mirrored = (powers.eta + powers.e_xi) % 2 == 1 and not front
     return -found if mirrored else found
 
 
 def at_points(point: RingPoint, powers: Powers) -> Any:
-    """Place and sliding at the points of a part."""
+    """A term of position and sliding at the points of a part."""
     sliding = ((point.e_xi, point.e_eta), (point.slide_xi, point.slide_eta))
     place = (point.xi,) * powers.xi + (point.eta,) * powers.eta
     return prod(place, start=sliding[powers.speed][powers.e_eta])
@@ -206,7 +206,7 @@ def at_points(point: RingPoint, powers: Powers) -> Any:
 def has_closed_form(kind: type[LocalLaw], load: Load) -> bool:
     """Whether the sum of a law over the ring has a closed form.
 
-    The law may have edges if its friction is the same between any two of them.
+    The law may have edges if its friction is one polynomial between any two of them.
     """
     random = np.random.default_rng(0)
     with suppress(Exception):  # a law may do anything with the symbols
@@ -222,7 +222,7 @@ def has_closed_form(kind: type[LocalLaw], load: Load) -> bool:
 
 
 def _check(law: LocalLaw, load: Load, turned: float, time: float) -> None:
-    """Raises TypeError where a mean is missing that the force or the moment needs."""
+    """Raise TypeError where the force or the moment needs a mean that has no closed form."""
     jumps = law.edges(turned)
     for front in (1.0, 0.0):
         if not any(jumps):

@@ -1,11 +1,12 @@
 """The sum over the contact ring of the friction of one law (eq. 2).
 
-In closed form where the law is a polynomial of the place on the ring (`ring_polynomials`), by Gauss
-quadrature otherwise (`quadrature`).
+In closed form where the law is a polynomial in the position on the ring (`ring_polynomials`), by
+Gauss quadrature otherwise (`quadrature`).
 
 Under a consistent load `n/n0 = 1 + p xi + q eta` (eq. 9) the force is linear in p and q, so that it
-is given by those under the loads 1, xi and eta. Of a law that itself depends on the load they are
-those of the tangent at the balance, which has the same value and first derivatives there.
+follows from the forces under the loads 1, xi and eta. For a law that itself depends on the load,
+these are the forces of the tangent at the balance, which has the same value and first derivatives
+there.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ from curlfit.friction import Load, LocalLaw
 
 _BALANCE_TOLERANCE = 1e-9  # change of the tilt by the last Newton step
 _MAX_NEWTON_STEPS = 30
-_MIN_LOAD = 1e-6  # over the uniform load, as passed to a law
+_MIN_LOAD = 1e-6  # smallest load passed to a law, relative to the uniform load
 _SLIDING = ("slide_xi", "slide_eta", "speed", "e_xi", "e_eta")  # fields that depend on v and u
 
 Values = tuple[Array, ...]
@@ -76,20 +77,20 @@ class RingMotion(NamedTuple):
 
 
 class Ring(NamedTuple):
-    """What of a ring in motion some laws have in common."""
+    """What several laws have in common for a ring in motion."""
 
     clustering: NodeClustering
     means: Any
     """of the directions and velocities of sliding, for laws in closed form"""
     panels: list[Panel]
-    """for laws that are summed and have no edges"""
+    """for laws without edges that are summed over points"""
 
     @classmethod
     def of(
         cls, laws: Iterable[type[LocalLaw]], load: Load, motion: RingMotion,
         clustering: NodeClustering,
     ) -> Ring:  # fmt: skip
-        """Its front half suffices where the back half mirrors it, for all that are summed."""
+        """The front half suffices if the back half mirrors it for all laws that are summed."""
         summed = [law for law in laws if not has_closed_form(law, load)]
         plain = [law for law in summed if not has_edges(law)]
         means, ring = None, []
@@ -121,7 +122,7 @@ class Ring(NamedTuple):
         )
 
     def panels_of(self, law: LocalLaw, motion: RingMotion) -> list[Panel]:
-        """Those of a law, after an angle turned and a time."""
+        """The panels of a law, after an angle turned and a time."""
         if has_edges(type(law)):
             return panels(law, *motion, self.clustering)
         there = {"turned": motion.turned, "time": motion.time}
@@ -156,15 +157,15 @@ def force_under(law: LocalLaw, load: Load, motion: RingMotion, ring: Ring, tilt:
 
 
 class _Part(NamedTuple):
-    """Of the ring: the force of its points, and the means of terms over it."""
+    """A part of the ring: the force at its points, and the means of terms over it."""
 
     force: Force
     mean: Callable[[Powers], Array]
 
 
 def _parts_in_closed_form(law: LocalLaw, load: Load, motion: RingMotion, ring: Ring) -> list[_Part]:
-    """What a law with edges has before the first one is summed over all of each half in closed
-    form, and how much that changes beyond them by quadrature."""
+    """The force before the first edge of a law is summed over the whole of each half in closed
+    form, and its change beyond the edges by quadrature."""
     turned, time = motion.turned, motion.time
     parts = []
     for front in (1.0, 0.0):
@@ -232,7 +233,7 @@ def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> Forces:
     changing = [number for number, leaf in enumerate(leaves) if isinstance(leaf, Array)]
 
     def tangent(arrays: list[Array], tilt: Array) -> Forces:
-        """As forces under the loads 1, xi and eta."""
+        """The tangent, as forces under the loads 1, xi and eta."""
         now = list(leaves)
         for number, array in zip(changing, arrays, strict=True):
             now[number] = array
@@ -251,7 +252,7 @@ def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> Forces:
         def iterate(carry: tuple[Any, ...]) -> tuple[Any, ...]:
             tilt, _, _, count = carry
             forces = tangent(arrays, tilt)
-            after = _solved_tilt(forces, lever)  # on the way it may be larger than any load's
+            after = _solved_tilt(forces, lever)  # an iterate may exceed any admissible load
             return after, forces, jnp.abs(after - tilt).max(0), count + 1
 
         def unbalanced(carry: tuple[Any, ...]) -> Array:

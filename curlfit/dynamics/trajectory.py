@@ -25,8 +25,8 @@ from curlfit.output.frames import frame
 from curlfit.output.text import plain_table
 from curlfit.stone import Stone
 
-_REST_TIME = 1e30  # s, when every stone is at rest
-_FEWEST_ROWS = 64  # of a program, which serves fewer too
+_REST_TIME = 1e30  # s, by when every stone is at rest
+_FEWEST_ROWS = 64  # of a program, which also serves fewer
 
 
 @partial(
@@ -36,7 +36,7 @@ _FEWEST_ROWS = 64  # of a program, which serves fewer too
 )
 @dataclass(frozen=True)
 class InitialState:
-    """Position and velocity at the start of a throw, in the axes of the program.
+    """Position, angle, velocity and spin at the start of a throw, in the axes of curlfit.
 
     Attributes
     ----------
@@ -71,8 +71,8 @@ class Trajectory(Displayed):
 
     t in s; x, y in m; phi in rad, not wrapped; vx, vy in m/s; omega in rad/s. After the stone
     has come to rest its position and angle are constant and its velocities are zero. `rest` is the
-    time of rest in s; where the stone still moves at the last time, it is extrapolated from the
-    loss of energy there, inf without any.
+    time of rest in s; if the stone still moves at the last time, it is extrapolated from the energy
+    loss there, and inf if there is none.
 
     Examples
     --------
@@ -128,7 +128,7 @@ class Trajectory(Displayed):
         return Overview(finding, subject, [f"x, y {ends}"], [table])
 
     def to_numpy(self) -> Trajectory:
-        """The trajectory with numpy arrays."""
+        """The trajectory with NumPy arrays."""
         arrays: Any = (np.asarray(getattr(self, field.name)) for field in fields(self))
         return Trajectory(*arrays)
 
@@ -163,8 +163,8 @@ def _motion(
         jnp.stack([start.v, start.omega]),
     )
     channels, rest = integrate(type(law), load, velocities, inputs, times)
-    # Friction is the same everywhere and in all directions: initial position, heading and angle
-    # only translate and rotate the path (u to the right of the initial heading, w along it).
+    # Friction is homogeneous and isotropic: initial position, heading and angle only translate and
+    # rotate the path (u to the right of the initial heading, w along it).
     s, c = jnp.sin(start.heading), jnp.cos(start.heading)
     u, w, turned, *rates = channels
     out = [start.x + c * u + s * w, start.y - s * u + c * w, start.phi + turned]
@@ -211,9 +211,9 @@ def simulate(
 ) -> Trajectory:
     """The trajectory of a stone under a friction law.
 
-    Works under `jit` and `vmap`, and differentiates forward and in reverse with respect to the
-    law's coefficients, the stone, the start and the environment. Derivatives of position and angle
-    with respect to `times` are exact, those of velocity with respect to `times` are taken as zero.
+    Works under `jit` and `vmap`, and can be differentiated in forward and reverse mode with respect
+    to the law's coefficients, the stone, the initial state and the environment. Derivatives of
+    position and angle with respect to `times` are exact; those of velocity are taken as zero.
 
     Parameters
     ----------
@@ -221,8 +221,8 @@ def simulate(
     times : times in s, shape (n,), none before `t0`, in any order; inf gives the position at
         rest.
     load : "uniform" or "consistent" (eq. 8-9).
-    t0 : time of `start` in s; the first of `times` if not given.
-    environment : slope of the ice and drag of the air; none of them by default.
+    t0 : time of `start` in s; the earliest of `times` if not given.
+    environment : slope of the ice, air drag, wear and sweeping; none of them by default.
 
     Returns
     -------
@@ -272,12 +272,12 @@ def _simulate_known(
     law: Law, stone: Stone, start: InitialState, times: ArrayLike, t0: ArrayLike | None,
     environment: Environment | None, load: Load,
 ) -> Trajectory:  # fmt: skip
-    """The same outside of JAX's transformations: by a program that is kept on disk and serves all
-    numbers of rows up to a power of two."""
+    """The same outside JAX's transformations, by a program that is stored on disk and serves any
+    number of rows up to a power of two."""
     t = np.asarray(times, float)
     finite = np.where(t == np.inf, _REST_TIME, t)
     order = np.argsort(finite, kind="stable")
-    padded = np.full(max(_FEWEST_ROWS, 1 << (len(t) - 1).bit_length()), np.inf)  # rows not used
+    padded = np.full(max(_FEWEST_ROWS, 1 << (len(t) - 1).bit_length()), np.inf)  # unused rows
     padded[: len(t)] = finite[order]
     stone, start, environment, coefficients = jax.tree.map(
         lambda value: np.asarray(value, float),

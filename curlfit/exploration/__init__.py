@@ -1,1 +1,1 @@
-"""Exploration: a fit whose parameters are moved by hand, in a notebook."""
+"""Exploration of a fit in a notebook, with its parameters changed by hand."""

@@ -1,4 +1,4 @@
-"""What the law of a fit does at other values of its parameters."""
+"""Paths under the law of a fit at other values of its parameters."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from curlfit.throws.throw import CHANNELS
 
 @dataclass(frozen=True)
 class Curves:
-    """A path and its differences to the data.
+    """A path and the residuals of the data.
 
     Attributes
     ----------
     t : evenly spaced times over the data, s.
     path : x, y, phi, speed and omega at these times (SI, rad), NaN where the law admits no motion.
-    residuals : observed minus computed, by measured channel, at the times of the data.
-    chi_squared : of the data, as the noise model and the loss of the fit count it.
+    residuals : measured minus computed, by measured channel, at the times of the data.
+    chi_squared : of the data, under the noise model and the loss of the fit.
     """
 
     t: Floats
@@ -41,7 +41,7 @@ class CurveModel:
         self._offset, self._place = origin.offset(len(fit.parameters)), origin.place[:, None]
         observed = fit.observed["t"]
         self._rows = len(observed)
-        # As many times as padded rows: the program of the data serves for the curves too.
+        # As many times as padded rows: the program for the data also computes the curves.
         count = len(self._problem.times)
         self._t = np.linspace(observed[0], observed[-1], count)
         none = np.zeros_like(self._problem.weight)

@@ -1,4 +1,4 @@
-"""Sliders for the parameters of a fit, with the path, the residuals and the spin they give."""
+"""Sliders for the parameters of a fit, with the resulting path, residuals and spin."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from curlfit.output.frames import optional
 from curlfit.output.text import decimals
 
 _STEPS = 500  # of a slider
-_HALF = 0.5  # of the value or of its typical size: half the range of a slider
-_SIGMAS = 5.0  # that a range contains at least
+_HALF = 0.5  # half the range of a slider, relative to the value or its typical size
+_SIGMAS = 5.0  # standard errors that half a range contains at least
 _HALF_RANGES = {"x0": 0.5, "y0": 0.5, "phi0": 0.5, "v0": 0.5, "heading": 0.05}  # m, rad, m/s
 
 
 class Explorer:
-    """What `explore` shows.
+    """The display of `explore`.
 
     Attributes
     ----------
     sliders : by name of the parameter; moving one, or setting its `value`, moves the curves.
     curves : as shown, see `curlfit.exploration.curves.Curves`.
-    widget : all of it, for layouts of one's own.
+    widget : the whole display, for layouts of one's own.
     """
 
     def __init__(self, fit: FitResult) -> None:
@@ -58,11 +58,11 @@ class Explorer:
 
     @property
     def values(self) -> Floats:
-        """The parameter vector as it is set."""
+        """The parameter vector as set by the sliders."""
         return np.array([slider.value for slider in self.sliders.values()])
 
     def reset(self) -> None:
-        """Go back to the values of the fit."""
+        """Return to the values of the fit."""
         self._moving = True
         try:
             for slider, value in zip(self.sliders.values(), self.fit.values, strict=True):
@@ -90,12 +90,12 @@ class Explorer:
 
 
 def explore(fit: FitResult) -> Explorer:
-    """Sliders for all parameters of a fit, in a notebook: path, residuals and spin follow at once,
-    and chi squared is that of the data, as the noise model and the loss of the fit count it.
+    """Sliders for all parameters of a fit, in a notebook: path, residuals and spin follow
+    immediately, and chi squared is that of the data under the noise model and the loss of the fit.
 
     Parameters
     ----------
-    fit : of one throw, fresh or loaded; of several, one of `throws`.
+    fit : fit of one throw, new or loaded; of a joint fit, one of its `throws`.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def describe(curves: Curves, fit: FitResult) -> str:
 
 
 def slider_range(name: str, item: Estimate) -> tuple[float, float]:
-    """Ends of a slider: about the value, within its bounds."""
+    """Ends of a slider: around the value, within its bounds."""
     half = _HALF_RANGES.get(name, _HALF * max(abs(item.value), item.typical))
     half = max(half, _SIGMAS * (item.stderr or 0.0))
     low, high = max(item.value - half, item.lower), min(item.value + half, item.upper)

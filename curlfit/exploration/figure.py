@@ -1,4 +1,4 @@
-"""The figure of an exploration, whose curves move."""
+"""The figure of an exploration, with moving curves."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class MovingFigure:
             line.axes.autoscale_view()
 
     def png(self) -> bytes:
-        """The figure as it is."""
+        """The figure in its current state."""
         file = BytesIO()
         self._canvas.print_png(file)
         return file.getvalue()

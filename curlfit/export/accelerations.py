@@ -1,12 +1,12 @@
 """A table of the accelerations of a stone by speed and spin, for programs without curlfit.
 
-With u = R omega and s = sqrt(v^2 + u^2) the table goes by log s and by theta = atan2(u, v).
-Friction of Coulomb's kind depends on theta alone, down to rest, where v and u are singular
-coordinates; other laws depend on s by powers. At |theta| = pi/4, where |R omega/v| = 1, a point of
-the ring stops sliding, and the accelerations have a kink like d log d at a distance d. With
-g = 4 |theta|/pi - 1 they are smooth in p = cbrt(g) (14 + g^2)/15, which has no kink of its own at
-theta = 0. Between the nodes the interpolation is by cubic polynomials (Catmull and Rom 1974), and
-the table has one more node at either end.
+With u = R omega and s = sqrt(v^2 + u^2), the coordinates of the table are log s and
+theta = atan2(u, v). Coulomb friction depends on theta alone, down to rest, where v and u are
+singular coordinates; other laws depend on powers of s. At |theta| = pi/4, where |R omega/v| = 1, a
+point of the ring stops sliding, and the accelerations have a kink of the form d log d at a
+distance d. With g = 4 |theta|/pi - 1 they are smooth in p = cbrt(g) (14 + g^2)/15, which has no
+kink of its own at theta = 0. Interpolation between the nodes is by cubic polynomials (Catmull and
+Rom 1974), for which the table has an additional node at either end.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from curlfit.stone import Stone
 from curlfit.version import __version__
 
 SLOWEST, FASTEST = 1e-3, 8.0
-"""m/s, of s; the table is constant beyond."""
+"""Range of s, m/s; the accelerations are constant beyond it."""
 REST = 1e-4
-"""m/s, of s, below which a stone is at rest; it would slide 0.1 um."""
+"""Value of s, m/s, below which a stone is taken to be at rest; it would slide a further 0.1 um."""
 _SIZES = ((16, 32), (32, 64), (64, 128))  # intervals of log s and of p
-_SMALL = tuple((2, columns) for _, columns in _SIZES)  # of friction that depends on p alone
-_SCALE_FREE = 1e-9  # relative change with s, below which there is none
-_SLOWER = 1e-14  # v/u of a stone that spins in place
-_GOOD = 1e-3  # m, of the resting position of the draws below
-_BEST = 1e-2  # m, what is required of it
-_DRAWS = ((2.3, 1.3), (2.25, -1.5), (2.0, 3.0), (2.9, 0.5), (1.2, 12.0))  # m/s, rad/s
+_SMALL = tuple((2, columns) for _, columns in _SIZES)  # for friction that depends on p alone
+_SCALE_FREE = 1e-9  # relative change with s below which there is none
+_SLOWER = 1e-14  # v/u below which a stone spins in place
+_GOOD = 1e-3  # m, error of the resting positions that is small enough
+_BEST = 1e-2  # m, largest error of the resting positions that is accepted
+_DRAWS = ((2.3, 1.3), (2.25, -1.5), (2.0, 3.0), (2.9, 0.5), (1.2, 12.0))  # draws: m/s, rad/s
 _TRIALS = 2000  # random motions at which the interpolation is tested
 STEP, SHARE = 0.05, 0.2
-"""s, and of the time to rest: the longest steps of the integration."""
+"""Longest steps of the integration, in s and as a fraction of the remaining time to rest."""
 
 
 class Moved(NamedTuple):
@@ -64,11 +64,11 @@ class AccelerationTable:
 
     Attributes
     ----------
-    law, load, coefficients, stone : what it is of.
+    law, load, coefficients, stone : those that the table represents.
     values : to the right of the motion (m/s^2), along it (m/s^2), counter-clockwise (rad/s^2),
-        shape (3, n + 3, k + 3): n intervals of log s, k of p, and a node more at either end.
+        shape (3, n + 3, k + 3): n intervals of log s, k of p, and an additional node at either end.
     interpolation : largest errors over random motions, in the units of the values.
-    resting_place : largest distance in m, over some throws, from where the law brings them to rest.
+    resting_place : largest distance in m, over some throws, from the resting position by the law.
     """
 
     law: str
@@ -92,7 +92,7 @@ class AccelerationTable:
         if s == 0:
             return 0.0, 0.0, 0.0
         row = n * math.log(s / SLOWEST) / math.log(FASTEST / SLOWEST)
-        # p from -1 to 1 in each half of the angles, 0 at |theta| = pi/4
+        # p from -1 to 1 for each sign of theta, 0 at |theta| = pi/4
         theta = math.atan2(u, v)
         side = 1.0 if theta >= 0 else -1.0
         p = warped(side * theta / (math.pi / 4) - 1)
@@ -110,11 +110,11 @@ class AccelerationTable:
         return found
 
     def step(self, stone: Moved, dt: float, friction: float = 1.0) -> Moved:
-        """The stone after `dt` seconds, by the method of Runge and Kutta of order 4.
+        """The stone after `dt` seconds, by the fourth-order Runge-Kutta method.
 
         Parameters
         ----------
-        friction : factor of the friction, as of a swept stone.
+        friction : factor on the friction, below 1 for a swept stone.
         """
         left = dt
         while left > 0:
@@ -176,12 +176,12 @@ class AccelerationTable:
 
 
 def warped(g: Any) -> Any:
-    """p of an angle, both from -1 to 1."""
+    """p as a function of g, both from -1 to 1."""
     return np.cbrt(g) * (14 + g * g) / 15
 
 
 def catmull_rom(f: float) -> Floats:
-    """Weights of four neighbouring nodes at a fraction f between the middle two."""
+    """Weights of four adjacent nodes at a fraction f of the interval between the middle two."""
     return np.array(
         [
             f * (-0.5 + f * (1.0 - 0.5 * f)),
@@ -197,7 +197,7 @@ def _moved(stone: Moved, rates: list[float], h: float) -> Moved:
 
 
 def tabulate(fit: FitResult) -> AccelerationTable:
-    """The table of a fit's law: the smallest that brings stones to rest where the law does.
+    """The table of a fitted law: the smallest that brings stones to rest where the law does.
 
     Raises
     ------
@@ -287,7 +287,7 @@ def _resting_place(law: Law, stone: Stone, load: Any, v: float, omega: float) ->
 
 
 def _distance(table: AccelerationTable, draw: tuple[float, float], end: Floats) -> float:
-    """From the resting position of a throw to that by the table, m."""
+    """Distance in m from the resting position of a throw to that by the table."""
     stone = Moved(0.0, 0.0, 0.0, draw[0], 0.0, draw[1])
     for _ in range(1000):
         stone = table.step(stone, 1.0)

@@ -204,12 +204,12 @@ export function step(stone, dt, friction = 1) {
 
 
 def c_header(table: AccelerationTable) -> str:
-    """The table with its interpolation and a step in time, in C99 that is C++, too."""
+    """The table with its interpolation and a time step, in C99 that is also valid C++."""
     return _filled(_C, table, "{", "}")
 
 
 def javascript_module(table: AccelerationTable) -> str:
-    """The same as a module of JavaScript."""
+    """The same as a JavaScript module."""
     return _filled(_JS, table, "[", "]")
 
 
@@ -235,7 +235,7 @@ def _filled(template: str, table: AccelerationTable, left: str, right: str) -> s
 
 
 def _wrapped(row: list[float], left: str, right: str) -> str:
-    """Numbers of seven digits, eight in a line."""
+    """Numbers with seven digits, eight per line."""
     texts = [f"{value:.7g}" for value in row]
     lines = [", ".join(texts[first : first + 8]) for first in range(0, len(texts), 8)]
     return left + ",\n ".join(lines) + right

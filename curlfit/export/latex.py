@@ -20,8 +20,8 @@ _SPECIAL = {
 
 
 def estimates_table(result: FitResult | JointResult) -> str:
-    """Coefficients, start, combinations and derived quantities of a fit, as a `table` with
-    `booktabs`: values with their standard errors in the last digits."""
+    """Coefficients, initial state, combinations and derived quantities of a fit, as a `table` with
+    `booktabs`: values with standard errors in units of the last digits."""
     rows = rows_of(result)
     systematic = any(row.systematic for row in rows)
     posterior = getattr(result, "posterior", None)
@@ -66,7 +66,7 @@ def candidates_table(comparison: Any) -> str:
 
 
 def escaped(text: str) -> str:
-    """Text in which TeX's special characters stand for themselves."""
+    """Text with the special characters of TeX escaped."""
     return "".join(_SPECIAL.get(character, character) for character in str(text))
 
 
@@ -119,7 +119,7 @@ def _software() -> str:
 
 
 def _symbol(row: Row) -> str:
-    # The symbol of a coefficient that was given none is its name, upright.
+    # The symbol of a coefficient without one is its name, upright.
     inner = re.fullmatch(r"\\mathrm\{(\w+)\}", row.symbol)
     return rf"\mathrm{{{escaped(inner[1])}}}" if inner else row.symbol
 
@@ -138,7 +138,7 @@ def _label(row: Row, symbols: dict[str, str]) -> str:
 
 
 def _expression(text: str, symbols: dict[str, str]) -> str:
-    """Sums, products and quotients of parameters in their symbols; other expressions as typed."""
+    """Sums, products and quotients of parameters in symbols; other expressions verbatim."""
     parts = re.split(r"(\w+)", text.replace(" ", ""))
     words, signs = parts[1::2], "".join(parts[::2])
     plain = all(word in symbols or re.fullmatch(r"\d+", word) for word in words)
@@ -157,7 +157,7 @@ def _estimate(row: Row) -> str:
 
 
 def _number(text: str) -> str:
-    """A number as `compact` writes it, in mathematics."""
+    """A number as written by `compact`, in math mode."""
     text = text.replace("+-", r"\pm")
     text = re.sub(r"e([-+]?)0*(\d+)", lambda m: rf" \times 10^{{{m[1].strip('+')}{m[2]}}}", text)
     return f"${text}$"

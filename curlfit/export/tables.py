@@ -48,8 +48,7 @@ class Row(NamedTuple):
 
 
 def rows_of(result: FitResult | JointResult) -> list[Row]:
-    """Coefficients first, with what is determined in place of some, then the other parameters, then
-    derived quantities."""
+    """Coefficients first, then determined combinations, other parameters and derived quantities."""
     errors, found = result.systematics.errors, []
     estimates = result.coefficients
     sums = {item.expression: item for item in result.combinations}
@@ -83,8 +82,8 @@ def rows_of(result: FitResult | JointResult) -> list[Row]:
 
 
 def parameters_csv(result: FitResult | JointResult) -> str:
-    """The estimates of a fit as CSV in SI units, a row for each; empty cells where a number is not
-    determined. Of a joint fit, with each throw's own parameters, by the throw in the first column.
+    """The estimates of a fit as CSV in SI units, one per row; empty cells where a number is not
+    determined. For a joint fit with the parameters of each throw; the first column names the throw.
     """
     throws: Sequence[FitResult] = getattr(result, "throws", ())
     if not throws:
@@ -106,8 +105,8 @@ def _cells(row: Row) -> tuple[Any, ...]:
 
 
 def path_csv(fits: Sequence[FitResult]) -> str:
-    """Observed, fitted and residual of each measured channel (SI, rad), a row for each time; of
-    several throws with the throw in the first column."""
+    """Measured value, fitted value and residual of each measured channel (SI, rad), one row per
+    time; for several throws the first column names the throw."""
     channels = list(dict.fromkeys(name for one in fits for name in one.rms if name in one.fitted))
     head = ["t"]
     for name in channels:
@@ -125,7 +124,7 @@ def path_csv(fits: Sequence[FitResult]) -> str:
 
 
 def candidates_csv(comparison: Any) -> str:
-    """The candidates of a comparison, best first; their coefficients in one cell."""
+    """The candidates of a comparison, best first; the coefficients of each in one cell."""
     lines = []
     for one in comparison.candidates:
         rms = [(one.rms or {}).get(name) for name in ("x", "y", "phi")]

@@ -1,7 +1,7 @@
 """Friction laws and their coefficients.
 
 A law is arithmetic on any numbers or arrays, without an array library, so that the same class
-serves the compiled model, numpy and a table of names and units.
+serves the compiled model, NumPy and a table of names and units.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Load = Literal["uniform", "consistent"]
 LOADS: tuple[str, ...] = get_args(Load)
 
 START_NAMES = ("x0", "y0", "heading", "v0", "phi0", "omega0")
-"""Parameters of the initial state, which a fit estimates beside the coefficients."""
+"""Parameters of the initial state, which a fit estimates together with the coefficients."""
 
 
 def check_load(load: str) -> Load:
@@ -31,7 +31,7 @@ def check_load(load: str) -> Load:
 
 
 def no_motion_because(load: str) -> str:
-    """The likely reason where a law admits no motion, to be appended to a message."""
+    """The likely reason why a law admits no motion, to be appended to a message."""
     if load != "consistent":
         return ""
     return "; the consistent load (eq. 8-9) would have to be negative somewhere"
@@ -59,7 +59,7 @@ class Coefficient(Parameter):
     """A parameter of a law, with its default value.
 
     An `optional` one is fixed at the default in a fit unless bounds are given for it. A `signed`
-    one (an exponent, say) is negative as naturally as positive.
+    one (such as an exponent) has no natural sign.
     """
 
     default: float
@@ -95,8 +95,8 @@ def coefficient(
     lower, upper : physical bounds, the default bounds of a fit and its flat prior.
     typical : its order of magnitude, to which standard errors are compared.
     symbol : LaTeX without dollar signs; the name if empty.
-    optional : fixed at `default` in a fit unless bounds are given for it.
-    signed : negative as naturally as positive, such as an exponent.
+    optional : whether it is fixed at `default` in a fit unless bounds are given for it.
+    signed : whether it has no natural sign, such as an exponent.
 
     Examples
     --------
@@ -148,7 +148,7 @@ class RingPoint(NamedTuple):
     e_eta: Any
     """unit vector of sliding, forward (eq. 4)"""
     load: Any
-    """normal load over the uniform load, n/n0"""
+    """normal load relative to the uniform load, n/n0"""
     turned: Any
     """angle turned since release (the first row of a throw), rad, counter-clockwise positive"""
     time: Any
@@ -156,7 +156,7 @@ class RingPoint(NamedTuple):
 
 
 class Edges(NamedTuple):
-    """Polar angles of jumps of friction, on the front half (0, pi) and the back half (-pi, 0)."""
+    """Polar angles at which friction jumps, on the front half (0, pi) and back half (-pi, 0)."""
 
     front: tuple[Any, ...] = ()
     back: tuple[Any, ...] = ()
@@ -182,7 +182,7 @@ def power(base: Any, exponent: Any) -> Any:
 
 
 LAWS: dict[str, type[Law]] = {}
-"""Every law by its name; classes register when they are defined."""
+"""All laws by name; a class is registered when it is defined."""
 
 on_new_law: list[Callable[[type[Law]], None]] = []
 """Called with each law class as it is defined."""
@@ -192,9 +192,9 @@ on_new_law: list[Callable[[type[Law]], None]] = []
 class Law:
     """A friction law: a frozen record whose fields are its coefficients.
 
-    Derive from `LocalLaw` or `NetLaw`, not from this. Class attributes: `name` (how the command
-    line calls it), `formula`, `source`, `predicts` (in which direction a counter-clockwise stone
-    curls).
+    Derive from `LocalLaw` or `NetLaw`, not from this class. Class attributes: `name` (used on the
+    command line), `formula`, `source`, `predicts` (the direction in which a stone with
+    counter-clockwise spin curls).
 
     Examples
     --------
@@ -213,19 +213,19 @@ class Law:
     sums: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Coefficients of which only the sum enters the motion, under uniform load."""
     corners: ClassVar[tuple[float, ...]] = ()
-    """Angles turned (rad) at which friction has a kink as a function of that angle; beyond the last
-    of them it no longer depends on it."""
+    """Angles turned (rad) at which friction, as a function of that angle, has a kink; beyond the
+    last of them friction no longer depends on the angle."""
 
     def quickness(self, time: Any) -> Any:
         """Relative rate of the explicit change of friction with time since release, 1/s."""
         return 0.0 * time
 
     def steepness(self) -> Any:
-        """Absolute exponent of the dependence of friction on the speed."""
+        """Absolute value of the exponent with which friction depends on the speed."""
         return 0.0
 
     def fault(self) -> str | None:
-        """Why these coefficients are not admissible, where bounds cannot express it."""
+        """Why these coefficients are inadmissible, where bounds cannot express it; or None."""
         return None
 
     def __init_subclass__(cls, **keywords: Any) -> None:
@@ -248,7 +248,7 @@ class Law:
 
     @classmethod
     def register(cls, name: str) -> None:
-        """Add the class to the laws. Raises TypeError where a law of curlfit has the name."""
+        """Add the class to the laws. Raises TypeError if a law of curlfit has this name."""
         if name in LAWS and LAWS[name].shipped() and not cls.shipped():
             raise TypeError(f"{cls.__name__}: curlfit has a law {name!r} already; choose another")
         cls.name = name
@@ -295,9 +295,9 @@ class LocalLaw(Law, ABC):
     """A law of friction at a point of the contact ring (eq. 3-5).
 
     A subclass defines `traction`, which curlfit integrates over the ring. The traction may be
-    discontinuous between the front and the back half, and at the angles of `edges`. Where on each
-    half it is a polynomial in `xi` and `eta`, up to the second order, times the direction or the
-    velocity of sliding, the integral is in closed form.
+    discontinuous between the front and the back half, and at the angles of `edges`. If on each half
+    it is a polynomial in `xi` and `eta`, up to second order, times the direction or the velocity of
+    sliding, the integral has a closed form.
 
     Examples
     --------
@@ -338,7 +338,7 @@ class NetLaw(Law, ABC):
 def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
     """The law of that name, or a user's law in a file, as "FILE.py:CLASS"; a law is itself.
 
-    `from_files` is False where the name comes from a data file, which must not run a program.
+    `from_files` is False where the name comes from a data file, which must not execute code.
 
     Raises
     ------

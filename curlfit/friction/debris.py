@@ -9,7 +9,7 @@ from curlfit.friction.base import Edges, LocalLaw, RingPoint, coefficient
 class Debris(LocalLaw):
     """Ice debris lowers the friction of each part of the ring that was once in front.
 
-    At release the ring is clean. Its front half is fouled at once, or within the time constant
+    At release the ring is clean. Its front half is fouled immediately, or within the time constant
     `tau`; the fouled part grows with the rotation, and after half a turn the whole ring is fouled
     and the curl ends. The law depends on the angle turned alone: a part that is rotated back counts
     as clean again.

@@ -1,8 +1,8 @@
 """Several laws as one, so that one compiled program serves them all.
 
-Most of a program is the motion of the stone, whatever the law, and most of the time of a first
-comparison of laws is compiling. A family is a law that is any one of its members: which one is a
-number among its coefficients, and only the forces of the ring are in the program once for each.
+Most of a program is the motion of the stone, whatever the law, and a first comparison of laws
+spends most of its time compiling. A family is a law that can be any one of its members: one of its
+coefficients selects the member, and only the forces of the ring are compiled once per member.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy as np
 from curlfit.friction.base import Law, LocalLaw, coefficient, on_new_law
 from curlfit.numerics.arrays import Floats
 
-_NEVER = -1e9  # rad, no angle on the way of any stone
+_NEVER = -1e9  # rad, an angle that no stone reaches
 
 
 class LawFamily(Law):
-    """A law that is any one of several; all motions of a batch are under the same one.
+    """A law that can be any one of several, the same for all motions of a batch.
 
-    Its coefficients are the index of the member, those of the member, and as many unused ones as
-    another member has more.
+    Its coefficients are the index of the member, the coefficients of that member, and unused ones
+    up to the largest number that any member has.
     """
 
     members: ClassVar[tuple[type[LocalLaw], ...]] = ()
@@ -35,7 +35,7 @@ class LawFamily(Law):
 
     @property
     def corners(self) -> tuple[Any, ...]:  # type: ignore[override]
-        """Angles turned (rad) at which friction has a kink, and angles that are never reached."""
+        """Angles turned (rad) at which friction has a kink, padded by angles never reached."""
         most = max(len(member.corners) for member in self.members)
         each = [(*member.corners, *(_NEVER,) * most)[:most] for member in self.members]
         index, *_ = self._values()
@@ -58,7 +58,7 @@ class LawFamily(Law):
         return [getattr(self, item.name) for item in self.coefficients()]
 
     def _of_member(self, value: Callable[[Law], Any], members: list[type[LocalLaw]]) -> Any:
-        """A value of the member that this is, where it is one of some; else 0."""
+        """A value of the selected member if it is one of `members`; else 0."""
         index, *coefficients = self._values()
         return sum(
             (index == self.members.index(member)) * value(member.from_vector(coefficients))
@@ -67,13 +67,13 @@ class LawFamily(Law):
 
     @classmethod
     def columns(cls, member: type[Law], size: int) -> list[int]:
-        """Where `size` parameters of a member, its coefficients first, stand among the family's."""
+        """Indices of `size` parameters of a member, its coefficients first, among the family's."""
         k, own = len(cls.coefficients()), len(member.coefficients())
         return [*range(1, own + 1), *range(k, k + size - own)]
 
     @classmethod
     def padded(cls, member: type[Law], values: Floats, fill: float = 0.0) -> Floats:
-        """Arrays by parameter of a member, along the last axis, with the family's other columns."""
+        """Arrays by parameter of a member, along the last axis, padded to those of the family."""
         size = values.shape[-1]
         added = len(cls.coefficients()) - len(member.coefficients())
         found = np.full((*values.shape[:-1], size + added), fill)
@@ -89,8 +89,8 @@ class LawFamily(Law):
 
 
 def family_of(laws: Iterable[type[Law]]) -> type[LawFamily] | None:
-    """The family of those laws that can be in one; None where they are fewer than two."""
-    # A user's law may change from run to run, so that programs with it are not stored.
+    """The family of those laws that can belong to one; None if there are fewer than two."""
+    # A user's law may change from run to run, so programs with it are not stored.
     ring = (law for law in laws if issubclass(law, LocalLaw) and law.shipped())
     members = tuple(dict.fromkeys(ring))
     return _family(members) if len(members) > 1 else None

@@ -1,4 +1,4 @@
-"""Laws of the user, from Python files."""
+"""User-defined laws from Python files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from curlfit.stone import Stone
 
 
 def law_from_file(file: str, kind: str = "") -> type[Law]:
-    """The law class `kind` of a Python file; the only law in it where `kind` is empty.
+    """The law class `kind` of a Python file; the only law in it if `kind` is empty.
 
     The default of `name` is the class name. The law is evaluated at a few points of the ring, so
     that errors are reported here and not from inside a compiled program.
@@ -42,7 +42,7 @@ def law_from_file(file: str, kind: str = "") -> type[Law]:
 
 @cache
 def _module(path: Path, _modified: int, file: str) -> ModuleType:
-    """The module of a file, run once for each modification of the file."""
+    """The module of a file, executed once for each modification of the file."""
     spec = spec_from_file_location(f"curlfit_user_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise DataError("this is not a Python file", file=file)
@@ -89,8 +89,8 @@ _USE_JAX = (
 
 
 def _validate(file: str, path: Path, law: type[Law]) -> None:
-    """Evaluate the law with its defaults, on numbers and traced."""
-    import jax  # only for laws of users
+    """Evaluate the law with its defaults, both on numbers and traced."""
+    import jax  # only for user-defined laws
 
     untraced = (
         jax.errors.ConcretizationTypeError,
@@ -156,7 +156,7 @@ def _ring_points(state: Motion, stone: Stone) -> RingPoint:
 
 
 def _line(path: Path, error: Exception) -> int | None:
-    """The last line of the user's file in a traceback."""
+    """Number of the last line of the user's file in a traceback."""
     lines = [
         frame.lineno
         for frame in traceback.extract_tb(error.__traceback__)

@@ -1,7 +1,7 @@
 """A direction in parameter space that leaves the path unchanged, with the paths along it.
 
-Every path is that of the model at its own values of the parameters: that they are the same is for
-the reader to see, not an assumption.
+Every path is computed from the model at its own parameter values: that the paths coincide is a
+result, not an assumption.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from curlfit.output.text import compact, join_words
 from curlfit.throws.throw import UNITS
 
 _POSITIONS = 33  # along a direction
-_INSTANTS = 49  # of a path
-_REACH = 3.0  # values or typical sizes, where there is no bound
+_INSTANTS = 49  # times of a path
+_REACH = 3.0  # multiple of the value or typical size, where there is no bound
 _PRECISION = 1e-7  # of the computed path, m and rad
 _MEASURES = {"position": ("x", "y"), "angle": ("phi",), "speed": ("speed",), "spin": ("omega",)}
 _WIDTH, _HEIGHT, _MARGIN = 640.0, 200.0, 16.0  # of the drawing
@@ -33,9 +33,9 @@ _WIDTH, _HEIGHT, _MARGIN = 640.0, 200.0, 16.0  # of the drawing
 def directions_of(
     fits: Sequence[FitResult], directions: Sequence[dict[str, float]], id: str
 ) -> list[tuple[Block, dict[str, Any]]]:
-    """Directions of what some throws have in common, within the bounds, as far as there is room.
+    """Directions of parameters that throws have in common, where the bounds leave room.
 
-    The path of the first throw is drawn; the changes are the largest of all throws.
+    The path of the first throw is drawn; the changes are the largest over all throws.
     """
     models = [CurveModel(fit) for fit in fits if fit.fitted and fit.rms]
     if not models:
@@ -47,8 +47,8 @@ def directions_of(
 
 
 def positions_along(fit: FitResult, direction: dict[str, float]) -> Floats:
-    """Steps along a direction from the fit, 0 among them, at which all parameters are within their
-    bounds, or within a few of their sizes where they have none."""
+    """Steps along a direction from the fit, including 0, at which all parameters are within their
+    bounds, or within a few times their size where they have none."""
     ends = [-math.inf, math.inf]
     for name, weight in direction.items():
         item = fit.parameters[name]
@@ -76,7 +76,7 @@ def _direction(
     def at(model: CurveModel, step: float, count: int) -> Curves:
         values = model.fit.values
         values[places[:count]] += step * weights[:count]
-        # The step to a bound ends on it, but for rounding.
+        # The step to a bound ends on it up to rounding.
         values = np.clip(values, fit.parameter_set.lower, fit.parameter_set.upper)
         return model.at(values)
 
@@ -98,7 +98,7 @@ def _direction(
     size = np.where(high > low, high - low, 1.0)
     scale = [(_WIDTH - 2 * _MARGIN) / size[0], (_HEIGHT - 2 * _MARGIN) / size[1]]
     origin = low
-    if sides[1] == "x":  # seen from above, the throw to the right, what is left is up
+    if sides[1] == "x":  # seen from above, thrown to the right: left of the throw is up
         origin, scale[1] = np.array([low[0], high[1]]), -scale[1]
     sizes = {
         name: max(abs(fit.parameters[name].value + step * direction[name]) for step in steps)
@@ -154,7 +154,7 @@ def _direction(
 
 
 def _constant(fit: FitResult, names: list[str]) -> str:
-    """The combination that stays the same, with its value."""
+    """The combinations that stay constant, with their values."""
     said = [
         f"{item.expression} = {compact(item.value, item.stderr)}"
         for item in fit.combinations
@@ -185,8 +185,8 @@ def _axes(fit: FitResult, sides: tuple[str, str], low: Floats, high: Floats, thr
 def _change(
     curves: list[Curves], best: list[Curves], models: list[CurveModel]
 ) -> dict[str, Any] | None:
-    """The largest change of the paths, of what was measured, in words; None where there is no
-    path."""
+    """The largest changes of the measured channels of the paths, in words; None where a path does
+    not exist."""
     sizes: dict[str, float] = {}
     for one, other, model in zip(curves, best, models, strict=True):
         for name, channels in _MEASURES.items():
@@ -216,7 +216,7 @@ def _number(value: float) -> float | None:
 
 
 def _drawn(points: Floats, origin: Floats, scale: list[float]) -> list[tuple[float, float]]:
-    """Places in the drawing, of values along two axes."""
+    """Positions in the drawing of values along two axes."""
     across = _MARGIN + (points[0] - origin[0]) * scale[0]
     down = _HEIGHT - _MARGIN - (points[1] - origin[1]) * scale[1]
     return [

@@ -1,4 +1,4 @@
-"""What a page is made of: sections of texts, tables, drawings and moving parts."""
+"""Elements of a page: sections of texts, tables, drawings and interactive parts."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from curlfit.output.html import COLORS, inline
 
 _WARNING, _NOTE = "Warning: ", "Note: "
 _CODE = re.compile(r"`([^`]+)`")
-_LONG = 40  # characters of a cell that is wrapped
+_LONG = 40  # characters above which a cell is wrapped
 
 
 @dataclass(frozen=True)
 class Block:
-    """A part of a section: a template, and what it shows."""
+    """A part of a section: a template and its content."""
 
     template: str
     shows: Mapping[str, Any]
@@ -30,7 +30,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page under a heading; left out where it has no blocks."""
+    """A part of a page under a heading; left out if it has no blocks."""
 
     id: str
     heading: str
@@ -43,13 +43,13 @@ class Page:
 
     Attributes
     ----------
-    title, subject : what it is about.
-    finding : what it shows, in a sentence or two.
-    good : whether it may be used.
+    title, subject : what the page is about.
+    finding : the result, in a sentence or two.
+    good : whether the result may be used.
     lines : the numbers, in a few lines of text.
-    warnings : how many there are.
-    sections : in their order.
-    data : of the moving parts, by the id of each; JSON.
+    warnings : number of warnings.
+    sections : in order.
+    data : of the interactive parts, by id; JSON.
     """
 
     title: str
@@ -64,7 +64,7 @@ class Page:
 
 @dataclass
 class Report:
-    """A printed report in its parts: texts and tables, and what they warn of."""
+    """The parts of a printed report: texts and tables, warnings and notes."""
 
     parts: list[Text | Table]
     warnings: list[str]
@@ -72,7 +72,7 @@ class Report:
 
     @classmethod
     def of(cls, renderable: Any) -> Report:
-        """The report of a result, taken apart."""
+        """The parts of the report of a result."""
         found = cls([], [], [])
         for part in _flat(renderable):
             text = part.plain if isinstance(part, Text) else ""
@@ -95,7 +95,7 @@ def _flat(part: Any) -> list[Any]:
 
 
 def marked(text: Any) -> Markup:
-    """A text, or the content of a cell, as HTML: escaped, in the colours of the page, what is
+    """A text, or the content of a cell, as HTML: escaped, in the colours of the page, with text
     between backticks as code."""
     found = _CODE.sub(r"<code>\1</code>", inline(text))
     for name, color in COLORS.items():
@@ -112,7 +112,7 @@ def sentence(text: str, names: Iterable[str] = ()) -> str:
 
 
 def others(parts: Iterable[Any], said: Iterable[str]) -> list[Any]:
-    """The parts of a report but for texts that stand elsewhere."""
+    """The parts of a report, except texts that appear elsewhere."""
     known = {text.strip().rstrip(".").lower() for text in said}
     return [
         part
@@ -146,7 +146,7 @@ def rows(caption: str, items: Mapping[str, str]) -> Block:
 
 
 def table(found: Table, caption: str) -> Block:
-    """A table, every row of which is headed by its first column of words."""
+    """A table whose first column of words contains the row headers."""
     columns = found.columns
     words = next((place for place, one in enumerate(columns) if one.justify != "right"), 0)
     rows = [
@@ -172,8 +172,8 @@ def blocks_of(parts: Iterable[Any], captions: Mapping[str, str]) -> list[Block]:
 
     Parameters
     ----------
-    captions : of tables, by the heading of their first column. A line in bold above a table is its
-        caption, too.
+    captions : of tables, by the heading of their first column. A bold line above a table is used as
+        its caption instead.
     """
     found: list[Block] = []
     title = ""
@@ -197,7 +197,7 @@ def warned(
     Parameters
     ----------
     warnings, notes : sentences, which may lack a capital letter or a full stop.
-    names : which keep their small letter.
+    names : words that keep a lower-case initial.
     """
     known = set(names)
     said = [bullets([sentence(text, known) for text in warnings], "warning"), more]

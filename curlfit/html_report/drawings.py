@@ -1,4 +1,4 @@
-"""Figures of matplotlib as SVG that stands in an HTML page beside other SVG."""
+"""Matplotlib figures as SVG that can be embedded in an HTML page beside other SVG."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from markupsafe import Markup
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_MAX_MARKERS = 1000  # of a line, above which its points become one image
-_MAX_PATHS = 200  # of a collection, the same
-_DPI = 200  # of such images
+_MAX_MARKERS = 1000  # of a line, above which it is rasterized
+_MAX_PATHS = 200  # of a collection, likewise
+_DPI = 200  # of rasterized artists
 _COMMENTS = re.compile(r"<!--.*?-->", re.S)
 _PROLOGUE = re.compile(r"^.*?(?=<svg)", re.S)
 _METADATA = re.compile(r"<metadata>.*?</metadata>", re.S)
 _STYLES = re.compile(r"<defs>\s*<style[^>]*>.*?</style>\s*</defs>", re.S)
 _ID = re.compile(r'\sid="([^"]*)"')
 _USED = re.compile(r'(?:xlink:href="#([^"]*)"|url\(#([^)]*)\))')
-_DECIMALS = re.compile(r"(?<![\d.])([1-9]\d*\.\d{2})\d+")  # not those of a scale below 1
+_DECIMALS = re.compile(r"(?<![\d.])([1-9]\d*\.\d{2})\d+")  # not those of a scale factor below 1
 _HEAD = re.compile(r"<svg[^>]*>")
 _VIEW = re.compile(r'viewBox="([^"]*)"')
 
 
 def inline_svg(figure: Figure, prefix: str, title: str) -> Markup:
-    """A figure as an `<svg>` element, lettering as outlines.
+    """A figure as an `<svg>` element, with text as outlines.
 
     Parameters
     ----------
-    prefix : of its ids, which are kept only where something refers to them.
-    title : what a screen reader says.
+    prefix : of its ids, which are kept only if they are referenced.
+    title : text for screen readers.
     """
     text = _PROLOGUE.sub("", _drawn(figure))
     for waste in (_COMMENTS, _METADATA, _STYLES):
@@ -43,7 +43,7 @@ def inline_svg(figure: Figure, prefix: str, title: str) -> Markup:
     text = _ID.sub(lambda found: f' id="{prefix}{found[1]}"' if found[1] in used else "", text)
     text = text.replace('xlink:href="#', f'href="#{prefix}').replace("url(#", f"url(#{prefix}")
     text = text.replace("xlink:href", "href")
-    images = re.split(r'("data:[^"]*")', text)  # whose digits are no coordinates
+    images = re.split(r'("data:[^"]*")', text)  # whose digits are not coordinates
     images[::2] = [re.sub(r"\s+", " ", _DECIMALS.sub(r"\1", part)) for part in images[::2]]
     text = "".join(images).replace("> <", "><")
     label = Markup.escape(title)
@@ -55,7 +55,7 @@ def inline_svg(figure: Figure, prefix: str, title: str) -> Markup:
 
 
 def _drawn(figure: Figure) -> str:
-    """The figure as matplotlib writes it, the same each time."""
+    """The figure as written by matplotlib, reproducibly."""
     import matplotlib as mpl
 
     for axes in figure.axes:
@@ -69,7 +69,7 @@ def _drawn(figure: Figure) -> str:
 
 
 def _is_crowded(artist: Any) -> bool:
-    """Whether an artist is drawn in less space as an image than as points or cells."""
+    """Whether an artist takes less space as an image than as points or cells."""
     from matplotlib.collections import Collection, PathCollection
     from matplotlib.lines import Line2D
 

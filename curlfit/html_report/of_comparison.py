@@ -34,7 +34,7 @@ _CAPTIONS = {
 
 
 def page_of(comparison: Comparison) -> Page:
-    """The ranks of the laws, and what follows."""
+    """The page with the ranking of the laws."""
     glance, said = overview(comparison), Report.of(report(comparison))
     heading, *parts = said.parts
     lines = heading.plain.splitlines()  # type: ignore[union-attr]

@@ -29,7 +29,7 @@ _CAPTIONS = {"coefficient": "The best throws: expected standard errors"}
 
 
 def page_of(design: Design) -> Page:
-    """The throws that tell most, and what they would tell."""
+    """The page with the optimal throws and the errors expected from them."""
     glance, said = overview(design), Report.of(report(design))
     heading, *parts = said.parts
     title, about = heading.plain.splitlines()  # type: ignore[union-attr]

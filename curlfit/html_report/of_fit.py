@@ -42,7 +42,7 @@ _SEEN = ("determined", "prior", "fixed")
 
 
 def page_of(fit: FitResult, chain: Chain | None = None) -> Page:
-    """What the fit says, the throw as it moves, and what the path does not determine."""
+    """The page with the estimates, the animated throw and what the path does not determine."""
     glance, name = overview(fit), Path(fit.data["file"]).name
     parts = sections(fit)
     said = Report.of(parts["warnings"])
@@ -98,11 +98,11 @@ def _determined(fit: FitResult) -> str:
 def direction_blocks(
     fits: Sequence[FitResult], directions: Sequence[dict[str, float]], data: dict[str, Any]
 ) -> list[Block]:
-    """The moving parts of directions that change nothing, whose data are added."""
+    """The interactive parts of null directions; their data are added to `data`."""
     if not directions or not all(fit.converged for fit in fits):
         return []
     try:
-        fits[0].law_class  # noqa: B018  (a user's own is read from its file)
+        fits[0].law_class  # noqa: B018  (a user's law is read from its file)
     except CurlfitError as error:
         return [paragraph(f"The paths along it are not here: {error}.", "note")]
 
@@ -116,7 +116,7 @@ def direction_blocks(
 
 
 def throw_section(fits: list[FitResult], data: dict[str, Any]) -> Section:
-    """The section with the throws as they move, whose data are added."""
+    """The section with the animated throws; their data are added to `data`."""
     blocks = []
     for place, fit in enumerate(fits):
         label = Path(fit.data["file"]).name if len(fits) > 1 else ""

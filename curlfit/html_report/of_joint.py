@@ -31,7 +31,7 @@ from curlfit.inference.joint.result import JointResult
 from curlfit.inference.overview import overview
 from curlfit.inference.report import extent
 
-_MOVING = 6  # throws that move in a page
+_MOVING = 6  # animated throws in a page
 _CAPTIONS = {
     "shared": "What the throws have in common, with standard errors",
     "throw": "Each throw, with what it says alone",
@@ -40,7 +40,7 @@ _CAPTIONS = {
 
 
 def page_of(joint: JointResult) -> Page:
-    """What the throws say together, and each of them as it moves."""
+    """The page with the joint estimates and each throw animated."""
     from curlfit.inference.figures import joint_figure
 
     glance, said = overview(joint), Report.of(report(joint))
@@ -86,7 +86,7 @@ def page_of(joint: JointResult) -> Page:
 
 
 def _measured(joint: JointResult) -> list[Any]:
-    """Each throw's rows, and what people quote of it."""
+    """The rows of each throw, and its commonly quoted quantities."""
     found = {
         Path(one.data["file"]).name: "; ".join(
             part

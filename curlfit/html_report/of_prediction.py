@@ -32,7 +32,7 @@ _CAPTIONS = {
 
 
 def page_of(prediction: Prediction) -> Page:
-    """Where the stone comes to rest, and how sure that is."""
+    """The page with the resting position and its uncertainty."""
     glance, said = overview(prediction), Report.of(report(prediction))
     heading, *parts = said.parts
     about = heading.plain.splitlines()[1:]  # type: ignore[union-attr]

@@ -24,7 +24,7 @@ from curlfit.profile_likelihood.result import PairProfile, Profile
 
 
 def page_of(profile: Profile | PairProfile) -> Page:
-    """The intervals, or why there are none."""
+    """The page with the intervals, or why there are none."""
     one = profile if isinstance(profile, Profile) else profile.each[0]
     glance, said = overview(profile), Report.of(report(profile))
     heading, *parts = said.parts

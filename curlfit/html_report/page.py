@@ -35,12 +35,12 @@ _KINDS = {
     "Prediction": "prediction",
     "Design": "design",
 }
-"""What makes a page of a record: a module `of_...` of this package, by the name of its class."""
+"""Module `of_...` of this package that makes the page of a record, by the record's class name."""
 
 
 def write_report(result: Any, path: str | PathLike[str], *, chain: Chain | None = None) -> None:
-    """Write a result as one HTML file that needs no network: numbers, warnings, figures, and parts
-    that move.
+    """Write a result as one HTML file that needs no network: numbers, warnings, figures and
+    interactive parts.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def write_report(result: Any, path: str | PathLike[str], *, chain: Chain | None 
 
 
 def page_of(result: Any, chain: Chain | None = None) -> Page:
-    """A result as a page, not yet text. Raises `InputError` for what is no result."""
+    """A result as a page, not yet rendered. Raises `InputError` for other objects."""
     name = _KINDS.get(type(result).__name__)
     if name is None:
         raise InputError(
@@ -95,7 +95,7 @@ def render(page: Page) -> str:
 
 
 def _embedded(data: dict[str, Any]) -> str:
-    """JSON that cannot end the element around it, whatever the names in it."""
+    """JSON that cannot close the element around it, whatever names it contains."""
     text = json.dumps(json_safe(data), allow_nan=False, separators=(",", ":"))
     for sign in "<>&\u2028\u2029":
         text = text.replace(sign, f"\\u{ord(sign):04x}")

@@ -1,4 +1,4 @@
-"""How a result was made: settings, versions, and a command line that makes it again."""
+"""How a result was made: settings, versions, and a command line that reproduces it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PACKAGES = ("jax", "numpy", "scipy", "matplotlib")
 def made_by(
     settings: Mapping[str, str], commands: Sequence[str], notes: Sequence[str] = ()
 ) -> Section:
-    """The section about how a result was made."""
+    """The section on how a result was made."""
     commanded = Block("commands", {"lines": tuple(commands), "notes": tuple(notes)})
     return section(
         "made", "How to reproduce this result",
@@ -53,7 +53,7 @@ def _number(value: float) -> str:
 
 
 def _pairs(flag: str, values: Mapping[str, float]) -> list[str]:
-    """`--flag=name=value` for each; negative values are not mistaken for flags that way."""
+    """`--flag=name=value` for each, so that negative values are not mistaken for flags."""
     return [f"{flag}={name}={_number(value)}" for name, value in values.items()]
 
 
@@ -79,7 +79,7 @@ def rows_text(data: Mapping[str, Any]) -> str:
 
 
 def fit_settings(fit: FitResult) -> dict[str, str]:
-    """What a fit was asked for."""
+    """The settings of a fit."""
     found = {
         "Law, load": f"{fit.law}, {fit.load}",
         "Data": f"{fit.data['file']}, {rows_text(fit.data)}",
@@ -113,7 +113,7 @@ def fit_settings(fit: FitResult) -> dict[str, str]:
 
 
 def fit_command(fit: FitResult) -> str:
-    """The command line of a fit, as far as its record tells."""
+    """The command line of a fit, as far as it is recorded."""
     words = ["fit", _file(fit.data["file"]), *fit_flags(fit)]
     if fit.posterior is not None:
         words.append(f"--seed={fit.posterior.seed}")
@@ -123,7 +123,7 @@ def fit_command(fit: FitResult) -> str:
 
 
 def fit_flags(fit: FitResult) -> list[str]:
-    """The flags of a fit: all that its record tells and that is not the default."""
+    """The flags of a fit, as far as they are recorded and differ from the defaults."""
     data = fit.data
     words = [f"--law={data.get('law_file') or fit.law}", f"--load={fit.load}", *_stone(fit.stone)]
     words += [f"--{name}={_number(data[name])}" for name in ("since", "until")
@@ -161,8 +161,8 @@ def fit_flags(fit: FitResult) -> list[str]:
 
 
 def _usual(fit: FitResult) -> dict[str, Parameter]:
-    """What the parameters of a fit are by default; without coefficients where the file of a user's
-    law is gone."""
+    """The default parameters of a fit; without coefficients if the file of a user's law no longer
+    exists."""
     found: tuple[Parameter, ...] = (*CONDITIONS, *START)
     with suppress(CurlfitError):
         found += fit.law_class.coefficients()
@@ -170,12 +170,12 @@ def _usual(fit: FitResult) -> dict[str, Parameter]:
 
 
 def _file(name: str) -> str:
-    """A file that a row or a stone of may be named after its name."""
+    """The file of a throw, from a name that may include a row of the file."""
     return name.partition(" row ")[0]
 
 
 def reading_notes(data: Mapping[str, Any]) -> list[str]:
-    """What else the command may need: how the file was read is in its notes alone."""
+    """How the file was read, which is recorded only in its notes: further flags may be needed."""
     if not data.get("notes"):
         return []
     return [
@@ -190,7 +190,7 @@ def data_files(joint: JointResult) -> list[str]:
 
 
 def joint_command(joint: JointResult) -> str:
-    """The command line of a joint fit, as far as its record tells."""
+    """The command line of a joint fit, as far as it is recorded."""
     files = data_files(joint)
     flags = [f for f in fit_flags(joint.throws[0]) if not f.startswith("--derive")]
     if tuple(joint.share) != tuple(joint.throws[0].coefficients):
@@ -200,7 +200,7 @@ def joint_command(joint: JointResult) -> str:
 
 
 def comparison_command(found: Comparison) -> str:
-    """The command line of a comparison, as far as its record tells."""
+    """The command line of a comparison, as far as it is recorded."""
     loads = {item.load for item in found.candidates} - {"-"}
     load = "both" if len(loads) > 1 else next(iter(loads), "uniform")
     laws = dict.fromkeys(item.law for item in found.candidates)
@@ -213,13 +213,13 @@ def comparison_command(found: Comparison) -> str:
 
 
 def profile_command(file: str, names: Sequence[str]) -> str:
-    """The command line of a profile, from a fit under its usual name."""
+    """The command line of a profile, from a fit under its default name."""
     flags = [f"--param={name}" for name in names]
     return _line("profile", f"{Path(file).stem}-fit", *flags)
 
 
 def prediction_command(found: Prediction) -> str:
-    """The command line of a prediction, from a fit under its usual name."""
+    """The command line of a prediction, from a fit under its default name."""
     words = ["predict", f"{Path(found.fit['file']).stem}-fit"]
     words += [
         f"--{name}={_number(item['value'])}"
@@ -243,7 +243,7 @@ def prediction_command(found: Prediction) -> str:
 
 
 def design_command(found: Design) -> str:
-    """The command line of a design, as far as its record tells."""
+    """The command line of a design, as far as it is recorded."""
     words = ["design", f"--law={found.law}", f"--load={found.load}", *_stone(found.stone)]
     words += _pairs("--set", found.coefficients)
     for flag, names in (("xy", ("x",)), ("phi", ("phi",)), ("speed", ("speed",)),

@@ -1,4 +1,4 @@
-"""A throw that moves in the page: its path on the sheet, and the residuals at each instant."""
+"""A throw animated in the page: its path on the sheet, and the residuals at each time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from curlfit.output.ticks import unit_for
 from curlfit.prediction.result import Prediction
 from curlfit.sheet import LINES, STONE_RADIUS, TEE, WIDTH
 
-_MOST = 600  # instants of a path in a page
+_MOST = 600  # times of a path in a page
 _NAMES = {
     "x": ("to the right", "m"), "y": ("along the sheet", "m"), "phi": ("angle", "turns"),
     "speed": ("speed", "m/s"), "omega": ("spin", "rad/s"),
@@ -25,12 +25,12 @@ _NAMES = {
 _STARTS = {"x": ("x0", "heading"), "phi": ("phi0", "omega0"), "omega": ("omega0",)}
 _ASSUMED = ("fixed", "not identifiable")
 _TURN = {"phi": 2 * math.pi}
-_MARGIN = 0.4  # m beyond what is drawn of the sheet
+_MARGIN = 0.4  # m around what is drawn of the sheet
 
 
 def sheet_view(x: Sequence[float], y: Sequence[float]) -> tuple[float, float, float, float]:
-    """The part of the plane to draw, the throw to the right: least y, least x, and the extent of
-    both, m; the sheet from hack to hack, and the path."""
+    """The part of the plane to draw, thrown to the right: smallest y and x, and the extents of
+    both, m; it contains the sheet from hack to hack, and the path."""
     half = WIDTH / 2
     ends = min(0.0, *y) - _MARGIN, max(TEE + LINES["tee"], *y) + _MARGIN
     sides = min(-half, *x) - _MARGIN / 2, max(half, *x) + _MARGIN / 2
@@ -38,7 +38,7 @@ def sheet_view(x: Sequence[float], y: Sequence[float]) -> tuple[float, float, fl
 
 
 def rounded(values: Floats, places: int) -> list[float | None]:
-    """Numbers as short as may be; None where there is none."""
+    """Numbers rounded to decimal places; None where they are not finite."""
     return [
         float(round(value, places)) if math.isfinite(value) else None
         for value in np.asarray(values, float).tolist()
@@ -46,7 +46,7 @@ def rounded(values: Floats, places: int) -> list[float | None]:
 
 
 def replay_of_fit(fit: FitResult, id: str, label: str = "") -> tuple[Block, dict[str, Any]] | None:
-    """The fitted throw; None where the record has no path, as of timed events alone."""
+    """The fitted throw; None if the record has no path, as with timed events alone."""
     if not fit.fitted or len(fit.observed["t"]) < 2:
         return None
     some = some_rows(len(fit.observed["t"]), _MOST)
@@ -88,7 +88,7 @@ def replay_of_prediction(prediction: Prediction, id: str) -> tuple[Block, dict[s
     """The predicted throw, to rest."""
     series = prediction.series
     ends = series["t"] <= prediction.quantities["time"].value
-    some = np.flatnonzero(ends | (np.cumsum(~ends) == 1))  # one more, at rest
+    some = np.flatnonzero(ends | (np.cumsum(~ends) == 1))  # and one at rest
     some = some[some_rows(len(some), _MOST)]
     path = {name: series[name][some] for name in _NAMES}
     measured = {name: prediction.measured[name] for name in "xy" if name in prediction.measured}
@@ -159,5 +159,5 @@ def _last(found: dict[str, Any] | None) -> str:
 
 
 def _step(span: float) -> float:
-    """Of the slider, s: some hundred instants."""
+    """Step of the slider, s: 100 to 1000 steps in the whole."""
     return float(10.0 ** math.floor(math.log10(max(span, 1e-3) / 100)))

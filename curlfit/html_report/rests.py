@@ -1,4 +1,4 @@
-"""Draws of a prediction that come to rest in the page one by one."""
+"""Draws of a prediction, animated in the page: they come to rest one by one."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from curlfit.html_report.replay import rounded
 from curlfit.prediction.result import Prediction
 from curlfit.sheet import HOUSE, STONE_RADIUS, TEE
 
-_BEYOND = 0.6  # m drawn about the house
-_CLOSE = 1.6  # of the spread of the resting positions: half the height of the close view
-_SMALLEST = 0.25  # m, half its height at least
+_BEYOND = 0.6  # m drawn around the house
+_CLOSE = 1.6  # half the height of the close view, relative to the spread of the resting positions
+_SMALLEST = 0.25  # m, lower limit of half its height
 
 
 def rests_of(prediction: Prediction, id: str) -> tuple[Block, dict[str, Any]] | None:
-    """The throws of the posterior sample; None for a record that holds none."""
+    """The throws of the posterior sample; None for a record without one."""
     sample = prediction.sample
     if not sample:
         return None

@@ -1,8 +1,8 @@
-"""Conditions of a throw that a fit holds, takes from a prior or estimates.
+"""Conditions of a throw that a fit holds fixed, constrains by a prior or estimates.
 
-Level ice, still air, the constants of the stone, the scale of the lengths and the rate of the
-clock: each is held at what is assumed of it unless it is made a parameter. Held ones contribute a
-systematic error, to first order, of the width given here (`curlfit.inference.fit.systematics`).
+Level ice, still air, the constants of the stone, the length scale and the rate of the clock: each
+is held at its assumed value unless it is made a parameter. Each one held fixed contributes a
+systematic error, to first order, for the width given here (`curlfit.inference.fit.systematics`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from curlfit.friction import Parameter
 
 @dataclass(frozen=True)
 class Condition(Parameter):
-    """A condition as a parameter.
+    """A condition that can be a parameter of a fit.
 
     Attributes
     ----------
@@ -83,12 +83,12 @@ CONDITIONS = (
 WIDTHS = {item.name: item.width for item in CONDITIONS}
 ALL = "all"
 WEAK_CONDITIONS = ("R", "rho", "h", "length_scale", "time_scale")
-"""Those that a single path hardly determines."""
+"""Conditions that a single path hardly determines."""
 
 
 def check_systematics(given: Mapping[str, float]) -> None:
-    """Raise `InputError` for a width that is negative or of no condition; `ALL` stands for those
-    that are not named."""
+    """Raise `InputError` for a negative or infinite width or an unknown condition; `ALL` stands for
+    the conditions that are not named."""
     for name, width in given.items():
         if name != ALL and name not in WIDTHS:
             raise InputError(
@@ -100,7 +100,7 @@ def check_systematics(given: Mapping[str, float]) -> None:
 
 
 def if_off(name: str, width: float) -> str:
-    """That a condition is one width off what is assumed, as the beginning of a sentence."""
+    """The clause that a condition is off by one width, as the beginning of a sentence."""
     texts = {
         "slope_x": f"if the ice slopes down to the right by {1e3 * width:g} mm/m",
         "slope_y": f"if the ice slopes down along the throw by {1e3 * width:g} mm/m",

@@ -1,4 +1,4 @@
-"""Posterior of the parameters, pair by pair."""
+"""Corner plot of the posterior: the parameters pair by pair."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ if TYPE_CHECKING:
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.8, 0.12, 0.42, 0.65  # inches around the panels
 _GAP = 0.06  # between them
-_SMALLEST = 0.95  # panel
+_SMALLEST = 0.95  # side of a panel
 _BINS = 30
 _SMOOTH = 1.0  # bins, standard deviation
 _LEVELS = (0.95, 0.68)
 _SHADES = ("#ecd2e0", POSTERIOR_COLOR)
-_MOST = 40_000  # samples of the densities
-_DOTS = 2000  # of a ridge
+_MOST = 40_000  # samples used for the densities
+_DOTS = 2000  # points drawn along a ridge, about
 
 
 @styled
 def corner_figure(fit: FitResult, chain: Chain) -> Figure:
-    """Posterior of the law's coefficients and of estimated conditions, pair by pair: regions of 68
-    and 95 % of the samples, with reference values marked.
+    """Corner plot of the posterior of the law's coefficients and the estimated conditions: regions
+    that contain 68 and 95 % of the samples, with reference values marked.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def corner_figure(fit: FitResult, chain: Chain) -> Figure:
 
 
 def _names(fit: FitResult) -> list[str]:
-    """Coefficients and conditions that are not fixed; with the start where there is one alone."""
+    """Coefficients and conditions that are not fixed; if fewer than two, the initial state too."""
     start = ("v0", "omega0", "heading")
     wanted = [*fit.coefficients, *fit.conditions]
     free = [name for name in (*wanted, *start) if fit.parameters[name].verdict != "fixed"]
@@ -106,7 +106,7 @@ def _names(fit: FitResult) -> list[str]:
 
 
 def _extent(values: Floats, mark: float | None) -> tuple[float, float]:
-    """Limits that hold the sample, and a reference value near it."""
+    """Axis limits that enclose the samples, and a reference value if it is near them."""
     low, high = map(float, np.quantile(values, [0.001, 0.999]))
     if mark is not None:
         reach = 3 * (high - low)
@@ -117,13 +117,13 @@ def _extent(values: Floats, mark: float | None) -> tuple[float, float]:
 
 
 def _bins_of(values: Floats, low: float, high: float) -> Any:
-    """The bin of each sample; -1 outside."""
+    """Index of the bin of each sample; -1 outside all bins."""
     places = np.floor((values - low) / (high - low) * _BINS).astype(int)
     return np.where((places >= 0) & (places < _BINS), places, -1)
 
 
 def _histogram(axes: Any, item: Estimate, values: Floats, bins: Any) -> None:
-    """The density of one parameter, its median and the interval of 68 %."""
+    """Histogram of one parameter with its median and 68 % interval."""
     counts = np.bincount(bins[bins >= 0], minlength=_BINS)
     low, high = axes.get_xlim()
     axes.stairs(
@@ -150,7 +150,7 @@ def _histogram(axes: Any, item: Estimate, values: Floats, bins: Any) -> None:
 def _density(
     axes: Any, across: Any, up: Any, x: tuple[float, float], y: tuple[float, float]
 ) -> None:
-    """Smallest regions that hold 68 and 95 % of the samples."""
+    """Smallest regions that contain 68 and 95 % of the samples."""
     inside = (across >= 0) & (up >= 0)
     counts = np.bincount(across[inside] * _BINS + up[inside], minlength=_BINS**2)
     kernel = np.exp(-(np.subtract.outer(range(_BINS), range(_BINS)) ** 2) / (2 * _SMOOTH**2))
@@ -170,7 +170,7 @@ def _density(
 
 
 def _ridges(fit: FitResult, names: list[str]) -> dict[tuple[int, int], dict[str, float]]:
-    """Pairs of which only a combination is determined: its weights, by row and column."""
+    """Weights, by row and column, for pairs of which only a combination is determined."""
     found = {}
     for item in fit.combinations:
         if len(item.weights) == 2 and item.weights.keys() <= set(names):
@@ -183,7 +183,7 @@ def _ridge(
     axes: Any, fit: FitResult, weights: dict[str, float], x: Floats, y: Floats,
     known: dict[str, float],
 ) -> None:  # fmt: skip
-    """Such a pair as it is: a line of points."""
+    """Draw a pair of which only a combination is determined, as points along a line."""
     first, second = weights.values()
     some = slice(None, None, max(1, len(x) // _DOTS))
     axes.plot(
@@ -208,7 +208,7 @@ def _reference_line(draw: Any, value: float | None, extent: tuple[float, float])
 
 
 def _neat_panels(item: Estimate, grid: Any, place: int, last: int) -> None:
-    """The same few ticks in all panels of a parameter, with numbers at the outermost."""
+    """Set the same few ticks in all panels of a parameter, with numbers on the outermost."""
     below, beside = grid[last, place], grid[place, 0]
     groups = [(below.xaxis, [grid[row, place].xaxis for row in range(place, last)])]
     if place:
@@ -224,7 +224,7 @@ def _neat_panels(item: Estimate, grid: Any, place: int, last: int) -> None:
 
 
 def _point_to_mark(axes: Any, value: float | None, extent: tuple[float, float]) -> None:
-    """Where a reference value lies outside a histogram, say where it is."""
+    """Point to a reference value that lies outside a histogram."""
     if value is None or extent[0] <= value <= extent[1]:
         return
     right = value > extent[1]
@@ -238,7 +238,7 @@ def _point_to_mark(axes: Any, value: float | None, extent: tuple[float, float]) 
 
 
 def _say_in_corner(fit: FitResult, figure: Figure, side: float) -> None:
-    """What was fitted, and what is known of it, in the corner that the panels leave free."""
+    """Write what was fitted, combinations and references into the corner free of panels."""
     width, height = figure.get_size_inches()
     name = FilePath(fit.data["file"]).name
     heading = figure.text(

@@ -16,8 +16,8 @@ from curlfit.numerics.arrays import Floats
 from curlfit.stone import UNITS as STONE_UNITS
 
 LEVELS = ("2.5", "16", "50", "84", "97.5")
-_NO_PART = 1e-3  # of a gradient along a null direction, below which it is none
-_TRIES = 4  # places on the ridge where the gradient is looked at as well
+_NO_PART = 1e-3  # share of a gradient along null directions below which it counts as zero
+_TRIES = 4  # further points of the ridge at which the gradient is checked
 
 
 @dataclass(frozen=True)
@@ -26,15 +26,16 @@ class Derived:
 
     Attributes
     ----------
-    expression : of the parameters, or the name of a quantity of the path.
+    expression : arithmetic of the parameters, or the name of a quantity of the path.
     value : at the estimates.
-    stderr : standard error, by the covariance to first order; None where the quantity is not
+    stderr : standard error, from the covariance to first order; None where the quantity is not
         determined, or depends on a parameter at its bound.
-    verdict : "determined"; "prior" (it rests on priors); "weak" (known to no better than typical
-        sizes of its parameters make it); "not identifiable" (it depends on a direction that the
-        path does not determine); "at bound" or "fixed".
-    systematic : error by the conditions that the fit holds; None where there is none.
-    dof : degrees of freedom of `stderr`, the least of the parameters; None where sigma was given.
+    verdict : "determined"; "prior" (it rests on priors); "weak" (its standard error is no smaller
+        than typical sizes of its parameters imply); "not identifiable" (it depends on a direction
+        that the path does not determine); "at bound" or "fixed".
+    systematic : error due to the conditions that the fit holds fixed; None where there is none.
+    dof : degrees of freedom of `stderr`, the smallest of its parameters'; None where sigma was
+        given.
     quantiles : of the posterior, "2.5" to "97.5"; empty without a chain.
     meaning, unit : of a quantity of the path.
     """
@@ -55,7 +56,7 @@ class Derived:
 
 
 class _Estimate(Protocol):
-    """What is needed of an estimate of a parameter."""
+    """The attributes of a parameter estimate that are used here."""
 
     @property
     def value(self) -> float: ...
@@ -72,7 +73,7 @@ class _Estimate(Protocol):
 
 
 class FirstOrder(NamedTuple):
-    """What a fit says of its parameters, to first order."""
+    """What a fit says about its parameters, to first order."""
 
     parameters: Mapping[str, _Estimate]
     covariance: Mapping[str, Any]
@@ -80,7 +81,7 @@ class FirstOrder(NamedTuple):
     null_directions: Sequence[Mapping[str, float]]
     combinations: Sequence[Combination]
     widths: Mapping[str, float]
-    """standard uncertainties of the conditions that the fit holds"""
+    """standard uncertainties of the conditions that the fit holds fixed"""
     shifts: Mapping[str, Mapping[str, float]]
     """by determined parameter or combination, and by condition"""
     stone: Mapping[str, float]
@@ -95,12 +96,12 @@ class FirstOrder(NamedTuple):
         return np.array([weights.get(name, 0.0) for name in self.names])
 
     def stderr(self, gradient: Mapping[str, float]) -> float:
-        """Of a quantity with this gradient, whatever it is along directions not determined."""
+        """Standard error of a quantity with this gradient; null directions are ignored."""
         row = self.vector(gradient)
         return math.sqrt(max(float(row @ np.array(self.covariance["matrix"]) @ row), 0.0))
 
     def null_space(self) -> Floats:
-        """Orthonormal null directions in typical sizes, shape (directions, parameters)."""
+        """Orthonormal null directions in units of typical sizes, shape (directions, parameters)."""
         rows = [self.vector(item) / self._typical for item in self.null_directions]
         rows = [row for row in rows if row.any()]
         if not rows:
@@ -113,14 +114,14 @@ class FirstOrder(NamedTuple):
         return np.array([self.parameters[name].typical for name in self.names])
 
     def sees(self, gradient: Mapping[str, float]) -> bool:
-        """Whether the data determine what has this gradient."""
+        """Whether the data determine a quantity with this gradient."""
         row = self.vector(gradient) * self._typical
         size = float(np.linalg.norm(row))
         return not np.linalg.norm(self.null_space() @ row) > _NO_PART * size
 
     def shift(self, condition: str) -> Floats:
-        """From the estimates to the true values where a condition is one width off, along what the
-        data determine, in the order of the parameters that can move."""
+        """Shift from the estimates to the true values if a condition is off by one width, along the
+        determined directions, in the order of the parameters that can move."""
         known = [name for name in self.names if name in self.shifts]
         found = self.vector({name: self.shifts[name].get(condition, 0.0) for name in known})
         sums = [item for item in self.combinations if item.expression in self.shifts]
@@ -140,9 +141,10 @@ class FirstOrder(NamedTuple):
 
         Parameters
         ----------
-        gradient : by the parameters. changes : by a width of each condition, at fixed parameters.
-        seen : whether it is determined elsewhere on the ridge, too.
-        held_counts : whether to depend on a parameter at its bound leaves it without an error.
+        gradient : by the parameters. changes : for one width of each condition, at fixed
+            parameters.
+        seen : whether it is determined elsewhere on the ridge as well.
+        held_counts : whether dependence on a parameter at its bound leaves it without an error.
         """
         used = {key: self.parameters[key] for key, slope in gradient.items() if slope}
         free = [key for key, item in used.items() if item.verdict != "fixed"]
@@ -171,22 +173,23 @@ class FirstOrder(NamedTuple):
 
 
 def check_derived(texts: Sequence[str], names: Sequence[str]) -> None:
-    """Raise `InputError` for an expression that is none of such parameters, before a fit."""
+    """Raise `InputError`, before a fit, for an expression that is not valid for its parameters."""
     for text in texts:
         parse(text, (*names, *(key for key in (*STONE_UNITS, *CONSTANTS) if key not in names)), {})
 
 
 def derive(known: FirstOrder, text: str, samples: Mapping[str, Floats] | None = None) -> Derived:
-    """A quantity from its expression.
+    """A derived quantity from its expression.
 
     Parameters
     ----------
-    text : arithmetic of parameters, determined combinations, the stone's R, rho, h and m, g, pi.
+    text : arithmetic of parameters, determined combinations, the stone's R, rho, h and m, g and pi.
     samples : of the posterior, by parameter.
 
     Raises
     ------
-    InputError : it is no arithmetic of such names, or has no value at the estimates.
+    InputError : it is not arithmetic of such names, or has no finite value or derivative at the
+        estimates.
     """
     constants = {**CONSTANTS, **known.stone}
     values = {name: item.value for name, item in known.parameters.items()}
@@ -223,7 +226,7 @@ def derive(known: FirstOrder, text: str, samples: Mapping[str, Floats] | None = 
 
 
 def with_quantiles(quantity: Derived, samples: Floats) -> Derived:
-    """The same with quantiles of samples."""
+    """The quantity with the quantiles of its samples."""
     if not len(samples):
         return quantity
     levels = np.quantile(samples, [float(level) / 100 for level in LEVELS])
@@ -235,8 +238,8 @@ def _seen_along_the_ridge(
     values: Mapping[str, float],
     slopes: Callable[[Mapping[str, float]], dict[str, float]],
 ) -> bool:
-    """Whether the gradient is zero along null directions elsewhere on them, too: that of a product
-    a b is zero along a - b where a = b."""
+    """Whether the gradient vanishes along the null directions elsewhere on the ridge as well: that
+    of a product a b vanishes along a - b only where a = b."""
     space = known.null_space()
     if not len(space):
         return True

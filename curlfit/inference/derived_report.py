@@ -1,4 +1,4 @@
-"""Tables of derived quantities. Nothing is computed here but other units."""
+"""Tables of derived quantities. Nothing is computed here except conversions of units."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from curlfit.sheet import FOOT
 
 
 def derived_table(items: Sequence[Derived]) -> list[RenderableType]:
-    """What was asked for, with its errors; nothing without any."""
+    """Derived quantities with their errors; empty if there are none."""
     return [_table("derived", items, verdicts=True)] if items else []
 
 
 def quantities_table(quantities: Mapping[str, Derived]) -> list[RenderableType]:
-    """Quantities of the fitted path within the record; nothing without any."""
+    """Quantities of the fitted path within the record; empty if there are none."""
     if not quantities:
         return []
     rows = []
@@ -41,7 +41,7 @@ def quantities_table(quantities: Mapping[str, Derived]) -> list[RenderableType]:
 
 
 def quantities_line(quantities: Mapping[str, Derived]) -> str:
-    """The first of them in a line."""
+    """The main quantities of the path in one line."""
     parts = []
     for name in ("friction", "curl", "turns", "hog_to_hog"):
         if name not in quantities:
@@ -68,7 +68,7 @@ def scaled(item: Derived, factor: float) -> Derived:
 
 
 def to_its_side(item: Derived) -> Derived:
-    """A signed quantity as a positive one, its direction in words."""
+    """A signed quantity as a positive one, with its direction in words."""
     if item.value >= 0:
         return item
     words = {"to the right": "to the left", "counter-clockwise": "clockwise"}

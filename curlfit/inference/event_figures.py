@@ -1,4 +1,4 @@
-"""Figure of a fit to timed events: the sheet, and the motion between what was measured."""
+"""Figure of a fit to timed events: the path on the sheet, and the motion between events."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _MEASURED: dict[str, Any] = {
     "color": "0.25", "fmt": "o", "markersize": 3, "capsize": 2, "lw": 1, "zorder": 5,
 }  # fmt: skip
 _NAMES = {"back": "back", "hog": "hog", "far-hog": "hog", "far-tee": "tee"}
-_MOST = 5.0  # sigmas shown
+_MOST = 5.0  # sigmas, largest residual shown
 
 
 @styled
@@ -64,7 +64,7 @@ def event_figure(fit: FitResult, name: str) -> Figure:
 
 
 def _sheet(axes: Any, fit: FitResult, events: list[tuple[Event, float]], moving: slice) -> None:
-    """The path over lines and house, throws to the right; x drawn larger than y."""
+    """The path over the lines and the house, thrown to the right."""
     x, y = fit.fitted["x"][moving], fit.fitted["y"][moving]
     half = sheet.WIDTH / 2
     for radius, color in zip(sheet.CIRCLES, RINGS, strict=True):
@@ -99,7 +99,7 @@ def _sheet(axes: Any, fit: FitResult, events: list[tuple[Event, float]], moving:
 def _distance(
     axes: Any, fit: FitResult, events: list[tuple[Event, float]], t: Floats, moving: slice
 ) -> None:
-    """y over time; a measured time ends on its line, from where the fit crosses the other."""
+    """y over time; a measured time is drawn on its line, its residual off the fitted crossing."""
     y = fit.fitted["y"]
     axes.plot(t[moving], y[moving], color=FIT_COLOR)
     for line, name in _NAMES.items():
@@ -109,7 +109,7 @@ def _distance(
                       fontsize=7, color=QUIET, va="bottom")  # fmt: skip
     for event, found in events:
         if event.quantity == "time":
-            end = y[moving][-1] if event.at is None else event.at  # at rest the last row
+            end = y[moving][-1] if event.at is None else event.at  # the last row where at rest
             reached = float(np.interp(end, y[moving], t[moving]))
             axes.errorbar(reached + event.value - found, end, xerr=event.sigma, **_MEASURED)
         elif event.quantity == "y":
@@ -121,7 +121,7 @@ def _distance(
 def _speed(
     axes: Any, fit: FitResult, events: list[tuple[Event, float]], t: Floats, moving: slice
 ) -> None:
-    """The speed, and the mean speeds between lines that measured times give."""
+    """The speed, and the mean speeds between lines from the measured times."""
     y, label = fit.fitted["y"], "measured mean between lines"
     for event, _ in events:
         if event.quantity == "time" and event.at is not None and event.since is not None:

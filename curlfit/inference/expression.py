@@ -1,4 +1,4 @@
-"""Arithmetic of named numbers, as text: parsed by Python's grammar, of which little is admitted."""
+"""Arithmetic of named numbers as text, in a small subset of Python's grammar."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
 
 
 def _real_if_constant(value: Any) -> Any:
-    """Numpy multiplies out whole powers, and only of a real exponent."""
+    """The value as real if possible: NumPy multiplies out only integer powers of real type."""
     return np.real(value) if np.isrealobj(value) or not np.any(np.imag(value)) else value
 
 
@@ -36,7 +36,7 @@ def _choice(pick: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     return lambda a, b: np.where(pick(np.real(a), np.real(b)), a, b)
 
 
-# All differentiable along the imaginary axis, hence no conjugates.
+# All differentiable by a complex step, hence no conjugates.
 _FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     "sqrt": (1, np.sqrt),
     "exp": (1, np.exp),
@@ -60,7 +60,7 @@ class Expression:
     Attributes
     ----------
     text : as given.
-    names : of the numbers that it is of, in their order.
+    names : of the numbers in it, in their order.
     """
 
     text: str
@@ -68,12 +68,12 @@ class Expression:
     _tree: ast.expr
 
     def of(self, values: Mapping[str, Any]) -> Any:
-        """The value, a float or an array; NaN or infinite where there is none."""
+        """The value, a float or an array; NaN or infinite where it is undefined."""
         with np.errstate(all="ignore"):
             return _evaluated(self._tree, values)
 
     def gradient(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Derivative by each of its names, exact to rounding.
+        """Derivative by each name, exact to rounding.
 
         By a complex step (Squire and Trapp 1998, SIAM Review 40): f(x + ih) = f(x) + ih f'(x).
         """
@@ -91,12 +91,12 @@ def parse(text: str, names: Iterable[str], sums: Mapping[str, Mapping[str, float
     Parameters
     ----------
     names : that may occur.
-    sums : weights of sums by their expression, which rounds them; they may occur as they are
-        written, in parentheses or alone.
+    sums : weights of sums by their expression, in which they are rounded; such a sum may occur as
+        written there, in parentheses or alone.
 
     Raises
     ------
-    InputError : it is no arithmetic, or of other names.
+    InputError : it is not arithmetic, or contains other names.
     """
     known = tuple(names)
     shown = " ".join(str(text).split())
@@ -120,7 +120,7 @@ def parse(text: str, names: Iterable[str], sums: Mapping[str, Mapping[str, float
 
 
 def _multiplied_out(text: str, sums: Mapping[str, Mapping[str, float]]) -> str:
-    """As Python writes products: "0.977 mu2_eta" is "0.977 * mu2_eta"."""
+    """The text with products as Python writes them: "0.977 mu2_eta" is "0.977 * mu2_eta"."""
     for written, weights in sums.items():
         product = " + ".join(f"({weight!r}) * {name}" for name, weight in weights.items())
         if text == written:
@@ -130,7 +130,7 @@ def _multiplied_out(text: str, sums: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def _check(node: ast.AST, said: str, names: tuple[str, ...], used: dict[str, None]) -> None:
-    """Raise `InputError` for what is no arithmetic; collect the names."""
+    """Raise `InputError` for anything that is not arithmetic; collect the names."""
     if isinstance(node, ast.Constant):
         if isinstance(node.value, bool) or not isinstance(node.value, int | float):
             raise InputError(f"{said}: {node.value!r} is not a number")
@@ -184,10 +184,10 @@ def _evaluated(node: ast.AST, values: Mapping[str, Any]) -> Any:
 
 
 CONSTANTS = {"g": GRAVITY, "pi": math.pi}
-"""Numbers that an expression may name, unless a parameter has the name; g in m/s^2."""
+"""Constants that an expression may contain unless a parameter has the same name; g in m/s^2."""
 
 
 def samples_of(expression: Expression, values: Mapping[str, Any]) -> Floats:
-    """The finite ones among the values of many samples."""
+    """The finite values of an expression for many samples."""
     found = np.asarray(expression.of(values), float)
     return found[np.isfinite(found)]

@@ -1,4 +1,4 @@
-"""Pictures of results. Made from results alone; nothing is fitted or simulated here."""
+"""Figures of results, made from results alone; nothing is fitted or simulated here."""
 
 from __future__ import annotations
 
@@ -46,15 +46,15 @@ if TYPE_CHECKING:
 
 __all__ = ["corner_figure", "fit_figure", "joint_figure"]
 
-_IN_A_ROW = 3  # panels of residuals
+_IN_A_ROW = 3  # panels of residuals, at most
 
 
 @styled
 def fit_figure(fit: FitResult) -> Figure:
     """The path with its fit, the residuals of each channel, speed and spin; or timed events.
 
-    Of a fit with a model discrepancy the curves are law and discrepancy together, those of the law
-    alone are dashed, and the residuals are what both leave.
+    With a model discrepancy, solid curves show law and discrepancy together, dashed curves the law
+    alone, and the residuals are those of both together.
 
     Examples
     --------
@@ -107,7 +107,7 @@ def fit_figure(fit: FitResult) -> Figure:
 
 
 def _residuals(axes: Any, fit: FitResult, channel: str, found: Floats, some: Any) -> None:
-    """What the fit leaves of a channel."""
+    """Residuals of a channel."""
     left = fit.observed[channel] - found
     rms = float(np.sqrt(np.nanmean(left**2))) if fit.discrepancy else fit.rms[channel]
     size, unit = unit_for(rms, channel)
@@ -121,7 +121,7 @@ def _residuals(axes: Any, fit: FitResult, channel: str, found: Floats, some: Any
 
 
 def _mark_outliers(axes: Any, fit: FitResult, channel: str, left: Floats, size: float) -> None:
-    """Crosses on outliers; those far outside are drawn at the edge, the rest stays readable."""
+    """Mark outliers; distant ones are drawn at the edge so that the rest stays readable."""
     mine = [item for item in fit.outliers if item["channel"] == channel]
     if not mine:
         return
@@ -187,7 +187,7 @@ def _include_zero(axes: Any, values: Any) -> None:
 
 @styled
 def joint_figure(result: JointResult) -> Figure:
-    """All throws with their fits, and what each alone would say of the shared coefficients.
+    """All throws with their fits, and the shared coefficients as each throw alone gives them.
 
     Examples
     --------
@@ -195,7 +195,7 @@ def joint_figure(result: JointResult) -> Figure:
     """
     count, shown = len(result.throws), result.differences
     columns = min(count, 3)
-    paths = any(one.rms for one in result.throws)  # of timed events there is none to be seen
+    paths = any(one.rms for one in result.throws)  # timed events have no measured path
     names_below = 0.17 * -(-count // columns + 1) if paths else 0.2
     height = (2.9 if paths else 0.2) + 0.8 + 0.2 * count + names_below
     figure = Picture(figsize=(WIDTH, height), layout="constrained")
@@ -249,7 +249,7 @@ def joint_figure(result: JointResult) -> Figure:
         differs = "differs" if item.significant else "no significant difference"
         title(axes, f"{differs}, p = {item.p_value:.2g}", columns=len(shown), margin=0.25)
         estimates.append((axes, in_symbols(item.expression, symbols)))
-    figure.draw_without_rendering()  # the layout, by which ticks and the note are chosen
+    figure.draw_without_rendering()  # ticks and the note depend on the layout
     for axes, expression in estimates:
         neat_axis(axes.xaxis, expression)
     if paths:

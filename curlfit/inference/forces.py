@@ -1,4 +1,4 @@
-"""Accelerations of a stone under a law along its path, for several vectors of coefficients."""
+"""Accelerations of a stone under a law along its path, for several coefficient vectors."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from curlfit.numerics.compiled import BATCH, compiled, in_batches
 from curlfit.stone import Stone
 
 POINTS = 128
-"""Of a path."""
-_STEP = 1e-4  # of a typical size, for differences
+"""Number of points along a path."""
+_STEP = 1e-4  # of finite differences, over the typical size
 
 
 def vectors_of(model: Model) -> int:
-    """How many vectors of coefficients a program takes: one, and one more for each coefficient."""
+    """Number of coefficient vectors that a program takes: one, and one more per coefficient."""
     return 1 + len(model.of_program.law.coefficients())
 
 
@@ -39,7 +39,7 @@ def accelerations_along(
     coefficients : shape (throws, `vectors_of` the model, POINTS, coefficients).
     stones : each field of shape (throws,).
     paths : speed, spin, angle and time, shape (throws, 4, POINTS).
-    batch : how many throws are computed together.
+    batch : number of throws computed together.
 
     Returns
     -------
@@ -53,9 +53,9 @@ def accelerations_along(
 def accelerations_and_slopes(
     model: Model, coefficients: Floats, typical: Floats, stones: Stone, paths: Floats, batch: int
 ) -> tuple[Floats, Floats]:
-    """The same for one vector a throw, and the derivatives by its coefficients.
+    """Accelerations for one coefficient vector per throw, and their derivatives by it.
 
-    By differences, which are exact to rounding where the accelerations are linear.
+    By finite differences, which are exact to rounding where the accelerations are linear.
 
     Parameters
     ----------

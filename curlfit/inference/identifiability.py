@@ -1,9 +1,9 @@
 """What the data determine: singular values of the scaled Jacobian, and their directions in words.
 
 Columns of the Jacobian of the residuals (in units of their sigma) are scaled by the typical size
-of each parameter. A singular value s then means that the data know its direction to 1/s typical
-sizes: below 1 the direction is weak, below `_UNSEEN` or beneath the rounding of the largest it is
-not seen at all.
+of each parameter. A singular value s then means that the data determine its direction to 1/s
+typical sizes: below 1 the direction is weakly determined; below `_UNSEEN`, or below the rounding
+error of the largest singular value, it is not determined at all.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from numpy.typing import NDArray
 from curlfit.numerics.arrays import Booleans, Floats
 
 _UNSEEN = 1e-3  # known to no better than a thousand typical sizes
-_ROUNDING = 1e-9  # of the largest singular value
+_ROUNDING = 1e-9  # over the largest singular value
 _NO_PART = 1e-3  # share of a direction below which a parameter takes no part in it
-_LITTLE_PART = 0.05  # the same for a direction that is seen, though weakly
-_WHOLE = np.arange(1.0, 7)  # denominators of what counts as a simple ratio
+_LITTLE_PART = 0.05  # the same for a direction that is weakly determined
+_WHOLE = np.arange(1.0, 7)  # denominators of simple ratios
 _WEAK = 1.0  # singular value below which a direction is known to no better than typical sizes
 
 
 @dataclass(frozen=True)
 class Combination:
-    """A weighted sum of parameters that the data determine where they do not one by one.
+    """A determined weighted sum of parameters that are not determined individually.
 
-    `dof` are the degrees of freedom of `stderr`; None where sigma was given.
+    `dof` is the number of degrees of freedom of `stderr`; None where sigma was given.
     """
 
     expression: str
@@ -47,17 +47,18 @@ class Combination:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Directions in parameter space, by how well the data see them.
+    """Directions in parameter space, by how well the data determine them.
 
     Attributes
     ----------
-    names : the free parameters, in the order of what follows.
-    rank : number of directions that the data see.
+    names : the free parameters, in the order used below.
+    rank : number of directions that the data determine.
     singular_values : of the scaled Jacobian, largest first.
-    null_directions : directions that change nothing, as weights by name, the largest being 1.
-    covariance : over the free parameters, along the seen directions only.
+    null_directions : directions along which the residuals stay the same, as weights by name, the
+        largest being 1.
+    covariance : of the free parameters, along the determined directions only.
     unseen : for each free parameter, whether it takes part in a null direction.
-    combinations : what is determined instead of the unseen and the weakly seen parameters.
+    combinations : what is determined in place of parameters that are not, or only weakly.
     """
 
     names: tuple[str, ...]
@@ -72,7 +73,7 @@ class Identifiability:
 def student_quantile(level: float, dof: float | None) -> float:
     """Half width, in standard errors, of a two-sided confidence interval at a level.
 
-    Student's t with `dof` degrees of freedom; Gaussian where these are None (sigma known).
+    Student's t with `dof` degrees of freedom; Gaussian where `dof` is None (sigma known).
     """
     from scipy.special import ndtri, stdtrit  # slow to load
 
@@ -83,7 +84,7 @@ def student_quantile(level: float, dof: float | None) -> float:
 def student_interval(
     value: float, stderr: float | None, dof: float | None, level: float
 ) -> tuple[float, float] | None:
-    """The confidence interval at a level of a value with a standard error, if it has one."""
+    """Confidence interval at a level; None where there is no standard error."""
     if stderr is None:
         return None
     reach = student_quantile(level, dof) * stderr
@@ -91,45 +92,45 @@ def student_interval(
 
 
 def directions(information: Floats, typical: Floats) -> tuple[Floats, Floats, Floats]:
-    """Seen and unseen directions from the information matrix J^T J.
+    """Determined directions and null directions from the information matrix J^T J.
 
     Returns
     -------
-    seen, singular, null : rows of orthonormal directions in scaled parameters that the data see,
-        the singular value of each, and rows that span the rest.
+    seen, singular, null : rows of orthonormal directions in scaled parameters that the data
+        determine, the singular value of each, and rows that span the rest.
     """
     squared, vectors = np.linalg.eigh(typical[:, None] * information * typical)
     singular = np.sqrt(np.maximum(squared[::-1], 0.0))
     rows = vectors.T[::-1]
-    # Squaring costs half the digits, hence the square root of what is left of them.
+    # Squaring costs half the digits, hence about the square root of the rounding error.
     seen = singular > max(_UNSEEN, 1e-7 * singular[0])
     return rows[seen], singular[seen], rows[~seen]
 
 
 def visible(singular: Floats) -> Booleans:
-    """Which directions the data see, from the singular values of Jacobians by typical sizes."""
+    """Which directions the data determine, from the singular values of scaled Jacobians."""
     found: Booleans = singular > np.maximum(_UNSEEN, _ROUNDING * singular[..., :1])
     return found
 
 
 def inverted(singular: Floats, counts: Booleans) -> Floats:
-    """1/singular where it counts, else 0: a pseudoinverse's singular values."""
+    """1/singular where it counts, else 0: the singular values of the pseudoinverse."""
     return np.where(counts, 1 / np.where(counts, singular, 1.0), 0.0)
 
 
 def triangle(matrix: Floats) -> Floats:
-    """As many rows as columns that stand for all the rows of a matrix, or of each of a stack of
-    them (QR decomposition)."""
+    """R factor (QR decomposition) of a matrix or of each of a stack: at most as many rows as
+    columns, which replace all rows in least squares."""
     found: Any = np.linalg.qr(matrix, mode="r")
     return found
 
 
 def r_factors(jacobians: Floats, residuals: Floats) -> Floats:
-    """Jacobians of many throws with the residuals as the last column, in as few rows as columns.
+    """R factors of the Jacobians of many throws with the residuals as the last column.
 
     Parameters
     ----------
-    jacobians : shape (throws, channels, n, parameters); residuals without the last axis.
+    jacobians : shape (throws, channels, n, parameters); `residuals` lack the last axis.
     """
     whole = np.concatenate([jacobians, residuals[..., None]], -1)
     return triangle(whole.reshape(len(whole), -1, whole.shape[-1]))
@@ -142,14 +143,14 @@ def analyse(
     typical: Floats,
     slack: Floats | None = None,
 ) -> Identifiability:
-    """Split the space of the free parameters into what the data see and what they do not.
+    """Split the space of the free parameters into what the data determine and what they do not.
 
     Parameters
     ----------
     jacobian : of the residuals over their sigma, shape (residuals, parameters).
-    names, values, typical : of the parameters; values at which the Jacobian was taken.
-    slack : what other parameters, at their bounds, add to the spread of these: columns whose outer
-        products add to the covariance, shape (parameters, others).
+    names, values, typical : of the parameters; values at which the Jacobian was evaluated.
+    slack : contribution of other parameters, at their bounds, to the spread of these: columns whose
+        outer products add to the covariance, shape (parameters, others).
     """
     slacks = None if slack is None else slack[None]
     return analyse_many(jacobian[None], names, values[None], typical, slacks)[0]
@@ -162,7 +163,7 @@ def analyse_many(
     typical: Floats,
     slack: Floats | None = None,
 ) -> list[Identifiability]:
-    """The same for many throws, along the first axis of the Jacobians, values and slack."""
+    """`analyse` for many throws, along the first axis of the Jacobians, values and slack."""
     throws, rows, p = jacobians.shape
     if rows > 2 * p:
         jacobians = triangle(jacobians)
@@ -176,7 +177,7 @@ def analyse_many(
         covariance = covariance + slack @ slack.mT
 
     def part(some: Booleans) -> Floats:
-        """How far each parameter takes part in some directions, 0 to 1."""
+        """How much each parameter takes part in some directions, 0 to 1."""
         return np.sqrt((right**2 * some[..., None]).sum(1))
 
     unseen = part(~seen) > _NO_PART
@@ -206,7 +207,7 @@ def analyse_many(
 
 
 def grouped(keys: Iterable[Iterable[NDArray[Any]]]) -> list[list[int]]:
-    """Places of those whose keys are alike."""
+    """Indices of items, grouped by equal keys."""
     found: dict[bytes, list[int]] = {}
     for place, parts in enumerate(keys):
         found.setdefault(b"".join(part.tobytes() for part in parts), []).append(place)
@@ -221,8 +222,8 @@ def _combinations(
     typical: Floats,
     covariance: Floats,
 ) -> list[tuple[Combination, ...]]:
-    """What is determined of the weak parameters of each of many throws, `dim` being the directions
-    that hardly are."""
+    """Determined combinations of the weak parameters of each of many throws; `dim` are the
+    directions that are weakly determined or not at all."""
     if not weak.any():
         return [()] * len(dim)
     _, size, rows = np.linalg.svd((dim * typical)[..., weak])
@@ -246,27 +247,27 @@ def _combinations(
 
 
 class Slack(NamedTuple):
-    """How far parameters at a bound may still be inside, and what that does to the others."""
+    """How far parameters at a bound may lie inside it, and the effect on the others."""
 
     distance: Floats
     """rms distance from the bound, shape (bounded,)"""
     columns: Floats
-    """the move of the open parameters that goes with it, shape (open, bounded)"""
+    """the corresponding change of the open parameters, shape (open, bounded)"""
 
 
 def slack(jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room: Floats) -> Slack:
-    """Spread of parameters at a bound, each a normal cut off there, the open ones following.
+    """Spread of parameters at a bound, each a normal truncated there; the open ones follow.
 
     An optimum at a bound leaves the parameter a one-sided spread: wide where the data hardly push
     against the bound, as at the end of a ridge, and of scale 1/push where they do. Holding it at
-    the bound would make the others look sharper than they are.
+    the bound would make the others appear more precise than they are.
 
     Parameters
     ----------
-    jacobian, bounded : of the residuals over their sigma, by the open parameters and by those at a
-        bound.
-    push : slope of half of chi squared into the bound, >= 0, for each at a bound.
-    typical, room : of those at a bound: typical size, and width of their interval.
+    jacobian, bounded : of the residuals over their sigma, with respect to the open parameters and
+        to those at a bound.
+    push : decrease of half of chi squared per unit beyond the bound, >= 0, for each at a bound.
+    typical, room : of those at a bound: typical size, and width of the interval of bounds.
     """
     from scipy.special import log_ndtr  # slow to load
 
@@ -276,7 +277,7 @@ def slack(jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room
     stiff = np.linalg.norm(bounded + jacobian @ follow, axis=0)
     sigma = 1 / np.maximum(stiff, _UNSEEN / typical)
     alpha = push * sigma
-    # mean square of a normal cut off alpha sigma above its mean, counted from the cut
+    # mean square distance from the cut of a normal truncated alpha sigma above its mean
     least = np.minimum(alpha, 30)
     hazard = np.exp(-(least**2 + np.log(2 * np.pi)) / 2 - log_ndtr(-least))
     square = np.where(alpha < 30, 1 + alpha**2 - alpha * hazard, 2 / np.maximum(alpha, 1) ** 2)
@@ -285,7 +286,7 @@ def slack(jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room
 
 
 def expression(weights: dict[str, float]) -> str:
-    """A combination in words: {"a": 1, "b": 1} is "a + b", {"a": 1, "b": -2} is "a - 2 b"."""
+    """A combination as text: {"a": 1, "b": 1} is "a + b", {"a": 1, "b": -2} is "a - 2 b"."""
     text = ""
     for name, weight in weights.items():
         size = abs(weight)
@@ -298,7 +299,8 @@ def expression(weights: dict[str, float]) -> str:
 
 
 def _tidy_basis(bases: Floats) -> list[Floats]:
-    """Bases of the same spaces in reduced echelon form, with small whole numbers where close.
+    """Bases of the same spaces in reduced row echelon form, with ratios of small integers where
+    close.
 
     Parameters
     ----------
@@ -323,7 +325,7 @@ def _tidied(rows: Floats) -> Floats:
 
 
 def _echelon(rows: Floats) -> Floats:
-    """The reduced echelon form of independent rows, the largest entry of a column as its pivot."""
+    """Reduced row echelon form of independent rows; the largest entry of a column is its pivot."""
     rows = np.array(rows, float)
     place = 0
     for row in range(len(rows)):

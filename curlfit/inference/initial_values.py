@@ -1,10 +1,9 @@
 """Initial values from the data.
 
-A polynomial through each channel gives speed, direction and spin well enough to evaluate the
-law's forces along the path. In these the law's coefficients are linear, or are made so; their
-forces are integrated twice over time and fitted to the measured places and angles, condensed to
-means over blocks of rows, by linear least squares. Nothing is differentiated but the polynomial,
-and that only once.
+A polynomial through each channel gives speed, direction and spin accurately enough to evaluate the
+law's forces along the path. These are linear in the law's coefficients, or are linearized; they are
+integrated twice over time and fitted to the measured positions and angles, condensed to means over
+blocks of rows, by linear least squares. Only the polynomial is differentiated, and only once.
 """
 
 from __future__ import annotations
@@ -29,14 +28,14 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import BATCH
 from curlfit.throws.throw import last_motion
 
-_BLOCKS = 64  # of rows that a throw is condensed to
+_BLOCKS = 64  # of rows to which a throw is condensed
 _DEGREE = 5
-_NOTHING = 1e-13  # of the longest column of a matrix, below which another is but rounding
-_USUAL_SPEED = 2.0  # m/s, where nothing tells it
+_NOTHING = 1e-13  # length of a column, over the longest, below which it is rounding error
+_USUAL_SPEED = 2.0  # m/s, where no measurement determines it
 
 
 def default_guess(item: Coefficient) -> float:
-    """A first guess of a coefficient; an optional one that is fitted is not at its default."""
+    """Initial guess of a coefficient; an optional one that is fitted is not at its default."""
     return item.typical if item.optional else item.default
 
 
@@ -44,14 +43,14 @@ class SmoothPath(NamedTuple):
     """Polynomials through the moving part of many paths, throws along the first axis."""
 
     span: Floats
-    """s from the first row to the last in which the stone moved, shape (throws,)"""
+    """s from the first row to the last with the stone in motion, shape (throws,)"""
     curves: Floats
     """Chebyshev coefficients over 0..span of x, y, phi, shape (throws, 3, coefficients). Where only
     the speed or the spin was measured, y or phi is its integral"""
     known: Booleans
     """whether anything is known of x, y, phi, shape (throws, 3)"""
     rms: Floats
-    """of the data about the polynomials, floored, inf where not seen; shape (throws, channels)"""
+    """of the data about the polynomials, floored, inf if not observed; shape (throws, channels)"""
 
 
 def smooth(problems: Problem) -> SmoothPath:
@@ -59,7 +58,7 @@ def smooth(problems: Problem) -> SmoothPath:
 
     Parameters
     ----------
-    problems : of many throws, as `stacked` makes them.
+    problems : of many throws, as `stacked` returns them.
     """
     t, seen, observed = problems.times, problems.weight > 0, problems.observed
     shown = np.where(seen[:, :2], observed[:, :2], np.nan)
@@ -99,21 +98,21 @@ def start_values(
     spin: float = 1.0,
     batch: int = BATCH,
 ) -> Floats:
-    """Parameter vectors near the optima, shape (throws, parameters), inside the bounds.
+    """Parameter vectors near the optima, within the bounds, shape (throws, parameters).
 
     Parameters
     ----------
-    problems : of many throws, as `stacked` makes them; `path` is what `smooth` makes of them.
+    problems : of many throws, as `stacked` returns them; `path` is what `smooth` returns for them.
     lower, upper : bounds, shape (throws, parameters).
-    spin : in rad/s, where the angle was never seen.
-    batch : how many are computed together.
+    spin : in rad/s, where the angle was not measured.
+    batch : number of throws computed together.
     """
     law = model.law
     k = len(law.coefficients())
     moving = _moving(path, spin)
     use = (problems.weight > 0) & (problems.times <= path.span[:, None])[:, None]
     if use.shape[1] > 3:
-        use[:, 3] &= ~use[:, :2].any((1, 2))[:, None]  # the places tell it already
+        use[:, 3] &= ~use[:, :2].any((1, 2))[:, None]  # the positions determine it already
     free = np.full((len(lower), len(START)), np.inf)
     low, high = np.hstack([lower[:, :k], -free]), np.hstack([upper[:, :k], free])
     found = np.zeros_like(low)
@@ -149,7 +148,7 @@ def start_values(
 
 
 class _Moving(NamedTuple):
-    """Motions along the polynomials, on a grid from first to last."""
+    """Motions along the polynomials, on a grid over the span."""
 
     velocity: Floats
     """vx, vy, shape (throws, 2, n)"""
@@ -172,16 +171,16 @@ def _moving(path: SmoothPath, spin: float) -> _Moving:
 def _design(
     slopes: Floats, use: Booleans, problems: Problem, path: SmoothPath, moving: _Moving
 ) -> tuple[Floats, Floats]:
-    """Linear least squares for coefficients, x0, vx0, y0, vy0, phi0 and omega0, in few rows.
+    """Linear least-squares problem for coefficients, x0, vx0, y0, vy0, phi0, omega0, in few rows.
 
     Parameters
     ----------
-    slopes : accelerations (xi, eta, angular) for one of each coefficient, and those that go with
+    slopes : accelerations (xi, eta, angular) per unit of each coefficient, and those that depend on
         none, shape (throws, 3, n, coefficients + 1).
 
     Returns
     -------
-    Matrices, of shape (throws, rows, coefficients + 6), and right sides.
+    Matrices, of shape (throws, rows, coefficients + 6), and right-hand sides.
     """
     heading = np.arctan2(moving.velocity[:, 0], moving.velocity[:, 1])[..., None]
     s, c = np.sin(heading), np.cos(heading)
@@ -207,7 +206,7 @@ def _design(
     design = np.zeros((len(t), channels, k + 3, k + len(START) + 1))
     own = np.zeros((len(t), t.shape[-1], k + 3))
     for row in range(channels):
-        # Place and angle are integrated twice, speed (along the initial direction) and spin once.
+        # Position and angle are integrated twice, speed (along the initial heading) and spin once.
         series, axis = (twice, row) if row < 3 else (once, row - 2)
         early, late = (series[throw, axis, below[:, row] + here] for here in (0, 1))
         own[..., : k + 1] = early + share[:, row] * (late - early)
@@ -223,10 +222,10 @@ def _design(
 
 
 def _condensed(use: Booleans, problems: Problem, path: SmoothPath) -> tuple[Floats, Floats, Floats]:
-    """Blocks of rows of each throw: how many rows are used, the means of their times, and values at
-    these times, each of shape (throws, channels, blocks).
+    """Blocks of rows of each throw: number of rows used, means of their times, and values at these
+    times, each of shape (throws, channels, blocks).
 
-    The bend of a path within a block is that of its polynomial.
+    The curvature of a path within a block is taken from its polynomial.
     """
     rows: Any = use.any(1)
     n = np.where(rows.any(1), rows.shape[1] - np.argmax(rows[:, ::-1], 1), 0)
@@ -256,7 +255,7 @@ def _along(path: SmoothPath, times: Floats) -> Floats:
 
 @cache
 def _bases(size: int) -> tuple[Any, Any]:
-    """Chebyshev polynomials on the grid, and their slopes, by -1 to 1."""
+    """Chebyshev polynomials and their derivatives on the grid, over -1 to 1."""
     places = np.linspace(-1, 1, POINTS)
     slopes = np.asarray(chebval(places, chebder(np.eye(size))), float)
     return chebvander(places, size - 1), slopes.T
@@ -269,8 +268,8 @@ def _cumulative(values: Floats, step: Floats) -> Floats:
 
 
 def _bounded_least_squares(matrix: Floats, right: Floats, low: Floats, high: Floats) -> Floats:
-    """Linear least squares of many throws, the smallest solution where several fit, held within
-    bounds."""
+    """Linear least squares of many throws within bounds; the smallest solution where it is not
+    unique."""
     size = np.linalg.norm(matrix, axis=1)
     size[size <= _NOTHING * size.max(1, keepdims=True)] = np.inf  # has no effect: 0
     held = np.full_like(low, np.nan)

@@ -1,9 +1,9 @@
-"""The optimum of one throw or of many, by Levenberg and Marquardt's method within bounds.
+"""The optimum of one throw or of many, by the Levenberg-Marquardt method within bounds.
 
-One throw is a single program of optimistix; many go through the same `advance` side by side: each
-pass asks the model for the residuals and Jacobians of some throws that are on their way, which
-costs far less than one throw after the other. A throw that is done leaves and the next takes its
-place in the batch, so none waits for another.
+One throw is fitted by a single program of optimistix; many go through the same `advance` side by
+side: each pass evaluates the residuals and Jacobians of a batch of unfinished throws, which costs
+far less than one throw after another. A finished throw leaves the batch and the next takes its
+place, so that none waits for another.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ Indices = NDArray[np.intp]
 _PRECISE = lm.Control(1e-2, 1e-14, 1e-18)  # for one throw
 _QUICK = lm.Control(1e-4, 1e-8, 1e-10)  # for many: within 1e-5 standard errors
 _FEW = 16  # problems in a batch
-_NOTHING = 1e-7  # of the longest column of a Jacobian, below which another is but rounding
-_ROUNDING = 1e-12  # squares of columns of length 1 that may be but rounding
-_POOR = (3.0, 0.02)  # rms over a polynomial's, and over the range: both, and more starts are tried
+_NOTHING = 1e-7  # length of a column, over the longest, below which it is rounding error
+_ROUNDING = 1e-12  # eigenvalue, with columns of length 1, that may be rounding error
+_POOR = (3.0, 0.02)  # rms over that of a polynomial, and over the range, of a poor fit
 
 
 class Solution(NamedTuple):
     """An optimum, in the coordinates of its problem; or many, along the first axis of each field.
 
-    Residuals that are not finite say that there was no path even at the start.
+    Residuals that are not finite mean that there was no path even at the initial values.
     """
 
     values: Any
@@ -75,7 +75,7 @@ def _minimize(
     model: Model, loss: str, start: Array, lower: Array, upper: Array, typical: Array,
     problem: Problem, penalty: Penalty | None,
 ) -> Solution:  # fmt: skip
-    # Loaded only where the program is made: that takes as long as all else there is to load.
+    # Imported only to compile the program: it takes as long to load as everything else together.
     import optimistix as optx
 
     from curlfit.numerics.bounded_solver import BoundedLevenbergMarquardt
@@ -129,7 +129,7 @@ def _arguments(
 def minimize(
     model: Model, start: Floats, parameters: ParameterSet, problem: Problem
 ) -> Solution | None:
-    """The optimum reached from one start; None where that start leads nowhere."""
+    """The optimum reached from one set of initial values; None if chi squared is not finite."""
     found = _minimize(*_arguments(model, start, parameters, problem))
     solution: Solution = jax.tree.map(np.asarray, found)
     if model.family is not None:
@@ -143,7 +143,7 @@ def minimize(
 def starts(
     model: Model, problem: Problem, path: SmoothPath, parameters: ParameterSet
 ) -> list[Floats]:
-    """Initial values in the order in which to try them; `path` is that of the problem alone."""
+    """Initial values in the order in which to try them; `path` is that of this problem alone."""
     spins = (1.0,) if path.known[0, 2] else (1.0, -1.0)
     bounds = parameters.lower[None], parameters.upper[None]
     one = stacked([problem])
@@ -165,11 +165,11 @@ def multistart(
     problem: Problem,
     path: SmoothPath,
 ) -> tuple[Solution | None, int]:
-    """The best optimum, and how many starts it took."""
+    """The best optimum, and the number of initial values tried."""
     best: Solution | None = None
     tried = 0
     for values in tries:
-        # Where the first start does not do, a later one may end in a local minimum that looks well.
+        # If the first optimum is poor, all are tried: a later one may be local and look good.
         one = None if best is None or tried > 1 else stacked([best])
         if one is not None and not needs_restart(one, path, stacked([problem]))[0]:
             break
@@ -181,7 +181,7 @@ def multistart(
 
 
 def needs_restart(solutions: Solution, paths: SmoothPath, problems: Problem) -> Booleans:
-    """Which of many optima are so bad that another start is worth trying."""
+    """Which of many optima are so poor that other initial values are worth trying."""
     observed, weight = problems.observed[:, :3], problems.weight[:, :3]
     there = weight > 0
     n = there.sum(-1)
@@ -195,7 +195,7 @@ def needs_restart(solutions: Solution, paths: SmoothPath, problems: Problem) -> 
 
 
 def residual_sigma(solutions: Solution, problems: Problem, free: Booleans) -> NDArray[np.float64]:
-    """sqrt(sum of squares/(n - p)) by channel of many throws, p the parameters it pays for itself.
+    """sqrt(sum of squares/(n - p)) by channel of many throws; p is a channel's share of parameters.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def residual_sigma(solutions: Solution, problems: Problem, free: Booleans) -> ND
 
 
 class Tasks(NamedTuple):
-    """Problems of one shape, where to begin each, and within what; throws along the first axis."""
+    """Problems of one shape, their initial values and bounds; throws along the first axis."""
 
     problems: Problem
     start: Floats
@@ -231,23 +231,23 @@ class Tasks(NamedTuple):
     typical: Floats
     """shape (parameters,)"""
     penalty: Penalty | None = None
-    """each field of the shape of the start"""
+    """each field of the shape of `start`"""
     revised_penalty: Penalty | None = None
-    """the same once a problem is revised; needed where there is a penalty and a revision"""
+    """the penalty once a problem is revised; needed where there is a penalty and a revision"""
 
 
 class Revision(NamedTuple):
-    """Throws to be fitted again, under other weights or another noise."""
+    """Throws to be fitted again, with other weights or another noise model."""
 
     throws: Indices
     problems: Problem
-    """their new ones, along the first axis"""
+    """their new problems, along the first axis"""
     scale: Floats | None
-    """new weight over old, (throws, channels, n), where nothing else has changed"""
+    """new over old weights, shape (throws, channels, n), where nothing else has changed"""
 
 
 Revise = Callable[[Indices, Solution], list[Revision]]
-"""From throws that are done, and their optima."""
+"""Revisions from throws that are done and their optima."""
 
 
 def minimize_many(
@@ -262,9 +262,9 @@ def minimize_many(
 
     Parameters
     ----------
-    revise : says which of the throws that are done to fit again, and how.
-    progress : called with the number of throws that are done for good.
-    few : whether there are so few that a program is better compiled quickly than to be fast.
+    revise : returns which of the throws that are done to fit again, and how.
+    progress : called with the number of throws that need no further fit.
+    few : whether throws are so few that a program compiled quickly is better than a fast one.
     """
     program, batch = (linearize_once, _FEW) if few else (linearize, BATCH)
     searches = _Searches(tasks)
@@ -288,7 +288,7 @@ def minimize_many(
 
 
 def run_of(indices: Indices) -> Indices | slice:
-    """Indices in rising order; as a slice where none is left out, which copies nothing."""
+    """Increasing indices; as a slice where they are contiguous, which avoids a copy."""
     if len(indices) and indices[-1] - indices[0] == len(indices) - 1:
         return slice(indices[0], indices[-1] + 1)
     return indices
@@ -308,11 +308,11 @@ class _Searches:
         self.jacobian = np.full((*shape, len(tasks.typical)), np.nan)
 
     def trials(self, now: Indices) -> tuple[Floats, Problem]:
-        """Where to evaluate, and what."""
+        """Parameter vectors to evaluate, and their problems."""
         return self.state.trial[now], jax.tree.map(itemgetter(run_of(now)), self.problems)
 
     def advance(self, now: Indices, residual: Floats, jacobian: Floats) -> Booleans:
-        """Take the answers of a pass; which of the searches are done."""
+        """Process the results of a pass; return which of the searches are done."""
         state, bounds = self._of(run_of(now))
         with np.errstate(invalid="ignore", over="ignore"):  # where there is no path
             model = self._model(run_of(now), state.trial, residual, jacobian)
@@ -325,7 +325,7 @@ class _Searches:
         return self._put(now, state, outcome)
 
     def revise(self, revision: Revision) -> Booleans:
-        """Begin again from the best values, as a revision has it; which are done at once."""
+        """Restart revised searches from their best values; return which are done immediately."""
         now, problems, scale = revision
         run = run_of(now)
         state, bounds = self._of(run)
@@ -343,7 +343,7 @@ class _Searches:
         return self._put(now, *lm.reweighted(state, model, bounds, _QUICK))
 
     def solution(self, which: Indices) -> Solution:
-        """Where searches are, for as long as they stay there."""
+        """The best solutions so far; arrays may be views, valid until a search advances."""
         run = run_of(which)
         return Solution(
             self.state.values[run], self.residual[run], self.jacobian[run],

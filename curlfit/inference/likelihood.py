@@ -1,14 +1,14 @@
-"""What a path says of the parameters: residuals and the log-posterior, written once.
+"""Residuals and log-posterior of the parameters given a measured path, defined in one place.
 
-Noise is Gaussian, of a sigma by channel that is given or estimated beforehand (see
-`curlfit.inference.fit.rounds`), and independent from row to row unless a `Noise` says how it is
-correlated. An unknown sigma is not varied along with the rest: where a law is not exact, that
-likelihood has its maximum in a corner where one channel is fitted perfectly and the others pay for
-it.
+Noise is Gaussian, with a sigma for each channel that is given or estimated beforehand (see
+`curlfit.inference.fit.rounds`), and independent from row to row unless a `Noise` describes its
+correlation. An unknown sigma is not estimated together with the parameters: where a law is not
+exact, that likelihood has its maximum in a corner where one channel is fitted perfectly at the
+expense of the others.
 
-Timed events, such as crossing a line or coming to rest, are observations beside the channels, each
-with its own sigma (see `curlfit.throws.events`). A speed of zero at the time of rest would not do:
-a stone that came to rest earlier has it too.
+Timed events, such as crossing a line or coming to rest, are observations besides the channels, each
+with its own sigma (see `curlfit.throws.events`). A speed of zero at the time of rest would not do
+as an observation: a stone that came to rest earlier also has it.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import BATCH, compiled, in_batches, unstacked
 
 SIGMA_FLOOR = 1e-7
-"""Least standard deviation of noise (m and rad): the precision of the computed path."""
+"""Smallest standard deviation of noise (m and rad): the precision of the computed path."""
 
 
 def _forces(model: Model, system: System) -> Array:
-    """Forces besides friction. A slope that is no parameter is small: that the heading turns it is
-    left out of the derivatives, which saves those by the forces."""
+    """Forces other than friction. A slope that is not a parameter is small: its dependence on the
+    heading is left out of the derivatives, which saves those by the forces."""
     heading = system.start.heading
     heading = heading if model.has_slope else jax.lax.stop_gradient(heading)
     return forces_on(system.stone, system.environment, heading)
 
 
 def _channels(model: Model, values: Array, problem: Problem) -> Array:
-    """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, in the
-    columns of a sixth row."""
+    """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, a sixth row
+    has one event per column."""
     system = System.of(model, values, problem.stone, problem.environment)
     start, scale = system.start, system.length_scale
     measured = _unpadded_times(problem) / system.time_scale
@@ -83,7 +83,7 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
 
 
 def _scaled(position: Array, start: Array, scale: Any) -> Array:
-    """Measured positions from true ones, the start as measured."""
+    """Measured positions from true ones; the initial position is as measured."""
     return position if isinstance(scale, float) else start + scale * (position - start)
 
 
@@ -91,8 +91,8 @@ _single_channels = compiled("model")(_channels)
 
 
 def predict_channels(model: Model, values: Any, problem: Problem) -> Array:
-    """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, in the
-    columns of a sixth row."""
+    """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, a sixth row
+    has one event per column."""
     found: Array = _single_channels(model.of_program, model.vector(values), _without_data(problem))
     return found
 
@@ -104,7 +104,7 @@ def prepare_channels(model: Model, parameters: int, problem: Problem) -> None:
 
 
 def _without_data(problem: Problem) -> Problem:
-    """What a path depends on: one program serves all channels, losses and noises."""
+    """Only what a path depends on: one program serves all channels, losses and noise models."""
     return problem._replace(observed=None, weight=None, loss=None, whitener=None)
 
 
@@ -114,7 +114,7 @@ def _batch_of_channels(model: Model, values: Array, problems: Problem) -> Array:
 
 
 def predict_many(model: Model, values: Floats, problems: Problem, batch: int = BATCH) -> Floats:
-    """What `predict_channels` finds for each of many throws, shape (throws, 5 or 6, n)."""
+    """The result of `predict_channels` for each of many throws, shape (throws, 5 or 6, n)."""
     if batch == 1:
         pairs = zip(values, unstacked(problems), strict=True)
         return np.array([predict_channels(model, *pair) for pair in pairs])
@@ -128,23 +128,23 @@ def prepare_many(model: Model, values: Floats, problems: Problem) -> None:
 
 
 def _unpadded_times(problem: Problem) -> Array:
-    """The times, inf in padded rows, which repeat the last."""
+    """The times; inf in padded rows, which repeat the last time."""
     padded = jnp.diff(problem.times, prepend=-jnp.inf) == 0
     return jnp.where(padded, jnp.inf, problem.times)
 
 
 def weighted_residuals(model: Model, values: Array, problem: Problem) -> Array:
-    """(model - data) times weight, independent and as the loss has it, of the shape of the data."""
+    """(model - data) times weight, whitened and transformed by the loss, shaped like the data."""
     return signed_root(_independent_residuals(model, values, problem), problem.loss)
 
 
 def _independent_residuals(model: Model, values: Array, problem: Problem) -> Array:
-    """The same under squared loss."""
-    # Positions alone take half the time, but do not differentiate by the times.
+    """(model - data) times weight, whitened but not transformed by the loss."""
+    # Positions alone take half the time, but cannot be differentiated by the times.
     if len(problem.observed) == 3 and "time_scale" not in model.conditions:
         system = System.of(model, values, problem.stone, problem.environment)
         start, scale = system.start, system.length_scale
-        # A law alone is faster; without such a parameter the ice is level and the air still.
+        # Friction alone is faster; without such a parameter the ice is level and the air still.
         forces = _forces(model, system) if model.has_environment else None
         x, y, phi = positions(
             system.law, system.stone, forces, start, _unpadded_times(problem),
@@ -158,7 +158,7 @@ def _independent_residuals(model: Model, values: Array, problem: Problem) -> Arr
 
 
 def _under_losses(residual: Array, losses: Array) -> tuple[Array, Array]:
-    """Residuals of many throws as their losses have them, and the derivative of that."""
+    """Residuals of many throws transformed by their losses, and the derivatives of these."""
 
     def robust(residual: Array) -> tuple[Array, Array]:
         found: tuple[Array, Array] = jax.jvp(
@@ -173,7 +173,7 @@ def _under_losses(residual: Array, losses: Array) -> tuple[Array, Array]:
 
 
 def _linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, Array]:
-    """Residuals of throws (throws, channels, n), and their Jacobian by their parameters."""
+    """Residuals of throws, shape (throws, channels, n), and their Jacobian by the parameters."""
 
     def one(values: Array, problem: Problem) -> tuple[Array, Array]:
         def residual(values: Array) -> tuple[Array, Array]:
@@ -188,7 +188,7 @@ def _linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, A
 
 
 linearize = compiled("model", optimize=True)(_linearize)
-"""For many throws, or many times."""
+"""For many throws, or many evaluations."""
 linearize_once = compiled("model")(_linearize)
 
 
@@ -203,10 +203,10 @@ def log_posterior(
     model: Model, values: Array, lower: Array, upper: Array, problem: Problem,
     penalty: Penalty | None,
 ) -> Array:  # fmt: skip
-    """Log-posterior of many parameter vectors, shape (walkers, parameters): flat within the bounds
-    but for the priors in the penalty."""
+    """Log-posterior of many parameter vectors, shape (walkers, parameters); the prior is uniform
+    within the bounds except for the densities in the penalty."""
     inside = ((values >= lower) & (values <= upper)).all(-1)
-    # A vector outside the bounds is never followed: it could hold up all the others.
+    # No path is computed outside the bounds: it could hold up all the others.
     safe = jnp.clip(values, lower, upper)
     value = jax.vmap(lambda one: log_likelihood(model, one, problem))(safe)
     if penalty is not None:
@@ -235,7 +235,7 @@ def chi_squared_of_many(
 
 
 def raw_residuals(model: Model, values: Floats, problems: Problem, batch: int = BATCH) -> Floats:
-    """(model - data) times weight of many throws, independent but under squared loss."""
+    """(model - data) times weight of many throws, whitened but not transformed by the loss."""
     path = predict_many(model, values, problems, batch)
     residual = (path[:, : problems.observed.shape[1]] - problems.observed) * problems.weight
     if problems.whitener is None:

@@ -1,4 +1,4 @@
-"""An optimum as the linear problem it is close by: bounds, what is left to go, verdicts."""
+"""The linearized problem at an optimum: parameters at bounds, remaining step, verdicts."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 from curlfit.inference.identifiability import Identifiability, slack, visible
 from curlfit.numerics.arrays import Booleans, Floats
 
-_LOOSE = 0.1  # typical sizes a parameter may be inside its bound before it counts as held by it
-_NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
-_PUSHED = 10.0  # times the slope along those inside that a parameter at a bound is pushed with ...
-_LEAST_PUSH, _CLEAR_PUSH = 1e-6, 1e-3  # ... within these limits, half chi squared a typical size
+_LOOSE = 0.1  # typical sizes inside its bound from which a parameter is not held by it
+_NEAR = 1e-6  # typical sizes from a bound within which a parameter is at the bound
+_PUSHED = 10.0  # least push against a bound over the slopes by the parameters inside theirs ...
+_LEAST_PUSH, _CLEAR_PUSH = 1e-6, 1e-3  # ... within these limits, half chi squared per typical size
 
 
 class LinearizedProblem(NamedTuple):
-    """An optimum of one throw or of several, as the linear problem it is close by.
+    """The problem of one throw or of several, linearized at its optimum.
 
-    Or many such optima, along the first axis of each field.
+    Or many such problems, along the first axis of each field.
     """
 
     residual: Floats
@@ -32,10 +32,11 @@ class LinearizedProblem(NamedTuple):
     free: Booleans
 
     def at_bound(self) -> Booleans:
-        """Free parameters at a bound that the data push against it, however little.
+        """Free parameters at a bound that the data push against it, however weakly.
 
-        Along a valley that falls without end the push may be tiny. It is told from the end of an
-        exact ridge, which is none, by what is left of the slope along the other parameters.
+        Along a valley that descends without end the push may be tiny. It is distinguished from the
+        end of an exact ridge, where there is none, by the remaining slope along the other
+        parameters.
         """
         push, low, high = self._pushes()
         rest = np.abs(push * (self.free & ~low & ~high)).max(-1, keepdims=True)
@@ -43,12 +44,12 @@ class LinearizedProblem(NamedTuple):
         return low & (push > least) | high & (push < -least)
 
     def movable(self) -> Booleans:
-        """Free parameters but those that only a bound keeps from moving on, however little."""
+        """Free parameters except those that only a bound keeps from moving, however weakly."""
         push, low, high = self._pushes()
         return self.free & ~(low & (push > 0)) & ~(high & (push < 0))
 
     def _pushes(self) -> tuple[Floats, Booleans, Booleans]:
-        """The push against lower bounds, and which parameters are at a lower, an upper bound."""
+        """The push toward lower bounds, and which parameters are at a lower, at an upper bound."""
         near = _NEAR * self.typical
         return (
             (self.residual[..., None, :] @ self.jacobian)[..., 0, :] * self.typical,
@@ -57,11 +58,11 @@ class LinearizedProblem(NamedTuple):
         )
 
     def open(self, at_bound: Booleans) -> tuple[Booleans, Floats]:
-        """The parameters of one optimum that can move, and what those held at a bound add to their
-        spread.
+        """The parameters of one optimum that can move, and the contribution of those held at a
+        bound to their spread.
 
         A parameter that the data hardly push against its bound is not held by it: it is at the
-        end of a ridge, and counts as open.
+        end of a ridge and counts as open.
         """
         if not at_bound.any():
             return self.free, np.zeros((int(self.free.sum()), 0))
@@ -81,9 +82,9 @@ class LinearizedProblem(NamedTuple):
         return open_, found.columns
 
     def newton_decrement(self, where: Booleans) -> Floats:
-        """Length of the Gauss-Newton step that is left, in sigmas, along what is seen.
+        """Length of the remaining Gauss-Newton step, in sigmas, along determined directions.
 
-        A direction that counts as unseen would have to be followed over a thousand typical sizes.
+        A null direction would have to be followed over a thousand typical sizes.
         """
         jacobian = self.jacobian * (self.typical * where)[..., None, :]
         left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
@@ -94,9 +95,10 @@ class LinearizedProblem(NamedTuple):
 def classify(
     typical: float, at_bound: bool, known: Identifiability, place: int
 ) -> tuple[float | None, str]:
-    """Standard error, where there is one, and verdict of a free parameter; its place in `known`.
+    """Standard error, where there is one, and verdict of a free parameter.
 
-    A weak parameter is known to no better than its typical size.
+    A weakly determined parameter is known to no better than its typical size. `place` is the index
+    of the parameter in `known`.
     """
     if at_bound:
         return None, "at bound"

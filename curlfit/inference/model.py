@@ -12,23 +12,23 @@ from curlfit.numerics.arrays import Floats
 
 
 class Model(NamedTuple):
-    """A law, a load, and the conditions that are parameters beside the law's coefficients."""
+    """A law, a load, and the conditions that are parameters besides the law's coefficients."""
 
     law: type[Law]
     load: Load
     conditions: tuple[str, ...] = ()
-    """names out of `curlfit.inference.conditions.CONDITIONS`"""
+    """names from `curlfit.inference.conditions.CONDITIONS`"""
     family: type[LawFamily] | None = None
-    """of which the law is a member, where the programs of the family shall be used"""
+    """of which the law is a member, if the programs of the family are to be used"""
 
     def within(self, family: type[LawFamily] | None) -> Model:
-        """The model by the programs of a family, if its law is a member."""
+        """The model with the programs of a family, if its law is a member."""
         member = family is not None and self.law in family.members
         return self._replace(family=family) if member else self
 
     @property
     def of_program(self) -> Model:
-        """The model as a program has it, to be called with `vector` in place of parameters."""
+        """The model that a program is compiled for, called with `vector` of the parameters."""
         return self if self.family is None else Model(self.family, self.load, self.conditions)
 
     def vector(self, values: Floats) -> Floats:
@@ -36,12 +36,12 @@ class Model(NamedTuple):
         return values if self.family is None else self.family.vector(self.law, values)
 
     def columns(self, size: int) -> list[int]:
-        """Where `size` parameters, from the first on, stand in such a vector."""
+        """Columns of the first `size` parameters in such a vector."""
         return [*range(size)] if self.family is None else self.family.columns(self.law, size)
 
     @property
     def has_environment(self) -> bool:
-        """Whether what acts on a stone besides friction, or changes it, is a parameter."""
+        """Whether any force besides friction, or change of the friction, is a parameter."""
         return any(field.name in self.conditions for field in fields(Environment))
 
     @property

@@ -89,7 +89,7 @@ def _uncapitalized(status: str) -> str:
 
 
 def _lines(coefficients: Mapping[str, Estimate], combinations: Sequence[Combination]) -> list[str]:
-    """Coefficients and what is determined in place of some, and what is not identifiable."""
+    """Coefficients and determined combinations, and what is not identifiable."""
     unseen = [name for name, item in coefficients.items() if item.verdict == "not identifiable"]
     known = [
         f"{name} = {compact(item.value, item.stderr)}{_remark(item.verdict)}"
@@ -115,7 +115,7 @@ def table_of(
 
     Parameters
     ----------
-    place : the row before which the combinations stand; the end if None.
+    place : the row before which the combinations are inserted; the end if None.
     """
     table, errors = plain_table(), systematics.errors
     table.add_column("parameter")

@@ -1,4 +1,4 @@
-"""The parameters of a fit, with bounds and what is fixed."""
+"""The parameters of a fit, with bounds, fixed values and priors."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ START = (
 
 
 def parameter_names(law: type[Law]) -> list[str]:
-    """All that may be a parameter of a fit of a law, in their order."""
+    """Names of all possible parameters of a fit of a law, in order."""
     return [item.name for item in (*law.coefficients(), *CONDITIONS, *START)]
 
 
-_HELD = 1e-4  # of a prior's standard deviation, for what is held
+_HELD = 1e-4  # standard deviation that holds a parameter, over that of its prior
 
 
 @dataclass(frozen=True)
 class ParameterSet:
-    """All parameters of a fit in their order, and the values of fixed ones.
+    """All parameters of a fit in order, and the values of fixed ones.
 
     Coefficients come first, then the conditions that are parameters, then the initial state.
     """
@@ -56,7 +56,7 @@ class ParameterSet:
     fixed: dict[str, float]
     priors: dict[str, Prior] = field(default_factory=dict)
     offset: Floats | float = 0.0
-    """from values of this set to those that the priors are of"""
+    """added to values of this set to obtain those that the priors refer to"""
 
     @classmethod
     def build(
@@ -73,7 +73,7 @@ class ParameterSet:
         """Parameters of a fit of `law`.
 
         Optional coefficients are held at their default, and conditions (slope of the ice and so
-        on, see `curlfit.inference.conditions`) at what is assumed of them, unless they are named in
+        on, see `curlfit.inference.conditions`) at their assumed values, unless they are named in
         one of the arguments.
 
         Parameters
@@ -83,14 +83,14 @@ class ParameterSet:
         unbounded : let coefficients be negative, within [-upper, upper]; exponents and the like
             keep their bounds.
         free : optional coefficients and conditions that are estimated.
-        priors : prior densities by name, see `curlfit.inference.priors`; the parameters are
+        priors : prior densities by name, see `curlfit.inference.priors`; these parameters are
             estimated.
         swept : whether the stone is swept for a while; `sweep` is then a parameter.
 
         Raises
         ------
-        InputError : an unknown name, a name both fixed and free, a text that is no prior, an empty
-            interval, a fixed value outside its bounds, or nothing left to fit.
+        InputError : an unknown name, a name both fixed and free, a text that is not a prior, an
+            empty interval, a fixed value outside its bounds, or nothing left to fit.
         """
         for name, choice in {"fix": fix, "bounds": bounds, "priors": priors}.items():
             require_kind(choice or {}, Mapping, name, "a mapping by the name of the parameter")
@@ -167,10 +167,11 @@ class ParameterSet:
     def for_throw(cls, law: type[Law], throw: Throw, **choices: Any) -> ParameterSet:
         """Parameters of a fit of `law` to a throw; `choices` as in `build`.
 
-        Of the start, that is fixed for which no measurement could tell: the place and the first
-        direction where no position was seen, the angle where no angle was; at zero, or at what the
-        throw assumes. Where only timed events were measured, also the spin unless it was named, and
-        the direction unless there are events for all parameters: x is then counted from it.
+        What no measurement can determine of the initial state is fixed, at zero or at the value
+        that the throw assumes: a coordinate that was not measured, the heading unless both were,
+        the angle where it was not measured. Where only timed events were measured, the spin is
+        fixed too unless an angle was measured or the spin was named, and the heading unless there
+        are events for all parameters: x is then counted from its direction.
 
         Raises
         ------
@@ -216,17 +217,17 @@ class ParameterSet:
 
     def _array(self, attribute: str) -> Floats:
         values = np.array([getattr(item, attribute) for item in self.parameters])
-        values.flags.writeable = False  # one array for all who ask
+        values.flags.writeable = False  # shared by all callers
         return values
 
     @cached_property
     def lower(self) -> Floats:
-        """Lower bounds; a fixed parameter's value."""
+        """Lower bounds; the value of a fixed parameter."""
         return self._array("lower")
 
     @cached_property
     def upper(self) -> Floats:
-        """Upper bounds; a fixed parameter's value."""
+        """Upper bounds; the value of a fixed parameter."""
         return self._array("upper")
 
     @cached_property
@@ -251,7 +252,7 @@ class ParameterSet:
         return [name for name, take in zip(self.names, mask, strict=True) if take]
 
     def require(self, option: str, names: Iterable[str]) -> None:
-        """Raise `InputError` where one of the names is no parameter's."""
+        """Raise `InputError` if one of the names is not that of a parameter."""
         for name in names:
             if name not in self.names:
                 raise InputError(
@@ -259,15 +260,15 @@ class ParameterSet:
                 )
 
     def index(self, name: str) -> int:
-        """Place of a parameter in a vector."""
+        """Index of a parameter in a vector."""
         return self.names.index(name)
 
     def values_of(self, values: Floats) -> dict[str, float]:
-        """A vector in the order of the parameters as a dictionary by name."""
+        """A parameter vector as a dictionary by name."""
         return dict(zip(self.names, map(float, values), strict=True))
 
     def shifted(self, by: Floats) -> ParameterSet:
-        """The same with values and bounds moved, as to the coordinates of a problem."""
+        """The same with values and bounds shifted, for instance to the coordinates of a problem."""
         moved = tuple(
             replace(item, lower=item.lower + shift, upper=item.upper + shift)
             for item, shift in zip(self.parameters, by, strict=True)
@@ -276,17 +277,18 @@ class ParameterSet:
         return replace(self, parameters=moved, fixed=fixed, offset=self.offset - by)
 
     def with_first_priors(self) -> ParameterSet:
-        """The same with the priors of a fit that weights all channels evenly, 1 m like 1 rad.
+        """The same with the priors of a fit that weights all channels equally, 1 m like 1 rad.
 
-        Priors would outweigh the data there, and what they spoil would pass for noise. So they do
-        not count, but that the stone and the scales, which a path hardly determines, are held.
+        Priors would outweigh the data there, and the misfit that they cause would be taken for
+        noise. They are therefore left out, except that the stone's constants and the scales, which
+        a path hardly determines, are held near the modes of their priors.
         """
         held = {
             name: Prior("normal", (prior.mode, _HELD * prior.sd))
             for name, prior in self.priors.items()
             if name in WEAK_CONDITIONS
         }
-        # one that says nothing for the others, so that one program serves both fits
+        # an uninformative one for the others, so that one program serves both fits
         return replace(self, priors=dict.fromkeys(self.priors, NO_PRIOR) | held)
 
     def with_fixed(self, name: str, value: float) -> ParameterSet:
@@ -299,11 +301,11 @@ class ParameterSet:
 
 
 Options = Mapping[str, Mapping[str, Any]]
-"""Values by parameter, by the option that says them: fix, bounds, start."""
+"""Values by option (fix, bounds, start) and by parameter."""
 
 
 def require_known(laws: Iterable[type[Law]], options: Options) -> None:
-    """Raise `InputError` where an option names a parameter that none of some laws has."""
+    """Raise `InputError` if an option names a parameter that none of the laws has."""
     known = dict.fromkeys(name for law in laws for name in parameter_names(law))
     for option, values in options.items():
         for name in values:
@@ -315,7 +317,7 @@ def require_known(laws: Iterable[type[Law]], options: Options) -> None:
 
 
 def options_of(law: type[Law], options: Options) -> dict[str, dict[str, Any]]:
-    """What options say of the parameters that a law has."""
+    """The options, limited to the parameters that a law has."""
     own = parameter_names(law)
     return {
         option: {name: value for name, value in values.items() if name in own}

@@ -1,4 +1,4 @@
-"""What is known of a parameter before the path is looked at."""
+"""Prior densities: what is known of a parameter independently of the path."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Prior:
 
     @classmethod
     def parse(cls, name: str, text: str) -> Prior:
-        """A prior as it is written, one of `FORMS`. Raises `InputError` for anything else."""
+        """A prior from text, in one of the `FORMS`. Raises `InputError` for anything else."""
         normal = _NORMAL.fullmatch(text)
         if normal:
             found = cls("normal", (float(normal[1]), float(normal[2])))
@@ -66,7 +66,7 @@ class Prior:
             raise InputError(f"prior of {name}: {self} {fault}")
 
     def __str__(self) -> str:
-        """As it is written."""
+        """As text, in one of the `FORMS`."""
         if self.kind == "normal":
             return f"{self.values[0]:.10g}+-{self.values[1]:.10g}"
         return f"{self.kind}:" + ",".join(f"{value:.10g}" for value in self.values)
@@ -90,7 +90,7 @@ class Prior:
         return self.values[-1] * (math.sqrt(1 - 2 / math.pi) if self.kind == "half-normal" else 1.0)
 
     def bounds(self, lower: float, upper: float) -> tuple[float, float]:
-        """The bounds of the parameter, within the support of the density."""
+        """The bounds of the parameter, limited to the support of the density."""
         if self.kind == "uniform":
             return max(lower, self.values[0]), min(upper, self.values[1])
         if self.kind == "half-normal":
@@ -101,7 +101,7 @@ class Prior:
 
 
 def parse_priors(given: Mapping[str, str | Prior] | None) -> dict[str, Prior]:
-    """Priors by the name of the parameter. Raises `InputError` where one is none."""
+    """Priors by the name of the parameter. Raises `InputError` for an invalid one."""
     return {
         name: one if isinstance(one, Prior) else Prior.parse(name, str(one))
         for name, one in (given or {}).items()
@@ -111,11 +111,11 @@ def parse_priors(given: Mapping[str, str | Prior] | None) -> dict[str, Prior]:
 class Penalty(NamedTuple):
     """Twice the negative logarithm of priors, as squared residuals of single parameters.
 
-    Works on NumPy and on JAX, for one parameter vector and for many along the leading axes.
+    Works with NumPy and with JAX, for one parameter vector and for many along the leading axes.
     """
 
     location: Any
-    """of the parameter, or of its logarithm; shape (..., parameters), as the others"""
+    """of the parameter, or of its logarithm; shape (..., parameters), like the others"""
     weight: Any
     """1 over the standard deviation, 0 where there is no prior"""
     logarithmic: Any
@@ -134,7 +134,7 @@ class Penalty(NamedTuple):
         return (self.residual_and_slope(values)[0] ** 2).sum(-1)
 
     def added_to(self, model: Any, values: Any, typical: Any) -> Any:
-        """A `QuadraticModel` of the data about some values, with the priors."""
+        """A `QuadraticModel` of the data about some values, with the priors added."""
         xp = values.__array_namespace__()
         residual, slope = self.residual_and_slope(values)
         slope = slope * typical
@@ -146,7 +146,7 @@ class Penalty(NamedTuple):
 
 
 NO_PRIOR = Prior("normal", (0.0, math.inf))
-"""Adds nothing to chi squared, in the form of one that does."""
+"""A prior that adds nothing to chi squared, in the form of one that does."""
 
 
 def penalty_of(
@@ -154,12 +154,12 @@ def penalty_of(
 ) -> Penalty | None:
     """The penalty of some priors; None without any.
 
-    That of a lognormal density is exact about its mode: with u = ln(p/median) and s = sigma,
+    That of a lognormal density is quadratic about its mode: with u = ln(p/median) and s = sigma,
     u^2/(2 s^2) + u = (u + s^2)^2/(2 s^2) - s^2/2.
 
     Parameters
     ----------
-    offset : from the values that are penalized to those that the priors are of.
+    offset : added to the penalized values to obtain those that the priors refer to.
     """
     if not priors:
         return None

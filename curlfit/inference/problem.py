@@ -1,7 +1,7 @@
-"""A throw as arrays for the compiled model: `Problem`, and `Origin`, where its zero lies.
+"""A throw as arrays for the compiled model, `Problem`, and the origin of these, `Origin`.
 
-Inside a problem the first time is 0 and place and angle count from a reference near the first row,
-so that neither a clock nor a map grid with large numbers costs precision.
+In a problem the first time is 0, and position and angle are relative to a reference near the first
+row, so that neither a clock nor a map grid with large numbers costs precision.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from curlfit.throws.events import Event, EventArrays, event_arrays
 from curlfit.throws.throw import CHANNELS, Throw
 
 ROWS_OF_DATA = (*CHANNELS, "event")
-"""What the rows of a problem's arrays are of."""
+"""Quantities in the rows of a problem's arrays."""
 _EVENT = len(CHANNELS)  # the last of them
-_SHORTEST = 256  # data are padded to a power of two from here up, so that few shapes are compiled
+_SHORTEST = 256  # data are padded to powers of two from here on, so that few shapes are compiled
 
 
 LEVEL_AND_STILL = Environment(*map(np.asarray, vars(Environment()).values()))
-"""Level ice, even and not swept, in still air; as arrays."""
+"""Level, uniform, unswept ice and still air, as arrays."""
 
 
 class Problem(NamedTuple):
     """A throw as arrays for the compiled model; n is the padded number of rows.
 
-    Of many throws, along the first axis of each array.
+    Or many throws, along the first axis of each array.
     """
 
     times: Any
     """s since the first row, shape (n,)"""
     observed: Any
     """x, y, phi relative to the origin, zero where not observed, shape (3, n); with speed and
-    omega, where these were measured, (5, n); with events, (6, n), the last row one event after the
-    other"""
+    omega, where these were measured, (5, n); with events, (6, n), the last row with one event per
+    column"""
     weight: Any
     """1/sigma, 0 where not observed, of the same shape"""
     stone: Stone
@@ -51,13 +51,13 @@ class Problem(NamedTuple):
     loss: Any = 0
     """index of the loss in `LOSSES`"""
     events: EventArrays | None = None
-    """what the events of the last row are of"""
+    """definitions of the events in the last row"""
     whitener: Any = None
-    """what makes correlated noise independent, see `curlfit.inference.noise.correlated`"""
+    """makes correlated noise independent, see `curlfit.inference.noise.correlated`"""
 
 
 class Origin(NamedTuple):
-    """Where a problem's zero lies in the coordinates of the data."""
+    """Origin of a problem in the coordinates of the data."""
 
     t: float
     place: Floats
@@ -65,7 +65,7 @@ class Origin(NamedTuple):
 
     @classmethod
     def of(cls, throw: Throw) -> Origin:
-        """The first time of a throw, and the first finite value of each channel."""
+        """The first time of a throw, and the first finite values of x, y and phi."""
         place = np.zeros(len(CHANNELS))
         finite = throw.finite[:3]
         first = throw.observed[np.arange(3), finite.argmax(1)]
@@ -73,14 +73,14 @@ class Origin(NamedTuple):
         return cls(float(throw.t[0]), place)
 
     def of_event(self, event: Event) -> float:
-        """Where the zero of what was measured at an event lies."""
+        """Origin of the quantity measured at an event."""
         if event.since is not None:
             return 0.0
         x, y, phi, *_ = map(float, self.place)
         return {"time": self.t, "x": x, "y": y, "phi": phi}[event.quantity]
 
     def offset(self, size: int) -> Floats:
-        """What to add to a parameter vector of a problem to have it in the data's coordinates."""
+        """Added to a parameter vector of a problem, gives it in the coordinates of the data."""
         offset = np.zeros(size)
         names = [item.name for item in START]
         for name, value in zip(("x0", "y0", "phi0"), self.place[:3], strict=True):
@@ -99,14 +99,14 @@ def build_problem(
     motion: Motion | None = None,
     shape: tuple[int, int] | None = None,
 ) -> Problem:
-    """The throw about an origin, padded.
+    """The throw relative to an origin, padded.
 
     Parameters
     ----------
-    sigma : of the channels of which the throw gives none.
-    environment : what is assumed of it, see `environment_of`; level and still if None.
-    motion : that a noise with a size belongs to.
-    shape : of the data, channels and rows; as small as may be where not given.
+    sigma : of the channels for which the throw gives none.
+    environment : the assumed one, see `environment_of`; level ice and still air if None.
+    motion : of the stone, for a noise that has sizes.
+    shape : of the data, channels and rows; the smallest possible if None.
     """
     n = len(throw)
     channels, rows = shape or problem_shape(throw)
@@ -137,18 +137,18 @@ def build_problem(
 
 
 def problem_shape(throw: Throw) -> tuple[int, int]:
-    """Rows of data and padded times of a throw's problem."""
+    """Shape of the data of a throw's problem: channels and padded rows."""
     channels = 5 if {"speed", "omega"} & set(throw.seen) else 3
     channels = len(ROWS_OF_DATA) if throw.events else channels
     return channels, max(_SHORTEST, 1 << (len(throw) - 1).bit_length())
 
 
 def environment_of(swept: Sequence[float] | None, t0: float) -> Environment:
-    """What is assumed of the environment of a throw, as arrays.
+    """The assumed environment of a throw, as arrays.
 
     Parameters
     ----------
-    swept : when sweeping began and ended, on the clock of the data in s; None without any.
+    swept : times at which sweeping began and ended, on the clock of the data in s; None without.
     t0 : the first time of the data.
     """
     if swept is None:

@@ -1,4 +1,4 @@
-"""What a fit says, as text. Made from a `FitResult` alone; nothing is computed here."""
+"""Report of a fit as text, made from a `FitResult` alone; nothing is computed here."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from curlfit.throws.throw import UNITS
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import Estimate, FitResult, Posterior, Systematics
 
-_NOTABLE = 0.1  # of a standard error: a systematic shift that is named
+_NOTABLE = 0.1  # systematic shift that is reported, over the standard error
 _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
     "Sampling is unfinished; repeat the `curlfit fit` command with --resume to continue it."
@@ -95,14 +95,14 @@ def _heading(fit: FitResult) -> RenderableType:
 
 
 def extent(data: Mapping[str, Any], events: int) -> str:
-    """How many data there are, and over which times."""
+    """Number of data, and the time that they span."""
     rows = f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s"
     others = f"{events} events at lines and at rest"
     return "; ".join([rows] * bool(data["rows"]) + [others] * bool(events))
 
 
 def _beside_reference(fit: FitResult) -> list[RenderableType]:
-    """How the estimates go with the stone's constants, where those of a reference are rounded."""
+    """How the estimates vary with the stone's constants if those of a reference are rounded."""
     reference, fits = fit.reference, fit.reference_fits
     if reference is None or not fits:
         return []
@@ -143,7 +143,7 @@ def _beside_reference(fit: FitResult) -> list[RenderableType]:
 
 
 def _reported(fit: FitResult) -> dict[str, tuple[float, float | None]]:
-    """Value and standard error of coefficients, and of what is determined in place of some."""
+    """Value and standard error of coefficients and determined combinations."""
     found = {name: (item.value, item.stderr) for name, item in fit.coefficients.items()}
     return found | {item.expression: (item.value, item.stderr) for item in fit.combinations}
 
@@ -163,7 +163,7 @@ def _places(value: float) -> int:
     return len(f"{value:g}".partition(".")[2])
 
 
-_FEW = 30.0  # degrees of freedom from which Student's t is a Gaussian to 4 %
+_FEW = 30.0  # degrees of freedom from which Student's t is Gaussian to within 4 %
 
 
 def _student(fit: FitResult) -> list[RenderableType]:
@@ -291,7 +291,7 @@ def _quality(fit: FitResult) -> RenderableType:
 
 
 def _events(fit: FitResult) -> RenderableType:
-    """What was measured at lines and at rest, beside the fit."""
+    """Values measured at lines and at rest, with the fitted ones."""
     table = plain_table()
     for head in ("measured", "value", "sigma", "unit", "fit", "measured - fit"):
         justify = "left" if head in ("measured", "unit") else "right"
@@ -365,7 +365,7 @@ def _counted(number: int) -> str:
 
 
 def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:
-    """What would determine some parameters, as a sentence."""
+    """Measurements that would determine some parameters, as a sentence."""
     names, channels = remedy["parameters"], [_WORDS[name] for name in remedy["measure"]]
     if channels:
         also = join_words(channels) if remedy["all"] else _either(channels)
@@ -389,7 +389,7 @@ def _instead(fit: FitResult, names: list[str]) -> str:
 
 
 def outliers(fit: FitResult) -> str:
-    """The values far off the fit, by name, the farthest first."""
+    """The values far from the fit, by channel and time, the farthest first."""
     named = []
     for item in fit.outliers[:_MOST_NAMED]:
         line = "" if item["line"] is None else f" (line {item['line']})"
@@ -403,7 +403,7 @@ def outliers(fit: FitResult) -> str:
 
 
 def _change(direction: dict[str, float]) -> str:
-    """A null direction as a change that goes unnoticed."""
+    """A null direction as a change that leaves the path the same."""
     parts = []
     for name, weight in direction.items():
         verb = "grows" if weight > 0 else "falls"

@@ -1,6 +1,6 @@
-"""What a parameter vector stands for.
+"""The stone and its surroundings, as a parameter vector describes them.
 
-A parameter vector holds the law's coefficients, then the conditions that are parameters of the
+A parameter vector contains the law's coefficients, then the conditions that are parameters of the
 fit, then `x0 y0 heading v0 phi0 omega0`, in the coordinates of a `Problem`.
 """
 
@@ -25,20 +25,20 @@ from curlfit.stone import Stone
 
 
 class System(NamedTuple):
-    """A stone on the ice, and how it is measured."""
+    """A stone on the ice, and the scales of its measurement."""
 
     law: Law
     stone: Stone
     environment: Environment
     start: InitialState
     length_scale: Any
-    """measured over true lengths"""
+    """ratio of measured to true lengths"""
     time_scale: Any
-    """measured over true times"""
+    """ratio of measured to true times"""
 
     @classmethod
     def of(cls, model: Model, values: Any, stone: Stone, environment: Environment) -> System:
-        """From a parameter vector, and what holds where a condition is no parameter."""
+        """From a parameter vector; `stone` and `environment` give the other conditions."""
         k = len(model.law.coefficients())
         given = {name: values[k + index] for index, name in enumerate(model.conditions)}
         first = k + len(model.conditions)
@@ -58,7 +58,7 @@ def _replaced(record: Any, values: dict[str, Any]) -> Any:
 
 
 def assumed_conditions(model: Model, problems: Problem) -> Floats:
-    """The model's conditions as many throws assume them, shape (throws, conditions)."""
+    """Values of the model's conditions assumed for many throws, shape (throws, conditions)."""
     found = np.ones((len(problems.times), len(model.conditions)))
     for column, name in enumerate(model.conditions):
         if name in STONE_UNITS:

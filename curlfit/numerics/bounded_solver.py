@@ -1,4 +1,4 @@
-"""Levenberg and Marquardt's method within bounds as a solver of optimistix."""
+"""The Levenberg-Marquardt method with bounds as a solver of optimistix."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class SolverState(eqx.Module):
 
 
 class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
-    """The method as a solver of optimistix, for residuals that are one array."""
+    """The method as a solver of optimistix, for residuals in a single array."""
 
     bounds: Bounds
     control: Control
     penalty: Any
-    """what is added to chi squared, as `added_to(model, values, typical)`; None for nothing"""
+    """adds a term to chi squared, by `added_to(model, values, typical)`; None for no term"""
     rtol: float
     atol: float
     norm: Callable[..., Any]

@@ -2,7 +2,7 @@
 
 JAX's own cache saves a new process the compilation, but not the tracing and lowering of the model,
 which take longer than a fit. A `compiled` function is stored with its machine code in the user's
-cache folder, and the next process runs it without tracing. The file name is a hash of all that the
+cache folder, and the next process runs it without tracing. The file name is a hash of all the
 program depends on: curlfit's sources, JAX, the processor, the law and the shapes of the arrays. A
 file that is missing or cannot be read is replaced.
 """
@@ -39,11 +39,11 @@ from curlfit.numerics.read_ahead import AHEAD, deserialized
 from curlfit.numerics.threads import cores
 
 BATCH = 64
-"""Throws or vectors in one call of a program: few enough for a processor's cache, enough to share
-the cost of a pass."""
+"""Throws or vectors in one call of a program: few enough for a processor's cache, enough to
+amortize the cost of a pass."""
 
 _MOST_LOADED = 16  # programs in memory, of 5 to 30 MB each
-_MOST_PARTS = 4  # of a program, in which code is generated in parallel
+_MOST_PARTS = 4  # of a program whose code is generated in parallel
 
 Record = TypeVar("Record")
 
@@ -62,7 +62,7 @@ def compiled(
 
 
 class _LoadedPrograms:
-    """Programs in memory, the most recently used ones; any number of threads may use it."""
+    """The most recently used programs, in memory; safe for use by several threads."""
 
     def __init__(self) -> None:
         self.programs: OrderedDict[Any, Any] = OrderedDict()
@@ -89,7 +89,7 @@ _loaded = _LoadedPrograms()
 
 
 class _Program(NamedTuple):
-    """A compiled program, of arrays alone, and the structure of what it returns."""
+    """A compiled program, of arrays alone, and the structure of its result."""
 
     run: Any
     structure: Any
@@ -112,7 +112,7 @@ class _Call(NamedTuple):
 
 
 _locks: dict[Any, Lock] = {}
-"""By program, held by the thread that loads or compiles it."""
+"""One per program, held by the thread that loads or compiles it."""
 
 
 class _CompiledFunction:
@@ -134,7 +134,7 @@ class _CompiledFunction:
         program = _loaded.get(key)
         if program is None:
             with _locks.setdefault(key, Lock()):
-                program = _loaded.get(key)  # of another thread
+                program = _loaded.get(key)  # from another thread
                 if program is None:
                     file = self._cache_file(call)
                     found = None if file is None else _load(file, call.leaves)
@@ -145,7 +145,7 @@ class _CompiledFunction:
         return program(call.leaves)
 
     def prepare(self, *args: Any) -> None:
-        """Begin to compile in a thread what this call will need, unless it is stored already."""
+        """Start compiling, in a thread, the program of this call, unless it is already stored."""
         call = self._call(args)
         key = self, call.key
         if cores() < 2 or _loaded.get(key) is not None:
@@ -168,13 +168,13 @@ class _CompiledFunction:
         dynamic = tuple(value for name, value in named if name not in self.static)
         fixed = tuple(value for name, value in named if name in self.static)
         leaves, tree = jax.tree.flatten(dynamic)
-        # Lists and Python numbers become arrays, or each type would be compiled.
+        # Lists and Python numbers become arrays, so that not every type is compiled separately.
         leaves = [leaf if isinstance(leaf, jax.Array) else np.asarray(leaf) for leaf in leaves]
         return _Call(fixed, tree, leaves)
 
     @functools.cached_property
     def jitted(self) -> Any:
-        """The function as `jax.jit` has it, for use within other programs."""
+        """The function under `jax.jit`, for use within other programs."""
         return jax.jit(self.function, static_argnames=self.static)
 
     def _compile(self, call: _Call, file: Path | None) -> _Program:
@@ -208,7 +208,7 @@ class _CompiledFunction:
         return program
 
     def _cache_file(self, call: _Call) -> Path | None:
-        """The file of the program; None where it is not to be stored."""
+        """The file of the program; None if it is not to be stored."""
         folder = cache.folder("programs")
         words = []
         for value in jax.tree.leaves(call.fixed):
@@ -225,8 +225,8 @@ class _CompiledFunction:
 
 
 def _remove_locations(lowered: Any) -> None:
-    """Remove the Python source of each operation, which XLA would carry along: a sixth of the time
-    to compile, a tenth of the time to load, and two fifths of the file."""
+    """Remove the Python source location of each operation, which saves a sixth of the time to
+    compile, a tenth of the time to load, and two fifths of the file."""
     from jaxlib.mlir.passmanager import PassManager
 
     module = lowered.compiler_ir()
@@ -235,7 +235,7 @@ def _remove_locations(lowered: Any) -> None:
 
 
 class _Count:
-    """Context that knows how many threads are within, this one included."""
+    """Context manager that counts the threads within it, this one included."""
 
     def __init__(self) -> None:
         self.inside = 0
@@ -255,23 +255,23 @@ class _Count:
                 self.end()
 
     def begin(self) -> None:
-        """What the first thread does as it enters."""
+        """Called when the first thread enters."""
 
     def end(self) -> None:
-        """What the last thread does as it leaves."""
+        """Called when the last thread leaves."""
 
 
 _compiling = _Count()
 
 
 def _compile_lowered(lowered: Any, optimize: bool, *, parts: int) -> Any:
-    """Compile for speed of the program if `optimize`, else for speed of compilation.
+    """Compile for a fast program if `optimize`, else for fast compilation.
 
     XLA's older kernel emitters take half the time and half the memory of the new ones, for programs
-    that are slower by a quarter to a half. In fewer parts than by default the same code takes less
-    time, and the fewer the less: there are as many as there are processors to spare for them.
+    that are slower by a quarter to a half. The fewer parts the code is split into, the less time it
+    takes in total: there are only as many as there are spare processors.
     `xla_cpu_prefer_vector_width` is left at its default: with 512 bits, trajectories take a tenth
-    less time, but XLA 0.10 silently compiled the law `debris` wrongly, summed by quadrature
+    less time, but XLA in jaxlib 0.10 silently miscompiled the law `debris` summed by quadrature
     (`tests/inference/test_many.py` has the case).
     """
     if not optimize and jax.default_backend() == "cpu":
@@ -279,23 +279,23 @@ def _compile_lowered(lowered: Any, optimize: bool, *, parts: int) -> Any:
             "xla_cpu_use_fusion_emitters": False,
             "xla_cpu_parallel_codegen_split_count": min(max(parts, 1), _MOST_PARTS),
         }
-        with suppress(jax.errors.JaxRuntimeError):  # of a version that knows no such option
+        with suppress(jax.errors.JaxRuntimeError):  # of a version without such an option
             return lowered.compile(compiler_options=options)
     return lowered.compile()
 
 
 def return_memory() -> None:
-    """Return to the system what XLA's threads have freed, which glibc keeps for them: half of what
-    a program needs while it is compiled or loaded."""
+    """Return memory freed by XLA's threads to the system, which glibc would retain: half of what a
+    program needs while it is compiled or loaded."""
     if sys.platform == "linux":
-        with suppress(OSError, AttributeError):  # of another library
+        with suppress(OSError, AttributeError):  # of another C library
             CDLL(None).malloc_trim(0)
 
 
 @contextmanager
 def gc_paused() -> Iterator[None]:
     """Pause Python's cyclic garbage collector, which traverses all of JAX repeatedly: a seventh of
-    the time to trace and compile, a fifth of fitting many throws."""
+    the time to trace and compile, a fifth of the time to fit many throws."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -311,12 +311,12 @@ class _JaxCacheDisabled(_Count):
     enabled: bool
 
     def begin(self) -> None:
-        """Remember whether JAX uses it."""
+        """Disable the cache and remember its setting."""
         self.enabled = jax.config.values["jax_enable_compilation_cache"]
         self._enable(False)
 
     def end(self) -> None:
-        """As it was."""
+        """Restore the setting."""
         self._enable(self.enabled)
 
     @staticmethod
@@ -348,13 +348,13 @@ def _fingerprint() -> str:
 
 
 def _serialized(program: _Program) -> bytes:
-    # The structure has curlfit's types, which need not be known where the rest is read ahead.
+    # The structure has curlfit's types, which need not be imported where the rest is read ahead.
     return pickle.dumps((serialize(program.run), pickle.dumps(program.structure)))
 
 
 def _load(file: Path, leaves: list[Any]) -> tuple[_Program, Any] | None:
-    """The program in a file, and what it returns; None where there is no such file."""
-    # A damaged file, or one of another build, may raise any exception, also when run.
+    """The program in a file, and its result; None if there is no usable file."""
+    # A damaged file, or one from another build, may raise any exception, even when run.
     with suppress(Exception):
         found = AHEAD.taken(file)
         if found is None:

@@ -1,7 +1,7 @@
 """Configuration of JAX, with a cache of compiled programs for each user.
 
-Imported before any other use of JAX inside curlfit. 64-bit numbers are switched on by `curlfit`
-itself, before that.
+Imported before any other use of JAX inside curlfit. 64-bit numbers are enabled earlier, by
+`curlfit` itself.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-# Programs with host callbacks are never cached, and each run-time check of equinox is one. curlfit
-# reads the status of optimistix itself.
+# Programs with host callbacks are never cached, and each run-time check of equinox is a callback.
+# curlfit checks the status of optimistix itself.
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
@@ -32,11 +32,11 @@ def _configure() -> None:
 
 
 def _use_program_cache(folder: Path) -> None:
-    """Let JAX read and write the entries in that folder by `curlfit.numerics.program_cache`.
+    """Let JAX read and write entries in that folder through `curlfit.numerics.program_cache`.
 
     JAX itself does not check ownership, leaves incomplete entries on a full disk or when killed,
     does not repair them, and warns at each later run. With `jax_compilation_cache_max_size` it
-    needs a lock for each access, and an incomplete entry ends all writing.
+    needs a lock for each access, and an incomplete entry stops all writing.
     """
     try:
         from jax._src.lru_cache import _CACHE_SUFFIX, LRUCache
@@ -64,5 +64,5 @@ def _use_program_cache(folder: Path) -> None:
 
 _configure()
 
-# Begins to load programs, now that JAX is configured.
+# Starts loading programs, now that JAX is configured.
 from curlfit.numerics import read_ahead  # noqa: E402, F401

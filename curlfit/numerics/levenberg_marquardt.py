@@ -1,18 +1,18 @@
-"""Levenberg and Marquardt's method within bounds: one step, for one problem and for many.
+"""The Levenberg-Marquardt method with bounds: one step, for one problem or for many.
 
-`advance` is the whole of the method: whether a trial is accepted, the damping, the next trial and
-when to stop. It takes NumPy arrays, with many problems along the leading axes, and traced JAX
-arrays alike. optimistix has no bounds; `bounded_solver` has this method as one of its solvers.
+`advance` is the entire method: whether a trial is accepted, the damping, the next trial and when to
+stop. It takes NumPy arrays, with many problems along the leading axes, and traced JAX arrays alike.
+optimistix does not support bounds; `bounded_solver` makes this method one of its solvers.
 
-Bounds are kept by projection (Kanzow, Yamashita and Fukushima 2004). Damping is in proportion to
-the columns of the Jacobian (Marquardt 1963), which makes the steps independent of units.
+Bounds are enforced by projection (Kanzow, Yamashita and Fukushima 2004). Damping is scaled by the
+columns of the Jacobian (Marquardt 1963), which makes the steps independent of units.
 
-A search has converged where the residual is orthogonal to all that a step could change, by the
-relative offset of Bates and Watts (1981): the length of what the next step takes from the residual,
-over the residual's own. The reductions of the last two steps tell that of the next, so the last
-step needs no evaluation of its own. Near the end steps gain less than the rounding of chi squared,
-which then says neither whether a step was good nor when to stop. There steps are taken for as long
-as they get shorter.
+A search has converged when the residual is orthogonal to all changes that a step could make, by the
+relative offset of Bates and Watts (1981): the length of the part of the residual that the next step
+removes, relative to that of the residual. The reductions of the last two steps predict that of the
+next, so the last step needs no evaluation of its own. Near the end, steps gain less than the
+rounding error of chi squared, which then shows neither whether a step was good nor when to stop.
+There, steps are taken as long as they become shorter.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ MOST_EVALUATIONS = 200
 _LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e8  # relative to the squared columns (Marquardt)
 _LESS, _MORE = 0.1, 3.0  # factors of the damping after a step as predicted, and a rejected one ...
 _FASTER = 2.0  # ... and of that factor after each further rejection
-_ROUNDING = 1e-10  # share of chi squared by which a change may be rounding
+_ROUNDING = 1e-10  # share of chi squared up to which a change may be rounding error
 _STEEPER = 30.0  # factor of the damping of a step that leads uphill
-_UPHILL = 1e-8  # share of chi squared that a projected step may lose
-_HEAVY = 1.0  # damping above which a small reduction says nothing of the optimum
+_UPHILL = 1e-8  # share of chi squared by which a projected step may lead uphill
+_HEAVY = 1.0  # damping above which a small reduction says nothing about the optimum
 _STALLED = 1e-6  # share of chi squared, or of values, left to gain where no trial is accepted
-_SMALL = 1e-10  # step by which nothing changes, over the size of the values
-_REGULAR = 1e-14  # damping that keeps the normal matrix of an exact ridge regular
+_SMALL = 1e-10  # negligible step, relative to the size of the values
+_REGULAR = 1e-14  # damping that keeps the normal matrix nonsingular on an exact ridge
 
 
 class Control(NamedTuple):
     """How a search begins, and when it has converged."""
 
     damping: float
-    """of the first step, relative to the squared columns: the larger, the more careful"""
+    """of the first step, relative to the squared columns: the larger, the more cautious"""
     extrapolated: float
     """share of chi squared that the last step, which is not evaluated, may gain"""
     remaining: float
@@ -52,7 +52,7 @@ class Control(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Bounds of the parameters, and the typical sizes in which their steps count."""
+    """Bounds of the parameters, and the typical sizes that scale their steps."""
 
     lower: Any
     upper: Any
@@ -60,14 +60,14 @@ class Bounds(NamedTuple):
 
 
 class QuadraticModel(NamedTuple):
-    """Chi squared about some values, by parameters in typical sizes (Gauss and Newton)."""
+    """Gauss-Newton model of chi squared about some values, in parameters over typical sizes."""
 
     chi_squared: Any
     """shape (...)"""
     gradient: Any
-    """half of it, shape (..., parameters)"""
+    """half the gradient, shape (..., parameters)"""
     hessian: Any
-    """half of it, J^T J, shape (..., parameters, parameters)"""
+    """half the Hessian, J^T J, shape (..., parameters, parameters)"""
 
 
 class Search(NamedTuple):
@@ -81,11 +81,11 @@ class Search(NamedTuple):
     """at the best values"""
     damping: Any
     growth: Any
-    """of the damping if the trial is rejected"""
+    """factor of the damping if the trial is rejected"""
     reduction: Any
-    """of chi squared that the step to the trial predicts; inf before the first"""
+    """of chi squared, predicted for the step to the trial; inf before the first"""
     settled: Any
-    """whether the first step from the best values, the least damped, promises next to nothing"""
+    """whether the first, least damped step from the best values was predicted to gain little"""
     evaluations: Any
     done: Any
     success: Any
@@ -148,7 +148,7 @@ def advance(
         xp.where(accepted[..., None], at_trial.gradient, search.model.gradient),
         xp.where(accepted[..., None, None], at_trial.hessian, search.model.hessian),
     )
-    # Nielsen (1999): by how much of the reduction that was predicted came true.
+    # Nielsen (1999): by the ratio of the actual to the predicted reduction.
     known = xp.isfinite(before) & xp.isfinite(at_trial.chi_squared) & ~rounding
     fall = xp.where(known, before, 1.0) - xp.where(known, at_trial.chi_squared, 0.0)
     gain = xp.where(known, fall / xp.maximum(search.reduction, 1e-300), 1.0)
@@ -168,7 +168,7 @@ def advance(
 def reweighted(
     search: Search, model: QuadraticModel, bounds: Bounds, control: Control
 ) -> tuple[Search, Outcome]:
-    """Go on from the best values under other weights, by the model there."""
+    """Continue from the best values under other weights, with the model there."""
     xp = namespace(search.values)
     first = xp.full(search.damping.shape, control.damping * _LESS)
     anew = search._replace(
@@ -181,7 +181,7 @@ def reweighted(
 def _proposed(
     search: Search, bounds: Bounds, control: Control, accepted: Any
 ) -> tuple[Search, Outcome]:
-    """The search with its next trial, or done; its `reduction` is that of the step before."""
+    """The search with its next trial, or done; `search.reduction` is that of the previous step."""
     xp = namespace(search.values)
     values, model, before = search.values, search.model, search.reduction
     chi_squared = model.chi_squared
@@ -208,7 +208,7 @@ def _proposed(
     no_shorter = (before <= _ROUNDING * chi_squared) & (reduction >= before) & light
     step = xp.abs(trial - values) / (bounds.typical + xp.abs(values))
     small = (step <= _SMALL).all(-1) & (damping <= control.damping)
-    # Of a model that is not smooth, trials may be rejected however short the steps are.
+    # If the model is not smooth, trials may be rejected however short the steps are.
     little = (reduction <= _STALLED * chi_squared) | (step <= _STALLED).all(-1)
     settled = xp.where(accepted, little, search.settled)
     stalled = (damping > _MOST_DAMPING) & settled
@@ -222,10 +222,10 @@ def _proposed(
 
 
 def _bounded_step(values: Any, model: QuadraticModel, damping: Any, bounds: Bounds) -> Any:
-    """The damped step within the bounds: where it leads, and how far down chi squared.
+    """The damped step within the bounds: the trial, and the predicted reduction of chi squared.
 
-    A parameter at a bound that is pushed against it takes no part. One that would pass its bound
-    goes to the bound, and the others follow it (active sets).
+    A parameter at a bound that is pushed against it is held there. One that would pass its bound
+    is set to the bound, and the others are solved for again (active sets).
     """
     xp = namespace(values)
     gradient, hessian = model.gradient, model.hessian
@@ -236,7 +236,7 @@ def _bounded_step(values: Any, model: QuadraticModel, damping: Any, bounds: Boun
 
     def solved(held: Any, step: Any) -> Any:
         free = xp.where(held, 0.0, 1 / size)
-        # Of unit diagonal, so that what damps it keeps it regular.
+        # Scaled to unit diagonal, so that the damping keeps it nonsingular.
         matrix = hessian * free[..., :, None] * free[..., None, :]
         diagonal = xp.where(held, 1.0, damping[..., None] + _REGULAR)
         matrix = matrix + xp.eye(values.shape[-1]) * diagonal[..., None]
@@ -254,13 +254,14 @@ def _bounded_step(values: Any, model: QuadraticModel, damping: Any, bounds: Boun
     _, step = _repeat(lambda carry: outside(carry).any(), narrower, (held, xp.zeros_like(values)))
     trial = xp.clip(values + step * bounds.typical, bounds.lower, bounds.upper)
     step = (trial - values) / bounds.typical
-    # Not as the difference of two chi squared, of which rounding leaves nothing near the optimum.
+    # Not as the difference of two chi squared, which is lost to rounding near the optimum.
     return trial, -2 * (gradient * step).sum(-1) - (step * _product(hessian, step)).sum(-1)
 
 
 def _solution(matrix: Any, right: Any) -> Any:
-    """Of a positive-definite system. A compiled program eliminates without pivots, as such a matrix
-    allows: LAPACK, which it would call otherwise, takes a tenth of a second to load."""
+    """Solution of a positive-definite system. A compiled program eliminates without pivoting, as
+    such a matrix allows: LAPACK, which it would otherwise call, takes a tenth of a second to load.
+    """
     if not isinstance(matrix, jax.core.Tracer):
         return np.linalg.solve(matrix, right[..., None])[..., 0]
     count = matrix.shape[-1]
@@ -280,8 +281,8 @@ def _product(matrix: Any, vector: Any) -> Any:
 
 
 def _repeat(condition: Callable[..., Any], body: Callable[..., Any], carry: tuple[Any, ...]) -> Any:
-    """Once, and then for as long as the condition holds: a compiled program has the body but once,
-    which it would have twice with a first time before the loop."""
+    """Run the body once, and again as long as the condition holds. A compiled program contains the
+    body only once; a first run before the loop would duplicate it."""
     if isinstance(carry[0], jax.core.Tracer):
         _, carry = jax.lax.while_loop(
             lambda state: state[0] | condition(state[1]),

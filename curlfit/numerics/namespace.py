@@ -1,4 +1,4 @@
-"""Formulas that are written once, for NumPy and for JAX."""
+"""Formulas written once, for NumPy and for JAX."""
 
 from __future__ import annotations
 
@@ -14,5 +14,5 @@ import numpy as np
 
 
 def namespace(array: Any) -> ModuleType:
-    """The module whose functions an array takes: `jax.numpy`, or `numpy` for all else."""
+    """The module whose functions apply to an array: `jax.numpy`, or `numpy` for all else."""
     return jnp if isinstance(array, jax.Array) else np

@@ -1,11 +1,11 @@
 """The folder of compiled programs: its owner, access to it and its size.
 
-To load a compiled program is to run it. So a file is read only where it belongs to the user (or to
-root) and nobody else may write to it or to the folders above it. Above `LIMIT` the least recently
-used files are deleted. Any number of processes may read, write and delete concurrently: files
-appear atomically, and one that is missing is compiled again.
+Loading a compiled program means running it. A file is therefore read only if it belongs to the user
+(or to root) and nobody else may write to it or to the folders above it. Above `LIMIT` the least
+recently used files are deleted. Any number of processes may read, write and delete concurrently:
+files appear atomically, and a missing one is compiled again.
 
-The folder is the user's cache folder; `CURLFIT_CACHE` names another, or switches the cache off with
+The folder is the user's cache folder; `CURLFIT_CACHE` names another, or disables the cache if it is
 `off`.
 """
 
@@ -43,7 +43,7 @@ def folder(part: str) -> Path | None:
         for missing in [p for p in (*reversed(path.parents), path) if not p.exists()]:
             missing.mkdir(mode=0o700, exist_ok=True)
         writable = _writable_by_others(path)
-    except (OSError, RuntimeError):  # the second where there is no home
+    except (OSError, RuntimeError):  # the latter without a home directory
         return None
     if writable is not None:
         warn_once(
@@ -86,7 +86,7 @@ def _private(status: os.stat_result) -> bool:
 
 
 def read(file: Path) -> bytes | None:
-    """The content of a file, marked as used; None where there is none."""
+    """The content of a file, which is marked as used; None if it cannot be read safely."""
     try:
         with file.open("rb") as opened:
             if not _private(os.fstat(opened.fileno())):
@@ -112,7 +112,7 @@ def write(file: Path, content: bytes) -> None:
             _evict(file.parent.parent)
 
 
-_written: float = float("inf")  # bytes since the last check, which the first file causes
+_written: float = float("inf")  # bytes since the last check; the first file triggers one
 
 
 def _evict(root: Path) -> None:

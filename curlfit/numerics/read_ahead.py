@@ -1,7 +1,8 @@
-"""Programs that the same command needed last time, loaded while this one still begins.
+"""Programs that the same command needed last time, loaded while this one is still starting.
 
-XLA loads a program without Python, so that it takes no time where a core is free. Which programs a
-command needs is only known when it needs them: a list of those of its last run is kept beside them.
+XLA loads a program outside Python, so that loading takes no time where a core is free. Which
+programs a command needs is known only when it needs them, so a list of those of its last run is
+stored beside them.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _MOST = 8  # programs that are read ahead
 
 
 def deserialized(content: bytes) -> tuple[Any, bytes]:
-    """A program of arrays, and the structure of what it returns, from the content of its file."""
+    """A program of arrays, and the structure of its result, from the content of its file."""
     if b"lapack" in content:  # a tenth of a second to load
         from jaxlib import lapack
 
@@ -35,7 +36,7 @@ def deserialized(content: bytes) -> tuple[Any, bytes]:
 
 
 class ReadAhead:
-    """The programs of one command, which `program_cache.command` names; none where it is empty."""
+    """The programs of the command named by `program_cache.command`; none if it is empty."""
 
     def __init__(self) -> None:
         folder = cache.folder("programs")
@@ -59,11 +60,11 @@ class ReadAhead:
                 try:
                     content = cache.read(file)
                     program.set_result(None if content is None else deserialized(content))
-                except Exception:  # a damaged file is found to be so where it is needed
+                except Exception:  # a damaged file is detected where it is needed
                     program.set_result(None)
 
     def taken(self, file: Path) -> Any:
-        """A program that was read ahead, once; None for any other."""
+        """Hand over a program that was read ahead, once; None for any other."""
         program = None if self.list is None else self.programs.pop(file.name, None)
         return None if program is None or program.cancel() else program.result()
 

@@ -1,6 +1,6 @@
-"""Independent computations side by side in threads.
+"""Independent computations in parallel threads.
 
-Python runs in one thread at a time, but XLA compiles, loads and runs programs beside it.
+Python runs in one thread at a time, but XLA compiles, loads and runs programs concurrently.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 Result = TypeVar("Result")
 
-_MOST_THREADS = 4  # beyond these Python is what they wait for
+_MOST_THREADS = 4  # more would only wait for Python
 
 
 def cores() -> int:
@@ -28,7 +28,7 @@ def in_threads(
 ) -> Iterator[Iterator[Result]]:
     """The results of a function for each of several arguments, in order.
 
-    What was not begun when the context ends, by an error or by Ctrl-C, is left undone.
+    Calls not yet begun when the context ends, by an error or by Ctrl-C, are cancelled.
     """
     from concurrent.futures import ThreadPoolExecutor
 

@@ -1,8 +1,8 @@
 """Optimal design: the expected errors of planned throws, and the best choice of throws.
 
-Standard errors are the Cramer-Rao bound (J^T W J)^-1 at the assumed values, with an initial state
-for each throw and common coefficients. They hold for noise that is independent from row to row and
-a correct law; the discrepancy of a law does not average out.
+Standard errors are the Cramer-Rao bound (J^T W J)^-1 at the assumed values, with a separate initial
+state for each throw and common coefficients. They are valid for noise that is independent from row
+to row and a correct law; the discrepancy of a law does not average out.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01}
 
 _MAX_CANDIDATES = 500
 _MAX_THROWS = 1000
-_FACTORS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # on the noise, for the curves
+_FACTORS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # factors on the noise, for the curves
 _RATES = (1.0, 3.0, 10.0, 30.0, 100.0)  # Hz
 _COUNTS = (1, 2, 3, 4, 6, 8, 12, 16)  # throws
 _LONGEST_DISTANCE = TEE + TEE_TO_BACK - LINES["hog"]
@@ -92,13 +92,14 @@ def design(
     until : end of the records in s; the time of rest if not given.
     sigma : noise by channel (m, rad, m/s, rad/s) of x, y, phi, speed, omega; other channels are
         not measured. 5 mm and 10 mrad if not given.
-    discrepancy : size of the accelerations that the law may lack, over the friction, such as 0.05;
-        as functions of speed, see `curlfit.inference.noise.accelerations`. The separation of two
-        coefficients is without it.
+    discrepancy : size of the accelerations that the law may lack, relative to the friction, such as
+        0.05; they are functions of speed, see `curlfit.inference.noise.accelerations`. Not included
+        in the separation of two coefficients.
     throws : number of throws, chosen optimally among the candidates, with repetition.
     separate : two coefficients to be separated; if not given, two of which the candidates under
         uniform load determine only the sum.
-    relative_error : required, of their difference (or of their mean where they are equal).
+    relative_error : required error of their difference, relative to it (or to their mean if they
+        are equal).
     progress : called with a description of each step.
 
     Raises

@@ -4,7 +4,8 @@ The information is J^T W J, with J the derivatives of the trajectory with respec
 and initial state, and W = 1/sigma^2 of independent Gaussian noise. It is stored as its factor R, an
 upper triangular matrix with R^T R = J^T W J, by QR of J itself: forming the product would lose half
 the digits, and with them the distinction between weakly determined and undetermined directions.
-The QR of stacked factors of throws, or of channels, is the factor of their sum.
+The QR of the stacked factors of several throws or channels gives the factor of the sum of their
+information.
 
 Columns are scaled by typical sizes of the parameters, as in `curlfit.inference.identifiability`.
 """
@@ -38,19 +39,19 @@ from curlfit.throws.throw import CHANNELS
 LONGEST = 120.0
 """Seconds within which a stone must come to rest if the end of the record is not given."""
 MOST_ROWS = 50_000
-"""Rows of one throw."""
+"""Maximum number of rows of one throw."""
 
 _REFINEMENTS = 3  # 120 s/255^3 is a hundred thousandth of a second
 _ROWS = 256  # in a column of a batch
-_BATCH = 16  # columns, few enough for the record of a throw or two
-_ROUNDING = 1e-13  # of the largest singular value of the start's columns
+_BATCH = 16  # columns; few, so that one or two throws do not leave most of them empty
+_ROUNDING = 1e-13  # relative to the largest singular value of the columns of the initial state
 _UNDETERMINED = (
     1e-3  # fraction of a combination outside the determined subspace above which it is unknown
 )
 
 
 class PlannedThrow(NamedTuple):
-    """Initial conditions and sampling rate of a throw."""
+    """Initial state, sampling rate and stone of a throw."""
 
     v0: float
     """initial speed, m/s, > 0"""
@@ -75,16 +76,17 @@ class RecordInformation(NamedTuple):
     """from the first row to rest, m"""
     factors: Floats
     """by channel, for noise of 1 m, 1 rad ...: R factor of the information on coefficients and
-    initial state, by typical sizes, on the conditions that are looked at, by their widths, and on
-    the shapes of a model discrepancy, by their sizes; shape (channels, parameters, parameters)"""
+    initial state, scaled by typical sizes, on the conditions examined, scaled by their widths, and
+    on the shapes of a model discrepancy, scaled by their sizes; shape (channels, parameters,
+    parameters)"""
     shapes: int = 0
-    """of a model discrepancy"""
+    """number of shapes of a model discrepancy"""
 
 
 def prepare_information(
     law: type[Law], load: Load, coefficients: Floats, throw: PlannedThrow, channels: int
 ) -> None:
-    """Begin to compile what `record_information` needs."""
+    """Begin compiling the programs that `record_information` needs."""
     own = [throw] * _BATCH
     problems = _problems([(0, np.arange(2.0))] * _BATCH, own, channels)
     values = np.stack([_vector(coefficients, one) for one in own])
@@ -110,14 +112,14 @@ def record_information(
     coefficients : of the law, shape (k,).
     until : end of the records in s; the time of rest if None.
     channels : number of the channels x, y, phi, speed, omega: 3 or 5.
-    widths : of conditions to look at, see `curlfit.inference.conditions`.
-    discrepancy : size of the accelerations that the law may lack, over the friction; see
+    widths : of the conditions to be examined, see `curlfit.inference.conditions`.
+    discrepancy : size of the accelerations that the law may lack, relative to the friction; see
         `curlfit.inference.noise.accelerations`.
 
     Raises
     ------
     InputError : a stone that does not come to rest, or for which there is no motion; a record
-        without two rows, or with more than `MOST_ROWS`.
+        with fewer than two rows or more than `MOST_ROWS`.
     """
     typical = np.array([item.typical for item in (*law.coefficients(), *START)])
     clocks = []
@@ -130,7 +132,7 @@ def record_information(
                 f"{end:.4g} s at {throw.rate:g} Hz make {rows} rows; expected 2 to {MOST_ROWS}"
             )
         clocks.append(np.arange(rows) / throw.rate)
-    # Long records are split over several columns of a batch.
+    # Long records are split into several columns of a batch.
     parts = [
         (index, clock[first : first + _ROWS])
         for index, clock in enumerate(clocks)
@@ -177,7 +179,7 @@ def _responses(
     law: type[Law], load: Load, coefficients: Floats, throws: Sequence[PlannedThrow],
     ends: Sequence[float],
 ) -> list[Responses]:  # fmt: skip
-    """What accelerations of the size of the friction do to the paths of throws."""
+    """Responses of the paths of throws to accelerations of the size of the friction."""
     clocks = [np.linspace(0.0, end, _ROWS) for end in ends]
     return [
         Responses.of(clock, path, throw.stone)
@@ -227,7 +229,7 @@ def _rests(
     required: bool,
 ) -> list[tuple[float, float]]:  # fmt: skip
     """Time of rest (s), above `LONGEST` only if not `required`, and distance (m) of throws."""
-    # Between rows that become denser: the first row at rest.
+    # The first time at rest, on successively finer grids.
     early, late = np.zeros(len(throws)), np.full(len(throws), LONGEST)
     moves = np.zeros(len(throws), bool)
     for _ in range(_REFINEMENTS):
@@ -274,7 +276,7 @@ def coefficient_information(
 
     Returns
     -------
-    Upper triangular, shape (free, free), by typical sizes.
+    Upper triangular, shape (free, free), scaled by typical sizes.
     """
     return marginal_factor(law, record, sigma, np.flatnonzero(free))
 
@@ -282,9 +284,9 @@ def coefficient_information(
 def marginal_factor(
     law: type[Law], record: RecordInformation, sigma: Mapping[str, float], columns: Indices
 ) -> Floats:
-    """R factor of the information on some columns of a record's, marginal over the initial state.
+    """R factor of the information on some columns of a record, marginal over the initial state.
 
-    Parameters and result as of `coefficient_information`, for columns in place of coefficients.
+    Parameters and result as for `coefficient_information`, with columns in place of coefficients.
     """
     k = len(law.coefficients())
     rows = [
@@ -293,7 +295,7 @@ def marginal_factor(
         if name in sigma
     ]
     lacking = np.arange(record.factors.shape[-1])[record.factors.shape[-1] - record.shapes :]
-    # a priori the shapes of a discrepancy have size 1
+    # a priori the amplitudes of the shapes have unit variance
     stacked = np.concatenate([*rows, np.eye(record.factors.shape[-1])[lacking]])
     estimated = {
         "x0": "x" in sigma, "y0": "y" in sigma, "phi0": "phi" in sigma,
@@ -303,7 +305,7 @@ def marginal_factor(
     wanted, start = stacked[:, columns], stacked[:, [*state, *lacking]]
     left, singular, _ = np.linalg.svd(start, full_matrices=False)
     left = left[:, singular > _ROUNDING * singular[0]]
-    for _ in range(2):  # twice, against rounding
+    for _ in range(2):  # twice, against rounding errors
         wanted = wanted - left @ (left.T @ wanted)
     factor = _r_factor(wanted)
     full = np.zeros((factor.shape[1], factor.shape[1]))
@@ -321,7 +323,7 @@ def standard_error(factor: Floats, weights: Floats) -> float | None:
 
     Parameters
     ----------
-    factor : by typical sizes, shape (free, free).
+    factor : scaled by typical sizes, shape (free, free).
     weights : of the free coefficients, times their typical sizes, shape (free,).
     """
     _, singular, right = np.linalg.svd(factor)

@@ -32,8 +32,8 @@ _CRITERIA = {
     "A": "smallest mean squared standard error, in units of typical sizes (A-optimal)",
 }
 _WEAK = 0.05  # relative error above which a difference is weakly determined
-_SCATTER = 0.01  # relative, of the ice from throw to throw
-_WORTH = 1.2  # factor by which a systematic error has to become smaller
+_SCATTER = 0.01  # relative variation of the ice from throw to throw
+_WORTH = 1.2  # factor of reduction of a systematic error above which a scenario is recommended
 _MAX_LISTED = 24  # candidates; the others are in design.json
 _LENGTH_AND_ANGLE = {"x": ("m", "mm", "um"), "phi": ("rad", "mrad", "urad")}
 _UNITS = {
@@ -150,7 +150,7 @@ def _heading(design: Design) -> Text:
 
 
 def _scenarios(design: Design) -> RenderableType:
-    """The systematic error of each quantity, thrown one way and the other."""
+    """The systematic error of each quantity in each scenario."""
     table = plain_table()
     table.add_column("coefficient", no_wrap=True)
     for one in design.scenarios:
@@ -161,14 +161,14 @@ def _scenarios(design: Design) -> RenderableType:
 
 
 def _recommended(scenarios: Sequence[Scenario]) -> str:
-    """Which way of throwing is worth it, and the largest of what is left."""
+    """The recommended scenario, and the largest shifts that remain."""
     planned, *others = scenarios
     first = planned.systematic
     gains = {
         one.name: max(first[name] / max(error, 1e-300) for name, error in one.systematic.items())
         for one in others
     }
-    # Of ways that gain about the same, the simplest.
+    # Of scenarios with about the same gain, the simplest.
     best = next(name for name, gain in gains.items() if gain > 0.8 * max(gains.values()))
     chosen = next(one for one in others if one.name == best)
     left = []

@@ -1,4 +1,4 @@
-"""The record of a design, and its one versioned form in JSON."""
+"""The record of a design, and its versioned JSON form."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class ExpectedErrors:
     throws : indices of the candidates, repeated for repeated throws.
     stderr : standard error by coefficient (None where it is not determined) and combination.
     verdicts : by coefficient, as in `FitResult`; "fixed" for one that is not free.
-    combinations : determined combinations of coefficients that are not determined singly.
+    combinations : determined combinations of coefficients that are not determined individually.
     rank, singular_values, null_directions : see `curlfit.inference.identifiability`.
     """
 
@@ -83,8 +83,8 @@ class Scenario:
     ----------
     name : such as "both spins".
     stderr : standard error by quantity.
-    shifts : by quantity and by condition that a fit holds, for one width of it (see
-        `curlfit.inference.conditions`).
+    shifts : by quantity and by condition that a fit holds fixed, for one width of the condition
+        (see `curlfit.inference.conditions`).
     """
 
     name: str
@@ -112,13 +112,14 @@ class Design(Displayed):
     quantities : coefficients and combinations determined by all candidates, as weights.
     rank, free : numbers of directions determined by all candidates, and of free coefficients.
     best : the optimal selection of `throws` candidates by criterion "D" and "A".
-    curves : of the D-best throws, for figures: by "place", "angle" (factor on that noise alone),
-        "rate" (Hz) and "throws" (number, the best for each), each "at" and by quantity.
+    curves : standard errors of the D-optimal throws, for figures: against "place", "angle" (factor
+        on that noise alone), "rate" (Hz) and "throws" (number, the optimal ones for each); each has
+        the abscissa, "at", and the errors by quantity.
     separation : separability of two coefficients, if requested or if only their sum is
         determined.
     notes : caveats, as sentences.
-    discrepancy : size of the accelerations that the law may lack, over the friction.
-    scenarios : systematic errors of the D-best throws, as planned and thrown otherwise.
+    discrepancy : size of the accelerations that the law may lack, relative to the friction.
+    scenarios : systematic errors of the D-optimal throws, as planned and in other scenarios.
 
     Examples
     --------
@@ -153,8 +154,8 @@ class Design(Displayed):
     discrepancy: float = 0.0
 
     def to_frame(self) -> Any:
-        """The candidates as a pandas DataFrame, a row for each: the throw, and the standard error
-        that it alone gives each quantity, NaN where it does not determine it.
+        """The candidates as a pandas DataFrame, one per row: the throw, and the standard error of
+        each quantity from it alone, NaN where it does not determine the quantity.
 
         Raises
         ------
@@ -224,9 +225,9 @@ class Proof:
     by_difference, by_sum : largest derivative, over these, of T_xi/(m g), T_eta/(m g) and
         M/(m g R) when one coefficient grows and the other falls, and when both grow.
     throws : number of throws, of various speeds and spins, taken together.
-    singular_values : of the R factor of their information on the coefficients, largest first, by
-        typical sizes, noise as planned.
-    hidden : whether the effect is rounding in both.
+    singular_values : of the R factor of their information on the coefficients, largest first,
+        scaled by typical sizes, noise as planned.
+    hidden : whether the effect of the difference is zero to rounding error in both.
     because : explanation, where known.
     """
 
@@ -250,7 +251,7 @@ class LoadScenario:
     throws : indices of the optimal candidates, as many as planned; None if undetermined.
     stderr : standard error of the difference from these.
     steady : relative change of the sum of both coefficients between these throws that has the
-        same effect as the required error; None where no change has.
+        same effect as the required error; None if no change does.
     """
 
     load: str

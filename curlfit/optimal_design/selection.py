@@ -23,7 +23,7 @@ from curlfit.optimal_design.information import combined
 
 _MAX_ENUMERATED = 20_000  # designs; for more, exchanges of one throw at a time
 _MAX_ROUNDS = 50
-_SINGULAR = 1e-12  # of the information of all candidates, in an undetermined direction
+_SINGULAR = 1e-12  # share of the information of all candidates in an undetermined direction
 
 Criterion = Callable[[Floats], Floats]
 
@@ -32,7 +32,7 @@ class CandidateSet(NamedTuple):
     """The information of candidates, whitened by that of all of them together."""
 
     information: Floats
-    """of each candidate, shape (candidates, rank, rank); their sum is the unit matrix"""
+    """of each candidate, shape (candidates, rank, rank); their sum is the identity matrix"""
     basis: Floats
     """whitened directions in coefficients over their typical sizes, shape (free, rank)"""
 
@@ -85,7 +85,7 @@ def _trace(information: Floats, of: Floats) -> Floats:
 def select_design(
     candidates: CandidateSet, criterion: Criterion, throws: int
 ) -> tuple[int, ...] | None:
-    """Indices of the optimal throws, sorted; None where no such number of throws determines all.
+    """Indices of the optimal throws, sorted; None if no choice determines all directions.
 
     Small sets of designs are enumerated; otherwise throws are exchanged one at a time (Fedorov
     1972), from a greedy start.

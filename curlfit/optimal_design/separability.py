@@ -1,11 +1,11 @@
-"""Separability of two coefficients that a trajectory determines by their sum.
+"""Separability of two coefficients of which a trajectory determines the sum.
 
 For `mu1_eta` and `mu2_eta` of the front-back law this is the question that Ivanov and Shuvalov
 (2012) leave open. Under uniform load no throw separates them: see `HIDDEN`. Under the consistent
 load (eq. 8-9) the front carries more, so the difference changes the deceleration slightly, and a
 change of the sum compensates nearly all of it. The remainder depends on the spin, and on how much
-this compensation differs between two throws: for two stones with different heights of the centre of
-mass it differs, and together they separate the coefficients. (A non-uniform load fixed to the stone
+this compensation differs between two throws: it differs for two stones with different heights of
+the centre of mass, which together separate the coefficients. (A non-uniform load fixed to the stone
 would rotate with it; it is not modelled.)
 """
 
@@ -52,8 +52,8 @@ _PROOF = tuple((v0, omega0) for v0 in (1.5, 2.0, 2.5) for omega0 in (-1.0, 0.5, 
 _PROOF_RATE = 10.0  # Hz
 _ORDINARY = (2.0, 1.0)  # m/s, rad/s: a draw
 _ROUNDING = 1e-9  # of the largest singular value: an undetermined direction
-_EQUAL_RATIOS = 1e-9  # relative difference of two throws in how the sum ratios the difference
-_NO_EFFECT = 1e-12  # of the effect of the sum: rounding
+_EQUAL_RATIOS = 1e-9  # relative difference below which the compensations of two throws are equal
+_NO_EFFECT = 1e-12  # relative to the effect of the sum: rounding error
 _CHANGES = (
     ("h", 0.5), ("h", 1.5), ("h", 2.0), ("h", 3.0), ("R", 0.75), ("R", 1.25), ("rho", 0.75),
     ("rho", 1.25),
@@ -65,8 +65,8 @@ class CoefficientPair:
 
     Raises
     ------
-    InputError : not the name of a free coefficient, equal names, different units, or both values
-        zero.
+    InputError : a name that is not of a free coefficient, equal names, different units, or both
+        values zero.
     """
 
     def __init__(self, law: type[Law], values: Floats, free: Booleans, pair: Sequence[str]) -> None:
@@ -108,7 +108,7 @@ class CoefficientPair:
 
     def tolerated_change(self, factors: Sequence[Floats], required: float) -> float | None:
         """Relative change of the sum between throws with the same effect as the required error of
-        the difference; None where no change has it."""
+        the difference; None if no change has it."""
         ratios = [self._compensation(factor) for factor in factors]
         determined = [one for one in ratios if one is not None]
         if len(determined) < len(ratios):

@@ -1,8 +1,8 @@
 """Systematic errors of planned throws, and what cancels them.
 
-The ice falls to one side, and stones of both senses of spin, or thrown in both directions, are
-shifted in opposite ways. For throws as planned and with halves of them thrown otherwise, the shift
-of the coefficients by each condition is that of their least-squares fit together, to first order
+Where the ice slopes, throws with opposite spins or in opposite directions are affected in opposite
+ways. For throws as planned, and with equal shares of them thrown otherwise, the shift of the
+coefficients by each condition is that of the joint least-squares fit, to first order
 (`curlfit.inference.fit.systematics`).
 """
 

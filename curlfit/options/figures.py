@@ -21,8 +21,8 @@ FORMATS = ("png", "pdf", "svg")
 
 
 class FigureFiles:
-    """The figures of a verb and the formats in which it writes them; none where it draws
-    nothing."""
+    """The figures of a verb and the formats in which they are written; none if nothing is
+    drawn."""
 
     def __init__(self, formats: tuple[str, ...]) -> None:
         self.formats = formats
@@ -32,11 +32,11 @@ class FigureFiles:
 
     @classmethod
     def of(cls, text: str | None, flag: str = "--figures", *, none: bool = False) -> FigureFiles:
-        """Formats as they are written, separated by commas; PNG where nothing is.
+        """Formats from a list separated by commas; PNG if none is given.
 
         Raises
         ------
-        InputError : an unknown format, or formats and none at once.
+        InputError : an unknown format, or formats together with `none`.
         """
         if none and text is not None:
             raise InputError(f"{flag} {text}: --no-figures draws nothing; give one of them")
@@ -54,10 +54,10 @@ class FigureFiles:
         return cls(tuple(dict.fromkeys(names)))
 
     def draw_beside(self) -> None:
-        """From now on draw in a second process, which loads matplotlib while this one computes.
+        """From now on, draw in a second process, which loads matplotlib while this one computes.
 
-        Where there is but one core, figures are drawn here; so are they where JAX is loaded
-        already, whose threads a fork does not copy. The process ends with this one.
+        Figures are drawn here if there is only one core or if JAX is already loaded, whose threads
+        a fork does not copy. The second process ends with this one.
         """
         if self._second is None and self.formats and cores() > 1 and "jax" not in sys.modules:
             import multiprocessing
@@ -72,20 +72,20 @@ class FigureFiles:
     def replace(
         self, folder: Path, names: Sequence[str], draw: Callable[[], Mapping[str, Figure]]
     ) -> None:
-        """Draw figures, by name, and write them in place of those of an earlier result, of which
-        none stays; `written` waits for the files.
+        """Draw figures, by name, and write them in place of all those of an earlier result;
+        `written` waits for the files.
 
         Parameters
         ----------
-        names : of all figures that there may be.
-        draw : a function of a module with its arguments, so that another process can call it.
+        names : names of all possible figures.
+        draw : a module-level function with its arguments, so that another process can call it.
         """
         task = _Task(folder, tuple(names), self.formats, draw)
         if self._second is not None:
             try:
                 self._second.send_bytes(pickle.dumps(task))
             except (pickle.PicklingError, AttributeError, TypeError, OSError):
-                pass  # of a law of the user's, say; or the process is gone
+                pass  # as with a user's own law, or because the process is gone
             else:
                 self._tasks.append(task)
                 return
@@ -97,7 +97,7 @@ class FigureFiles:
             assert self._second is not None
             try:
                 found = self._second.recv()
-            except (EOFError, OSError):  # killed, perhaps for its memory
+            except (EOFError, OSError):  # killed, perhaps for lack of memory
                 found = task.carried_out()
             if isinstance(found, Exception):
                 raise found
@@ -123,7 +123,7 @@ class _Task(NamedTuple):
 
 
 def _draw(tasks: Connection) -> None:
-    """What the second process does."""
+    """Main loop of the second process."""
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the first process
@@ -142,7 +142,7 @@ def _draw(tasks: Connection) -> None:
 
 
 def _load_matplotlib() -> None:
-    """All that a first figure would have to load, fonts too."""
+    """Load everything that a first figure needs, including fonts."""
     from io import BytesIO
 
     from curlfit.output.figures import Picture
@@ -177,12 +177,12 @@ def _save(saves: Sequence[tuple[Path, Figure]]) -> None:
 
 
 def _save_side_by_side(saves: Sequence[tuple[Path, Figure]]) -> None:
-    """A share in this process, each of the others in a copy of it, and again here if that fails."""
+    """Save one share here and each of the others in a forked process, or here if that fails."""
     count = min(cores(), len(saves))
     own, *others = (saves[start::count] for start in range(count))
     copies = {}
     for share in others:
-        process = os.fork()  # without threads and programs, as this is done where JAX is not loaded
+        process = os.fork()  # JAX is not loaded: no threads and programs to copy
         if not process:
             try:
                 _save(share)
@@ -199,7 +199,7 @@ def _save_side_by_side(saves: Sequence[tuple[Path, Figure]]) -> None:
 
 
 def remove_figure(folder: Path, name: str, keep: Sequence[Path] = ()) -> None:
-    """Remove a figure of an earlier result in all formats, but for some files."""
+    """Remove a figure of an earlier result in all formats, except for some files."""
     for format in FORMATS:
         file = folder / f"{name}.{format}"
         if file not in keep:

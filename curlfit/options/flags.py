@@ -1,4 +1,4 @@
-"""Flags that several verbs have: of the fit, and of reading the data file."""
+"""Flags shared by several verbs: those of a fit and those of reading the data file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 
 class Saved(NamedTuple):
-    """What a verb leaves to be done: the page of what it saved."""
+    """What remains to be done after a verb: the page of its saved result."""
 
     folder: Path
     quiet: bool = False
@@ -18,7 +18,7 @@ class Saved(NamedTuple):
 
 
 def saved(folder: Path, *, report: bool, quiet: bool) -> Saved | None:
-    """What is left to do where a page is wanted; else one of an earlier result is removed."""
+    """What remains to be done if a page is wanted; otherwise an earlier page is removed."""
     if report:
         return Saved(folder, quiet)
     (folder / "report.html").unlink(missing_ok=True)

@@ -77,7 +77,7 @@ def periods(option: str, items: Sequence[str]) -> list[list[float]]:
 
 
 def row_choices(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Which rows settings use, as arguments of `Throw.select_rows` and of `fit`."""
+    """Selection of rows by settings, as arguments of `Throw.select_rows` and of `fit`."""
     return {
         "since": settings.get("since"),
         "until": settings.get("until"),
@@ -127,7 +127,7 @@ def numbers(option: str, text: str) -> tuple[float, ...]:
 
 
 def with_unit(option: str, quantity: str, text: str) -> float:
-    """A number such as `5mm` in SI units; without a unit it is in SI. `quantity` as "x"."""
+    """A number such as `5mm` in SI units; SI if it has no unit. `quantity` is "x", for instance."""
     size = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
     if size is None:
         raise InputError(
@@ -154,7 +154,7 @@ def number(option: str, name: str, text: str) -> float:
 
 
 def read_config(file: Path | None) -> dict[str, Any]:
-    """Settings from a TOML file; none without a file."""
+    """Settings from a TOML file; empty without a file."""
     if file is None:
         return {}
     try:
@@ -198,7 +198,7 @@ def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
-    """The settings; raises `InputError` where one has a wrong type."""
+    """The settings; raises `InputError` if one has a wrong type."""
     from curlfit.throws.readers.table import check_intervals, check_seed
 
     free = settings.get("free", [])
@@ -260,7 +260,7 @@ def reader_arguments(configured: Mapping[str, Any], flags: Mapping[str, Any]) ->
 
 
 def prepare(data: Path, config: Path | None, flags: Mapping[str, Any]) -> ConfiguredThrow:
-    """The throw and its settings: its own, then those of the configuration, then the flags.
+    """The throw and its settings: its own, overridden by the configuration, then by the flags.
 
     Raises
     ------
@@ -282,12 +282,12 @@ def result_folder(data: Path, kind: str, shot: int | None, stone_index: int | No
 def prepare_all(
     files: Sequence[Path], config: Path | None, flags: Mapping[str, Any]
 ) -> dict[str, ConfiguredThrow]:
-    """The throws of files and their settings, by the name of the file; of a stopwatch's table,
-    those of all rows, unless one is chosen.
+    """The throws of files and their settings, by file name; from a table of stopwatch times, those
+    of all rows unless one is selected.
 
     Raises
     ------
-    InputError : as `prepare`; two files of the same name.
+    InputError : as `prepare`; two files have the same name.
     """
     from curlfit.errors import CurlfitError
     from curlfit.inference.joint.result import folder_name
@@ -319,7 +319,7 @@ def prepare_all(
 def apply_settings(
     throw: Throw, configured: Mapping[str, Any], flags: Mapping[str, Any]
 ) -> ConfiguredThrow:
-    """`prepare` for a throw that was read already."""
+    """`prepare` for a throw that has already been read."""
     from curlfit.stone import Stone
 
     settings = merge(check_settings(throw.defaults, throw.name), configured, flags)
@@ -368,7 +368,7 @@ def fit_flags(
 
 
 def parameter_choices(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """What settings say of the parameters, as arguments of `fit`."""
+    """Settings of the parameters, as arguments of `fit`."""
     return {
         "fix": settings.get("fix"),
         "bounds": settings.get("bound"),
@@ -385,7 +385,7 @@ def is_swept(choices: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class FitRequest(NamedTuple):
-    """A fit to be made; `cut` is the throw with the rows to be used."""
+    """A requested fit; `cut` is the throw with only the rows to be used."""
 
     throw: Throw
     cut: Throw
@@ -411,7 +411,7 @@ class FitRequest(NamedTuple):
         return self.with_derived(found)
 
     def problem(self) -> tuple[Model, ParameterSet, Problem]:
-        """The problem with which the fit begins, for what is compiled beside it."""
+        """The initial problem of the fit, for programs compiled alongside it."""
         from curlfit.inference.fit.prepared import PreparedThrow
         from curlfit.inference.fit.rounds import Rounds
         from curlfit.inference.model import Model
@@ -426,13 +426,13 @@ class FitRequest(NamedTuple):
         return model, prepared.local_parameters, problem
 
     def with_derived(self, fit: FitResult) -> FitResult:
-        """The fit with the derived quantities that the settings ask for."""
+        """The fit with the derived quantities requested in the settings."""
         wanted = self.settings.get("derive")
         return fit if wanted is None else fit.with_derived(wanted)
 
 
 def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> FitRequest:
-    """The fit to be made, its input checked before slow modules are loaded.
+    """The requested fit, with its input checked before slow modules are loaded.
 
     Raises
     ------
@@ -461,11 +461,11 @@ def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Fi
 
 
 def kind_of(folder: Path) -> str:
-    """Kind of the results in a folder, by the name of its JSON file.
+    """Kind of the result in a folder, by the name of its JSON file.
 
     Raises
     ------
-    InputError : a folder without any.
+    InputError : the folder contains no result.
     """
     for kind in RECORDS:
         if folder.name == f"{kind}.json" or (folder / f"{kind}.json").is_file():
@@ -482,7 +482,7 @@ def chain_beside(folder: Path) -> Path:
 
 
 def load_fit_and_chain(folder: Path) -> tuple[FitResult, Chain | None]:
-    """A saved fit, and its chain where sampling was completed."""
+    """A saved fit, and its chain if sampling was completed."""
     from curlfit.inference.fit.result import load_fit
 
     kind = kind_of(folder)

@@ -14,8 +14,8 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-_DEFAULT_WIDTH = 110  # columns where the output is no terminal
-_MIN_TEXT_WIDTH = 24  # columns of a cell that is wrapped
+_DEFAULT_WIDTH = 110  # columns, if the output is not a terminal
+_MIN_TEXT_WIDTH = 24  # columns of a wrapped cell
 _UNLIMITED = 10_000
 _GAP = "   "
 _RUNS = re.compile(r"(?: *[^ \n])+| +|\n")
@@ -83,8 +83,8 @@ class Items:
 
 
 class PlainTable(Table):
-    """A table without lines, of which nothing is cut: where it is wider than the terminal, its
-    columns are printed in blocks, one below the other, each after the first `keys` columns."""
+    """A table without rules that is never truncated: if it is wider than the terminal, its columns
+    are printed in blocks, one below the other, each repeating the first `keys` columns."""
 
     def __init__(self, keys: int = 1) -> None:
         super().__init__(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_edge=False)

@@ -1,4 +1,4 @@
-"""How results show themselves: a few lines of text, and a table in a notebook."""
+"""Display of results: a few lines of text, and a table in a notebook."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from rich.text import Text
 
 from curlfit.output import html
 
-_LONG = 110  # characters of a first line
+_LONG = 110  # maximum number of characters in a first line
 
 
 @dataclass(frozen=True)
 class Overview:
-    """What a result says at a glance.
+    """A result at a glance.
 
     Attributes
     ----------
-    finding : whether it may be used, or what it shows, in a few words.
+    finding : whether the result is usable, or what it shows, in a few words.
     subject : what it is about.
     lines : the numbers, in one or two lines of text.
     parts : the same for HTML: texts and tables.
     warnings : sentences without a full stop.
-    style : of the finding.
+    style : style of the finding.
     """
 
     finding: str
@@ -36,7 +36,7 @@ class Overview:
     style: str = ""
 
     def as_text(self, name: str, more: str) -> str:
-        """A few lines; `name` is that of the class, `more` what shows all of it."""
+        """A few lines; `name` is that of the class, `more` that of what shows everything."""
         gap = " " if len(name + self.finding + self.subject) < _LONG else "\n"
         lines = [f"{name}, {self.finding}:{gap}{self.subject}", *filter(None, self.lines)]
         if self.warnings:
@@ -53,12 +53,12 @@ class Overview:
 
 
 class Displayed:
-    """Base of results, whose `repr` is a few lines and which are tables in a notebook."""
+    """Base of results, shown as a few lines by `repr` and as a table in a notebook."""
 
     _report: ClassVar[str] = ""
     """module with a function `overview` of the result; loaded when the result is shown"""
     _printer: ClassVar[str] = ""
-    """function that prints all of it"""
+    """function that prints the whole result"""
 
     def _overview(self) -> Overview:
         found: Overview = import_module(self._report).overview(self)

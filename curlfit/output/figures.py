@@ -1,7 +1,7 @@
 """Style of the figures: sizes, colours, axes, units, saving.
 
-Figures are as wide as two columns of a journal and have its sizes of print. A colour has one
-meaning everywhere; marker, dashes and lightness tell the same without colour.
+Figures are as wide as two journal columns and have journal font sizes. A colour has one meaning
+everywhere; markers, dashes and lightness convey the same without colour.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 WIDTH = 180 / 25.4
-"""Width of a figure, inches: two columns of a journal."""
+"""Width of a figure in inches: two journal columns."""
 DPI = 220
 """Resolution of PNG files, and of points in PDF and SVG files."""
 
@@ -40,9 +40,9 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 
 DATA_COLOR = "#737373"
 FIT_COLOR = PALETTE[0]
-"""of the law as fitted"""
+"""of the fitted law"""
 REFERENCE_COLOR = PALETTE[1]
-"""of published or true values, goals, and what is required"""
+"""of published or true values, goals and requirements"""
 PREDICTION_COLOR = PALETTE[5]
 """of bands and regions of a prediction"""
 POSTERIOR_COLOR = PALETTE[3]
@@ -62,7 +62,7 @@ DATA_STYLE: dict[str, Any] = {
 LATER_STYLE = DATA_STYLE | {"markeredgewidth": 0.5, "markerfacecolor": "white", "markersize": 2.6}
 """of data that were not fitted"""
 RINGS = ("#e8ecf0", "#ffffff", "#f5e4e0", "#ffffff")
-"""of a house, twelve-foot circle to button"""
+"""of the rings of a house, from the twelve-foot circle to the button"""
 ZERO_LINE: dict[str, Any] = {"color": "0.6", "lw": 0.7, "zorder": 0.9}
 
 DASHES = ("-", "--", "-.", ":")
@@ -70,7 +70,7 @@ CHANNEL_MARKER = {"x": "o", "y": "s", "phi": "^"}
 CHANNEL_LABEL = {"x": "x", "y": "y", "phi": r"\varphi", "speed": "v", "omega": r"\omega"}
 _STYLE: dict[str, Any] = {
     "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],  # which comes with matplotlib: the same figure anywhere
+    "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib: the same figure everywhere
     "mathtext.fontset": "dejavusans",
     "text.usetex": False,
     "axes.unicode_minus": True,
@@ -114,8 +114,8 @@ _FILES = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.hashsalt": "curlfit"}
 _UNDATED = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
 
 _MIN_FONT_SIZE = 1.0  # points
-_SLOPES = 40  # of a series of measured places, at most
-MAX_POINTS = 2000  # drawn of a series
+_SLOPES = 40  # maximum number estimated from a measured series
+MAX_POINTS = 2000  # maximum number drawn of a series
 
 
 def _style(more: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
@@ -123,15 +123,15 @@ def _style(more: Mapping[str, Any] | None = None) -> AbstractContextManager[None
 
 
 class Picture(Figure):
-    """A matplotlib figure of the common style, that notebooks display without pyplot."""
+    """A matplotlib figure in the common style, which notebooks display without pyplot."""
 
     def draw(self, renderer: Any) -> None:
-        """Draw: ticks are made only now."""
+        """Draw in the common style: ticks are made only now."""
         with _style():
             super().draw(renderer)
 
     def savefig(self, fname: Any, *, transparent: bool | None = None, **options: Any) -> None:
-        """As of `Figure`; PDF files have their fonts embedded, and no file has a date."""
+        """As in `Figure`; PDF files have their fonts embedded, and no file has a date."""
         format = options.get("format") or FilePath(str(fname)).suffix[1:].lower()
         if format in _UNDATED:
             options["metadata"] = _UNDATED[format] | (options.get("metadata") or {})
@@ -145,7 +145,7 @@ class Picture(Figure):
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Have a function draw in the common style, whatever the user's settings of matplotlib."""
+    """Make a function draw in the common style, whatever the user's matplotlib settings."""
 
     @wraps(draw)
     def drawn(*args: P.args, **options: P.kwargs) -> R:
@@ -166,14 +166,14 @@ def panels(
     bottom: float = 0.42,
     gap: tuple[float, float] = (0.62, 0.68),
 ) -> list[list[Any]]:
-    """Axes in rows, at fixed places: ten times as fast as a layout that measures texts.
+    """Axes in rows at fixed positions: ten times as fast as a layout that measures text.
 
     Parameters
     ----------
-    heights : of the rows; what the figure leaves is divided in these proportions.
-    columns : for each row the proportions of its columns.
-    left, right, top, bottom : margins, inches; the right ones of each row.
-    gap : between columns, and between rows, inches.
+    heights : relative heights of the rows.
+    columns : for each row, the relative widths of its columns.
+    left, right, top, bottom : margins, inches; `right` has one for each row.
+    gap : gaps between columns and between rows, inches.
     """
     width, height = figure.get_size_inches()
     free = height - top - bottom - gap[1] * (len(heights) - 1)
@@ -193,7 +193,7 @@ def panels(
 
 
 def some_rows(n: int, most: int = MAX_POINTS) -> Any:
-    """Indices of evenly chosen rows, at most so many."""
+    """Indices of at most `most` evenly spaced rows."""
     return np.unique(np.linspace(0, n - 1, min(n, most)).astype(int))
 
 
@@ -202,8 +202,8 @@ def measured_slopes(t: Floats, *series: Floats) -> tuple[Floats, list[Floats], f
 
     Returns
     -------
-    mean times of the groups, slopes of each series there, and the duration of a group, s. Groups
-    have three rows at least and are 40 at most; rows with a gap in any series are left out.
+    mean times of the groups, slopes of each series there, and the duration of a group, s. There are
+    at most 40 groups of at least three rows; rows with a gap in any series are left out.
     """
     there = np.isfinite(np.array(series)).all(0)
     t, series = t[there], tuple(one[there] for one in series)
@@ -223,7 +223,7 @@ def measured_slopes(t: Floats, *series: Floats) -> tuple[Floats, list[Floats], f
 
 
 def feet(axes: Any, side: str, label: str = "") -> None:
-    """A second axis in feet, on the "right" or at the "top", beside one in metres."""
+    """A second axis in feet, on the "right" or at the "top", in addition to one in metres."""
     make = axes.secondary_yaxis if side == "right" else axes.secondary_xaxis
     second = make(side, functions=(lambda metres: metres / FOOT, lambda foot: foot * FOOT))
     axis = second.yaxis if side == "right" else second.xaxis
@@ -240,7 +240,7 @@ def in_symbols(expression: str, symbols: Mapping[str, str]) -> str:
 
 
 def place(figure: Figure, left: float, top: float, width: float, height: float) -> Any:
-    """Axes at a place of the figure, inches from its left and its top."""
+    """Axes at a position in the figure, in inches from its left and top edges."""
     across, tall = figure.get_size_inches()
     return figure.add_axes(
         (left / across, 1 - (top + height) / tall, width / across, height / tall)
@@ -260,7 +260,7 @@ def legend_above(axes: Any, **options: Any) -> None:
 
 
 def letter(axes: Any, text: str, aside: float = 0.5, up: float = 4) -> None:
-    """The letter of a panel at its upper left, so many inches beside and points above the axes."""
+    """The letter of a panel, `aside` inches left of and `up` points above its upper left corner."""
     axes.annotate(
         text, (0, 1), (-72 * aside, up), xycoords="axes fraction", textcoords="offset points",
         fontsize=9, fontweight="bold", va="bottom", ha="left", annotation_clip=False,
@@ -276,7 +276,7 @@ def title(
     loc: str = "left",
     size: float = 8,
 ) -> None:
-    """A title that fits the width of one of `columns` columns, less a margin in inches."""
+    """A title that fits the width of one of `columns` columns, minus a margin in inches."""
     figure = axes.get_figure()
     label = axes.set_title(text, fontsize=size, loc=loc)
     shrink(label, figure.bbox.width / columns - margin * figure.dpi)
@@ -289,7 +289,7 @@ def shrink(text: Any, max_width: float) -> None:
 
 
 def fix_layout(figure: Figure) -> None:
-    """Lay out a figure for good: what is changed afterwards is to take as much room as before."""
+    """Freeze the layout of a figure: later changes are to take as much room as before."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
@@ -297,7 +297,7 @@ def fix_layout(figure: Figure) -> None:
 
 
 def note_stretch(axes: Any) -> None:
-    """Note in the label of the lower axis by how much the scale of the other is larger."""
+    """Note in the label of the horizontal axis by what factor the vertical scale is larger."""
     width, height = axes.get_figure().get_size_inches()
     box = axes.get_position()
     across = height * box.height / np.ptp(axes.get_ylim())
@@ -317,7 +317,7 @@ def line_styles(number: int) -> list[dict[str, Any]]:
 
 
 def save_figure(figure: Figure, file: str | PathLike[str], dpi: int = DPI) -> None:
-    """Write a figure, whole or not at all; its format is that of the file's name."""
+    """Write a figure atomically, in the format given by the file name."""
     from curlfit.output.files import atomic_write
 
     # Drawn in memory: matplotlib's own writers leave half a file on a full disk.

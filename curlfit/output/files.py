@@ -24,7 +24,7 @@ _PREFIX = ".curlfit-"  # of temporary names
 def atomic_write(file: Path, *, private: bool = False) -> Iterator[Path]:
     """A temporary path beside `file`, renamed to it when the block ends without error.
 
-    Others may read and write the file as the umask allows, or not at all if it is `private`.
+    The permissions of the file follow the umask; a `private` one is for its owner only.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def _umask() -> int:
 
 
 def prepare_folder(folder: Path) -> Path:
-    """Make the folder if it does not exist; `InputError` where it cannot be written to."""
+    """Make the folder if it does not exist; `InputError` if it cannot be written to."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder, prefix=_PREFIX):
@@ -101,15 +101,15 @@ def _remove_stale_files(folder: Path) -> None:
 Result = TypeVar("Result")
 
 RECORDS = ("fit", "compare", "joint", "predict", "profile", "design")
-"""Kinds of saved results; that of a folder is the name of its JSON file."""
+"""Kinds of saved results; a folder's kind is the name of its JSON file."""
 
 
 def read_json(file: Path, schema: int) -> dict[str, Any]:
-    """Read a record of a schema that `write_json` wrote.
+    """Read a record of the given schema written by `write_json`.
 
     Raises
     ------
-    DataError : the file is not there, is not such a record, or is of a schema that cannot be read.
+    DataError : the file does not exist, is not such a record, or has another schema.
     """
     kind = next((f"{name}.json" for name in RECORDS if name in file.name), "fit.json")
     try:
@@ -144,11 +144,11 @@ def load_record(
 
     Parameters
     ----------
-    build : makes it from the entries of the file, whose path is given too.
+    build : makes the result from the entries of the file and its path.
 
     Raises
     ------
-    DataError : as `read_json`; entries are missing or of another kind.
+    DataError : as `read_json`; entries are missing or of a wrong type.
     """
     path = Path(file)
     if path.is_dir():
@@ -156,7 +156,7 @@ def load_record(
     entries = read_json(path, schema)
     try:
         return build(entries, path)
-    except DataError:  # of a file beside it
+    except DataError:  # from a file beside it
         raise
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise DataError(
@@ -165,20 +165,20 @@ def load_record(
 
 
 def known_fields(record: type, entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Those entries that a dataclass has fields for; a later version may have written more."""
+    """The entries for which a dataclass has fields; a later version may have written more."""
     names = {item.name for item in fields(record)}
     return {key: value for key, value in entries.items() if key in names}
 
 
 def write_json(record: dict[str, Any], file: Path) -> None:
-    """Write a record as JSON that any program can read, whole or not at all."""
+    """Write a record atomically, as JSON that any program can read."""
     text = json.dumps(json_safe(record), indent=1, allow_nan=False)
     with atomic_write(file) as temporary:
         temporary.write_text(_compact_series(text) + "\n", encoding="utf-8")
 
 
 def json_safe(value: Any) -> Any:
-    """A value with NaN as null and infinities as text, which JSON has no numbers for."""
+    """A value with NaN as null and infinities as text, since JSON has no such numbers."""
     if isinstance(value, dict):
         return {key: json_safe(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -189,7 +189,7 @@ def json_safe(value: Any) -> Any:
 
 
 def _compact_series(text: str) -> str:
-    """Lists of numbers on one line each, so that a person can read the rest."""
+    """JSON with each list of numbers on one line, which keeps the rest readable."""
     number = r"(?:-?\d[-+.eE\d]*|null)"
     return re.sub(
         rf"\[\s+({number}(?:,\s+{number})*)\s+\]",

@@ -1,4 +1,4 @@
-"""Tables of pandas, and packages that not everyone has."""
+"""pandas tables, and optional packages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from curlfit.errors import InputError
 
 
 def optional(module: str, extra: str) -> Any:
-    """A package that an extra of curlfit installs.
+    """A package installed by an extra of curlfit.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Reports as HTML: texts and tables of rich, in the colours of the page around them.
+"""Reports as HTML: texts and tables of rich, in the colours of the surrounding page.
 
-Colours have a contrast above 4 on white and on black alike, of the 4.4 that are possible; all else
-is inherited. Every text is escaped.
+Colours have a contrast above 4 on both white and black, where 4.58 is the maximum; all else is
+inherited. Every text is escaped.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rich.text import Text
 from curlfit.output.console import Items
 
 COLORS = {"green": "#2c8a4b", "yellow": "#a87000", "red": "#d9483b"}
-"""Of words, by their name on a terminal."""
+"""Colours of words, by their names on a terminal."""
 _LINE = "1px solid rgba(128, 128, 128, 0.4)"
 _CELL = (
     "padding: 0.15em 1em 0.15em 0; vertical-align: top; background-color: transparent; "
@@ -53,7 +53,7 @@ def inline(part: Any) -> str:
 
 
 def _runs(text: Text) -> Iterable[Text]:
-    """The pieces of a text within which its style does not change."""
+    """The pieces of a text in each of which the style is constant."""
     edges = {edge for span in text.spans for edge in (span.start, span.end)}
     return text.divide(sorted(edges - {0, len(text)}))
 

@@ -15,11 +15,11 @@ STYLE = {
     "fixed": "dim",
 }
 
-_HUGE = 1e9  # from which a number is written with a power of ten
+_HUGE = 1e9  # numbers from this size on are written with a power of ten
 
 
 def plain_table(keys: int = 1) -> PlainTable:
-    """A table without rules; wider than the terminal, it is split and `keys` columns repeated."""
+    """A table without rules; if too wide for the terminal, split and repeating `keys` columns."""
     return PlainTable(keys)
 
 
@@ -37,7 +37,7 @@ def format_estimate(value: float, stderr: float | None) -> tuple[str, str]:
 
 
 def compact(value: float, stderr: float | None) -> str:
-    """A value with its error in its last two digits, as 0.0556(12); the value alone without one."""
+    """A value with the error of its last two digits, as 0.0556(12); the value alone without one."""
     shown, error = format_estimate(value, stderr)
     if "e" in error:
         return f"{shown} +- {error}"
@@ -46,7 +46,7 @@ def compact(value: float, stderr: float | None) -> str:
 
 
 def from_to(low: float, high: float, scale: float | None = None) -> str:
-    """Ends of an interval, rounded to two digits of a scale, a third of its width if not given."""
+    """Ends of an interval, rounded to two digits of a scale, by default a third of its width."""
     scale = (high - low) / 3 if scale is None else scale
     return f"{format_estimate(low, scale)[0]} .. {format_estimate(high, scale)[0]}"
 

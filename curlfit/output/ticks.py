@@ -24,8 +24,8 @@ _UNIT_SIZES = {
 }
 
 _MIN_IN_UNIT = 0.1  # size in a unit below which the next smaller unit is used
-_LETTER_WIDTH = 0.065  # inches, of a tick label
-_MAX_RATIO = 1e4  # of a tick to the step, above which an offset is subtracted from all ticks
+_LETTER_WIDTH = 0.065  # inches, in a tick label
+_MAX_RATIO = 1e4  # of a tick to the step; above it, an offset is subtracted from all ticks
 
 
 def unit_for(size: float, channel: str) -> tuple[float, str]:

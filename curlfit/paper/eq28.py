@@ -31,9 +31,9 @@ from curlfit.stone import GRAVITY, Stone
 from curlfit.throws.throw import Throw
 
 R_RANGE = (0.0535, 0.0545)
-"""Ring radii that print as 0.054 m."""
+"""Ring radii that round to the printed 0.054 m."""
 RHO_RANGE = (0.095, 0.105)
-"""Radii of gyration taken to print as 0.1 m, m."""
+"""Radii of gyration assumed to be compatible with the printed 0.1 m, m."""
 
 _NODES = 5  # Chebyshev nodes in R and in rho, at which the path is fitted
 _DRAWS = 20_000
@@ -99,7 +99,7 @@ def study_eq_28(path: PathFindings) -> Eq28Findings:
     add_fit(trajectory, throw, R_RANGE[0], SOLID_RHO, whole)
     for until in (10.0, 15.0, 18.0, 22.0):
         add_fit(trajectory, throw, radius, SOLID_RHO, until)
-    equal_weights = "trajectory fit, even weights"  # 1 m like 1 rad
+    equal_weights = "trajectory fit, even weights"  # 1 m weighted like 1 rad
     add_fit(equal_weights, equally_weighted, radius, rho, whole)
     from_origin = equal_weights + ", from the origin"
     for one in (rho, SOLID_RHO):

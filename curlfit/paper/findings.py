@@ -1,4 +1,4 @@
-"""What the studies of the paper find: records, for whose sake nothing of JAX is loaded."""
+"""Findings of the studies of the paper, as records that can be imported without JAX."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from curlfit.paper.ring_states import RingStates
 
 RADIUS = 0.065
-"""Ring radius of sect. 4, m; eq. 17's 0.032 belongs to it."""
+"""Ring radius of sect. 4, m; the 0.032 of eq. 17 corresponds to it."""
 
 NAMES = ("mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")
 
@@ -64,13 +64,13 @@ class PathFindings:
 
     Attributes
     ----------
-    motion : by eq. 12, each 0.1 s on 0..20 s. printed, wrong_sign : with eq. 14 as printed, and
-    with its sign alone.
+    motion : by eq. 12, every 0.1 s on 0..20 s. printed, wrong_sign : with eq. 14 as printed, and
+    with its wrong sign alone.
     start : dx/dt, dy/dt (m/s) and omega (1/s) at t = 0. end : x, y (m) and turns at t = 23 s.
     x_form : c, k, p of `d2x/dt2 = -(c + k (1 - t/23)^p)`, in m/s^2, m/s^2, 1.
     y_form : k, p of `d2y/dt2 = -k (1 - t/23)^p`. by_hand : largest relative difference between
-    derivatives by JAX and by hand. sign_change : time in s at which d2x/dt2 changes its sign.
-    ax, ay, ax_printed, ay_printed : d2x/dt2 and d2y/dt2 in m/s^2, right and as printed.
+    derivatives by JAX and by hand. sign_change : time in s at which d2x/dt2 changes sign.
+    ax, ay, ax_printed, ay_printed : d2x/dt2 and d2y/dt2 in m/s^2, correct and as printed.
     bound_form : coefficient and exponents of `R omega/(dy/dt)`, the bound of eq. 17.
     ice_slope : at each time, the largest dx(A)/dy(A) on the ring, in the ice frame.
     slope : the same in the moving frame, v_xi(A)/v_eta(A).
@@ -115,7 +115,7 @@ class DeviationCounts:
     spin. slow, slow_left : the same for |epsilon| < 1, where the instant centre of velocities lies
     outside the base. speeds_up : states with T_eta > 0. remark : deviating to the left with
     n1 > 0, n2 < 0 (n1 mirrored for clockwise spin), T_eta > 0 and the rotation slowing.
-    range : least and greatest force to the right over the weight.
+    range : smallest and largest force to the right over the weight.
     """
 
     states: int
@@ -181,14 +181,14 @@ class IsotropicFindings:
 
     Attributes
     ----------
-    laws : number of local laws for the next three. triple_states : number of states.
+    laws : number of local laws tested for Prop. 1. triple_states : number of their states.
     orthogonality : largest |cos| of the angle between T and M_N. handedness : smallest
-    (T x M_N).k/(|T| |M_N|), 1 for a right triple. arm : largest relative difference of |M_N| and
-    h |T|.
+    (T x M_N).k/(|T| |M_N|), 1 for a right-handed triple. arm : largest relative difference of |M_N|
+    and h |T|.
     coulomb : Prop. 2. power : Prop. 3 for powers of the speed, by exponent. mixture : Prop. 3 for
     non-monotonic functions. mixture_example, power_example : deviations to the left.
     stribeck : Prop. 4, by case, where mu > 0 on the whole ring. negative : the same where mu < 0
-    somewhere. stribeck_example : of case (ii), mu > 0.
+    somewhere on it. stribeck_example : of case (ii), mu > 0.
     curves : for the figure.
     """
 
@@ -224,9 +224,9 @@ class Expansion:
 
     Attributes
     ----------
-    epsilon : shape (n,). gap : largest relative gap of T_xi, T_eta, M at each epsilon, over the
-    coefficients taken one at a time, shape (n, 3). order : power of epsilon with which each
-    falls, shape (3,); nan where the gap is rounding.
+    epsilon : shape (n,). gap : largest relative difference of T_xi, T_eta, M at each epsilon, over
+    the coefficients taken one at a time, shape (n, 3). order : power of epsilon with which each
+    decreases, shape (3,); NaN where the gap is rounding error.
     """
 
     epsilon: Floats
@@ -250,10 +250,10 @@ class RingFindings:
     numerically, t <= 20 s. ring_gap : the same between eq. 27 and the full ring.
     t : s. l1, l2, l3 : combinations that solve eq. 24 at each time, shape (n,).
     rank : of eq. 24 with respect to the four unknowns, and with l1, l2, l3 as further rows.
-    l1_zero : time in s at which l1 changes its sign, or None. greatest_epsilon : on t <= 20 s.
+    l1_zero : time in s at which l1 changes sign, or None. greatest_epsilon : on t <= 20 s.
     radial_fit : the radial law fitted with coefficients of either sign; radial_l its l1, l2, l3.
-    split_epsilon : examined. split_uniform : largest relative change of the three forces at each
-    when mu1_eta and mu2_eta are exchanged, uniform load. split_consistent : relative change of
+    split_epsilon : values examined. split_uniform : largest relative change of T_xi, T_eta, M at
+    each when mu1_eta and mu2_eta are exchanged, uniform load. split_consistent : relative change of
     T_eta, consistent load.
     """
 
@@ -300,13 +300,14 @@ class Uncertainty:
     ----------
     radius, rho : draws in m, shape (n,). mu : draws of the three coefficients, shape (n, 3).
     interval : 95 % intervals, shape (3, 2). noise : the standard error at R = 0.054 m,
-    rho = 0.1 m, all of it from the residuals, shape (3,).
+    rho = 0.1 m, entirely from the residuals, shape (3,).
     preference : difference in chi-squared between the best and the worst stone in the range.
     positive : share of the draws without bounds in which all coefficients are positive.
-    free_interval : 95 % intervals of these unbounded draws. effective : sample size after weights.
+    free_interval : 95 % intervals of these unbounded draws. effective : effective sample size.
     check : largest error of the interpolation at stones between the nodes, in standard errors.
-    share : of the draws that round to all three printed numbers. nearest : the radius and rho
-    within the ranges whose fit comes nearest to the print, and nearest_mu that fit.
+    share : fraction of the draws that round to all three printed numbers. nearest : the radius and
+    rho within the ranges whose coefficients are nearest to the printed ones; nearest_mu : these
+    coefficients.
     """
 
     radius: Floats
@@ -325,7 +326,7 @@ class Uncertainty:
 
     @property
     def covered(self) -> Booleans:
-        """Whether the interval of each coefficient meets the printed value within its rounding."""
+        """Whether each interval overlaps the printed value within its rounding."""
         low, high = self.interval.T
         return (low <= PRINTED + HALF_DIGIT) & (high >= PRINTED - HALF_DIGIT)
 

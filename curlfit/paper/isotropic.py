@@ -39,7 +39,7 @@ class SpeedMixture(LocalLaw):
     scale: float = coefficient(0.5, "speed of the decay", unit="m/s")
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
-        """Friction against sliding, with mu a function of the speed."""
+        """Friction opposite to the sliding velocity, with mu a function of the speed."""
         s = point.speed / self.scale
         decay = jnp.exp(-s)
         mu = self.level + self.rise * point.speed + (self.drop + self.hump * s**2) * decay

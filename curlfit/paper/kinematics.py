@@ -1,7 +1,7 @@
 """Claims about the trajectory of eq. 12 itself: eq. 13-17 and Prop. 5.
 
 Eq. 12 is differentiated by JAX; the printed coefficients and exponents are recovered from these
-derivatives, which are compared with derivatives by hand.
+derivatives, which are compared with derivatives found by hand.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ RING_ANGLES = np.linspace(-np.pi, np.pi, 721)
 """Polar angles of ring points, rad."""
 
 _TIMES = np.arange(201) / 10
-_ROWS = 256  # of one program, for any number of times
-_ORDERS = 3  # of derivatives that it has
-_NEWTON_STEPS = 4  # from within 0.05 s
+_ROWS = 256  # times in one batch, so that one program serves any number of them
+_ORDERS = 3  # orders of derivatives that are computed
+_NEWTON_STEPS = 4  # from an initial guess within 0.05 s
 _SAMPLE_TIMES = (2.0, 11.0)  # s, from which coefficients and exponents are computed
 
 
 class Derivatives(NamedTuple):
-    """A derivative of x, y (m) and phi (rad) by time, each of the shape of the times."""
+    """A derivative of x, y (m) and phi (rad) with respect to time, each of the times' shape."""
 
     x: Floats
     y: Floats
@@ -80,7 +80,7 @@ def as_printed(t: Floats) -> tuple[Floats, Floats]:
 
 
 def kinematics(t: Floats, *, printed: str = "") -> Kinematics:
-    """Motion by eq. 12 at times in s; the accelerations named in `printed` as eq. 14 prints them.
+    """Motion by eq. 12 at times in s; the accelerations named in `printed` are those of eq. 14.
 
     `printed` is "", "x" (the wrong sign) or "xy" (also the wrong exponent).
     """
@@ -138,7 +138,7 @@ def study_path() -> PathFindings:
 
 
 def _sign_change(t: Floats, second: Floats) -> float:
-    """Time at which d2x/dt2 changes its sign, by Newton's method from the nearest of some times."""
+    """Time at which d2x/dt2 changes sign, by Newton's method from the nearest of the times `t`."""
     time = t[np.argmin(np.abs(second)), None]
     for _ in range(_NEWTON_STEPS):
         time = time - derivatives(time, 2).x / derivatives(time, 3).x

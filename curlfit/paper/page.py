@@ -25,7 +25,7 @@ _STYLE = {"holds": "green", "holds with a correction": "yellow", "does not hold"
 
 
 def claims_table(claims: tuple[Claim, ...]) -> Table:
-    """The claims as a table, readable from 80 columns."""
+    """The claims as a table, readable at 80 columns or more."""
     table = Table(box=box.SIMPLE_HEAD, show_lines=False, pad_edge=False, padding=(0, 1, 1, 0))
     table.add_column("", no_wrap=True, style="bold")
     table.add_column("claim, and why", ratio=33, overflow="fold")

@@ -45,7 +45,7 @@ def jensen_shegelski(t: ArrayLike) -> Configuration:
 
 
 def eq_12(t: Any) -> Configuration:
-    """The formula of eq. 12 itself, for a number or array of any library; jax differentiates it."""
+    """The formula of eq. 12 itself, for a number or array of any library, differentiable by JAX."""
     rest = 1 - t / 23
     return Configuration(
         x=-(0.004 * t**2 - 0.185 * t + 2.98 * (1 - rest**1.43)),
@@ -105,11 +105,11 @@ def first_order_motion(
 
     With `a = g (mu1_eta + mu2_eta)/2` and `k = g R^2 (mu1_xi + mu2_xi)/(4 rho^2)`:
     `v = v0 - a t`, `omega = omega0 (v/v0)^(k/a)`; the angle turned and the heading are powers of
-    `v` as well. x and y are integrals of these closed forms, by 64 Gauss points.
+    `v` as well. x and y are integrals of these closed forms, by 64-point Gauss quadrature.
 
     Raises
     ------
-    ValueError : a time lies after the stop at `v0/a`, where the first-order law has no meaning.
+    ValueError : a time is not before the stop at `v0/a`, where the first-order law has no meaning.
     """
     t = np.asarray(t, float)
     a = GRAVITY * (law.mu1_eta + law.mu2_eta) / 2

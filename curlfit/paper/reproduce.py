@@ -42,7 +42,7 @@ class Reproduction(Displayed):
     eq28: Eq28Findings
 
     def claim(self, name: str) -> Claim:
-        """The claim of that id."""
+        """The claim with that id."""
         return {claim.id: claim for claim in self.claims}[name]
 
 
@@ -55,8 +55,8 @@ def reproduce(
     Parameters
     ----------
     progress : called before each part with its name, the number of parts done and the total.
-    arrived : called with the findings of each study once they are known, by the name that they have
-        in the result.
+    arrived : called with the findings of each study as soon as they are known, after the name of
+        their attribute in the result.
 
     Examples
     --------

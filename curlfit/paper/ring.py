@@ -152,7 +152,10 @@ def study_ring(motion: Kinematics) -> RingFindings:
 
 
 def _trajectory_differences() -> tuple[tuple[float, float], tuple[float, float]]:
-    """Eq. 27 in closed form, integrated, and the full ring, with the coefficients of eq. 28."""
+    """Differences of eq. 27 in closed form from eq. 27 integrated, and of that from the full ring.
+
+    The coefficients are those of eq. 28.
+    """
     stone = Stone(R=0.054, rho=RHO)
     t = np.linspace(0, 20, 201)
     padded = np.pad(t, (0, 55), mode="edge")  # the shape of a fit's times

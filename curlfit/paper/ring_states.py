@@ -1,4 +1,4 @@
-"""Forces, load and friction of the ring under consistent load, in arrays of states of motion."""
+"""Forces, load and friction of the ring under consistent load, for arrays of states of motion."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def ring_states(
     ----------
     law : a local law. values : its coefficients, shape (n, coefficients).
     v, omega : speed (m/s) and spin (1/s), shape (n,).
-    family : of which the law is a member, whose program then serves it.
+    family : a family that contains the law; its compiled program is then used.
     """
     n, model = len(v), Model(law, "consistent").within(family)
     kind, values = model.of_program.law, model.vector(values)
@@ -129,7 +129,7 @@ def grid_states(
     omega: Floats,
     family: type[LawFamily] | None = None,
 ) -> tuple[RingStates, Floats]:
-    """RingStates for every set of coefficients, speed and spin; and the coefficients of each."""
+    """RingStates for every set of coefficients, speed and spin, and the coefficients of each."""
     rows = len(v) * len(omega)
     speeds = np.tile(np.repeat(v, len(omega)), len(coefficients))
     spins = np.tile(omega, len(v) * len(coefficients))

@@ -23,8 +23,8 @@ from curlfit.sheet import STONE_RADIUS, TEE, WIDTH
 from curlfit.throws.throw import Throw
 
 _MAX_CHECKED = 2000  # measured rows that a prediction is compared with
-_EXTRAPOLATION = 1.02  # of the fitted range of speed or spin, beyond which a note is given
-_RELEVANT = 1e-3  # m and rad; smaller effects of null directions on the rest are negligible
+_EXTRAPOLATION = 1.02  # of the fitted range of speed or spin, beyond which a warning is given
+_RELEVANT = 1e-3  # m and rad; smaller effects of null directions at rest are negligible
 
 
 def extrapolation(fit: FitResult, best: TrajectoryEnsemble, new: bool) -> list[str]:
@@ -67,7 +67,7 @@ def extrapolation(fit: FitResult, best: TrajectoryEnsemble, new: bool) -> list[s
 def null_direction_effects(
     fit: FitResult, probed: dict[str, TrajectoryEnsemble], best: TrajectoryEnsemble
 ) -> tuple[list[str], list[str]]:
-    """Undetermined directions of the fit: warnings where they affect the throw, and notes."""
+    """Warnings about null directions of the fit that affect the throw, and notes on the others."""
     warnings: list[str] = []
     notes: list[str] = []
     for index, direction in enumerate(fit.null_directions):
@@ -198,7 +198,7 @@ def compare_held_out(
 
 
 def _require_same_throw(throw: Throw, fit: FitResult) -> None:
-    """Raise `InputError` where a throw does not contain the fitted rows."""
+    """Raise `InputError` if a throw does not contain the fitted rows."""
     for name in PREDICTED:
         if name not in fit.rms:
             continue
@@ -214,6 +214,6 @@ def _require_same_throw(throw: Throw, fit: FitResult) -> None:
 
 
 def thin(rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """At most `_MOST_CHECKED` of some rows, evenly."""
+    """At most `_MAX_CHECKED` of the given rows, evenly spaced."""
     indices = np.linspace(0, len(rows) - 1, min(len(rows), _MAX_CHECKED)).astype(int)
     return cast(NDArray[np.int64], rows[np.unique(indices)])

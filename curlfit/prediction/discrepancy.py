@@ -1,24 +1,25 @@
-"""Model discrepancy of a fit: accelerations beyond those of a law, for the bands of predictions.
+"""Model discrepancy of a fit: accelerations missing from the law, for the bands of predictions.
 
 The accelerations, their dependence on speed, the prior of their sizes and their effect on a path
-are those of the noise model "discrepancy" (`curlfit.inference.noise.accelerations`). Across the
-velocity and in the rotation they are proportional to the spin of the throw: the mirror image of a
-throw is a throw, and proportionality is the first order of an odd function. Sizes are drawn from
-their posterior; those that the record could not have shown remain in it, and without any
-information it is the prior, truncated at the friction, whose mean is a third of the friction.
+are those of the noise model "discrepancy" (`curlfit.inference.noise.accelerations`). The components
+across the velocity and of the rotation are proportional to the spin of the throw: the mirror image
+of a throw is a throw, and proportionality is the first order of an odd function. Sizes are drawn
+from their posterior, which retains sizes that the data could not have revealed. Without any
+information it is the prior: exponential with a mean of a third of the friction, truncated at the
+friction.
 
-Identification. The law has its least-squares coefficients: the accelerations are those that do not
-change them, to first order, while the start of the fitted throw adjusts (as in Plumlee 2017,
-Journal of the American Statistical Association 112, 1274). Coefficients that are fixed or at a
-bound do not change. Independent noise by channel is estimated beside the discrepancy; where
-residuals remain correlated from row to row, they count by their effective number of independent
-values.
+Identification. The coefficients of the law are the least-squares estimates: the accelerations are
+those that leave them unchanged, to first order, while the initial state of the fitted throw adjusts
+(as in Plumlee 2017, Journal of the American Statistical Association 112, 1274). Coefficients that
+are fixed or at a bound do not change. The independent noise of each channel is estimated together
+with the discrepancy; residuals that remain correlated from row to row enter with their effective
+sample size.
 
-Beyond the fitted speeds the record contains no information: the discrepancy there, a process of the
-same covariance that is zero at the fitted speeds, has the sizes of the prior.
+Beyond the fitted speeds the data contain no information: the discrepancy there is a process of the
+same covariance, conditioned to be zero at the fitted speeds, with sizes drawn from the prior.
 
-A prediction is the path of the law, and its bands extend to the side of it that the residuals
-indicate: draws have the posterior mean times a random factor, uniform between 0 and 2.
+A prediction is the path of the law; its bands extend to the side that the residuals indicate: each
+draw contains the posterior mean times a random factor, uniform between 0 and 2.
 """
 
 from __future__ import annotations
@@ -57,11 +58,11 @@ from curlfit.prediction.result import Discrepancy
 from curlfit.throws.events import along_path
 from curlfit.throws.throw import CHANNELS
 
-_MIN_VALUES = 20  # of a channel whose noise is estimated
+_MIN_VALUES = 20  # number of values above which the noise of a channel is estimated
 _MIN_SIGMA = 1e-5  # lower limit of the noise, m, rad, m/s or rad/s
-_SMALL = 1e-3  # of the friction, for differences
-_LOG_STEP = 1e-4  # of the logarithm of a size, for differences
-_ROUNDS = 3  # of estimating noise and its correlation
+_SMALL = 1e-3  # step of finite differences, relative to the friction
+_LOG_STEP = 1e-4  # step of finite differences in the logarithm of a size
+_ROUNDS = 3  # maximum number of iterations over noise and effective sample sizes
 
 
 class MissingAccelerations(NamedTuple):
@@ -70,10 +71,10 @@ class MissingAccelerations(NamedTuple):
     acceleration: Floats
     """at `SPEEDS`, m/s^2 (rad/s^2), shape (draws, 3, speeds)"""
     change: Floats
-    """correction of the parameters for it, to first order, shape (draws, parameters)"""
+    """first-order correction of the parameters for it, shape (draws, parameters)"""
 
     def applied_to(self, ensemble: TrajectoryEnsemble, spin: float = 1.0) -> TrajectoryEnsemble:
-        """Each trajectory under one draw; `spin` is the ratio to that of the fitted throw."""
+        """Each trajectory under one draw; `spin` is relative to that of the fitted throw."""
         log_speed = np.log(np.clip(ensemble.mean_speeds(), SPEEDS[0], SPEEDS[-1]))
         grid = np.log(SPEEDS)
         accelerations = np.array(
@@ -93,11 +94,11 @@ class DiscrepancyPosterior:
     _fit: FitResult
     _model: _LinearModel
     _noise: Floats
-    """squared, by channel, over that of the fit"""
+    """variances by channel, relative to those of the fit"""
     _sizes: Floats
-    """a grid, over the ceilings, shape (sizes, 3)"""
+    """grid of sizes relative to the ceilings, shape (sizes, 3)"""
     _weights: Floats
-    """of the grid"""
+    """posterior probabilities of the grid points"""
     _unseen_shapes: Floats
     """functions of speed that are zero at the fitted speeds, shape (functions, speeds)"""
 
@@ -124,7 +125,7 @@ class DiscrepancyPosterior:
 
     def shift_parameters(self, values: Floats, missing: MissingAccelerations) -> Floats:
         """Draws of the parameters corrected for the missing accelerations, with errors enlarged
-        for the effective number of values."""
+        for the effective sample size."""
         adjustable, model = _adjustable(self._fit), self._model
         n = model.n_parameters
         inflation = np.maximum(self._noise, 1.0)
@@ -138,7 +139,7 @@ class DiscrepancyPosterior:
 
 
 def estimate_discrepancy(fit: FitResult) -> Discrepancy:
-    """The model discrepancy of a fit, in numbers."""
+    """Summary of the model discrepancy of a fit."""
     return discrepancy_posterior(fit).summary
 
 
@@ -187,17 +188,20 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
 
 @dataclass(frozen=True)
 class _LinearModel:
-    """The fitted rows, linear in parameters and missing accelerations.
+    """The fitted rows, linearized in the parameters and the missing accelerations.
 
     Attributes
     ----------
-    names, sigmas, counts : of the channels; sigma of a value as the fit weights it; their number.
-    columns : by channel, over sigma: derivatives by the determined directions of the parameters (in
-        units of their errors), derivatives by accelerations (see `basis`) and, last, the residuals.
+    names, sigmas, counts : of the channels; sigma by which the fit weights a value; number of
+        values.
+    columns : by channel, divided by sigma: derivatives with respect to the determined directions of
+        the parameters (in units of their standard errors) and to the accelerations (see `basis`),
+        and, last, the residuals.
     gram : products of these columns by channel. n_parameters : number of parameter directions.
-    from_standard, to_standard : adjustable parameters by these directions, and their inverse.
-    basis : accelerations that do not change the coefficients, over the ceilings, component by
-        component in functions of speed (`_shapes`).
+    from_standard, to_standard : matrix from these directions to the adjustable parameters, and its
+        inverse.
+    basis : accelerations that do not change the coefficients, relative to the ceilings, component
+        by component as combinations of functions of speed (`shapes`).
     coupling : products of parameter and acceleration columns.
     """
 
@@ -214,7 +218,7 @@ class _LinearModel:
 
     @classmethod
     def of(cls, fit: FitResult, responses: Responses) -> _LinearModel:
-        """Of a fit, and what accelerations of the size of the friction do to its path."""
+        """From a fit and the responses of its path to accelerations of the size of the friction."""
         jacobian, weight = _path_jacobian(fit)
         names = tuple(
             name for name, own in zip(ROWS_OF_DATA, weight, strict=False) if (own > 0).any()
@@ -257,11 +261,13 @@ class _LinearModel:
 
     @property
     def min_noise(self) -> Floats:
-        """Lower limits of the squared noise over that of the fit, by channel."""
+        """Lower limits of the variances by channel, relative to those of the fit."""
         return (_MIN_SIGMA / self.sigmas) ** 2
 
     def posterior(self, noise: Floats, sizes: Floats) -> tuple[Floats, Floats, Floats]:
-        """The Gaussian posterior of all columns at given sizes, shape (sizes, 3) over ceilings.
+        """Gaussian posterior of the amplitudes of all columns at given sizes.
+
+        The sizes are relative to the ceilings, shape (sizes, 3).
 
         Returns
         -------
@@ -278,7 +284,7 @@ class _LinearModel:
         return cast(Floats, lower), white, cast(Floats, np.linalg.slogdet(prior)[1])
 
     def log_likelihood(self, noise: Floats, shares: Floats, sizes: Floats) -> Floats:
-        """Logarithm of the restricted likelihood of sizes, shape (sizes, 3) over ceilings."""
+        """Logarithm of the restricted likelihood of sizes relative to the ceilings, (sizes, 3)."""
         lower, white, prior = self.posterior(noise, sizes)
         log_determinant = 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(1) - prior
         chi_squared = self.gram[:, -1, -1] @ (1 / noise) - (white**2).sum(1)
@@ -288,7 +294,7 @@ class _LinearModel:
     def maximize_posterior(
         self, noise: Floats, shares: Floats, sizes: Floats, estimated: Booleans
     ) -> tuple[Floats, Floats]:
-        """Noise (squared, over that of the fit) of the estimated channels and sizes at the mode."""
+        """Relative variances by channel (1 where not estimated) and sizes at the posterior mode."""
         from scipy.optimize import minimize
 
         def unpack(logs: Floats) -> tuple[Floats, Floats]:
@@ -303,7 +309,7 @@ class _LinearModel:
         bounds = [(math.log(SIZES[0]), 0.0)] * len(COMPONENTS)
         bounds += [(math.log(square), 14.0) for square in self.min_noise[estimated]]
         start = np.log(np.concatenate([sizes, noise[estimated]]))
-        # By default steps are 1e-8, over which rounding changes this function by more than slopes.
+        # Over the default step of 1e-8, rounding errors exceed the change of this function.
         optimum = minimize(
             negative_log_posterior, start, method="L-BFGS-B", bounds=bounds,
             options={"eps": _LOG_STEP},
@@ -312,12 +318,12 @@ class _LinearModel:
         return squares, sizes[0]
 
     def rough_noise(self) -> Floats:
-        """Squared noise over that of the fit, by channel, from differences of neighbouring rows."""
+        """Variances by channel, relative to those of the fit, from differences of adjacent rows."""
         squares = np.array([np.sum(np.diff(part[:, -1]) ** 2) for part in self.columns])
         return np.maximum(squares / (2 * self.counts), self.min_noise)
 
     def effective_shares(self, noise: Floats, sizes: Floats) -> Floats:
-        """Effective number of independent values over their number, by channel."""
+        """Effective sample size divided by the number of values, by channel."""
         lower, white, _ = self.posterior(noise, sizes[None])
         mean = np.linalg.solve(lower[0].T, white[0])
         found = np.ones(len(self.columns))
@@ -335,10 +341,10 @@ def _prior_weights() -> Floats:
 
 
 def _unseen_shapes(speed: Floats) -> Floats:
-    """The same of the process conditioned to be zero at the fitted speeds within `SPEEDS`."""
+    """As `shapes`, of the process conditioned to be zero at the fitted ones of `SPEEDS`."""
     fitted = np.clip(SPEEDS, speed.min(), speed.max()) == SPEEDS
     whole = covariance(SPEEDS[:, None], SPEEDS)
-    # a small diagonal, since the covariance is singular to rounding
+    # a small diagonal term, since the covariance is numerically singular
     known = whole[fitted][:, fitted] + 1e-6 * np.eye(int(fitted.sum()))
     conditional = whole - whole[:, fitted] @ np.linalg.solve(known, whole[fitted])
     conditional[fitted] = conditional[:, fitted] = 0.0
@@ -347,8 +353,8 @@ def _unseen_shapes(speed: Floats) -> Floats:
 
 
 def _response_of_events(fit: FitResult, responses: Responses) -> Floats:
-    """Derivatives of the events by accelerations, by central differences, shape (events, 3 *
-    SHAPES)."""
+    """Derivatives of the events with respect to accelerations, by central differences, shape
+    (events, 3 * SHAPES)."""
     since = fit.observed["t"] - fit.observed["t"][0]
     path = np.array([np.interp(responses.t, since, fit.fitted[name]) for name in CHANNELS[:4]])
     changes = _SMALL * responses.by_channel[:4].transpose(2, 0, 1)
@@ -372,20 +378,20 @@ def _null_space(matrix: Floats) -> Floats:
 
 
 def prepare_discrepancy(fit: FitResult) -> None:
-    """Begin to compile what the discrepancy of a fit needs."""
+    """Begin compiling the program that the discrepancy of a fit needs."""
     linearize_once.prepare(*_path_problem(fit))
 
 
 def _path_problem(fit: FitResult) -> tuple[Model, Floats, Problem]:
-    # The derivatives are those of the path itself, not of what noise and loss make of residuals.
+    # Derivatives of the path itself, not of residuals transformed by the noise model and the loss.
     problem, origin = problem_of(replace(fit, loss="linear", noise=WHITE))
     values = fit.values - origin.offset(len(fit.values))
     return fit.model, values[None], stacked([problem])
 
 
 def _path_jacobian(fit: FitResult) -> tuple[Floats, Floats]:
-    """Derivative of the path by the parameters, shape (channels, rows, parameters), and 1/sigma, 0
-    where there is no value."""
+    """Derivative of the path with respect to the parameters, shape (channels, rows, parameters),
+    and 1/sigma, 0 where there is no value."""
     model, values, problems = _path_problem(fit)
     jacobian = linearize_once(model, values, problems)[1]
     n = len(fit.observed["t"])

@@ -25,24 +25,25 @@ from curlfit.prediction.request import ThrowStart
 from curlfit.stone import Stone
 
 VARIED = {"v0": 0.01, "omega0": 0.1}
-"""Changes of the start for the sensitivity of the resting position, in m/s and rad/s."""
+"""Changes of the initial state for the sensitivity of the resting position, in m/s and rad/s."""
 _GRID_TIMES = 301
 _GRID_STEPS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # s between times
-_MAX_FILLED = 0.8  # share of the grid of times within which throws come to rest
-_MAX_LATE = 0.01  # share of throws that may take longer
+_MAX_FILLED = 0.8  # fraction of the time grid within which throws come to rest
+_MAX_LATE = 0.01  # fraction of the throws that may take longer
 _MIN_SPIN = 1e-3  # rad/s of the fitted throw, below which no ratio of spins is formed
 _ON_LINE = 1e-3  # m; a stone that rests on a line has not passed it
-_AT_START = 0.5  # m past a line within which a throw starts on it
+_AT_START = 0.5  # m; a throw that starts less than this past a line starts on it
 
 
 class TrajectoryEnsemble:
-    """Trajectories to rest on one grid of times.
+    """Trajectories to rest on a common grid of times.
 
     Attributes
     ----------
     t : the grid in s since the start, shape (times,).
     state : x, y, phi, vx, vy, omega, shape (paths, 6, times). good : whether a throw comes to rest.
-    rest : time of rest in s, shape (paths,). clock : `t` up to there, shape (paths, times).
+    rest : time of rest in s, shape (paths,). clock : `t` up to `rest`, then constant, shape
+        (paths, times).
     """
 
     def __init__(self, t: Floats, state: Floats) -> None:
@@ -73,9 +74,9 @@ class TrajectoryEnsemble:
     def with_accelerations(self, missing: Floats) -> TrajectoryEnsemble:
         """The same throws under additional accelerations, to rest.
 
-        The friction is taken as a function of speed: a stone passes through the same speeds, at
-        other times. A deceleration D becomes D - a down to D/2 and D/(2 sqrt(4 a/D - 1)) below it,
-        since friction does not accelerate. The last time of the grid stands for rest.
+        The friction is taken as a function of speed: a stone passes through the same speeds at
+        different times. A deceleration D becomes D - a down to D/2, and D/(2 sqrt(4 a/D - 1)) below
+        that, since friction does not accelerate. The last time of the grid represents rest.
 
         Parameters
         ----------
@@ -101,7 +102,7 @@ class TrajectoryEnsemble:
             return (values[:, 1:] + values[:, :-1]) / 2
 
         def displacement(component: Any) -> Floats:
-            """Change of a coordinate against this path, both summed over the intervals."""
+            """Change of a coordinate relative to this path, summed over the intervals."""
             new, old = component(mean(new_heading)) * new_step, component(mean(heading)) * step
             return _running_sum(mean_speed * (new - old))
 
@@ -186,7 +187,7 @@ class ThrowFamily:
 
     Attributes
     ----------
-    spin_ratio : spin over that of the fitted throw.
+    spin_ratio : ratio of the spin to that of the fitted throw.
     """
 
     def __init__(self, fit: FitResult, start: ThrowStart, new: bool) -> None:
@@ -198,7 +199,7 @@ class ThrowFamily:
         self._grid: Floats | None = None
 
     def with_start(self, values: Floats) -> Floats:
-        """Parameter vectors with the start of this throw."""
+        """Parameter vectors with the initial state of this throw."""
         own = values.copy()
         if self.new:
             own[:, self._first :] = [self.start.values[item.name] for item in START]
@@ -207,7 +208,7 @@ class ThrowFamily:
         return own
 
     def probes(self) -> dict[str, Floats]:
-        """The best estimate varied: in speed, in spin, and to both ends of null directions."""
+        """The best estimate varied in speed, in spin, and to both ends of each null direction."""
         best, names = self.fit.values, list(self.fit.parameters)
         found = {}
         for name, by in VARIED.items():
@@ -224,8 +225,8 @@ class ThrowFamily:
         return found
 
     def simulate(self, values: Floats) -> TrajectoryEnsemble:
-        """The trajectories of vectors from `with_start`, on one grid for all calls."""
-        # Another throw is not swept.
+        """Trajectories of parameter vectors from `with_start`, on the same grid in all calls."""
+        # A new throw is not swept.
         environment = LEVEL_AND_STILL if self.new else fitted_environment(self.fit)
 
         def on_grid(t: Floats) -> TrajectoryEnsemble:
@@ -255,12 +256,12 @@ class ThrowFamily:
 
 
 def fitted_environment(fit: FitResult) -> Environment:
-    """What is assumed of the environment of the fitted throw, whose first row is at time 0."""
+    """Assumed environment of the fitted throw, whose first row is at time 0."""
     return environment_of(fit.data["swept"], float(fit.observed["t"][0]))
 
 
 def prepare_ensemble(fit: FitResult) -> None:
-    """Begin to compile what the trajectories of vectors need."""
+    """Begin compiling the program for the trajectories of parameter vectors."""
     values = np.zeros((BATCH, len(fit.values)))
     _propagated.prepare(fit.model, values, fit.stone, LEVEL_AND_STILL, np.zeros(_GRID_TIMES))
 
@@ -276,7 +277,7 @@ def simulate_ensemble(
 
 
 def _cubic(a: Floats, b: Floats, slope_a: Floats, slope_b: Floats, s: Floats) -> Floats:
-    """Hermite's cubic from a to b at a fraction s of the way, of these slopes by s at its ends."""
+    """Cubic Hermite interpolation from a to b at a fraction s; slopes with respect to s."""
     return (
         a * (1 + 2 * s) * (1 - s) ** 2 + b * s**2 * (3 - 2 * s)
         + slope_a * s * (1 - s) ** 2 - slope_b * s**2 * (1 - s)
@@ -289,7 +290,7 @@ def _running_sum(steps: Floats) -> Floats:
 
 
 def _forward_filled(values: Floats, known: Booleans) -> Floats:
-    """Values, unknown ones replaced by the last known before them."""
+    """Values with each unknown one replaced by the last known one before it."""
     last = np.maximum.accumulate(np.where(known, np.arange(values.shape[1]), 0), 1)
     return np.take_along_axis(values, last, 1)
 
@@ -299,8 +300,8 @@ def _rest_times(t: Floats, state: Floats, speed: Floats) -> Floats:
 
     Near rest a rate v is proportional to a power q of the remaining time tau, so that the remaining
     distance is s = v tau/(1 + q), proportional to v^(1 + 1/q); q follows from two times. The
-    rotation is used, whose distance is monotonic, or the position where the stone does not rotate
-    or its rotation does not cease with the sliding.
+    rotation is used, since its angle is monotonic, or the position if the stone does not rotate or
+    its rotation does not end with the sliding.
     """
     last = np.maximum((speed > 0).sum(1) - 1, 1)
     rows, step = np.arange(len(state)), t[1] - t[0]

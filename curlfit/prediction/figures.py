@@ -38,7 +38,7 @@ _LINE: dict[str, Any] = {"color": "0.6", "lw": 0.6, "zorder": 1}
 _UNITS = {"x": (100.0, "cm"), "y": (100.0, "cm"), "phi": (1000.0, "mrad")}
 _REST = ("rest_x", "rest_y")
 _LEVELS = (("2.5", "97.5", 0.3, "95 %"), ("16", "84", 0.6, "68 %"))
-"""Ends of the bands, their opacity and name."""
+"""Percentiles at the ends of the bands, opacity and label."""
 
 
 @styled
@@ -74,7 +74,7 @@ def prediction_figure(prediction: Prediction) -> Figure:
 
 
 def _sheet_view(prediction: Prediction, axes: Any) -> None:
-    """The sheet from above, throws to the right, so that right of the centre line is below."""
+    """The sheet from above, thrown toward the right: right of the centre line is below."""
     length, half = sheet.TEE + sheet.LINES["tee"], sheet.WIDTH / 2
     axes.add_patch(
         Rectangle(
@@ -178,7 +178,7 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
 
 
 def _equal_scales(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Limits that hold both intervals, a metre as long across as along."""
+    """Set limits that contain both intervals, at equal scales."""
     box = axes.get_window_extent()
     metre = min(box.width / np.ptp(x), box.height / np.ptp(y))
     for setter, size, ends in (
@@ -196,7 +196,7 @@ def _interval(prediction: Prediction, low: str, high: str) -> tuple[Any, Any]:
 
 
 def _ellipse(axes: Any, centre: Any, size: Any, covariance: Any, **style: Any) -> None:
-    """The ellipse of given half width and height, slanted as a covariance."""
+    """Draw an ellipse of given half width and height, with the correlation of a covariance."""
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
     squares, vectors = np.linalg.eigh(covariance / np.outer(sd, sd) * np.outer(size, size))
     long = 2 * np.sqrt(np.maximum(squares, 0.0))
@@ -233,7 +233,7 @@ def _cross_track(prediction: Prediction, axes: Any) -> None:
 
 
 def _rates(prediction: Prediction, speed: Any, spin: Any) -> None:
-    """Speed and spin, with slopes of what was measured."""
+    """Speed and spin, with those measured, directly or as slopes of the measured path."""
     series = prediction.series
     for rows, style, _ in _measured_rows(prediction):
         if "speed" in rows:

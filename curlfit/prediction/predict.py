@@ -1,17 +1,18 @@
 """Prediction of a throw: the fitted one extrapolated to rest, or another one on the same ice.
 
 Two errors are propagated separately. The error of the parameters: each draw from the posterior (the
-chain, or else the covariance of the fit: Gaussian along determined directions, uniform within the
-bounds along the others) is simulated to rest. The error of the law, the model discrepancy (see
-`curlfit.prediction.discrepancy`): each draw is simulated again with missing accelerations. Neither
-contains measurement noise, which is added where a prediction is compared with measured rows.
+chain or, without one, the covariance of the fit: Gaussian along determined directions, uniform
+within the bounds along the others) is simulated to rest. The error of the law, the model
+discrepancy (see `curlfit.prediction.discrepancy`): each draw is simulated again with missing
+accelerations. Neither contains measurement noise, which is added where a prediction is compared
+with measured rows.
 
-A given start is taken as exact. Without one the throw is the fitted one, whose start has the errors
-of the fit.
+A given initial state is taken as exact. Without one the throw is the fitted one, whose initial
+state has the errors of the fit.
 
 Positions are on the sheet: x to the right of the centre line, y from the hack that the stone is
-thrown from (`curlfit.sheet`). The origin of the data is arbitrary, so the start is placed on a line
-of the sheet, by default the near hog line.
+thrown from (`curlfit.sheet`). The origin of the data is arbitrary, so the initial position is
+placed on a line of the sheet, by default the near hog line.
 """
 
 from __future__ import annotations
@@ -75,27 +76,27 @@ def predict(
     seed: int = 0,
     check: Throw | None = None,
 ) -> Prediction:
-    """Predict a throw, from a fit of one on the same ice.
+    """Predict a throw, from a fit of a throw on the same ice.
 
     Without `start`, `target` and `weight` it is the fitted throw, extrapolated to rest. Otherwise
-    it is another one: along the centre line from `line`, with speed and spin of the fitted one
-    unless given.
+    it is another one: along the centre line from `line`, with the speed and spin of the fitted one
+    unless these are given.
 
     Parameters
     ----------
     fit, chain : a converged fit and, if there is one, its posterior sample.
-    start : some of x0 y0 (m on the sheet), heading (rad), v0 (m/s), phi0 (rad), omega0 (rad/s);
+    start : any of x0, y0 (m on the sheet), heading (rad), v0 (m/s), phi0 (rad), omega0 (rad/s);
         taken as exact.
-    line : where the throw starts: "hack", "back", "tee", "hog", "centre" or "far-hog"; "data"
-        at the start of the data, whose y must then be measured from the hack. By default "hog", and
-        "data" for the fitted throw where its file states that y is measured from the hack.
-    target : (x, y) in m from the tee (right, beyond) where the stone is to rest; speed and heading
-        are found.
-    weight : "draw", "guard" or "takeout" (see `WEIGHTS`); speed, and the heading if not given, are
-        found for the centre line.
-    tee_speed : speed in m/s with which a takeout passes the tee.
+    line : where the throw starts: "hack", "back", "tee", "hog", "centre" or "far-hog"; "data" is
+        the start of the data, whose y must then be measured from the hack. By default "hog", or
+        "data" for the fitted throw if its file states that y is measured from the hack.
+    target : (x, y), m to the right of the tee and beyond it, where the stone is to rest; speed and
+        heading are found.
+    weight : "draw", "guard" or "takeout" (see `WEIGHTS`); the speed and, unless it is given, the
+        heading to the centre line are found.
+    tee_speed : speed in m/s at which a takeout passes the tee.
     draws : number of draws from the posterior. seed : of the draws.
-    check : the fitted throw with later rows; no start may be given.
+    check : the fitted throw with later rows; not with `start`, `target` or `weight`.
 
     Returns
     -------
@@ -273,8 +274,8 @@ def _drawn_values(
 
 
 def _measured_rows(fit: FitResult, throw_start: ThrowStart) -> dict[str, Floats]:
-    """The fitted rows on the sheet, where x and y were measured; moved and turned to the place and
-    direction in which a new throw starts."""
+    """The fitted rows on the sheet, if x and y were measured, translated and rotated to the initial
+    position and heading of the throw."""
     measured = fit.observed
     if not all(np.isfinite(measured.get(name, np.nan)).any() for name in ("x", "y")):
         return {}
@@ -367,7 +368,7 @@ def _series(
 
 
 def _sample(full: TrajectoryEnsemble) -> dict[str, Floats]:
-    """The first draws, which are as random as any."""
+    """The first draws: a random sample, since the draws are in random order."""
     few = full.select(slice(_SAMPLED))
     last = int(np.searchsorted(full.t[:-1], few.rest.max()))
     times = np.unique(np.linspace(0, last, _SAMPLE_TIMES).astype(int))
@@ -379,7 +380,7 @@ def _sample(full: TrajectoryEnsemble) -> dict[str, Floats]:
 
 
 def _band(best: TrajectoryEnsemble, full: TrajectoryEnsemble) -> dict[str, Floats]:
-    """x as a function of y, as far as half of the draws reach."""
+    """x as a function of y, up to the y that half of the draws reach."""
     ends = full.state[:, 1].max(1)
     y = np.linspace(float(best.state[0, 1, 0]), float(np.median(ends)), _BAND_POINTS)
     at = np.array([_across(state, y) for state in full.state])
@@ -418,7 +419,7 @@ def _chances(full: TrajectoryEnsemble) -> dict[str, float]:
 def _sensitivity(
     probed: dict[str, TrajectoryEnsemble], best: TrajectoryEnsemble
 ) -> dict[str, dict[str, Any]]:
-    """How the resting position moves with the start."""
+    """Change of the resting position with the initial state."""
     end = best.state[0, :2, -1]
     found: dict[str, dict[str, Any]] = {}
     for name, by in VARIED.items():

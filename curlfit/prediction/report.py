@@ -70,7 +70,7 @@ def overview(prediction: Prediction) -> Overview:
 
 
 def describe_rest(prediction: Prediction) -> str:
-    """Place and time of rest, as a sentence."""
+    """Position and time of rest, as a sentence."""
     found = prediction.quantities
     curl, turns = found["curl"].value, found["turns"].value
     far = found["rest_y"].value > TEE_TO_BACK + STONE_RADIUS

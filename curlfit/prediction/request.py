@@ -1,4 +1,4 @@
-"""The throw to be predicted: request, goal and start."""
+"""The throw to be predicted: request, goal and initial state."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HOG
 from curlfit.throws.throw import Throw
 
 GUARD = -(HOUSE + TEE_TO_HOG) / 2
-"""Where a guard rests, beyond the tee: halfway between the house and the hog line (m)."""
+"""Resting position of a guard, m beyond the tee: halfway between the house and the hog line."""
 TAKEOUT = 1.5
-"""Speed in m/s with which a takeout passes the tee."""
+"""Speed in m/s at which a takeout passes the tee."""
 WEIGHTS = {
     "draw": "rests on the tee line",
     "guard": f"rests halfway between hog line and house, {-GUARD:.3f} m before the tee line",
@@ -105,7 +105,7 @@ class ThrowRequest(NamedTuple):
 
 
 class ThrowStart(NamedTuple):
-    """Start of the throw."""
+    """Initial state of the throw."""
 
     values: dict[str, float]
     """of the best estimate, on the sheet"""
@@ -133,7 +133,7 @@ class ThrowStart(NamedTuple):
 
 
 def start_of(fit: FitResult, request: ThrowRequest) -> ThrowStart:
-    """The start of the throw; speed and heading are found where it has a target or weight."""
+    """Initial state of the throw; speed and heading are found if it has a target or weight."""
     fitted = {item.name: fit.parameters[item.name].value for item in START}
     line = request.line
     target_point = (fitted["x0"], fitted["y0"]) if line == "data" else (0.0, LINES[line])

@@ -52,10 +52,10 @@ class Quantity:
     Attributes
     ----------
     value : for the best estimate; NaN where it has none (the throw does not reach the line).
-    parameter_sd : standard deviation by the errors of the parameters.
-    model_sd : root mean square difference by the model discrepancy.
-    quantiles : by both, keys "2.5", "16", "50", "84", "97.5".
-    share : of the draws that have a value.
+    parameter_sd : standard deviation due to the errors of the parameters.
+    model_sd : root mean square difference due to the model discrepancy.
+    quantiles : with both errors, keys "2.5", "16", "50", "84", "97.5".
+    share : fraction of the draws that have a value.
     """
 
     value: float
@@ -67,7 +67,7 @@ class Quantity:
 
     @property
     def sd(self) -> float:
-        """Root sum of squares of both errors."""
+        """Both errors added in quadrature."""
         return math.hypot(self.parameter_sd, self.model_sd)
 
 
@@ -77,7 +77,7 @@ class HeldOut:
 
     Attributes
     ----------
-    file, first, last : the file of the rows, first and last time (s, the clock of the data).
+    file, first, last : the file of the rows, first and last time (s, on the clock of the data).
     channels : by channel "rows", "rms" of measured - predicted, "inside_68" and "inside_95" (share
         of rows within the bands, noise included), "end" (measured - predicted at the last row) and
         "end_sd" (standard deviation predicted for that difference).
@@ -98,8 +98,8 @@ class Prediction(Displayed):
     Attributes
     ----------
     law, load, stone, fit : of the fit; `fit` has "file", "rows", "from", "to".
-    start : by name (x0 y0 heading v0 phi0 omega0) "value", "unit" and "origin" ("given", "fitted",
-        "default", "found").
+    start : initial state, by name (x0 y0 heading v0 phi0 omega0) "value", "unit" and "origin"
+        ("given", "fitted", "default", "found").
     of : "fitted" for the fitted throw, extrapolated to rest, "new" for another one.
     line : the line on which it starts, "data" for the start of the data, "" for a given position.
     goal : None, or "words", "x", "y" (m from the tee; x None where free), "speed".
@@ -107,19 +107,21 @@ class Prediction(Displayed):
     misfit : the model discrepancy.
     series : t (s since the start) and x, y, phi, speed, omega of the best estimate; of x, y, phi
         also "x_parameter_sd", "x_model_sd" and the quantiles "x_2.5" ...
-    band : x as a function of y: "y", "x" and "x_2.5" ..., as far as half of the draws reach.
-    rest : "mean" of the resting position and its covariances (m^2) by the errors of the parameters,
-        "parameter", by the model discrepancy, "model" (about zero), and by both, "both".
+    band : x as a function of y: "y", "x" and "x_2.5" ..., up to the y that half of the draws
+        reach.
+    rest : "mean" of the resting position and its covariances (m^2) due to the errors of the
+        parameters, "parameter", to the model discrepancy, "model" (about zero), and to both,
+        "both".
     quantities : by name, see `QUANTITIES`.
-    chances : shares of the draws by outcome.
-    sensitivity : by name of the start, the change of the resting position (m right, m along) by
-        "by".
+    chances : fractions of the draws by outcome.
+    sensitivity : change of the resting position, "right" and "along" (m), when a component of the
+        initial state changes by "by"; by name of the component.
     warnings, notes : for the reader.
     check : None, or the comparison with measured rows.
     measured : t (s since the start) and the measured channels of the fitted rows, on the sheet; for
-        a new throw moved and turned to its start.
-    sample : the first of the draws, both errors included: "t" (s since the start, shape (times,)),
-        "x", "y", "phi" (shape (draws, times)), held once at rest, and "rest", its time, shape
+        a new throw translated and rotated to its initial state.
+    sample : the first draws, both errors included: "t" (s since the start, shape (times,)), "x",
+        "y", "phi" (shape (draws, times)), constant after rest, and "rest", the time of rest, shape
         (draws,); empty in records of earlier versions.
 
     Examples
@@ -188,7 +190,7 @@ class Prediction(Displayed):
 
     @classmethod
     def from_json(cls, found: dict[str, Any]) -> Prediction:
-        """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
+        """The record from the output of `to_json`. Raises KeyError or TypeError for other data."""
         check = found["check"]
         return cls(
             **known_fields(cls, found)
@@ -219,7 +221,7 @@ class Prediction(Displayed):
         )
 
     def save(self, file: str | PathLike[str]) -> None:
-        """Write the record as JSON, whole or not at all."""
+        """Write the record as JSON, atomically."""
         write_json(self.to_json(), Path(file))
 
     def to_frame(self) -> Any:
@@ -232,7 +234,7 @@ class Prediction(Displayed):
         return frame(self.series)
 
     def table(self) -> str:
-        """The path with its bands as CSV text, a row for each time."""
+        """The path with its bands as CSV text, one row per time."""
         names = list(self.series)
         lines = [
             f"# {self.law} law fitted to {self.fit['file']}, "
@@ -253,7 +255,7 @@ def load_prediction(file: str | PathLike[str]) -> Prediction:
 
     Raises
     ------
-    DataError : it is not there, is not a prediction, or has a schema this version cannot read.
+    DataError : missing, not a prediction, or of a schema that this version cannot read.
 
     Examples
     --------
@@ -292,8 +294,8 @@ class Discrepancy:
     sizes : posterior root mean square of the size, m/s^2 (rad/s^2 for "turning").
     span : duration of the fitted rows up to rest, s.
     noise : independent noise by channel, SI; only channels with enough rows to estimate it.
-    excess : significance of a missing acceleration in standard deviations (root of twice the
-        logarithm of the likelihood ratio); empty where no channel has enough rows.
+    excess : significance of a missing acceleration in standard deviations (square root of
+        twice the logarithm of the likelihood ratio); empty where no channel has enough rows.
     ceilings : upper limit of the prior, in the unit of `sizes`.
     friction : coefficient of friction mu from the mean deceleration of the fitted rows.
     """

@@ -1,4 +1,4 @@
-"""Figure of a profile likelihood: profile, covariance and posterior to one scale."""
+"""Figure of a profile likelihood: profile, covariance and posterior on one scale."""
 
 from __future__ import annotations
 

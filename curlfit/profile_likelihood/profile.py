@@ -47,13 +47,13 @@ def profile(
     Parameters
     ----------
     subject : a converged fit, or a throw, which is then fitted first.
-    names : one free parameter or two: coefficients of the law, or of the start.
+    names : one free parameter or two, of the law, the conditions or the initial state.
     chain : a posterior sample of the fit, for comparison.
     points : values of each parameter, by default `POINTS` for one and `POINTS_OF_PAIR` for two;
         more are added where the profile is steep.
     ranges : (low, high) by name. By default four standard errors to either side where the fit
-        determines the parameter, and on to where chi squared is 9 higher or to its bounds (30
-        typical sizes away where it has none) otherwise.
+        determines the parameter; otherwise to where chi squared is 9 higher, or to its bounds (30
+        typical sizes away where it has none).
     progress : called with the number of fits done.
     choices : of `curlfit.fit`, for a throw.
 
@@ -64,7 +64,7 @@ def profile(
     Raises
     ------
     InputError : an unknown, fixed or repeated name; more than two; a range that is empty, outside
-        the bounds or without the best estimate; a chain of another law; choices for a fit.
+        the bounds or without the best estimate; a chain of another law; choices given with a fit.
     UnusableFitError : the fit did not converge.
 
     Examples

@@ -174,7 +174,7 @@ class ConstrainedFits:
         self.levels = levels_for(names, refit.fit.parameters)
 
     def reach(self, points: Floats) -> None:
-        """Fit at those of the points, shape (n, held), that are not known, from the nearest."""
+        """Fit at the points, shape (n, held), that are not known, from the nearest known one."""
         new = [
             np.array(point)
             for point in dict.fromkeys(tuple(map(float, point)) for point in np.atleast_2d(points))
@@ -206,7 +206,7 @@ class ConstrainedFits:
         return math.nan if optimum is None else optimum.chi_squared - self.refit.chi_squared
 
     def settle(self, neighbours: Sequence[tuple[Point, Point]]) -> None:
-        """Fit again where neighbours are not of one valley, each started from the other."""
+        """Fit again where neighbours are not in one valley, each started from the other."""
         for _ in range(_ROUNDS):
             tries = []
             for first, second in neighbours:

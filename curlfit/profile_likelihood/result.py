@@ -149,12 +149,12 @@ class Profile(Displayed):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the profiled parameters."""
+        """Names of the profiled parameters."""
         return (self.name,)
 
     @property
     def estimate(self) -> Estimate:
-        """The parameter as the fit has it."""
+        """The estimate of the parameter in the fit."""
         return self.parameters[self.name]
 
     @property
@@ -164,7 +164,7 @@ class Profile(Displayed):
 
     @property
     def departure(self) -> dict[str, float]:
-        """By level, the largest difference of a limit to that of the covariance.
+        """By level, the largest difference of a limit from that of the covariance.
 
         In standard errors, for limits set by chi squared; empty where the fit has none.
         """
@@ -211,7 +211,7 @@ class Profile(Displayed):
 
     @classmethod
     def from_json(cls, found: dict[str, Any]) -> Profile:
-        """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
+        """The record from the output of `to_json`. Raises KeyError or TypeError if invalid."""
         posterior = found["posterior"]
         return cls(
             **known_fields(cls, found)
@@ -230,7 +230,7 @@ class Profile(Displayed):
         )
 
     def save(self, file: str | PathLike[str]) -> None:
-        """Write the record as JSON, whole or not at all."""
+        """Write the record as JSON, atomically."""
         write_json(self.to_json(), Path(file))
 
 
@@ -243,16 +243,16 @@ class PairProfile(Displayed):
 
     Attributes
     ----------
-    names : of both.
-    each : the profiles of either alone. That of the first is chi squared along the bottom of the
+    names : of both parameters.
+    each : the profile of each alone. That of the first is chi squared along the bottom of the
         valley, with the second in its `others`.
     first, second : values of both, shape (n, m). Points beyond a bound of the second lie on it.
     delta : chi squared there minus that of the fit; NaN where the law admits no motion.
     across : standard error of the second with the first fixed, at the best fit; None where the
         data do not determine it.
-    extent : by level, the extent of its region in each of both.
+    extent : by level, the extent of its region in each parameter.
     covariance : of both, shape (2, 2); None where one of them has no standard error.
-    ellipse : the largest difference of `delta` to the quadratic form of the covariance within its
+    ellipse : the largest difference of `delta` from the quadratic form of the covariance within its
         95 % ellipse; None without one.
     samples : of the posterior, shape (samples, 2); empty without a chain.
     warnings : for the reader.
@@ -281,7 +281,7 @@ class PairProfile(Displayed):
 
     @property
     def parameters(self) -> dict[str, Estimate]:
-        """Of the fit, by name."""
+        """Parameters of the fit, by name."""
         return self.each[0].parameters
 
     @property
@@ -322,7 +322,7 @@ class PairProfile(Displayed):
 
     @classmethod
     def from_json(cls, found: dict[str, Any]) -> PairProfile:
-        """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
+        """The record from the output of `to_json`. Raises KeyError or TypeError if invalid."""
         covariance = found["covariance"]
         extent = {
             level: tuple(Interval(**known_fields(Interval, item)) for item in items)
@@ -342,7 +342,7 @@ class PairProfile(Displayed):
         )
 
     def save(self, file: str | PathLike[str]) -> None:
-        """Write the record as JSON, whole or not at all."""
+        """Write the record as JSON, atomically."""
         write_json(self.to_json(), Path(file))
 
 
@@ -351,7 +351,7 @@ def load_profile(file: str | PathLike[str]) -> Profile | PairProfile:
 
     Raises
     ------
-    DataError : it is not there, is not a profile, or has a schema this version cannot read.
+    DataError : it is missing, is not a profile, or has a schema this version cannot read.
 
     Examples
     --------
@@ -410,12 +410,12 @@ def require_usable(
 
 
 def array(found: Any) -> Floats:
-    """Numbers from JSON, which has NaN as null and infinities as text, as an array."""
+    """Numbers from JSON, in which NaN is null and infinities are text, as an array."""
     return np.array(found, dtype=object).astype(float)
 
 
 def arrays(found: Mapping[str, Any]) -> dict[str, Floats]:
-    """The same of several series."""
+    """The same for several series."""
     return {name: array(values) for name, values in found.items()}
 
 

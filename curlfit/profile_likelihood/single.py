@@ -141,7 +141,7 @@ def _search_range(fits: ConstrainedFits, name: str) -> tuple[float, float]:
 def _search_end(
     fits: ConstrainedFits, best: float, ladder: Floats, parallel: int, *, sharp: bool
 ) -> float:
-    """First step of a ladder away from the best value where chi squared is high, else the last."""
+    """First step of a ladder away from the best value where chi squared is high, or the last."""
     inside = best
     for first in range(0, len(ladder), parallel):
         part = ladder[first : first + parallel]

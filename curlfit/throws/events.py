@@ -1,7 +1,7 @@
-"""Timed events of a throw: a stone crosses a line, or comes to rest, when or where.
+"""Timed events of a throw: when or where the stone crosses a line or comes to rest.
 
-Such a measurement is no row of a path. A time between two lines is the difference of two crossing
-times, with the error of a stopwatch; the resting position is measured with a tape.
+Such a measurement is not a row of a path. A time between two lines is the difference of two
+crossing times, with the error of a stopwatch; the resting position is measured with a tape.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from curlfit.errors import InputError
 from curlfit.numerics.arrays import Floats
 
 QUANTITIES = {"time": "s", "x": "m", "y": "m", "phi": "rad"}
-"""What is measured at an event, with its unit."""
+"""Quantities measured at an event, with their units."""
 SIGMA_TIME = 0.1
-"""Standard deviation in s of a time between two events by hand. One press of the button scatters by
-0.07 s about a delay that is common to both, as 4304 reaction times of timekeepers show (Manual
+"""Standard deviation in s of a hand-timed interval between two events. Each press of the button
+scatters by 0.07 s about a delay common to both, as 4304 reaction times of timekeepers show (Manual
 timing in physics experiments: error and uncertainty, Am. J. Phys. 87 (2019) 110)."""
 MOST_LINES, MOST_EVENTS = 6, 8
-_FARTHEST = 200.0  # m to rest, in the search for a motion to begin with
-_ROWS = 200  # of the times of a throw without a path
-_LONGER = 1.25  # of these times, over the expected time to rest
-_TYPICAL_TIME = 25.0  # s to rest, where no time was measured
+_FARTHEST = 200.0  # m; largest distance to rest in the search for a first motion
+_ROWS = 200  # number of times of a throw without a path
+_LONGER = 1.25  # ratio of the last of these times to the expected time to rest
+_TYPICAL_TIME = 25.0  # s to rest, if no time was measured
 
 
 @dataclass(frozen=True)
 class Event:
-    """One measured time or place at a line or at rest.
+    """One measured time, position or angle at a line or at rest.
 
     Attributes
     ----------
-    name : of the measurement, such as "hog_to_hog".
+    name : name of the measurement, such as "hog_to_hog".
     quantity : "time" (s), "x", "y" (m) or "phi" (rad); "y" only at rest.
-    value, sigma : what was measured, and the standard deviation of its error, SI.
-    at : y of the line that the stone's centre crosses, m; None where it comes to rest.
-    since : y of an earlier line, m, from which a time or an angle counts. Without one, times are
-        those of the throw's clock, angles those of its axes.
+    value, sigma : measured value and standard deviation of its error, SI.
+    at : y of the line that the stone's centre crosses, m; None at rest.
+    since : y of an earlier line, m, relative to which a time, x or an angle is measured. If None,
+        times are on the throw's clock, x and angles in its axes.
 
     Raises
     ------
-    InputError : an unknown quantity, a y at a line, or a value or sigma that cannot be.
+    InputError : an unknown quantity, a y at a line, or an impossible value or sigma.
     """
 
     name: str
@@ -81,26 +81,26 @@ class Event:
 
 
 class EventArrays(NamedTuple):
-    """Events as weighted sums of what the model says of lines and rest, for the compiled model.
+    """Events as weighted sums of predictions at lines and at rest, for the compiled model.
 
-    Of many throws, along the first axis of each array.
+    With many throws, the first axis of each array is that of the throws.
     """
 
     lines: Any
-    """y that are crossed, m, rising, shape (lines,)"""
+    """y of the lines crossed, m, ascending, shape (lines,)"""
     weights: Any
-    """shape (events, 3 lines + 4): of the times of crossing, of x and of phi there, then of the
-    time, x, y and phi of rest"""
+    """shape (events, 3 lines + 4): weights of the times of crossing, of x and of phi there, then
+    of the time, x, y and phi at rest"""
 
     def with_clock(self, rate: float) -> EventArrays:
-        """The same where all measured times are longer by a factor."""
+        """The same events with all measured times longer by a factor."""
         weights = self.weights.copy()
         weights[..., [*range(MOST_LINES), 3 * MOST_LINES]] *= rate
         return self._replace(weights=weights)
 
     def places(self) -> tuple[EventArrays, Any, Any]:
-        """The same of places alone, without times and angles; and the sums of the weights of x and
-        of y."""
+        """The positions alone, without times and angles; and the sums of the weights of x and of
+        y."""
         x = [*range(MOST_LINES, 2 * MOST_LINES), 3 * MOST_LINES + 1]
         y = [3 * MOST_LINES + 2]
         weights = np.zeros_like(self.weights)
@@ -113,11 +113,11 @@ class EventArrays(NamedTuple):
 
 
 def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
-    """The events padded, with y counted from `y0`.
+    """The events as padded arrays, with y relative to `y0`.
 
     Raises
     ------
-    InputError : more events or lines than there is room for.
+    InputError : too many events or lines.
     """
     lines = sorted({y for event in events for y in (event.at, event.since) if y is not None})
     if len(events) > MOST_EVENTS or len(lines) > MOST_LINES:
@@ -141,9 +141,10 @@ def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
 def along_path(
     events: Sequence[Event], t: Floats, x: Floats, y: Floats, phi: Floats, speed: Floats
 ) -> Floats:
-    """What events of a path would be, from its rows up to rest; shape (events,).
+    """Values of events on a path, from its rows up to rest; shape (events,).
 
-    Interpolated linearly; the rest follows evenly from a row at a tenth of the initial speed.
+    Rows are interpolated linearly; the time of rest is extrapolated at constant deceleration from
+    the first row below a tenth of the initial speed.
     """
     late = int(np.argmax(speed < speed[0] / 10)) or len(t) - 1
     rest = t[late] + 2 * math.hypot(x[-1] - x[late], y[-1] - y[late]) / max(speed[late], 1e-9)
@@ -168,31 +169,32 @@ class EvenMotion(NamedTuple):
 
     y0: float
     length: float
-    """m to rest"""
+    """distance to rest, m"""
     time: float
-    """s to rest"""
+    """time to rest, s"""
 
     def y(self, t: Floats) -> Floats:
         """y at times since the first line: y0 + s (1 - (1 - t/T)^2)."""
         return self.y0 + self.length * self.turned(t)
 
     def turned(self, t: Floats) -> Floats:
-        """Share of the way at times since the first line."""
+        """Fraction of the distance covered at times since the first line."""
         return np.asarray(1 - np.clip(1 - t / self.time, 0.0, 1.0) ** 2)
 
 
 def even_motion(events: Sequence[Event], assumed: Mapping[str, float]) -> EvenMotion:
-    """The constant deceleration nearest to the measured times and to the resting position.
+    """The constant deceleration that best fits the measured times and the resting position.
 
-    With a length s to rest in a time T, a line at a distance d is crossed at T (1 - sqrt(1 - d/s)):
-    all times are proportional to T, which is found in closed form for each s of a fine grid.
+    If the stone comes to rest after a distance s in a time T, it crosses a line at a distance d at
+    T (1 - sqrt(1 - d/s)): all times are proportional to T, which is found in closed form for each s
+    of a fine grid.
     """
     lines = [y for event in events for y in (event.at, event.since) if y is not None]
     y0 = min(lines, default=assumed.get("y0", 0.0))
     s = np.geomspace(max(max(lines, default=y0) - y0, 0.1) * 1.001, _FARTHEST, 2000)
 
     def crossing(y: float | None) -> Floats:
-        """Over T, for each s."""
+        """Time of crossing over T, for each s."""
         return np.ones_like(s) if y is None else 1 - np.sqrt(1 - (y - y0) / s)
 
     times = [event for event in events if event.quantity == "time"]
@@ -220,7 +222,7 @@ def even_motion(events: Sequence[Event], assumed: Mapping[str, float]) -> EvenMo
 def sketch(
     events: Sequence[Event], assumed: Mapping[str, float]
 ) -> tuple[Floats, dict[str, Floats]]:
-    """Times that cover the motion to rest, and a rough x, y, phi at these, for a first guess.
+    """Times that cover the motion to rest, with a rough x, y, phi there as a first guess.
 
     `assumed` is as in `Throw`.
     """
@@ -229,6 +231,6 @@ def sketch(
     share = motion.turned(t)
     rest = {event.quantity: event.value for event in events if event.at is None}
     x = rest.get("x", 0.0) * np.minimum(t / motion.time, 1.0) ** 2
-    # The spin falls evenly, too.
+    # The spin, too, decreases linearly.
     phi = rest.get("phi", assumed.get("omega0", 0.0) * motion.time / 2) * share
     return t, {"x": x, "y": motion.y(t), "phi": phi}

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @styled
 def throw_figure(throw: Throw) -> Figure:
-    """Measured channels over time, a panel for each."""
+    """Measured channels over time, one panel each."""
     channels = throw.seen
     figure = Picture(figsize=(WIDTH, 1.4 * len(channels) + 0.5), layout="constrained")
     panels = np.atleast_1d(figure.subplots(len(channels), 1, sharex=True))

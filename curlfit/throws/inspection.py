@@ -9,21 +9,21 @@ import numpy as np
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import Throw, scatter
 
-_PAUSE = 2.5  # median intervals above which an interval is a pause
-_MIN_POSITIONS = 4  # below which they determine no speed
-_MIN_REST_ROWS, _MIN_REST_TIME = 4, 0.2  # rows and s at rest from which rest is detected
-# m/s; under 0.1 m/s^2 of deceleration the stone then rests within 0.3 s and 5 mm
+_PAUSE = 2.5  # a longer interval is a pause; in median intervals
+_MIN_POSITIONS = 4  # needed to determine a speed
+_MIN_REST_ROWS, _MIN_REST_TIME = 4, 0.2  # rows and time (s) at rest needed to detect rest
+# m/s; at a deceleration of 0.1 m/s^2 the stone then stops within 0.3 s and 5 mm
 _MAX_REST_SPEED = 0.03
-_CAMERA_DRIFT = 0.001  # m, beside the scatter from row to row
+_CAMERA_DRIFT = 0.001  # m, in addition to the scatter from row to row
 _CONFIDENCE = 3.0  # in standard errors
-_END_ROWS, _END_TIME = 6, 1.0  # rows and s that the final speed is estimated from
+_END_ROWS, _END_TIME = 6, 1.0  # rows and time (s) from which the final speed is estimated
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Intervals from row to row in s, and pauses, which are much longer.
+    """Intervals between rows in s, and pauses, which are much longer.
 
-    `longest_pause` and `pause_start` are duration and start of the longest; None without one.
+    `longest_pause` and `pause_start` are duration and start of the longest pause; None without one.
     """
 
     median: float
@@ -45,11 +45,11 @@ class Rest:
 
     Attributes
     ----------
-    time : of the first row at rest, s; None where rest was not observed.
+    time : time of the first row at rest, s; None if rest was not observed.
     radius : largest distance of the positions at rest from their median, m.
-    speed : at the last row where rest was not observed, or as measured there, m/s; None where too
-        few positions and no speed were measured.
-    error : standard error of `speed` in m/s, 0 where it was measured.
+    speed : speed at the last row if rest was not observed, estimated or as measured, m/s; None if
+        too few positions and no speed were measured.
+    error : standard error of `speed` in m/s, 0 if it was measured.
     measured : whether `speed` was measured.
     """
 
@@ -109,7 +109,7 @@ def _clock(t: Floats) -> Clock | None:
 def _jumps(t: Floats, values: Floats, noise: float) -> int:
     """Number of steps that differ from the neighbouring median by much more than the noise.
 
-    Steps over a pause are not counted.
+    Steps across a pause are not counted.
     """
     step = np.diff(values)
     if len(step) < 8:
@@ -139,11 +139,11 @@ def _rest(throw: Throw) -> Rest:
 
 
 def _first_row_at_rest(t: Floats, positions: Floats) -> int | None:
-    """First of the last rows whose regression line excludes all but a negligible speed.
+    """First of those final rows whose regression line excludes all but a negligible speed.
 
     A slowly moving stone may stay within the noise of its last position, but the line through those
-    rows then has a slope, or a standard error that allows for one. Of all numbers of last rows that
-    with the smallest upper limit of the speed is taken.
+    rows then has a slope, or a standard error that allows for one. Of all numbers of final rows,
+    the one with the smallest upper limit on the speed is taken.
     """
     late = t - t[-1]
     position = positions - positions[:, -1:]
@@ -168,9 +168,9 @@ def _first_row_at_rest(t: Floats, positions: Floats) -> int | None:
 
 
 def _final_speed(t: Floats, positions: Floats) -> tuple[float, float]:
-    """Speed at the last row and its standard error, from a parabola through the last rows.
+    """Speed at the last row and its standard error, from a parabola fitted to the last rows.
 
-    A difference to the speed from a cubic that noise does not explain is part of the error.
+    A difference from the speed given by a cubic that noise does not explain adds to the error.
     """
     last = max(min(len(t), _END_ROWS), int((t > t[-1] - _END_TIME).sum()))
     late, positions = t[-last:] - t[-1], positions[:, -last:]

@@ -1,5 +1,5 @@
-"""The motion of a stone from its rows alone, without a model: velocities by straight lines through
-blocks of rows, mean friction, curl, turning, and the largest jump of the velocity."""
+"""The motion of a stone from its rows alone, without a model: velocities from straight lines
+through blocks of rows, mean friction, curl, rotation, and the largest jump in velocity."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from curlfit.numerics.arrays import Floats
 from curlfit.stone import GRAVITY
 from curlfit.throws.throw import Throw, scatter
 
-_JUMP = 0.15  # m/s, by which a velocity may change abruptly, beside friction
+_JUMP = 0.15  # m/s; largest abrupt change of a velocity, apart from friction
 SURE = 6.0
-"""Standard errors that a finding takes."""
+"""Number of standard errors required for a finding."""
 FEWEST = 10
-"""Positions that a motion is estimated from."""
-_BRAKING = 0.3  # m/s^2, three times that of friction on ice
+"""Smallest number of positions from which a motion is estimated."""
+_BRAKING = 0.3  # m/s^2; three times the deceleration by friction on ice
 _BLOCKS = 24
 _REST = 0.03  # m/s
 
@@ -30,9 +30,11 @@ class Motion(NamedTuple):
     t, begin, end : middle, first and last time of each block in s, shape (k,).
     speed, error : speed and its standard error in m/s, shape (k,).
     velocity : in m/s, shape (2, k); NaN where only speeds were measured.
-    length : of the path's extent, m. friction, friction_error : mean deceleration over g.
-    curl, curl_error : departure at the end from the initial direction in m, positive to the left of
-        the motion in right-handed axes. direction : of the motion as (x, y), of length 1.
+    length : extent of the path, m. friction, friction_error : mean deceleration over g, and its
+        standard error.
+    curl, curl_error : deviation at the end from the initial direction in m, positive to the left of
+        the motion in right-handed axes, and its standard error. direction : unit vector (x, y) of
+        the motion.
     """
 
     t: Floats
@@ -55,7 +57,7 @@ class Motion(NamedTuple):
 
 
 def motion_of(throw: Throw) -> Motion | None:
-    """The motion of a throw; None where there are too few positions and speeds."""
+    """The motion of a throw; None if there are too few positions and speeds."""
     complete = np.isfinite(throw.x) & np.isfinite(throw.y)
     if complete.sum() >= FEWEST:
         return _motion(throw.t[complete], np.stack([throw.x, throw.y])[:, complete])
@@ -69,7 +71,7 @@ def _motion(t: Floats, positions: Floats) -> Motion:
     t, positions = _without_outliers(t, positions)
     begin, end, middle, slope, error = _block_slopes(t, positions)
     speed = np.hypot(*slope)
-    if len(speed) >= 8:  # noise that is correlated from row to row shows from block to block
+    if len(speed) >= 8:  # noise correlated from row to row shows up from block to block
         rough = np.abs(speed[2:] - 2 * speed[1:-1] + speed[:-2])
         error = np.maximum(error, float(np.median(rough)) / (0.6745 * math.sqrt(6)))
     friction, friction_error = _friction(middle, speed, error)
@@ -82,7 +84,7 @@ def _motion(t: Floats, positions: Floats) -> Motion:
 
 
 def _without_outliers(t: Floats, positions: Floats) -> tuple[Floats, Floats]:
-    """The rows near the median of five, which noise and friction leave."""
+    """Rows as near the running median of five as noise and friction explain."""
     five = np.sort(np.lib.stride_tricks.sliding_window_view(positions, 5, axis=1), axis=-1)
     bend = 0.5 * _BRAKING * (2 * float(np.median(np.diff(t)))) ** 2
     limit = 0.02 + bend + 6 * scatter(positions)[:, None]
@@ -108,7 +110,7 @@ def _motion_of_speeds(t: Floats, speed: Floats) -> Motion:
 
 
 def _block_slopes(t: Floats, values: Floats) -> tuple[Floats, ...]:
-    """First and last time, mean time, slopes and the error of their length, by block."""
+    """First, last and mean time, slopes, and the standard error of their magnitude, by block."""
     blocks = max(min(4, len(t) // 2), min(_BLOCKS, len(t) // 5))
     first = np.arange(blocks) * len(t) // blocks
     last = np.append(first[1:], len(t)) - 1
@@ -128,7 +130,7 @@ def _block_slopes(t: Floats, values: Floats) -> tuple[Floats, ...]:
 def _friction(t: Floats, speed: Floats, error: Floats) -> tuple[float, float]:
     """Mean deceleration over g while the stone moves, and its standard error."""
     moving = speed > np.maximum(_REST, 0.03 * speed.max())
-    if speed.max() < 2 * _REST:  # in other units, perhaps
+    if speed.max() < 2 * _REST:  # perhaps in other units
         moving = speed > 0.2 * speed.max()
     if moving.sum() < 3:
         return math.nan, math.inf
@@ -143,10 +145,10 @@ def _friction(t: Floats, speed: Floats, error: Floats) -> tuple[float, float]:
 
 
 def _curl(t: Floats, positions: Floats) -> tuple[float, float, tuple[float, float]]:
-    """Departure from the initial direction, its error, and the direction of the motion.
+    """Deviation from the initial direction, its standard error, and the direction of the motion.
 
-    The initial direction is the tangent, in the first rows, of a parabola through the first half of
-    the path; the end is a mean over a fortieth of the rows, since the curl grows most at the end.
+    The initial direction is the tangent, at the first rows, to a parabola fitted to the first half
+    of the path; the end is a mean over a fortieth of the rows, since the curl grows fastest there.
     """
     few = max(2, len(t) // 10)
     begin, end = positions[:, :few].mean(1), positions[:, -few:].mean(1)
@@ -175,7 +177,7 @@ def _curl(t: Floats, positions: Floats) -> tuple[float, float, tuple[float, floa
 
 
 def turning(throw: Throw) -> tuple[float | None, float | None]:
-    """Angle turned in rad and its mean rate in rad/s, of the stone in motion or not."""
+    """Angle turned in rad and mean rate in rad/s over all rows, in motion or at rest."""
     seen = np.isfinite(throw.phi)
     if seen.sum() >= 4:
         t, phi = throw.t[seen], throw.phi[seen]
@@ -191,11 +193,11 @@ def turning(throw: Throw) -> tuple[float | None, float | None]:
 
 
 def velocity_jump(throw: Throw, motion: Motion) -> tuple[float, float] | None:
-    """Time in s and size in m/s of the largest jump of the velocity; None without one.
+    """Time in s and size in m/s of the largest jump in velocity; None if there is none.
 
-    Straight lines through some rows before and after each time differ by more than noise and
-    friction explain. Where no velocity changes as much from block to block, none does from row to
-    row.
+    At a jump, the slopes of straight lines through some rows before and after it differ by more
+    than noise and friction explain. If no velocity changes that much from block to block, none does
+    from row to row.
     """
     velocity = motion.velocity
     if not np.hypot(*(velocity[:, 2:] - velocity[:, :-2])).max(initial=0.0) > _JUMP:
@@ -206,7 +208,7 @@ def velocity_jump(throw: Throw, motion: Motion) -> tuple[float, float] | None:
     t, positions = throw.t[complete], np.stack([throw.x, throw.y])[:, complete]
     noise = float(np.hypot(*scatter(positions)))
     dt = float(np.median(np.diff(t)))
-    # so many rows that the error of a slope is some 0.03 m/s: its variance is 12 s^2/(m^3 dt^2)
+    # as many rows m as make the error of a slope about 0.03 m/s: its variance is 12 s^2/(m^3 dt^2)
     rows = int(np.clip(math.ceil((12 * (noise / (0.03 * dt)) ** 2) ** (1 / 3)), 5, len(t) // 3))
     windows = np.lib.stride_tricks.sliding_window_view
     at = windows(t, rows)
@@ -219,14 +221,14 @@ def velocity_jump(throw: Throw, motion: Motion) -> tuple[float, float] | None:
     elapsed = middle[rows:] - middle[:-rows]
     error = noise * np.sqrt(1 / spread[rows:] + 1 / spread[:-rows])
     size = np.hypot(*change) - SURE * error - _BRAKING * elapsed
-    # An outlying row bends a line, which then misses its own rows.
+    # An outlier tilts a line, which then does not fit its own rows.
     residual = np.zeros(len(at))
     for part, inclination, centre in zip(positions, slope, mean, strict=True):
         off = windows(part, rows) - centre[:, None] - inclination[:, None] * centred
         residual = np.maximum(residual, np.abs(off).max(1))
     straight = residual < 0.02 + 6 * noise + 0.5 * _BRAKING * (at[:, -1] - at[:, 0]) ** 2 / 4
     size[~(straight[rows:] & straight[:-rows])] = -math.inf
-    # Over a pause the stone may have done anything.
+    # During a pause anything may have happened.
     gap = t[rows : rows + len(size)] - t[rows - 1 : rows - 1 + len(size)]
     size[gap > 5 * dt] = -math.inf
     best = int(np.argmax(size)) if len(size) else 0
@@ -236,7 +238,7 @@ def velocity_jump(throw: Throw, motion: Motion) -> tuple[float, float] | None:
 
 
 def extent(throw: Throw) -> tuple[float, float] | None:
-    """Length of a path in m, and the time in s until 98 % of it; None of too few rows."""
+    """Length of a path in m and time in s to 98 % of it; None if there are too few rows."""
     complete = np.isfinite(throw.x) & np.isfinite(throw.y)
     if complete.sum() < 4:
         return None

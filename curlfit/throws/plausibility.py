@@ -1,9 +1,9 @@
-"""Whether data and fit are those of a curling stone: findings, each with what would mend it.
+"""Whether data and fit are plausible for a curling stone: findings, each with its remedy.
 
-What friction, ice and hand cannot do (a stone that speeds up, a path longer than the sheet,
-friction a million times too small) is refused before the fit, and makes a fit unusable after it;
-what is only unusual is a warning. Data that are implausible and right are taken with `as_given`.
-Limits are judgement where no source is named.
+What is impossible (a stone that speeds up, a path longer than the sheet, friction a million times
+too small) is refused before a fit and makes it unusable after it; what is merely unusual gives a
+warning. Data that are implausible but correct are accepted with `as_given`. Limits without a named
+source are judgement.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from curlfit.throws.readers.columns import units_of
 from curlfit.throws.throw import Conventions, Throw
 
 FRICTION = (0.002, 0.1)
-"""Mean coefficient of friction; published ones are 0.006 to 0.02 (Penner 2001, Denny 2002), on
-frosted ice some times as much."""
+"""Limits of the mean coefficient of friction; published values are 0.006 to 0.02 (Penner 2001,
+Denny 2002), several times as much on frosted ice."""
 _USUAL_FRICTION = (0.003, 0.04)
 SPEED = 6.0
-"""m/s. The fastest throws go from hog line to hog line (21.9 m) in 6 to 7 s: 3.5 m/s."""
+"""Limit in m/s. The fastest throws take 6 to 7 s from hog line to hog line (21.9 m): 3.5 m/s."""
 _USUAL_SPEED = 4.5
-_LENGTH = 1.05 * LENGTH  # 5 % for a wrong scale
+_LENGTH = 1.05 * LENGTH  # 5 % for an error in scale
 _USUAL_CURL = 4.0  # m; ordinary throws curl 0.5 to 2 m
 _MOST_TURNS = 10.0
-_GROWTH = 0.1, 0.05  # m/s, and relative to the highest speed, by which a speed may grow
-_CLEAR_CURL, _CLEAR_TURN = 0.2, 0.5  # m, rad: above these their sides are compared
+_GROWTH = 0.1, 0.05  # largest growth of a speed: m/s, and relative to the highest speed
+_CLEAR_CURL, _CLEAR_TURN = 0.2, 0.5  # m, rad; above these their senses are compared
 _NAMES = {
     "ms": "milliseconds", "us": "microseconds", "min": "minutes", "cm": "centimetres",
     "mm": "millimetres", "ft": "feet", "in": "inches", "s": "seconds", "m": "metres",
@@ -56,9 +56,9 @@ class Finding:
 
     Attributes
     ----------
-    kind : a word for programs, such as "units", "axes", "growing speed".
-    says : what was found, with its evidence. remedy : what to type, as a clause; may be empty.
-    refused : whether it is impossible for a curling stone, not only unusual.
+    kind : keyword for programs, such as "units", "axes", "growing speed".
+    says : what was found, with the evidence. remedy : what to type, as a clause; may be empty.
+    refused : whether it is impossible for a curling stone, not merely unusual.
     """
 
     kind: str
@@ -67,12 +67,12 @@ class Finding:
     refused: bool = True
 
     def __str__(self) -> str:
-        """The finding first, then what to do."""
+        """The finding, followed by its remedy."""
         return f"{self.says}; {self.remedy}" if self.remedy else self.says
 
 
 def examine(throw: Throw) -> tuple[Finding, ...]:
-    """What is implausible in a throw before it is fitted, the gravest first."""
+    """Implausible features of a throw before it is fitted, the most serious first."""
     most = 1500
     one = throw if len(throw) <= most else throw.condensed(most)
     motion = motion_of(one)
@@ -85,8 +85,8 @@ def examine(throw: Throw) -> tuple[Finding, ...]:
 
 
 def _sound(throw: Throw, motion: Motion) -> list[Finding]:
-    """Findings on the motion. What follows from a fault is not looked at: a stone that was hit has
-    any curl, and in wrong units any stone looks hit."""
+    """Findings on the motion. Consequences of a fault are not examined: a stone that was hit may
+    have any curl, and in wrong units any stone seems to have been hit."""
     off = list(_scale(throw, motion))
     if any(item.refused for item in off):
         return off
@@ -100,12 +100,12 @@ def _sound(throw: Throw, motion: Motion) -> list[Finding]:
 
 
 def require_plausible(throw: Throw) -> tuple[Finding, ...]:
-    """The findings on a throw that are no reason to refuse it.
+    """Findings on a throw that are no reason to refuse it.
 
     Raises
     ------
-    InputError : the stone never moves, or the data cannot be those of a curling stone; not the
-        latter where `as_given` is among the throw's defaults.
+    InputError : the stone never moves, or the data cannot be those of a curling stone; the latter
+        is accepted if `as_given` is among the throw's defaults.
     """
     throw.require_motion()
     found = examine(throw)
@@ -123,16 +123,16 @@ def require_plausible(throw: Throw) -> tuple[Finding, ...]:
 def examine_fit(
     throw: Throw, t: Floats, speed: Floats, start_speed: float, start_error: float | None
 ) -> tuple[Finding, ...]:
-    """What is implausible in a fitted motion.
+    """Implausible features of a fitted motion.
 
     Parameters
     ----------
-    throw : the data, for their uncertainty and the words of a remedy.
+    throw : the data, for their uncertainty and the wording of a remedy.
     t, speed : times (s) and fitted speeds (m/s), shape (n,); may be empty.
     start_speed, start_error : fitted initial speed and its standard error, m/s.
     """
     if not set(throw.seen) & {"x", "y", "speed"} and not throw.events:
-        return ()  # angles say little of the speed
+        return ()  # angles say little about the speed
     found = []
     units = _units_words(throw, "t=ms", "length=cm")
     sure = 3 * (start_error or 0.0)
@@ -171,7 +171,7 @@ def examine_fit(
 
 
 def _option(throw: Throw, name: str, value: Any) -> str:
-    """An option in the words of the command line, or of Python where the throw is of arrays."""
+    """An option as written on the command line, or in Python for a throw from arrays."""
     if value == "":
         return f"leave out `{name}`" if throw.conventions is None else f"leave out `--{name}`"
     if throw.conventions is not None:
@@ -191,7 +191,7 @@ def _units_words(throw: Throw, *choices: str) -> str:
 
 
 def _factors(throw: Throw, quantity: str) -> dict[str, float]:
-    """Units that a column might truly be in, and the factors to what it was taken for."""
+    """Units that a column may really be in, with the factors by which its values would change."""
     conventions = throw.conventions or Conventions()
     known = units_of(quantity)
     now = known.get(_plain(conventions.units.get(quantity, "")), 1.0)
@@ -218,7 +218,7 @@ def _is_usual(motion: Motion) -> bool:
 
 
 def _scale(throw: Throw, motion: Motion) -> Iterator[Finding]:
-    """Speeds, lengths and decelerations that no stone has: wrong units."""
+    """Speeds, lengths and decelerations impossible for a stone: wrong units."""
     faults, unusual = [], []
     if motion.fastest - 3 * float(motion.error[motion.speed.argmax()]) > SPEED:
         faults.append(f"the stone moves at {motion.fastest:.3g} m/s, and none is thrown at more "
@@ -243,7 +243,7 @@ def _scale(throw: Throw, motion: Motion) -> Iterator[Finding]:
 
 
 def _curl(throw: Throw, motion: Motion) -> Iterator[Finding]:
-    """A curl that no stone has: a wrong unit across the sheet."""
+    """A curl impossible for a stone: a wrong unit across the sheet."""
     sure = abs(motion.curl) - 3 * motion.curl_error
     if sure > _USUAL_CURL:
         most = f"a sheet is {WIDTH:.1f} m wide" if sure > WIDTH else "few curl more than 2 m"
@@ -252,7 +252,7 @@ def _curl(throw: Throw, motion: Motion) -> Iterator[Finding]:
 
 
 def _scale_of_few(throw: Throw) -> Iterator[Finding]:
-    """The same for a few positions, of which only the distance and its time are used."""
+    """The same for few positions, of which only the distance and the time taken are used."""
     length_and_time = extent(throw)
     if length_and_time is None:
         return
@@ -278,7 +278,7 @@ def _scale_of_few(throw: Throw) -> Iterator[Finding]:
 
 
 def _faults_of_few(length: float, time: float) -> Iterator[str]:
-    """What is impossible in a path of this length (m) and time (s)."""
+    """Impossible features of a path of this length (m) and duration (s)."""
     if length > _LENGTH:
         yield f"the path is {length:.3g} m long, and a sheet {LENGTH:.1f} m"
     if length / time > SPEED:
@@ -286,7 +286,7 @@ def _faults_of_few(length: float, time: float) -> Iterator[str]:
             f"the stone moves at {length / time:.3g} m/s, and none is thrown at more than about 4 "
             "m/s"
         )
-    # A stone that stops by constant friction mu covers s in sqrt(2 s/(mu g)), less if it does not.
+    # A stone stopped by constant friction mu covers s in sqrt(2 s/(mu g)), a moving one in less.
     if 2 * length / (GRAVITY * time**2) < FRICTION[0] / 4:
         yield (
             f"it takes {time:.3g} s for {length:.3g} m, where friction on ice stops a stone within "
@@ -295,7 +295,7 @@ def _faults_of_few(length: float, time: float) -> Iterator[str]:
 
 
 def _unit_remedy(throw: Throw) -> str:
-    """The units that would make a usual throw of this one, as what to type."""
+    """Units in which this would be a usual throw, as an option to type."""
     best: tuple[float, str] | None = None
     for units, factors in _candidates(throw):
         changed = {name: factor * getattr(throw, name) for name, factor in factors.items()}
@@ -321,7 +321,7 @@ def _unit_remedy(throw: Throw) -> str:
 
 
 def _candidates(throw: Throw) -> Iterator[tuple[str, dict[str, float]]]:
-    """Units that might be right, and the factors by channel to what was taken."""
+    """Units that may be the right ones, with the factors by which the channels would change."""
     times = _factors(throw, "t")
     yield from ((f"t={unit}", {"t": factor}) for unit, factor in times.items())
     if not np.isfinite(throw.x).any():
@@ -338,7 +338,7 @@ def _candidates(throw: Throw) -> Iterator[tuple[str, dict[str, float]]]:
 
 
 def _wrapped(throw: Throw) -> Iterator[Finding]:
-    """Jumps of an angle, which the readers remove and arrays may have."""
+    """Jumps of an angle, which readers remove but arrays may contain."""
     if throw.conventions is not None or not np.isfinite(throw.phi).any():
         return
     for period, unit in ((2 * math.pi, "360 degrees"), (360.0, "360")):
@@ -359,7 +359,7 @@ def _wrapped(throw: Throw) -> Iterator[Finding]:
 
 
 def _spin(throw: Throw) -> Iterator[Finding]:
-    """Turning too fast for radians."""
+    """A rotation too fast for an angle in radians."""
     turned, mean = turning(throw)
     if turned is None or mean is None or abs(turned) < 2 * math.pi * _MOST_TURNS:
         return
@@ -377,7 +377,7 @@ def _spin(throw: Throw) -> Iterator[Finding]:
 
 
 def _other_hands(throw: Throw, motion: Motion) -> Iterator[Finding]:
-    """What is not friction: the hand before the release, another stone, a stone picked up."""
+    """Motion not due to friction: a hand before the release, another stone, a stone picked up."""
     jump = velocity_jump(throw, motion)
     if jump is not None:
         at, change = jump
@@ -428,9 +428,9 @@ def _other_hands(throw: Throw, motion: Motion) -> Iterator[Finding]:
 
 
 def _axes(throw: Throw, motion: Motion) -> Iterator[Finding]:
-    """The side of the curl against the sense of the spin.
+    """The side of the curl compared with the sense of the spin.
 
-    A stone curls to the side to which its front turns (Penner 2001): to the left, where it turns
+    A stone curls to the side to which its front turns (Penner 2001): to the left if it turns
     counter-clockwise seen from above.
     """
     turned, _ = turning(throw)
@@ -475,7 +475,7 @@ def _axes(throw: Throw, motion: Motion) -> Iterator[Finding]:
 
 
 def _measured_speed(throw: Throw, motion: Motion) -> Iterator[Finding]:
-    """A measured speed or spin that is not that of the path or the angle."""
+    """A measured speed or spin that disagrees with the path or the angle."""
     seen = np.isfinite(throw.speed)
     if np.isfinite(motion.velocity).all() and seen.sum() >= 4:
         own = np.interp(motion.t, throw.t[seen], throw.speed[seen])

@@ -32,9 +32,9 @@ def print_inspection(
     settings: Mapping[str, Any],
     console: Console | None = None,
 ) -> None:
-    """Print the columns of a file, the findings on its throw, the notes of the reader, curves.
+    """Print the columns of a file, the findings on its throw, the reader's notes and curves.
 
-    `settings` are those that a fit of the file would have.
+    `settings` are those that a fit of the file would use.
     """
     console = console or terminal(highlight=False)
 
@@ -67,7 +67,7 @@ def print_inspection(
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:
-    """Print what is implausible in a throw, and what would mend it."""
+    """Print what is implausible in a throw, with remedies."""
     if not findings:
         return
     console.print("\nImplausible for a curling stone", style="bold")
@@ -104,7 +104,7 @@ def _events(throw: Throw) -> PlainTable:
 
 
 def facts(throw: Throw, inspection: Inspection, settings: Mapping[str, Any]) -> Iterator[str]:
-    """Findings on a throw before a fit, a line each."""
+    """Findings on a throw before a fit, one per line."""
     if throw.has_path:
         yield from _of_rows(throw, inspection)
     if settings:
@@ -158,7 +158,7 @@ def _rest(rest: Rest) -> str:
 
 
 def braille(t: Floats, values: Floats, width: int = 60, height: int = 4) -> list[str]:
-    """A curve over time in Braille dots, `height` lines of `width` signs."""
+    """A curve over time in Braille dots, `height` lines of `width` characters."""
     finite = np.isfinite(values)
     t, values = t[finite], values[finite]
     if 8 <= len(t) < 8 * width:  # a line, with gaps where rows are missing

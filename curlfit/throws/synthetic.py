@@ -18,7 +18,7 @@ _SOURCE = "true value"
 SIMULATED = f'# reference.source = "{_SOURCE}"'
 """The line that each table of a simulated throw has."""
 _MOST_ROWS = 2_000_000
-_ENERGY_GAIN = 1e-6  # from row to row, relative; above the error of the velocities
+_ENERGY_GAIN = 1e-6  # relative, from row to row; above the error of the velocities
 
 
 def law_with(
@@ -32,13 +32,13 @@ def law_with(
 
     Parameters
     ----------
-    unbounded : let coefficients be negative, as in a fit.
+    unbounded : allow negative coefficients, as in a fit.
     others : values in place of defaults, from a fit that may have had other bounds.
 
     Raises
     ------
     InputError : an unknown law or coefficient, a value that is not finite or outside its bounds, or
-        values that are not those of friction.
+        values that do not describe friction.
 
     Examples
     --------
@@ -93,14 +93,14 @@ def synthetic_throw(
 
     Parameters
     ----------
-    v0, omega0, heading, x0, y0, phi0 : the start (m/s, rad/s, rad, m, m, rad).
-    environment : slope of the ice, drag of the air, sweeping (its times from the start); none of
+    v0, omega0, heading, x0, y0, phi0 : initial state (m/s, rad/s, rad, m, m, rad).
+    environment : slope of the ice, drag of the air, sweeping (times since the first row); none of
         them by default.
-    until, dt : the last time and the time between rows, s.
+    until, dt : last time and time between rows, s.
 
     Raises
     ------
-    InputError : an impossible value, or a law that admits no motion from this start.
+    InputError : an impossible value, or a law that admits no motion from this initial state.
 
     Examples
     --------
@@ -142,7 +142,7 @@ def synthetic_throw(
     energy = path.vx**2 + path.vy**2 + (stone.rho * path.omega) ** 2
     if environment is None or not (environment.slope_x or environment.slope_y):
         gains = np.flatnonzero(np.diff(energy) > _ENERGY_GAIN * energy[:-1])
-    else:  # by gravity
+    else:  # gravity may add energy
         gains = np.zeros(0, int)
     notes: tuple[str, ...] = ()
     if len(gains):
@@ -171,7 +171,7 @@ def synthetic_throw(
 
 
 def _conditions(environment: Environment | None) -> dict[str, float]:
-    """What is not as on level ice in still air, by name."""
+    """Conditions that differ from level ice and still air, by name."""
     if environment is None:
         return {}
     usual, names = Environment(), ("slope_x", "slope_y", "drag", "wear", "sweep")
@@ -180,7 +180,7 @@ def _conditions(environment: Environment | None) -> dict[str, float]:
 
 
 def write_table(throw: Throw) -> str:
-    """A throw as text in curlfit's own format, its defaults and reference in `#` lines."""
+    """A throw as text in curlfit's own format, with its defaults and reference in `#` lines."""
     lines = []
     for key, value in throw.defaults.items():
         if isinstance(value, Mapping):

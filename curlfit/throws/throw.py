@@ -20,25 +20,25 @@ from curlfit.throws.events import Event, sketch
 
 CHANNELS = ("x", "y", "phi", "speed", "omega")
 MOST_ROWS = 6000
-"""Rows from which a fit condenses its data."""
-_REST_ROWS = 200  # of a condensed throw, after the stone came to rest
-_MIN_ROWS = 10  # of a series whose scatter is estimated
-_REST_DISTANCE = 0.003  # m from its last position within which a stone is at rest
+"""Number of rows above which a fit condenses its data."""
+_REST_ROWS = 200  # rows of a condensed throw after the stone has come to rest
+_MIN_ROWS = 10  # needed to estimate the scatter of a series
+_REST_DISTANCE = 0.003  # m; this close to its last position a stone is at rest
 UNITS = {"t": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Published or true values to show beside a fit, for one law.
+    """Published or true values of one law, shown beside a fit.
 
     Attributes
     ----------
-    source : their name, such as "eq. 28". law : the law of the coefficients.
-    values : by name, or by expression such as "mu1_eta + mu2_eta".
-    stone : constants of the stone (R, rho, h in m, m in kg) from which the values follow, where
-        these are not the constants printed beside them.
+    source : name of the source, such as "eq. 28". law : the law of the coefficients.
+    values : values by name, or by expression such as "mu1_eta + mu2_eta".
+    stone : constants of the stone (R, rho, h in m, m in kg) on which the values are based, where
+        these differ from the constants printed beside them.
     rounding : rounding error (half a unit) of the printed constants, in the same units.
-    note : the reason of the difference, a clause.
+    note : reason for the difference, as a clause.
     """
 
     source: str
@@ -49,7 +49,7 @@ class Reference:
     note: str = ""
 
     def of(self, expression: str, weights: dict[str, float]) -> float | None:
-        """The value of a weighted sum, as given or from its terms; None where unknown."""
+        """Value of a weighted sum, as given or from its terms; None if unknown."""
         if expression in self.values:
             return self.values[expression]
         if not weights.keys() <= self.values.keys():
@@ -59,7 +59,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class Conventions:
-    """How the columns of a file were understood.
+    """How the columns of a file were interpreted.
 
     Attributes
     ----------
@@ -75,8 +75,8 @@ class Conventions:
 class Throw(Displayed):
     """Measured path of one stone.
 
-    Axes and signs: y along the sheet, x to the right of it, phi counter-clockwise. Two throws are
-    equal if their values, sigmas, reference and defaults are, wherever they came from (`name`,
+    Axes and signs: y along the sheet, x to the right, phi counter-clockwise. Two throws are equal
+    if their values, sigmas, reference and defaults are equal, whatever their origin (`name`,
     `notes`, `lines`).
 
     Attributes
@@ -87,16 +87,16 @@ class Throw(Displayed):
     speed, omega : speed of the centre in m/s (>= 0) and spin in rad/s where measured directly (by
         radar, gyroscope), shape (n,); NaN where not. All NaN if not given.
     sigma : standard deviation of the noise by channel, each of shape (n,); that of other
-        channels is unknown and estimated by a fit.
-    name : of the throw, a file name for instance.
+        channels is unknown and is estimated by a fit.
+    name : name of the throw, for instance a file name.
     reference : values to show beside a fit.
     defaults : settings in the data file (`since`, `until`, `exclude`, `stone`, `law`, `load`;
-        `as_given`: what is implausible is a warning, see `curlfit.throws.plausibility`).
+        `as_given`: implausible data only give warnings, see `curlfit.throws.plausibility`).
     conventions : units and axes of the file; None for arrays, which are in SI units.
     notes : remarks of the reader (ignored columns and the like).
     lines : line of each row in the file, for messages.
-    events : measured times and places at lines and at rest (`curlfit.throws.events`).
-    assumed : values at which a fit holds what was not measured of the initial state, by name.
+    events : measured times and positions at lines and at rest (`curlfit.throws.events`).
+    assumed : values, by name, at which a fit fixes unmeasured components of the initial state.
 
     Raises
     ------
@@ -189,8 +189,8 @@ class Throw(Displayed):
         """A throw from arrays or lists; channels that were not measured are omitted.
 
         `sigma` values may be single numbers, in the units of their channels. `units` and `axes`
-        are as for `load_throw`; without them numbers are in SI units and in curlfit's axes, and
-        angles unwrapped. `more` are other attributes, `name` for instance.
+        are as for `load_throw`; without them, values are in SI units and in curlfit's axes, with
+        angles unwrapped. `more` are other attributes, for instance `name`.
         """
         require_kind(sigma or {}, Mapping, "sigma", "a mapping by channel, such as {'x': 0.005}")
         t = np.asarray(t, float)
@@ -219,13 +219,13 @@ class Throw(Displayed):
     def from_events(
         cls, events: Sequence[Event], *, assumed: Mapping[str, float] | None = None, **more: Any
     ) -> Throw:
-        """A throw of which only events were measured, such as times of a stopwatch.
+        """A throw of which only events were measured, such as stopwatch times.
 
-        Its clock begins at the first line; its times are those at which a fit is shown.
+        Its clock starts at the first line; `t` contains the times at which a fit is shown.
 
         Parameters
         ----------
-        assumed : as the attribute; the stone starts at the first line, x = 0 and phi = 0.
+        assumed : as the attribute; the stone starts at the first line with x = 0 and phi = 0.
         more : other attributes.
 
         Raises
@@ -243,8 +243,8 @@ class Throw(Displayed):
     def from_frame(cls, table: Any, **options: Any) -> Throw:
         """A throw from a pandas or polars DataFrame, an xarray Dataset or a mapping of arrays.
 
-        Columns are named as in files (`t`, `y_ft`, `angle_deg` ...); an index named `time` serves
-        too. `options` are `axes`, `units`, `reference` and `name`, as for
+        Columns are named as in files (`t`, `y_ft`, `angle_deg` ...); an index named `time` is
+        taken as `t`. `options` are `axes`, `units`, `reference` and `name`, as for
         `curlfit.throws.readers.from_table`.
         """
         from curlfit.throws.readers import from_table
@@ -252,8 +252,8 @@ class Throw(Displayed):
         return from_table(table, **options)
 
     def to_frame(self) -> Any:
-        """The rows as a pandas DataFrame, which `from_frame` reads: `t`, the measured channels and
-        their `sigma_x`, `sigma_y` ..., as far as given (SI, rad).
+        """The rows as a pandas DataFrame that `from_frame` reads: `t`, the measured channels and,
+        where given, `sigma_x`, `sigma_y` ... (SI, rad).
 
         Raises
         ------
@@ -270,7 +270,7 @@ class Throw(Displayed):
             return NotImplemented
         return all(_same(getattr(self, name), getattr(other, name)) for name in _CONTENT)
 
-    __hash__ = None  # type: ignore[assignment]  # arrays may change
+    __hash__ = None  # type: ignore[assignment]  # arrays are mutable
 
     def _overview(self) -> Overview:
         table = plain_table()
@@ -302,7 +302,7 @@ class Throw(Displayed):
 
     @cached_property
     def finite(self) -> Booleans:
-        """Whether there is a value, read-only, shape (5, n)."""
+        """Whether each value was measured, read-only, shape (5, n)."""
         found = np.isfinite(self.observed)
         found.flags.writeable = False
         return found
@@ -315,23 +315,23 @@ class Throw(Displayed):
 
     @cached_property
     def n_observations(self) -> int:
-        """Number of finite values of all channels, and of events."""
+        """Number of finite values in all channels plus number of events."""
         return int(np.count_nonzero(self.finite)) + len(self.events)
 
     @property
     def has_path(self) -> bool:
-        """Whether anything was measured along the path, beside events."""
+        """Whether any channel was measured, apart from events."""
         return bool(self.seen)
 
     def sketched(self) -> Throw:
-        """The same without events; where these are all there is, a rough path takes their place."""
+        """The throw without events; if there is nothing else, a rough path replaces them."""
         if not self.events:
             return self
         channels: Any = {} if self.has_path else sketch(self.events, self.assumed)[1]
         return replace(self, events=(), **channels)
 
     def require_motion(self) -> None:
-        """Raise `DataError` where the motion is within the scatter of the data."""
+        """Raise `DataError` if the motion does not exceed the scatter of the data."""
         if not {"x", "y"} & set(self.seen):
             return
         for row, values in enumerate((self.x, self.y)):
@@ -346,11 +346,11 @@ class Throw(Displayed):
         )
 
     def condensed(self, most: int = MOST_ROWS) -> Throw:
-        """At most about `most` rows: means over blocks of rows, with a note.
+        """The throw condensed to at most about `most` rows, means over blocks, with a note.
 
-        Mean time, position and angle of a block lie on the path up to its curvature within the
-        block. The noise and given sigmas decrease as for any mean. Rows after the stone came to
-        rest, which repeat one measurement, are averaged over long blocks.
+        Mean time, position and angle of a block lie on the path except for its curvature within
+        the block. The noise and given sigmas decrease as for any mean. Rows after the stone has
+        come to rest, which repeat one measurement, are averaged over long blocks.
         """
         n = len(self)
         if n <= most:
@@ -408,7 +408,7 @@ class Throw(Displayed):
         until: float | None = None,
         exclude: Sequence[Sequence[float]] = (),
     ) -> Throw:
-        """The rows with since <= t <= until, without those within the intervals to exclude (s).
+        """The rows with since <= t <= until outside the intervals to exclude (s).
 
         Raises
         ------
@@ -446,8 +446,8 @@ class Throw(Displayed):
         return replace(self, defaults={**self.defaults, **defaults})
 
     def with_sigma(self, sigma: dict[str, float]) -> Throw:
-        """The throw with one standard deviation for whole channels, or for "time" between events
-        (SI units)."""
+        """The throw with one standard deviation for all rows of a channel, or for all times of
+        events ("time"); SI units."""
         check_sigma(sigma)
         if not sigma:
             return self
@@ -461,11 +461,11 @@ class Throw(Displayed):
         return replace(self, sigma={**self.sigma, **filled}, events=events)
 
 
-_CONTENT = ("t", *CHANNELS, "sigma", "reference", "defaults")  # what makes throws equal
+_CONTENT = ("t", *CHANNELS, "sigma", "reference", "defaults")  # compared for equality
 
 
 def _same(one: Any, other: Any) -> bool:
-    """Equality, of arrays by value with NaN equal to NaN."""
+    """Equality; arrays are compared by value, with NaN equal to NaN."""
     if isinstance(one, dict) and isinstance(other, dict):
         return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
@@ -474,7 +474,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def require_throw(throw: object) -> None:
-    """Raise `InputError` for what is no throw, such as the name of a file."""
+    """Raise `InputError` for anything but a throw, such as a file name."""
     expected = "a Throw, as from curlfit.load_throw(file) or curlfit.Throw.from_arrays(t, x, y)"
     require_kind(throw, Throw, "throw", expected)
 
@@ -489,7 +489,7 @@ def require_path(throw: Throw) -> None:
 
 
 def check_sigma(sigma: Mapping[str, float]) -> None:
-    """Raise `InputError` where a standard deviation is not positive, or of no channel."""
+    """Raise `InputError` if a standard deviation is not positive or its channel is unknown."""
     for name, value in sigma.items():
         if name not in (*CHANNELS, "time"):
             raise InputError(
@@ -501,7 +501,7 @@ def check_sigma(sigma: Mapping[str, float]) -> None:
 
 
 def _first(bad: Booleans) -> list[tuple[str, int]]:
-    """Name and row of the first fault in the times or channels; empty without one."""
+    """Name and row of the first fault in the times or channels; empty if there is none."""
     if not bad.any():
         return []
     channel, row = np.argwhere(np.atleast_2d(bad))[0]
@@ -521,13 +521,13 @@ def scatter(values: Floats) -> Any:
 
 
 def _median(values: Floats) -> Any:
-    """Along the last axis; several times as fast as numpy's for a few hundred values."""
+    """Median along the last axis; several times faster than NumPy's for a few hundred values."""
     ordered, n = np.sort(values, -1), values.shape[-1]
     return (ordered[..., (n - 1) // 2] + ordered[..., n // 2]) / 2
 
 
 def last_motion(t: Floats, x: Floats, y: Floats) -> float:
-    """Time of the last row in motion; the last time where that is unknown."""
+    """Time of the last row in which the stone moves; the last time if unknown."""
     complete = np.isfinite(x) & np.isfinite(y)
     if complete.sum() <= 8:
         return float(t[-1])

@@ -34,7 +34,7 @@ moving.direction = (root, data) => {
   }
   slider.addEventListener("input", () => show(true));
   part("back").addEventListener("click", () => { slider.value = data.start; show(true); });
-  let before = data.start; // on paper an end of the slider, where what moves can be told
+  let before = data.start; // in print the slider is at an end, where the change is visible
   finishedInPrint(
     () => { before = slider.value; slider.value = slider.max; show(false); },
     () => { slider.value = before; show(false); });

@@ -1,8 +1,8 @@
 "use strict";
 document.documentElement.classList.add("js");
-const moving = {}; // what starts a part, by its kind
+const moving = {}; // function that starts a part, by its kind
 
-// Calls step(seconds) for every frame while it is on; with reduced motion, once a second.
+// Calls step(seconds) for every frame while running; with reduced motion, once a second.
 function clock(step) {
   const calm = matchMedia("(prefers-reduced-motion: reduce)");
   let on = false, last = 0, timer = 0;
@@ -37,7 +37,7 @@ function parts(root) {
   return name => root.querySelector(`[data-part="${name}"]`);
 }
 
-// Space plays and pauses wherever it does nothing of its own.
+// Space plays and pauses, except on elements that use it themselves.
 function spaceToggles(root, toggle) {
   root.addEventListener("keydown", event => {
     const own = event.target.closest("button, select");
@@ -47,13 +47,13 @@ function spaceToggles(root, toggle) {
   });
 }
 
-// On paper, what has come to its end.
+// In print, animations are shown at their end.
 function finishedInPrint(finish, resume) {
   addEventListener("beforeprint", finish);
   addEventListener("afterprint", resume);
 }
 
-// What a screen reader is told: not more often than a person can listen.
+// Announcements for screen readers, rate-limited to what a listener can follow.
 function teller(element) {
   let last = 0;
   return (text, now) => {

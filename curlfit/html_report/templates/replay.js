@@ -7,7 +7,7 @@ moving.replay = (root, data) => {
   const scale = {phi: 1 / (2 * Math.PI)};
   let now = last;
 
-  function row(time) { // the last row that is not later
+  function row(time) { // the last row not later than time
     let low = 0, high = t.length - 1;
     while (high - low > 1) {
       const middle = (low + high) >> 1;
@@ -15,7 +15,7 @@ moving.replay = (root, data) => {
     }
     return low;
   }
-  // Cubic through the rows, the slopes at each from its neighbours.
+  // Cubic interpolation of the rows, with the slope at each from its neighbours.
   function at(values, time) {
     const k = row(time), step = t[k + 1] - t[k], s = step > 0 ? (time - t[k]) / step : 1;
     const slope = i => {

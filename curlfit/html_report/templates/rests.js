@@ -2,10 +2,10 @@ moving.rests = (root, data) => {
   const part = parts(root), tell = teller(part("status"));
   const slider = part("shown"), button = part("play"), stone = part("stone");
   const number = data.x.length, times = data.t;
-  const PACE = 12; // seconds of a throw in one of the page
+  const PACE = 12; // seconds of the throw per second of the animation
   let shown = number, since = 0, sliding = false, alone = false;
 
-  function place(k, time) { // x, y and angle of a draw, linear between its instants
+  function place(k, time) { // x, y and angle of a draw, linear between its times
     const end = Math.min(time, data.rest[k]);
     let i = 1;
     while (i < times.length - 1 && times[i] < end) i += 1;

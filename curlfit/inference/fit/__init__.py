@@ -1,1 +1,1 @@
-"""The fit of one throw: its record, its steps, what it says."""
+"""Least-squares fits of throws: preparation, rounds, uncertainties and records."""

@@ -1,12 +1,12 @@
-"""Whether the motion of a fitted throw changes abruptly: its friction by sweeping, or its velocity
-where stones touch.
+"""Abrupt changes in the motion of a fitted throw: of its friction, as by sweeping, or of its
+velocity, as in a collision.
 
 Score tests. The path responds linearly to a small change of the friction from some time on; the
 response to a change within an interval is the difference of two of these. A change of the velocity
-moves all later positions by itself times the time since then. The interval or time is sought whose
-response explains most of the residuals, over and above the parameters of the fit and what changes
-smoothly with time, as under a law that is not exact: friction for an interval, accelerations along
-both axes for a velocity.
+displaces all later positions by itself times the time elapsed since. The tests find the interval
+and the time whose responses explain most of the residuals, beyond what the parameters of the fit
+explain and a quantity that varies smoothly with time, as under a law that is not exact: for the
+interval the friction, for the time the accelerations along both axes.
 """
 
 from __future__ import annotations
@@ -27,43 +27,43 @@ from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS
 
-_TIMES = 24  # at which the friction may change; the velocity at twice as many
-_SMOOTH = 2  # degree of what changes smoothly with time
-_STEP = 1e-4  # relative change of the friction, for differences
+_TIMES = 24  # at which the friction may change; twice as many for the velocity
+_SMOOTH = 2  # degree of the polynomials in time for smooth changes
+_STEP = 1e-4  # relative change of the friction, for finite differences
 _SURE_FRICTION = 30.0
-"""Twice the gain of the log-likelihood by the best of some 300 intervals: below 20 in 50 synthetic
-throws in which nothing had changed, under wrong laws and correlated noise too, and above 50 in 18
-that were swept for 2 to 6 s, with friction less by a tenth to a third (noise of 5 mm)."""
+"""Twice the gain in log-likelihood by the best of some 300 intervals: below 20 in 50 synthetic
+throws without a change, including wrong laws and correlated noise, and above 50 in 18 that were
+swept for 2 to 6 s, with friction lower by a tenth to a third (noise of 5 mm)."""
 _SURE_VELOCITY = 40.0
-"""The same by the best of 47 times: below 28 in 126 throws in which nothing had changed, under
-wrong laws and correlated noise too; above 58 in 8 whose velocity changed by 0.2 m/s, in 5 of 8 by
-0.05 m/s (noise of 5 mm). Where a law takes the change for curl, it is not seen; with noise of
-0.5 mm or less a wrong law may pass for a change of either kind (9 of 84 throws)."""
+"""The same by the best of 47 times: below 28 in 126 throws without a change, including wrong laws
+and correlated noise; above 58 in 8 whose velocity changed by 0.2 m/s, and in 5 of 8 whose changed
+by 0.05 m/s (noise of 5 mm). A change that a law can fit as curl is not detected; with noise of
+0.5 mm or less a wrong law may be mistaken for a change of either kind (9 of 84 throws)."""
 _FACTORS = 1 / 3, 3.0
-_LEAST_VELOCITY = 0.02  # m/s; and not more than the stone has
-_ENDS = 3  # times at both ends that are left out; there a wrong law fails first
-_MOST_LAG1 = 0.7  # of what remains; more is left by a wrong law
+_LEAST_VELOCITY = 0.02  # m/s; the largest is the speed of the stone
+_ENDS = 3  # number of times left out at each end, where a wrong law fails first
+_MOST_LAG1 = 0.7  # largest lag-1 correlation of what remains; a wrong law leaves more
 
 
 class SuddenChange(Protocol):
-    """What changes abruptly, in words."""
+    """An abrupt change, with a warning about it."""
 
     def warning(self) -> str:
-        """In words, with the flags that go with it."""
+        """The change in words, with the options that account for it."""
         ...
 
 
 class FrictionChange(NamedTuple):
-    """An interval in which the friction is another."""
+    """An interval in which the friction differs from that before."""
 
     begin: float
-    """on the clock of the data, s"""
+    """in the times of the data, s"""
     end: float
     factor: float
-    """friction over that before"""
+    """friction over the friction before"""
 
     def warning(self) -> str:
-        """In words, with the flags that go with it."""
+        """The change in words, with the options that account for it."""
         begin, end = f"{self.begin:.1f}", f"{self.end:.1f}"
         return (
             f"the friction changes abruptly, by a factor of about {self.factor:.2f} between "
@@ -73,17 +73,17 @@ class FrictionChange(NamedTuple):
 
 
 class VelocityChange(NamedTuple):
-    """A time at which the velocity is another."""
+    """A time at which the velocity changes."""
 
     time: float
-    """on the clock of the data, s"""
+    """in the times of the data, s"""
     size: float
     """m/s"""
     early: bool
     """whether most of the motion follows it"""
 
     def warning(self) -> str:
-        """In words, with the flags that go with it."""
+        """The change in words, with the options that account for it."""
         if self.early:
             remedy = f"`--since {math.ceil(2 * self.time + 0.5) / 2:g}` leaves out what is before"
         else:
@@ -105,7 +105,7 @@ class _Fitted(NamedTuple):
     residual: Floats
     """One-dimensional, of all channels."""
     jacobian: Floats
-    """By the free parameters."""
+    """With respect to the free parameters."""
 
     @classmethod
     def of(cls, fit: LeastSquaresFit) -> _Fitted:
@@ -132,14 +132,14 @@ class _Fitted(NamedTuple):
         return ((path - self.path)[:channels, :n] * self.weight).ravel()
 
     def displacement(self, by: Any, axis: int) -> Floats:
-        """Changes of x (0) or y (1), shape (k, n), among the weighted channels."""
+        """Changes of x (0) or y (1), shape (k, n), as changes of all weighted channels."""
         found = np.zeros((len(by), *self.weight.shape))
         found[:, axis] = by * self.weight[axis]
         return found.reshape(len(by), -1)
 
     def gain(self, before: Floats, after: Floats) -> float:
-        """Twice the gain of the log-likelihood where residuals are these two, the noise being of
-        unknown size and correlated from row to row; 0 where the law is wrong after it, too."""
+        """Twice the gain in log-likelihood from residuals `before` to `after`, for noise of unknown
+        size that is correlated from row to row; 0 where the law is still wrong afterwards."""
         there = self.weight > 0
         residual = after.reshape(there.shape)
         products = residual[:, 1:] * residual[:, :-1] * (there[:, 1:] & there[:, :-1])
@@ -149,7 +149,7 @@ class _Fitted(NamedTuple):
 
 
 def sudden_change(fit: LeastSquaresFit) -> SuddenChange | None:
-    """What changes abruptly, friction or velocity, whichever explains more; None if neither."""
+    """The abrupt change, of friction or velocity, that explains more; None if there is none."""
     fitted = _Fitted.of(fit)
     tests = ((_friction_change, _SURE_FRICTION), (_velocity_change, _SURE_VELOCITY))
     found = [(*test(fitted), limit) for test, limit in tests]
@@ -169,12 +169,12 @@ def _friction_change(fitted: _Fitted) -> tuple[float, FrictionChange]:
         )  # fmt: skip
         responses.append(fitted.response(problem._replace(environment=environment)) / _STEP)
     since = np.array([*responses, np.zeros(fitted.weight.size)])
-    # friction that follows polynomials of time
+    # friction that is polynomial in time
     smooth = chebvander(np.linspace(-1, 1, _TIMES), _SMOOTH).T @ (since[:-1] - since[1:])
     left, since = _without(np.hstack([fitted.jacobian, smooth.T]), fitted.residual, since)
     along, products = since @ left, since @ since.T
     squares = np.diag(products)
-    # of the difference of any two: of its square, and along the residuals
+    # of the difference of any two: its square, and its product with the residuals
     size = squares[:, None] + squares - 2 * products
     score = along[:, None] - along
     there = size > 1e-9 * squares.max()
@@ -191,14 +191,14 @@ def _friction_change(fitted: _Fitted) -> tuple[float, FrictionChange]:
 
 
 def _velocity_change(fitted: _Fitted) -> tuple[float, VelocityChange]:
-    """The time at which the velocity changes abruptly, and its gain; 0 without both positions."""
+    """The time at which the velocity changes abruptly, and its gain; 0 without x and y."""
     best = 0.0, VelocityChange(0.0, 0.0, True)
     if not (fitted.weight[:2] > 0).any(axis=1).all():
         return best
     duration = fitted.duration
     times = np.linspace(0.0, duration, 2 * _TIMES + 1)[:-1]
     late = np.maximum(fitted.t - times[:, None], 0.0)
-    # accelerations that follow polynomials of time
+    # accelerations that are polynomial in time
     smooth = chebvander(np.linspace(-1, 1, len(times)), _SMOOTH).T @ late
     nuisance = [fitted.displacement(smooth, axis) for axis in (0, 1)]
     changes = np.vstack([fitted.displacement(late, axis) for axis in (0, 1)])
@@ -216,7 +216,7 @@ def _velocity_change(fitted: _Fitted) -> tuple[float, VelocityChange]:
 
 
 def _without(nuisance: Floats, residual: Floats, changes: Floats) -> tuple[Floats, Floats]:
-    """Residuals and responses less what the nuisance columns can make."""
+    """Residuals and responses with the span of the nuisance columns projected out."""
     columns, singular, _ = np.linalg.svd(
         nuisance / np.maximum(np.linalg.norm(nuisance, axis=0), 1e-300), full_matrices=False
     )

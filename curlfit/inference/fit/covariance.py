@@ -18,14 +18,14 @@ from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
 
-_CURVED = 0.003  # typical sizes of a standard error, below which chi squared is quadratic
-_UNKNOWN = 3.0  # the same, above which nothing is known anyway
-_QUADRATIC = 0.5  # how far the rise of chi squared at one standard error may be from one
-_MEDIAN_EFFICIENCY = 0.37  # of a sigma from the median size, for Gaussian noise (Huber 1981)
+_CURVED = 0.003  # standard error over typical size below which chi squared is quadratic
+_UNKNOWN = 3.0  # the same, above which nothing is determined in any case
+_QUADRATIC = 0.5  # largest departure from one of the rise of chi squared at one standard error
+_MEDIAN_EFFICIENCY = 0.37  # of sigma from the median absolute residual, Gaussian noise (Huber 1981)
 
 
 class Covariance(NamedTuple):
-    """What the optimum of a throw says of its parameters, to first order."""
+    """First-order uncertainties of the parameters at the optimum of a throw."""
 
     values: Floats
     """in the data's coordinates"""
@@ -33,21 +33,21 @@ class Covariance(NamedTuple):
     at_bound: Booleans
     open: Booleans
     slack: Floats
-    """what parameters at a bound add to the spread of the open ones (`LinearizedProblem.open`)"""
+    """contribution of those at a bound to the spread of the open ones (`LinearizedProblem.open`)"""
     newton_decrement: float
-    """standard errors to the optimum"""
+    """distance to the optimum, standard errors"""
     variance: Floats
-    """the covariance's part from each channel's noise, and last from the priors, shape
-    (channels + 1, open, open)"""
+    """contributions to the covariance from the noise of each channel and, last, from the priors,
+    shape (channels + 1, open, open)"""
     dof: Floats
-    """degrees of freedom of each channel's sigma, infinite where it was given, and of the priors"""
+    """degrees of freedom of each channel's sigma; infinite where it was given and for the priors"""
     leverage: Floats
-    """of each value on its own fitted one, 0 to 1, shape (channels, n)"""
+    """of each value on its own fitted value, 0 to 1, shape (channels, n)"""
     of_data: Identifiability
-    """what the data say without the priors"""
+    """identifiability from the data without the priors"""
 
     def degrees_of_freedom(self, weights: Floats) -> float | None:
-        """Of the variance of a weighted sum of the open parameters (Satterthwaite 1946, eq. 17);
+        """For the variance of a weighted sum of the open parameters (Satterthwaite 1946, eq. 17);
         None where all sigmas were given."""
         parts = np.einsum("i,cij,j->c", weights, self.variance, weights)
         inverse = float((parts**2 / self.dof).sum())
@@ -64,7 +64,7 @@ def covariances(
     loss: str,
     penalty: Penalty | None = None,
 ) -> list[Covariance]:
-    """Those of many throws of one law; those of one set of open parameters are found together.
+    """Covariances of many throws of one law; equal sets of open parameters are treated together.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def covariances(
         matrix = matrix - (slack @ slack.mT)[:, None]
         part = matrix @ (by_channel.mT @ by_channel)
         leverage = ((by_channel @ matrix) * by_channel).sum(-1)
-        # n - p by channel, p the parameters that it pays for itself
+        # n - p by channel, p being the sum of its leverages
         dof = np.maximum(statistics.number[throws] - leverage.sum(-1), 1.0)
         dof = np.where(estimated[throws], efficiency * dof, np.inf)
         dof = np.concatenate([dof, np.full((len(dof), 1), np.inf)], -1)
@@ -137,9 +137,9 @@ def covariances(
 
 
 def _robust_jacobian(problem: Problem, solution: Solution, residual: Floats, loss: str) -> Floats:
-    """Jacobian of the residuals over their sigma, each channel by what a robust loss makes of it.
+    """Jacobian of the residuals over their sigma, each channel rescaled for a robust loss.
 
-    The covariance of an M-estimator is that of least squares over `precision` (Huber 1981).
+    The covariance of an M-estimator is that of least squares divided by `precision` (Huber 1981).
     """
     jacobian = solution.jacobian.copy()
     for row, weight in enumerate(problem.weight):
@@ -150,20 +150,20 @@ def _robust_jacobian(problem: Problem, solution: Solution, residual: Floats, los
 
 
 class OneSigmaPoints(NamedTuple):
-    """Points one standard error off along the axes of the covariances, along the first axis."""
+    """Points one standard error from the optimum along the principal axes of the covariances."""
 
     owner: NDArray[np.intp]
-    """index of the throw"""
+    """index of the throw, shape (points,)"""
     point: Floats
     """shape (points, parameters)"""
     axis: Floats
-    """in typical sizes; 0 for parameters that are not open"""
+    """in typical sizes, of the same shape; 0 for parameters that are not open"""
 
 
 def one_sigma_points(
     found: Sequence[Covariance], values: Floats, lower: Floats, upper: Floats, typical: Floats
 ) -> OneSigmaPoints:
-    """Those within bounds, where the standard error is neither tiny nor beyond all meaning.
+    """The points within bounds on axes whose standard error is neither tiny nor meaningless.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def one_sigma_points(
     parts = []
     for throws in grouped((one.open,) for one in found):
         open_ = np.flatnonzero(found[throws[0]].open)
-        # That of the open parameters alone: those at a bound stay where they are.
+        # Covariance of the open parameters alone: those at a bound stay there.
         covariance = np.stack(
             [found[k].identifiability.covariance - found[k].slack @ found[k].slack.T
              for k in throws]
@@ -193,8 +193,8 @@ def one_sigma_points(
 def nonquadratic_parameters(
     found: Sequence[Covariance], around: OneSigmaPoints, delta_chi2: Floats
 ) -> list[dict[str, float]]:
-    """Parameters along which one standard error does not raise chi squared by about one, and the
-    largest factor by which it is more or less."""
+    """Parameters along which chi squared does not rise by about one at one standard error, and the
+    largest factor by which the rise is larger or smaller."""
     off = ~(np.abs(delta_chi2 - 1) < _QUADRATIC)
     rise = np.maximum(np.nan_to_num(delta_chi2, nan=np.inf), 1e-300)
     factor = np.maximum(rise, 1 / rise)

@@ -1,4 +1,4 @@
-"""Least squares: a fit from data to result, of one throw or of many side by side."""
+"""Least-squares fits from data to result, of one throw or of many side by side."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from curlfit.stone import Stone
 from curlfit.throws.throw import Reference, Throw, require_throw
 
 _OPEN = ("not identifiable", "weak")  # verdicts that another measurement might change
-_ROWS = 2 * BATCH * 256  # of throws that are fitted together, for the sake of memory
+_ROWS = 2 * BATCH * 256  # of throws that are fitted together, to limit memory
 
 
 def fit(
@@ -72,51 +72,51 @@ def fit(
     details: bool = True,
     family: type[LawFamily] | None = None,
 ) -> FitResult:
-    """Fit a friction law and the start of the throw to a measured path by least squares.
+    """Fit a friction law and the initial state of the throw to a measured path by least squares.
 
     Parameters
     ----------
-    throw : the data. Its own defaults (`since`, `until`, `exclude`, `stone`, `law`, `load`) hold
-        where nothing else is said.
-    law : name or class of the friction law; "front-back" where the throw says nothing either.
+    throw : the data. Its own defaults (`since`, `until`, `exclude`, `stone`, `law`, `load`) apply
+        where an argument is not given.
+    law : name or class of the friction law; by default that of the throw, otherwise "front-back".
     load : "uniform" or "consistent" (eq. 8-9).
-    stone : the stone; by default the data file's, and `Stone()` where that says nothing.
+    stone : the stone; by default that of the data file, otherwise `Stone()`.
     since, until : use rows with since <= t <= until (s).
-    exclude : intervals (from, to) in s whose rows are not used. The stone moves on in them under
-        the same friction.
-    swept : when sweeping began and ended (s); `sweep`, the friction meanwhile over that before, is
-        then a parameter.
-    fix, bounds : parameters held at a value, and (lower, upper) in place of the law's own.
-    unbounded : let coefficients be negative.
+    exclude : intervals (from, to) in s whose rows are not used. The motion continues through them
+        under the same friction.
+    swept : times at which sweeping began and ended (s); `sweep`, the friction in between over that
+        before, is then a parameter.
+    fix, bounds : values of parameters held fixed, and (lower, upper) in place of the law's own.
+    unbounded : whether coefficients may be negative.
     free : optional coefficients and conditions (`slope_x`, `rho`, ...; see
-        `curlfit.inference.conditions`) that are estimated. Others are held.
-    priors : prior densities by the name of the parameter, such as {"rho": "0.1+-0.0025"}; the forms
+        `curlfit.inference.conditions`) to be estimated. Others are held fixed.
+    priors : prior densities by name of the parameter, such as {"rho": "0.1+-0.0025"}; the forms
         are "MEAN+-SD", "lognormal:MEDIAN,SIGMA", "half-normal:SD" and "uniform:LOW,HIGH". They make
-        the parameters free.
-    start : initial values of some parameters; the rest is found from the data. Not needed.
+        their parameters free.
+    start : initial values of some parameters, if any; the others are found from the data.
     loss : "linear" is least squares; "huber", "soft-l1", "cauchy" and "student" (4 degrees of
         freedom) are robust to outliers.
     noise : "white" is independent from row to row; "ar1" has a correlation that decays
-        exponentially; "discrepancy" is white on top of accelerations that the law lacks;
+        exponentially; "discrepancy" is white noise plus accelerations that the law lacks;
         "ar1+discrepancy" is both (see `curlfit.inference.noise.models`).
-    systematics : standard uncertainties of conditions that are held, such as {"slope_x": 2e-4}, in
-        place of those of `curlfit.inference.conditions`; 0 where one is known, "all" for all that
-        are not named. They enter the systematic errors alone.
-    details : whether the fit shall also hold the quantities of the path, the fits with the stones
-        of the throw's reference, and what would determine more (`remedies`).
-    family : of laws that are fitted to the same throw, this one among them: their programs are
-        compiled as one.
+    systematics : standard uncertainties of conditions that are held fixed, such as
+        {"slope_x": 2e-4}, in place of those of `curlfit.inference.conditions`; 0 where one is
+        known, "all" for all that are not named. They enter only the systematic errors.
+    details : whether to compute also the quantities of the path, the fits with the stones of the
+        throw's reference, and what would determine more parameters (`remedies`).
+    family : of laws that are fitted to the same throw, including this one: they are compiled as
+        one program.
 
     Returns
     -------
-    FitResult, whose `status` says in words whether the fit converged, and its `warnings` why it may
-    mislead.
+    FitResult, whose `status` says in words whether the fit converged, and whose `warnings` say why
+    it may mislead.
 
     Raises
     ------
     InputError : an unknown law, load, loss, noise or parameter name; too few rows; a stone that
         never moves.
-    UnusableFitError : no start led to a finite fit.
+    UnusableFitError : no initial values led to a finite fit.
 
     Examples
     --------
@@ -161,7 +161,7 @@ def fit(
 
 
 def refit(fit: FitResult, noise: str) -> FitResult:
-    """A fit made again under another noise model, from its optimum."""
+    """Repeat a fit under another noise model, starting from its optimum."""
     throw, origin = fit.throw, Origin.of(fit.throw)
     prepared = PreparedThrow(
         throw, throw, fit.stone, fit.data, fit.data["swept"], fit.parameter_set, origin
@@ -171,7 +171,7 @@ def refit(fit: FitResult, noise: str) -> FitResult:
 
 
 def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSquaresFit:
-    """The only throw of some rounds, with all the starts there are."""
+    """Fit the only throw of some rounds, trying all initial values."""
     (prepared,), model = rounds.throws, rounds.model
     parameters = prepared.local_parameters
     (problem,), (sketch,) = unstacked(rounds.problems), unstacked(rounds.sketches)
@@ -197,7 +197,7 @@ def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSqu
 
 
 def _reference_fits(fit: LeastSquaresFit, result: FitResult) -> tuple[dict[str, Any], ...]:
-    """The same fit with other constants of the stone: what the values then are."""
+    """The values that the fit gives with other constants of the stone."""
     assert result.reference is not None
     start = fit.prepared.parameters.values_of(result.values)
     found = []
@@ -214,8 +214,8 @@ def _reference_fits(fit: LeastSquaresFit, result: FitResult) -> tuple[dict[str, 
 def _other_stones(
     reference: Reference, stone: Stone, parameters: Collection[str]
 ) -> list[dict[str, float]]:
-    """Constants to fit with again: those of the reference, and one more by its rounding each; none
-    where they are parameters of the fit."""
+    """Constants for repeated fits: those of the reference, and each constant of the fit shifted by
+    its rounding; none where they are parameters of the fit."""
     if set(parameters) & {*reference.stone, *reference.rounding}:
         return []
     now = stone.as_dict()
@@ -240,24 +240,24 @@ def fit_throws(
     systematics: Mapping[str, float] | None = None,
     **choices: Any,
 ) -> list[FitResult | CurlfitError]:
-    """The fit of each throw by itself, many at a time, or why there is none.
+    """Fit each throw individually, many at a time; an error takes the place of a fit that fails.
 
-    Throws go through the rounds of `fit` side by side. One whose first start leads nowhere good is
-    fitted again alone, with all the starts that `fit` would try, so that it delays no other.
+    Throws go through the rounds of `fit` side by side. One whose first initial values give no good
+    fit is fitted again alone, with all those that `fit` would try, so that it delays no other.
 
     Parameters
     ----------
-    throws, law, load, start, loss, noise : as in `fit`; load holds for all.
-    stones : one for each throw; its own where not given.
-    curves : whether the fits shall hold the fitted curves; they always do under a robust loss or
+    throws, law, load, start, loss, noise : as in `fit`; `load` applies to all.
+    stones : one for each throw; by default its own.
+    curves : whether the fits contain the fitted curves; they always do under a robust loss or
         correlated noise.
-    systematics : as in `fit`, but none where not given; they need the curves.
+    systematics : as in `fit`, but none by default; they need the curves.
     choices : `since`, `until`, `exclude`, `swept`, `fix`, `bounds`, `unbounded`, `free` and
         `priors` as in `fit`.
 
     Raises
     ------
-    InputError : as in `fit`, of what holds for all throws.
+    InputError : as in `fit`, for the arguments common to all throws.
     """
     law = find_law(law)
     checked, loss = check_load(load), check_loss(loss)
@@ -301,7 +301,7 @@ def fit_throws(
 def _fitted_together(
     rounds: Rounds, start: Mapping[str, float] | None
 ) -> dict[int, LeastSquaresFit]:
-    """Throws of one shape, side by side, by index; those are left out that have to be fitted
+    """Fits of throws of one shape, side by side, by index; without those that have to be fitted
     alone."""
     model, throws = rounds.model, rounds.throws
     _, lower, upper = local_bounds(throws)
@@ -338,7 +338,7 @@ def _fitted_together(
 
 
 def _alone(prepared: PreparedThrow, law: type[Law], load: Load, **choices: Any) -> Any:
-    """The fit of one throw with all the starts that `fit` would try, or why there is none."""
+    """The fit of one throw with all initial values that `fit` would try, or the error."""
     try:
         return fit(prepared.given, law, load=load, stone=prepared.stone, **choices)
     except CurlfitError as error:

@@ -1,9 +1,9 @@
-"""What else would have to be measured to determine what a throw leaves open.
+"""Further measurements that would determine the parameters that a throw does not determine.
 
-Beside the channels that were measured, those that were not are imagined at the same times, with the
-noise of an ordinary tracker and gyroscope. If one of them, or all together, makes a parameter
-determined, that is the answer; if not, nothing measured along this path can, and it takes another
-throw or another stone (`curlfit design`).
+Channels that were not measured are added hypothetically at the same times, with the noise of an
+ordinary tracker and gyroscope. If one of them, or all together, would determine a parameter, that
+is the remedy; if not, no measurement along this path would, and another throw or another stone is
+needed (`curlfit design`).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS
 
 NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01, "speed": 0.02, "omega": 0.02}
-"""Of a channel that is imagined: m, m, rad, m/s, rad/s."""
-_STEP = 1e-4  # of a typical size, for differences: the path is accurate to 1e-8 of it
+"""Of a hypothetical channel: m, m, rad, m/s, rad/s."""
+_STEP = 1e-4  # of a typical size, for finite differences: the path is accurate to 1e-8 of it
 
 
 def remedies(
@@ -47,8 +47,8 @@ def remedies(
 
     Returns
     -------
-    Parameters with the same remedy are together. Of several channels in "measure" each would do,
-    unless "all" is true, when none can be left out; it is empty where nothing would.
+    Parameters with the same remedy are grouped. Of several channels in "measure" any one suffices,
+    unless "all" is true: then all are needed. It is empty where no channel would help.
     """
     free = np.array([place for place, name in enumerate(parameters.names) if name not in held])
     jacobian = _slopes(model, values, problem, parameters, free)[:, :rows]
@@ -75,7 +75,7 @@ def remedies(
         all_ = not enough and name in together
         if all_:
             enough = list(missing)
-            for channel in reversed(missing):  # speed and spin are the least usual
+            for channel in reversed(missing):  # speed and spin are the least commonly measured
                 fewer = [other for other in enough if other != channel]
                 if name in determined(fewer):
                     enough = fewer
@@ -93,9 +93,9 @@ def _slopes(
     parameters: ParameterSet,
     free: NDArray[np.intp],
 ) -> Floats:
-    """Derivative of all channels by the free parameters, shape (channels, n, parameters)."""
+    """Derivatives of all channels by the free parameters, shape (channels, n, parameters)."""
     columns = []
-    fixed = parameters.lower >= parameters.upper  # for want of a channel that shows them
+    fixed = parameters.lower >= parameters.upper  # for lack of a channel that depends on them
     lower = np.where(fixed, -np.inf, parameters.lower)
     upper = np.where(fixed, np.inf, parameters.upper)
     for place in free:

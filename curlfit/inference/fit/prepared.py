@@ -1,4 +1,4 @@
-"""A throw ready to be fitted: cut, with its stone, its parameters and its origin."""
+"""A throw prepared for a fit: rows selected, with its stone, parameters and origin."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from curlfit.throws.throw import CHANNELS, Throw
 
 
 class PreparedThrow(NamedTuple):
-    """A throw ready to be fitted: cut, with its stone, its parameters and its origin."""
+    """A throw prepared for a fit: rows selected, with its stone, parameters and origin."""
 
     given: Throw
     throw: Throw
@@ -34,7 +34,7 @@ class PreparedThrow(NamedTuple):
     parameters: ParameterSet
     origin: Origin
     findings: tuple[Finding, ...] = ()
-    """what is unusual in the throw"""
+    """what is unusual about the throw"""
 
     @classmethod
     def of(
@@ -49,7 +49,7 @@ class PreparedThrow(NamedTuple):
         swept: Sequence[float] | None = None,
         **choices: Any,
     ) -> PreparedThrow:
-        """The throw with its own defaults filled in, and condensed where it is very long.
+        """Prepare a throw: its own defaults are filled in, and a very long one is condensed.
 
         `choices` are those of `ParameterSet.build`.
 
@@ -80,7 +80,7 @@ class PreparedThrow(NamedTuple):
 
     @property
     def environment(self) -> Environment:
-        """What is assumed of the environment, in the problem's coordinates."""
+        """What is assumed about the environment, in the problem's coordinates."""
         return environment_of(self.swept, self.origin.t)
 
     @property
@@ -95,18 +95,18 @@ class PreparedThrow(NamedTuple):
 
     @property
     def first_parameters(self) -> ParameterSet:
-        """The same for the first fit, which weights channels evenly where no sigma is given."""
+        """The same for the first fit, which weights channels equally where no sigma is given."""
         local = self.local_parameters
         return local.with_first_priors() if self.even_sigma() else local
 
     def even_sigma(self) -> dict[str, float]:
-        """Sigma of the first fit for the channels whose own is unknown: even weights."""
+        """Sigma in the first fit for channels whose own is unknown: equal weights."""
         given = [float(np.nanmedian(series)) for series in self.throw.sigma.values()]
         even = float(np.exp(np.mean(np.log(given)))) if given else 1.0
         return {name: even for name in self.throw.seen if name not in self.throw.sigma}
 
     def with_start(self, values: Floats, start: Mapping[str, float] | None) -> Floats:
-        """Initial values, of the problem, with those that the user gives."""
+        """Initial values in the problem's coordinates, with those that the user gives."""
         if not start:
             return values
         self.parameters.require("start", start)
@@ -117,7 +117,7 @@ class PreparedThrow(NamedTuple):
 
 
 def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
-    """The problem that a fit has solved, with its noise and loss, and its origin."""
+    """The problem that a fit solved, with its noise and loss, and its origin."""
     throw = fit.throw
     origin = Origin.of(throw)
     environment = environment_of(fit.data["swept"], origin.t)
@@ -129,22 +129,22 @@ def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
 
 
 def motion_of(fit: FitResult) -> Motion:
-    """The motion that a fit has found, the times since its first row."""
+    """The fitted motion, with times since the first row."""
     t = fit.observed["t"]
     return Motion(t - t[0], np.array([fit.fitted[name] for name in CHANNELS]), fit.stone)
 
 
 def check_period(swept: Sequence[float]) -> tuple[float, float]:
-    """The times between which a stone is swept. Raises `InputError` where they are none."""
+    """The times between which a stone is swept. Raises `InputError` where they are not valid."""
     if len(swept) != 2 or not swept[0] < swept[1]:
         raise InputError(f"swept = {swept!r}: expected two times in s, the earlier first")
     return float(swept[0]), float(swept[1])
 
 
 def penalties(throws: Sequence[PreparedThrow], *, first: bool = False) -> Penalty | None:
-    """Of the priors of many throws, in the problems' coordinates; None without priors.
+    """Penalty of the priors of many throws, in the problems' coordinates; None without priors.
 
-    `first` is for the first fit, see `PreparedThrow.first_parameters`.
+    `first` selects the first fit, see `PreparedThrow.first_parameters`.
     """
     if not any(one.parameters.priors for one in throws):
         return None
@@ -154,7 +154,7 @@ def penalties(throws: Sequence[PreparedThrow], *, first: bool = False) -> Penalt
 
 
 def local_bounds(throws: Sequence[PreparedThrow]) -> tuple[Floats, Floats, Floats]:
-    """From the problems' coordinates to the data's, and the bounds in the former, of many throws;
+    """Offsets of many throws from the problems' coordinates to the data's, bounds in the former;
     each of shape (throws, parameters)."""
     offset = np.stack([one.offset for one in throws])
     lower = np.stack([one.parameters.lower for one in throws]) - offset

@@ -1,5 +1,5 @@
-"""What people quote of a throw, from the fitted path within the record: curl, turns, times from
-line to line, mean friction; with errors to first order by differences of the path."""
+"""Quantities usually quoted for a throw, from the fitted path within the record: curl, turns, times
+between lines and mean friction; with first-order errors by finite differences of the path."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from curlfit.sheet import HOUSE, LINES, TEE
 from curlfit.stone import GRAVITY
 from curlfit.throws.events import Event, event_arrays
 
-_STEP = 1e-4  # of a typical size, for differences: the path is accurate to 1e-7 m
+_STEP = 1e-4  # of a typical size, for finite differences: the path is accurate to 1e-7 m
 _PRECISION = 1e-7  # of the path, m and rad
-_NEAR = 0.05  # m by which a record may miss a line at its ends
+_NEAR = 0.05  # m by which the ends of a record may miss a line
 _DRAWS = 400  # of the posterior
-_TRIED, _LINEAR = 40, 0.03  # of them whether they are linear in the parameters, to so many sd
+_TRIED, _LINEAR = 40, 0.03  # draws tested for linearity in the parameters, tolerance in sd
 _SHOWN = ("determined", "prior")
 
 
 class _Motion(NamedTuple):
-    """A path within the record, at even times."""
+    """A path within the record, at evenly spaced times."""
 
     t: Floats
     x: Floats
@@ -44,7 +44,7 @@ class _Motion(NamedTuple):
     """s since the first row"""
 
     def time_at(self, y: float) -> float:
-        """When it passes a line, s; NaN where it does not."""
+        """Time at which the path crosses a line, s; NaN where it does not."""
         from scipy.interpolate import CubicSpline  # slow to load, and few fits need it
 
         n = max(int(np.argmin(self.speed > 0)) + 1 if (self.speed <= 0).any() else len(self.t), 4)
@@ -115,8 +115,8 @@ def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
     """The quantities that a record determines, by name.
 
     Curl is the distance from the straight line along the velocity at the first row, positive to the
-    right. Lines of the sheet are known where y is measured from the hack, and passed within the
-    record.
+    right. Lines of the sheet are used where y is measured from the hack and the record crosses
+    them.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
         values = fit.values.copy()
         values[movable] += known.shift(condition)
         problem = with_condition_off(path.problem, condition, width)
-        # `assess` adds the part by the shift of the parameters to first order
+        # `assess` adds the first-order effect of the shift of the parameters
         whole = change(path.at(values, problem), best, 1.0)
         along = sum(slopes[name] * values_by for name, values_by in zip(
             known.names, known.shift(condition), strict=True))  # fmt: skip
@@ -162,7 +162,7 @@ def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
         if not all(map(math.isfinite, numbers)):
             continue
         one = known.assess(item.name, numbers[0], gradient, changes, held_counts=False)
-        # Where a law cannot curl, its path says nothing of the curl.
+        # Under a law that cannot curl a stone, the path contains no information on the curl.
         if one.verdict in _SHOWN and one.stderr is not None and one.stderr > _PRECISION:
             one = with_quantiles(one, samples[row]) if samples is not None else one
             found[item.name] = replace(one, meaning=item.meaning, unit=item.unit)
@@ -172,8 +172,8 @@ def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
 def _samples(
     path: _Path, chain: Any, wanted: list[_Definition], best: _Motion, slopes: dict[str, Floats]
 ) -> list[Floats] | None:
-    """Draws of each quantity: of all samples to first order where that is as good as paths of some
-    of them, else by paths of more."""
+    """Draws of each quantity: from all samples to first order where that agrees with the paths of
+    some of them, otherwise from the paths of more."""
     if chain is None or not len(chain.flat):
         return None
     flat = chain.flat
@@ -195,7 +195,7 @@ def _samples(
 
 
 def _definitions(fit: FitResult, best: _Motion) -> list[_Definition]:
-    """What can be told of the channels that were measured and of the lines that were passed."""
+    """Quantities that the measured channels and the lines crossed determine."""
     seen, end = set(fit.rms), float(best.t[-1])
     rests = best.rest <= end
     until = "until rest" if rests else "over the record"

@@ -18,42 +18,42 @@ from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS, Throw
 
-_EARLY = 5  # rows that a hand may still have been on the stone
-_FEWEST = 10  # values of a channel in which outliers are looked for
-_FEW = 50  # values that one of them pulls the fit of
-_BY_CHANCE = 1e-3  # share of throws that may have one by chance
-_MUCH = 1.5  # times the sigma given, above which residuals are called too large ...
-_NOT_BY_CHANCE = 5.0  # ... where chi squared is so many of its own standard deviations too high
-_MISSED = 4.0  # sigmas by which an event is called missed; one in 16,000 is by chance
-_SMOOTH = 0.5  # lag-1 correlation of residuals from which they are called smooth
+_EARLY = 5  # rows in which a hand may still be on the stone
+_FEWEST = 10  # values of a channel in which outliers are sought
+_FEW = 50  # values, below which a single one pulls the fit
+_BY_CHANCE = 1e-3  # fraction of throws that may have an outlier by chance
+_MUCH = 1.5  # times the given sigma, above which residuals count as too large ...
+_NOT_BY_CHANCE = 5.0  # ... if chi squared is this many of its own standard deviations too high
+_MISSED = 4.0  # sigmas beyond which an event counts as missed; by chance one in 16,000
+_SMOOTH = 0.5  # lag-1 correlation above which residuals are called smooth
 
 
 class ResidualStatistics(NamedTuple):
     """Residuals of a throw at its optimum, or of many, along the first axis of each field."""
 
     path: Floats | None
-    """in the problem's coordinates, shape (5, n); None where the record shall not have it"""
+    """in the problem's coordinates, shape (5, n); None where the record does not include it"""
     residual: Floats
-    """data less path, 0 where nothing was observed, shape (channels, n)"""
+    """measured - fitted, 0 where nothing was observed, shape (channels, n)"""
     r_factor: Floats
-    """of the Jacobian and, last column, the residual over its sigma: as few rows as columns; with
-    the priors"""
+    """R factor of the Jacobian and, as the last column, the residual over its sigma, with the
+    priors: as many rows as columns"""
     of_data: Floats
     """the same without the priors"""
     number: NDArray[np.int64]
-    """of the values of each channel, shape (channels,)"""
+    """of values of each channel, shape (channels,)"""
     rms: Floats
     lag1: Floats
     independence: Any
-    """how far the residuals over their sigma are from independent, an `Independence` a channel"""
+    """how far the residuals over their sigma are from independent: an `Independence` per channel"""
 
     def each(self, throws: int) -> list[ResidualStatistics]:
-        """Those of single throws."""
+        """The statistics of each throw."""
         paths = [None] * throws if self.path is None else self.path
         return list(map(ResidualStatistics, paths, *self[1:]))
 
     def by_channel(self, series: Any, more_than: int = 0) -> dict[str, Any]:
-        """Values of one throw by name, of the channels of more than so many values."""
+        """Values of one throw by name, for the channels with more than `more_than` values."""
         rows = zip(CHANNELS, series, self.number, strict=False)
         return {name: value for name, value, number in rows if number > more_than}
 
@@ -61,7 +61,7 @@ class ResidualStatistics(NamedTuple):
 def residual_statistics(
     problems: Problem, solutions: Solution, paths: Floats | None, penalty: Penalty | None = None
 ) -> ResidualStatistics:
-    """Those of many throws; the penalty is that of their priors."""
+    """Residual statistics of many throws; the penalty is that of their priors."""
     there = problems.weight > 0
     count = there.sum(-1)
     if paths is None:
@@ -69,7 +69,7 @@ def residual_statistics(
     else:
         residual = np.where(there, problems.observed - paths[:, : there.shape[1]], 0.0)
     rms = np.sqrt((residual**2).sum(-1) / np.maximum(count, 1))
-    # What was observed, without the gaps.
+    # Observed values first, gaps last.
     order = np.argsort(~there, -1, kind="stable")
     of_data = r_factors(solutions.jacobian, solutions.residual)
     whole = of_data
@@ -97,18 +97,18 @@ def outliers_of(
     leverage: Floats,
     loss: str,
 ) -> tuple[dict[str, Any], ...]:
-    """Values too far off for noise, in channels whose residuals look like noise.
+    """Values too far from the fit to be noise, in channels whose residuals look like noise.
 
     Either more than 5 + 30/(n - 6) sigmas of the bulk, a limit that Gaussian noise in three
-    channels of n values passes in one of 1,000 throws, for n from 12 to 400 (Hampel's identifier,
-    its constants simulated as by Davies and Gather 1993); or, since a value pulls the fit of few
-    rows toward itself, an externally studentized residual beyond the same chance (Cook and
-    Weisberg 1982, sect. 2.2).
+    channels of n values exceeds in one of 1,000 throws, for n from 12 to 400 (Hampel's identifier,
+    with constants simulated as by Davies and Gather 1993); or, since a value pulls a fit of few
+    rows toward itself, an externally studentized residual beyond a limit of the same probability
+    (Cook and Weisberg 1982, sect. 2.2).
 
     Parameters
     ----------
     dof : degrees of freedom of each channel's sigma.
-    leverage : of each value on its own fitted one, shape (channels, n).
+    leverage : of each value on its own fitted value, shape (channels, n).
     """
     found = []
     for row, name in enumerate(CHANNELS[: len(residual)]):
@@ -120,7 +120,7 @@ def outliers_of(
         size = np.abs(residual[row, there])
         studentized = len(there) < _FEW and loss == "linear" and series is None and dof[row] > 2
         if not studentized and 2 * (size > size.max() / (limit * MAD_TO_SIGMA)).sum() > len(there):
-            continue  # the median size is so large that none is far
+            continue  # the median size is so large that no value is far off
         bulk = max(robust_sigma(residual[row, there]), SIGMA_FLOOR)
         sigma = np.full(len(throw), bulk) if series is None else np.maximum(series, bulk)
         far = size > limit * sigma[there]
@@ -145,7 +145,7 @@ def outliers_of(
 
 
 def outlier_warning(outliers: tuple[dict[str, Any], ...], t: Floats) -> str:
-    """How many there are, the farthest, and whether they are the first rows, at the times `t`."""
+    """The number of outliers, the farthest, and whether they are the first of the rows at `t`."""
     first = outliers[0]
     line = f" (line {first['line']})" if first["line"] is not None else ""
     many = "one outlier" if len(outliers) == 1 else f"{len(outliers)} outliers, the farthest"
@@ -161,9 +161,9 @@ def outlier_warning(outliers: tuple[dict[str, Any], ...], t: Floats) -> str:
 def given_sigma_warnings(
     throw: Throw, residual: Floats, outliers: tuple[dict[str, Any], ...]
 ) -> list[str]:
-    """Channels whose residuals, outliers apart, are far larger than the sigma they were given.
+    """Channels whose residuals, apart from outliers, are far larger than their given sigma.
 
-    `residual` is over that sigma.
+    `residual` is in units of that sigma.
     """
     excluded = {(item["channel"], item["t"]) for item in outliers}
     found = {}
@@ -175,7 +175,7 @@ def given_sigma_warnings(
         if not rest:
             continue
         square = float(np.mean(residual[row, rest] ** 2))
-        by_chance = 1 + _NOT_BY_CHANCE * np.sqrt(2 / len(rest))  # chi squared over its number
+        by_chance = 1 + _NOT_BY_CHANCE * np.sqrt(2 / len(rest))  # chi squared per value
         if square > max(by_chance, _MUCH**2):
             found[name] = float(np.sqrt(square))
     if not found:
@@ -189,12 +189,12 @@ def given_sigma_warnings(
 
 
 def event_warnings(events: Sequence[Mapping[str, Any]], law: str) -> list[str]:
-    """Events that a fit misses by far."""
+    """Warnings about events that a fit misses by far."""
     far = {
         item["name"]: abs(item["fitted"] - item["value"]) / item["sigma"] for item in events
     }  # fmt: skip
     listed = [f"{name} by {sigmas:.2g} sigma" for name, sigmas in far.items() if sigmas > _MISSED]
-    # Two such numbers of a throw determine its speed and one coefficient, and no law is told.
+    # Two such values determine the speed and one coefficient, and cannot distinguish laws.
     along = sum(item["quantity"] in ("time", "y") for item in events)
     changing = law == "coulomb" and along > 2
     if not listed:
@@ -207,7 +207,7 @@ def event_warnings(events: Sequence[Mapping[str, Any]], law: str) -> list[str]:
 
 
 def correlation_warnings(statistics: ResidualStatistics, noise: str) -> list[str]:
-    """Channels of a throw whose residuals are not independent, though the noise model says so."""
+    """Channels of a throw whose residuals are not independent, contrary to the noise model."""
     rms, count = (statistics.by_channel(series) for series in (statistics.rms, statistics.number))
     doubtful: dict[str, Independence] = {
         name: item

@@ -1,7 +1,7 @@
-"""Results as frozen records, and their one versioned form in JSON.
+"""Results as frozen records, and their versioned JSON form.
 
-Whatever is drawn or printed is made from these alone, so a saved `fit.json` can be printed,
-drawn and sampled again without the data file and without fitting.
+All figures and reports are made from these alone, so a saved `fit.json` can be printed, drawn and
+sampled again without the data file and without fitting.
 """
 
 from __future__ import annotations
@@ -43,19 +43,19 @@ _LATER = (
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter as fitted.
+    """The estimate of one parameter.
 
     Attributes
     ----------
-    stderr : standard error; None where the data do not determine the parameter, where it sits at a
+    stderr : standard error; None where the data do not determine the parameter, where it is at a
         bound, or where it was fixed.
     verdict : "determined"; "prior" (determined, but not without the priors); "weak"; "not
         identifiable"; "at bound" or "fixed".
     reason : of a weak parameter: its standard error is no smaller than its typical size, or chi
         squared is so far from quadratic that the standard error is wrong by a factor of two or
-        more. Else empty.
-    dof : degrees of freedom of the standard error; None where it has none or sigma was given.
-    prior : its prior as it is written (`curlfit.inference.priors`); empty without one.
+        more. Otherwise empty.
+    dof : degrees of freedom of the standard error; None without one, or where sigma was given.
+    prior : its prior, in the notation of `curlfit.inference.priors`; empty without one.
     """
 
     value: float
@@ -77,7 +77,7 @@ class Estimate:
 
     @classmethod
     def from_json(cls, found: dict[str, Any]) -> Estimate:
-        """The record from JSON, which has infinite bounds as text."""
+        """The record from JSON, in which infinite bounds are text."""
         bounds = {key: float(found[key]) for key in ("lower", "upper")}
         return cls(**known_fields(cls, found) | bounds)
 
@@ -91,11 +91,11 @@ class Posterior(Displayed):
     samples : number kept, over all walkers, after the first `discarded` steps.
     steps, walkers, ensembles : of the run; the walkers are divided among the ensembles.
     ess : effective sample size by parameter. r_hat : across the ensembles, by parameter.
-    autocorrelation_time : in steps, by parameter. acceptance : of proposals.
+    autocorrelation_time : in steps, by parameter. acceptance : fraction of proposals accepted.
     quantiles : by parameter and by determined combination, keys "2.5", "16", "50", "84", "97.5".
     mean, sd : the same.
     correlation : between parameters.
-    converged, status : whether the targets were met, and in words.
+    converged, status : whether the targets were met, and the same in words.
 
     Examples
     --------
@@ -127,13 +127,13 @@ class Posterior(Displayed):
 
 @dataclass(frozen=True)
 class Systematics:
-    """What conditions that a fit holds do to its estimates (`curlfit.inference.fit.systematics`).
+    """Effects of the conditions that a fit holds fixed (`curlfit.inference.fit.systematics`).
 
     Attributes
     ----------
-    widths : standard uncertainty of each held condition, SI.
-    shifts : by determined parameter or combination and by condition: how far the true value lies
-        from the estimate where the condition is one width more than assumed.
+    widths : standard uncertainty of each of these conditions, SI.
+    shifts : by determined parameter or combination and by condition: true value minus estimate
+        where the condition is one width above its assumed value.
     """
 
     widths: dict[str, float] = field(default_factory=dict)
@@ -141,7 +141,7 @@ class Systematics:
 
     @property
     def errors(self) -> dict[str, float]:
-        """Systematic error of each parameter or combination: the shifts in quadrature."""
+        """Systematic error of each parameter or combination: the shifts added in quadrature."""
         return {
             name: math.hypot(*shifts.values()) for name, shifts in self.shifts.items() if shifts
         }
@@ -161,7 +161,7 @@ class NamedEstimates(Displayed):
 
     def _items(self) -> dict[str, Estimate | Combination | Derived]:
         sums = {item.expression: item for item in self.combinations}
-        # A combination that was asked for by name is itself.
+        # A combination that was requested as a derived quantity is not repeated.
         named = self._estimates.keys() | sums.keys()
         others = {one.expression: one for one in self.derived if one.expression not in named}
         return {**self._estimates, **sums, **others}
@@ -184,10 +184,10 @@ class NamedEstimates(Displayed):
         return list(self._items())
 
     def to_frame(self) -> Any:
-        """Parameters and determined combinations as a pandas DataFrame, a row for each.
+        """Parameters and determined combinations as a pandas DataFrame, one row each.
 
-        Columns are value, stderr, systematic (its error by conditions that the fit holds), low
-        and high (95 % interval), verdict and unit. What is not identifiable has no value.
+        Columns are value, stderr, systematic (error due to conditions that the fit holds fixed),
+        low and high (95 % interval), verdict and unit. What is not identifiable has no value.
 
         Raises
         ------
@@ -214,40 +214,40 @@ class FitResult(NamedEstimates):
     Attributes
     ----------
     law, load, stone : what was fitted.
-    data : where the data came from and how many there are.
+    data : source and extent of the data.
     converged, status, warnings : whether the fit may be used, and why it may mislead.
     n_observations : finite values of all channels. rms : of the residuals by channel (SI, rad).
-    sigma : noise by channel as estimated; empty for channels whose sigma was given.
+    sigma : estimated noise by channel, without the channels whose sigma was given.
     lag1 : correlation of neighbouring residuals by channel.
-    independence : by channel, how far the residuals are from independent noise, after what the
-        noise model predicts of them.
+    independence : by channel, how far the residuals are from independent noise, after subtraction
+        of what the noise model predicts.
     parameters : by name, coefficients first, then x0 y0 heading v0 phi0 omega0.
-    combinations : what is determined where single parameters are not.
+    combinations : sums that are determined where single parameters are not.
     rank, singular_values, null_directions : see `curlfit.inference.identifiability`.
     covariance : {"names": [...], "matrix": [[...]]} of the free parameters away from their bounds,
-        along the directions that the data see.
-    information : the Gauss-Newton information matrix J^T J of all free parameters, the same form,
-        with the "gradient" of the log-likelihood, which vanishes but for parameters at a bound.
+        along the directions that the data determine.
+    information : the Gauss-Newton information matrix J^T J of all free parameters, in the same
+        form, with the "gradient" of the log-likelihood, zero except for parameters at a bound.
     reference : published or true values of the same law, if the data file has them.
-    reference_fits : the fit again with other constants of the stone, where the reference names
+    reference_fits : fits repeated with other constants of the stone, where the reference gives
         them: {"stone": constants, "values": by name or expression}.
-    observed : t, x, y, phi as measured, speed and omega if they were, and given sigmas.
-    fitted : x, y, phi, speed, omega of the fit at the same times; empty where nobody wanted them.
+    observed : t, x, y, phi as measured, speed and omega if measured, and given sigmas.
+    fitted : x, y, phi, speed, omega of the fit at the same times; empty if not requested.
     posterior : None until sampled.
-    discrepancy : of a fit with the noise "discrepancy", the mean of what the law lacks given the
-        residuals: x, y, phi, speed, omega at the times of the rows, to be added to `fitted`. Empty
-        without such noise, and in records of earlier versions.
-    loss : how large residuals count, see `curlfit.inference.noise.losses`.
+    discrepancy : of a fit with the noise "discrepancy", the mean of the model discrepancy given
+        the residuals: x, y, phi, speed, omega at the times of the rows, to be added to `fitted`.
+        Empty without such noise, and in records of earlier versions.
+    loss : how much large residuals count, see `curlfit.inference.noise.losses`.
     noise : how noise is correlated from row to row, see `curlfit.inference.noise.models`.
-    outliers : values far off the fit: {"channel", "t", "line" (of the file, or None), "off" (SI),
+    outliers : values far from the fit: {"channel", "t", "line" (of the file, or None), "off" (SI),
         "sigmas"}, the farthest first.
-    remedies : what else would have to be measured, see `curlfit.inference.fit.missing_channels`.
-    sampling : "none", "unfinished" (begun, or to be begun) or "ended".
-    systematics : errors by the conditions that the fit holds, such as level ice.
+    remedies : further measurements that would help, see `curlfit.inference.fit.missing_channels`.
+    sampling : "none", "unfinished" (begun, or about to begin) or "ended".
+    systematics : errors due to the conditions that the fit holds fixed, such as level ice.
     chi_squared, prior_chi_squared : of the data, and of the priors.
-    events : measured times and places at lines and at rest, each as the attributes of
-        `curlfit.throws.events.Event`, with what the fit says, "fitted".
-    derived : what was asked for by `--derive` and `with_derived`.
+    events : measured times and positions at lines and at rest, each with the attributes of
+        `curlfit.throws.events.Event` and its value in the fit, "fitted".
+    derived : quantities requested by `--derive` and `with_derived`.
     quantities : of the path within the record, by name: "friction" (mean deceleration over g),
         "curl", "turns", "hog_to_hog" ..., as far as the record determines them.
 
@@ -363,12 +363,12 @@ class FitResult(NamedEstimates):
                 for item in START
                 if self.events and self.parameters[item.name].verdict == "fixed"
             },
-            defaults={"as_given": True},  # what is unusual was found when it was fitted
+            defaults={"as_given": True},  # it was checked when it was fitted
         )
 
     @property
     def counts_from_hack(self) -> bool:
-        """Whether y of the data is measured from the hack, by the notes of the reader."""
+        """Whether y of the data is measured from the hack, according to the notes of the reader."""
         return any(
             note.startswith("y from the hack") or (note.startswith("axes:") and "from-" in note)
             for note in self.data["notes"]
@@ -381,7 +381,7 @@ class FitResult(NamedEstimates):
 
     @property
     def residuals(self) -> dict[str, Floats]:
-        """Observed minus fitted by measured channel (SI, rad), NaN where there is no value; at the
+        """Measured - fitted by measured channel (SI, rad), NaN where there is no value; at the
         times `observed["t"]`."""
         return {
             name: self.observed[name] - self.fitted[name]
@@ -391,8 +391,8 @@ class FitResult(NamedEstimates):
 
     @property
     def predicted(self) -> dict[str, Floats]:
-        """What the fit says of the channels at the rows: the path of the law and, where the noise
-        has one, the mean of the discrepancy."""
+        """The channels as the fit predicts them at the rows: the path of the law plus, where the
+        noise has one, the mean of the model discrepancy."""
         return {
             name: series + self.discrepancy.get(name, 0.0) for name, series in self.fitted.items()
         }
@@ -404,14 +404,14 @@ class FitResult(NamedEstimates):
 
     @property
     def first_order(self) -> FirstOrder:
-        """What the fit says of its parameters, to first order."""
+        """What the fit says about its parameters, to first order."""
         return FirstOrder(
             self.parameters, self.covariance, self.null_directions, self.combinations,
             self.systematics.widths, self.systematics.shifts, self.stone.as_dict(),
         )  # fmt: skip
 
     def derive(self, expression: str, chain: Any = None) -> Derived:
-        """A quantity derived from the parameters, with its errors to first order.
+        """A quantity derived from the parameters, with first-order errors.
 
         Parameters
         ----------
@@ -422,7 +422,7 @@ class FitResult(NamedEstimates):
 
         Raises
         ------
-        InputError : it is no arithmetic of such names, or has no finite value.
+        InputError : it is not arithmetic of such names, or has no finite value.
 
         Examples
         --------
@@ -440,15 +440,15 @@ class FitResult(NamedEstimates):
         return derive(self.first_order, expression, samples)
 
     def with_derived(self, expressions: Iterable[str], chain: Any = None) -> FitResult:
-        """The same with some derived quantities, see `derive`."""
+        """The result with derived quantities, see `derive`."""
         return replace(self, derived=tuple(self.derive(text, chain) for text in expressions))
 
     def with_posterior(self, posterior: Posterior) -> FitResult:
-        """The same with a posterior."""
+        """The result with a posterior."""
         return replace(self, posterior=posterior, sampling="ended")
 
     def before_sampling(self) -> FitResult:
-        """The same as it is kept on disk while the posterior is being sampled."""
+        """The result as it is kept on disk while the posterior is being sampled."""
         return replace(self, posterior=None, sampling="unfinished")
 
     def to_json(self) -> dict[str, Any]:
@@ -502,7 +502,7 @@ class FitResult(NamedEstimates):
 
     @classmethod
     def from_json(cls, found: dict[str, Any]) -> FitResult:
-        """The record from what `to_json` gave. Raises KeyError or TypeError if it is not one."""
+        """The record from the output of `to_json`. Raises KeyError or TypeError if invalid."""
         seen = found["identifiability"]
         reference, posterior = found.get("reference"), found.get("posterior")
         same = ("law", "load", "converged", "status", "n_observations", "rms", "sigma")
@@ -554,7 +554,7 @@ class FitResult(NamedEstimates):
         )
 
     def save(self, file: str | PathLike[str]) -> None:
-        """Write the record as JSON, whole or not at all."""
+        """Write the record as JSON, atomically."""
         write_json(self.to_json(), Path(file))
 
 
@@ -568,7 +568,7 @@ def load_fit(file: str | PathLike[str]) -> FitResult:
 
     Raises
     ------
-    DataError : it is not there, is not a curlfit result, or has a schema this version cannot read.
+    DataError : it is missing, is not a curlfit result, or has a schema this version cannot read.
 
     Examples
     --------

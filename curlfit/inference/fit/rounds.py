@@ -1,13 +1,13 @@
-"""Rounds of a fit: which noise the next one assumes, from the residuals of the last.
+"""Rounds of a fit: each assumes the noise estimated from the residuals of the previous one.
 
-Where no sigma is given, a first fit weights the channels evenly, 1 m like 1 rad. The scatter of
-its residuals, corrected for the parameters spent, is the sigma of the second fit (two-step
-generalised least squares). It is not repeated until both agree: where a law is not exact, that
-ends with one channel fitted perfectly at the expense of the others. A robust loss takes its sigma
-from the bulk of the residuals, and repeats that. Correlated noise is estimated from the residuals
+Where no sigma is given, a first fit weights the channels equally, 1 m like 1 rad. The scatter of
+its residuals, corrected for the number of parameters, is the sigma of the second fit (two-step
+generalised least squares). This is not iterated to convergence: where a law is not exact, that
+ends with one channel fitted perfectly at the expense of the others. With a robust loss, sigma is
+taken from the bulk of the residuals, repeatedly. Correlated noise is estimated from the residuals
 of a fit with white noise, and a last fit accounts for it.
 
-One throw, many side by side and several with coefficients in common all go through these.
+One throw, many side by side, and several with common coefficients all go through these rounds.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from curlfit.inference.problem import ROWS_OF_DATA, Problem, build_problem
 from curlfit.numerics.compiled import stacked
 from curlfit.throws.throw import CHANNELS
 
-_ROBUST_FITS = 4  # sigma from the bulk, then the fit
+_ROBUST_FITS = 4  # each with sigma from the bulk of the last
 
 
 class Rounds:
@@ -46,9 +46,9 @@ class Rounds:
 
     Attributes
     ----------
-    problems : throws along the first axis. sketches : the same for a first guess of the values.
+    problems : throws along the first axis. sketches : the same for the initial values.
     sigma : of each throw and channel; 0 where the throw gives its own.
-    failures : by index, why there is no further round.
+    failures : by index, the error that prevents a further round.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Rounds:
         shape: tuple[int, int] | None = None,
         batch: int = 1,
     ) -> None:
-        """`shape` is that of all problems; `batch` the number of paths followed side by side."""
+        """`shape` is that of all problems; `batch` the number of paths integrated side by side."""
         if noise != "white":
             for one in throws:
                 if one.throw.events and one.throw.has_path:
@@ -84,7 +84,7 @@ class Rounds:
         )  # fmt: skip
         self.sketches = self.problems
         if self.problems.events is not None:
-            # Without its events, a throw of which nothing else was measured needs a rough path.
+            # Initial values do without events; a throw with nothing else needs a rough path.
             self.sketches = stacked(
                 [
                     build_problem(
@@ -108,9 +108,9 @@ class Rounds:
         self._next = np.where(self.unknown.any(1), 0, 1)
 
     def revise(self, which: Indices, solutions: Solution) -> list[Revision]:
-        """The throws to fit again, and how; nothing where the fits are done."""
+        """The throws to fit again, and how; empty where the fits are done."""
         revisions = []
-        due = self._next[which]  # as it is now: each throw goes through one round
+        due = self._next[which]  # a copy: each throw goes through one round
         for number in np.unique(due):
             if number < len(self._rounds):
                 here = due == number
@@ -120,7 +120,7 @@ class Rounds:
         return revisions
 
     def record(self, index: int, solution: Solution, tried: int = 1) -> LeastSquaresFit:
-        """What the fit of a throw ended with."""
+        """The outcome of the fit of a throw."""
         return LeastSquaresFit(
             prepared=self.throws[index],
             model=self.model,
@@ -150,7 +150,7 @@ class Rounds:
                 bulk = robust_sigma(residual[place, row, there])
                 self.sigma[throw, row] = bulk * self.sigma[throw, row] + SIGMA_FLOOR
         self.problems.loss[now] = LOSSES.index(self.loss)
-        self._next[now[~self.unknown[now].any(1)]] = 1 + _ROBUST_FITS  # no sigma to repeat it for
+        self._next[now[~self.unknown[now].any(1)]] = 1 + _ROBUST_FITS  # without sigmas to estimate
         return self._reweighted(now)
 
     def _correlated(self, now: Indices, solutions: Solution) -> Revision:

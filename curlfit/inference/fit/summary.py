@@ -46,14 +46,14 @@ from curlfit.throws.plausibility import Finding, examine_fit
 from curlfit.throws.throw import CHANNELS
 
 IMPLAUSIBLE = "implausible"
-"""How the status begins of a fit that no curling stone obeys."""
-_CONVERGED = 0.01  # standard errors to the optimum
-_MISLEADING = 4.0  # factor by which the rise of chi squared is off where a standard error is by two
-_LASTING = 0.1  # memory over the time of motion, above which `tests/statistics` finds errors small
+"""First word of the status of a fit that is impossible for a curling stone."""
+_CONVERGED = 0.01  # distance to the optimum, standard errors
+_MISLEADING = 4.0  # factor by which the rise of chi squared is off if a standard error is by two
+_LASTING = 0.1  # memory over time of motion, above which errors are too small (`tests/statistics`)
 
 
 class LeastSquaresFit(NamedTuple):
-    """What a fit ended with, and what was fitted."""
+    """The outcome of a fit, and what was fitted."""
 
     prepared: PreparedThrow
     model: Model
@@ -61,10 +61,10 @@ class LeastSquaresFit(NamedTuple):
     noise: Noise
     problem: Problem
     sigma: dict[str, float]
-    """of the channels whose own was not given"""
+    """of the channels for which it was not given"""
     solution: Solution
     tried: int
-    """starts that led to it"""
+    """number of initial values tried"""
 
 
 def summarize(fit: LeastSquaresFit, widths: Mapping[str, float] | None = None) -> FitResult:
@@ -84,11 +84,11 @@ def summarize_many(
 
     Parameters
     ----------
-    batch : paths that are followed side by side.
-    curves : whether the records shall hold the fitted curves. Only white noise and least squares
-        do without.
-    widths : of held conditions whose systematic errors the records shall hold, as
-        `systematics.widths_of` gives them; only with curves.
+    batch : number of paths integrated side by side.
+    curves : whether the records contain the fitted curves. Only with white noise and least squares
+        can they be omitted.
+    widths : of the fixed conditions whose systematic errors the records contain, from
+        `systematics.widths_of`; only with curves.
     """
     if not fits:
         return []
@@ -118,7 +118,7 @@ def summarize_many(
     if penalty is not None:
         there, best = Penalty(*(part[around.owner] for part in penalty)), solutions.values
         delta += there.chi_squared(around.point) - there.chi_squared(best[around.owner])
-    # Of throws fitted together chi squared of each has a slope at the joint optimum.
+    # Chi squared of one of several throws fitted together has a slope at the joint optimum.
     jacobian, residual = statistics.r_factor[..., :-1], statistics.r_factor[..., -1:]
     gradient = 2 * (jacobian.mT @ residual)[..., 0]
     step = around.point - solutions.values[around.owner]
@@ -241,7 +241,7 @@ def _record(
 
 
 def _discrepancy(fit: LeastSquaresFit, statistics: ResidualStatistics) -> dict[str, Floats]:
-    """Mean of what the law lacks, by channel; empty where the noise has no such part."""
+    """Mean of the model discrepancy by channel; empty where the noise has none."""
     if statistics.path is None or not fit.noise.sizes:
         return {}
     n, channels = len(fit.prepared.throw), min(len(fit.problem.weight), len(CHANNELS))
@@ -255,7 +255,7 @@ def _discrepancy(fit: LeastSquaresFit, statistics: ResidualStatistics) -> dict[s
 
 
 def _events(fit: LeastSquaresFit) -> tuple[dict[str, Any], ...]:
-    """The events of a throw with what the fit says of them."""
+    """The events of a throw with their values in the fit."""
     return tuple(
         asdict(event) | {"fitted": event.value + event.sigma * float(off)}
         for event, off in zip(fit.prepared.throw.events, fit.solution.residual[-1], strict=False)
@@ -292,7 +292,7 @@ def _status(fit: LeastSquaresFit, newton_decrement: float, unusual: Sequence[Fin
 
 
 def _parameter_warnings(fit: LeastSquaresFit, found: Covariance) -> list[str]:
-    """Coefficients that are not those of a law, and parameters at a bound."""
+    """Warnings about inadmissible coefficients and parameters at a bound."""
     warnings = []
     fault = fit.model.law.from_vector(fit.solution.values).fault()
     if fault is not None:
@@ -312,7 +312,7 @@ def _parameter_warnings(fit: LeastSquaresFit, found: Covariance) -> list[str]:
 
 
 def _memory_warnings(noise: Noise, t: Floats, curves: dict[str, Floats]) -> list[str]:
-    """Noise whose memory is too long for the throw."""
+    """Warnings about noise whose correlation time is too long for the throw."""
     memory = max(noise.memory.values(), default=0.0)
     if not memory:
         return []
@@ -328,7 +328,7 @@ def _memory_warnings(noise: Noise, t: Floats, curves: dict[str, Floats]) -> list
 def _estimates(
     parameters: ParameterSet, found: Covariance, nonquadratic: dict[str, float]
 ) -> dict[str, Estimate]:
-    """By name; see `Estimate` for the verdicts."""
+    """Estimates by name; see `Estimate` for the verdicts."""
     estimates = {}
     index, unit = np.cumsum(found.open) - 1, np.eye(int(found.open.sum()))
     for row, item in enumerate(parameters.parameters):

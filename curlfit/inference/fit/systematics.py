@@ -1,8 +1,8 @@
-"""Systematic errors: what the conditions that a fit holds do to its estimates, to first order.
+"""Systematic errors due to the conditions that a fit holds fixed, to first order.
 
-If a condition c is not as assumed but off by d, the measured path is off by (df/dc) d, and least
-squares turns that into a shift of the estimates, -(J^T J)^+ J^T (df/dc) d from the estimate to the
-true value. Shifts by different conditions are independent and add in quadrature.
+If a condition c differs by d from its assumed value, the measured path differs by (df/dc) d, and
+the least-squares estimates are shifted: by -(J^T J)^+ J^T (df/dc) d from the estimate to the true
+value. Shifts due to different conditions are independent and add in quadrature.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from curlfit.numerics.compiled import unstacked
 from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.events import EventArrays
 
-_STEP = 1e-2  # of a width, for differences: the path is accurate to 1e-7 of it
+_STEP = 1e-2  # of a width, for finite differences: the path is accurate to 1e-7 of it
 
 
 def widths_of(model: Model, given: Mapping[str, float] | None = None) -> dict[str, float]:
-    """Standard uncertainty of each condition that a model holds.
+    """Standard uncertainty of each condition that a model holds fixed.
 
     Parameters
     ----------
-    given : in place of `WIDTHS`; 0 where a condition is known. "all" stands for those not named.
+    given : in place of `WIDTHS`; 0 where a condition is known. "all" stands for all not named.
 
     Raises
     ------
-    InputError : a name that is no condition, or a negative width.
+    InputError : a name that is not a condition, or a negative width.
     """
     given = dict(given or {})
     check_systematics(given)
@@ -60,7 +60,7 @@ def residual_changes(
     Parameters
     ----------
     values : of the parameters, shape (throws, parameters), and their `paths`, (throws, 5, n).
-    widths : as `widths_of` gives them.
+    widths : from `widths_of`.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def residual_changes(
 def _of_events(
     model: Model, problems: Problem, values: Floats, paths: Floats, width: float, batch: int
 ) -> Floats:
-    """Change of what is predicted of events by measured over true lengths, shape (throws, n)."""
+    """Derivative of the predicted events by the length scale (measured/true), shape (throws, n)."""
     assert problems.events is not None
     events: EventArrays = problems.events
     first = len(model.law.coefficients()) + len(model.conditions)
@@ -108,7 +108,7 @@ def _of_events(
 
 
 def with_condition_off(problems: Problem, name: str, by: float) -> Problem:
-    """Problems with a condition off by something."""
+    """Problems with a condition changed by `by`."""
     if name == "time_scale":
         events = problems.events
         events = None if events is None else events.with_clock(1 + by)
@@ -120,11 +120,11 @@ def with_condition_off(problems: Problem, name: str, by: float) -> Problem:
 
 
 def shifts(factor: Floats, gradients: Mapping[str, Floats], typical: Floats) -> dict[str, Floats]:
-    """From the estimates to the true values, by condition, along what the data see.
+    """Shifts from the estimates to the true values, by condition, along determined directions.
 
     Parameters
     ----------
-    factor : R factor of the Jacobian by the open parameters.
+    factor : R factor of the Jacobian with respect to the open parameters.
     gradients : J^T times the change of the residuals, by condition.
     typical : sizes of the open parameters.
     """
@@ -139,7 +139,7 @@ def shifts(factor: Floats, gradients: Mapping[str, Floats], typical: Floats) -> 
 def shifts_by_name(
     known: Identifiability, by_condition: Mapping[str, Floats]
 ) -> dict[str, dict[str, float]]:
-    """Shifts of each seen parameter and each combination, by condition."""
+    """Shifts of each determined parameter and each combination, by condition."""
     unit = np.eye(len(known.names))
     weights = {name: unit[row] for row, name in enumerate(known.names) if not known.unseen[row]}
     for item in known.combinations:

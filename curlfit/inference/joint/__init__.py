@@ -1,1 +1,1 @@
-"""The fit of several throws with coefficients in common."""
+"""Joint fit of several throws with shared coefficients."""

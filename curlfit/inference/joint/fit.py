@@ -1,4 +1,4 @@
-"""Several throws of one law together: shared coefficients, each throw its own start and noise."""
+"""Joint fit of several throws: shared coefficients, own initial states and noise."""
 
 from __future__ import annotations
 
@@ -63,22 +63,22 @@ def fit_together(
     systematics: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> JointResult:
-    """Fit one law to several throws, with some or all of its coefficients in common.
+    """Fit one law to several throws that share some or all of its coefficients.
 
     Parameters
     ----------
-    throws : at least two; each has its own start, noise and, where its file says so, stone.
+    throws : at least two; each has its own initial state, noise and, if its file says so, stone.
     law, load, stone, since, until, exclude, swept, fix, bounds, unbounded, free, priors, start,
-    loss, noise, systematics : as in `fit`, for all throws. A prior of what the throws have in
-        common counts once.
-    share : "all" coefficients, or the names of those that the throws have in common; the others
-        are each throw's own. Conditions, such as the slope of the ice, are always in common.
+    loss, noise, systematics : as in `fit`, for all throws. The prior of a shared parameter counts
+        once.
+    share : "all" coefficients, or the names of those that the throws share; each throw has its own
+        values of the others. Conditions, such as the slope of the ice, are always shared.
     progress : called with the number of steps done and chi squared.
 
     Raises
     ------
-    InputError : as in `fit`; fewer than two throws; a name that is no coefficient.
-    UnusableFitError : some throw has no finite path where its data put the start.
+    InputError : as in `fit`; fewer than two throws; a name that is not a coefficient.
+    UnusableFitError : a throw has no finite path from the initial values found from its data.
 
     Examples
     --------
@@ -136,7 +136,7 @@ def fit_together(
 
 
 def _information(linearized: LinearizedProblem, own: Indices, open_: Booleans) -> dict[str, Any]:
-    """Of all throws on some parameters: what is left where the others that can move adjust."""
+    """Information of all throws on some parameters, with the other open ones projected out."""
     others = open_.copy()
     others[own] = False
     basis, singular, _ = np.linalg.svd(
@@ -170,7 +170,7 @@ def _of_throw(known: Identifiability, joint: Any, names: Sequence[str]) -> dict[
 
 
 def _differs_by_spin(item: Difference, counter_clockwise: Booleans) -> bool:
-    """Whether throws of either spin agree among themselves, more than all do."""
+    """Whether throws of the same sense of spin agree much better than all throws do."""
     known = np.array([one is not None for one in item.each])
     value, error = np.array([one for one in item.each if one is not None]).T
     sense = counter_clockwise[known]
@@ -217,7 +217,7 @@ def _result(
     known = analyse(
         matrix[:, open_], list(names[open_]), values[open_], bounds.typical[open_], slack
     )
-    # Without its priors, which the rows before the last stand for.
+    # Without the priors, whose rows are the last.
     of_data = analyse(
         matrix[: -len(names), open_] if layout.penalty is not None else matrix[:, open_],
         list(names[open_]), values[open_], bounds.typical[open_], slack,
@@ -258,11 +258,11 @@ def _result(
         } | {item.expression: systematic[item.expression] for item in known.combinations}
         own = layout.index[throw][free[layout.index[throw]]]
         prior = rounds.throws[throw].local_parameters.penalty
-        if prior is not None:  # of its own parameters and of the shared ones
+        if prior is not None:  # including the priors of shared parameters
             own_prior = float(prior.chi_squared(solution.each.values[throw]))
             result = replace(result, prior_chi_squared=own_prior)
         if not result.status.startswith(IMPLAUSIBLE):
-            # The search was one for all throws: chi squared of each has a slope at its end.
+            # The search was for all throws together: chi squared of each has a slope at its end.
             same = converged and result.status.startswith("converged")
             result = replace(result, converged=converged, status=result.status if same else status)
         throws.append(
@@ -296,7 +296,7 @@ def _result(
                 "of the shared fit, and large residuals of single throws may be due to the common "
                 "value rather than to their data",
             )
-    # Of a throw without a path the curl is at most one number, which the heading takes up.
+    # For a throw without a path the curl is at most one number, which the heading absorbs.
     paths = any(one.throw.has_path for one in rounds.throws)
     senses = np.array([one.parameters["omega0"].value > 0 for one in throws])
     differ = any(item.significant and _differs_by_spin(item, senses) for item in differences)
@@ -338,7 +338,7 @@ def _shifts(
     open_: Booleans,
     factor: Floats,
 ) -> dict[str, Floats]:
-    """Shifts of the open parameters by conditions that all throws have in common."""
+    """Shifts of the open parameters due to conditions common to all throws."""
     model, problems, each = rounds.model, rounds.problems, solution.each
     batch = len(each.values)
     paths = predict_many(model, each.values, problems, batch)

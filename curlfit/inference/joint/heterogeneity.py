@@ -1,7 +1,7 @@
-"""How much throws that were fitted together differ among themselves.
+"""Heterogeneity of throws that were fitted together.
 
-Judged to first order about the joint optimum: the estimate that each throw would give alone,
-against the shared one (Cochran 1954; the spread between throws by DerSimonian and Laird 1986).
+The estimate that each throw alone would give, to first order about the joint optimum, is compared
+with the shared one (Cochran 1954; the spread between throws by DerSimonian and Laird 1986).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def differences_of(
     combinations: Sequence[Combination],
     shared: tuple[str, ...],
 ) -> tuple[Difference, ...]:
-    """What each throw alone would say of the shared coefficients, to first order."""
+    """Differences of the shared coefficients as each throw alone gives them, to first order."""
     wanted = {
         name: ({name: 1.0}, item.value)
         for name, item in coefficients.items()
@@ -58,7 +58,7 @@ def _alone(
     weights = (vector * typical)[free]
     along = right[seen] @ weights
     if np.linalg.norm(weights - right[seen].T @ along) > 1e-3 * np.linalg.norm(weights):
-        return None  # this throw does not see it
+        return None  # this throw does not determine it
     step = -(left[:, seen].T @ each.residual[throw].reshape(-1)) / singular[seen]
     return value + float(along @ step), float(np.linalg.norm(along / singular[seen]))
 

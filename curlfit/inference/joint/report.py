@@ -1,4 +1,4 @@
-"""What a joint fit says, as text. Nothing is computed here."""
+"""Report of a joint fit as text. Nothing is computed here."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def print_joint(result: JointResult, console: Console | None = None) -> None:
 
 
 def report(result: JointResult) -> RenderableType:
-    """Shared coefficients, how the throws differ in them, and each throw's own."""
+    """Shared coefficients, how the throws differ in them, and each throw's own parameters."""
     heading = Text()
     heading.append(f"{result.law} law", style="bold")
     heading.append(f", {result.load} load, {len(result.throws)} throws together; shared: ")

@@ -1,4 +1,4 @@
-"""What several throws say together: the record of a joint fit."""
+"""The record of a joint fit of several throws."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class Difference:
 
     Attributes
     ----------
-    expression : what it is about.
-    each : estimate and standard error that each throw gives alone, None where it gives none.
-    p_value : chance of differences as large as these if there are none (chi squared).
+    expression : the coefficient or combination.
+    each : estimate and standard error from each throw alone, None where it gives none.
+    p_value : probability of differences at least as large if the throws agree (chi squared).
     spread : standard deviation between throws beyond what the errors explain.
-    mean, stderr : of the mean over such throws, the spread between them included.
+    mean, stderr : mean over such throws and its standard error, including the spread between them.
     significant : p_value below 0.01.
     """
 
@@ -50,12 +50,12 @@ class Difference:
 
     @property
     def significant(self) -> bool:
-        """Whether chance hardly explains the differences."""
+        """Whether the differences are unlikely to be due to chance."""
         return self.p_value < _SIGNIFICANT
 
     @property
     def p_text(self) -> str:
-        """The p-value of a significant difference in words."""
+        """The p-value of a significant difference as text."""
         return f"p = {self.p_value:.1g}" if self.p_value > 1e-99 else "p < 1e-99"
 
 
@@ -66,15 +66,15 @@ class JointResult(NamedEstimates):
     Attributes
     ----------
     law, load, share : what was fitted; names of the shared coefficients.
-    converged, status, warnings : whether it may be used, and why it may mislead.
+    converged, status, warnings : whether the fit may be used, and why it may mislead.
     coefficients : the shared ones, by name.
     combinations : what is determined where single shared coefficients are not.
-    rank, parameters : directions that the throws see together, of how many free parameters.
+    rank, parameters : directions that the throws determine together, and number of free parameters.
     differences : of each determined shared coefficient or combination.
     throws : a `FitResult` for each throw; its standard errors and its information are those of the
-        joint fit, so that predictions from it are of all throws.
-    systematics : errors of what is shared by the conditions that the fit holds.
-    derived : what was asked for by `--derive` and `with_derived`.
+        joint fit, so that predictions from it use all throws.
+    systematics : errors of what is shared due to the conditions that the fit holds fixed.
+    derived : quantities requested by `--derive` and `with_derived`.
 
     Examples
     --------
@@ -115,7 +115,7 @@ class JointResult(NamedEstimates):
 
         Raises
         ------
-        InputError : it is no arithmetic of such names, or has no finite value.
+        InputError : it is not arithmetic of such names, or has no finite value.
 
         Examples
         --------
@@ -136,7 +136,7 @@ class JointResult(NamedEstimates):
         return derive(own, expression)
 
     def with_derived(self, expressions: Iterable[str]) -> JointResult:
-        """The same with some derived quantities."""
+        """The result with derived quantities."""
         return replace(self, derived=tuple(map(self.derive, expressions)))
 
     def to_json(self) -> dict[str, Any]:
@@ -175,17 +175,17 @@ class JointResult(NamedEstimates):
 
 
 def folder_name(throw: str) -> str:
-    """The folder of a throw beside `joint.json`: `evening-3` of row 3 of `evening.csv`."""
+    """The folder of a throw beside `joint.json`: `evening-3` for row 3 of `evening.csv`."""
     row = re.fullmatch(r"(.*) row (\d+)", throw)
     return Path(throw).stem if row is None else f"{Path(row[1]).stem}-{row[2]}"
 
 
 def load_joint(file: str | PathLike[str]) -> JointResult:
-    """Read a saved joint fit, by its folder or its `joint.json`, with the single throws beside it.
+    """Read a saved joint fit from its folder or `joint.json`, with the single throws beside it.
 
     Raises
     ------
-    DataError : a file is not there, or is not a record that this version can read.
+    DataError : a file is missing, or is not a record that this version can read.
 
     Examples
     --------

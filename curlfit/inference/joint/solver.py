@@ -1,9 +1,9 @@
-"""The optimum of several throws that have parameters in common.
+"""The optimum of several throws that share parameters.
 
-The Jacobian has the shape of an arrow: each throw knows the shared coefficients and its own
-parameters. Each throw's normal equations are formed by themselves and added up, so that a step for
-a dozen throws costs little more than their paths. The search is that of single throws, see
-`curlfit.numerics.levenberg_marquardt`.
+The normal matrix has the shape of an arrow: each throw depends on the shared coefficients and its
+own parameters only. The normal equations of each throw are formed separately and added up, so that
+a step for a dozen throws costs little more than their paths. The search is that for single throws,
+see `curlfit.numerics.levenberg_marquardt`.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ _CONTROL = lm.Control(1e-3, 1e-12, 1e-16)
 
 
 class Layout:
-    """Where the parameters of each throw lie in the joint vector.
+    """Indices of the parameters of each throw in the joint vector.
 
     Attributes
     ----------
     index : shape (throws, parameters of a throw).
     names : of the joint vector, the shared parameters first.
-    bounds : of the joint vector; of shared parameters where all throws admit them.
-    penalty : of the joint vector, by the priors; None without any.
+    bounds : of the joint vector; those of a shared parameter are the intersection over the throws.
+    penalty : of the joint vector, from the priors; None without any.
     """
 
     def __init__(self, sets: Sequence[ParameterSet], shared: Sequence[str]) -> None:
@@ -75,7 +75,7 @@ class Layout:
         return np.asarray(self.bounds.upper > self.bounds.lower)
 
     def joined(self, values: Floats) -> Floats:
-        """The joint vector from each throw's own; shared parameters are averaged."""
+        """The joint vector from that of each throw; shared parameters are averaged."""
         total, count = np.zeros((2, len(self.names)))
         np.add.at(total, self.index, np.where(np.isfinite(values), values, 0.0))
         np.add.at(count, self.index, 1.0)
@@ -103,11 +103,11 @@ class JointSolution(NamedTuple):
 
     @property
     def chi_squared(self) -> float:
-        """Of all throws."""
+        """Sum over all throws."""
         return float(self.each.chi_squared.sum())
 
     def r_factor(self, layout: Layout) -> tuple[Floats, Floats]:
-        """A small matrix and right side with the same normal equations, those of priors last."""
+        """A small matrix and right-hand side with the same normal equations; priors come last."""
         count, p = layout.index.shape
         matrix = np.zeros((count * (p + 1), len(layout.names)))
         right = np.zeros(count * (p + 1))

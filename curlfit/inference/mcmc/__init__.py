@@ -1,1 +1,1 @@
-"""Samples of the posterior."""
+"""Sampling of the posterior."""

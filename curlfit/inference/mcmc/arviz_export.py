@@ -1,4 +1,4 @@
-"""A posterior sample as `InferenceData` of ArviZ."""
+"""A posterior sample as ArviZ `InferenceData`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from curlfit.output.frames import optional
 from curlfit.throws.throw import CHANNELS
 from curlfit.version import __version__
 
-_MOST_CORRELATED = 6000  # values whose covariance is inverted
+_MOST_CORRELATED = 6000  # largest number of values whose covariance is inverted
 _BLOCK = 256  # columns of a matrix that are computed at a time
 _REACH = 200.0  # sigmas within which the noise of a robust loss is drawn
 
@@ -39,7 +39,7 @@ def inference_data(
     ensembles, walkers, steps, _ = samples.shape
     thin = -(-ensembles * walkers * steps // draws)
     kept = samples[:, :, ::thin]
-    # Draws of one walker follow one another, so that autocorrelations are those of the walkers.
+    # Draws of one walker are consecutive, so that autocorrelations are those of the walkers.
     flat = kept.reshape(ensembles, -1, samples.shape[-1])
     names = fit.parameter_set.names
     posterior = {
@@ -106,20 +106,20 @@ def _arviz() -> Any:
 
 
 class _Observations(NamedTuple):
-    """The observed values of all channels, one after the other; m of them."""
+    """The m observed values of all channels, concatenated."""
 
     finite_rows: Booleans
     """which values of a problem were observed, shape (channels, padded rows)"""
     row_of: Any
     """row of the channel of each value, shape (m,)"""
     place: Floats
-    """what the problem's zero is in the data, shape (m,)"""
+    """the problem's origin in the coordinates of the data, shape (m,)"""
     values: Floats
     sigma: Floats
     noise: Floats | None
-    """what makes residuals over sigma independent, shape (m, m); None where they are"""
+    """whitening matrix of residuals over sigma, shape (m, m); None where they are independent"""
     channels: tuple[tuple[int, str], ...]
-    """rows and names of channels that were observed"""
+    """rows and names of the observed channels"""
     dimensions: dict[str, str]
     """by channel: `time`, or one of its own where values are missing"""
     seen: dict[str, Booleans]
@@ -179,8 +179,8 @@ def whitening_matrix(problem: Problem) -> Floats | None:
 def log_likelihoods(residual: Floats, whitening: Floats | None, loss: str) -> Floats:
     """Log-density of each residual over its sigma, shape (draws, m).
 
-    Where noise is correlated it is that of the value given all others, as leaving one out requires:
-    with C^-1 = W^T W, g = C^-1 r and c = diag C^-1, it is a normal density of mean r - g/c and
+    For correlated noise it is that of the value given all others, as leave-one-out requires: with
+    C^-1 = W^T W, g = C^-1 r and c = diag C^-1, it is a normal density with mean r - g/c and
     variance 1/c (Buerkner, Gabry and Vehtari 2021, Computational Statistics 36, eq. 9).
     """
     if whitening is None:
@@ -194,12 +194,12 @@ def log_likelihoods(residual: Floats, whitening: Floats | None, loss: str) -> Fl
 def draw_noise(
     random: np.random.Generator, shape: tuple[int, ...], whitening: Floats | None, loss: str
 ) -> Floats:
-    """Noise over its sigma, of shape (draws, m): correlated, or of the density of a loss."""
+    """Draws of noise over its sigma, shape (draws, m): correlated, or of the density of a loss."""
     if whitening is not None:
         return np.asarray(np.linalg.solve(whitening, random.standard_normal(shape).T).T)
     if loss == "linear":
         return random.standard_normal(shape)
-    # The inverse of the distribution function, which is tabulated.
+    # Inverse transform sampling from the tabulated distribution function.
     grid = np.sinh(np.linspace(-np.arcsinh(_REACH), np.arcsinh(_REACH), 4001))
     density = np.exp(log_density(grid, loss))
     share = np.concatenate([[0.0], np.cumsum(np.diff(grid) * (density[1:] + density[:-1]) / 2)])

@@ -1,4 +1,4 @@
-"""A posterior sample, its file `chain.h5`, and what is needed to go on with it."""
+"""A posterior sample, its file `chain.h5`, and the state needed to resume sampling."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
 from curlfit.version import __version__
 
-_BEFORE = {"noise": "white"}  # what a chain is of that does not say so
+_BEFORE = {"noise": "white"}  # values for chains that do not record them
 _SHOWN = 4  # parameters in a line
 _LEVELS = (0.025, 0.16, 0.84, 0.975)
-_DIGEST = "#"  # begins a text that stands for numbers too many to be shown
+_DIGEST = "#"  # first character of a digest of numbers too many to be shown
 
 
 @dataclass(frozen=True)
 class SamplerState:
-    """The sampler after the last step of a chain: all that the steps to come depend on.
+    """State of the sampler after the last step of a chain: all that later steps depend on.
 
     Attributes
     ----------
-    coords : of the walkers as the sampler counts them, shape (walkers, free parameters).
+    coords : of the walkers in the sampler's coordinates, shape (walkers, free parameters).
     random : the state of numpy's `RandomState`, as its `get_state` gives it.
-    left : steps left of the present block; convergence is tested after each block.
+    left : steps left in the current block; convergence is tested after each block.
     bold : whether most proposals are made along the ridge.
     tried, taken : ridge proposals made and accepted.
     """
@@ -63,11 +63,11 @@ class Chain(Displayed):
     ----------
     names : of the parameters, fixed ones included.
     values : shape (steps, walkers, parameters). log_posterior : shape (steps, walkers).
-    accepted : number of accepted proposals by walker. discarded : steps to leave out at first.
-    ensembles : the walkers are divided evenly among these. seed : of the run.
-    subject : what was sampled, see `subject_of`. state : of the sampler, for going on; None in a
+    accepted : number of accepted proposals by walker. discarded : number of initial steps left out.
+    ensembles : number of ensembles of equally many walkers. seed : of the run.
+    subject : what was sampled, see `subject_of`. state : of the sampler, for resuming; None in a
         file of an earlier version.
-    fit : that was sampled; None where the chain was read from a file.
+    fit : the one that was sampled; None where the chain was read from a file.
 
     Examples
     --------
@@ -160,7 +160,7 @@ class Chain(Displayed):
         return frame(columns, index)
 
     def with_fit(self, fit: FitResult) -> Chain:
-        """The same chain, read from a file, with the fit that was sampled.
+        """The chain, read from a file, with the fit that was sampled.
 
         Raises
         ------
@@ -175,24 +175,25 @@ class Chain(Displayed):
         return replace(self, fit=fit)
 
     def to_arviz(self, fit: FitResult | None = None, *, draws: int = 4000, seed: int = 0) -> Any:
-        """The kept samples as `InferenceData` of ArviZ (0.x), a chain for each ensemble.
+        """The kept samples as ArviZ `InferenceData` (0.x), one chain per ensemble.
 
         Groups: posterior (free parameters and determined combinations), posterior_predictive and
         log_likelihood (by channel; where noise is correlated, of each value given all others),
         sample_stats (`lp`, up to a constant), observed_data, constant_data (`t`, `sigma_x` ...).
-        The draws of a chain are those of one walker after another, as the coordinates `walker` and
-        `step` of `draw` say. A channel with gaps has a dimension `time_x` of its own. ArviZ takes
-        one channel at a time, as `arviz.loo(data, var_name="x")`; elpd of all is the sum.
+        The draws of a chain are those of one walker after another, labelled by the coordinates
+        `walker` and `step` of `draw`. A channel with gaps has its own dimension, such as `time_x`.
+        ArviZ takes one channel at a time, as in `arviz.loo(data, var_name="x")`; the elpd of all
+        is the sum.
 
         Parameters
         ----------
-        fit : that was sampled; needed where the chain was read from a file.
-        draws : over all chains, about; the steps are thinned evenly.
+        fit : the one that was sampled; needed where the chain was read from a file.
+        draws : approximate number over all chains; the steps are thinned evenly.
         seed : of the noise of posterior_predictive.
 
         Raises
         ------
-        InputError : ArviZ is not installed, there is no fit, or the chain is of another one.
+        InputError : ArviZ is not installed, there is no fit, or the chain is of another fit.
         """
         chain = self if fit is None else self.with_fit(fit)
         if chain.fit is None:
@@ -206,11 +207,11 @@ class Chain(Displayed):
         return inference_data(chain.fit, self.kept, lp, draws=draws, seed=seed)
 
     def save(self, file: str | PathLike[str], *, compressed: bool = True) -> None:
-        """Write `chain.h5`, whole or not at all: the layout of emcee's HDF backend, with curlfit's
-        own attributes. Without compression it takes a tenth of the time and twice the room."""
+        """Write `chain.h5` atomically: the layout of emcee's HDF backend, with curlfit's own
+        attributes. Without compression it takes a tenth of the time and twice the space."""
         import h5py
 
-        # Made in memory: HDF5 does not recover from a disk that is full.
+        # Made in memory: HDF5 does not recover from a full disk.
         image = BytesIO()
         with h5py.File(image, "w") as out:
             self._write(out, {"compression": "gzip", "shuffle": True} if compressed else {})
@@ -250,7 +251,7 @@ _COUNTS = ("left", "bold", "tried", "taken")
 
 
 def load_chain(file: str | PathLike[str]) -> Chain:
-    """Read a `chain.h5`. Raises `DataError` where it is missing or is not one.
+    """Read a `chain.h5`. Raises `DataError` if it is missing or not valid.
 
     Examples
     --------
@@ -299,7 +300,7 @@ def subject_of_fit(
     loss: str = "linear",
     noise: str = "white",
 ) -> dict[str, str]:
-    """What a fit is of, as short texts by name. Those of many numbers are digests."""
+    """What identifies a fit, as short texts by name; many numbers are replaced by digests."""
     sigma = [values for _, values in sorted(throw.sigma.items())]
     text = ",".join(sorted(throw.sigma)) + "".join(map(repr, throw.events))
     return {
@@ -318,14 +319,14 @@ def subject_of_fit(
 
 
 def subject_of_saved(fit: FitResult) -> dict[str, str]:
-    """The same of a fit that was made."""
+    """The same for a fit result."""
     return subject_of_fit(
         fit.throw, fit.law_class, fit.load, fit.stone, fit.parameter_set, fit.loss, fit.noise.kind
     )
 
 
 def subject_of(fit: FitResult, seed: int) -> dict[str, str]:
-    """What a chain is sampled from, the same way."""
+    """What identifies a chain, in the same form."""
     own = subject_of_saved(fit)
     noise = [fit.sigma[name] for name in sorted(fit.sigma)]
     noise += [one[name] for one in (fit.noise.memory, fit.noise.sizes) for name in sorted(one)]
@@ -339,7 +340,7 @@ def subject_of(fit: FitResult, seed: int) -> dict[str, str]:
 
 
 def require_same(stored: Mapping[str, str], now: Mapping[str, str], file: Path) -> None:
-    """Raise `DataError` where two subjects differ in something, saying what."""
+    """Raise `DataError` if two subjects differ, and say in what."""
     for name, value in now.items():
         was = stored.get(name, _BEFORE.get(name, ""))
         if was == value:
@@ -359,7 +360,7 @@ def _first_difference(now: str, before: str) -> tuple[str, str]:
 
 
 def _source(law: type[Law]) -> str:
-    """The text of a user's own law."""
+    """Source text of a user's own law."""
     return Path(law.origin.rpartition(":")[0]).read_text() if law.origin else ""
 
 
@@ -367,7 +368,7 @@ def _digest(*arrays: Floats, text: str = "") -> str:
     found = hashlib.sha256(text.encode())
     for array in arrays:
         array = np.asarray(array, float)
-        # one zero and one NaN, whatever their bits
+        # all zeros alike and all NaNs alike, whatever their bits
         clean = np.where(np.isnan(array), np.nan, array + 0.0)
         found.update(repr(clean.shape).encode() + clean.tobytes())
     return _DIGEST + found.hexdigest()[:16]

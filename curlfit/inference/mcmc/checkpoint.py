@@ -1,4 +1,4 @@
-"""Checkpoints of a run: a chain in the making is written now and then."""
+"""Checkpoints of a run: the unfinished chain is written at intervals."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 
 from curlfit.inference.mcmc.run import Run
 
-_EVERY = 2.0  # seconds between two checkpoints, at least
+_EVERY = 2.0  # least time between two checkpoints, s
 
 
 class Keeper:
-    """Writes a chain in the making now and then, for no more than a fiftieth of the time."""
+    """Writes an unfinished chain at intervals, in no more than a fiftieth of the time."""
 
     def __init__(self, file: Path | None) -> None:
         self.file = file
         self._next = -np.inf
 
     def keep(self, run: Run) -> None:
-        """Write, if it is time."""
+        """Write a checkpoint if one is due."""
         now = monotonic()
         if self.file is None or now < self._next:
             return

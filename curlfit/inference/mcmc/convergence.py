@@ -1,4 +1,4 @@
-"""Whether a sample has converged: autocorrelation time, effective samples and R-hat."""
+"""Convergence of a sample: autocorrelation time, effective sample size and R-hat."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from curlfit.numerics.arrays import Floats
 
-BLOCK = 20  # steps between the first looks at convergence; later a fifth of those done
+BLOCK = 20  # steps between the first tests of convergence; later a fifth of those done
 _R_HAT = 1.01
 _WINDOW = 5.0  # autocorrelation times over which autocorrelations are summed
 _SHORTEST_IN_TIMES = 30.0  # steps over autocorrelation time, below which no estimate is trusted
@@ -17,7 +17,7 @@ _SHORTEST_IN_TIMES = 30.0  # steps over autocorrelation time, below which no est
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What is known of a sample: times in steps, one number a parameter, after the discarded."""
+    """Diagnostics of a sample after the discarded steps, by parameter; times are in steps."""
 
     discarded: int
     times: Floats
@@ -27,31 +27,31 @@ class Diagnosis:
 
     @property
     def least_effective(self) -> float:
-        """Effective samples of the parameter that has fewest."""
+        """Smallest effective sample size of all parameters."""
         return float(self.effective.min())
 
     @property
     def worst_r_hat(self) -> float:
-        """R-hat of the parameter where it is largest."""
+        """Largest R-hat of all parameters."""
         return float(self.r_hat.max())
 
     @property
     def long_enough(self) -> bool:
-        """Whether it is long enough for its autocorrelation times to be trusted."""
+        """Whether the sample is long enough for its autocorrelation times to be trusted."""
         return self.steps - self.discarded >= _SHORTEST_IN_TIMES * float(self.times.max())
 
     def good(self, effective: float) -> bool:
-        """Whether it has converged, with so many effective samples."""
+        """Whether the sample has converged, with at least this effective sample size."""
         return self.long_enough and self.least_effective >= effective and self.worst_r_hat < _R_HAT
 
 
 def steps_to_discard(steps: int) -> int:
-    """Steps to leave out at first."""
+    """Number of initial steps to leave out."""
     return min(max(BLOCK // 2, steps // 10), steps // 2)
 
 
 def diagnose(values: Floats, ensembles: int) -> Diagnosis:
-    """Autocorrelation time, effective samples and R-hat of values (steps, walkers, parameters)."""
+    """Convergence diagnostics of values (steps, walkers, parameters)."""
     steps, walkers, dimension = values.shape
     discarded = steps_to_discard(steps)
     kept = values[discarded:]
@@ -59,7 +59,7 @@ def diagnose(values: Floats, ensembles: int) -> Diagnosis:
     times = np.maximum(np.nan_to_num(times, nan=float(len(kept))), 1.0)
     effective = kept.shape[0] * walkers / times
     groups = kept.reshape(len(kept), ensembles, -1, dimension)
-    # Each ensemble is cut in two, so that a drift shows as well as a disagreement.
+    # Each ensemble is split in two, so that drift is detected as well as disagreement.
     half = len(kept) // 2
     parts = np.concatenate([groups[:half], groups[half : 2 * half]], 1)
     return Diagnosis(discarded, times, effective, r_hat(parts), steps)
@@ -70,10 +70,10 @@ def autocorrelation_times(values: Floats) -> Floats:
     a walker never moved.
 
     Sokal (1997, sect. 3.3), with the autocorrelation averaged over the walkers, as in emcee, whose
-    own function takes seven times as long, one walker after the other.
+    own function takes one walker at a time and seven times as long.
     """
     steps = len(values)
-    size = 2 << (steps - 1).bit_length()  # so that ends do not meet
+    size = 2 << (steps - 1).bit_length()  # zero-padded, so that the ends do not wrap around
     times = []
     for series in np.moveaxis(values, 2, 0):
         transform = np.fft.rfft(series.T - series.mean(0)[:, None], size)
@@ -87,7 +87,7 @@ def autocorrelation_times(values: Floats) -> Floats:
 
 
 def r_hat(groups: Floats) -> Floats:
-    """Potential scale reduction of Gelman and Rubin (1992).
+    """Potential scale reduction factor of Gelman and Rubin (1992).
 
     Parameters
     ----------

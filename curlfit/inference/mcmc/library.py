@@ -1,7 +1,7 @@
-"""emcee without `scipy.stats`, which only its move by kernel densities needs, and which takes as
-long to load as JAX.
+"""emcee without `scipy.stats`, which only its kernel-density move needs and which takes as long to
+load as JAX.
 
-That move is not used here. In a program that uses it, it loads `scipy.stats` when first called.
+That move is not used here. In a program that uses it, `scipy.stats` is loaded at its first call.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ _STATS = "scipy.stats"
 _deferred = _STATS not in sys.modules and "emcee" not in sys.modules
 
 if _deferred:
-    sys.modules[_STATS] = None  # type: ignore[assignment]  # an import of it fails, which emcee expects
+    sys.modules[_STATS] = None  # type: ignore[assignment]  # importing it fails, which emcee handles
 try:
     import emcee
 finally:

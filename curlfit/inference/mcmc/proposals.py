@@ -1,10 +1,9 @@
-"""Moves for emcee: one that knows the ridge, and the usual ones for several ensembles at once.
+"""Moves for emcee: one that uses the ridge, and the usual ones for several ensembles side by side.
 
-Along a direction that the data do not see, the posterior is as wide as the prior, and a sampler
-that walks needs ages from one end to the other. `RidgeMove` proposes anew each time: from a
-Student distribution about the optimum along the directions that the data see, and evenly across
-the prior along those that they do not. It is mixed with ordinary moves, which take over where the
-posterior has another shape.
+Along a null direction the posterior is as wide as the prior, and a random walk takes very long from
+one end to the other. `RidgeMove` makes independent proposals: from a Student distribution about the
+optimum along the determined directions, and uniform over the prior along the null directions. It is
+mixed with ordinary moves, which take over where the posterior has another shape.
 """
 
 from __future__ import annotations
@@ -19,20 +18,20 @@ from curlfit.numerics.arrays import Booleans, Floats
 
 Indices = NDArray[np.int64]
 
-_DEGREES = 8.0  # of freedom of the Student proposal: tails heavier than any Gaussian posterior
+_DEGREES = 8.0  # of freedom of the Student proposal: heavier tails than any Gaussian posterior
 
 
 class RidgeMove(Move):
-    """Independent proposals: Student along seen directions, even along unseen ones, exponential
-    off the bounds that parameters are pushed against.
+    """Independent proposals: Student along determined directions, uniform along null directions,
+    exponential away from the bounds that parameters are pushed against.
 
-    Coordinates are linear in `z = (values - centre)/typical`: seen combinations of it, for each
-    unseen direction one parameter that takes part in it (a pivot), and each pushed parameter.
+    Coordinates are linear in `z = (values - centre)/typical`: determined combinations of it, for
+    each null direction one parameter that takes part in it (a pivot), and each pushed parameter.
 
     Parameters
     ----------
     centre, typical : of the parameters, shape (p,).
-    seen : rows of seen combinations, shape (r, p). spread : their standard deviations.
+    seen : rows of determined combinations, shape (r, p). spread : their standard deviations.
     pivots : indices of the pivots. low, high : their intervals, in `z`.
     pushed : indices of the pushed parameters. scale : mean distance from the bound in `z`, signed.
     """
@@ -60,11 +59,11 @@ class RidgeMove(Move):
 
     @property
     def acceptance(self) -> float:
-        """Share of its proposals that were accepted."""
+        """Fraction of its proposals accepted."""
         return self.taken / max(self.tried, 1)
 
     def draw(self, n: int, random: Any, *, gaussian: bool = False) -> Floats:
-        """n parameter vectors, shape (n, p); along seen directions Student or `gaussian`."""
+        """n parameter vectors, shape (n, p); Student or `gaussian` along determined directions."""
         along = self.spread * random.standard_normal((n, len(self.seen)))
         if not gaussian:
             along *= np.sqrt(_DEGREES / random.chisquare(_DEGREES, (n, 1)))
@@ -84,12 +83,12 @@ class RidgeMove(Move):
         return np.where(within, value - off.sum(1), -np.inf)
 
     def propose(self, model: Any, state: State) -> tuple[State, Booleans]:
-        """One Metropolis-Hastings step of every walker, on its own."""
+        """One Metropolis-Hastings step of each walker independently."""
         old = state.coords
         new = self.draw(len(old), model.random)
         log_prob = model.compute_log_prob_fn(new)[0]
         back = self.log_density(old)
-        # A walker outside the proposal's reach can only be moved by the other moves.
+        # A walker outside the support of the proposal can only be moved by the other moves.
         with np.errstate(invalid="ignore"):
             factor = back - self.log_density(new)
             accepted = np.log(model.random.uniform(size=len(old))) < (
@@ -104,9 +103,9 @@ class RidgeMove(Move):
 class EnsembleMove(Move):
     """Moves of affine-invariant ensembles, several ensembles side by side.
 
-    Each half of an ensemble moves along lines through members of its own other half: the stretch
+    Each half of an ensemble moves along lines through members of the other half: the stretch
     move of Goodman and Weare (2010), and the differential evolution of ter Braak (2006). All
-    ensembles are evaluated in one call and never learn of each other.
+    ensembles are evaluated in one call and stay independent of each other.
     """
 
     def __init__(self, ensembles: int, *, evolution: bool) -> None:

@@ -1,4 +1,4 @@
-"""The ridge of a fit's optimum, as proposals and first places of walkers."""
+"""Proposals and initial positions of walkers along the ridge of a fit's optimum."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from curlfit.inference.identifiability import directions
 from curlfit.inference.mcmc.proposals import Indices, RidgeMove
 from curlfit.numerics.arrays import Floats
 
-_MARGIN = 4.0  # standard errors by which the proposal reaches past the ridge's ends
+_MARGIN = 4.0  # standard errors by which the proposal extends beyond the ridge's ends
 
 
 def ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
-    """The proposal from what the fit knows of its surroundings."""
+    """The proposal from the estimates and information matrix of a fit."""
     parameters = fit.parameter_set
     free = parameters.free
     typical = parameters.typical[free]
@@ -42,7 +42,7 @@ def ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
     reach = np.zeros(len(centre))
     reach[open_] = _MARGIN * np.sqrt(((seen.T * spread) ** 2).sum(1))
     pivots, low, high = _pivots(wide, lower, upper, reach)
-    # Off its bound the log-posterior falls with slope and curvature; either sets the distance.
+    # Away from the bound the log-posterior falls by its slope and curvature, which set the scale.
     curvature = np.diag(information)[pushed] - ((rows[:, pushed] * singular[:, None]) ** 2).sum(0)
     push = np.abs(gradient[pushed]) + np.sqrt(np.maximum(curvature, 0.0))
     off = -np.sign(gradient[pushed]) / push
@@ -52,7 +52,7 @@ def ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
 def _pivots(
     null: Floats, lower: Floats, upper: Floats, reach: Floats
 ) -> tuple[Indices, Floats, Floats]:
-    """A bounded parameter for each unseen direction, and how far the ridge lets it go."""
+    """A bounded parameter for each null direction, and its range along the ridge."""
     pivots: list[int] = []
     rest = null.copy()
     bounded = np.isfinite(lower) & np.isfinite(upper)
@@ -76,7 +76,7 @@ def _pivots(
 
 def _extent(along: Floats, walls: Floats, room: Floats) -> tuple[float, float]:
     """Least and greatest `along @ z` of all z with `walls @ z <= room`."""
-    if len(along) == 1:  # by far the most frequent, and scipy's optimizers are slow to load
+    if len(along) == 1:  # by far the most common, and scipy's optimizers are slow to load
         slope, product = walls[:, 0], along[0] * walls[:, 0]
         limits = along[0] * room[product != 0] / slope[product != 0]
         product = product[product != 0]
@@ -97,11 +97,11 @@ def first_walkers(
     upper: Floats,
     random: Any,
 ) -> Floats:
-    """Starting places drawn from the proposal, of finite posterior."""
+    """Initial positions of walkers drawn from the proposal, with finite posterior."""
     found: list[Floats] = []
     for _ in range(50):
         coords = move.draw(walkers, random)
-        # Near a bound a proposal falls outside half the time; fold it back in.
+        # Near a bound a proposal falls outside half the time; reflect it back.
         folded = np.where(coords < lower, 2 * lower - coords, coords)
         folded = np.where(folded > upper, 2 * upper - folded, folded)
         found.extend(folded[np.isfinite(log_prob(folded))])

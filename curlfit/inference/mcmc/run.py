@@ -1,4 +1,4 @@
-"""A run of the sampler: moves, steps, and what is needed to interrupt it and go on."""
+"""A run of the sampler: moves, steps, and the state needed to interrupt and resume it."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from curlfit.numerics.compiled import in_batches
 
 ENSEMBLES = 4
 _BOLD = (0.8, 0.1, 0.1)  # shares of the moves: ridge, stretch, differential evolution
-_WARY = (0.2, 0.4, 0.4)  # the same where ridge proposals are accepted less often than
+_WARY = (0.2, 0.4, 0.4)  # the same where fewer ridge proposals are accepted than
 _TOO_FEW = 0.2
 
 
 def prepare_sampling(model: Model, parameters: ParameterSet, problem: Problem) -> None:
-    """Begin to compile what sampling needs, of a problem and its parameters."""
+    """Start to compile what sampling of a problem needs."""
     log_posterior.prepare(
         model, np.zeros((_walkers(parameters) // 2, len(parameters))), parameters.lower,
         parameters.upper, problem, parameters.penalty,
@@ -42,7 +42,7 @@ def _walkers(parameters: ParameterSet) -> int:
 
 
 class _Step(NamedTuple):
-    """One step of all walkers, and the sampler after it, which only the last step keeps."""
+    """One step of all walkers, and the state of the sampler, which only the last step keeps."""
 
     values: Floats
     log_posterior: Floats
@@ -50,7 +50,7 @@ class _Step(NamedTuple):
 
 
 class Run:
-    """A chain in the making. It may be interrupted at any point: the steps that are done stand."""
+    """An unfinished chain. It may be interrupted at any point: completed steps are kept."""
 
     def __init__(self, fit: FitResult, seed: int) -> None:
         self.seed, self.subject = seed, subject_of(fit, seed)
@@ -78,17 +78,17 @@ class Run:
 
     @property
     def block_is_over(self) -> bool:
-        """Whether it is time to judge."""
+        """Whether a test of convergence is due."""
         state = self._done[-1].state if self._done else None
         return state is not None and state.left == 0
 
     @property
     def is_astray(self) -> bool:
-        """Whether the posterior is not what the fit foresaw."""
+        """Whether the posterior differs from its approximation by the fit."""
         return self._bold and self._move.acceptance < _TOO_FEW
 
     def take_up(self, chain: Chain, file: Path) -> None:
-        """Go on where a stored chain ended. Raises `DataError` where it is of something else."""
+        """Resume where a stored chain ended. Raises `DataError` if that is not possible."""
         require_same(chain.subject, self.subject, file)
         state = chain.state
         if state is None or not len(chain.values):
@@ -102,10 +102,10 @@ class Run:
         self._done.append(_Step(chain.values[-1], chain.log_posterior[-1], state))
 
     def begin(self) -> None:
-        """Find first places for the walkers, unless a chain was taken up."""
+        """Find initial positions of the walkers, unless a chain is resumed."""
         if self._state is not None:
             return
-        random = np.random.RandomState(self.seed)  # emcee takes no other
+        random = np.random.RandomState(self.seed)  # emcee accepts no other
         ends = self._lower[self.free], self._upper[self.free]
         coords = first_walkers(self._move, self._log_prob, self._walkers, *ends, random)
         self._state = State(coords, log_prob=self._log_prob(coords))
@@ -113,13 +113,13 @@ class Run:
         self._heed()
 
     def start_over(self) -> None:
-        """Forget the steps so far, which were on the way, and rely on the ensemble moves."""
+        """Discard the steps so far as burn-in, and rely on the ensemble moves."""
         self._bold = False
         self._done.clear()
         self._sampler = self._sampler_with(self._sampler.random_state)
 
     def block(self) -> Iterator[None]:
-        """Do the steps up to the next look at convergence."""
+        """Do the steps up to the next test of convergence."""
         before = self._done[-1].state if self._done else None
         todo = (before.left if before else 0) or max(BLOCK, self.steps // 5)
         for place, state in enumerate(
@@ -136,7 +136,7 @@ class Run:
                 self._move.tried, self._move.taken,
             )  # fmt: skip
             step = _Step(self._whole(coords) + self._offset, state.log_prob.copy(), after)
-            self._done.append(step)  # at one stroke
+            self._done.append(step)  # atomic: an interrupt leaves a valid chain
             if self.steps > 1:
                 self._done[-2] = self._done[-2]._replace(state=None)
             yield
@@ -146,7 +146,7 @@ class Run:
         return diagnose(np.stack([step.values[:, self.free] for step in self._done]), ENSEMBLES)
 
     def chain(self) -> Chain:
-        """The steps so far."""
+        """The chain of the steps so far."""
         values = np.stack([step.values for step in self._done])
         return Chain(
             names=self.names,
@@ -193,7 +193,7 @@ class Run:
             # Half of the walkers at a time, as ensemble moves need them.
             return np.asarray(in_batches(self._log_posterior, (values,), self._walkers // 2))
         except KeyboardInterrupt:
-            # emcee would print its own account of it; this step is thrown away.
+            # emcee would print its own error message; this step is discarded.
             self._interrupted = True
             return np.full(len(values), -np.inf)
 

@@ -1,4 +1,4 @@
-"""The posterior by emcee: four ensembles, sampled until converged, and a verdict on the sample."""
+"""The posterior by emcee: four ensembles, sampled until convergence, and a verdict."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ def sample(
     checkpoint: str | PathLike[str] | None = None,
     resume: bool = False,
 ) -> tuple[FitResult, Chain]:
-    """Sample the posterior about a fit, until it is converged.
+    """Sample the posterior about a fit until convergence.
 
-    Where the fit has no prior, it is flat within the bounds of the parameter. Noise is of the fit's
-    sigmas, independent or as the fit's noise model has it, Gaussian or as its loss has it. Ctrl-C
-    ends the run and keeps what there is.
+    A parameter without a prior in the fit has a flat one within its bounds. The noise has the
+    fit's sigmas, is independent or correlated by the fit's noise model, and is Gaussian or has the
+    density of the fit's loss. Ctrl-C ends the run and keeps the steps so far.
 
     Parameters
     ----------
     fit : a fit, fresh or loaded.
     seed : of the random numbers; the same seed gives the same chain.
-    effective : effective samples wanted of every parameter.
-    most_steps : where to stop if that is not reached.
-    progress : called now and then with the effective samples so far (smallest over parameters),
-        the steps so far, and R-hat.
-    checkpoint : a `chain.h5` where the chain so far is kept, whole at any moment: after the first
+    effective : target for the effective sample size of every parameter.
+    most_steps : number of steps at which to stop if that is not reached.
+    progress : called at intervals with the effective sample size so far (smallest over
+        parameters), the steps so far, and R-hat (largest).
+    checkpoint : a `chain.h5` to which the chain so far is written atomically: after the first
         step, then every two seconds, and when the run ends.
-    resume : go on where the chain in `checkpoint` ended, if there is one. The chain is then the
-        one that a single run would have given, bit for bit on the same machine and packages.
+    resume : continue where the chain in `checkpoint` ended, if there is one. The chain is then
+        that of a single run, bit for bit on the same machine with the same packages.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""A chain as the posterior in the record of its fit."""
+"""Summary of a chain as the posterior in the record of its fit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _QUANTILES = ("2.5", "16", "50", "84", "97.5")
 
 
 def so_far(fit: FitResult, file: str | PathLike[str]) -> tuple[FitResult, Chain] | None:
-    """An unfinished sample that was left on disk: the fit with a posterior that says so, and the
+    """An unfinished sample left on disk: the fit with a posterior marked as unfinished, and the
     chain. None where `file` is missing, too short to be judged, or of another fit or version."""
     if not Path(file).is_file():
         return None
@@ -34,8 +34,8 @@ def so_far(fit: FitResult, file: str | PathLike[str]) -> tuple[FitResult, Chain]
 def summarised(
     fit: FitResult, chain: Chain, ended: str, effective: float | None = None
 ) -> FitResult:
-    """The fit with the summary of a chain, which ended as `ended` says, with so many effective
-    samples `effective` wanted; None where that is not known."""
+    """The fit with the summary of a chain. `ended` says how the run ended, and `effective` is the
+    target for the effective sample size, None where it is not known."""
     free = fit.parameter_set.free
     names = fit.parameter_set.names_where(free)
     diagnosis = diagnose(chain.values[:, :, free], chain.ensembles)

@@ -1,1 +1,1 @@
-"""Noise: its models, how it is made independent, robust losses."""
+"""Noise models, whitening of correlated noise, and robust losses."""

@@ -1,9 +1,9 @@
-"""Model discrepancy: accelerations that the law lacks, and what they do to a path.
+"""Model discrepancy: accelerations that the law lacks, and their effect on a path.
 
 A law that is not exact lacks an acceleration across the velocity, one along it and an angular one.
-What it lacks recurs at the same speed, so each is a function of speed: a Gaussian process in the
-logarithm of the speed (friction laws are powers of it), of Matern covariance (order 5/2, length a
-factor e in speed). Mirroring a throw reverses the first and the last with the spin.
+These recur at the same speed, so each is a function of speed: a Gaussian process in the logarithm
+of the speed (friction laws are powers of it) with Matern covariance (order 5/2, length scale a
+factor e in speed). Mirroring a throw reverses the first and the last together with the spin.
 
 Response. The friction of the law is taken as a function of speed along the path. A stone then
 passes through the same speeds at other times; with s = int a_along/v' dt, to first order,
@@ -11,14 +11,14 @@ passes through the same speeds at other times; with s = int a_along/v' dt, to fi
     dv = v' s,  db = int (a_across/v - b' a_along/v') dt + b' s,
     domega = int (a_angular - omega' a_along/v') dt + omega' s,
 
-for the speed v, the heading b and the spin omega at a given time, of which position and angle are
-the integrals.
+for the speed v, the heading b and the spin omega at a given time, whose integrals are position and
+angle.
 
-Sizes. That of each component has an exponential prior, as penalised-complexity priors have it
-(Simpson et al. 2017, Statistical Science 32, 1), of which 5 % lie above the friction: a missing
-force of the contact is no larger than the contact force itself. For the rotation that is the moment
-of friction, mu g R/rho^2, times the mean of R omega/v, the ratio by which the sliding speed varies
-along the ring.
+Sizes. The size of each component has an exponential prior, a penalised-complexity prior (Simpson et
+al. 2017, Statistical Science 32, 1), with 5 % of its probability above the friction: a missing
+contact force is no larger than the contact force itself. For the rotation, the friction means its
+angular acceleration, mu g R/rho^2, times the mean of R omega/v, the relative variation of the
+sliding speed along the ring.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ from curlfit.throws.throw import CHANNELS
 
 COMPONENTS = ("across", "along", "turning")
 SHAPES = 12  # basis functions of speed
-_TAIL = 0.05  # probability of the prior of a size above the friction
-_GRID = 400  # times of the path
+_TAIL = 0.05  # prior probability of a size above the friction
+_GRID = 400  # number of times along the path
 SPEEDS = np.geomspace(0.02, 10.0, 161)  # m/s, at which shapes are tabulated
-_SLOWEST = 0.02  # of the initial speed, below which accelerations are those there
+_SLOWEST = 0.02  # over the initial speed: lowest speed at which accelerations are evaluated
 _EDGES = np.geomspace(0.002, 1.0, 11)
 SIZES = np.sqrt(_EDGES[1:] * _EDGES[:-1])
-"""Over the friction: sizes in the middle of equal parts of the logarithm."""
+"""Sizes over the friction, at the midpoints of equal intervals of their logarithm."""
 
 
 class Responses(NamedTuple):
-    """What accelerations of the size of the friction do to a path."""
+    """Response of a path to accelerations of the size of the friction."""
 
     t: Floats
     """s since the first row"""
@@ -61,7 +61,7 @@ class Responses(NamedTuple):
 
     @classmethod
     def of(cls, times: Floats, path: Floats, stone: Stone) -> Responses:
-        """Those of a path: x, y, phi, speed and spin at times, shape (5, n)."""
+        """Responses of a path: x, y, phi, speed and spin at times, shape (5, n)."""
         from scipy.interpolate import CubicSpline  # slow to load, and few fits need it
 
         distinct = np.flatnonzero(np.diff(times, prepend=-np.inf) > 0)
@@ -76,7 +76,7 @@ class Responses(NamedTuple):
         heading = np.unwrap(np.arctan2(rates[0], rates[1]))
         slow = np.gradient(speed, t)
         mean = max((speed[0] - speed[-1]) / t[-1], 1e-6)
-        # a deceleration that vanishes would let a stone stay at one speed for ever
+        # without deceleration a stone would stay at one speed forever
         slow = np.minimum(slow, -0.1 * mean)
         ratio = float(np.mean(np.minimum(stone.R * np.abs(omega) / speed, 1.0)))
         sizes = mean * np.array([1.0, 1.0, stone.R / stone.rho**2 * max(ratio, 0.01)])
@@ -101,7 +101,7 @@ class Responses(NamedTuple):
         return cls(t, by_channel, sizes)
 
     def at(self, times: Floats, channel: int) -> Floats:
-        """Those of a channel at some times, constant after the path's end."""
+        """Responses of a channel at some times, constant after the end of the path."""
         columns = [np.interp(times, self.t, column) for column in self.by_channel[channel].T]
         return np.array(columns).T
 
@@ -111,12 +111,12 @@ def log_likelihood(factor: Floats, sizes: Floats, n_nuisance: int) -> Floats:
 
     Parameters
     ----------
-    factor : R factor of the columns over their noise: of the parameters, of the shapes, residuals.
+    factor : R factor of the columns over their noise: parameters, shapes, residuals.
     """
     spent = np.log(np.abs(np.diag(factor)[:n_nuisance])).sum()
     left = factor[n_nuisance:, n_nuisance:]
-    # Of [1 + D S D, D s; s^T D, r^T r] the Cholesky factor has the determinant of the first block
-    # and, last, the root of chi squared, r^T (1 + ...)^-1 r.
+    # The diagonal of the Cholesky factor of [1 + D S D, D s; s^T D, r^T r] gives the determinant of
+    # the first block and, last, the root of chi squared, r^T (1 + ...)^-1 r.
     scale = np.concatenate([np.repeat(sizes, SHAPES, axis=1), np.ones((len(sizes), 1))], 1)
     whole = scale[:, :, None] * (left.T @ left) * scale[:, None]
     diagonal = np.arange(whole.shape[1])
@@ -134,14 +134,14 @@ def log_prior(sizes: Floats) -> Floats:
 
 
 def _integral(values: Floats, t: Floats) -> Floats:
-    """From the first time, along the last axis, by the trapezoidal rule."""
+    """Integral from the first time on, along the last axis, by the trapezoidal rule."""
     steps = (values[..., 1:] + values[..., :-1]) / 2 * np.diff(t)
     return np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(steps, -1)], -1)
 
 
 def covariance(speed: Floats, other: Floats) -> Floats:
-    """Of accelerations of size 1 at speeds: Matern's, of order 5/2 and length 1 in the logarithm
-    (Rasmussen and Williams 2006, eq. 4.17)."""
+    """Covariance of accelerations of size 1 at two speeds: Matern, of order 5/2 and length scale 1
+    in the logarithm (Rasmussen and Williams 2006, eq. 4.17)."""
     q = math.sqrt(5) * np.abs(np.log(speed / other))
     return (1 + q + q**2 / 3) * np.exp(-q)
 

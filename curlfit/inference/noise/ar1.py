@@ -1,7 +1,7 @@
 """AR(1) noise: the correlation of two rows decays exponentially with the time between them.
 
-An Ornstein-Uhlenbeck process, exp(-gap/memory), AR(1) where rows are evenly spaced: noise of the
-tracker, as of filters or a camera that sways.
+An Ornstein-Uhlenbeck process, with correlation exp(-gap/memory), which is AR(1) where rows are
+evenly spaced: noise of the tracker, such as that of filters or a swaying camera.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS
 
 SHORTEST = 0.2
-"""Correlation time over the time between rows, with which noise is as good as independent."""
+"""Correlation time over the time between rows at which noise is practically independent."""
 _LONGEST = 10.0  # correlation time over the time of motion
 _TYPICAL = 0.1  # mean of the prior of the correlation time over the time of motion
-_RIDGE = np.linspace(-1.0, 2.0, 61)  # logarithms of the size along the ridge, from its maximum
+_RIDGE = np.linspace(-1.0, 2.0, 61)  # logarithms of the scale along the ridge, from the maximum
 _FAR = 30.0  # limit of all logarithms
 
 
 class AR1Whitener(NamedTuple):
-    """Each residual loses what the row before it predicts.
+    """Subtracts from each residual what the row before it predicts.
 
     Arrays of the shape of the data (channels, n).
     """
 
     before: Any
-    """row that was observed before this one"""
+    """index of the row that was observed before this one"""
     carry: Any
     """correlation with it"""
     scale: Any
@@ -50,7 +50,7 @@ class AR1Whitener(NamedTuple):
 
     @classmethod
     def of(cls, noise: Noise, times: Floats, weight: Floats) -> Self:
-        """That of a noise; it changes nothing where the noise has no memory.
+        """The whitener of a noise model; it changes nothing where the noise has no memory.
 
         Parameters
         ----------
@@ -69,33 +69,33 @@ class AR1Whitener(NamedTuple):
         return cls(before, carry, scale)
 
     def whiten(self, residual: Array) -> Array:
-        """Residuals over sigma, made independent; shape (channels, n)."""
+        """Whitened residuals from residuals over sigma, shape (channels, n)."""
         predicted = self.carry * jnp.take_along_axis(residual, self.before, axis=1)
         return (residual - predicted) * self.scale
 
     def log_determinant(self) -> Floats:
-        """Of the whitening, by channel: its part of the log-likelihood; shape (channels,)."""
+        """Log-determinant of the whitening by channel, for the likelihood; shape (channels,)."""
         return np.asarray(np.log(self.scale).sum(-1))
 
 
 def log_prior(memory: Floats, span: float) -> Floats:
     """Logarithm of the prior density of the logarithm of a correlation time in s.
 
-    Exponential, its mean a tenth of the time of motion: what lasts longer is a matter of the law
-    rather than of the tracker (a judgement; half or twice of it changes errors little).
+    Exponential, with a mean of a tenth of the time of motion: what lasts longer is due to the law
+    rather than the tracker (a judgement; half or twice this mean changes errors little).
     """
     found: Floats = np.log(memory) - memory / (_TYPICAL * span)
     return found
 
 
 def estimate(channels: Sequence[ChannelResiduals], span: float) -> tuple[Noise, dict[str, float]]:
-    """AR(1) noise of some residuals: one scale for all sigmas that were not given, and a memory
-    for each channel.
+    """AR(1) noise of some residuals: one scale for all sigmas that were not given, and a
+    correlation time for each channel.
 
     Parameters
     ----------
     channels : residuals of a fit with white noise.
-    span : time after the first row for which the stone moves, s.
+    span : time after the first row during which the stone moves, s.
 
     Returns
     -------
@@ -149,8 +149,8 @@ def estimate(channels: Sequence[ChannelResiduals], span: float) -> tuple[Noise, 
 
 
 def _along_ridge(best: Floats, channels: Sequence[ChannelResiduals]) -> list[Floats]:
-    """Logarithms of scale and memories for which the part of each value that its neighbour does
-    not predict is the same, as series of short steps tell it well."""
+    """Logarithms of scale and correlation times along the ridge: the part of each value that its
+    neighbour does not predict, which closely spaced rows determine well, is the same."""
     found = []
     for step in _RIDGE if not all(item.given for item in channels) else [0.0]:
         logs = best.copy()

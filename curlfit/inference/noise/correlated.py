@@ -1,7 +1,7 @@
-"""Correlated noise: how residuals are made independent, and how noise is estimated.
+"""Correlated noise: whitening of residuals, and estimation of the noise.
 
-Generalised least squares is least squares of residuals that are made independent. The models are
-in files of their own, `ar1` and `discrepancy`; here they go by their names.
+Generalised least squares is least squares of whitened residuals. The models are in modules of their
+own, `ar1` and `discrepancy`; here they are selected by name.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from curlfit.stone import Stone
 
 
 class Motion(NamedTuple):
-    """The motion that a fit has found."""
+    """The motion found by a fit."""
 
     times: Floats
     """of the rows, s since the first, shape (n,)"""
@@ -33,19 +33,19 @@ class Motion(NamedTuple):
 
 
 class Whitener(Protocol):
-    """What makes residuals with correlated noise independent: a NamedTuple of arrays."""
+    """Makes residuals with correlated noise independent; a NamedTuple of arrays."""
 
     def whiten(self, residual: Array) -> Array:
-        """Residuals over sigma, made independent; shape (channels, n)."""
+        """Whitened residuals from residuals over sigma, shape (channels, n)."""
 
     def log_determinant(self) -> Floats:
-        """Of the whitening, by channel: its part of the log-likelihood; shape (channels,)."""
+        """Log-determinant of the whitening by channel, for the likelihood; shape (channels,)."""
 
 
 def whitener_of(
     noise: Noise, times: Floats, weight: Floats, motion: Motion | None = None
 ) -> Whitener | None:
-    """What makes a noise independent; None where it is white.
+    """The whitener of a noise model; None where it is white.
 
     It changes nothing where the noise has no memory and no size.
 
@@ -66,17 +66,17 @@ def whitener_of(
 def estimate(
     kind: str, channels: Sequence[ChannelResiduals], span: float, motion: Motion
 ) -> tuple[Noise, dict[str, float]]:
-    """The noise of some residuals, and the sigmas that belong to it.
+    """The noise of some residuals, estimated with its sigmas.
 
     Parameters
     ----------
-    channels : residuals of a fit with white noise, of the channels to estimate a noise of.
-    span : time after the first row for which the stone moves, s.
+    channels : residuals of a fit with white noise, of the channels whose noise is estimated.
+    span : time after the first row during which the stone moves, s.
     motion : of the stone in that fit.
 
     Returns
     -------
-    the noise, and by channel its sigma (of what is not discrepancy), where it was not given.
+    the noise, and by channel its sigma (without the discrepancy), where it was not given.
     """
     if kind == "ar1":
         return ar1.estimate(channels, span)
@@ -84,5 +84,5 @@ def estimate(
 
 
 def whitened(residual: Array, whitener: Whitener | None) -> Array:
-    """Residuals over sigma, made independent; shape (channels, n)."""
+    """Whitened residuals from residuals over sigma, shape (channels, n)."""
     return residual if whitener is None else whitener.whiten(residual)

@@ -1,9 +1,9 @@
 """Model discrepancy as noise: missing accelerations estimated from residuals, and whitened.
 
 Missing accelerations (`curlfit.inference.noise.accelerations`) with independent or AR(1) noise. The
-sizes of the accelerations and the correlation time are averaged over their posterior and not put in
-at its maximum: the covariance is that of the sizes' second moments, and the correlation time that
-of the mean standard deviation.
+sizes of the accelerations and the correlation time are averaged over their posterior rather than
+set to its maximum: the covariance is that of the sizes' second moments, and the correlation time
+that of the mean standard deviation.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS
 
 _ROUNDS = 2
-_PURE = 300.0  # greatest discrepancy over the independent noise
+_PURE = 300.0  # largest rms residual over the independent noise
 _LONGEST = 0.5  # correlation time over the time of motion
-_MEMORIES = 10  # correlation times that are tried
+_MEMORIES = 10  # number of correlation times tried
 _COUNT = len(COMPONENTS) * SHAPES
-_NEGLIGIBLE = 10.0  # logarithm of the posterior below its maximum
+_NEGLIGIBLE = 10.0  # log-posterior below its maximum from which it is neglected
 _GRID, _COARSE = (
     np.stack(np.meshgrid(*[some] * len(COMPONENTS), indexing="ij"), -1).reshape(-1, len(COMPONENTS))
     for some in (SIZES, SIZES[::2])
@@ -47,8 +47,8 @@ _GRID, _COARSE = (
 
 
 class DiscrepancyWhitener(NamedTuple):
-    """Every direction u of the residuals, in which the discrepancy has s times the size of the
-    noise, is scaled down by sqrt(1 + s^2), after AR(1) noise has been made independent.
+    """Scales each direction u of the residuals in which the discrepancy is s times the noise down
+    by sqrt(1 + s^2), after AR(1) noise has been whitened.
 
     With C = 1 + U diag(s^2) U^T, C^-1/2 = 1 - U diag(1 - 1/sqrt(1 + s^2)) U^T.
     """
@@ -61,7 +61,7 @@ class DiscrepancyWhitener(NamedTuple):
 
     @classmethod
     def of(cls, noise: Noise, times: Floats, weight: Floats, responses: Responses | None) -> Self:
-        """That of a noise; it changes nothing where the noise has no memory and no size.
+        """The whitener of a noise model; it changes nothing where that has no memory and no size.
 
         Parameters
         ----------
@@ -73,7 +73,7 @@ class DiscrepancyWhitener(NamedTuple):
         if not noise.sizes or responses is None:
             return cls(np.zeros((*weight.shape, _COUNT)), np.zeros(_COUNT), before)
         rows = _weighted_responses(noise, times, weight, responses, before)
-        q, r = np.linalg.qr(rows.reshape(-1, _COUNT))  # faster than a decomposition of all rows
+        q, r = np.linalg.qr(rows.reshape(-1, _COUNT))  # faster than an SVD of all rows
         left, singular, _ = np.linalg.svd(r, full_matrices=False)
         directions = np.zeros((weight.size, _COUNT))
         directions[:, : left.shape[1]] = q @ left
@@ -82,14 +82,14 @@ class DiscrepancyWhitener(NamedTuple):
         return cls(directions.reshape(*weight.shape, _COUNT), shrink, before)
 
     def whiten(self, residual: Array) -> Array:
-        """Residuals over sigma, made independent; shape (channels, n)."""
+        """Whitened residuals from residuals over sigma, shape (channels, n)."""
         if self.ar1 is not None:
             residual = self.ar1.whiten(residual)
         along = jnp.einsum("cnk,cn->k", self.directions, residual) * self.shrink
         return residual - jnp.einsum("cnk,k->cn", self.directions, along)
 
     def log_determinant(self) -> Floats:
-        """Of the whitening, by channel: its part of the log-likelihood; shape (channels,)."""
+        """Log-determinant of the whitening by channel, for the likelihood; shape (channels,)."""
         found = np.zeros(self.directions.shape[0])
         found[0] = np.log1p(-self.shrink).sum()  # of all channels together
         return found if self.ar1 is None else found + self.ar1.log_determinant()
@@ -99,7 +99,7 @@ def _weighted_responses(
     noise: Noise, times: Floats, weight: Floats, responses: Responses, before: AR1Whitener | None
 ) -> Floats:
     """B of the covariance N + B B^T of the residuals over sigma, with independent amplitudes of
-    variance 1, after AR(1) noise has been made independent; shape (channels, n, 3 * SHAPES)."""
+    variance 1, after AR(1) noise has been whitened; shape (channels, n, 3 * SHAPES)."""
     rows = np.stack([responses.at(times, row) for row in range(len(weight))])
     rows *= weight[..., None] * _amplitudes(noise)
     if before is not None:
@@ -118,14 +118,14 @@ def posterior_mean(
     """Mean of the discrepancy given the residuals, in every channel at the times of the rows.
 
     K (K + N)^-1 r, with the covariances K of the discrepancy and N of the remaining noise
-    (Rasmussen and Williams 2006, eq. 2.25). With K = B B^T, at rows that were not observed too, it
+    (Rasmussen and Williams 2006, eq. 2.25). With K = B B^T, also at rows that were not observed, it
     is B (1 + B^T N^-1 B)^-1 B^T N^-1 r.
 
     Parameters
     ----------
     times : s since the first row, shape (n,).
     weight : 1/sigma, 0 where nothing was observed, shape (channels, n).
-    residual : measured less the path of the law, 0 where nothing was observed, of that shape; SI.
+    residual : measured minus the path of the law, 0 where nothing was observed, of that shape; SI.
 
     Returns
     -------
@@ -144,13 +144,13 @@ def posterior_mean(
 def estimate(
     channels: Sequence[ChannelResiduals], span: float, responses: Responses, kind: str
 ) -> tuple[Noise, dict[str, float]]:
-    """Sizes of the discrepancy, one scale for all sigmas that were not given, and, of
+    """Sizes of the discrepancy, one scale for all sigmas that were not given, and, for
     "ar1+discrepancy", one correlation time.
 
     Parameters
     ----------
     channels : residuals of a fit with white noise.
-    span : time after the first row for which the stone moves, s.
+    span : time after the first row during which the stone moves, s.
 
     Returns
     -------
@@ -195,7 +195,7 @@ def estimate(
 
 
 class _AtMemory(NamedTuple):
-    """Noise of one memory."""
+    """Noise with one correlation time."""
 
     sigmas: list[float]
     """of each channel, over that of the fit"""
@@ -206,14 +206,14 @@ class _AtMemory(NamedTuple):
 def _at_memory(
     channels: Sequence[ChannelResiduals], columns: Sequence[Floats], memory: float
 ) -> _AtMemory:
-    """Noise of a memory in s, its scale where the posterior is greatest."""
+    """Noise with a correlation time in s, with the scale that maximizes the posterior."""
     from scipy.optimize import minimize_scalar  # slow to load
 
     n_nuisance = channels[0].basis.shape[1]
     parts = [_independent(item, rows, memory) for item, rows in zip(channels, columns, strict=True)]
     count = sum(len(rows) for item, rows in zip(channels, columns, strict=True) if not item.given)
     halves = sum(part.half for part in parts)
-    # as few rows as columns, of the channels of known noise and of the others
+    # R factors of the channels of known noise and of the others
     factors = [
         triangle(np.concatenate(some)) if some else np.zeros((0, columns[0].shape[1]))
         for some in (
@@ -244,7 +244,7 @@ def _at_memory(
 
 class _Independent(NamedTuple):
     rows: Floats
-    """columns over noise, made independent"""
+    """columns over noise, whitened"""
     sigma: float
     """of the noise, over that of the fit"""
     half: float
@@ -252,10 +252,10 @@ class _Independent(NamedTuple):
 
 
 def _independent(item: ChannelResiduals, columns: Floats, memory: float) -> _Independent:
-    """Columns of a channel made independent; 0 is no memory.
+    """Columns of a channel, whitened; a `memory` of 0 means independent noise.
 
-    The part of the residuals that is not smooth, by second differences, is that of noise of the
-    given memory, for which their variance is sigma^2 (6 - 8 c + 2 c^2), c its correlation over a
+    Sigma follows from the second differences of the residuals, free of their smooth part: for noise
+    of the given memory their variance is sigma^2 (6 - 8 c + 2 c^2), with its correlation c over a
     gap.
     """
     carry = math.exp(-item.gap / memory) if memory else 0.0

@@ -1,11 +1,12 @@
 """Restricted likelihood of correlated noise, from the residuals of a fit with white noise.
 
-The parameters of a noise model are taken from its restricted likelihood (Patterson and Thompson
-1971): that of what no change of the parameters can make, since the fit has hidden the rest. The
-ratios of the channels' sizes are taken from those residuals and held: else one channel would be
-fitted perfectly and taken to be exact, and the others pay for it.
+The parameters of a noise model are estimated from its restricted likelihood (Patterson and Thompson
+1971), that of the part of the residuals that no change of the fitted parameters can produce, since
+the fit has absorbed the rest. The ratios of the channels' sizes are taken from those residuals and
+held fixed: otherwise one channel would be fitted perfectly and taken to be exact, at the expense of
+the others.
 
-Sums. All that the likelihood of AR(1) noise takes from a series are sums of products over rows and
+Sums. The likelihood of AR(1) noise depends on a series only through sums of products over rows and
 over neighbouring rows, by the gap between them. They are formed once, from all rows.
 """
 
@@ -20,8 +21,8 @@ from curlfit.inference.noise.models import ar1_correlation
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS, Throw
 
-_FEWEST = 20  # values of a channel from which its noise is estimated
-_SAME_GAP = 0.02  # relative difference of gaps that are taken to be equal
+_FEWEST = 20  # values of a channel, at least, for its noise to be estimated
+_SAME_GAP = 0.02  # relative difference of gaps that count as equal
 
 
 class ChannelResiduals(NamedTuple):
@@ -32,7 +33,7 @@ class ChannelResiduals(NamedTuple):
     """s since the first row"""
     residual: Floats
     basis: Floats
-    """orthonormal over all channels, of the Jacobian; shape (rows, p)"""
+    """rows of an orthonormal basis of the Jacobian over all channels, shape (rows, p)"""
     weight: Floats
     """1/sigma of each row, SI"""
     given: bool
@@ -50,14 +51,14 @@ class ChannelResiduals(NamedTuple):
 
     @property
     def gap(self) -> float:
-        """Between rows, s."""
+        """Median time between rows, s."""
         return float(np.median(np.diff(self.t)))
 
 
 def channel_residuals(
     throw: Throw, residual: Floats, jacobian: Floats, weight: Floats
 ) -> list[ChannelResiduals]:
-    """Those of the channels with values enough to estimate a noise.
+    """Residuals of the channels with enough values to estimate their noise.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def channel_residuals(
 
     Raises
     ------
-    InputError : all channels are of few values.
+    InputError : no channel has enough values.
     """
     left, singular, _ = np.linalg.svd(jacobian.reshape(-1, jacobian.shape[-1]), full_matrices=False)
     basis = left[:, singular > 1e-9 * singular[0]].reshape(*residual.shape, -1)
@@ -90,9 +91,9 @@ class Sums(NamedTuple):
 
     rows: int
     gaps: Floats
-    """s between neighbours, that differ"""
+    """distinct times between neighbours, s"""
     pairs: Floats
-    """number of neighbours by gap"""
+    """number of pairs of neighbours by gap"""
     first: Floats
     """of the first row, shape (columns, columns)"""
     later: Floats
@@ -103,7 +104,7 @@ class Sums(NamedTuple):
 
     @classmethod
     def of(cls, columns: Floats, t: Floats) -> Self:
-        """Those of columns, shape (rows, columns), at times in s."""
+        """Sums for columns, shape (rows, columns), at times in s."""
         gaps = np.maximum(np.diff(t), 1e-9)
         groups = np.round(np.log(gaps) / _SAME_GAP).astype(int)
         distinct, group, counts = np.unique(groups, return_inverse=True, return_counts=True)
@@ -119,13 +120,13 @@ class Sums(NamedTuple):
         return cls(len(columns), mean, counts.astype(float), first, later, earlier, across)
 
     def white(self) -> Floats:
-        """Of the columns as they are."""
+        """Sums of products of the columns as they are."""
         total: Floats = self.first + self.later.sum(0)
         return total
 
     def ar1(self, memory: float) -> tuple[Floats, float]:
-        """Of the columns made independent, were they AR(1) noise of variance 1 and some memory in
-        s; and half the log-determinant of its covariance."""
+        """Sums of products of the columns whitened as AR(1) noise of variance 1 and a correlation
+        time in s, and half the log-determinant of its covariance."""
         steps = ar1_correlation(self.gaps, memory)[:, None, None]
         left = np.maximum(-np.expm1(-2 * self.gaps / memory), 1e-14)
         each = self.later + steps**2 * self.earlier - steps * self.across
@@ -134,7 +135,7 @@ class Sums(NamedTuple):
 
 
 def restricted(sums: Floats, n_nuisance: int) -> tuple[Floats, float]:
-    """What the parameters leave of sums of products over independent rows.
+    """Sums of products over independent rows after a regression on the parameters.
 
     Parameters
     ----------
@@ -147,7 +148,7 @@ def restricted(sums: Floats, n_nuisance: int) -> tuple[Floats, float]:
 
     Raises
     ------
-    numpy.linalg.LinAlgError : the parameters' columns are not independent.
+    numpy.linalg.LinAlgError : the parameters' columns are linearly dependent.
     """
     lower = np.linalg.cholesky(sums[:n_nuisance, :n_nuisance])
     along = np.linalg.solve(lower, sums[:n_nuisance, n_nuisance:])
@@ -156,18 +157,18 @@ def restricted(sums: Floats, n_nuisance: int) -> tuple[Floats, float]:
 
 
 def mean_standard_deviation(log_variances: Floats, log_weights: Floats, values: Floats) -> Floats:
-    """Values at that point of a curve which has the mean standard deviation.
+    """Values at the point of a curve that has the mean standard deviation.
 
-    Where a likelihood has a ridge, along which noise of longer memory is larger, its maximum
-    is a poor estimate: errors by it are too small more often than too large. The point of the mean
-    standard deviation of the noise at low frequencies, by which smooth parameters are in error,
-    stands for all of the ridge.
+    Where a likelihood has a ridge along which noise of longer memory is larger, its maximum is a
+    poor estimate: standard errors from it are too small more often than too large. The whole ridge
+    is represented by the point with the mean standard deviation of the noise at low frequencies,
+    which determines the errors of parameters of smooth effect.
 
     Parameters
     ----------
     log_variances : of noise at low frequencies, along the curve, increasing; shape (points,).
     log_weights : of the points.
-    values : to be interpolated, shape (points, values).
+    values : to interpolate, shape (points, values).
     """
     weights = np.exp(log_weights - log_weights.max())
     mean = np.log(weights @ np.exp(log_variances / 2) / weights.sum()) * 2

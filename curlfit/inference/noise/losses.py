@@ -1,6 +1,6 @@
-"""Robust losses: how much a residual counts, once it is too large to be noise.
+"""Robust losses: how much a residual counts when it is too large to be noise.
 
-Each replaces the square of a residual r (in units of its sigma) by rho(r), which grows slower.
+Each replaces the square of a residual r (in units of its sigma) by rho(r), which grows more slowly.
 Least squares minimises the sum of rho as the square of `sqrt(rho)` with the sign of r, so that one
 solver serves all. Constants are those of 95 % efficiency for Gaussian noise (Huber 1981; Holland
 and Welsch 1977); Student's t has 4 degrees of freedom.
@@ -57,9 +57,9 @@ _ROOTS: tuple[Callable[[Any], Any], ...] = (lambda r: r, _huber, _soft, _cauchy,
 
 
 def signed_root(r: Any, loss: Any) -> Any:
-    """sqrt(rho) with the sign of r, of NumPy or JAX; `loss` is a place in `LOSSES`, a scalar.
+    """sqrt(rho) with the sign of r, for NumPy or JAX; `loss` is an index in `LOSSES`, a scalar.
 
-    A compiled program has the losses that `loss` may be: one where it is a number.
+    A compiled program contains all losses where `loss` is traced, one where it is a number.
     """
     if isinstance(loss, jax.Array):
         return jax.lax.switch(loss, _ROOTS, jnp.asarray(r))
@@ -67,7 +67,7 @@ def signed_root(r: Any, loss: Any) -> Any:
 
 
 class Influence(NamedTuple):
-    """What a residual does to the optimum: psi = rho'/2, and its slope."""
+    """Influence of a residual on the optimum: psi = rho'/2, and its slope."""
 
     psi: Floats
     slope: Floats
@@ -92,15 +92,15 @@ def influence(r: Floats, loss: str) -> Influence:
 def log_density(r: Floats, loss: str) -> Floats:
     """Log of the density exp(-rho/2) of noise of unit sigma, which integrates to 1.
 
-    Every loss is the likelihood of some noise: Gauss's; Gauss's with exponential tails (huber);
-    hyperbolic (soft-l1); Student's t, of 4 degrees of freedom (student) or, widened, of 4.7
-    (cauchy).
+    Every loss is the likelihood of some noise: Gaussian (linear); Gaussian with exponential tails
+    (huber); hyperbolic (soft-l1); Student's t, with 4 degrees of freedom (student) or, widened,
+    with 4.7 (cauchy).
     """
     return -(signed_root(r, LOSSES.index(loss)) ** 2) / 2 - np.log(_NORMS[loss])
 
 
 _BESSEL_K1 = 0.6019072301972346
-"""K_1(1); `scipy.special` would be loaded for it alone."""
+"""K_1(1), so as not to load `scipy.special` for it alone."""
 
 
 def _beta(a: float, b: float) -> float:
@@ -118,7 +118,7 @@ _NORMS = {
 
 
 def likeliest_sigma(residual: Floats, loss: str, floor: float = 1e-12) -> float:
-    """The sigma under which residuals are most likely: their rms, where the loss is linear."""
+    """Maximum-likelihood sigma of residuals: their rms where the loss is linear."""
     largest = float(np.abs(residual).max(initial=0.0))
     if loss == "linear" or largest <= floor:
         return max(float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0, floor)
@@ -143,11 +143,11 @@ def precision(r: Floats, loss: str) -> float:
 
 
 MAD_TO_SIGMA = 1.4826
-"""Standard deviation of a Gaussian over its median size."""
+"""Standard deviation of a Gaussian over its median absolute deviation."""
 
 
 def robust_sigma(values: Floats) -> float:
-    """Standard deviation of the bulk: 1.4826 times the median size."""
+    """Standard deviation of the bulk: 1.4826 times the median absolute value."""
     return MAD_TO_SIGMA * float(np.median(np.abs(values))) if len(values) else 0.0
 
 

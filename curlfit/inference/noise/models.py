@@ -1,14 +1,14 @@
-"""Noise that is correlated from row to row: models of it, and tests of independence.
+"""Models of noise that is correlated from row to row, and tests of independence.
 
 The models:
 
 - "white": independent from row to row.
 - "ar1": the correlation decays exponentially, as exp(-gap/memory) between rows (an
   Ornstein-Uhlenbeck process; AR(1) where rows are evenly spaced). For noise of the tracker:
-  filters, a camera that sways.
+  filters, a swaying camera.
 - "discrepancy": independent noise, and accelerations that the law lacks, as functions of speed,
-  carried to all channels by the equations of motion (`curlfit.inference.noise.accelerations`). For
-  a law that is not exact (Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425).
+  propagated to all channels by the equations of motion (`curlfit.inference.noise.accelerations`).
+  For a law that is not exact (Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425).
 - "ar1+discrepancy": both, with one correlation time for all channels.
 """
 
@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from curlfit.errors import InputError
 from curlfit.numerics.arrays import Floats
 
-_SURE = 3.5  # standard deviations from which independence is excluded
+_SURE = 3.5  # standard deviations from which independence is rejected
 _MATTERS = 0.2  # lag-1 correlation below which errors would hardly change
 
 
 LOSSES = ("linear", "huber", "soft-l1", "cauchy", "student")
-"""How large residuals may count; `curlfit.inference.noise.losses` has the formulas."""
+"""How much large residuals count; for the formulas see `curlfit.inference.noise.losses`."""
 
 NOISES = ("white", "ar1", "discrepancy", "ar1+discrepancy")
 """How noise is correlated from row to row."""
@@ -61,9 +61,9 @@ class Noise:
     Attributes
     ----------
     kind : one of `NOISES`.
-    memory : of "ar1" by channel, its correlation time in s.
-    sizes : of "discrepancy" by component (`across`, `along`, `turning`), standard deviation of what
-        is missing, over the friction.
+    memory : for "ar1", the correlation time in s by channel.
+    sizes : for "discrepancy", the standard deviation of the missing acceleration over the friction
+        by component (`across`, `along`, `turning`).
     """
 
     kind: str = "white"
@@ -96,9 +96,9 @@ class Independence:
     Attributes
     ----------
     lag1 : correlation of neighbours.
-    runs : z of the number of runs of one sign, negative where there are too few (Wald and
+    runs : z-score of the number of runs of one sign, negative where there are too few (Wald and
         Wolfowitz 1940).
-    effective : effective number of values, of the same information on a mean, n(1 - r)/(1 + r)
+    effective : effective sample size, with the same information on a mean, n(1 - r)/(1 + r)
         (Bayley and Hammersley 1946).
     """
 
@@ -108,7 +108,7 @@ class Independence:
 
     @property
     def doubtful(self) -> bool:
-        """Whether independence can be excluded, by a correlation that matters for the errors."""
+        """Whether independence is rejected, with a correlation that matters for the errors."""
         n = self.effective * (1 + self.lag1) / max(1 - self.lag1, 1e-9)
         sure = self.lag1 * math.sqrt(n) > _SURE or self.runs < -_SURE
         return sure and self.lag1 > _MATTERS
@@ -119,7 +119,7 @@ def lag1_of(residual: Floats, count: NDArray[np.int64]) -> Floats:
 
     Parameters
     ----------
-    residual : shape (..., n), of which the first `count` are meant, shape (...).
+    residual : shape (..., n), of which the first `count`, shape (...), are used.
     """
     return _lag1(_centred(residual, count))
 
@@ -137,7 +137,7 @@ def _centred(residual: Floats, count: NDArray[np.int64]) -> Floats:
 
 
 def independences(residual: Floats, count: NDArray[np.int64]) -> list[list[Independence]]:
-    """Of the residuals of channels of throws, shape (throws, channels, n), the first `count`."""
+    """Independence of the first `count` residuals of each channel, shape (throws, channels, n)."""
     centred = _centred(residual, count)
     lag1 = _lag1(centred)
     up, n = centred > 0, np.maximum(count, 2)

@@ -1,4 +1,4 @@
-"""Readers: data files of any format, units and axes to throws in SI units."""
+"""Readers: from data files of any format, units and axes to throws in SI units."""
 
 from curlfit.throws.readers.load import (
     FORMATS,

@@ -38,8 +38,8 @@ def assemble(
 
     Parameters
     ----------
-    axes : words as for `parse_axes`, in place of the file's own. reference : known points, where
-        positions are in pixels. as_given : take what is implausible.
+    axes : words as for `parse_axes`, in place of the file's own. reference : file of known points,
+        if positions are in pixels. as_given : accept implausible data.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def assemble(
 
 
 def _drop_empty(parsed: ParsedFile, notes: list[str]) -> ParsedFile:
-    """The parsed file without empty columns; a column of the position must not be empty."""
+    """The parsed file without empty columns; columns of positions must not be empty."""
     empty = [
         series
         for series in parsed.series
@@ -188,7 +188,7 @@ def _merge_clocks(
 def _in_order(
     parsed: ParsedFile, t: Floats, columns: dict[str, Floats], notes: list[str]
 ) -> tuple[Floats, dict[str, Floats], np.ndarray | None]:
-    """The rows in the order of time: sorted, repeated ones once, means over those of one time."""
+    """The rows sorted by time; repeated rows appear once, rows of equal time are averaged."""
     lines = parsed.lines
     step = np.diff(t)
     if (step > 0).all():
@@ -237,8 +237,8 @@ def _require_one_place(
     begin: np.ndarray,
     owner: np.ndarray,
 ) -> None:
-    """Refuse places at one time that are farther apart than a stone moves from one time to the next
-    (or 0.1 m): two stones, or two throws."""
+    """Refuse positions at one time that are farther apart than a stone moves from one time to the
+    next (or 0.1 m): two stones, or two throws."""
     if len(begin) < 2:
         raise parsed.error(f"all rows have the same time, {t[0]:g} s", 1, "t")
     for name in ("x", "y"):
@@ -318,8 +318,8 @@ def _require_radians(
 ) -> None:
     """Refuse an angle or a spin without a unit whose numbers cannot be radians.
 
-    They cannot where they jump by 360 or 180, and are unlikely to where the stone would turn more
-    than twice a second; columns named `phi` and `omega` are rad and rad/s and only give a note.
+    They cannot be if they jump by 360 or 180, and are unlikely to be if the stone would turn more
+    than twice a second; columns named `phi` and `omega` then are rad and rad/s, with a note.
     """
     for series in parsed.series:
         quantity = series.column.quantity
@@ -352,7 +352,7 @@ def _require_radians(
 
 
 def _require_no_jump(parsed: ParsedFile, series: Series, values: Floats) -> None:
-    """Refuse an angle that the header calls radians and that jumps as degrees do."""
+    """Refuse an angle that is in radians by its header but jumps as degrees do."""
     header = parse_header(series.header)
     if series.column.quantity != "phi" or series.column.factor != 1 or header is None:
         return
@@ -387,7 +387,7 @@ def _unwrap(parsed: ParsedFile, t: Floats, columns: dict[str, Floats], notes: li
 def _to_sheet_axes(
     columns: dict[str, Floats], convention: AxisConvention, n: int
 ) -> dict[str, Floats]:
-    """Columns in the axes of curlfit."""
+    """Columns in curlfit's axes."""
     result = dict(columns)
     blank = np.full(n, np.nan)
     if {"x", "y"} & columns.keys():

@@ -1,4 +1,4 @@
-"""Conventions of axes and angles: directions of x and y, zero of y, sense and unwrapping."""
+"""Conventions of axes and angles: directions of x and y, zero of y, sense, unwrapping."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from curlfit.sheet import LINES
 
 _TURN = 2 * math.pi
 MAX_SPIN = 2 * _TURN
-"""rad/s; a thrown stone makes two to four turns, at some 1 rad/s or 60 degrees/s."""
+"""rad/s; a thrown stone makes two to four turns, at about 1 rad/s or 60 degrees/s."""
 WORDS = {
     "y-along": "y points along the throw (as in curlfit)",
     "y-back": "y points back at the thrower",
@@ -38,7 +38,7 @@ class AxisConvention(NamedTuple):
 
     Attributes
     ----------
-    x, y : where the file's axes point, as (right, along) with one of them 1 or -1.
+    x, y : where the file's axes point, as (right, along) with one component 1 or -1.
     turn : 1 where the file's angles are counter-clockwise seen from above, -1 where clockwise.
     zero : distance along the sheet from the hack to the file's zero in m.
     """
@@ -65,7 +65,7 @@ class AxisConvention(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The fewest words that `parse_axes` makes this convention of; empty for curlfit's own."""
+        """The fewest words that `parse_axes` reads as this convention; empty for curlfit's own."""
         names = {direction: word for word, direction in _DIRECTIONS.items()}
         turn = "counter-clockwise" if self.turn > 0 else "clockwise"
         line = next((name for name, y in LINES.items() if y == self.zero), "hack")
@@ -84,12 +84,12 @@ class AxisConvention(NamedTuple):
 
 
 def corrected(text: str, across: int, along: int, turn: int, *, exchanged: bool = False) -> str:
-    """Words for axes that were described by `text`, where what follows from that is wrong.
+    """Corrected words for axes that `text` describes wrongly.
 
     Parameters
     ----------
     across, along, turn : -1 where the direction to the right, that along the sheet, or the sense of
-        the angles is opposite to what was taken. exchanged : whether right and along are exchanged
+        the angles is opposite to that assumed. exchanged : whether right and along are exchanged
         (before the signs apply).
     """
     now = parse_axes(text)
@@ -104,10 +104,10 @@ def corrected(text: str, across: int, along: int, turn: int, *, exchanged: bool 
 def parse_axes(text: str | None) -> AxisConvention:
     """An axis convention from words separated by commas or spaces, such as `x-along,clockwise`.
 
-    What no word sets is as in curlfit: `x-left` alone mirrors the axes. Where one axis is turned by
-    90 degrees, the other follows (y lies to the left of x, seen from above) unless a word sets it.
-    Angles count from the file's +x to its +y the short way, so that they are clockwise in mirrored
-    axes, unless `clockwise` or `counter-clockwise` sets their sense seen from above.
+    Whatever no word sets is as in curlfit: `x-left` alone mirrors the axes. If one axis is rotated
+    by 90 degrees, the other follows (y lies to the left of x, seen from above) unless a word sets
+    it. Angles count from the file's +x toward its +y, so that they are clockwise in mirrored axes,
+    unless `clockwise` or `counter-clockwise` sets their sense seen from above.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def parse_axes(text: str | None) -> AxisConvention:
 
 
 class AmbiguousTurnError(Exception):
-    """About half a turn between two rows, of ambiguous sense. `row` is the later one."""
+    """About half a period between two rows, of ambiguous sense. `row` is the later one."""
 
     def __init__(self, row: int) -> None:
         super().__init__(row)
@@ -156,11 +156,11 @@ class AmbiguousTurnError(Exception):
 
 
 def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> tuple[Floats, int, float]:
-    """The angle without its jumps, their number and their size.
+    """The angle without its jumps, and their number and size.
 
     An angle that stays within one turn (or half a turn, the direction of a line) and jumps against
-    its trend was reduced modulo that period. A measured spin determines the turning between two
-    rows; without one, the turning from row to row must be well below half a period, and gaps are
+    its trend was reduced modulo that period. A measured spin determines the rotation between two
+    rows; without one, the rotation from row to row must be well below half a period, and gaps are
     bridged at the neighbouring rate. In an angle that exceeds one turn, single jumps by whole turns
     are removed.
 
@@ -185,7 +185,7 @@ def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> tuple[Floats,
     if expected is not None:
         true = step - period * np.round((step - expected) / period)
         if np.median(np.abs(true - expected)) > 0.25 * period:
-            expected = None  # of another sign or clock
+            expected = None  # the spin has another sign or clock
     if expected is None:
         if wrapped:
             true = _unwrap_by_rate(time, step, dt, period, finite)
@@ -200,9 +200,9 @@ def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> tuple[Floats,
 
 
 def jump_in_degrees(angle: Floats) -> tuple[int, int] | None:
-    """Row and size (360 or 180) of the first jump of what seems a wrapped angle in degrees.
+    """Row and size (360 or 180) of the first jump of an apparently wrapped angle in degrees.
 
-    None where the numbers do not look like one.
+    None if the values do not look like one.
     """
     if not np.fmax.reduce(angle) - np.fmin.reduce(angle) > 90:
         return None
@@ -217,7 +217,7 @@ def jump_in_degrees(angle: Floats) -> tuple[int, int] | None:
 
 
 def turning_rate(t: Floats, phi: Floats) -> float:
-    """Largest turning rate in rad/s over a tenth of the rows, which averages the noise."""
+    """Largest turning rate in rad/s over a tenth of the rows, which averages out the noise."""
     finite = np.isfinite(phi)
     if not finite.all():
         t, phi = t[finite], phi[finite]
@@ -249,7 +249,7 @@ def _period(angle: Floats, step: Floats) -> tuple[float, bool]:
 
 
 def _integrated_spin(t: Floats, omega: Floats | None, time: Floats) -> Floats | None:
-    """Turning between the times, from the spin; None where that is not known throughout."""
+    """Rotation between the times, from the spin; None if it is not known throughout."""
     if omega is None:
         return None
     known = np.isfinite(omega)
@@ -284,7 +284,7 @@ def _unwrap_by_rate(
 
 
 def _remove_jumps(step: Floats, dt: Floats) -> Floats:
-    """Steps of an unwrapped angle, corrected where single ones are off by whole turns."""
+    """Steps of an unwrapped angle, with single ones corrected that are off by whole turns."""
     if len(step) < 5:
         return step
     rate = step / dt

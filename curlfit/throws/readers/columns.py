@@ -27,7 +27,7 @@ _NAMES = {
     "v": {"pixely", "ypixel", "imagey", "yimage"},
 }  # fmt: skip
 _SIGMA = {"sigma", "sd", "std", "stdev", "err", "error", "unc", "uncertainty"}
-# Names of clocks of single channels, besides those of the channels.
+# Names of clocks of single channels, in addition to the names of the channels.
 _CLOCKS = {
     "t_xy": {"xy", "pos", "position", "camera", "cam", "video", "tracker"},
     "t_phi": {"compass", "handle"},
@@ -76,7 +76,7 @@ class Column(NamedTuple):
     """"t", "x", "y", "phi", "speed", "omega", pixels "u", "v"; "sigma_x" and so on; "t_phi" and so
     on for a clock of one channel ("t_xy" for x and y)"""
     unit: str
-    """as written, or the SI unit where none was"""
+    """as written, or the SI unit if none was"""
     factor: float
     """number in SI / number in the file"""
     stated: bool = True
@@ -164,7 +164,7 @@ def parse_units(text: str | None) -> dict[str, str]:
 
 
 def with_units(column: Column, units: Mapping[str, str]) -> Column:
-    """A column in the unit the user gave, if any, in place of its header's."""
+    """A column in the unit given by the user, if any, instead of that of its header."""
     base = column.quantity.removeprefix("sigma_")
     base = "t" if base.startswith("t_") else base
     if base.endswith("_mark"):

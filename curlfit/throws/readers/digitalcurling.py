@@ -2,13 +2,13 @@
 
 The format is that of github.com/digitalcurling/DigitalCurling3-Server (src/log.cpp, src/game.cpp,
 src/trajectory_compressor.cpp, commit 02e51c3). A shot's file `shot_eEEEsSS.json`, or a line of
-`server.log`, is {"tag": "sht", "log": {"end", "shot", "trajectory": ...}}; a trajectory holds
+`server.log`, is {"tag": "sht", "log": {"end", "shot", "trajectory": ...}}; a trajectory contains
 `seconds_per_frame`, the stones at the `start` and the `finish` by `team0` and `team1` (each
 {"position": {"x", "y"}, "angle"} or null), and `frames`, each a list of what changed:
 {"team", "index", "value"}. A client sees the same in `last_move.trajectory`. Positions are in m
 from the hack that is thrown from, y along the throw and x to the right, angles in rad and
 counter-clockwise: curlfit's own axes (coordinate.hpp of digitalcurling/DigitalCurling). The log of
-a game, `game.dcl2`, holds no trajectories. The server adds a last frame when every stone has
+a game, `game.dcl2`, has no trajectories. The server adds a last frame when every stone has
 stopped, so that its time is accurate to one frame.
 """
 
@@ -57,7 +57,7 @@ def read_digitalcurling(path: Path, lines: list[str], options: ReadOptions) -> P
 
     Raises
     ------
-    DataError : the file is not a log of a shot, or holds several and `options.shot` is not given.
+    DataError : the file is not a log of a shot, or has several and `options.shot` is not given.
     InputError : there is no such shot or stone.
     """
     shot = options.shot
@@ -145,11 +145,11 @@ def _read_shot(path: Path, lines: list[str], chosen: Shot, stone_index: int | No
 
 
 def shots_of(path: Path, lines: list[str]) -> list[Shot]:
-    """Every shot in the file: one JSON value, or one a line.
+    """Every shot in the file: one JSON value, or one per line.
 
     Raises
     ------
-    DataError : the file is not a log, or holds no shot.
+    DataError : the file is not a log, or contains no shot.
     """
     shots = list(_shots(path, lines))
     if not shots:

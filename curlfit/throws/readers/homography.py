@@ -55,12 +55,12 @@ class Homography(NamedTuple):
 
 
 def load_homography(file: Path) -> Homography:
-    """Read known points (columns u, v in pixels and x, y on the sheet) and map one to the other.
+    """Read known points (columns u, v in pixels and x, y on the sheet) and fit the map to them.
 
     Raises
     ------
-    DataError : a column is missing, fewer than four points, collinear points, or points that no
-        image of a plane fits.
+    DataError : a column is missing, fewer than four points, collinear points, or points that are
+        not consistent with an image of a plane.
     """
     lines = text_of(file).split("\n")
     first = next(
@@ -100,7 +100,7 @@ def load_homography(file: Path) -> Homography:
 
 
 def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -> Homography:
-    """The plane homography nearest to known points, by the normalised direct linear transform.
+    """The plane homography fitted to known points by the normalised direct linear transform.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -
 
 
 def _normalise(points: Floats) -> tuple[Floats, Floats]:
-    """Points centred and scaled to rms distance sqrt(2), and the matrix of that map."""
+    """Points centred and scaled to an rms distance of sqrt(2), and the matrix of that map."""
     centre = points.mean(axis=1)
     scale = np.sqrt(2) / max(_rms(points - centre[:, None]), 1e-300)
     matrix = np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]])

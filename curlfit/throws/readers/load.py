@@ -33,10 +33,10 @@ from curlfit.throws.readers.tracker import TRACKER
 from curlfit.throws.throw import Throw
 
 _READERS = (DIGITALCURLING, TIMINGS, TRACKER, TABLE)
-"""Formats in the order in which a file is held against them; the last is that of any other."""
+"""Formats in the order in which they are tried; the last accepts any file."""
 _BY_NAME = {reader.name: reader for reader in reversed(_READERS)}
 FORMATS = tuple(_BY_NAME)
-_BEGINNING = 10_000  # characters that show whether a table has a throw in each row
+_BEGINNING = 10_000  # characters that show whether a table has one throw per row
 _HEAD = 30  # lines that show the format
 
 
@@ -56,24 +56,24 @@ def load_throw(
 
     A table has a header and one row for each time. Columns are `t` and any of `x`, `y`, `phi`,
     `speed`, `omega`, and `sigma_x` and so on. Common names and units are recognised
-    (`time`, `y_ft`, `angle [deg]`, `phi_rev`), and separate clocks of channels (`t_phi`).
+    (`time`, `y_ft`, `angle [deg]`, `phi_rev`), as are separate clocks of channels (`t_phi`).
     Separators are commas, semicolons, tabs or spaces; decimal commas are read where the separator
-    is not a comma. Empty cells are gaps. Leading lines `# key = value` are defaults of this throw.
+    is not a comma. Empty cells are gaps. Leading lines `# key = value` set defaults of this throw.
     Wrapped angles are unwrapped.
 
     Parameters
     ----------
     format : `table`, `tracker` (exports of Tracker), `digitalcurling` (logs of DigitalCurling 3)
         or `timings` (of a stopwatch); detected from the file if not given.
-    axes : the file's axes where they are not those of curlfit, as words separated by commas, such
-        as `x-along,clockwise,from-tee`; see `curlfit.throws.readers.axes.WORDS`.
-    reference : file of known points u, v (pixels), x, y (m), where positions are in pixels.
+    axes : the file's axes if they are not curlfit's, as words separated by commas, such as
+        `x-along,clockwise,from-tee`; see `curlfit.throws.readers.axes.WORDS`.
+    reference : file of known points u, v (pixels), x, y (m), if positions are in pixels.
     stone_index : object of a Tracker export, stone of a shot or throw of a table, counting from 1.
     shot : shot of a game's log, counting from 1.
     units : units of columns, in place of those of the header, such as `t=ms,x=cm,angle=deg`.
     handle : object of a Tracker export, counting from 1, that marks another point of the stone; the
         angle is the direction from the stone to it.
-    as_given : take data that are implausible for a curling stone (`curlfit.throws.plausibility`).
+    as_given : accept data that are implausible for a curling stone (`curlfit.throws.plausibility`).
 
     Raises
     ------
@@ -95,12 +95,12 @@ def load_throw(
 
 
 class Part(NamedTuple):
-    """One throw of a file that may hold several.
+    """One throw of a file that may contain several.
 
     Attributes
     ----------
-    shot, stone_index : arguments of `load_throw` for it; None where the file holds only one.
-    throw : the throw, or the error where it cannot be read.
+    shot, stone_index : arguments of `load_throw` that select it; None if the file has only one.
+    throw : the throw, or the error if it cannot be read.
     """
 
     shot: int | None
@@ -120,7 +120,7 @@ def load_throws(
     handle: int | None = None,
     as_given: bool = False,
 ) -> list[Part]:
-    """Every throw in a file: each shot of a log, or each object of a Tracker export.
+    """Every throw in a file: shots of a log, objects of a Tracker export, throws of a table.
 
     Arguments as for `load_throw`; `shot` or `stone_index` selects a single one.
 
@@ -146,9 +146,9 @@ def load_throws(
 
 
 def holds_timed_rows(file: str | PathLike[str], format: str | None = None) -> bool:
-    """Whether a file is a stopwatch's table with a throw in each row.
+    """Whether a file is a table of stopwatch times with one throw per row.
 
-    Only its beginning is read. False where it cannot be read.
+    Only its beginning is read. False if it cannot be read.
     """
     if format not in (None, TIMINGS.name):
         return False
@@ -172,7 +172,7 @@ def check_reader_options(
     handle: int | None = None,
     as_given: bool = False,
 ) -> None:
-    """Raise `InputError` where no file could be read with these arguments."""
+    """Raise `InputError` if no file could be read with these arguments."""
     _check_format(format)
     for flag, number in (
         ("--shot", shot), ("--stone-index", stone_index), ("--handle", handle),
@@ -230,7 +230,7 @@ def _open(file: str | PathLike[str], format: str | None, options: ReadOptions) -
 
 
 def format_of(file: str | PathLike[str]) -> str:
-    """The format of a file. Raises `DataError` where it cannot be read."""
+    """The format of a file. Raises `DataError` if it cannot be read."""
     return detect_format(text_of(Path(file)).split("\n"))
 
 
@@ -258,11 +258,11 @@ def from_table(
     Parameters
     ----------
     table : a pandas or polars DataFrame, an xarray Dataset, or a mapping of names to arrays of
-        one length. Columns are named as in files, units in the names; a variable's
+        equal length. Columns are named as in files, with units in the names; a variable's
         `attrs["units"]` takes precedence. The index of a frame, or the coordinate of a dataset,
-        is the time where no column is. Times may be dates or durations.
+        is the time if no column is. Times may be dates or durations.
     axes, units, reference, stone_index, as_given : as for `load_throw`.
-    name : what to call the throw.
+    name : name of the throw.
 
     Raises
     ------

@@ -19,23 +19,23 @@ def add_angle_of_mark(
     mark: tuple[Floats, Floats],
     notes: list[str],
 ) -> None:
-    """Add phi and sigma_phi, from the direction of the mark seen from the stone's position.
+    """Add phi and sigma_phi from the direction from the stone's position to the mark.
 
-    With d = (x_mark - x, y_mark - y), phi = atan2(d_y, d_x), unwrapped. To first order phi is off
-    by the noise of d across its direction, over |d|. With given sigmas, the mark's the same as the
-    stone's, var(phi) = 2 (sigma_x^2 sin^2 phi + sigma_y^2 cos^2 phi) / |d|^2. Without them,
-    the noise of d across is taken to be that along d, where the true length is constant: sigma_phi
-    is the scatter of |d| from row to row over its median.
+    With d = (x_mark - x, y_mark - y), phi = atan2(d_y, d_x), unwrapped. To first order the error of
+    phi is the noise of d across its direction, divided by |d|. With given sigmas, the same for mark
+    and stone, var(phi) = 2 (sigma_x^2 sin^2 phi + sigma_y^2 cos^2 phi) / |d|^2. Without them, the
+    noise across d is taken to equal that along d, where the true length is constant: sigma_phi is
+    the scatter of |d| from row to row, divided by its median.
 
     Parameters
     ----------
     columns : with x and y in m and curlfit's axes, shape (n,); phi and sigma_phi are added.
-    mark : x and y of the mark, the same.
+    mark : x and y of the mark, likewise.
 
     Raises
     ------
-    DataError : there is an angle already, the mark is no point of the stone, or it turns too fast
-        for the rows.
+    DataError : there is an angle already, the mark is not on the stone, or it turns too fast for
+        the rows.
     """
     if "phi" in columns:
         raise parsed.error(

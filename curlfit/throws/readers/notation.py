@@ -27,7 +27,7 @@ WORDS = {
     "ccw": "counter-clockwise",
     "in": "in-turn", "inturn": "in-turn", "out": "out-turn", "outturn": "out-turn",
 }  # fmt: skip
-"""What words of a direction mean."""
+"""Meanings of words of direction."""
 
 
 class Quantity(NamedTuple):
@@ -36,7 +36,7 @@ class Quantity(NamedTuple):
     Attributes
     ----------
     value : in SI; NaN where only words were written. signed : whether it had a sign.
-    words : the words of direction, out of the values of `WORDS`.
+    words : words of direction, from the values of `WORDS`.
     """
 
     value: float
@@ -49,8 +49,8 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
 
     Parameters
     ----------
-    quantity : "t", "x", "y" or "phi", whose units are understood.
-    unit : of numbers without one; the SI unit if empty, times `per`.
+    quantity : "t", "x", "y" or "phi"; determines the units understood.
+    unit : unit of numbers written without one; if empty, the SI unit times `per`.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
     numbers, bare = 0, False
     while match := _NUMBER.match(rest):
         if numbers and (match["sign"] or bare):
-            break  # only behind a unit, as in 4 ft 6 in
+            break  # another number may only follow a unit, as in 4 ft 6 in
         size = parse_number(match["size"] + (match["power"] or ""), decimal_comma=True)
         if size is None:
             break

@@ -31,11 +31,11 @@ class ParsedFile:
 
     Attributes
     ----------
-    source : the file, or a name. format : which reader it was.
-    series : the columns, all of one length.
+    source : the file, or a name. format : name of its format.
+    series : the columns, all of equal length.
     ignored : headers of unknown quantity.
-    settings : defaults that the file carries. notes : remarks of the reader.
-    lines : line of each row, None where there are none.
+    settings : defaults given in the file. notes : remarks of the reader.
+    lines : line number of each row; None if there are none.
     events, assumed : as in `curlfit.throws.throw.Throw`; with events there are no columns.
     """
 
@@ -73,7 +73,7 @@ class ReadOptions(NamedTuple):
 
 
 class FilePart(NamedTuple):
-    """One throw of a file: the options that select it, and what reads it."""
+    """One throw of a file: the options that select it, and a function that reads it."""
 
     shot: int | None
     stone_index: int | None
@@ -85,10 +85,10 @@ class Format(NamedTuple):
 
     Attributes
     ----------
-    name : as of `--format`.
-    recognizes : whether a file is of this format, from its first lines but comments and blanks.
+    name : as in `--format`.
+    recognizes : whether a file is of this format, from its first lines without comments and blanks.
     parse : reads one throw.
-    parts : every throw of a file; None where that can only be one.
+    parts : every throw of a file; None if there can only be one.
     selections : the options that select one of several throws.
     """
 
@@ -107,14 +107,14 @@ def columns_of(
     line: int | None = None,
     pixels: bool = False,
 ) -> tuple[dict[int, Column], list[str]]:
-    """Columns to read by index, and the names of the others.
+    """Columns to read, by index, and the names of the others.
 
-    With `pixels`, positions are in pixels: x and y without a unit are then pixels, and v is not a
-    speed.
+    With `pixels`, positions are in pixels: x and y without a unit are then in pixels, and v is not
+    a speed.
 
     Raises
     ------
-    DataError : two columns mean the same, or a needed one is missing.
+    DataError : two columns have the same meaning, or a required one is missing.
     """
     columns: dict[int, Column] = {}
     ignored: list[str] = []
@@ -155,7 +155,7 @@ def columns_of(
 
 
 def missing_columns(quantities: Any) -> list[str]:
-    """Quantities that a throw needs and the columns do not have."""
+    """Quantities required for a throw that the columns lack."""
     found = set(quantities)
     if {"u", "v"} & found:
         missing = [axis for axis in ("u", "v") if axis not in found]
@@ -187,7 +187,7 @@ def clock_of(quantity: str, quantities: Any) -> str:
 
 
 def in_si(parsed: ParsedFile, header: str, column: Column, values: Floats) -> Series:
-    """A column with its values in SI; refuses values out of any range."""
+    """A column with its values in SI; refuses values beyond 1e12."""
     scaled = values
     if column.factor != 1:
         with np.errstate(over="ignore", invalid="ignore"):

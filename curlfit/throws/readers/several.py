@@ -1,4 +1,4 @@
-"""Several throws in one table: named by a column, or one below the other."""
+"""Several throws in one table: named by a column, or one after another."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def may_name_throws(header: str) -> bool:
 def throws_in(
     parsed: ParsedFile, words: Mapping[str, Sequence[Any]]
 ) -> list[tuple[str, ParsedFile]]:
-    """The throws in a table with their names; one without a name where it holds but one.
+    """The throws in a table with their names; a single throw has an empty name.
 
     Parameters
     ----------
-    words : cells of the columns that are none of a throw, by header.
+    words : cells, by header, of the columns that are not data of a throw.
 
-    A column such as `stone`, `throw_id` or `track` names them. Without one, times that start again
-    begin the next throw.
+    A column such as `stone`, `throw_id` or `track` names them. Without one, a new throw begins
+    where the times start again.
     """
     header, groups = _by_column(words, len(parsed.series[0].values))
     if header:
@@ -55,7 +55,7 @@ def selected(throws: list[tuple[str, ParsedFile]], number: int | None, flag: str
 
     Raises
     ------
-    DataError : there are several, and no number. InputError : there is no such throw.
+    DataError : there are several and no number is given. InputError : there is no such throw.
     """
     source = throws[0][1].source
     if len(throws) == 1:
@@ -78,7 +78,7 @@ def selected(throws: list[tuple[str, ParsedFile]], number: int | None, flag: str
 
 
 def _by_column(words: Mapping[str, Sequence[Any]], n: int) -> tuple[str, dict[str, np.ndarray]]:
-    """The column that names several throws, and the rows of each; empty where none does."""
+    """The column that names several throws, and the rows of each; empty if there is none."""
     for header, cells in words.items():
         if not may_name_throws(header):
             continue
@@ -95,7 +95,7 @@ def _by_column(words: Mapping[str, Sequence[Any]], n: int) -> tuple[str, dict[st
 
 
 def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
-    """Rows of each throw where the times start again; empty where they do not."""
+    """Rows of each throw if the times start again; empty if they do not."""
     times = next((s.values for s in parsed.series if s.column.quantity == "t"), None)
     if times is None or len(times) < 2 * _FEWEST:
         return {}
@@ -103,7 +103,7 @@ def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
     pieces = np.split(np.arange(len(times)), breaks)
     if len(pieces) < 2 or min(map(len, pieces)) < _FEWEST:
         return {}
-    # Each begins within the first fifth of the one before, as rows merely out of order do not.
+    # Each begins within the first fifth of the previous one, unlike rows merely out of order.
     for before, after in pairwise(pieces):
         began, ended = times[before[0]], times[before[-1]]
         if not times[after[0]] < began + 0.2 * (ended - began):

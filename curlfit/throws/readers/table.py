@@ -1,4 +1,4 @@
-"""curlfit's own format: a table of text with a header, and settings in leading `#` lines."""
+"""curlfit's own format: a text table with a header, and settings in leading `#` lines."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def first_lines(path: Path, lines: list[str]) -> tuple[int, list[tuple[int, str]
 
     Raises
     ------
-    DataError : the file is empty, or holds comments only.
+    DataError : the file is empty or contains only comments.
     """
     comments: list[tuple[int, str]] = []
     for index, line in enumerate(lines):
@@ -63,8 +63,8 @@ def read_table(path: Path, lines: list[str], options: ReadOptions) -> ParsedFile
 
     Raises
     ------
-    DataError : naming the line and column of the fault, and what was expected; the table holds
-        several throws, and none is selected.
+    DataError : with the line and column of the fault, and what was expected; the table contains
+        several throws and none is selected.
     InputError : there is no such throw.
     """
     return selected(_throws(path, lines, options), options.stone_index, "--stone-index")
@@ -223,12 +223,12 @@ def _reference(path: Path, found: Any) -> Reference:
 
 
 def _stone_constants(found: dict[str, Any]) -> dict[str, float]:
-    Stone().with_values(found)  # names and signs
+    Stone().with_values(found)  # checks names and signs
     return {str(name): float(value) for name, value in found.items()}
 
 
 def check_intervals(key: str, found: object) -> None:
-    """Raise `InputError` where a setting is no list of pairs of times."""
+    """Raise `InputError` if a setting is not a list of pairs of times."""
     pairs = found if isinstance(found, list) else [None]
     for pair in pairs:
         numbers = pair if isinstance(pair, list) and len(pair) == 2 else [None]
@@ -238,7 +238,7 @@ def check_intervals(key: str, found: object) -> None:
 
 
 def check_seed(seed: object) -> int:
-    """The seed; raises `InputError` where it is not one."""
+    """The seed; raises `InputError` if it is not valid."""
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**32:
         raise InputError(f"seed = {seed!r}: expected a whole number from 0 to {2**32 - 1}")
     return seed

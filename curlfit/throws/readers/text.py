@@ -21,12 +21,12 @@ _MOST_BYTES = 1_000_000_000
 _CHUNK = 20_000
 # A line that is blank or may be a comment
 _ODD_LINE = re.compile(r"\n[\s#]")
-# "t (s)" in a table that spaces separate
+# "t (s)" in a table separated by spaces
 _UNIT_APART = re.compile(r"[ \t]+([(\[][^()\[\]]*[)\]])")
 
 
 def text_of(path: Path) -> str:
-    """The file's text with "\\n" ends of line: UTF-8, UTF-16 with its mark, or Windows' cp1252.
+    """The file's text with "\\n" line ends: UTF-8, UTF-16 with byte order mark, or Windows cp1252.
 
     Raises
     ------
@@ -70,12 +70,12 @@ def separator_of(line: str) -> str | None:
 
 
 def header_cells(line: str, separator: str | None) -> list[str]:
-    """Cells of a header; where spaces separate, `t (s)` is one cell."""
+    """Cells of a header; in a table separated by spaces, `t (s)` is one cell."""
     return cells(_UNIT_APART.sub(r"\1", line) if separator is None else line, separator)
 
 
 def cells(line: str, separator: str | None) -> list[str]:
-    """Cells of a line, without the spaces and quotation marks around them."""
+    """Cells of a line, without surrounding spaces and quotation marks."""
     if separator is None:
         return [cell.strip('"') for cell in line.split()]
     if '"' in line:
@@ -87,7 +87,7 @@ def cells(line: str, separator: str | None) -> list[str]:
 
 
 def parse_number(cell: str, *, decimal_comma: bool) -> float | None:
-    """A cell as a number; None where it is not one."""
+    """A cell as a number; None if it is not one."""
     text = cell.replace(",", ".") if decimal_comma and "." not in cell else cell
     if "_" in text:
         return None
@@ -115,7 +115,7 @@ def clock_times(found: Sequence[str | None]) -> tuple[Floats, list[int]]:
 
     Returns
     -------
-    Seconds, shape (n,), NaN for gaps; and the rows that are no clock time, NaN too.
+    Seconds, shape (n,), NaN for gaps; and the rows that are not clock times, also NaN.
     """
     seconds, bad = np.full(len(found), math.nan), []
     dated = False
@@ -139,7 +139,7 @@ def clock_times(found: Sequence[str | None]) -> tuple[Floats, list[int]]:
 
 
 def _seconds(match: re.Match[str]) -> float | None:
-    """A clock time in s; None where an hour, a minute or a date is none."""
+    """A clock time in s; None if its hour, minute, second or date is invalid."""
     hours, minutes = int(match["h"] or 0), int(match["m"])
     seconds = float(match["s"].replace(",", "."))
     if hours > 23 or seconds >= 60 or (match["h"] and minutes > 59):
@@ -162,11 +162,11 @@ def clocks_as_seconds(
 ) -> tuple[Sequence[str], dict[int, str]]:
     """The lines of a table with clock times as seconds, and the first clock time by column.
 
-    What is no clock time in such a column is left as it is.
+    Cells of such a column that are not clock times are left as they are.
 
     Parameters
     ----------
-    first : index of the first line below the header. columns : indices that may hold times.
+    first : index of the first line below the header. columns : indices that may contain times.
     """
     rows = [k for k in range(first, len(lines)) if lines[k].strip() and lines[k].lstrip()[0] != "#"]
     if not rows or ":" not in lines[rows[0]]:
@@ -217,7 +217,7 @@ def read_rows(
 
     Raises
     ------
-    DataError : a row with another number of cells, or a cell that is not a finite number.
+    DataError : a row with a wrong number of cells, or a cell that is not a finite number.
     """
     last = len(lines)
     while last > first and not lines[last - 1]:
@@ -246,7 +246,7 @@ def read_rows(
 def _read_fast(
     rows: list[str], width: int, columns: Sequence[int], separator: str | None, decimal_comma: bool
 ) -> Floats | None:
-    """Rows of numbers and empty cells only, read at once; None where there is anything else."""
+    """Rows of numbers and empty cells only, read in one pass; None if there is anything else."""
     text = "\n".join(rows)
     if '"' in text or "_" in text:
         return None
@@ -267,7 +267,7 @@ def _read_fast(
 def _read_with_gaps(
     rows: list[str], width: int, columns: Sequence[int], separator: str | None
 ) -> Floats | None:
-    """The same where some cells are empty, or unread columns hold text."""
+    """The same if some cells are empty or unread columns contain text."""
     split = [row.split(separator) for row in rows]
     if any(len(row) != width for row in split):
         return None
@@ -287,7 +287,7 @@ def _read_cells(
     separator: str | None,
     decimal_comma: bool,
 ) -> Floats:
-    """Rows read cell by cell: every notation, and faults with their location."""
+    """Rows read cell by cell: any notation, and faults with their location."""
     found = np.full((len(columns), len(rows)), math.nan)
     for row, (index, line) in enumerate(zip(indices, rows, strict=True)):
         row_cells = cells(line, separator)

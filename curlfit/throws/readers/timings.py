@@ -22,14 +22,14 @@ TIMES: dict[str, tuple[str, str | None]] = {
     "hog_to_tee": ("hog", "far-tee"),
     "hog_to_rest": ("far-hog", None),
 }
-"""From which line to which each time is; None is rest."""
+"""Lines between which each time is measured; None is rest."""
 SIGMA_REST = 0.05
-"""Standard deviation in m of a place measured with a tape: a judgement."""
+"""Standard deviation in m of a position measured with a tape: a judgement."""
 SIGMA_TURNS = 0.1
 """Standard deviation of the number of turns, counted by eye: a judgement."""
 USUAL_SPIN = 1.2
 """Spin in rad/s at the near hog line where it was not measured: that of two and a half turns in
-25 s if it falls evenly, 2 * 2.5 * 2 pi/25; a judgement."""
+25 s if it decreases linearly, 2 * 2.5 * 2 pi/25; a judgement."""
 _KINDS = {
     **dict.fromkeys(TIMES, "t"), "curl": "x", "rest": "y", "turns": "phi", "handle": "word",
     "hand": "word", "sigma_time": "t", "sigma_rest": "y", "sigma_curl": "x", "sigma_turns": "phi",
@@ -42,7 +42,7 @@ _ALIASES = {
     "h2h": "hog_to_hog",
     "hog_hog": "hog_to_hog",
 }
-# Friction of 0.002, the least of any ice, stops a stone from hog line to tee within 54 s.
+# Friction of 0.002, the lowest on any ice, stops a stone from hog line to tee within 54 s.
 _LIMITS = dict.fromkeys(TIMES, 60.0) | {"rest": 40.0, "curl": 10.0, "turns": 1000.0 * 2 * math.pi}
 _EXPECTED = (
     "expected lines such as hog_to_hog = 14.2, back_to_hog = 3.4, hog_to_tee = 18.1, "
@@ -64,12 +64,12 @@ class _Entry(NamedTuple):
 
 
 def read_timings(path: Path, lines: list[str], options: ReadOptions) -> ParsedFile:
-    """The events of a record, or of one row of a table with a row for each throw.
+    """The events of a record, or of one row of a table with one throw per row.
 
     Raises
     ------
-    DataError : an unknown line, an impossible value, a curl without its side, or times from which
-        no friction follows. InputError : no such row.
+    DataError : an unknown line, an impossible value, a curl without its side, or times that do not
+        determine friction. InputError : no such row.
     """
     rows = _rows(path, lines)
     index = choose("row", "--shot", options.shot, [f"line {min_line(row)}" for row in rows], 0)
@@ -101,7 +101,7 @@ def min_line(entries: dict[str, _Entry]) -> int:
 
 
 def is_table(head: list[str]) -> bool:
-    """Whether lines, comments apart, begin with a header of several known quantities."""
+    """Whether lines, comments removed, begin with a header of several known quantities."""
     if not head:
         return False
     names = header_cells(head[0], separator_of(head[0]))
@@ -115,7 +115,7 @@ def _recognizes(head: list[str]) -> bool:
     keys = [pair[0] for pair in found if pair is not None]
     if any(key in TIMES for key in keys):
         return True
-    # not the header of a table, whose first column has such a name
+    # the header of a table may begin with such a name too, but has no digits
     first = found[0] if found else None
     return first is not None and any(char.isdigit() for char in first[2])
 
@@ -124,7 +124,7 @@ TIMINGS = Format("timings", _recognizes, read_timings, _parts, ("shot",))
 
 
 def _key(text: str) -> tuple[str, str] | None:
-    """A known quantity and its unit, if one is written behind it, as in `curl_ft`."""
+    """A known quantity and the unit that follows it, if any, as in `curl_ft`."""
     words = [word for word in _SPLIT.split(text.strip().strip("\"'").lower()) if word]
     for count in range(len(words), 0, -1):
         name = "_".join(words[:count])
@@ -139,7 +139,7 @@ def _header(line: str) -> list[tuple[str | None, str]]:
 
 
 def _pair(line: str) -> tuple[str, str, str] | None:
-    """Quantity, unit and text of a line; None where it names nothing that is known."""
+    """Quantity, unit and text of a line; None if it names no known quantity."""
     match = _LINE.match(line)
     if match is not None and (found := _key(match[1])) is not None:
         return *found, match[2]
@@ -223,7 +223,7 @@ def _record(path: Path, lines: list[str], rows: list[dict[str, _Entry]], index: 
 
 
 class _Record:
-    """One record, as its quantities are read."""
+    """One record with its parsed quantities."""
 
     def __init__(self, path: Path, entries: dict[str, _Entry], line: int | None) -> None:
         self.path, self.entries, self.line = path, entries, line
@@ -270,7 +270,7 @@ class _Record:
         return self.values[key].value if key in self.values else usual
 
     def events(self) -> list[Event]:
-        """What was measured."""
+        """The measured events."""
         found = []
         sigma_time = self._sigma("sigma_time", SIGMA_TIME)
         sigma_rest = self._sigma("sigma_rest", SIGMA_REST)
@@ -294,7 +294,7 @@ class _Record:
         return found
 
     def _handle(self) -> int:
-        """Sense of the spin as `handle` says it: 1 counter-clockwise, -1 clockwise, 0 unsaid.
+        """Sense of the spin from `handle`: 1 counter-clockwise, -1 clockwise, 0 if not given.
 
         The in-turn of a right-hander turns clockwise, as does the out-turn of a left-hander.
         """
@@ -322,7 +322,7 @@ class _Record:
         )
 
     def _sense(self) -> int:
-        """Sense of the spin by the handle or the turns, as far as these say it."""
+        """Sense of the spin from the handle or the turns; 0 if neither gives it."""
         if handle := self._handle():
             return handle
         if "turns" not in self.values:
@@ -333,8 +333,8 @@ class _Record:
         return int(math.copysign(1, value)) if signed else 0
 
     def _curl(self) -> float:
-        """To the right. A stone curls to the side to which its front turns: counter-clockwise to
-        the left."""
+        """Curl to the right, m. A stone curls to the side to which its front turns: to the left if
+        counter-clockwise."""
         value, signed, words = self.values["curl"]
         if words:
             return -value if "left" in words else value
@@ -345,7 +345,7 @@ class _Record:
         return -sense * value
 
     def _turns(self) -> float:
-        """Counter-clockwise."""
+        """Angle turned in rad, counter-clockwise."""
         value = abs(self.values["turns"].value)
         sense = self._sense()
         if not sense and "curl" in self.values and (curl := self._curl()):
@@ -357,7 +357,7 @@ class _Record:
         return sense * value
 
     def spin(self, events: list[Event]) -> tuple[float, str]:
-        """Spin in rad/s that a fit holds where there is no better, and a note that says so."""
+        """Spin in rad/s at which a fit fixes it if it is not determined, and a note on it."""
         if "turns" in self.values:
             return 0.0, "turns are counted from the near hog line"
         sense, why = self._sense(), "by the handle"
@@ -373,7 +373,7 @@ class _Record:
         )
 
     def require_friction(self, events: list[Event]) -> None:
-        """Raise `DataError` where no friction follows, or what was measured cannot be."""
+        """Raise `DataError` if the record does not determine friction or is impossible."""
         times = [event for event in events if event.quantity == "time"]
         if not times:
             raise DataError(f"no time; {_EXPECTED}", file=self.path, line=self.line)

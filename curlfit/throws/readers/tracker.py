@@ -120,7 +120,7 @@ def read_tracker(path: Path, lines: list[str], options: ReadOptions) -> ParsedFi
 
 
 def _parts(path: Path, lines: list[str], options: ReadOptions) -> list[FilePart]:
-    """Every object. Raises `DataError` where the file has no header."""
+    """Every object. Raises `DataError` if the file has no header."""
     indices: list[int | None] = [options.stone_index]
     if options.stone_index is None:
         first, _ = first_lines(path, lines)
@@ -144,9 +144,9 @@ def _mark(
     stone: int,
     columns: Mapping[int, Column],
 ) -> dict[int, Column]:
-    """Columns of the second mark of the stone, by index; none where none is asked for.
+    """Columns of the second mark on the stone, by index; empty if none is requested.
 
-    Its positions are in the units of the stone's.
+    Its positions are in the same units as those of the stone.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def _blocks(names: list[str], titles: list[str]) -> list[tuple[str, list[int]]]:
 
 
 def _in_units_of_the_file(columns: Mapping[int, Column]) -> dict[int, Column]:
-    """The columns, with `v` and `ω` without a unit in units of the file's x, phi and t."""
+    """The columns; `v` and `ω` without a unit take the units of the file's x, phi and t."""
     found = {column.quantity: column for column in columns.values()}
     lengths = {found[axis].factor for axis in ("x", "y") if axis in found}
     result = dict(columns)
@@ -302,7 +302,7 @@ def _rate(time: Series, of: _Rounded) -> _Rounded:
     t, half = time.values, _rounding(time)
     step = np.diff(t)
     if np.ptp(step) < 1e-6 * np.abs(step).max():
-        half = np.zeros_like(t)  # even steps are not rounded
+        half = np.zeros_like(t)  # equal steps are not rounded
     rate, off = np.full((2, len(t)), np.nan)
     span = t[2:] - t[:-2]
     rate[1:-1] = (of.values[2:] - of.values[:-2]) / span
@@ -312,7 +312,7 @@ def _rate(time: Series, of: _Rounded) -> _Rounded:
 
 
 def _proportional(series: Series, computed: _Rounded) -> bool:
-    """Whether a column agrees with what was computed, in some unit."""
+    """Whether a column agrees with computed values, in some unit."""
     values, size = series.values, np.abs(computed.values)
     finite = np.isfinite(values) & np.isfinite(size)
     if not finite.any():
@@ -352,7 +352,7 @@ def _rounding(series: Series) -> Floats:
     """Half a unit of the last digit printed of each number, in SI.
 
     Tracker prints a fixed number of decimals or of significant digits: both are found from the
-    numbers, and the coarser is taken. A column of few distinct numbers does not show them.
+    numbers, and the coarser is taken. A column of few distinct numbers does not reveal them.
     """
     factor = series.column.factor
     values = np.nan_to_num(series.values / factor)
@@ -364,7 +364,7 @@ def _rounding(series: Series) -> Floats:
 
 
 def _last_place(values: Floats) -> float:
-    """The largest power of ten, 1 or below, of which all are multiples."""
+    """The largest power of ten, at most 1, of which all values are multiples."""
     for digits in range(_MOST_DIGITS):
         whole = values * 10.0**digits
         if (np.abs(whole - np.round(whole)) <= 1e-9 * np.maximum(np.abs(whole), 1.0)).all():
