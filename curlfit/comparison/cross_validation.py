@@ -12,10 +12,10 @@ explicitly. For residuals e in units of their sigma and the hat matrix H of all 
     e_-i = (I - H_ii)^-1 e_i,    cov(e_-i) = (I - H_ii)^-1
 
 are the residual of a row from the fit to all others and its covariance (Cook and Weisberg 1982,
-sect. 2.2). Where sigma is estimated, the density is Student's t with n_c - p_c degrees of freedom
-in channel c, p_c being the sum of the leverages of its values, and sigma is estimated without the
-row. The bound that a parameter is pushed against is replaced by a normal factor that gives its
-density the same mean and variance (expectation propagation: Minka 2001).
+sect. 2.2). Where sigma is estimated, the density is Student's t with n_c - p_c - 1 degrees of
+freedom in channel c, p_c being the sum of the leverages of its values, and sigma is estimated
+without the row. The bound that a parameter is pushed against is replaced by a normal factor that
+gives its density the same mean and variance (expectation propagation: Minka 2001).
 
 Limits. If residuals are correlated from row to row, a row is predicted from its neighbours,
 whatever the law; a robust loss has no closed form; and a row that alone determines a parameter is

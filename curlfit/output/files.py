@@ -57,7 +57,7 @@ def require_replaceable(file: Path, what: str, mark: str) -> None:
         raise InputError(f"{file}: this is a folder, expected the name of {what}")
     try:
         found = file.read_text(encoding="utf-8")
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return
     except (OSError, ValueError):
         found = ""

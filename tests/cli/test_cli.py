@@ -153,6 +153,12 @@ def test_flags_override_the_configuration_and_that_the_file(tmp_path):
         (["fit", DATA, "--units", "length"], "expected QUANTITY=UNIT"),
         (["fit", DATA, "--reference", "no.csv"], "no.csv: no such file"),
         (["fit", DATA, "--shot", "1"], "is a table file and holds no shots"),
+        (["fit", DATA, "--stone", "rho=10"], "stone.rho = 10 m: expected at most 0.3 m"),
+        (["fit", DATA, "--fix", "mu1_xi=5"], "fixed at 5, outside its bounds 0:1; set others"),
+        (["fit", DATA, DATA, "--seed", "1"], "two files of the same name"),
+        (["simulate", "--stone", "R=6.5"], "stone.R = 6.5 m: expected at most 0.3 m"),
+        (["simulate", "--out", DATA], "is not a simulated throw that curlfit wrote"),
+        (["reproduce", "--quiet", "--json"], "give one of them"),
         (["compare", DATA, "--stone-index", "2"], "is a table file and holds one stone"),
         (["fit", DATA, "--format", "timings"], "is not known; expected lines such as hog_to_hog"),
         (["check", "nothing.csv"], "nothing.csv: no such file"),
@@ -194,6 +200,24 @@ def test_a_refusal_ends_the_process_with_status_2(words, said, tmp_path):
     assert (run.returncode, run.stdout) == (2, "")
     assert said in run.stderr
     assert "Traceback" not in run.stderr
+
+
+def test_the_folder_of_a_chosen_throw_has_its_number(tmp_path):
+    (tmp_path / "two.csv").write_text(SAMPLES["two"], encoding="utf-8")
+    for number in (1, 2):
+        run = curlfit(
+            "fit", "two.csv", "--stone-index", number, "--no-sample", "--no-figures", "--law",
+            "coulomb", cwd=tmp_path,
+        )  # fmt: skip
+        assert run.returncode in (0, 1), run.stderr
+        assert (tmp_path / f"two-{number}-fit" / "fit.json").is_file()
+
+
+def test_a_spreadsheet_is_named_as_one(tmp_path):
+    (tmp_path / "book.xlsx").write_bytes(b"PK\x03\x04" + bytes(40))
+    run = curlfit("fit", "book.xlsx", cwd=tmp_path)
+    assert run.returncode == 2
+    assert "save the sheet as CSV" in run.stderr
 
 
 def test_a_refused_fit_leaves_earlier_results_alone(done, tmp_path):

@@ -6,6 +6,7 @@ All is about the results that the examples of the public names compute.
 from __future__ import annotations
 
 import io
+import pickle
 import pydoc
 import re
 import shutil
@@ -192,7 +193,7 @@ def test_numbers_are_taken_by_name(known):
         KeyError, match=r"no 'mu'; the names are mu1_xi, .*, omega0, mu1_eta \+ mu2_eta"
     ):
         fit["mu"]
-    with pytest.raises(KeyError, match="no 'v0'; there are mu1_xi"):
+    with pytest.raises(KeyError, match="no 'v0'; the names are mu1_xi"):
         joint["v0"]
     with pytest.raises(TypeError, match="not iterable"):
         iter(fit)
@@ -520,6 +521,34 @@ def test_sliders_keep_to_bounds(known):
 def test_the_name_of_a_file_is_no_throw(takes):
     with pytest.raises(InputError, match=r"str 'a.csv' found, expected a Throw, as from curlfit"):
         takes("a.csv")
+
+
+@pytest.mark.parametrize(
+    ("takes", "said"),
+    [
+        (lambda throw: curlfit.fit(throw, 3), "law: int '3' found, expected the name of a law"),
+        (lambda throw: curlfit.fit(throw, stone=7), "stone: int '7' found, expected a Stone"),
+        (lambda throw: curlfit.fit(throw, stone={"r": 1}), "the stone has no property 'r'"),
+        (lambda throw: curlfit.fit(throw, fix="mu1_xi=1"), "fix: str 'mu1_xi=1' found"),
+        (lambda throw: curlfit.fit(throw, bounds={"mu1_xi": 3}), "bounds of mu1_xi: 3 found"),
+        (lambda throw: curlfit.Throw.from_arrays([0, 1], sigma=1), "sigma: int '1' found"),
+        (curlfit.predict, "fit: Throw .* found, expected a fit of one throw"),
+        (curlfit.sample, "fit: Throw .* found, expected a fit of one throw"),
+        (curlfit.fit_figure, "fit: Throw .* found, expected a fit of one throw"),
+        (lambda throw: curlfit.profile(3, "mu1_xi"), "fit: int '3' found, expected a fit"),
+        (curlfit.fit_together, "throws: Throw .* found, expected a list of throws"),
+        (lambda throw: curlfit.Stone(R="a"), "stone.R = 'a': expected a number in m"),
+    ],
+)
+def test_an_argument_of_another_type_is_refused_in_a_sentence(known, takes, said):
+    with pytest.raises(InputError, match=said):
+        takes(known["throw"])
+
+
+def test_results_are_compared_by_identity(known):
+    fit = known["fit"]
+    assert fit == fit
+    assert fit != pickle.loads(pickle.dumps(fit))
 
 
 def test_a_target_is_a_place(known):

@@ -350,6 +350,8 @@ def test_verbs_write_the_page_on_request(folder, typed):
         (("nowhere",), "nowhere: no such file"),
         (("comparison", "--out", "fit"), "fit: this is a folder, expected the name of an HTML"),
         (("comparison", "--out", "fit/fit.json/a.html"), "expected a folder for the results"),
+        (("comparison", "--out", "page.txt"), "page.txt: expected a name that ends in .html"),
+        (("comparison", "--out", "fit/fit.json"), "is not an HTML file that curlfit wrote"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_a_sentence(folder, monkeypatch, capsys, words, said):

@@ -211,7 +211,7 @@ def test_on_the_command_line(three, tmp_path):
     for words, message in (
         ((*names, "--share", "mu"), "law front-back has no such coefficient"),
         (("throw0.csv", "--share", "all"), "--share needs several files"),
-        (("throw0.csv", "throw0.csv"), "two files have the same name"),
+        (("throw0.csv", "throw0.csv"), "two files of the same name"),
         (("throw0.csv", "none.csv"), "no such file"),
     ):
         refused = command("fit", *words, cwd=tmp_path)

@@ -21,6 +21,7 @@ from curlfit import DataError, InputError, load_comparison, load_fit
 from curlfit.cli import app
 from curlfit.output.figures import save_figure
 from curlfit.paper import printed as paper
+from curlfit.throws.synthetic import SIMULATED
 
 
 @pytest.fixture(scope="module")
@@ -104,16 +105,17 @@ def test_what_cannot_be_written_is_said_and_what_was_there_stays(
         (tmp_path / folder).mkdir()
     write = writers(*eq12_posterior, compared, tmp_path)
     assert list(write) == NAMES
-    (tmp_path / name).write_text("what was there")
+    before = SIMULATED if name == "a.csv" else "what was there"
+    (tmp_path / name).write_text(before)
     with trouble(), pytest.raises(InputError, match="cannot be written") as caught:
         write[name]()
     assert caught.value.exit_status == 2
     assert "\n" not in str(caught.value)
-    assert (tmp_path / name).read_text() == "what was there"
+    assert (tmp_path / name).read_text() == before
     assert sorted(file.name for file in tmp_path.iterdir()) == sorted(["saved", "both", name])
     write[name]()
     assert (tmp_path / name).stat().st_size > 100 or name == "claims.json"
-    assert (tmp_path / name).read_bytes() != b"what was there"
+    assert (tmp_path / name).read_bytes() != before.encode()
 
 
 def test_a_full_disk_leaves_no_half_of_a_compiled_program(tmp_path):

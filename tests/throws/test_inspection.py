@@ -112,7 +112,7 @@ def test_pauses_and_jumps_are_counted():
     assert found.clock.pause_start == pytest.approx(4.95)
     assert found.jumps == {"y": 2}
     lines = list(facts(one, found, {"until": 12}))
-    assert "interval   0.05 s (0.05 .. 1.55 s), 20 rows a second" in lines
+    assert "interval   0.05 s (0.05 .. 1.55 s), 20 rows per second" in lines
     assert "pauses     1, the longest 1.55 s after t = 4.95 s" in lines
     assert "settings   until = 12" in lines
 

@@ -31,11 +31,11 @@ _TIMES = 24  # at which the friction may change; twice as many for the velocity
 _SMOOTH = 2  # degree of the polynomials in time for smooth changes
 _STEP = 1e-4  # relative change of the friction, for finite differences
 _SURE_FRICTION = 30.0
-"""Twice the gain in log-likelihood by the best of some 300 intervals: below 20 in 50 synthetic
+"""Twice the gain in log-likelihood by the best of some 250 intervals: below 20 in 50 synthetic
 throws without a change, including wrong laws and correlated noise, and above 50 in 18 that were
 swept for 2 to 6 s, with friction lower by a tenth to a third (noise of 5 mm)."""
 _SURE_VELOCITY = 40.0
-"""The same by the best of 47 times: below 28 in 126 throws without a change, including wrong laws
+"""The same by the best of 42 times: below 28 in 126 throws without a change, including wrong laws
 and correlated noise; above 58 in 8 whose velocity changed by 0.2 m/s, and in 5 of 8 whose changed
 by 0.05 m/s (noise of 5 mm). A change that a law can fit as curl is not detected; with noise of
 0.5 mm or less a wrong law may be mistaken for a change of either kind (9 of 84 throws)."""

@@ -53,7 +53,8 @@ class Estimate:
         identifiable"; "at bound" or "fixed".
     reason : of a weak parameter: its standard error is no smaller than its typical size, or chi
         squared is so far from quadratic that the standard error is wrong by a factor of two or
-        more. Otherwise empty.
+        more; of a parameter that rests on priors: that the data alone do not determine it.
+        Otherwise empty.
     dof : degrees of freedom of the standard error; None without one, or where sigma was given.
     prior : its prior, in the notation of `curlfit.inference.priors`; empty without one.
     """
@@ -82,7 +83,7 @@ class Estimate:
         return cls(**known_fields(cls, found) | bounds)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, repr=False)
 class Posterior(Displayed):
     """Summary of a posterior sample; the sample itself is in `chain.h5`.
 
@@ -257,7 +258,7 @@ class FitResult(NamedEstimates):
     FitResult, converged (... steps): front-back law, uniform load, fitted to ...
     mu1_xi = 0.000417(27), mu2_xi = 0.055627(25), mu1_eta + mu2_eta = 0.017573(16)
     not identifiable: mu1_eta, mu2_eta
-    mean deceleration over g 0.0087830(78), curl to the left 0.71242(50) m, turns ...
+    mean deceleration / g 0.0087830(78), curl to the left 0.71242(50) m, turns ...
     1 warning, see curlfit.print_fit
     >>> fit["mu1_eta + mu2_eta"].interval(0.95)
     (0.0175..., 0.0176...)

@@ -41,7 +41,7 @@ def sample(
     progress : called at intervals with the effective sample size so far (smallest over
         parameters), the steps so far, and R-hat (largest).
     checkpoint : a `chain.h5` to which the chain so far is written atomically: after the first
-        step, then every two seconds, and when the run ends.
+        step, then every two seconds or less often where writing takes long, and when the run ends.
     resume : continue where the chain in `checkpoint` ended, if there is one. The chain is then
         that of a single run, bit for bit on the same machine with the same packages.
 
