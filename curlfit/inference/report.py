@@ -14,7 +14,15 @@ from curlfit.inference.conditions import if_off
 from curlfit.inference.derived_report import derived_table, quantities_table
 from curlfit.inference.parameters import START
 from curlfit.output.console import terminal
-from curlfit.output.text import STYLE, decimals, format_estimate, from_to, join_words, plain_table
+from curlfit.output.text import (
+    STYLE,
+    decimals,
+    format_estimate,
+    from_to,
+    join_words,
+    plain_table,
+    two_digits,
+)
 from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.events import Event
 from curlfit.throws.throw import UNITS
@@ -110,8 +118,8 @@ def _beside_reference(fit: FitResult) -> list[RenderableType]:
     table.add_column("refitted parameter", no_wrap=True)
     table.add_column("std. error", justify="right", no_wrap=True)
     for item in fits:
-        table.add_column(f"shift for {_changes(item['stone'], now)}", justify="right", no_wrap=True)
-    table.add_column(f"estimate with {_constants(fits[0]['stone'])}", justify="right", no_wrap=True)
+        table.add_column(f"shift, {_changes(item['stone'], now)}", justify="right", no_wrap=True)
+    table.add_column(f"with {_constants(fits[0]['stone'])}", justify="right", no_wrap=True)
     table.add_column(reference.source, justify="right", no_wrap=True)
     agree, there = True, []
     places = max(map(_places, reference.values.values()))
@@ -395,7 +403,7 @@ def outliers(fit: FitResult) -> str:
         line = "" if item["line"] is None else f" (line {item['line']})"
         named.append(
             f"{item['channel']} at {item['t']:g} s{line} by {item['off']:.3g} "
-            f"{UNITS[item['channel']]} ({item['sigmas']:.2g} sigma)"
+            f"{UNITS[item['channel']]} ({two_digits(item['sigmas'])} robust sigma)"
         )
     more = len(fit.outliers) - len(named)
     text = f"Outliers: {'; '.join(named)}"

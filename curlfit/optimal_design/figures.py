@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from curlfit.optimal_design.report import noise_text, two_digits
+from curlfit.optimal_design.report import noise_text
 from curlfit.output.figures import (
     PALETTE,
     REFERENCE_COLOR,
@@ -17,6 +17,7 @@ from curlfit.output.figures import (
     line_styles,
     styled,
 )
+from curlfit.output.text import two_digits
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -14,7 +14,7 @@ from rich.text import Text
 from curlfit.inference.conditions import WIDTHS, if_off
 from curlfit.output.console import terminal
 from curlfit.output.display import Overview
-from curlfit.output.text import STYLE, join_words, plain_table
+from curlfit.output.text import STYLE, join_words, plain_table, two_digits
 
 if TYPE_CHECKING:
     from curlfit.optimal_design.result import (
@@ -97,11 +97,6 @@ def with_unit(value: float, channel: str) -> str:
     """A value in a suitable unit, as in "12 um"."""
     index = min(max(math.ceil(-math.log10(value) / 3 - 1e-9), 0), 2)
     return f"{two_digits(value * 1000**index)} {_UNITS[channel][index]}"
-
-
-def two_digits(value: float) -> str:
-    """A number with two digits, without an exponent up to a million."""
-    return f"{float(f'{value:.2g}'):g}"
 
 
 def percent(fraction: float) -> str:

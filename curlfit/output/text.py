@@ -18,6 +18,11 @@ STYLE = {
 _HUGE = 1e9  # numbers from this size on are written with a power of ten
 
 
+def two_digits(value: float) -> str:
+    """A number with two digits, without an exponent up to a million."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def plain_table(keys: int = 1) -> PlainTable:
     """A table without rules; if too wide for the terminal, split and repeating `keys` columns."""
     return PlainTable(keys)

@@ -24,6 +24,7 @@ from curlfit.stone import GRAVITY
 from curlfit.throws.events import Event, event_arrays
 
 _STEP = 1e-4  # of a typical size, for finite differences: the path is accurate to 1e-7 m
+_LINEAR_RANGE = 0.03  # of typical sizes
 _PRECISION = 1e-7  # of the path, m and rad
 _NEAR = 0.05  # m by which the ends of a record may miss a line
 _DRAWS = 400  # of the posterior
@@ -140,18 +141,27 @@ def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
         if free[index]:
             step = np.zeros(len(fit.values))
             step[index] = _STEP * parameter.typical
-            ends = fit.values - step, fit.values + step
-            slopes[name] = change(path.at(ends[1]), path.at(ends[0]), 2 * step[index])
+            moved, back = path.at(fit.values + step), path.at(fit.values - step)
+            slopes[name] = change(moved, back, 2 * step[index])
     movable = [list(fit.parameters).index(name) for name in known.names]
+    typical = np.array([fit.parameters[name].typical for name in known.names])
     shifted = {}
     for condition, width in known.widths.items():
-        values = fit.values.copy()
-        values[movable] += known.shift(condition)
-        problem = with_condition_off(path.problem, condition, width)
+        shift = known.shift(condition)
+        # The shift along a weakly determined direction may be far outside the linear range.
+        small = min(1.0, _LINEAR_RANGE / max(np.abs(shift / typical).max(initial=0.0), 1e-9))
+        along_it = np.zeros(len(fit.values))
+        along_it[movable] = small * shift
+        moved, back = (
+            path.at(
+                fit.values + sign * along_it,
+                with_condition_off(path.problem, condition, sign * small * width),
+            )
+            for sign in (1, -1)
+        )
         # `assess` adds the first-order effect of the shift of the parameters
-        whole = change(path.at(values, problem), best, 1.0)
-        along = sum(slopes[name] * values_by for name, values_by in zip(
-            known.names, known.shift(condition), strict=True))  # fmt: skip
+        whole = change(moved, back, 2 * small)
+        along = sum(slopes[name] * by for name, by in zip(known.names, shift, strict=True))
         shifted[condition] = whole - along
     samples = _samples(path, chain, wanted, best, slopes)
     found = {}

@@ -16,6 +16,7 @@ from curlfit.inference.noise.models import Independence, independences, lag1_of
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
+from curlfit.output.text import two_digits
 from curlfit.throws.throw import CHANNELS, Throw
 
 _EARLY = 5  # rows in which a hand may still be on the stone
@@ -153,8 +154,8 @@ def outlier_warning(outliers: tuple[dict[str, Any], ...], t: Floats) -> str:
     early = len(times) <= _EARLY < len(t) and times == t[: len(times)].tolist()
     remedy = f"--since {t[len(times)]:g} leaves out the first rows, and " if early else ""
     return (
-        f"{many}: {first['channel']} at t = {first['t']:g} s{line}, {first['sigmas']:.2g} sigma "
-        f"off; {remedy}--loss student is robust to outliers"
+        f"{many}: {first['channel']} at t = {first['t']:g} s{line}, {two_digits(first['sigmas'])} "
+        f"robust sigma off; {remedy}--loss student is robust to outliers"
     )
 
 

@@ -49,6 +49,7 @@ IMPLAUSIBLE = "implausible"
 """First word of the status of a fit that is impossible for a curling stone."""
 _CONVERGED = 0.01  # distance to the optimum, standard errors
 _MISLEADING = 4.0  # factor by which the rise of chi squared is off if a standard error is by two
+_NOT_LINEAR = 10.0  # typical sizes, beyond which a shift is not of first order
 _LASTING = 0.1  # memory over time of motion, above which errors are too small (`tests/statistics`)
 
 
@@ -170,6 +171,17 @@ def _record(
         warnings.append(
             f"chi squared is not quadratic within a standard error of {', '.join(nonquadratic)}: "
             "these standard errors are rough; use the profile likelihood or the posterior"
+        )
+    beyond = [
+        item.name
+        for item in parameters.parameters
+        if systematics.errors.get(item.name, 0.0) > _NOT_LINEAR * item.typical
+    ]
+    if beyond:
+        warnings.append(
+            f"systematic errors of {', '.join(beyond)} exceed the range in which they can be "
+            "estimated: with the conditions as uncertain as assumed, the path does not determine "
+            f"{'it' if len(beyond) == 1 else 'them'}"
         )
     if outliers and fit.loss == "linear":
         warnings.append(outlier_warning(outliers, throw.t))
