@@ -9,8 +9,8 @@ from typing import Any
 from curlfit.errors import InputError
 
 GRAVITY = 9.81  # m/s^2
-LARGEST = 0.3
-"""An upper limit of R, rho and h in m: stones are at most 0.29 m across (World Curling, R2)."""
+LARGEST = 0.5
+"""Upper limit of R, rho and h in m; stones are at most 0.29 m across (World Curling, rule R2)."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class Stone:
                     )
                 if name != "m" and value > LARGEST:
                     raise InputError(
-                        f"stone.{name} = {value:g} m: expected at most {LARGEST} m, the size of a "
-                        "stone; the unit is m, not cm or mm"
+                        f"stone.{name} = {value:g} m: expected at most {LARGEST} m; the unit is m, "
+                        "not cm or mm"
                     )
                 object.__setattr__(self, name, float(value))  # one type, for one compiled program
 

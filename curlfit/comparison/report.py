@@ -217,6 +217,11 @@ def conclusions(comparison: Comparison) -> list[str]:
         )
     if not following and not unclear:
         lines.append("No law follows the path within its bounds.")
+    if sum(item.follows is False and bool(item.rank) for item in within) > 1:
+        lines.append(
+            "The order of laws that do not follow the path is not meaningful: each is fitted with "
+            "noise estimated from its own residuals."
+        )
     isotropic = [item for item in within if item.isotropic]
     if isotropic:
         lines.append(_about_isotropic(isotropic))

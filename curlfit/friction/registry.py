@@ -98,7 +98,7 @@ def _validate(file: str, path: Path, law: type[Law]) -> None:
         jax.errors.TracerIntegerConversionError,
     )
     local = issubclass(law, LocalLaw)
-    expected = (2, "(to the right, forward)") if local else (3, "three numbers")
+    components = ("to the right", "forward") if local else ("to the right", "forward", "angular")
     stone = Stone()
     defaults = np.array([item.default for item in law.coefficients()])
 
@@ -119,8 +119,17 @@ def _validate(file: str, path: Path, law: type[Law]) -> None:
             raise DataError(_USE_JAX, file=file, line=_line(path, error)) from None
         except Exception as error:
             raise _user_error(file, path, error) from None
-        if not (isinstance(result, tuple) and len(result) == expected[0]):
-            raise DataError(f"{law.__name__} gives {result!r}; expected {expected[1]}", file=file)
+        if not (isinstance(result, tuple) and len(result) == len(components)):
+            found = (
+                f"{len(result)} values"
+                if isinstance(result, tuple)
+                else f"a value of type {type(result).__name__}"
+            )
+            raise DataError(
+                f"{law.__name__} gives {found}; expected {len(components)}: "
+                f"({', '.join(components)})",
+                file=file,
+            )
         conditions = f"with its defaults, at {state.speed:g} m/s and {state.omega:g} rad/s"
         if not all(np.isfinite(np.asarray(part, float)).all() for part in result):
             raise DataError(f"{law.__name__} {conditions}, gives {result!r}", file=file)

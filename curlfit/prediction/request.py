@@ -11,7 +11,7 @@ from curlfit.errors import InputError
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import START
 from curlfit.inference.system import System
-from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HOG
+from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HOG, WIDTH
 from curlfit.throws.throw import Throw
 
 GUARD = -(HOUSE + TEE_TO_HOG) / 2
@@ -63,6 +63,11 @@ class ThrowRequest(NamedTuple):
         if self.target is not None and (isinstance(self.target, str) or len(self.target) != 2):
             raise InputError(
                 f"target {self.target!r}: expected (x, y), m from the tee; (0, 0) is the tee"
+            )
+        if self.target is not None and not abs(self.target[0]) <= WIDTH / 2:
+            raise InputError(
+                f"target {self.target[0]:g} m to the side: expected at most {WIDTH / 2:g} m, half "
+                "the width of the sheet"
             )
         if self.target is not None and self.weight is not None:
             raise InputError("a target and a weight are given; expected one of them")

@@ -110,7 +110,7 @@ def test_the_posterior_goes_to_arviz(typed, folder):
         ("nowhere --to csv", "nowhere"),
         ("plain --to netcdf", "has no sampled posterior; `curlfit fit ... --resume` samples it"),
         ("joint --to netcdf", "expected the fit of one throw, such as joint/NAME"),
-        ("joint --to game", "--to table: expected the fit of one throw, such as joint/NAME"),
+        ("joint --to game", "--to game: expected the fit of one throw, such as joint/NAME"),
         ("plain --to excel", "'excel' is not one of 'csv', 'netcdf', 'json', 'latex'"),
     ],
 )

@@ -99,7 +99,7 @@ MU = '    mu: float = coefficient(0.01, "mu")\n    def traction(self, point):\n'
         (HEAD + '    name = "coulomb"\n' + MU + "        return 1, 2\n", "already; choose another"),
         (HEAD + MU + "        return point.nothing, 2\n", "line 5: AttributeError"),
         (HEAD + MU + "        if point.xi > 0: return 1, 2\n", "line 5: ValueError"),
-        (HEAD + MU + "        return -self.mu * point.e_xi\n", "expected (to the right, forward)"),
+        (HEAD + MU + "        return -self.mu * point.e_xi\n", "2: (to the right, forward)"),
         (HEAD + MU + "        return float('nan'), 0.0\n", "A with its defaults, at 2 m/s"),
         (HEAD + '    mu: float = coefficient(0.01, "mu")\n', "TypeError"),
     ],

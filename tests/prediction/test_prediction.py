@@ -765,6 +765,7 @@ def test_the_same_seed_gives_the_same_prediction(fit, carried):
         (["a-fit", "--to-tee", "--weight", "draw"], "expected one of them"),
         (["a-fit", "--weight", "heavy"], "weight 'heavy': expected draw, guard, takeout"),
         (["a-fit", "--target", "0,300"], "no throw reaches it"),
+        (["a-fit", "--target", "50,0"], "target 50 m to the side: expected at most 2.5 m"),
         (["a-fit", "--v0", "-1"], "v0 = -1 m/s"),
         (["a-fit", "--check", "b.csv"], "b.csv: no such file"),
         (["a-fit", "--check", "a.csv", "--v0", "2"], "leave out the start"),
