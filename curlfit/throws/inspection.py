@@ -65,12 +65,12 @@ class Inspection:
     """Findings on a throw.
 
     `clock` is None for a single row. `noise` is the scatter from row to row by channel (SI), where
-    there is any; `jumps` counts outlying steps by channel.
+    there is any; `jumps` has the times (s) of outlying steps by channel.
     """
 
     clock: Clock | None
     noise: dict[str, float]
-    jumps: dict[str, int]
+    jumps: dict[str, Floats]
     rest: Rest
 
 
@@ -84,7 +84,7 @@ def inspect_throw(throw: Throw) -> Inspection:
         if spread > 1e-12:
             noise[channel] = spread
         found = _jumps(throw.t[seen], values[seen], spread)
-        if found:
+        if len(found):
             jumps[channel] = found
     return Inspection(_clock(throw.t), noise, jumps, _rest(throw))
 
@@ -106,21 +106,21 @@ def _clock(t: Floats) -> Clock | None:
     )
 
 
-def _jumps(t: Floats, values: Floats, noise: float) -> int:
-    """Number of steps that differ from the neighbouring median by much more than the noise.
+def _jumps(t: Floats, values: Floats, noise: float) -> Floats:
+    """Times of steps that differ from the neighbouring median by much more than the noise.
 
-    Steps across a pause are not counted.
+    Steps across a pause are left out.
     """
     step = np.diff(values)
     if len(step) < 8:
-        return 0
+        return t[:0]
     around = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(step, 3, "edge"), 7), axis=1)
     off = np.abs(step - around)
     if not off.any():
-        return 0
+        return t[:0]
     usual = 6 * float(np.median(np.abs(step[step != 0])))  # for coarsely rounded numbers
     far = off > np.maximum(max(12 * noise, usual), 3 * np.abs(around)) + 1e-9
-    return int((far & (np.diff(t) < _PAUSE * np.median(np.diff(t)))).sum())
+    return t[1:][far & (np.diff(t) < _PAUSE * np.median(np.diff(t)))]
 
 
 def _rest(throw: Throw) -> Rest:

@@ -122,8 +122,9 @@ def _of_rows(throw: Throw, inspection: Inspection) -> Iterator[str]:
             if np.isfinite(getattr(throw, c)[row])
         )
         yield ", ".join([f"{name:<10} t {throw.t[row]:.6g} s", *values])
-    for channel, count in inspection.jumps.items():
-        yield f"jumps      {count} in {channel}: steps that differ from the neighbouring ones"
+    for channel, times in inspection.jumps.items():
+        first = f"{len(times)} in {channel}, the first at t = {times[0]:.6g} s"
+        yield f"jumps      {first}: steps that differ from the neighbouring ones"
     if inspection.noise:
         listed = (f"{c} {noise:.2g} {UNITS[c]}" for c, noise in inspection.noise.items())
         yield "scatter    " + ", ".join(listed) + " (from row to row)"

@@ -110,10 +110,12 @@ def test_pauses_and_jumps_are_counted():
     assert found.clock.pauses == 1
     assert found.clock.longest_pause == pytest.approx(1.55)
     assert found.clock.pause_start == pytest.approx(4.95)
-    assert found.jumps == {"y": 2}
+    assert list(found.jumps) == ["y"]
+    np.testing.assert_allclose(found.jumps["y"], [2.5, 2.55])
     lines = list(facts(one, found, {"until": 12}))
     assert "interval   0.05 s (0.05 .. 1.55 s), 20 rows per second" in lines
     assert "pauses     1, the longest 1.55 s after t = 4.95 s" in lines
+    assert any(line.startswith("jumps      2 in y, the first at t = 2.5 s") for line in lines)
     assert "settings   until = 12" in lines
 
 

@@ -168,3 +168,8 @@ def test_frames_of_a_camera_are_a_unit_of_time(written):
     is_throw(load_throw(file, units="t=29.97fps"))
     with pytest.raises(InputError, match="unknown unit"):
         load_throw(file, units="x=30fps")
+    numbered = {"frame": 29.97 * T} | {name: COLUMNS[name] for name in COLUMNS if name != "t"}
+    file = written(table(numbered))
+    is_throw(load_throw(file, units="t=29.97fps"))
+    with pytest.raises(DataError, match=r"no column for t .*`--units t=30fps`"):
+        load_throw(file)

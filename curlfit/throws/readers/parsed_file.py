@@ -99,6 +99,9 @@ class Format(NamedTuple):
     selections: tuple[str, ...] = ()
 
 
+_FRAME_NUMBERS = ("frame", "frames", "frame number", "frame_number", "frame no", "frame_no")
+
+
 def columns_of(
     source: Path | str,
     names: Sequence[str],
@@ -110,7 +113,8 @@ def columns_of(
     """Columns to read, by index, and the names of the others.
 
     With `pixels`, positions are in pixels: x and y without a unit are then in pixels, and v is not
-    a speed.
+    a speed. With a unit of t such as 25fps, a column of frame numbers is the time if there is no
+    other.
 
     Raises
     ------
@@ -125,6 +129,12 @@ def columns_of(
     pixels = pixels or ("u" in bare and "v" in bare and not velocities)
     for index, name in enumerate(names):
         column = parse_header(name)
+        if (
+            bare[index] in _FRAME_NUMBERS
+            and "t" not in meant
+            and units.get("t", "").endswith("fps")
+        ):
+            column = Column("t", "s", 1.0, stated=False)
         if column is None or (velocities and bare[index] in ("u", "v")):
             if name:
                 ignored.append(name)
@@ -146,8 +156,12 @@ def columns_of(
         columns[index] = column
     missing = missing_columns(taken)
     if missing:
+        counted = "t" in missing and set(bare) & set(_FRAME_NUMBERS)
+        remedy = (
+            "; `--units t=30fps`, with the camera's rate, makes frames times" if counted else ""
+        )
         raise DataError(
-            f"no column for {' and '.join(missing)} among {_list_names(names)}; {EXPECTED}",
+            f"no column for {' and '.join(missing)} among {_list_names(names)}; {EXPECTED}{remedy}",
             file=source,
             line=line,
         )
