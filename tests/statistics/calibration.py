@@ -264,7 +264,7 @@ def fitted(
         found,
         sampler=sampler,
         correlated=any("lag-1 correlation" in text for text in fit.warnings),
-        lasting=any("the noise remembers" in text for text in fit.warnings),
+        lasting=any("the noise has a correlation time" in text for text in fit.warnings),
         outliers=len(fit.outliers),
     )
 

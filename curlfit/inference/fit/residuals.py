@@ -233,6 +233,6 @@ def correlation_warnings(statistics: ResidualStatistics, noise: str) -> list[str
     return [
         f"the residuals {kind} (lag-1 correlation {listed}){cause}; standard errors, which assume "
         f"independent noise, are too small (effective sample size: {effective}); fit with "
-        f"--noise {'discrepancy' if smooth else 'ar1'}, or compare noise models with `curlfit "
-        f"compare --noise white,{'discrepancy' if smooth else 'ar1'}`"
+        f"--noise {'discrepancy' if smooth else 'ar1'}, or compare noise models (curlfit "
+        f"compare --noise white,{'discrepancy' if smooth else 'ar1'})"
     ]
