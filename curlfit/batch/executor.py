@@ -14,6 +14,7 @@ from typing import Any
 
 from curlfit.batch.settings import CHUNK, BatchSettings
 from curlfit.errors import InputError
+from curlfit.numerics.threads import cores
 
 Rows = list[dict[str, Any]]
 Fitted = Callable[[Sequence[str]], Iterator[Rows]]
@@ -53,7 +54,7 @@ def executor(
         with _dask_crew(plan, dask, workers) as fitted:
             yield fitted
         return
-    count = workers or os.cpu_count() or 1
+    count = workers or cores()
     if count == 1:
         yield lambda files: (_fit(chunk, plan) for chunk in _chunks(files, plan, 1))
         return
@@ -81,7 +82,7 @@ def _dask_crew(plan: BatchSettings, address: str, workers: int | None) -> Iterat
     try:
         with _settings(_OF_WORKERS):
             if address == "local":
-                count = workers or os.cpu_count() or 1
+                count = workers or cores()
                 cluster = LocalCluster(
                     n_workers=count, threads_per_worker=1, dashboard_address=None
                 )

@@ -180,6 +180,11 @@ def predict(
         *off_the_sheet(best),
     ]
     notes += [*null_notes, *law_notes]
+    if line is None and throw_start.line == "hog" and not request.new:
+        notes.append(
+            "the data do not state where on the sheet y = 0 lies; the throw is assumed to start on "
+            "the near hog line, which affects the resting position but not the motion"
+        )
     if request.new:
         notes.append(
             "the variation of the ice from throw to throw cannot be estimated from a single throw"

@@ -2,8 +2,8 @@
 
 Each replaces the square of a residual r (in units of its sigma) by rho(r), which grows more slowly.
 Least squares minimises the sum of rho as the square of `sqrt(rho)` with the sign of r, so that one
-solver serves all. Constants are those of 95 % efficiency for Gaussian noise (Huber 1981; Holland
-and Welsch 1977); Student's t has 4 degrees of freedom.
+solver serves all. The constants of huber and cauchy are those of 95 % efficiency for Gaussian noise
+(Huber 1981; Holland and Welsch 1977); Student's t has 4 degrees of freedom.
 """
 
 from __future__ import annotations
