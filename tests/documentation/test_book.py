@@ -24,6 +24,7 @@ from curlfit.cli import app
 from curlfit.options.settings import check_settings, read_config
 from curlfit.sheet import CIRCLES, LINES
 
+pytestmark = pytest.mark.documentation
 NOTEBOOKS = ROOT / "notebooks"
 ELSEWHERE = ("tracked_throws", "stopwatch_evening")
 ENTRIES = [

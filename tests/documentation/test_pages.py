@@ -8,6 +8,7 @@ import shutil
 import pytest
 from transcripts import ROOT, blocks, require_shown, typed, without_gaps
 
+pytestmark = pytest.mark.documentation
 PAGES = [ROOT / "notebooks" / f"{name}.md" for name in ("stopwatch_evening", "tracked_throws")]
 QUOTED = re.compile(r"```text\n((?:Time|draw)[^\n]*;.*?)```", re.S)
 
