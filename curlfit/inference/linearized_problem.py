@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -90,6 +90,12 @@ class LinearizedProblem(NamedTuple):
         left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
         along = (self.residual[..., None, :] @ left)[..., 0, :]
         return np.linalg.norm(along * visible(singular), axis=-1)
+
+    def distance(self, count: Any) -> Any:
+        """Distance to the optimum in standard errors: `newton_decrement` of what can move, over
+        the noise where `count` values scatter by more than their sigma."""
+        reduced = (self.residual**2).sum(-1) / np.maximum(count, 1)
+        return self.newton_decrement(self.movable()) / np.sqrt(np.maximum(reduced, 1.0))
 
 
 def classify(

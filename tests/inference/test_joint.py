@@ -104,6 +104,53 @@ def test_the_optimum_and_its_errors_are_scipy_s(three):
                 assert error == pytest.approx(expected, rel=1e-3)
 
 
+@pytest.mark.parametrize("loss", ["linear", "soft-l1", "cauchy", "student"])
+def test_copies_of_a_throw_have_its_errors_over_the_root_of_their_number(three, loss):
+    """Exactly so: the information on shared coefficients adds up."""
+    alone = curlfit.fit(three[0], "front-back", loss=loss)
+    joint = fit_together([three[0]] * 3, loss=loss)
+    for one, other in zip(alone.combinations, joint.combinations, strict=True):
+        assert other.value == pytest.approx(one.value, abs=1e-3 * one.stderr)
+        assert other.stderr == pytest.approx(one.stderr / np.sqrt(3), rel=1e-3)
+    for name in ("mu1_xi", "mu2_xi"):
+        found = joint.coefficients[name].stderr
+        assert found == pytest.approx(alone[name].stderr / np.sqrt(3), rel=1e-3)
+
+
+def test_short_throws_together_have_the_degrees_of_freedom_of_all(three):
+    short = [
+        curlfit.Throw.from_arrays(*(getattr(throw, name)[::20] for name in ("t", "x", "y", "phi")))
+        for throw in three
+    ]
+    alone, joint = [curlfit.fit(throw, "front-back") for throw in short], fit_together(short)
+    most = sum(one.n_observations for one in alone) - joint.rank
+    for name in ("mu1_xi", "mu2_xi"):
+        assert max(one[name].dof for one in alone) < joint.coefficients[name].dof < most
+        low, high = joint.coefficients[name].interval()
+        assert high - low < min(one[name].interval()[1] - one[name].interval()[0] for one in alone)
+    (total,) = joint.combinations
+    assert max(one.combinations[0].dof for one in alone) < total.dof < most
+    given = fit_together([throw.with_sigma({"x": 5e-3, "y": 5e-3, "phi": 0.01}) for throw in short])
+    assert given.coefficients["mu1_xi"].dof is given.combinations[0].dof is None
+
+
+def test_the_load_is_that_of_the_files(three):
+    stated = [throw.with_defaults(load="consistent") for throw in three[:2]]
+    joint = fit_together(stated, "coulomb")
+    assert joint.load == joint.throws[0].load == "consistent"
+    with pytest.raises(InputError, match="state different values of load, consistent and uniform"):
+        fit_together([stated[0], three[1]], "coulomb")
+    assert fit_together([stated[0], three[1]], "coulomb", load="uniform").load == "uniform"
+
+
+def test_a_bound_that_all_throws_press_on_is_said_once(three):
+    joint = fit_together(three, bounds={"mu2_xi": (0.0, 0.04)})
+    assert joint.coefficients["mu2_xi"].verdict == "at bound"
+    assert [text for text in joint.warnings if "bound" in text] == [
+        "mu2_xi is at its bound; the data favour values outside 0..0.04"
+    ]
+
+
 @pytest.mark.parametrize("count", [3, pytest.param(12, marks=pytest.mark.slow)])
 def test_shared_coefficients_are_covered(count):
     # squared deviations in standard errors of three quantities: chi squared, 15 or 9 of it

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
 
+CONVERGED = 0.01
+"""Distance to the optimum, in standard errors, at which a fit has converged."""
 _CURVED = 0.003  # standard error over typical size below which chi squared is quadratic
 _UNKNOWN = 3.0  # the same, above which nothing is determined in any case
 _QUADRATIC = 0.5  # largest departure from one of the rise of chi squared at one standard error
@@ -34,8 +36,8 @@ class Covariance(NamedTuple):
     open: Booleans
     slack: Floats
     """contribution of those at a bound to the spread of the open ones (`LinearizedProblem.open`)"""
-    newton_decrement: float
-    """distance to the optimum, standard errors"""
+    distance: float
+    """to the optimum, standard errors"""
     variance: Floats
     """contributions to the covariance from the noise of each channel and, last, from the priors,
     shape (channels + 1, open, open)"""
@@ -47,11 +49,40 @@ class Covariance(NamedTuple):
     """identifiability from the data without the priors"""
 
     def degrees_of_freedom(self, weights: Floats) -> float | None:
-        """For the variance of a weighted sum of the open parameters (Satterthwaite 1946, eq. 17);
-        None where all sigmas were given."""
-        parts = np.einsum("i,cij,j->c", weights, self.variance, weights)
-        inverse = float((parts**2 / self.dof).sum())
-        return float(parts.sum()) ** 2 / inverse if inverse > 0 else None
+        """For the variance of a weighted sum of the open parameters; None where all sigmas were
+        given."""
+        return satterthwaite(np.einsum("i,cij,j->c", weights, self.variance, weights), self.dof)
+
+
+def satterthwaite(parts: Floats, dof: Floats) -> float | None:
+    """Degrees of freedom of a sum of estimated variances (Satterthwaite 1946, eq. 17); None where
+    all are known."""
+    inverse = float((parts**2 / dof).sum())
+    return float(parts.sum()) ** 2 / inverse if inverse > 0 else None
+
+
+def noise_dof(number: Any, leverage: Floats, estimated: Booleans, loss: str) -> Floats:
+    """Degrees of freedom n - p of the sigma of each channel; infinite where it was given.
+
+    Parameters
+    ----------
+    number : of values, shape (..., channels). leverage : of each value, shape (..., channels, n);
+        the sum over a channel is its p.
+    """
+    efficiency = 1.0 if loss == "linear" else _MEDIAN_EFFICIENCY
+    dof = np.maximum(number - leverage.sum(-1), 1.0)
+    return np.where(estimated, efficiency * dof, np.inf)
+
+
+def bound_warning(name: str, lower: float, upper: float, known: Identifiability) -> str:
+    """Warning about a parameter at a bound."""
+    within = f"{lower:g}..{upper:g}"
+    if name in known.names:
+        return (
+            f"{name} is at its bound; the data hardly distinguish this value from others within "
+            f"{within}"
+        )
+    return f"{name} is at its bound; the data favour values outside {within}"
 
 
 def covariances(
@@ -77,15 +108,11 @@ def covariances(
           for name in ("lower", "upper", "typical", "free")),
     )  # fmt: skip
     at_bound = linearized.at_bound()
-    count = np.maximum(statistics.number.sum(-1), 1)
-    reduced = (linearized.residual**2).sum(-1) / count
-    decrement = linearized.newton_decrement(linearized.movable())
-    decrement = decrement / np.sqrt(np.maximum(reduced, 1.0))
+    distance = linearized.distance(statistics.number.sum(-1))
     open_and_slack = [
         LinearizedProblem(*one).open(stuck)
         for one, stuck in zip(zip(*linearized, strict=True), at_bound, strict=True)
     ]
-    efficiency = 1.0 if loss == "linear" else _MEDIAN_EFFICIENCY
     found: dict[int, Covariance] = {}
     keys = ((stuck, open_) for stuck, (open_, _) in zip(at_bound, open_and_slack, strict=True))
     for throws in grouped(keys):
@@ -93,9 +120,9 @@ def covariances(
         jacobians = np.stack(
             [
                 statistics.of_data[throw, :, :-1] if loss == "linear"
-                else _robust_jacobian(
+                else robust_jacobian(
                     problems[throw], solutions[throw], statistics.residual[throw], loss
-                )
+                ).reshape(-1, len(first.names))
                 for throw in throws
             ]
         )  # fmt: skip
@@ -113,9 +140,7 @@ def covariances(
         matrix = matrix - (slack @ slack.mT)[:, None]
         part = matrix @ (by_channel.mT @ by_channel)
         leverage = ((by_channel @ matrix) * by_channel).sum(-1)
-        # n - p by channel, p being the sum of its leverages
-        dof = np.maximum(statistics.number[throws] - leverage.sum(-1), 1.0)
-        dof = np.where(estimated[throws], efficiency * dof, np.inf)
+        dof = noise_dof(statistics.number[throws], leverage, estimated[throws], loss)
         dof = np.concatenate([dof, np.full((len(dof), 1), np.inf)], -1)
         variance = part @ matrix
         of_priors = matrix - variance.sum(1, keepdims=True) if penalty is not None else 0 * matrix
@@ -127,7 +152,7 @@ def covariances(
                 at_bound=at_bound[throw],
                 open=open_,
                 slack=slack[row],
-                newton_decrement=float(decrement[throw]),
+                distance=float(distance[throw]),
                 variance=variance[row],
                 dof=dof[row],
                 leverage=leverage[row],
@@ -136,17 +161,18 @@ def covariances(
     return [found[throw] for throw in range(len(sets))]
 
 
-def _robust_jacobian(problem: Problem, solution: Solution, residual: Floats, loss: str) -> Floats:
-    """Jacobian of the residuals over their sigma, each channel rescaled for a robust loss.
+def robust_jacobian(problem: Problem, solution: Solution, residual: Floats, loss: str) -> Floats:
+    """Jacobian of the residuals over their sigma, each channel rescaled for a robust loss, shape
+    (channels, n, parameters).
 
     The covariance of an M-estimator is that of least squares divided by `precision` (Huber 1981).
     """
-    jacobian = solution.jacobian.copy()
+    jacobian: Floats = solution.jacobian.copy()
     for row, weight in enumerate(problem.weight):
         r = -residual[row] * weight
         jacobian[row] /= root_slope(r, loss)[:, None]
         jacobian[row] *= np.sqrt(precision(r[weight > 0], loss))
-    return np.asarray(jacobian.reshape(-1, jacobian.shape[-1]))
+    return jacobian
 
 
 class OneSigmaPoints(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
@@ -15,7 +16,9 @@ import numpy as np
 
 from curlfit.friction import Parameter
 from curlfit.inference.fit.covariance import (
+    CONVERGED,
     Covariance,
+    bound_warning,
     covariances,
     nonquadratic_parameters,
     one_sigma_points,
@@ -47,7 +50,6 @@ from curlfit.throws.throw import CHANNELS
 
 IMPLAUSIBLE = "implausible"
 """First word of the status of a fit that is impossible for a curling stone."""
-_CONVERGED = 0.01  # distance to the optimum, standard errors
 _MISLEADING = 4.0  # factor by which the rise of chi squared is off if a standard error is by two
 _NOT_LINEAR = 10.0  # typical sizes, beyond which a shift is not of first order
 _LASTING = 0.1  # memory over time of motion, above which errors are too small (`tests/statistics`)
@@ -80,6 +82,7 @@ def summarize_many(
     *,
     curves: bool = True,
     widths: Mapping[str, float] | None = None,
+    bounds: bool = True,
 ) -> list[FitResult]:
     """The same for fits of one model, loss and noise model, to problems of one shape.
 
@@ -90,6 +93,7 @@ def summarize_many(
         can they be omitted.
     widths : of the fixed conditions whose systematic errors the records contain, from
         `systematics.widths_of`; only with curves.
+    bounds : whether the records warn of parameters at their bounds.
     """
     if not fits:
         return []
@@ -140,7 +144,8 @@ def summarize_many(
             )
             shifted = shifts_by_name(one.identifiability, by_condition)
             systematics[throw] = Systematics(dict(widths), shifted)
-    return list(map(_record, fits, statistics.each(len(fits)), found, nonquadratic, systematics))
+    record = partial(_record, bounds=bounds)
+    return list(map(record, fits, statistics.each(len(fits)), found, nonquadratic, systematics))
 
 
 def _record(
@@ -149,6 +154,8 @@ def _record(
     found: Covariance,
     nonquadratic: dict[str, float],
     systematics: Systematics,
+    *,
+    bounds: bool,
 ) -> FitResult:
     law, prepared, noise = fit.model.law, fit.prepared, fit.noise
     throw, parameters = prepared.throw, prepared.parameters
@@ -161,12 +168,21 @@ def _record(
     lag1 = {name: float(v) for name, v in statistics.by_channel(statistics.lag1, 3).items()}
     estimates = _estimates(parameters, found, nonquadratic)
     unusual = _unusual(fit, estimates["v0"], curves)
-    converged = found.newton_decrement < _CONVERGED and not any(one.refused for one in unusual)
+    converged = found.distance < CONVERGED and not any(one.refused for one in unusual)
     outliers = outliers_of(
         throw, statistics.residual, lag1, found.dof[:-1], found.leverage, fit.loss
     )
     warnings = [str(one) for one in unusual]
-    warnings += _parameter_warnings(fit, found) + correlation_warnings(statistics, noise.kind)
+    fault = law.from_vector(fit.solution.values).fault()
+    if fault is not None:
+        warnings.append(f"{fault}; the fitted coefficients are not those of a friction law")
+    if bounds:
+        warnings += [
+            bound_warning(item.name, item.lower, item.upper, known)
+            for item, stuck in zip(parameters.parameters, found.at_bound, strict=True)
+            if stuck
+        ]
+    warnings += correlation_warnings(statistics, noise.kind)
     if nonquadratic:
         warnings.append(
             f"chi squared is not quadratic within a standard error of {', '.join(nonquadratic)}: "
@@ -212,7 +228,7 @@ def _record(
             "notes": list(throw.notes),
         },
         converged=converged,
-        status=_status(fit, found.newton_decrement, unusual),
+        status=_status(fit, found.distance, unusual),
         warnings=tuple(warnings),
         n_observations=throw.n_observations,
         rms=rms,
@@ -286,41 +302,21 @@ def _unusual(
     return (*found, *fit.prepared.findings)
 
 
-def _status(fit: LeastSquaresFit, newton_decrement: float, unusual: Sequence[Finding]) -> str:
+def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -> str:
     steps = f"{int(fit.solution.steps)} steps"
     if fit.tried > 1:
         steps += f", best of {fit.tried} starts"
     refused = [str(one) for one in unusual if one.refused]
     if refused:
         return f"{IMPLAUSIBLE}: {'. '.join(refused)}"
-    if newton_decrement >= _CONVERGED:
+    if distance >= CONVERGED:
         return (
-            f"not converged: the optimum is still about {newton_decrement:.2g} standard errors "
-            f"away ({steps})"
+            f"not converged: the optimum is still about {distance:.2g} standard errors away "
+            f"({steps})"
         )
     if unusual:
         return f"converged ({steps}), but the data are unusual: see the first warning"
     return f"converged ({steps})"
-
-
-def _parameter_warnings(fit: LeastSquaresFit, found: Covariance) -> list[str]:
-    """Warnings about inadmissible coefficients and parameters at a bound."""
-    warnings = []
-    fault = fit.model.law.from_vector(fit.solution.values).fault()
-    if fault is not None:
-        warnings.append(f"{fault}; the fitted coefficients are not those of a friction law")
-    for item, stuck in zip(fit.prepared.parameters.parameters, found.at_bound, strict=True):
-        if stuck:
-            within = f"{item.lower:g}..{item.upper:g}"
-            warnings.append(
-                f"{item.name} is at its bound; "
-                + (
-                    f"the data hardly distinguish this value from others within {within}"
-                    if item.name in found.identifiability.names
-                    else f"the data favour values outside {within}"
-                )
-            )
-    return warnings
 
 
 def _memory_warnings(noise: Noise, t: Floats, curves: dict[str, Floats]) -> list[str]:

@@ -23,18 +23,13 @@ def differences_of(
     layout: Layout,
     coefficients: Mapping[str, Estimate],
     combinations: Sequence[Combination],
-    shared: tuple[str, ...],
 ) -> tuple[Difference, ...]:
     """Differences of the shared coefficients as each throw alone gives them, to first order."""
     wanted = {
         name: ({name: 1.0}, item.value)
         for name, item in coefficients.items()
         if item.verdict in ("determined", "weak")
-    } | {
-        item.expression: (item.weights, item.value)
-        for item in combinations
-        if set(item.weights) <= set(shared)
-    }
+    } | {item.expression: (item.weights, item.value) for item in combinations}
     found = []
     for expression, (weights, value) in wanted.items():
         each: list[tuple[float, float] | None] = []

@@ -106,12 +106,16 @@ class JointSolution(NamedTuple):
         """Sum over all throws."""
         return float(self.each.chi_squared.sum())
 
-    def r_factor(self, layout: Layout) -> tuple[Floats, Floats]:
-        """A small matrix and right-hand side with the same normal equations; priors come last."""
+    def r_factor(self, layout: Layout, jacobians: Floats | None = None) -> tuple[Floats, Floats]:
+        """A small matrix and right-hand side with the same normal equations; priors come last.
+
+        `jacobians` of the throws may take the place of those of the search.
+        """
         count, p = layout.index.shape
         matrix = np.zeros((count * (p + 1), len(layout.names)))
         right = np.zeros(count * (p + 1))
-        for throw, factor in enumerate(r_factors(self.each.jacobian, self.each.residual)):
+        jacobians = self.each.jacobian if jacobians is None else jacobians
+        for throw, factor in enumerate(r_factors(jacobians, self.each.residual)):
             rows = slice(throw * (p + 1), throw * (p + 1) + len(factor))
             matrix[rows, layout.index[throw]] = factor[:, :p]
             right[rows] = factor[:, p]
