@@ -42,6 +42,7 @@ def pytest_configure(config: pytest.Config) -> None:
     change what it computes.
     """
     os.environ.pop("COLUMNS", None)  # reports are as wide as anywhere else
+    os.environ["PYTHONPATH"] = str(DATA.parents[1])  # processes run this curlfit, and its programs
     compiled._MOST_LOADED = 100  # tests turn from law to law, and there is memory for it
     gc.set_threshold(100_000)  # as in `compiled.gc_paused`, for the tests' own programs
     if hasattr(config, "workerinput"):

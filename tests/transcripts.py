@@ -21,7 +21,7 @@ def run(words: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
     """Python with some words, in a folder."""
     return subprocess.run(
         [sys.executable, *words], cwd=folder, capture_output=True, text=True, check=False,
-        timeout=1500, env=os.environ | {"PYTHONPATH": str(ROOT)},
+        timeout=1500, env=os.environ,
     )  # fmt: skip
 
 
