@@ -209,49 +209,9 @@ def _integrate_batch(
         dt = _map(length, parameters, t, state, rate)
         return _step(t, dt, _Dual(frame), state, rate, _map(second, state, rate))
 
-    def active(step: StepState) -> Array:
-        # False for NaN, so that a failed motion does not delay the batch.
-        return step.dt > 0
-
     orders = 2 if velocities else 1
     window = min(_WINDOW, len(times))
     rows = jnp.pad(times, ((0, window), (0, 0)), constant_values=jnp.inf)
-
-    def interpolate(a: _Dual, b: _Dual, first: Array, out: _Dual) -> tuple[Array, _Dual]:
-        """Fill the rows within a step, a window at a time; also return the first row that is not
-        yet complete for the whole batch."""
-        t0, _, _, *first_end = _fields(a)
-        t1, _, _, *second_end = _fields(b)
-        h = _map(lambda t0, t1: jnp.where(t1 > t0, t1 - t0, 1.0), t0, t1)
-        coefficients = _map(quintic_coefficients, h, *first_end, *second_end)
-        begin, end, ended = a.value.t, b.value.t, ~active(b.value)
-        reach = jnp.where(active(a.value), end, -jnp.inf)
-
-        def within_step(carry: tuple[Array, Array, _Dual]) -> Array:
-            index, *_ = carry
-            return (jax.lax.dynamic_index_in_dim(rows, index, keepdims=False) <= reach).any()
-
-        def fill_window(carry: tuple[Array, Array, _Dual]) -> tuple[Array, Array, _Dual]:
-            index, first, out = carry
-            t = jax.lax.dynamic_slice_in_dim(rows, index, window)
-            inside = (t >= begin) & (t <= end)
-
-            def write(whole: Array, part: Array) -> Array:
-                old = jax.lax.dynamic_slice_in_dim(whole, index, window, 1)
-                mask = inside if part.ndim == 3 else inside[:, None]
-                new = jnp.where(mask, part, old)
-                return jax.lax.dynamic_update_slice_in_dim(whole, new, index, 1)
-
-            out = _update(
-                out,
-                _map(lambda t0, h, of: quintic(t0, h, of, t)[:orders], t0, h, coefficients),
-                lambda *pair: jax.tree.map(write, *pair),
-            )
-            complete = (~(t >= end) | ended).all(1)
-            first = jnp.where(first == index, first + jnp.cumprod(complete).sum(), first)
-            return index + window, first, out
-
-        return jax.lax.while_loop(within_step, fill_window, (first, first, out))[1:]
 
     def rest_of(step: _Dual) -> _Dual:
         t, _, frame, state, rate, _ = _fields(step)
@@ -266,12 +226,12 @@ def _integrate_batch(
     def iterate(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         count, before, _, first, out = carry
         after = advance(before)
-        first, out = interpolate(before, after, first, out)
+        first, out = _fill_rows(before, after, rows, window, first, out)
         return count + 1, after, rest_of(after), first, out
 
     def unfinished(carry: tuple[Any, ...]) -> Array:
         count, step, *_ = carry
-        return (count < _MAX_STEPS) & ((count == 0) | active(step.value).any())
+        return (count < _MAX_STEPS) & ((count == 0) | _active(step.value).any())
 
     # The first step has length zero; it computes the initial rates.
     zero = jnp.zeros_like(omega0)
@@ -300,6 +260,60 @@ def _integrate_batch(
         )
 
     return _map(channels, rest, out), _map(lambda rest: rest[3], rest)
+
+
+def _active(step: StepState) -> Array:
+    # False for NaN, so that a failed motion does not delay the batch.
+    return step.dt > 0
+
+
+def _fill_rows(
+    a: _Dual, b: _Dual, rows: Array, window: int, first: Array, out: _Dual
+) -> tuple[Array, _Dual]:
+    """Interpolate the rows between two states, a window of rows at a time, from the row `first` on.
+
+    Parameters
+    ----------
+    rows : times, shape (n + window, batch or 1). out : a channel array, (3, n + window, batch), for
+        each order of derivatives.
+
+    Returns
+    -------
+    The first row that is not yet complete for the whole batch, and `out` with the new rows.
+    """
+    t0, _, _, *first_end = _fields(a)
+    t1, _, _, *second_end = _fields(b)
+    h = _map(lambda t0, t1: jnp.where(t1 > t0, t1 - t0, 1.0), t0, t1)
+    coefficients = _map(quintic_coefficients, h, *first_end, *second_end)
+    begin, end, ended = a.value.t, b.value.t, ~_active(b.value)
+    reach = jnp.where(_active(a.value), end, -jnp.inf)
+    orders = len(out.value)
+
+    def within_step(carry: tuple[Array, Array, _Dual]) -> Array:
+        index, *_ = carry
+        return (jax.lax.dynamic_index_in_dim(rows, index, keepdims=False) <= reach).any()
+
+    def fill_window(carry: tuple[Array, Array, _Dual]) -> tuple[Array, Array, _Dual]:
+        index, first, out = carry
+        t = jax.lax.dynamic_slice_in_dim(rows, index, window)
+        inside = (t >= begin) & (t <= end)
+
+        def write(whole: Array, part: Array) -> Array:
+            old = jax.lax.dynamic_slice_in_dim(whole, index, window, 1)
+            mask = inside if part.ndim == 3 else inside[:, None]
+            new = jnp.where(mask, part, old)
+            return jax.lax.dynamic_update_slice_in_dim(whole, new, index, 1)
+
+        out = _update(
+            out,
+            _map(lambda t0, h, of: quintic(t0, h, of, t)[:orders], t0, h, coefficients),
+            lambda *pair: jax.tree.map(write, *pair),
+        )
+        complete = (~(t >= end) | ended).all(1)
+        first = jnp.where(first == index, first + jnp.cumprod(complete).sum(), first)
+        return index + window, first, out
+
+    return jax.lax.while_loop(within_step, fill_window, (first, first, out))[1:]
 
 
 def _fields(step: _Dual) -> list[_Dual]:
