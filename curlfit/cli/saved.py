@@ -152,7 +152,7 @@ def _load_fit(folder: Path) -> tuple[FitResult, Chain | None]:
     """A saved fit, with the chain so far if its sampling was interrupted."""
     result = curlfit.load_fit(folder)
     if result.sampling == "unfinished":
-        from curlfit.inference.mcmc.summary import so_far
+        from curlfit.inference.mcmc.summary import unfinished_posterior
 
-        return so_far(result, chain_beside(folder)) or (result, None)
+        return unfinished_posterior(result, chain_beside(folder)) or (result, None)
     return result, None

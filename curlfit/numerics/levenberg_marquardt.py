@@ -185,11 +185,11 @@ def _proposed(
     xp = namespace(search.values)
     values, model, before = search.values, search.model, search.reduction
     chi_squared = model.chi_squared
-    lost = ~xp.isfinite(chi_squared) | (search.evaluations >= MOST_EVALUATIONS)
+    failed = ~xp.isfinite(chi_squared) | (search.evaluations >= MOST_EVALUATIONS)
 
     def uphill(carry: tuple[Any, Any, Any]) -> Any:
         damping, _, reduction = carry
-        return ~lost & (reduction < -_UPHILL * chi_squared) & (damping <= _MOST_DAMPING)
+        return ~failed & (reduction < -_UPHILL * chi_squared) & (damping <= _MOST_DAMPING)
 
     def shorter(carry: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
         damping = xp.where(uphill(carry), carry[0] * _STEEPER, carry[0])
@@ -198,25 +198,25 @@ def _proposed(
     # A step to a bound may lead uphill; a shorter one does not.
     carry = (search.damping, values, xp.zeros_like(chi_squared))
     damping, trial, reduction = _repeat(lambda carry: uphill(carry).any(), shorter, carry)
-    lost |= damping > _MOST_DAMPING
+    failed |= damping > _MOST_DAMPING
 
-    light = damping <= _HEAVY
+    lightly_damped = damping <= _HEAVY
     ratio = xp.where(xp.isfinite(before), reduction / xp.maximum(before, 1e-300), 1.0)
     after = reduction * xp.where(ratio < 1, ratio, 1.0)
     last = reduction <= control.extrapolated * chi_squared
-    last &= (after <= control.remaining * chi_squared) & light & ~lost
-    no_shorter = (before <= _ROUNDING * chi_squared) & (reduction >= before) & light
+    last &= (after <= control.remaining * chi_squared) & lightly_damped & ~failed
+    not_shrinking = (before <= _ROUNDING * chi_squared) & (reduction >= before) & lightly_damped
     step = xp.abs(trial - values) / (bounds.typical + xp.abs(values))
     small = (step <= _SMALL).all(-1) & (damping <= control.damping)
     # If the model is not smooth, trials may be rejected however short the steps are.
-    little = (reduction <= _STALLED * chi_squared) | (step <= _STALLED).all(-1)
-    settled = xp.where(accepted, little, search.settled)
+    negligible = (reduction <= _STALLED * chi_squared) | (step <= _STALLED).all(-1)
+    settled = xp.where(accepted, negligible, search.settled)
     stalled = (damping > _MOST_DAMPING) & settled
-    success = (~lost & (last | no_shorter | small)) | stalled
+    success = (~failed & (last | not_shrinking | small)) | stalled
     extrapolation = xp.where(last[..., None], trial - values, 0.0)
     found = search._replace(
         values=values + extrapolation, trial=trial, damping=damping, reduction=reduction,
-        settled=settled, done=lost | success, success=success,
+        settled=settled, done=failed | success, success=success,
     )  # fmt: skip
     return found, Outcome(accepted, extrapolation)
 

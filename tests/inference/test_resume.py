@@ -154,26 +154,26 @@ def load_and_save(fit, folder):
 @pytest.mark.parametrize("steps", [10, 30])
 def test_the_change_of_moves_is_resumed_too(eq12_fit, tmp_path, monkeypatch, steps):
     # as though the ridge proposals failed: from the first block on, ensemble moves do the work
-    monkeypatch.setattr(sampling, "_TOO_FEW", 2.0)
+    monkeypatch.setattr(sampling, "_LEAST_ACCEPTANCE", 2.0)
     choices = {"effective": 1e9, "most_steps": 60}
     result, whole = sample(eq12_fit, **choices)
     assert "most proposals were ensemble moves" in result.posterior.status
     file = tmp_path / "chain.h5"
     done = []
-    real = checkpoint.Keeper.keep
+    real = checkpoint.CheckpointWriter.write_if_due
 
-    def crash(keeper, run):
-        keeper._next = 0
-        real(keeper, run)
+    def crash(writer, run):
+        writer._next = 0
+        real(writer, run)
         done.append(run)
         if len(done) == steps:
             raise MemoryError
 
     with monkeypatch.context() as patch:
-        patch.setattr(checkpoint.Keeper, "keep", crash)
+        patch.setattr(checkpoint.CheckpointWriter, "write_if_due", crash)
         with pytest.raises(MemoryError):
             sample(eq12_fit, **choices, checkpoint=file)
-    assert load_chain(file).state.bold == (steps < 20)
+    assert load_chain(file).state.mostly_ridge == (steps < 20)
     again, resumed = sample(eq12_fit, **choices, checkpoint=file, resume=True)
     assert_same(resumed, whole)
     assert again.posterior == result.posterior

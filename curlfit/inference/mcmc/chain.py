@@ -43,16 +43,16 @@ class SamplerState:
     coords : of the walkers in the sampler's coordinates, shape (walkers, free parameters).
     random : the state of numpy's `RandomState`, as its `get_state` gives it.
     left : steps left in the current block; convergence is tested after each block.
-    bold : whether most proposals are made along the ridge.
-    tried, taken : ridge proposals made and accepted.
+    mostly_ridge : whether most proposals are made along the ridge.
+    proposed, accepted : ridge proposals made and accepted.
     """
 
     coords: Floats
     random: tuple[Any, ...]
     left: int
-    bold: bool
-    tried: int
-    taken: int
+    mostly_ridge: bool
+    proposed: int
+    accepted: int
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -244,10 +244,11 @@ class Chain(Displayed):
                 group.attrs[f"random_state_{place}"] = item
             kept = out.create_group("sampler")
             kept.create_dataset("coords", data=self.state.coords)
-            kept.attrs.update({name: getattr(self.state, name) for name in _COUNTS})
+            kept.attrs.update({name: getattr(self.state, count) for name, count in _COUNTS.items()})
 
 
-_COUNTS = ("left", "bold", "tried", "taken")
+_COUNTS = {"left": "left", "bold": "mostly_ridge", "tried": "proposed", "taken": "accepted"}
+"""Attributes of `chain.h5` and the fields of the state that they hold."""
 
 
 def load_chain(file: str | PathLike[str]) -> Chain:
@@ -287,7 +288,7 @@ def _state(stored: Any) -> SamplerState:
     return SamplerState(
         coords=kept["coords"][:],
         random=(str(random[0]), random[1], int(random[2]), int(random[3]), float(random[4])),
-        **{name: kept.attrs[name].item() for name in _COUNTS},
+        **{count: kept.attrs[name].item() for name, count in _COUNTS.items()},
     )
 
 

@@ -12,14 +12,14 @@ from curlfit.inference.mcmc.run import Run
 _EVERY = 2.0  # least time between two checkpoints, s
 
 
-class Keeper:
+class CheckpointWriter:
     """Writes an unfinished chain at intervals, in no more than a fiftieth of the time."""
 
     def __init__(self, file: Path | None) -> None:
         self.file = file
         self._next = -np.inf
 
-    def keep(self, run: Run) -> None:
+    def write_if_due(self, run: Run) -> None:
         """Write a checkpoint if one is due."""
         now = monotonic()
         if self.file is None or now < self._next:

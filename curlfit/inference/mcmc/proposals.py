@@ -54,13 +54,13 @@ class RidgeMove(Move):
         self.pushed = np.array([], int) if pushed is None else pushed
         self.scale = np.array([]) if scale is None else scale
         unit = np.eye(len(centre))
-        self.tried = self.taken = 0
+        self.proposed = self.accepted = 0
         self._inverse = np.linalg.inv(np.concatenate([seen, unit[self.pivots], unit[self.pushed]]))
 
     @property
     def acceptance(self) -> float:
         """Fraction of its proposals accepted."""
-        return self.taken / max(self.tried, 1)
+        return self.accepted / max(self.proposed, 1)
 
     def draw(self, n: int, random: Any, *, gaussian: bool = False) -> Floats:
         """n parameter vectors, shape (n, p); Student or `gaussian` along determined directions."""
@@ -95,8 +95,8 @@ class RidgeMove(Move):
                 factor + log_prob - state.log_prob
             )
         accepted &= np.isfinite(back)
-        self.tried += len(old)
-        self.taken += int(accepted.sum())
+        self.proposed += len(old)
+        self.accepted += int(accepted.sum())
         return self.update(state, State(new, log_prob=log_prob), accepted), accepted
 
 

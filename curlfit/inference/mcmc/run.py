@@ -24,9 +24,9 @@ from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import in_batches
 
 ENSEMBLES = 4
-_BOLD = (0.8, 0.1, 0.1)  # shares of the moves: ridge, stretch, differential evolution
-_WARY = (0.2, 0.4, 0.4)  # the same where fewer ridge proposals are accepted than
-_TOO_FEW = 0.2
+_MOSTLY_RIDGE = (0.8, 0.1, 0.1)  # shares: ridge, stretch, differential evolution
+_MOSTLY_ENSEMBLE = (0.2, 0.4, 0.4)  # the same where few ridge proposals are accepted
+_LEAST_ACCEPTANCE = 0.2
 
 
 def prepare_sampling(model: Model, parameters: ParameterSet, problem: Problem) -> None:
@@ -65,7 +65,7 @@ class Run:
         self._move = ridge_move(fit, self._offset)
         self._dimension = int(self.free.sum())
         self._walkers = _walkers(parameters)
-        self._bold = True
+        self._mostly_ridge = True
         self._interrupted = False
         self._done: list[_Step] = []
         self._state: Any = None
@@ -83,18 +83,18 @@ class Run:
         return state is not None and state.left == 0
 
     @property
-    def is_astray(self) -> bool:
+    def ridge_proposals_fail(self) -> bool:
         """Whether the posterior differs from its approximation by the fit."""
-        return self._bold and self._move.acceptance < _TOO_FEW
+        return self._mostly_ridge and self._move.acceptance < _LEAST_ACCEPTANCE
 
-    def take_up(self, chain: Chain, file: Path) -> None:
+    def resume(self, chain: Chain, file: Path) -> None:
         """Resume where a stored chain ended. Raises `DataError` if that is not possible."""
         require_same(chain.subject, self.subject, file)
         state = chain.state
         if state is None or not len(chain.values):
             raise DataError("cannot be resumed: the sampler's state is not in it", file=file)
-        self._bold = state.bold
-        self._move.tried, self._move.taken = state.tried, state.taken
+        self._mostly_ridge = state.mostly_ridge
+        self._move.proposed, self._move.accepted = state.proposed, state.accepted
         self._state = State(state.coords, log_prob=chain.log_posterior[-1].copy())
         self._sampler = self._sampler_with(state.random)
         earlier = zip(chain.values[:-1], chain.log_posterior[:-1], strict=True)
@@ -110,11 +110,11 @@ class Run:
         coords = first_walkers(self._move, self._log_prob, self._walkers, *ends, random)
         self._state = State(coords, log_prob=self._log_prob(coords))
         self._sampler = self._sampler_with(random.get_state(legacy=True))
-        self._heed()
+        self._raise_if_interrupted()
 
     def start_over(self) -> None:
         """Discard the steps so far as burn-in, and rely on the ensemble moves."""
-        self._bold = False
+        self._mostly_ridge = False
         self._done.clear()
         self._sampler = self._sampler_with(self._sampler.random_state)
 
@@ -122,18 +122,18 @@ class Run:
         """Do the steps up to the next test of convergence."""
         before = self._done[-1].state if self._done else None
         todo = (before.left if before else 0) or max(BLOCK, self.steps // 5)
-        for place, state in enumerate(
+        for number, state in enumerate(
             self._sampler.sample(
                 self._state, iterations=todo, store=False, skip_initial_state_check=True
             ),
             start=1,
         ):
-            self._heed()
+            self._raise_if_interrupted()
             self._state = state
             coords = state.coords.copy()
             after = SamplerState(
-                coords, self._sampler.random_state, todo - place, self._bold,
-                self._move.tried, self._move.taken,
+                coords, self._sampler.random_state, todo - number, self._mostly_ridge,
+                self._move.proposed, self._move.accepted,
             )  # fmt: skip
             step = _Step(self._whole(coords) + self._offset, state.log_prob.copy(), after)
             self._done.append(step)  # atomic: an interrupt leaves a valid chain
@@ -161,7 +161,7 @@ class Run:
         )
 
     def _sampler_with(self, random: Any) -> Any:
-        shares = _BOLD if self._bold else _WARY
+        shares = _MOSTLY_RIDGE if self._mostly_ridge else _MOSTLY_ENSEMBLE
         moves = (
             self._move,
             EnsembleMove(ENSEMBLES, evolution=False),
@@ -197,6 +197,6 @@ class Run:
             self._interrupted = True
             return np.full(len(values), -np.inf)
 
-    def _heed(self) -> None:
+    def _raise_if_interrupted(self) -> None:
         if self._interrupted:
             raise KeyboardInterrupt

@@ -11,7 +11,7 @@ from curlfit.errors import InputError
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain, load_chain
-from curlfit.inference.mcmc.checkpoint import Keeper
+from curlfit.inference.mcmc.checkpoint import CheckpointWriter
 from curlfit.inference.mcmc.run import Run
 from curlfit.inference.mcmc.summary import summarised
 
@@ -68,14 +68,14 @@ def sample(
         if file is None:
             raise InputError("resume: expected a checkpoint to resume from")
         if file.exists():
-            run.take_up(load_chain(file), file)
-    keeper = Keeper(file)
+            run.resume(load_chain(file), file)
+    checkpoints = CheckpointWriter(file)
     ended = "stopped by the user"
     try:
         run.begin()
         while True:
             if run.block_is_over:
-                if run.is_astray:
+                if run.ridge_proposals_fail:
                     run.start_over()
                     continue
                 diagnosis = run.diagnosis()
@@ -88,7 +88,7 @@ def sample(
                     ended = f"not converged after {run.steps} steps"
                     break
             for _ in run.block():
-                keeper.keep(run)
+                checkpoints.write_if_due(run)
     except KeyboardInterrupt:
         if run.steps < 4:
             raise

@@ -16,7 +16,9 @@ from curlfit.inference.mcmc.convergence import diagnose
 _QUANTILES = ("2.5", "16", "50", "84", "97.5")
 
 
-def so_far(fit: FitResult, file: str | PathLike[str]) -> tuple[FitResult, Chain] | None:
+def unfinished_posterior(
+    fit: FitResult, file: str | PathLike[str]
+) -> tuple[FitResult, Chain] | None:
     """An unfinished sample left on disk: the fit with a posterior marked as unfinished, and the
     chain. None where `file` is missing, too short to be judged, or of another fit or version."""
     if not Path(file).is_file():
@@ -51,7 +53,7 @@ def summarised(
             f": {diagnosis.least_effective:.0f} effective samples{wanted}, "
             f"R-hat {diagnosis.worst_r_hat:.3f}"
         )
-    if chain.state is not None and not chain.state.bold:
+    if chain.state is not None and not chain.state.mostly_ridge:
         status += (
             "; its shape differs from the approximation by the fit, so most proposals were "
             "ensemble moves"
