@@ -349,12 +349,12 @@ def _fit_jointly(
     check_systematics(systematics)
     choices = s.parameter_choices(settings)
     start = settings.get("start", {})
-    ParameterSet.build(law, **s.is_swept(choices)).require("--start", start)
+    ParameterSet.build(law, **s.for_parameter_set(choices)).require("--start", start)
     throws = []
     for job in jobs:
         cut = job.throw.select_rows(**s.row_choices(job.settings))
         require_plausible(cut)
-        ParameterSet.for_throw(law, cut, **s.is_swept(choices))
+        ParameterSet.for_throw(law, cut, **s.for_parameter_set(choices))
         throws.append(cut.with_defaults(stone=job.stone.as_dict()))
     folder = prepare_folder(out or Path("joint-fit"))
     drawn.draw_beside()

@@ -287,7 +287,7 @@ def minimize_many(
     return searches.solution(np.arange(len(going)))
 
 
-def run_of(indices: Indices) -> Indices | slice:
+def as_slice(indices: Indices) -> Indices | slice:
     """Increasing indices; as a slice where they are contiguous, which avoids a copy."""
     if len(indices) and indices[-1] - indices[0] == len(indices) - 1:
         return slice(indices[0], indices[-1] + 1)
@@ -309,62 +309,63 @@ class _Searches:
 
     def trials(self, now: Indices) -> tuple[Floats, Problem]:
         """Parameter vectors to evaluate, and their problems."""
-        return self.state.trial[now], jax.tree.map(itemgetter(run_of(now)), self.problems)
+        return self.state.trial[now], jax.tree.map(itemgetter(as_slice(now)), self.problems)
 
     def advance(self, now: Indices, residual: Floats, jacobian: Floats) -> Booleans:
         """Process the results of a pass; return which of the searches are done."""
-        state, bounds = self._of(run_of(now))
+        state, bounds = self._of(as_slice(now))
         with np.errstate(invalid="ignore", over="ignore"):  # where there is no path
-            model = self._model(run_of(now), state.trial, residual, jacobian)
+            model = self._model(as_slice(now), state.trial, residual, jacobian)
             state, outcome = lm.advance(state, model, bounds, _QUICK)
         better = outcome.accepted
         if not better.all():
             residual, jacobian = residual[better], jacobian[better]
-        run = run_of(now[better])
-        self.residual[run], self.jacobian[run] = residual, jacobian
+        throws = as_slice(now[better])
+        self.residual[throws], self.jacobian[throws] = residual, jacobian
         return self._put(now, state, outcome)
 
     def revise(self, revision: Revision) -> Booleans:
         """Restart revised searches from their best values; return which are done immediately."""
         now, problems, scale = revision
-        run = run_of(now)
-        state, bounds = self._of(run)
+        throws = as_slice(now)
+        state, bounds = self._of(throws)
         if self.penalty is not None and self.revised_penalty is not None:
             for part, new in zip(self.penalty, self.revised_penalty, strict=True):
-                part[run] = new[run]
+                part[throws] = new[throws]
         if scale is None:
             for leaf, new in zip(*map(jax.tree.leaves, (self.problems, problems)), strict=True):
-                leaf[run] = new
+                leaf[throws] = new
             return self._put(now, lm.begin(state.values, bounds, _QUICK), None)
-        self.problems.weight[run] = problems.weight
-        self.residual[run] *= scale
-        self.jacobian[run] *= scale[..., None]
-        model = self._model(run, state.values, self.residual[run], self.jacobian[run])
+        self.problems.weight[throws] = problems.weight
+        self.residual[throws] *= scale
+        self.jacobian[throws] *= scale[..., None]
+        model = self._model(throws, state.values, self.residual[throws], self.jacobian[throws])
         return self._put(now, *lm.reweighted(state, model, bounds, _QUICK))
 
     def solution(self, which: Indices) -> Solution:
         """The best solutions so far; arrays may be views, valid until a search advances."""
-        run = run_of(which)
+        throws = as_slice(which)
         return Solution(
-            self.state.values[run], self.residual[run], self.jacobian[run],
-            self.state.evaluations[run], self.state.success[run], self._penalty_chi_squared(run),
+            self.state.values[throws], self.residual[throws], self.jacobian[throws],
+            self.state.evaluations[throws], self.state.success[throws],
+            self._penalty_chi_squared(throws),
         )  # fmt: skip
 
-    def _of(self, run: Indices | slice) -> tuple[lm.Search, lm.Bounds]:
+    def _of(self, throws: Indices | slice) -> tuple[lm.Search, lm.Bounds]:
         lower, upper, typical = self.bounds
-        state: lm.Search = jax.tree.map(itemgetter(run), self.state)
-        return state, lm.Bounds(lower[run], upper[run], typical)
+        state: lm.Search = jax.tree.map(itemgetter(throws), self.state)
+        return state, lm.Bounds(lower[throws], upper[throws], typical)
 
-    def _penalty(self, run: Indices | slice) -> Penalty | None:
-        found: Penalty | None = jax.tree.map(itemgetter(run), self.penalty)
+    def _penalty(self, throws: Indices | slice) -> Penalty | None:
+        found: Penalty | None = jax.tree.map(itemgetter(throws), self.penalty)
         return found
 
-    def _penalty_chi_squared(self, run: Indices | slice) -> Floats:
-        penalty, values = self._penalty(run), self.state.values[run]
+    def _penalty_chi_squared(self, throws: Indices | slice) -> Floats:
+        penalty, values = self._penalty(throws), self.state.values[throws]
         return np.zeros(len(values)) if penalty is None else penalty.chi_squared(values)
 
     def _model(
-        self, run: Indices | slice, values: Floats, residual: Floats, jacobian: Floats
+        self, throws: Indices | slice, values: Floats, residual: Floats, jacobian: Floats
     ) -> lm.QuadraticModel:
         count, channels, rows, size = jacobian.shape
         model = lm.quadratic_model(
@@ -372,18 +373,18 @@ class _Searches:
             jacobian.reshape(count, channels * rows, size),
             self.bounds.typical,
         )
-        penalty = self._penalty(run)
+        penalty = self._penalty(throws)
         if penalty is None:
             return model
         found: lm.QuadraticModel = penalty.added_to(model, values, self.bounds.typical)
         return found
 
     def _put(self, now: Indices, state: lm.Search, outcome: lm.Outcome | None) -> Booleans:
-        run = run_of(now)
+        throws = as_slice(now)
         for leaf, new in zip(*map(jax.tree.leaves, (self.state, state)), strict=True):
-            leaf[run] = new
+            leaf[throws] = new
         if outcome is not None and (last := outcome.extrapolation.any(1)).any():
             move = outcome.extrapolation[last][:, None, :, None]
-            run = run_of(now[last])
-            self.residual[run] += (self.jacobian[run] @ move)[..., 0]
+            throws = as_slice(now[last])
+            self.residual[throws] += (self.jacobian[throws] @ move)[..., 0]
         return np.asarray(state.done)

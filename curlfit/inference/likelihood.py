@@ -135,10 +135,10 @@ def _unpadded_times(problem: Problem) -> Array:
 
 def weighted_residuals(model: Model, values: Array, problem: Problem) -> Array:
     """(model - data) times weight, whitened and transformed by the loss, shaped like the data."""
-    return signed_root(_independent_residuals(model, values, problem), problem.loss)
+    return signed_root(_whitened_residuals(model, values, problem), problem.loss)
 
 
-def _independent_residuals(model: Model, values: Array, problem: Problem) -> Array:
+def _whitened_residuals(model: Model, values: Array, problem: Problem) -> Array:
     """(model - data) times weight, whitened but not transformed by the loss."""
     # Positions alone take half the time, but cannot be differentiated by the times.
     if len(problem.observed) == 3 and "time_scale" not in model.conditions:
@@ -177,7 +177,7 @@ def _linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, A
 
     def one(values: Array, problem: Problem) -> tuple[Array, Array]:
         def residual(values: Array) -> tuple[Array, Array]:
-            found = _independent_residuals(model, values, problem)
+            found = _whitened_residuals(model, values, problem)
             return found, found
 
         return jax.jacfwd(residual, has_aux=True)(values)
@@ -216,7 +216,7 @@ def log_posterior(
 
 @compiled("model")
 def _chi_squared(model: Model, values: Array, problems: Problem) -> Array:
-    found = jax.vmap(partial(_independent_residuals, model))(values, problems)
+    found = jax.vmap(partial(_whitened_residuals, model))(values, problems)
     return (_under_losses(found, problems.loss)[0] ** 2).sum((1, 2))
 
 
@@ -229,12 +229,14 @@ def chi_squared_of_many(
     if batch > 1:
         program = partial(_chi_squared, model)
         return np.asarray(in_batches(program, (values, problems), batch))
-    found = raw_residuals(model, values, problems, batch)
+    found = whitened_residuals_of_many(model, values, problems, batch)
     roots = [signed_root(*pair) for pair in zip(found, problems.loss, strict=True)]
     return (np.array(roots) ** 2).sum((1, 2))
 
 
-def raw_residuals(model: Model, values: Floats, problems: Problem, batch: int = BATCH) -> Floats:
+def whitened_residuals_of_many(
+    model: Model, values: Floats, problems: Problem, batch: int = BATCH
+) -> Floats:
     """(model - data) times weight of many throws, whitened but not transformed by the loss."""
     path = predict_many(model, values, problems, batch)
     residual = (path[:, : problems.observed.shape[1]] - problems.observed) * problems.weight

@@ -379,7 +379,7 @@ def parameter_choices(settings: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def is_swept(choices: Mapping[str, Any]) -> dict[str, Any]:
+def for_parameter_set(choices: Mapping[str, Any]) -> dict[str, Any]:
     """The choices as arguments of `ParameterSet.for_throw`."""
     return {**choices, "swept": choices["swept"] is not None}
 
@@ -454,7 +454,7 @@ def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Fi
     choices = parameter_choices(settings)
     cut = throw.select_rows(**row_choices(settings))
     require_plausible(cut)
-    parameters = ParameterSet.for_throw(law, cut, **is_swept(choices))
+    parameters = ParameterSet.for_throw(law, cut, **for_parameter_set(choices))
     parameters.require("--start", settings.get("start", {}))
     check_derived(settings.get("derive", ()), parameters.names)
     return FitRequest(throw, cut, settings, law, load, loss, noise, stone, choices, parameters)

@@ -17,7 +17,7 @@ import curlfit
 from curlfit import DataError, InputError, UnusableFitError
 from curlfit.cli import app
 from curlfit.inference.fit.result import Estimate
-from curlfit.inference.likelihood import raw_residuals
+from curlfit.inference.likelihood import whitened_residuals_of_many
 from curlfit.inference.mcmc.sampler import sample
 from curlfit.inference.problem import Origin, build_problem
 from curlfit.numerics.compiled import stacked
@@ -79,7 +79,7 @@ def scipy_minimum(fit, held):
         whole = values.copy()
         whole[free] = some
         one = whole[None], stacked([problem])
-        return raw_residuals(fit.model, *one, batch=1).ravel()
+        return whitened_residuals_of_many(fit.model, *one, batch=1).ravel()
 
     found = least_squares(
         residual, values[free], bounds=(low, high), x_scale=parameters.typical[free] / 100,

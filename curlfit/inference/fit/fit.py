@@ -29,12 +29,12 @@ from curlfit.inference.least_squares import (
     Revision,
     Solution,
     Tasks,
+    as_slice,
     minimize,
     minimize_many,
     multistart,
     needs_restart,
     prepare_minimize,
-    run_of,
     starts,
 )
 from curlfit.inference.likelihood import prepare_channels
@@ -174,10 +174,10 @@ def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSqu
     """Fit the only throw of some rounds, trying all initial values."""
     (prepared,), model = rounds.throws, rounds.model
     parameters = prepared.local_parameters
-    (problem,), (sketch,) = unstacked(rounds.problems), unstacked(rounds.sketches)
+    (problem,), (sketch,) = unstacked(rounds.problems), unstacked(rounds.initial_problems)
     prepare_minimize(model, prepared.first_parameters, problem)
     prepare_channels(model, len(parameters), problem)
-    path = smooth(rounds.sketches)
+    path = smooth(rounds.initial_problems)
     tries = starts(model, sketch, path, parameters)
     if start:
         tries.insert(0, prepared.with_start(tries[0], start))
@@ -305,8 +305,8 @@ def _fitted_together(
     alone."""
     model, throws = rounds.model, rounds.throws
     _, lower, upper = local_bounds(throws)
-    paths = smooth(rounds.sketches)
-    begin = start_values(model, rounds.sketches, paths, lower, upper)
+    paths = smooth(rounds.initial_problems)
+    begin = start_values(model, rounds.initial_problems, paths, lower, upper)
     if start:
         begin = np.stack(
             [one.with_start(values, start) for one, values in zip(throws, begin, strict=True)]
@@ -315,7 +315,7 @@ def _fitted_together(
 
     def revise(which: Indices, solutions: Solution) -> list[Revision]:
         if not checked_once[which].all():
-            here = jax.tree.map(itemgetter(run_of(which)), (paths, rounds.problems))
+            here = jax.tree.map(itemgetter(as_slice(which)), (paths, rounds.problems))
             bad = needs_restart(solutions, *here)
             poor[which] |= bad & ~checked_once[which]
             checked_once[which] = True

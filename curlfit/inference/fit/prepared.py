@@ -97,9 +97,9 @@ class PreparedThrow(NamedTuple):
     def first_parameters(self) -> ParameterSet:
         """The same for the first fit, which weights channels equally where no sigma is given."""
         local = self.local_parameters
-        return local.with_first_priors() if self.even_sigma() else local
+        return local.with_first_priors() if self.equal_sigma() else local
 
-    def even_sigma(self) -> dict[str, float]:
+    def equal_sigma(self) -> dict[str, float]:
         """Sigma in the first fit for channels whose own is unknown: equal weights."""
         given = [float(np.nanmedian(series)) for series in self.throw.sigma.values()]
         even = float(np.exp(np.mean(np.log(given)))) if given else 1.0

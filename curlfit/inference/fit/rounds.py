@@ -25,10 +25,10 @@ from curlfit.inference.least_squares import (
     Indices,
     Revision,
     Solution,
+    as_slice,
     residual_sigma,
-    run_of,
 )
-from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, raw_residuals
+from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, whitened_residuals_of_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.correlated import Motion, estimate, whitener_of
 from curlfit.inference.noise.estimation import channel_residuals
@@ -46,7 +46,7 @@ class Rounds:
 
     Attributes
     ----------
-    problems : throws along the first axis. sketches : the same for the initial values.
+    problems : throws along the first axis. initial_problems : the same for the initial values.
     sigma : of each throw and channel; 0 where the throw gives its own.
     failures : by index, the error that prevents a further round.
     """
@@ -71,7 +71,7 @@ class Rounds:
                     )
         self.model, self.throws, self.batch = model, throws, batch
         self.loss = loss
-        even = [throw.even_sigma() for throw in throws]
+        even = [throw.equal_sigma() for throw in throws]
         blank = None if noise == "white" else Noise(noise)
         self.problems: Problem = stacked(
             [
@@ -82,10 +82,10 @@ class Rounds:
                 for one, sigma in zip(throws, even, strict=True)
             ]
         )  # fmt: skip
-        self.sketches = self.problems
+        self.initial_problems = self.problems
         if self.problems.events is not None:
             # Initial values do without events; a throw with nothing else needs a rough path.
-            self.sketches = stacked(
+            self.initial_problems = stacked(
                 [
                     build_problem(
                         one.throw.sketched(), one.stone, one.origin, sigma,
@@ -103,7 +103,8 @@ class Rounds:
         self.failures: dict[int, InputError] = {}
         robust = _ROBUST_FITS if loss != "linear" else 0
         self._rounds: list[Callable[[Indices, Solution], Revision]] = [
-            self._scatter, *[self._bulk] * robust, *[self._correlated] * (noise != "white")
+            self._estimate_sigma, *[self._estimate_robust_sigma] * robust,
+            *[self._estimate_noise] * (noise != "white"),
         ]  # fmt: skip
         self._next = np.where(self.unknown.any(1), 0, 1)
 
@@ -136,14 +137,14 @@ class Rounds:
             tried=tried,
         )
 
-    def _scatter(self, now: Indices, solutions: Solution) -> Revision:
+    def _estimate_sigma(self, now: Indices, solutions: Solution) -> Revision:
         sigma = residual_sigma(solutions, self._problems_of(now), self.free[now])
         self.sigma[now] = np.where(self.unknown[now], sigma + SIGMA_FLOOR, 0.0)
         return self._reweighted(now, rescaled=True)
 
-    def _bulk(self, now: Indices, solutions: Solution) -> Revision:
+    def _estimate_robust_sigma(self, now: Indices, solutions: Solution) -> Revision:
         problems = self._problems_of(now)
-        residual = raw_residuals(self.model, solutions.values, problems, self.batch)
+        residual = whitened_residuals_of_many(self.model, solutions.values, problems, self.batch)
         for place, throw in enumerate(now):
             for row in np.flatnonzero(self.unknown[throw]):
                 there = problems.weight[place, row] > 0
@@ -153,7 +154,7 @@ class Rounds:
         self._next[now[~self.unknown[now].any(1)]] = 1 + _ROBUST_FITS  # without sigmas to estimate
         return self._reweighted(now)
 
-    def _correlated(self, now: Indices, solutions: Solution) -> Revision:
+    def _estimate_noise(self, now: Indices, solutions: Solution) -> Revision:
         problems = self._problems_of(now)
         paths = predict_many(self.model, solutions.values, problems, self.batch)
         estimated, motions = [], {}
@@ -202,5 +203,5 @@ class Rounds:
         return Revision(now, self._problems_of(now), scale)
 
     def _problems_of(self, now: Indices) -> Problem:
-        found: Problem = jax.tree.map(itemgetter(run_of(now)), self.problems)
+        found: Problem = jax.tree.map(itemgetter(as_slice(now)), self.problems)
         return found

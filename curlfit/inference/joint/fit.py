@@ -104,7 +104,9 @@ def fit_together(
         Layout(sets, shared) for sets in (local, [one.first_parameters for one in prepared])
     )
     initial = []
-    for one, parameters, problem in zip(prepared, local, unstacked(rounds.sketches), strict=True):
+    for one, parameters, problem in zip(
+        prepared, local, unstacked(rounds.initial_problems), strict=True
+    ):
         alone = stacked([problem])
         ends = parameters.lower[None], parameters.upper[None]
         (values,) = start_values(model, alone, smooth(alone), *ends, batch=1)
