@@ -9,7 +9,9 @@ are comparable and their ratios are Bayes factors (Kass and Raftery 1995).
 Integral. Chi squared is taken as quadratic (Laplace), which leaves a Gaussian integral over the box
 of the bounds. It is exact along ridges, where only the prior limits it, and at bounds: a parameter
 that the data push against its bound contributes the integral over its half-line, and the others the
-probability of the box under their joint normal density.
+probability of the box under their joint normal density. A parameter p with a lognormal prior is
+replaced by its logarithm, q = p1 (1 + ln(p/p1)) about the estimate p1: the prior is normal in q,
+and the integral exact both where the data determine p and where only the prior does (MacKay 1998).
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ class _Gaussian(NamedTuple):
 
 
 class PriorTerms(NamedTuple):
-    """Prior of some parameters, normal where it is not flat."""
+    """Prior of some parameters, normal where it is not flat; a lognormal one about the estimate, in
+    the coordinate of the module docstring."""
 
     mean: Floats
     precision: Floats
@@ -52,10 +55,7 @@ def log_evidence(result: FitResult, log_likelihood: float) -> float:
     log-likelihood at the fit."""
     names = result.information["names"]
     values = np.array([result.parameters[name].value for name in names])
-    lower, upper = (
-        np.array([getattr(result.parameters[name], end) for name in names])
-        for end in ("lower", "upper")
-    )
+    lower, upper = np.array([_bounds(result, name) for name in names]).T
     prior, (information, gradient) = prior_terms(result, names), _of_data(result, names)
     off = prior.mean - values
     whole = _Gaussian(
@@ -92,17 +92,32 @@ def prior_terms(result: FitResult, names: list[str]) -> PriorTerms:
         if known is not None and known.kind == "uniform":
             log_density -= math.log(item.upper - item.lower)
             continue
-        if known is not None:
-            mean[index] = 0.0 if known.kind == "half-normal" else known.mode
-            sd = known.values[-1] if known.kind != "lognormal" else known.sd
+        if known is not None and known.kind == "lognormal":
+            median, sigma = known.values
+            mean[index], sd = _logarithmic(median, item.value), sigma * item.value
+        elif known is not None:
+            mean[index], sd = known.mode, known.values[-1]
         elif name in coefficients:
             sd = _ORDER * _size(coefficients[name])
         else:
             continue
         precision[index] = 1 / sd**2
-        ends = (np.array([item.lower, item.upper]) - mean[index]) / sd
+        ends = (np.array(_bounds(result, name)) - mean[index]) / sd
         log_density -= math.log(sd) + 0.5 * math.log(2 * math.pi) + _log_between(*ends)
     return PriorTerms(mean, precision, log_density)
+
+
+def _bounds(result: FitResult, name: str) -> tuple[float, float]:
+    """The bounds of a parameter, in its coordinate of the module docstring."""
+    item, prior = result.parameters[name], result.parameter_set.priors.get(name)
+    if prior is None or prior.kind != "lognormal":
+        return item.lower, item.upper
+    return _logarithmic(item.lower, item.value), _logarithmic(item.upper, item.value)
+
+
+def _logarithmic(p: float, estimate: float) -> float:
+    """p1 (1 + ln(p/p1)): the logarithm of p, scaled so as to equal p to first order about p1."""
+    return estimate * (1 + math.log(p / estimate)) if p > 0 else -math.inf
 
 
 def _size(item: Coefficient) -> float:

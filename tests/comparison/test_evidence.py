@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.stats import norm, truncnorm
+from scipy.interpolate import CubicSpline
+from scipy.stats import halfnorm, lognorm, norm, truncnorm
 
 import curlfit
 from curlfit.comparison.criteria import log_likelihood
@@ -117,6 +118,39 @@ def test_a_prior_of_the_user_takes_the_place_of_the_default(few):
     given = sum(log_likelihood(narrow).values())
     # The prior puts the likelihood's peak where it is: less is averaged away.
     assert log_evidence(narrow, given) > log_evidence(few, sum(log_likelihood(few).values())) + 0.5
+
+
+@pytest.mark.parametrize(
+    ("sigma", "by_data"), [(0.3, 1), (1000.0, 0)], ids=["data decide", "prior decides"]
+)
+@pytest.mark.parametrize(
+    ("prior", "density"),
+    [
+        ("lognormal:0.05,0.5", lognorm(0.5, scale=0.05)),
+        ("lognormal:0.003,0.5", lognorm(0.5, scale=0.003)),
+        ("half-normal:0.02", halfnorm(scale=0.02)),
+        ("0.012+-0.002", norm(0.012, 0.002)),
+    ],
+)
+def test_the_prior_of_one_coefficient_against_quadrature(few, sigma, by_data, prior, density):
+    throw = few.throw.with_sigma(dict.fromkeys(("x", "y", "phi"), sigma))
+    fix = {**FIXED, "mu2_eta": 0.009, "v0": 2.0}
+    one = curlfit.fit(throw, fix=fix, priors={"mu1_eta": prior}, systematics={"all": 0.0})
+    problem, origin = problem_of(one)
+    value, stderr = one["mu1_eta"].value, one["mu1_eta"].stderr
+    low = max(value - 8 * stderr, density.ppf(1e-7), 0.0)
+    high = min(value + 40 * stderr, density.ppf(1 - 1e-7))
+    values = np.linspace(low, high, 64)
+    points = np.tile(one.values - origin.offset(len(one.values)), (len(values), 1))
+    points[:, list(one.parameters).index("mu1_eta")] = values
+    chi_squared = chi_squared_of_many(one.model, points, stacked([problem] * len(values)), BATCH)
+    likelihood = CubicSpline(values, -0.5 * (chi_squared - one.chi_squared))
+    integral = quad(
+        lambda p: np.exp(likelihood(p)) * density.pdf(p), low, high, points=[value], limit=200
+    )[0]
+    given = sum(log_likelihood(one).values())
+    assert log_evidence(one, given) - given == pytest.approx(np.log(integral), abs=0.02)
+    assert effective_parameters(one) == pytest.approx(by_data, abs=0.01)
 
 
 def test_laws_that_are_the_same_on_a_path_have_the_same_evidence():

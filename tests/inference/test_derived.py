@@ -267,6 +267,33 @@ def test_a_draw_has_its_time_and_its_curl(eq12_fit):
     assert found["curl"].value == pytest.approx(end, abs=3e-3)
 
 
+def test_an_error_of_the_clock_scales_times_and_friction():
+    """Against the fit of the same draw with all times longer: intervals are proportional to the
+    unit of time, the mean deceleration to its inverse square."""
+    width, t = 1e-3, np.linspace(0.0, 30.0, 121)
+    law = curlfit.law_with("coulomb", {"mu": 0.0085})
+    start = curlfit.InitialState(y=9.9, v=2.2, omega=1.0)
+    path = curlfit.simulate(law, curlfit.Stone(), start, t).to_numpy()
+    sigma = dict.fromkeys(("x", "y", "phi"), 0.004)
+    right, slow = (
+        curlfit.fit(
+            replace(
+                curlfit.Throw.from_arrays(rate * t, path.x, path.y, path.phi, sigma=sigma),
+                notes=("y from the hack",),
+            ),
+            "coulomb",
+            systematics={"all": 0.0, "time_scale": width},
+        ).quantities
+        for rate in (1.0, 1 + width)
+    )
+    powers = {"friction": -2, "hog_to_hog": 1, "hog_to_tee": 1, "draw_time": 1}
+    assert set(powers) < set(right)
+    for name, power in powers.items():
+        item = right[name]
+        assert slow[name].value == pytest.approx(item.value * (1 + width) ** power, rel=1e-6), name
+        assert item.systematic == pytest.approx(abs(power) * width * item.value, rel=2e-3), name
+
+
 # --- the command line
 
 

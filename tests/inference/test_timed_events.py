@@ -301,6 +301,20 @@ def test_a_number_that_the_law_cannot_follow_is_named():
     )
 
 
+@pytest.mark.parametrize("loss", ["linear", "huber", "student"])
+def test_fitted_values_are_those_of_the_motion_under_every_loss(loss):
+    events = record(hog_to_hog=14.2, hog_to_rest=12.5, rest=TEE + 0.6, curl=1.0)
+    result = curlfit.fit(Throw.from_events(events), "coulomb", loss=loss)
+    mu, heading, v = (result.parameters[name].value for name in ("mu", "heading", "v0"))
+    a, c = mu * G, np.cos(heading)
+    length, far = v**2 / (2 * a), (v - np.sqrt(v**2 - 2 * a * (FAR - HOG) / c)) / a
+    expected = [far, v / a - far, HOG + length * c, length * np.sin(heading)]
+    fitted = [one["fitted"] for one in result.events]
+    np.testing.assert_allclose(fitted, expected, atol=1e-6)
+    (missed,) = (text for text in result.warnings if "the fit deviates from" in text)
+    assert f"hog_to_rest by {abs(12.5 - v / a + far) / 0.1:.2g} sigma" in missed
+
+
 def test_systematic_errors_of_lengths_and_times(problem):
     mu, v, width, small = 0.0092, 2.6, 1e-3, 1e-6
     at, one = vector(mu, 0.0, v)[None], stacked([problem])

@@ -101,6 +101,11 @@ class _Path:
             events=event_arrays([rest], 0.0) if rests else None,
         )  # fmt: skip
 
+    def with_condition_off(self, condition: str, by: float) -> Problem:
+        """The problem with a condition changed by `by`, and all times on the true clock: a change
+        of `time_scale` moves the rows, and the time of rest is not scaled to the measured clock."""
+        return with_condition_off(self.problem, condition, by)._replace(events=self.problem.events)
+
     def at(self, values: Floats, problem: Problem | None = None) -> _Motion:
         """The path of a parameter vector, in the coordinates of the data."""
         problem = self.problem if problem is None else problem
@@ -155,7 +160,7 @@ def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
         moved, back = (
             path.at(
                 fit.values + sign * along_it,
-                with_condition_off(path.problem, condition, sign * small * width),
+                path.with_condition_off(condition, sign * small * width),
             )
             for sign in (1, -1)
         )

@@ -204,7 +204,7 @@ def _record(
     if fit.loss == "linear" and noise.kind == "white":
         warnings += given_sigma_warnings(throw, fit.solution.residual[:, :n], outliers)
     warnings += _memory_warnings(noise, throw.t, curves)
-    events = _events(fit)
+    events = _events(fit, statistics)
     warnings += event_warnings(events, law.name)
     shown = [name for name in CHANNELS if name in throw.seen or name in ("x", "y", "phi")]
     observed = {name: getattr(throw, name) for name in ("t", *shown)}
@@ -282,11 +282,11 @@ def _discrepancy(fit: LeastSquaresFit, statistics: ResidualStatistics) -> dict[s
     return dict(zip(CHANNELS, mean, strict=True))
 
 
-def _events(fit: LeastSquaresFit) -> tuple[dict[str, Any], ...]:
+def _events(fit: LeastSquaresFit, statistics: ResidualStatistics) -> tuple[dict[str, Any], ...]:
     """The events of a throw with their values in the fit."""
     return tuple(
-        asdict(event) | {"fitted": event.value + event.sigma * float(off)}
-        for event, off in zip(fit.prepared.throw.events, fit.solution.residual[-1], strict=False)
+        asdict(event) | {"fitted": event.value - float(off)}
+        for event, off in zip(fit.prepared.throw.events, statistics.residual[-1], strict=False)
     )
 
 
