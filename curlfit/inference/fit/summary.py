@@ -173,32 +173,9 @@ def _record(
         throw, statistics.residual, lag1, found.dof[:-1], found.leverage, fit.loss
     )
     warnings = [str(one) for one in unusual]
-    fault = law.from_vector(fit.solution.values).fault()
-    if fault is not None:
-        warnings.append(f"{fault}; the fitted coefficients are not those of a friction law")
-    if bounds:
-        warnings += [
-            bound_warning(item.name, item.lower, item.upper, known)
-            for item, stuck in zip(parameters.parameters, found.at_bound, strict=True)
-            if stuck
-        ]
+    warnings += _parameter_warnings(fit, found, bounds=bounds)
     warnings += correlation_warnings(statistics, noise.kind)
-    if nonquadratic:
-        warnings.append(
-            f"chi squared is not quadratic within a standard error of {', '.join(nonquadratic)}: "
-            "these standard errors are rough; use the profile likelihood or the posterior"
-        )
-    beyond = [
-        item.name
-        for item in parameters.parameters
-        if systematics.errors.get(item.name, 0.0) > _NOT_LINEAR * item.typical
-    ]
-    if beyond:
-        warnings.append(
-            f"systematic errors of {', '.join(beyond)} exceed the range in which they can be "
-            "estimated: with the conditions as uncertain as assumed, the path does not determine "
-            f"{'it' if len(beyond) == 1 else 'them'}"
-        )
+    warnings += _error_warnings(parameters, nonquadratic, systematics)
     if outliers and fit.loss == "linear":
         warnings.append(outlier_warning(outliers, throw.t))
     if fit.loss == "linear" and noise.kind == "white":
@@ -317,6 +294,45 @@ def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -
     if unusual:
         return f"converged ({steps}), but the data are unusual: see the first warning"
     return f"converged ({steps})"
+
+
+def _parameter_warnings(fit: LeastSquaresFit, found: Covariance, *, bounds: bool) -> list[str]:
+    """Warnings about inadmissible coefficients and, if requested, parameters at a bound."""
+    warnings = []
+    fault = fit.model.law.from_vector(fit.solution.values).fault()
+    if fault is not None:
+        warnings.append(f"{fault}; the fitted coefficients are not those of a friction law")
+    if bounds:
+        warnings += [
+            bound_warning(item.name, item.lower, item.upper, found.identifiability)
+            for item, stuck in zip(fit.prepared.parameters.parameters, found.at_bound, strict=True)
+            if stuck
+        ]
+    return warnings
+
+
+def _error_warnings(
+    parameters: ParameterSet, nonquadratic: dict[str, float], systematics: Systematics
+) -> list[str]:
+    """Warnings about standard and systematic errors that first order does not describe."""
+    warnings = []
+    if nonquadratic:
+        warnings.append(
+            f"chi squared is not quadratic within a standard error of {', '.join(nonquadratic)}: "
+            "these standard errors are rough; use the profile likelihood or the posterior"
+        )
+    beyond = [
+        item.name
+        for item in parameters.parameters
+        if systematics.errors.get(item.name, 0.0) > _NOT_LINEAR * item.typical
+    ]
+    if beyond:
+        warnings.append(
+            f"systematic errors of {', '.join(beyond)} exceed the range in which they can be "
+            "estimated: with the conditions as uncertain as assumed, the path does not determine "
+            f"{'it' if len(beyond) == 1 else 'them'}"
+        )
+    return warnings
 
 
 def _memory_warnings(noise: Noise, t: Floats, curves: dict[str, Floats]) -> list[str]:
