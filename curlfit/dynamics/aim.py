@@ -13,7 +13,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from curlfit.dynamics.trajectory import InitialState, forces_on, ordered_trajectory
+from curlfit.dynamics.trajectory import InitialState, external_forces, ordered_trajectory
 
 # isort: split
 import jax
@@ -116,7 +116,7 @@ def aim(
     guess = direct if heading is None else heading
     for _ in range(_MAX_ITERATIONS):
         # The heading enters only through the direction of the slope.
-        forces = np.asarray(forces_on(stone, surroundings, jnp.asarray(guess)))
+        forces = np.asarray(external_forces(stone, surroundings, jnp.asarray(guess)))
         endpoint = partial(_endpoint, law, stone, check_load(load), forces, omega0, speed)
         v0 = _speed_to_reach(endpoint, distance if heading is None else along, heading, speed)
         if heading is not None:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from curlfit.dynamics.law_structure import depends_on_turned_and_time, example_law
 from curlfit.dynamics.quadrature import NodeClustering, node_clustering
 from curlfit.dynamics.ring_forces import Contact, ring_forces, ring_slopes
-from curlfit.dynamics.ring_sum import Forces, RingMotion, Values, balanced_tilt
+from curlfit.dynamics.ring_sum import RingForces, RingMotion, Values, balanced_tilt
 
 # isort: split
 import jax
@@ -56,7 +56,7 @@ class _Inputs(NamedTuple):
         return Contact(kind, load, self.coefficients, motion, clustering, lever)
 
 
-def accelerations_under(forces: Forces, stone: Stone) -> Accelerations:
+def accelerations_under(forces: RingForces, stone: Stone) -> Accelerations:
     """Accelerations due to the forces of a ring; NaN where no load with n >= 0 balances them."""
     t_xi, t_eta, moment = forces[0]
     if len(forces) > 1:

@@ -107,7 +107,7 @@ class HeadingFrame(NamedTuple):
         return self._replace(s=scale * self.s, c=scale * self.c)
 
 
-class Forces(NamedTuple):
+class ExternalForces(NamedTuple):
     """Effects on a stone besides its law, in the frame of the initial heading (y along it)."""
 
     g_x: Array
@@ -141,7 +141,7 @@ def rates(
 ) -> State:
     """Time derivative of the state; `frame` is that of a nearby heading.
 
-    `forces` are the fields of `Forces`, shape (11, batch); None for a law alone.
+    `forces` are the fields of `ExternalForces`, shape (11, batch); None for a law alone.
 
     A stone that spins almost in place, under a transverse force, moves on circles of radius
     v^2/a_xi. Where its velocity turns faster than `turning_limit` (rad/s), it is held at their
@@ -151,7 +151,7 @@ def rates(
     moving = state.v > 0
     _, s, c = frame.rotated_to(state.heading)
     if forces is not None:
-        outer = Forces(*forces)
+        outer = ExternalForces(*forces)
         swept = (time > outer.swept_from + _SWITCH) & (time <= outer.swept_to + _SWITCH)
         worn = 1 + outer.wear * state.y
         bends = (outer.bend_0, outer.bend_10, outer.bend_20, outer.bend_30)
@@ -239,7 +239,7 @@ def step_size(
         time_left = _time_to_angle(angle, state, rate)
         # In two steps, since the prediction improves as the time becomes shorter.
         dt = jnp.where(time_left < dt / 8, time_left, jnp.minimum(dt, 7 / 8 * time_left))
-    switches = () if forces is None else Forces(*forces)[-2:]
+    switches = () if forces is None else ExternalForces(*forces)[-2:]
     for switch in switches:
         time_left = switch - time
         dt = jnp.where(time_left > _SWITCH, jnp.minimum(dt, time_left), dt)

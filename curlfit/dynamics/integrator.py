@@ -132,7 +132,7 @@ def _integrate_batch(
     Parameters
     ----------
     system, forces : functions of the value of `parameters`: law and stone, and forces besides the
-        law (`equations.Forces`).
+        law (`equations.ExternalForces`).
     start : initial speed and spin, shape (2, batch).
     times : in s, non-decreasing from row to row, shape (n, batch or 1); inf for unused rows, which
         cost nothing and are 0.
@@ -445,8 +445,8 @@ def integrate(
     Parameters
     ----------
     velocities : whether to return velocities, which takes as long again as the positions.
-    inputs : the law's coefficients, the stone's fields, the forces besides the law if there are
-        any (see `equations.Forces`), and (v0, omega0), as vectors. Inputs without tangents cost
+    inputs : the law's coefficients, the stone's fields, the external forces if there are any (see
+        `equations.ExternalForces`), and (v0, omega0), as vectors. Inputs without tangents cost
         nothing; a `vmap` becomes one batch.
     times : in s, >= 0, non-decreasing, shape (n,). Rows at inf, allowed at the end, cost
         nothing and are 0.

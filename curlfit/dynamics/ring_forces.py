@@ -21,8 +21,8 @@ from jax import Array
 from jax.custom_batching import custom_vmap
 
 from curlfit.dynamics.ring_sum import (
-    Forces,
     Ring,
+    RingForces,
     RingMotion,
     Tilt,
     Values,
@@ -99,14 +99,14 @@ def _(_size: int, _mapped: list[bool], index: Array) -> tuple[Array, bool]:
     return _common(index[0]), False
 
 
-def ring_forces(contact: Contact) -> Forces:
+def ring_forces(contact: Contact) -> RingForces:
     """Net friction of the ring."""
     ring = contact.ring()
 
-    def forces(law: type[LocalLaw], own: Values) -> Forces:
+    def forces(law: type[LocalLaw], own: Values) -> RingForces:
         return forces_of(law.from_vector(own), contact.load, contact.motion, ring, contact.lever)
 
-    found: Forces = contact.of_law(forces)
+    found: RingForces = contact.of_law(forces)
     return found
 
 

@@ -55,7 +55,7 @@ _MIN_LOAD = 1e-6  # smallest load passed to a law, relative to the uniform load
 _SLIDING = ("slide_xi", "slide_eta", "speed", "e_xi", "e_eta")  # fields that depend on v and u
 
 Values = tuple[Array, ...]
-Forces = tuple[Values, ...]
+RingForces = tuple[Values, ...]
 """Force over m g to the right and forward and moment over m g R, under the load 1 and, where the
 load is consistent, under the loads xi and eta"""
 
@@ -129,7 +129,9 @@ class Ring(NamedTuple):
         return [panel._replace(points=panel.points._replace(**there)) for panel in self.panels]
 
 
-def forces_of(law: LocalLaw, load: Load, motion: RingMotion, ring: Ring, lever: Array) -> Forces:
+def forces_of(
+    law: LocalLaw, load: Load, motion: RingMotion, ring: Ring, lever: Array
+) -> RingForces:
     """Net friction of a law; `lever` is 2 h/R, by which a force tilts the load (eq. 8)."""
     if has_closed_form(type(law), load):
         total = partial(_total, _parts_in_closed_form(law, load, motion, ring), motion)
@@ -227,12 +229,12 @@ def _moments(law: LocalLaw, ring: list[Panel]) -> Values:
     return tuple(jnp.tensordot(GAUSS_WEIGHTS, density, 1) for density in (t_xi, t_eta, moment))
 
 
-def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> Forces:
+def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> RingForces:
     """The tangent at the balance; NaN where Newton's method finds none."""
     leaves, tree = jax.tree.flatten((law, ring))
     changing = [number for number, leaf in enumerate(leaves) if isinstance(leaf, Array)]
 
-    def tangent(arrays: list[Array], tilt: Array) -> Forces:
+    def tangent(arrays: list[Array], tilt: Array) -> RingForces:
         """The tangent, as forces under the loads 1, xi and eta."""
         now = list(leaves)
         for number, array in zip(changing, arrays, strict=True):
@@ -248,7 +250,7 @@ def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> Forces:
         return tuple(value - tilt[0] * by_p - tilt[1] * by_q), tuple(by_p), tuple(by_q)
 
     @jax.custom_jvp
-    def balanced(arrays: list[Array], lever: Array) -> Forces:
+    def balanced(arrays: list[Array], lever: Array) -> RingForces:
         def iterate(carry: tuple[Any, ...]) -> tuple[Any, ...]:
             tilt, _, _, count = carry
             forces = tangent(arrays, tilt)
@@ -267,7 +269,7 @@ def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> Forces:
         return jax.tree.map(lambda part: jnp.where(unknown, jnp.nan, part), forces)
 
     @balanced.defjvp
-    def _(primals: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Forces, Forces]:
+    def _(primals: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[RingForces, RingForces]:
         (arrays, lever), (d_arrays, d_lever) = primals, tangents
         forces = balanced(arrays, lever)
         tilt = balanced_tilt(forces, lever)
@@ -275,11 +277,11 @@ def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> Forces:
         d_tilt = jax.jvp(balanced_tilt, (forces, lever), (at_fixed_tilt, d_lever))[1]
         return forces, jax.jvp(tangent, (arrays, tilt), (d_arrays, d_tilt))[1]
 
-    found: Forces = balanced([leaves[number] for number in changing], lever)
+    found: RingForces = balanced([leaves[number] for number in changing], lever)
     return found
 
 
-def balanced_tilt(forces: Forces, lever: Array) -> Array:
+def balanced_tilt(forces: RingForces, lever: Array) -> Array:
     """The consistent load (eq. 8-9) as (p, q); NaN where it would be negative somewhere.
 
     On a thin ring eq. 8 reads `(p, q) = -2 (h/R) T/(m g)`.
@@ -288,7 +290,7 @@ def balanced_tilt(forces: Forces, lever: Array) -> Array:
     return jnp.where((tilt**2).sum(0) <= 1, tilt, jnp.nan)
 
 
-def _solved_tilt(forces: Forces, lever: Array) -> Array:
+def _solved_tilt(forces: RingForces, lever: Array) -> Array:
     constant, by_p, by_q = forces
     f, g = lever * constant[0], lever * constant[1]
     a, b = 1 + lever * by_p[0], lever * by_q[0]

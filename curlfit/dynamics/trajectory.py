@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
-from curlfit.dynamics.equations import Forces
+from curlfit.dynamics.equations import ExternalForces
 from curlfit.dynamics.integrator import integrate
 
 # isort: split
@@ -140,11 +140,11 @@ jax.tree_util.register_dataclass(
 )
 
 
-def forces_on(stone: Stone, environment: Environment, heading: Array, t0: Any = 0.0) -> Array:
-    """Forces besides the law, as `integrate` takes them, in the frame of an initial heading."""
+def external_forces(stone: Stone, environment: Environment, heading: Array, t0: Any = 0.0) -> Array:
+    """External forces, as `integrate` takes them, in the frame of an initial heading."""
     right, along = environment.gravity_along(jnp.sin(heading), jnp.cos(heading))
     return jnp.stack(
-        Forces(
+        ExternalForces(
             right, along, environment.drag_rate(stone.m), *environment.wear_along(),
             environment.sweep, environment.swept_from - t0, environment.swept_to - t0,
         )
@@ -179,7 +179,7 @@ def ordered_trajectory(
     law: Law, stone: Stone, forces: Array | None, start: InitialState, times: Array, t0: Array, *,
     load: Load,
 ) -> Trajectory:  # fmt: skip
-    """Like `simulate`, for arrays of floats, `forces_on` the stone or None, and non-decreasing
+    """Like `simulate`, for arrays of floats, the `external_forces` or None, and non-decreasing
     times; rows at inf are unused, and are 0."""
     (x, y, phi, *rates), rest = _motion(
         law, stone, forces, start, times - t0, load, velocities=True
@@ -253,7 +253,7 @@ def simulate(
     )
     forces = None
     if environment is not None:
-        forces = forces_on(stone, environment, start.heading, t0)
+        forces = external_forces(stone, environment, start.heading, t0)
     arrays = (law, stone, forces, start)
     finite = jnp.where(times == jnp.inf, _REST_TIME, times)
     if _non_decreasing(times):
@@ -302,7 +302,7 @@ def _padded_trajectory(
 ) -> Trajectory:  # fmt: skip
     forces = None
     if environment is not None:
-        forces = forces_on(stone, environment, start.heading, t0)
+        forces = external_forces(stone, environment, start.heading, t0)
     return ordered_trajectory(
         law.from_vector(coefficients), stone, forces, start, times, t0, load=load
     )

@@ -17,7 +17,7 @@ from functools import partial
 from typing import Any
 
 from curlfit.dynamics.passages import with_passages
-from curlfit.dynamics.trajectory import forces_on, ordered_trajectory, positions
+from curlfit.dynamics.trajectory import external_forces, ordered_trajectory, positions
 
 # isort: split
 import jax
@@ -43,7 +43,7 @@ def _forces(model: Model, system: System) -> Array:
     heading is left out of the derivatives, which saves those by the forces."""
     heading = system.start.heading
     heading = heading if model.has_slope else jax.lax.stop_gradient(heading)
-    return forces_on(system.stone, system.environment, heading)
+    return external_forces(system.stone, system.environment, heading)
 
 
 def _channels(model: Model, values: Array, problem: Problem) -> Array:

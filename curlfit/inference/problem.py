@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.environment import Environment
-from curlfit.inference.noise.correlated import Motion, whitener_of
+from curlfit.inference.noise.correlated import FittedMotion, whitener_of
 from curlfit.inference.noise.models import LOSSES, Noise
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
@@ -96,7 +96,7 @@ def build_problem(
     loss: str = "linear",
     noise: Noise | None = None,
     environment: Environment | None = None,
-    motion: Motion | None = None,
+    motion: FittedMotion | None = None,
     shape: tuple[int, int] | None = None,
 ) -> Problem:
     """The throw relative to an origin, padded.

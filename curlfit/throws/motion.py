@@ -22,7 +22,7 @@ _BLOCKS = 24
 _REST = 0.03  # m/s
 
 
-class Motion(NamedTuple):
+class MeasuredMotion(NamedTuple):
     """Velocities of a throw, from straight lines through blocks of rows.
 
     Attributes
@@ -56,7 +56,7 @@ class Motion(NamedTuple):
         return float(self.speed.max())
 
 
-def motion_of(throw: Throw) -> Motion | None:
+def motion_of(throw: Throw) -> MeasuredMotion | None:
     """The motion of a throw; None if there are too few positions and speeds."""
     complete = np.isfinite(throw.x) & np.isfinite(throw.y)
     if complete.sum() >= FEWEST:
@@ -67,7 +67,7 @@ def motion_of(throw: Throw) -> Motion | None:
     return None
 
 
-def _motion(t: Floats, positions: Floats) -> Motion:
+def _motion(t: Floats, positions: Floats) -> MeasuredMotion:
     t, positions = _without_outliers(t, positions)
     begin, end, middle, slope, error = _block_slopes(t, positions)
     speed = np.hypot(*slope)
@@ -77,7 +77,7 @@ def _motion(t: Floats, positions: Floats) -> Motion:
     friction, friction_error = _friction(middle, speed, error)
     curl, curl_error, direction = _curl(t, positions)
     length = float(np.hypot(*np.ptp(positions, axis=1)))
-    return Motion(
+    return MeasuredMotion(
         middle, begin, end, speed, error, slope, length, friction, friction_error, curl,
         curl_error, direction,
     )  # fmt: skip
@@ -93,7 +93,7 @@ def _without_outliers(t: Floats, positions: Floats) -> tuple[Floats, Floats]:
     return (t, positions) if near.all() else (t[near], positions[:, near])
 
 
-def _motion_of_speeds(t: Floats, speed: Floats) -> Motion:
+def _motion_of_speeds(t: Floats, speed: Floats) -> MeasuredMotion:
     groups = np.array_split(np.arange(len(t)), min(_BLOCKS, len(t) // 3))
     begin, end = (np.array([t[group[k]] for group in groups]) for k in (0, -1))
     mean = np.array([float(np.median(speed[group])) for group in groups])
@@ -103,7 +103,7 @@ def _motion_of_speeds(t: Floats, speed: Floats) -> Motion:
     friction, friction_error = _friction(middle, mean, error)
     length = float(np.sum(np.diff(t) * (speed[1:] + speed[:-1]) / 2))
     nothing = np.full((2, len(groups)), np.nan)
-    return Motion(
+    return MeasuredMotion(
         middle, begin, end, mean, error, nothing, length, friction, friction_error, 0.0, math.inf,
         (math.nan, math.nan),
     )  # fmt: skip
@@ -192,7 +192,7 @@ def turning(throw: Throw) -> tuple[float | None, float | None]:
     return None, None
 
 
-def velocity_jump(throw: Throw, motion: Motion) -> tuple[float, float] | None:
+def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] | None:
     """Time in s and size in m/s of the largest jump in velocity; None if there is none.
 
     At a jump, the slopes of straight lines through some rows before and after it differ by more

@@ -22,7 +22,7 @@ from curlfit.stone import GRAVITY
 from curlfit.throws.motion import (
     FEWEST,
     SURE,
-    Motion,
+    MeasuredMotion,
     extent,
     motion_of,
     turning,
@@ -84,7 +84,7 @@ def examine(throw: Throw) -> tuple[Finding, ...]:
     return tuple(sorted(found, key=lambda item: not item.refused))
 
 
-def _sound(throw: Throw, motion: Motion) -> list[Finding]:
+def _sound(throw: Throw, motion: MeasuredMotion) -> list[Finding]:
     """Findings on the motion. Consequences of a fault are not examined: a stone that was hit may
     have any curl, and in wrong units any stone seems to have been hit."""
     off = list(_scale(throw, motion))
@@ -208,7 +208,7 @@ def _plain(unit: str) -> str:
     return "".join(char for char in unit.lower() if char not in "/ .[]()")
 
 
-def _is_usual(motion: Motion) -> bool:
+def _is_usual(motion: MeasuredMotion) -> bool:
     return (
         0.1 < motion.fastest < _USUAL_SPEED
         and motion.length < LENGTH
@@ -217,7 +217,7 @@ def _is_usual(motion: Motion) -> bool:
     )
 
 
-def _scale(throw: Throw, motion: Motion) -> Iterator[Finding]:
+def _scale(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """Speeds, lengths and decelerations impossible for a stone: wrong units."""
     faults, unusual = [], []
     if motion.fastest - 3 * float(motion.error[motion.speed.argmax()]) > SPEED:
@@ -242,7 +242,7 @@ def _scale(throw: Throw, motion: Motion) -> Iterator[Finding]:
         yield Finding("units", text, _unit_remedy(throw), refused=bool(faults))
 
 
-def _curl(throw: Throw, motion: Motion) -> Iterator[Finding]:
+def _curl(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """A curl impossible for a stone: a wrong unit across the sheet."""
     sure = abs(motion.curl) - 3 * motion.curl_error
     if sure > _USUAL_CURL:
@@ -376,7 +376,7 @@ def _spin(throw: Throw) -> Iterator[Finding]:
     )
 
 
-def _other_hands(throw: Throw, motion: Motion) -> Iterator[Finding]:
+def _other_hands(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """Motion not due to friction: a hand before the release, another stone, a stone picked up."""
     jump = velocity_jump(throw, motion)
     if jump is not None:
@@ -427,7 +427,7 @@ def _other_hands(throw: Throw, motion: Motion) -> Iterator[Finding]:
         )
 
 
-def _axes(throw: Throw, motion: Motion) -> Iterator[Finding]:
+def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """The side of the curl compared with the sense of the spin.
 
     A stone curls to the side to which its front turns (Penner 2001): to the left if it turns
@@ -474,7 +474,7 @@ def _axes(throw: Throw, motion: Motion) -> Iterator[Finding]:
     )
 
 
-def _measured_speed(throw: Throw, motion: Motion) -> Iterator[Finding]:
+def _measured_speed(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """A measured speed or spin that disagrees with the path or the angle."""
     seen = np.isfinite(throw.speed)
     if np.isfinite(motion.velocity).all() and seen.sum() >= 4:

@@ -11,7 +11,7 @@ from curlfit.environment import Environment
 from curlfit.errors import InputError, require_kind
 from curlfit.friction import Law
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.noise.correlated import Motion
+from curlfit.inference.noise.correlated import FittedMotion
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Origin, Problem, build_problem, environment_of
@@ -128,10 +128,10 @@ def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
     return problem, origin
 
 
-def motion_of(fit: FitResult) -> Motion:
+def motion_of(fit: FitResult) -> FittedMotion:
     """The fitted motion, with times since the first row."""
     t = fit.observed["t"]
-    return Motion(t - t[0], np.array([fit.fitted[name] for name in CHANNELS]), fit.stone)
+    return FittedMotion(t - t[0], np.array([fit.fitted[name] for name in CHANNELS]), fit.stone)
 
 
 def check_period(swept: Sequence[float]) -> tuple[float, float]:

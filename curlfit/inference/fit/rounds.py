@@ -30,7 +30,7 @@ from curlfit.inference.least_squares import (
 )
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, whitened_residuals_of_many
 from curlfit.inference.model import Model
-from curlfit.inference.noise.correlated import Motion, estimate, whitener_of
+from curlfit.inference.noise.correlated import FittedMotion, estimate, whitener_of
 from curlfit.inference.noise.estimation import channel_residuals
 from curlfit.inference.noise.losses import robust_sigma
 from curlfit.inference.noise.models import LOSSES, Noise, time_of_motion
@@ -173,7 +173,7 @@ class Rounds:
                 continue
             estimated.append(index)
             kind = self.noises[index].kind
-            motion = Motion(
+            motion = FittedMotion(
                 self.problems.times[index, :n], paths[place, :, :n], self.throws[index].stone
             )
             self.noises[index], sigma = estimate(kind, channels, span, motion)

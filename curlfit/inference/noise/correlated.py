@@ -22,7 +22,7 @@ from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 
 
-class Motion(NamedTuple):
+class FittedMotion(NamedTuple):
     """The motion found by a fit."""
 
     times: Floats
@@ -43,7 +43,7 @@ class Whitener(Protocol):
 
 
 def whitener_of(
-    noise: Noise, times: Floats, weight: Floats, motion: Motion | None = None
+    noise: Noise, times: Floats, weight: Floats, motion: FittedMotion | None = None
 ) -> Whitener | None:
     """The whitener of a noise model; None where it is white.
 
@@ -64,7 +64,7 @@ def whitener_of(
 
 
 def estimate(
-    kind: str, channels: Sequence[ChannelResiduals], span: float, motion: Motion
+    kind: str, channels: Sequence[ChannelResiduals], span: float, motion: FittedMotion
 ) -> tuple[Noise, dict[str, float]]:
     """The noise of some residuals, estimated with its sigmas.
 
