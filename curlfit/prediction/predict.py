@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -50,6 +50,7 @@ from curlfit.prediction.request import ThrowRequest, ThrowStart, start_of
 from curlfit.prediction.result import (
     PREDICTED,
     QUANTITIES,
+    Discrepancy,
     Prediction,
     Quantity,
 )
@@ -120,21 +121,11 @@ def predict(
     if line is None and not request.new and fit.counts_from_hack:
         request = request._replace(line="data")
     request.require(fit, check)
-    if not fit.converged:
-        raise UnusableFitError(f"nothing can be predicted from this fit: {fit.status}")
-    for name in ("length_scale", "time_scale"):
-        if name in fit.conditions and fit.parameters[name].value != 1.0:
-            raise InputError(
-                f"{name} of this fit is not 1: measured lengths or times differ from the true "
-                "ones; use a fit of corrected data"
-            )
-    if draws < 100:
-        raise InputError(f"{draws} draws: expected at least 100")
+    _require_predictable(fit, draws)
     notes = []
     if "discrepancy" in fit.noise.kind:
         fit, chain = refit(fit, "white"), None
-        if not fit.converged:
-            raise UnusableFitError(f"nothing can be predicted from this fit: {fit.status}")
+        _require_predictable(fit, draws)
         notes.append(
             "the path is that of the least-squares coefficients; the discrepancy that the fit has "
             "as noise is here in the bands"
@@ -144,35 +135,11 @@ def predict(
     random = np.random.default_rng(seed)
     throw_start = start_of(fit, request)
     values, source = _drawn_values(fit, chain, draws, random)
-    throws = ThrowFamily(fit, throw_start, request.new)
-    probes = throws.probes()
-    vectors = [throws.with_start(fit.values[None]), *probes.values(), throws.with_start(values)]
-    ensembles = throws.simulate(np.concatenate(vectors))
-    ends = np.cumsum([len(item) for item in vectors])
-    best, plain = ensembles.select(slice(0, 1)), ensembles.select(slice(ends[-2], None))
-    probed = {
-        name: ensembles.select(slice(low, high))
-        for name, low, high in zip(probes, ends, ends[1:], strict=False)
-    }
-    if not best.good[0]:
-        raise UnusableFitError(
-            f"the {fit.law} law as fitted does not bring this stone to rest"
-            + no_motion_because(fit.load)
-        )
-    discrepancy = discrepancy_posterior(fit)
-    missing = discrepancy.draw(draws, random)
-    shifted = throws.with_start(discrepancy.shift_parameters(values, missing))
-    full = missing.applied_to(throws.simulate(shifted), throws.spin_ratio)
-    use = plain.good & full.good
-    if use.mean() < 0.5:
-        raise UnusableFitError(
-            f"only {use.mean():.0%} of the draws come to rest; the fit is too uncertain for this "
-            "throw"
-        )
-    plain, full = plain.select(use), full.select(use)
+    simulated = _simulated(fit, ThrowFamily(fit, throw_start, request.new), values, random)
+    best, plain, full, probed, discrepancy = simulated
     quantities = _quantities(best, plain, full)
     null_warnings, null_notes = null_direction_effects(fit, probed, best)
-    law_warnings, law_notes = discrepancy_remarks(discrepancy.summary)
+    law_warnings, law_notes = discrepancy_remarks(discrepancy)
     warnings = [
         *extrapolation(fit, best, request.new),
         *null_warnings,
@@ -189,13 +156,12 @@ def predict(
         notes.append(
             "the variation of the ice from throw to throw cannot be estimated from a single throw"
         )
-    if not use.all():
-        warnings.append(f"{1 - use.mean():.1%} of the draws do not come to rest and are left out")
+    used = len(plain.good)
+    if used < draws:
+        warnings.append(f"{1 - used / draws:.1%} of the draws do not come to rest and are left out")
     comparison = None
     if check is not None:
-        comparison = compare_held_out(
-            check, fit, throw_start, discrepancy.summary, best, full, random
-        )
+        comparison = compare_held_out(check, fit, throw_start, discrepancy, best, full, random)
     return Prediction(
         law=fit.law,
         load=fit.load,
@@ -205,8 +171,8 @@ def predict(
         of="new" if request.new else "fitted",
         line="" if "y0" in request.start else throw_start.line,
         goal=request.goal(),
-        draws={"number": draws, "used": int(use.sum()), "source": source, "seed": seed},
-        misfit=discrepancy.summary,
+        draws={"number": draws, "used": used, "source": source, "seed": seed},
+        misfit=discrepancy,
         series=_series(best, plain, full),
         band=_band(best, full),
         rest=_rest(plain, full),
@@ -219,6 +185,66 @@ def predict(
         notes=tuple(notes),
         check=comparison,
     )
+
+
+def _require_predictable(fit: FitResult, draws: int) -> None:
+    """Raise `UnusableFitError` or `InputError` if no throw can be predicted from a fit."""
+    if not fit.converged:
+        raise UnusableFitError(f"nothing can be predicted from this fit: {fit.status}")
+    for name in ("length_scale", "time_scale"):
+        if name in fit.conditions and fit.parameters[name].value != 1.0:
+            raise InputError(
+                f"{name} of this fit is not 1: measured lengths or times differ from the true "
+                "ones; use a fit of corrected data"
+            )
+    if draws < 100:
+        raise InputError(f"{draws} draws: expected at least 100")
+
+
+class _Simulated(NamedTuple):
+    """Simulations of a throw."""
+
+    best: TrajectoryEnsemble
+    """at the best estimate"""
+    plain: TrajectoryEnsemble
+    """for the draws that come to rest"""
+    full: TrajectoryEnsemble
+    """for the same draws, each with a draw of the model discrepancy"""
+    probed: dict[str, TrajectoryEnsemble]
+    """at the best estimate with small changes"""
+    discrepancy: Discrepancy
+
+
+def _simulated(
+    fit: FitResult, throws: ThrowFamily, values: Floats, random: np.random.Generator
+) -> _Simulated:
+    """Simulate a throw for drawn parameter vectors. Raises `UnusableFitError` if it, or most of
+    them, do not come to rest."""
+    probes = throws.probes()
+    vectors = [throws.with_start(fit.values[None]), *probes.values(), throws.with_start(values)]
+    ensembles = throws.simulate(np.concatenate(vectors))
+    ends = np.cumsum([len(item) for item in vectors])
+    best, plain = ensembles.select(slice(0, 1)), ensembles.select(slice(ends[-2], None))
+    if not best.good[0]:
+        raise UnusableFitError(
+            f"the {fit.law} law as fitted does not bring this stone to rest"
+            + no_motion_because(fit.load)
+        )
+    probed = {
+        name: ensembles.select(slice(low, high))
+        for name, low, high in zip(probes, ends, ends[1:], strict=False)
+    }
+    discrepancy = discrepancy_posterior(fit)
+    missing = discrepancy.draw(len(values), random)
+    shifted = throws.with_start(discrepancy.shift_parameters(values, missing))
+    full = missing.applied_to(throws.simulate(shifted), throws.spin_ratio)
+    use = plain.good & full.good
+    if use.mean() < 0.5:
+        raise UnusableFitError(
+            f"only {use.mean():.0%} of the draws come to rest; the fit is too uncertain for this "
+            "throw"
+        )
+    return _Simulated(best, plain.select(use), full.select(use), probed, discrepancy.summary)
 
 
 def held_out(
