@@ -751,6 +751,14 @@ def test_the_command_compares_with_measured_rows(folder, monkeypatch):
     assert set(curlfit.load_prediction(folder / "c").check.channels) == {"x", "y", "phi"}
 
 
+def test_the_report_has_the_width_of_all_reports(carried, capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    curlfit.print_prediction(carried)
+    lines = capsys.readouterr().out.splitlines()
+    assert 80 < max(map(len, lines)) <= 110
+    assert lines == [line.rstrip() for line in lines]
+
+
 def test_the_same_seed_gives_the_same_prediction(fit, carried):
     again, other = curlfit.predict(fit), curlfit.predict(fit, seed=1)
     assert again.table() == carried.table() != other.table()
