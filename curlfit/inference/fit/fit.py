@@ -163,8 +163,9 @@ def fit(
 def refit(fit: FitResult, noise: str) -> FitResult:
     """Repeat a fit under another noise model, starting from its optimum."""
     throw, origin = fit.throw, Origin.of(fit.throw)
+    rows = {name: fit.data[name] for name in ("since", "until", "exclude")}
     prepared = PreparedThrow(
-        throw, throw, fit.stone, fit.data, fit.data["swept"], fit.parameter_set, origin
+        throw, throw, fit.stone, rows, fit.data["swept"], fit.parameter_set, origin
     )
     rounds = Rounds(fit.model, [prepared], loss=fit.loss, noise=noise)
     return summarize(_fitted_alone(rounds, fit.parameter_set.values_of(fit.values)))
