@@ -116,6 +116,7 @@ def batch(
     """
     from curlfit.batch.settings import BatchSettings, columns, found_files, usual_law
     from curlfit.batch.table import Table, settings_file
+    from curlfit.throws.readers import states_sweeping
 
     files = [str(file) for file in found_files(data, besides=(out, settings_file(out)))]
     wanted: dict[str, Any] = {
@@ -144,6 +145,7 @@ def batch(
         },
         "posterior": posterior,
         "seed": seed,
+        "swept": any(map(states_sweeping, files)),
     }
     # Invalid settings are refused before anything slow is loaded.
     plan = BatchSettings(**wanted)

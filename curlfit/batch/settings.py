@@ -32,6 +32,7 @@ class BatchSettings:
     ----------
     stone : values (m, kg) that override those of the throw's own file.
     sigma : noise by channel, overriding that of the file.
+    swept : whether a file states sweeping, so that the table has columns of `sweep`.
     how : how to read a file, as the arguments of `load_throw`.
     systematics : widths as in `fit`; None for a table without systematic errors.
     posterior : sample the posterior of each throw as well; hundreds of times slower.
@@ -56,6 +57,7 @@ class BatchSettings:
     how: Mapping[str, Any] = field(default_factory=dict)
     posterior: bool = False
     seed: int = 0
+    swept: bool = False
 
     def checked(self) -> type[Law]:
         """The law. Raises InputError if the settings are impossible for any throw."""
@@ -73,7 +75,7 @@ class BatchSettings:
         """Parameters of each throw's fit."""
         return ParameterSet.build(
             find_law(self.law), fix=dict(self.fix), bounds=dict(self.bounds),
-            unbounded=self.unbounded, free=self.free, priors=self.priors,
+            unbounded=self.unbounded, free=self.free, priors=self.priors, swept=self.swept,
         )  # fmt: skip
 
     def choices(self) -> dict[str, Any]:

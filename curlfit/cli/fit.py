@@ -141,7 +141,7 @@ def fit(
         for name, value in {"effective": effective, "max-steps": max_steps, "seed": seed}.items():
             if value is not None:
                 raise InputError(f"--{name}: several throws are fitted without sampling")
-        return _fit_jointly(jobs, share, flags, out, drawn, quiet=quiet, report=report)
+        return _fit_jointly(jobs, share, out, drawn, quiet=quiet, report=report)
     (file,) = data
     if share is not None:
         raise InputError("--share needs several files")
@@ -305,7 +305,6 @@ def _sample(
 def _fit_jointly(
     named: Mapping[str, s.ConfiguredThrow],
     share: str | None,
-    flags: Mapping[str, Any],
     out: Path | None,
     drawn: FigureFiles,
     *,
@@ -347,15 +346,19 @@ def _fit_jointly(
     check_derived(derive, own)
     systematics = settings.get("systematic", {})
     check_systematics(systematics)
-    choices = s.parameter_choices(settings)
+    # Each throw keeps the times of its own sweeping, unless a flag or the configuration gives some.
+    any_swept = any("swept" in job.settings for job in jobs)
+    choices = s.parameter_choices(settings) | {"swept": any_swept}
     start = settings.get("start", {})
-    ParameterSet.build(law, **s.for_parameter_set(choices)).require("--start", start)
+    ParameterSet.build(law, **choices).require("--start", start)
     throws = []
     for job in jobs:
-        cut = job.throw.select_rows(**s.row_choices(job.settings))
+        rows = s.row_choices(job.settings)
+        cut = job.throw.select_rows(**rows)
         require_plausible(cut)
-        ParameterSet.for_throw(law, cut, **s.for_parameter_set(choices))
-        throws.append(cut.with_defaults(stone=job.stone.as_dict()))
+        ParameterSet.for_throw(law, cut, **choices)
+        own_swept = {"swept": job.settings.get("swept")}
+        throws.append(cut.with_defaults(stone=job.stone.as_dict(), **rows, **own_swept))
     folder = prepare_folder(out or Path("joint-fit"))
     drawn.draw_beside()
 
@@ -380,7 +383,8 @@ def _fit_jointly(
 
         result = fit_together(
             throws, law, share=names, load=load, start=start, loss=loss, noise=noise,
-            systematics=systematics, progress=show_step, **choices,
+            systematics=systematics, progress=show_step,
+            **choices | {"swept": None},
         ).with_derived(derive)  # fmt: skip
     written = [folder / "joint.json"]
     result.save(written[0])

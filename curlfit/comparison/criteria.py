@@ -135,8 +135,13 @@ def with_criteria(
     likelihood: Mapping[str, float],
     effective: EffectiveValues,
 ) -> Candidate:
-    """AICc (Hurvich and Tsai 1989) and BIC (Schwarz 1978) with effective sample sizes, from the
-    log-likelihood of each channel."""
+    """AICc (Hurvich and Tsai 1989) and BIC (Schwarz 1978), from the log-likelihood of each channel,
+    weighted by its effective sample size.
+
+    The penalty of BIC is that of the effective sample size. The small-sample correction of AICc is
+    that of the number of values: where residuals are correlated, the effective sample size is often
+    less than k + 2, and the correction would be infinite.
+    """
     k, n = candidate.n_parameters or 0.0, result.n_observations
     rows = {name: len(residual) for name, residual in residuals_of(result).items()}
     twice = 2 * sum(effective.weight(name, rows[name]) * part for name, part in likelihood.items())

@@ -304,8 +304,9 @@ def _about_correlation(comparison: Comparison) -> str:
     )
     return (
         f"{_WARNING}the ranking is not reliable. Even the law that fits best leaves residuals that "
-        f"are correlated from row to row. dBIC and dAICc use effective sample sizes ({worth}) and "
-        "are approximate; correlated noise alone can put a wrong law first. "
+        "are correlated from row to row. The likelihoods in dBIC and dAICc are weighted by "
+        f"effective sample sizes ({worth}), an approximation; correlated noise alone can put a "
+        "wrong law first. "
         + (
             ""
             if len(comparison.noises) > 1

@@ -39,7 +39,9 @@ class Candidate:
     follows : whether each channel's residual is within a tenth of its departure from uniform
         straight motion, or within its noise; None where correlated noise may explain the residual.
     log_likelihood : under the noise model and the loss.
-    aicc, bic : information criteria, with effective sample sizes (see `Comparison.effective`).
+    aicc, bic : information criteria, from likelihoods weighted by effective sample sizes (see
+        `Comparison.effective`); the penalty of BIC is that of the effective sample size, the
+        small-sample correction of AICc that of the number of values.
     log_evidence : of the likelihood averaged over the prior, up to a constant common to all; None
         where residuals are correlated from row to row, or if noise models are compared.
     elpd_loo, elpd_loo_se, p_loo : expected log predictive density of leave-one-out, its standard

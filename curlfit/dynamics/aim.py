@@ -143,7 +143,7 @@ def _speed_to_reach(
         size = float(np.hypot(*position))
         return size - distance, float(position @ slope) / size if size > 0 else 0.0
 
-    low = max(speed, 0.0)
+    low = speed
     largest = -math.inf
     for high in _SPEEDS[speed < _SPEEDS]:
         excess = overshoot(float(high))[0]

@@ -199,17 +199,6 @@ def accelerations(
     return _accelerations(type(law), load, inputs, clustering)
 
 
-def consistent_load(
-    law: LocalLaw, stone: Stone, v: ArrayLike, omega: ArrayLike, turned: ArrayLike = 0.0
-) -> Array:
-    """(p, q) = (n1, n2) R/n0 of eq. 9: the consistent load is `n0 (1 + p xi/R + q eta/R)`.
-
-    Shape (2,); NaN where no such load with n >= 0 exists. Arguments as in `accelerations`.
-    """
-    contact = contact_of(law, stone, "consistent", v, omega, turned)
-    return balanced_tilt(ring_forces(contact), contact.lever)
-
-
 def contact_of(
     law: Law, stone: Stone, load: Load, v: ArrayLike, omega: ArrayLike, turned: ArrayLike = 0.0
 ) -> Contact:

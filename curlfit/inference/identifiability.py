@@ -3,7 +3,8 @@
 Columns of the Jacobian of the residuals (in units of their sigma) are scaled by the typical size
 of each parameter. A singular value s then means that the data determine its direction to 1/s
 typical sizes: below 1 the direction is weakly determined; below `_UNSEEN`, or below the rounding
-error of the largest singular value, it is not determined at all.
+error of the largest singular value, it is not determined at all. Nor is one along which the bounds
+leave less room than a standard error: there the bounds determine it, not the data.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ _UNSEEN = 1e-3  # known to no better than a thousand typical sizes
 _ROUNDING = 1e-9  # over the largest singular value
 _NO_PART = 1e-3  # share of a direction below which a parameter takes no part in it
 _LITTLE_PART = 0.05  # the same for a direction that is weakly determined
+_ROOM = 1.0  # standard errors within the bounds, below which the data do not determine a direction
 _WHOLE = np.arange(1.0, 7)  # denominators of simple ratios
 _WEAK = 1.0  # singular value below which a direction is known to no better than typical sizes
 
@@ -113,6 +115,39 @@ def visible(singular: Floats) -> Booleans:
     return found
 
 
+class Bounded(NamedTuple):
+    """Values of parameters and their bounds, of one vector or of many."""
+
+    values: Floats
+    lower: Floats
+    upper: Floats
+
+    def confine(self, right: Floats, singular: Floats, typical: Floats) -> Booleans:
+        """Which directions, rows of `right` in scaled parameters, have less room within the bounds
+        than a standard error, 1/`singular`."""
+        step = right * typical / np.maximum(singular, 1e-300)[..., None]
+        step = np.where((self.upper > self.lower)[..., None, :], step, 0.0)  # fixed ones stay
+        below = (self.values - self.lower)[..., None, :]
+        above = (self.upper - self.values)[..., None, :]
+        size = np.maximum(np.abs(step), 1e-300)
+        forward = np.where(step > 0, above, below) / size
+        backward = np.where(step > 0, below, above) / size
+        found: Booleans = forward.min(-1) + backward.min(-1) < _ROOM
+        return found
+
+
+def confined(jacobian: Floats, bounded: Bounded, typical: Floats) -> Floats:
+    """A Jacobian, or each of a stack, without the directions that only the bounds determine."""
+    free = bounded.upper > bounded.lower
+    scaled = jacobian * (typical * free)[..., None, :]
+    _, singular, right = np.linalg.svd(scaled, full_matrices=False)
+    null = bounded.confine(right, singular, typical) & visible(singular)
+    if not null.any():
+        return jacobian
+    rows = right * null[..., None]
+    return jacobian - (scaled @ rows.mT) @ rows / typical[..., None, :]
+
+
 def inverted(singular: Floats, counts: Booleans) -> Floats:
     """1/singular where it counts, else 0: the singular values of the pseudoinverse."""
     return np.where(counts, 1 / np.where(counts, singular, 1.0), 0.0)
@@ -142,6 +177,7 @@ def analyse(
     values: Floats,
     typical: Floats,
     slack: Floats | None = None,
+    bounded: Bounded | None = None,
 ) -> Identifiability:
     """Split the space of the free parameters into what the data determine and what they do not.
 
@@ -151,9 +187,11 @@ def analyse(
     names, values, typical : of the parameters; values at which the Jacobian was evaluated.
     slack : contribution of other parameters, at their bounds, to the spread of these: columns whose
         outer products add to the covariance, shape (parameters, others).
+    bounded : values and bounds, in the same coordinates; without them the bounds do not count.
     """
     slacks = None if slack is None else slack[None]
-    return analyse_many(jacobian[None], names, values[None], typical, slacks)[0]
+    ends = None if bounded is None else Bounded(*(part[None] for part in bounded))
+    return analyse_many(jacobian[None], names, values[None], typical, slacks, ends)[0]
 
 
 def analyse_many(
@@ -162,15 +200,21 @@ def analyse_many(
     values: Floats,
     typical: Floats,
     slack: Floats | None = None,
+    bounded: Bounded | None = None,
 ) -> list[Identifiability]:
-    """`analyse` for many throws, along the first axis of the Jacobians, values and slack."""
+    """`analyse` for many throws, along the first axis of all but the names and typical sizes."""
     throws, rows, p = jacobians.shape
     if rows > 2 * p:
         jacobians = triangle(jacobians)
     elif rows < p:
         jacobians = np.concatenate([jacobians, np.zeros((throws, p - rows, p))], 1)
-    _, singular, right = np.linalg.svd(jacobians * typical, full_matrices=False)
-    seen = visible(singular)
+    _, all_singular, right = np.linalg.svd(jacobians * typical, full_matrices=False)
+    seen = visible(all_singular)
+    if bounded is not None:
+        seen &= ~bounded.confine(right, all_singular, typical)
+    order = np.argsort(~seen, axis=-1, kind="stable")  # the others last
+    seen, singular = (np.take_along_axis(part, order, -1) for part in (seen, all_singular))
+    right = np.take_along_axis(right, order[..., None], -2)
     inverse = right.mT * inverted(singular, seen)[:, None]
     covariance = typical[:, None] * (inverse @ inverse.mT) * typical
     if slack is not None:
@@ -183,7 +227,7 @@ def analyse_many(
     unseen = part(~seen) > _NO_PART
     weak = unseen | (part(seen & (singular < _WEAK)) > _LITTLE_PART)
     rank = seen.sum(-1)
-    strong = np.minimum(rank, (singular >= _WEAK).sum(-1))
+    strong = (seen & (singular >= _WEAK)).sum(-1)
     found: dict[int, Identifiability] = {}
     for places in grouped(zip(unseen, weak, rank, strong, strict=True)):
         first = places[0]
@@ -197,7 +241,7 @@ def analyse_many(
             found[place] = Identifiability(
                 names=tuple(names),
                 rank=int(rank[place]),
-                singular_values=singular[place],
+                singular_values=all_singular[place],
                 null_directions=tuple(_named(row, names, unseen[place]) for row in rows),
                 covariance=covariance[place],
                 unseen=unseen[place],

@@ -147,7 +147,7 @@ def design(
     together = model.identifiability(combined(factors))
     quantities = model.quantities(together)
     best = {}
-    for name, criterion in (("D", d_criterion(candidate_set)), ("A", a_criterion(candidate_set))):
+    for name, criterion in (("D", d_criterion), ("A", a_criterion(candidate_set))):
         indices = select_design(candidate_set, criterion, throws)
         if indices is not None:
             best[name] = model.expected(indices, factors)
@@ -372,7 +372,7 @@ def _curves(
     found["rate"] = series(_RATES, factors_of)
     counts, factors_of = [], []
     for count in _COUNTS:
-        indices = select_design(candidate_set, d_criterion(candidate_set), count)
+        indices = select_design(candidate_set, d_criterion, count)
         if indices is not None:
             counts.append(float(count))
             factors_of.append(combined([factors[index] for index in indices]))

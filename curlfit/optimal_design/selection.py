@@ -51,14 +51,10 @@ class CandidateSet(NamedTuple):
         return cls(np.swapaxes(whitened, 1, 2) @ whitened, basis)
 
 
-def d_criterion(candidates: CandidateSet) -> Criterion:
+def d_criterion(information: Floats) -> Floats:
     """D: minus the logarithm of the determinant, up to a constant."""
-
-    def criterion(information: Floats) -> Floats:
-        sign, size = np.linalg.slogdet(information)
-        return np.where(_nonsingular(information) & (sign > 0), -size, np.inf)
-
-    return criterion
+    sign, size = np.linalg.slogdet(information)
+    return np.where(_nonsingular(information) & (sign > 0), -size, np.inf)
 
 
 def a_criterion(candidates: CandidateSet) -> Criterion:

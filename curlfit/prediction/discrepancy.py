@@ -138,11 +138,6 @@ class DiscrepancyPosterior:
         return cast(Floats, np.clip(found, bounds.lower, bounds.upper))
 
 
-def estimate_discrepancy(fit: FitResult) -> Discrepancy:
-    """Summary of the model discrepancy of a fit."""
-    return discrepancy_posterior(fit).summary
-
-
 def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
     """The posterior of the model discrepancy of a fit."""
     responses = Responses.of(*motion_of(fit))

@@ -167,7 +167,7 @@ def predict(
         load=fit.load,
         stone=fit.stone,
         fit={key: fit.data[key] for key in ("file", "rows", "from", "to")},
-        start=throw_start.record(fit, request),
+        start=throw_start.record(request),
         of="new" if request.new else "fitted",
         line="" if "y0" in request.start else throw_start.line,
         goal=request.goal(),

@@ -9,6 +9,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from curlfit.output.console import terminal
 from curlfit.output.display import Overview
 from curlfit.output.text import format_estimate, plain_table
 from curlfit.sheet import FOOT, STONE_RADIUS, TEE_TO_BACK
@@ -37,7 +38,7 @@ def print_prediction(prediction: Prediction, console: Console | None = None) -> 
     >>> curlfit.print_prediction(prediction)
     front-back law, uniform load, fitted to ...
     """
-    console = console or Console()
+    console = console or terminal()
     console.print(report(prediction))
 
 

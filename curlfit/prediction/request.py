@@ -118,7 +118,7 @@ class ThrowStart(NamedTuple):
     """from the data's x and y to those of the sheet"""
     line: str
 
-    def record(self, fit: FitResult, request: ThrowRequest) -> dict[str, dict[str, Any]]:
+    def record(self, request: ThrowRequest) -> dict[str, dict[str, Any]]:
         """Values by name, with their origin."""
         found = {}
         for item in START:

@@ -158,8 +158,8 @@ def _profile_pair(
             ellipse = float(np.abs(delta - expected)[within].max())
     extent = {
         level.name: (
-            _extent(refit, one, level.delta_chi2_pair, level.name),
-            _extent(refit, other, level.delta_chi2_pair, level.name),
+            _extent(one, level.delta_chi2_pair, level.name),
+            _extent(other, level.delta_chi2_pair, level.name),
         )
         for level in fits.levels
     }
@@ -239,7 +239,7 @@ def _neighbours(grid: Floats) -> list[tuple[Point, Point]]:
     return [(one, other) for one, other in pairs if one != other]
 
 
-def _extent(refit: Refit, profile: Profile, threshold: float, level: str) -> Interval:
+def _extent(profile: Profile, threshold: float, level: str) -> Interval:
     """Extent of a region in a parameter: crossings of its threshold by that profile alone."""
     item = profile.estimate
     bounds = item.lower, item.upper

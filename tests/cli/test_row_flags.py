@@ -64,6 +64,39 @@ def test_a_fit_that_does_not_know_of_the_sweeping_proposes_the_flag(typed):
     assert "changes abruptly" not in again
 
 
+def test_in_a_joint_fit_each_throw_keeps_what_its_file_states(typed, folder):
+    random = np.random.default_rng(6)
+    path = simulate(
+        LAWS["coulomb"](0.009), Stone(), InitialState(v=2.1, omega=-1.3), np.linspace(0, 20, 201)
+    ).to_numpy()
+    channels = [series + 0.005 * random.standard_normal(201) for series in (path.x, path.y)]
+    own = "# since = 2\n"
+    (folder / "unswept.csv").write_text(own + write_table(Throw.from_arrays(path.t, *channels)))
+    (folder / "own2.csv").write_text((folder / "own.csv").read_text())
+    quick = (*COULOMB, "--no-figures")
+    typed("fit", "own.csv", "unswept.csv", *quick, "--out", "joint")
+    swept, unswept = (load_fit(folder / "joint" / name) for name in ("own", "unswept"))
+    assert swept.data["swept"] == [6.0, 11.0]
+    assert unswept.data["swept"] is None
+    assert abs(swept["sweep"].value - 0.8) < 4 * swept["sweep"].stderr < 0.05
+    assert unswept.data["since"] == 2.0
+    # Flags override what the files state, of all throws.
+    flags = ("--since", "0.5", "--sweep", "6:10.9")
+    typed("fit", "own.csv", "own2.csv", *quick, *flags, "--out", "flags")
+    for name in ("own", "own2"):
+        fit = load_fit(folder / "flags" / name)
+        assert fit.data["swept"] == [6.0, 10.9]
+        assert fit.data["from"] == fit.data["since"] == 0.5
+
+
+def test_a_table_of_throws_has_columns_of_sweep_if_a_file_states_it(typed, folder):
+    typed("batch", "own.csv", "a.csv", *COULOMB, "--out", "swept.csv", "--workers", "1")
+    plain, swept = csv.DictReader((folder / "swept.csv").read_text().splitlines())
+    assert swept["status"] == plain["status"] == "ok"
+    assert abs(float(swept["sweep"]) - 0.8) < 4 * float(swept["sweep_stderr"]) < 0.05
+    assert (plain["file"], plain["sweep"], plain["sweep_verdict"]) == ("a.csv", "", "")
+
+
 def test_other_verbs_take_them(typed, folder):
     typed("compare", "a.csv", "--laws", "coulomb", *ROWS, "--sweep", "6:11", "--no-figures")
     assert load_comparison(folder / "a-compare").data["rows"] == KEPT

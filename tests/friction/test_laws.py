@@ -13,7 +13,9 @@ import pytest
 from conftest import G, Reference, follow, front_back
 
 from curlfit import LAWS, InitialState, Stone, simulate
-from curlfit.dynamics.contact import accelerations, consistent_load
+from curlfit.dynamics.contact import accelerations, contact_of
+from curlfit.dynamics.ring_forces import ring_forces
+from curlfit.dynamics.ring_sum import balanced_tilt
 from curlfit.friction import LOADS
 
 STONE = Stone(R=0.065, rho=0.1, h=0.057)
@@ -267,6 +269,14 @@ def test_derivatives_agree_with_finite_differences(name, values, load):
 
 
 net = jax.jit(accelerations, static_argnames="load")
+
+
+def consistent_load(law, stone, v, omega, turned=0.0):
+    """(p, q) = (n1, n2) R/n0 of eq. 9: the consistent load is `n0 (1 + p xi/R + q eta/R)`."""
+    contact = contact_of(law, stone, "consistent", v, omega, turned)
+    return balanced_tilt(ring_forces(contact), contact.lever)
+
+
 tilt_of_load = jax.jit(consistent_load)
 
 

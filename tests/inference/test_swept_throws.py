@@ -94,6 +94,35 @@ def test_side_by_side_it_is_the_same(swept, fitted):
     assert many[0].parameters["sweep"].value == pytest.approx(item.value, abs=1e-3 * item.stderr)
 
 
+@pytest.fixture(scope="module")
+def mixed(swept):
+    """A swept throw, which states when, and one that was not swept."""
+    return [swept.with_defaults(swept=[T0 + time for time in SWEPT]), thrown(1, factor=1.0)]
+
+
+def test_swept_and_unswept_throws_are_fitted_side_by_side(mixed, fitted):
+    one, other = fit_throws(mixed)
+    np.testing.assert_allclose(one.values, fitted.values, rtol=1e-6, atol=1e-9)
+    assert "sweep" not in other.parameters
+    assert other.data["swept"] is None
+    alone = curlfit.fit(mixed[1])
+    np.testing.assert_allclose(other.values, alone.values, rtol=1e-6, atol=1e-9)
+
+
+def test_swept_and_unswept_throws_are_fitted_jointly(mixed, fitted):
+    joint = curlfit.fit_together(mixed)
+    assert joint.converged
+    one, other = joint.throws
+    assert one.data["swept"] == (T0 + SWEPT[0], T0 + SWEPT[1])
+    assert other.data["swept"] is None
+    for item in (one.parameters["sweep"], other.parameters["sweep"]):  # a condition is shared
+        assert abs(item.value - 0.85) < 3 * item.stderr < 0.01
+    assert one.parameters["sweep"].stderr < fitted.parameters["sweep"].stderr
+    assert all(one.rms[name] < 1.1 * size for name, size in (("x", 0.005), ("phi", 0.01)))
+    # The throw that was not swept is as in a joint fit without sweeping.
+    np.testing.assert_allclose(other.rms["y"], curlfit.fit(mixed[1]).rms["y"], rtol=0.01)
+
+
 def test_the_fitted_throw_goes_on_swept_and_another_does_not(fitted):
     request = ThrowRequest({}, "hog", None, None, None)
     same = ThrowFamily(fitted, start_of(fitted, request), new=False)

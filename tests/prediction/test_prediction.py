@@ -21,7 +21,7 @@ from curlfit import InputError, UnusableFitError, sheet
 from curlfit.cli import app
 from curlfit.inference.noise.accelerations import COMPONENTS, SHAPES
 from curlfit.inference.problem import LEVEL_AND_STILL
-from curlfit.prediction.discrepancy import discrepancy_posterior, estimate_discrepancy
+from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import simulate_ensemble
 from curlfit.prediction.figures import prediction_figure
 from curlfit.prediction.request import GUARD, TAKEOUT
@@ -325,7 +325,9 @@ def test_a_new_throw_asks_for_a_spin_that_the_fit_does_not_know(fit):
 
 
 def test_noise_is_not_taken_for_a_fault_of_the_law():
-    found = [estimate_discrepancy(curlfit.fit(thrown(seed=seed))).detected for seed in range(20)]
+    found = [
+        discrepancy_posterior(curlfit.fit(thrown(seed=seed))).summary.detected for seed in range(20)
+    ]
     assert sum(found) <= 2
 
 
@@ -444,7 +446,7 @@ def test_the_coefficients_of_a_refit_are_not_changed_by_a_missing_acceleration(f
 
 def test_a_coefficient_at_its_bound_is_as_one_fixed_there(game_fit):
     fixed = curlfit.fit(game_throw()[0], stone=STONE, fix={"mu1_xi": 0.0})
-    one, other = estimate_discrepancy(game_fit), estimate_discrepancy(fixed)
+    one, other = discrepancy_posterior(game_fit).summary, discrepancy_posterior(fixed).summary
     for way in COMPONENTS:
         assert one.sizes[way] == pytest.approx(other.sizes[way], rel=0.02)
     for name, sigma in (("x", 0.005), ("y", 0.005), ("phi", 0.01)):
@@ -487,9 +489,9 @@ def test_a_missing_force_is_less_than_the_friction(game_fit):
 def test_what_cannot_be_seen_has_the_size_of_the_prior():
     """An exponential one, 5 % above the friction, cut off there; turning shows in no row here."""
     throw = thrown()
-    found = estimate_discrepancy(curlfit.fit(
+    found = discrepancy_posterior(curlfit.fit(
         curlfit.Throw.from_arrays(throw.t, throw.x, throw.y), stone=STONE, fix={"omega0": 1.2},
-    ))  # fmt: skip
+    )).summary  # fmt: skip
     rate = np.log(20)
     moments = [quad(lambda s, k=k: s**k * np.exp(-rate * s), 0, 1)[0] for k in (0, 2)]
     size = np.sqrt(moments[1] / moments[0])
@@ -498,10 +500,10 @@ def test_what_cannot_be_seen_has_the_size_of_the_prior():
 
 
 def test_what_is_not_detected_is_not_zero_but_what_the_record_could_not_show(fit):
-    fine = estimate_discrepancy(curlfit.fit(thrown(noise=(0.0005, 0.001)), stone=STONE))
+    fine = discrepancy_posterior(curlfit.fit(thrown(noise=(0.0005, 0.001)), stone=STONE)).summary
     usual, coarse = (
-        estimate_discrepancy(fit),
-        estimate_discrepancy(curlfit.fit(thrown(noise=(0.05, 0.1)), stone=STONE)),
+        discrepancy_posterior(fit).summary,
+        discrepancy_posterior(curlfit.fit(thrown(noise=(0.05, 0.1)), stone=STONE)).summary,
     )
     assert not any(one.detected for one in (fine, usual, coarse))
     for way in COMPONENTS:
@@ -520,7 +522,7 @@ def test_what_is_missed_along_a_throw_is_missed_along_a_turned_one(eq12):
         s, c = np.sin(turn), np.cos(turn)
         x, y = c * eq12.x + s * eq12.y, c * eq12.y - s * eq12.x
         found.append(curlfit.fit(replace(eq12, x=x, y=y).with_sigma(sigma)))
-    one, other = (estimate_discrepancy(fit).sizes for fit in found)
+    one, other = (discrepancy_posterior(fit).summary.sizes for fit in found)
     assert one["across"] < 0.05 * one["along"]
     assert other["along"] == pytest.approx(one["along"], rel=0.05)
     # and the errors of the resting position are turned with the throw
@@ -749,6 +751,14 @@ def test_the_command_compares_with_measured_rows(folder, monkeypatch):
     assert (quiet.exit_code, quiet.output) == (0, "")
     assert not (folder / "c" / "predict.png").exists()
     assert set(curlfit.load_prediction(folder / "c").check.channels) == {"x", "y", "phi"}
+
+
+def test_the_report_has_the_width_of_all_reports(carried, capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    curlfit.print_prediction(carried)
+    lines = capsys.readouterr().out.splitlines()
+    assert 80 < max(map(len, lines)) <= 110
+    assert lines == [line.rstrip() for line in lines]
 
 
 def test_the_same_seed_gives_the_same_prediction(fit, carried):

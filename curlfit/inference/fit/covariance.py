@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.inference.fit.residuals import ResidualStatistics
-from curlfit.inference.identifiability import Identifiability, analyse_many, grouped
+from curlfit.inference.identifiability import Bounded, Identifiability, analyse_many, grouped
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.linearized_problem import LinearizedProblem
 from curlfit.inference.noise.losses import precision, root_slope
@@ -127,9 +127,9 @@ def covariances(
             ]
         )  # fmt: skip
         slack = np.stack([open_and_slack[throw][1] for throw in throws])
-        about = (
-            first.names_where(open_), values[throws][:, open_], first.typical[open_], slack
-        )  # fmt: skip
+        ends = (np.stack([getattr(sets[k], name) for k in throws]) for name in ("lower", "upper"))
+        bounded = Bounded(*(part[:, open_] for part in (values[throws], *ends)))
+        about = first.names_where(open_), bounded.values, first.typical[open_], slack, bounded
         known = of_data = analyse_many(jacobians[..., open_], *about)
         if penalty is not None:
             slopes = penalty.residual_and_slope(np.stack([one.values for one in solutions]))[1]

@@ -163,8 +163,9 @@ def fit(
 def refit(fit: FitResult, noise: str) -> FitResult:
     """Repeat a fit under another noise model, starting from its optimum."""
     throw, origin = fit.throw, Origin.of(fit.throw)
+    rows = {name: fit.data[name] for name in ("since", "until", "exclude")}
     prepared = PreparedThrow(
-        throw, throw, fit.stone, fit.data, fit.data["swept"], fit.parameter_set, origin
+        throw, throw, fit.stone, rows, fit.data["swept"], fit.parameter_set, origin
     )
     rounds = Rounds(fit.model, [prepared], loss=fit.loss, noise=noise)
     return summarize(_fitted_alone(rounds, fit.parameter_set.values_of(fit.values)))
@@ -264,7 +265,7 @@ def fit_throws(
     noise = check_noise(noise, loss)
     curves = curves or loss != "linear" or noise != "white"
     found: dict[int, FitResult | CurlfitError] = {}
-    by_shape: dict[tuple[int, int], dict[int, PreparedThrow]] = {}
+    groups: dict[tuple[int, int, tuple[str, ...]], dict[int, PreparedThrow]] = {}
     for index, (throw, stone) in enumerate(
         zip(throws, stones or [None] * len(throws), strict=True)
     ):
@@ -273,8 +274,9 @@ def fit_throws(
         except CurlfitError as error:
             found[index] = error
         else:
-            by_shape.setdefault(problem_shape(prepared.throw), {})[index] = prepared
-    for (_, rows), alike in by_shape.items():
+            key = (*problem_shape(prepared.throw), prepared.parameters.names)
+            groups.setdefault(key, {})[index] = prepared
+    for (_, rows, _), alike in groups.items():
         rest = iter(alike.items())
         while part := dict(islice(rest, max(BATCH, _ROWS // rows))):
             model = Model(law, checked, next(iter(part.values())).parameters.conditions)

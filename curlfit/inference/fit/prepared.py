@@ -47,11 +47,13 @@ class PreparedThrow(NamedTuple):
         until: float | None = None,
         exclude: Sequence[Sequence[float]] = (),
         swept: Sequence[float] | None = None,
+        others_swept: bool = False,
         **choices: Any,
     ) -> PreparedThrow:
         """Prepare a throw: its own defaults are filled in, and a very long one is condensed.
 
-        `choices` are those of `ParameterSet.build`.
+        `others_swept` makes `sweep` a parameter also of a throw that was not swept, on which it has
+        no effect. `choices` are those of `ParameterSet.build`.
 
         Raises
         ------
@@ -75,7 +77,8 @@ class PreparedThrow(NamedTuple):
         throw = throw.condensed()
         swept = throw.defaults.get("swept") if swept is None else swept
         period = None if swept is None else check_period(swept)
-        parameters = ParameterSet.for_throw(law, throw, swept=period is not None, **choices)
+        sweep = period is not None or others_swept
+        parameters = ParameterSet.for_throw(law, throw, swept=sweep, **choices)
         return cls(given, throw, stone, rows, period, parameters, Origin.of(throw), findings)
 
     @property

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.inference.identifiability import r_factors, triangle
+from curlfit.inference.identifiability import Bounded, confined, r_factors, triangle
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.losses import MAD_TO_SIGMA, robust_sigma
@@ -52,6 +52,12 @@ class ResidualStatistics(NamedTuple):
         """The statistics of each throw."""
         paths = [None] * throws if self.path is None else self.path
         return list(map(ResidualStatistics, paths, *self[1:]))
+
+    def confined(self, bounded: Bounded, typical: Floats) -> ResidualStatistics:
+        """Without the directions that only the bounds determine, where the priors count."""
+        factor = self.r_factor
+        matrix = confined(factor[..., :-1], bounded, typical)
+        return self._replace(r_factor=np.concatenate([matrix, factor[..., -1:]], -1))
 
     def by_channel(self, series: Any, more_than: int = 0) -> dict[str, Any]:
         """Values of one throw by name, for the channels with more than `more_than` values."""

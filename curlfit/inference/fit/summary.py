@@ -35,6 +35,7 @@ from curlfit.inference.fit.residuals import (
 )
 from curlfit.inference.fit.result import Estimate, FitResult, Systematics
 from curlfit.inference.fit.systematics import residual_changes, shifts, shifts_by_name
+from curlfit.inference.identifiability import Bounded
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.linearized_problem import classify
 from curlfit.inference.model import Model
@@ -102,9 +103,11 @@ def summarize_many(
     model = fits[0].model
     paths = predict_many(model, solutions.values, problems, batch) if curves else None
     penalty = penalties([fit.prepared for fit in fits])
-    statistics = residual_statistics(problems, solutions, paths, penalty)
     sets = [fit.prepared.parameters for fit in fits]
     offset, lower, upper = local_bounds([fit.prepared for fit in fits])
+    bounded = Bounded(solutions.values, lower, upper)
+    statistics = residual_statistics(problems, solutions, paths, penalty)
+    statistics = statistics.confined(bounded, sets[0].typical)
     channels = ROWS_OF_DATA[: problems.observed.shape[1]]
     found = covariances(
         sets,

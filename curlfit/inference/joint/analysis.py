@@ -25,7 +25,13 @@ from curlfit.inference.fit.residuals import ResidualStatistics, residual_statist
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.systematics import residual_changes, shifts, shifts_by_name
-from curlfit.inference.identifiability import Identifiability, analyse, visible
+from curlfit.inference.identifiability import (
+    Bounded,
+    Identifiability,
+    analyse,
+    confined,
+    visible,
+)
 from curlfit.inference.least_squares import Indices
 from curlfit.inference.linearized_problem import LinearizedProblem, classify
 from curlfit.numerics.compiled import unstacked
@@ -50,11 +56,22 @@ class JointAnalysis:
         """Residual statistics of all throws."""
         return residual_statistics(self.rounds.problems, self.solution.each, self.paths)
 
+    @property
+    def _bounded(self) -> Bounded:
+        bounds = self.layout.bounds
+        return Bounded(self.solution.values, bounds.lower, bounds.upper)
+
+    @cached_property
+    def _factor(self) -> tuple[Floats, Floats]:
+        return self.solution.r_factor(self.layout)
+
     @cached_property
     def linearized(self) -> LinearizedProblem:
-        """The joint problem, linearized at its optimum, with the priors."""
-        matrix, right = self.solution.r_factor(self.layout)
+        """The joint problem, linearized at its optimum, with the priors, and without directions
+        that only the bounds determine."""
+        matrix, right = self._factor
         bounds = self.layout.bounds
+        matrix = confined(matrix, self._bounded, bounds.typical)
         return LinearizedProblem(
             right, matrix, self.solution.values, bounds.lower, bounds.upper, bounds.typical,
             self.layout.free,
@@ -98,7 +115,7 @@ class JointAnalysis:
         robust loss are not those of the search."""
         loss = self.rounds.loss
         if loss == "linear":
-            return self.linearized.jacobian
+            return self._factor[0]
         throws = zip(
             unstacked(self.rounds.problems), unstacked(self.solution.each),
             self.statistics.residual, strict=True,
@@ -110,7 +127,9 @@ class JointAnalysis:
         open_, slack = self._open
         names = np.array(self.layout.names)[open_]
         typical = self.layout.bounds.typical[open_]
-        return analyse(matrix[:, open_], list(names), self.values[open_], typical, slack)
+        bounded = Bounded(*(part[open_] for part in self._bounded))
+        values = self.values[open_]
+        return analyse(matrix[:, open_], list(names), values, typical, slack, bounded)
 
     @cached_property
     def identifiability(self) -> Identifiability:

@@ -61,7 +61,8 @@ def fit_together(
     throws : at least two; each has its own initial state, noise and, if its file says so, stone.
     law, load : as in `fit`; the defaults of the throws must agree.
     stone, since, until, exclude, swept, fix, bounds, unbounded, free, priors, start, loss, noise,
-    systematics : as in `fit`, for all throws. The prior of a shared parameter counts once.
+    systematics : as in `fit`, for all throws. The prior of a shared parameter counts once. By
+        default `swept` is what each throw states; one that states nothing was not swept.
     share : "all" coefficients, or the names of those that the throws share; each throw has its own
         values of the others. Conditions, such as the slope of the ice, are always shared.
     progress : called with the number of steps done and chi squared.
@@ -87,10 +88,11 @@ def fit_together(
     loss = check_loss(loss)
     noise = check_noise(noise, loss)
     shared = _shared(law, share)
+    any_swept = swept is not None or any(one.defaults.get("swept") for one in throws)
     prepared = [
         PreparedThrow.of(
             throw, law, stone, since=since, until=until, exclude=exclude, swept=swept, fix=fix,
-            bounds=bounds, unbounded=unbounded, free=free, priors=priors,
+            bounds=bounds, unbounded=unbounded, free=free, priors=priors, others_swept=any_swept,
         )
         for throw in throws
     ]  # fmt: skip

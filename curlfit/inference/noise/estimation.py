@@ -119,11 +119,6 @@ class Sums(NamedTuple):
         first = np.outer(columns[0], columns[0])
         return cls(len(columns), mean, counts.astype(float), first, later, earlier, across)
 
-    def white(self) -> Floats:
-        """Sums of products of the columns as they are."""
-        total: Floats = self.first + self.later.sum(0)
-        return total
-
     def ar1(self, memory: float) -> tuple[Floats, float]:
         """Sums of products of the columns whitened as AR(1) noise of variance 1 and a correlation
         time in s, and half the log-determinant of its covariance."""

@@ -10,9 +10,10 @@ from curlfit.throws.readers.load import (
     load_throw,
     load_throws,
     read,
+    states_sweeping,
 )
 
 __all__ = [
     "FORMATS", "Part", "check_reader_options", "format_of", "from_table", "holds_timed_rows",
-    "load_throw", "load_throws", "read",
+    "load_throw", "load_throws", "read", "states_sweeping",
 ]  # fmt: skip

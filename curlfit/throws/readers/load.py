@@ -161,6 +161,20 @@ def holds_timed_rows(file: str | PathLike[str], format: str | None = None) -> bo
     return is_table(head) and detect_format(lines) == TIMINGS.name
 
 
+def states_sweeping(file: str | PathLike[str]) -> bool:
+    """Whether a file states that its stone was swept (`# swept = [A, B]`).
+
+    Only its beginning is read. False if it cannot be read.
+    """
+    try:
+        with Path(file).open(encoding="utf-8-sig", errors="replace") as stream:
+            lines = stream.read(_BEGINNING).splitlines()
+    except (OSError, ValueError):
+        return False
+    comments = [line.lstrip() for line in lines if line.lstrip().startswith("#")]
+    return any(line.lstrip("#").split("=")[0].strip() == "swept" for line in comments)
+
+
 def check_reader_options(
     format: str | None = None,
     axes: str | None = None,
