@@ -126,9 +126,9 @@ class Bounded(NamedTuple):
         """Which directions, rows of `right` in scaled parameters, have less room within the bounds
         than a standard error, 1/`singular`."""
         step = right * typical / np.maximum(singular, 1e-300)[..., None]
-        step = np.where((self.upper > self.lower)[..., None, :], step, 0.0)  # fixed ones stay
-        below = (self.values - self.lower)[..., None, :]
-        above = (self.upper - self.values)[..., None, :]
+        free = self.upper > self.lower
+        below = np.where(free, self.values - self.lower, np.inf)[..., None, :]
+        above = np.where(free, self.upper - self.values, np.inf)[..., None, :]
         size = np.maximum(np.abs(step), 1e-300)
         forward = np.where(step > 0, above, below) / size
         backward = np.where(step > 0, below, above) / size
