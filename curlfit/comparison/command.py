@@ -98,24 +98,12 @@ def compare(
     from curlfit.throws.throw import require_path
 
     drawn = FigureFiles.of(figures, none=no_figures)
-    flags = {
-        **o.reader_options(format, axes, units, reference, stone_index, shot, handle, as_given),
-        "load": None if load == "both" else load,
-        "since": since,
-        "until": until,
-        "exclude": s.periods("--exclude", exclude or ()) or None,
-        "swept": s.swept_choice(sweep),
-        "stone": s.pairs("--stone", stone or ()),
-        "sigma": s.pairs("--sigma", sigma or ()),
-        "fix": s.pairs("--fix", fix or ()),
-        "bound": s.intervals("--bound", bound or ()),
-        "start": s.pairs("--start", start or ()),
-        "unbounded": unbounded or None,
-        "free": s.names(free or ()) or None,
-        "prior": s.texts("--prior", prior or ()),
-        "loss": loss,
-        "noise": s.names(noise or ()) or None,
-    }
+    flags = s.fit_flags(
+        o.reader_options(format, axes, units, reference, stone_index, shot, handle, as_given),
+        law=None, load=None if load == "both" else load, since=since, until=until,
+        exclude=exclude, swept=sweep, stone=stone, sigma=sigma, fix=fix, bound=bound, start=start,
+        unbounded=unbounded, free=free, prior=prior, loss=loss, noise=s.names(noise or ()) or None,
+    )  # fmt: skip
     throw, settings, the_stone = s.prepare(data, config, flags)
     check_load(settings.get("load", "uniform"))
     loss = check_loss(settings.get("loss", "linear"))
@@ -161,7 +149,7 @@ def compare(
     ) as progress:
         task = progress.add_task("", total=None)
 
-        def told(name: str, done: int, total: int) -> None:
+        def show_progress(name: str, done: int, total: int) -> None:
             progress.update(task, description=name, completed=done, total=total)
 
         from curlfit.comparison.compare import compare as compare_laws
@@ -181,7 +169,7 @@ def compare(
             start=options["start"],
             loss=loss,
             noise=noises,
-            progress=told,
+            progress=show_progress,
         )
     written = [folder / "compare.json"]
     found.save(written[0])

@@ -51,13 +51,13 @@ CONDITIONS = (
         Condition(
             f"wear_{place:g}", "1", -0.5, 1.0, 0.1, f"w_{{{place:g}}}",
             f"relative change of the friction {place:g} m along the throw", 0.0,
-            "`wear` stands for it",
+            "0, since `wear` covers a trend along the throw",
         )
         for place in WEAR_KNOTS[1:]
     ),
     Condition(
         "sweep", "1", 0.0, 2.0, 0.1, "s", "ratio of the friction during sweeping to that otherwise",
-        0.0, "known where the stone is not swept",
+        0.0, "0, since it is 1 for an unswept stone",
     ),
     Condition(
         "R", "m", 0.01, 0.14, 0.01, "R", "radius of the contact ring", 0.0015,

@@ -16,6 +16,7 @@ from curlfit.numerics.arrays import Floats
 from curlfit.stone import UNITS as STONE_UNITS
 
 LEVELS = ("2.5", "16", "50", "84", "97.5")
+"""Quantiles in percent."""
 _NO_PART = 1e-3  # share of a gradient along null directions below which it counts as zero
 _TRIES = 4  # further points of the ridge at which the gradient is checked
 
@@ -229,8 +230,13 @@ def with_quantiles(quantity: Derived, samples: Floats) -> Derived:
     """The quantity with the quantiles of its samples."""
     if not len(samples):
         return quantity
-    levels = np.quantile(samples, [float(level) / 100 for level in LEVELS])
-    return replace(quantity, quantiles=dict(zip(LEVELS, map(float, levels), strict=True)))
+    return replace(quantity, quantiles=quantiles_of(samples))
+
+
+def quantiles_of(samples: Floats) -> dict[str, float]:
+    """Quantiles of samples, by `LEVELS`."""
+    found = np.quantile(samples, [float(level) / 100 for level in LEVELS])
+    return dict(zip(LEVELS, map(float, found), strict=True))
 
 
 def _seen_along_the_ridge(

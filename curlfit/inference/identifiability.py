@@ -153,7 +153,7 @@ def inverted(singular: Floats, counts: Booleans) -> Floats:
     return np.where(counts, 1 / np.where(counts, singular, 1.0), 0.0)
 
 
-def triangle(matrix: Floats) -> Floats:
+def r_factor(matrix: Floats) -> Floats:
     """R factor (QR decomposition) of a matrix or of each of a stack: at most as many rows as
     columns, which replace all rows in least squares."""
     found: Any = np.linalg.qr(matrix, mode="r")
@@ -168,7 +168,7 @@ def r_factors(jacobians: Floats, residuals: Floats) -> Floats:
     jacobians : shape (throws, channels, n, parameters); `residuals` lack the last axis.
     """
     whole = np.concatenate([jacobians, residuals[..., None]], -1)
-    return triangle(whole.reshape(len(whole), -1, whole.shape[-1]))
+    return r_factor(whole.reshape(len(whole), -1, whole.shape[-1]))
 
 
 def analyse(
@@ -205,7 +205,7 @@ def analyse_many(
     """`analyse` for many throws, along the first axis of all but the names and typical sizes."""
     throws, rows, p = jacobians.shape
     if rows > 2 * p:
-        jacobians = triangle(jacobians)
+        jacobians = r_factor(jacobians)
     elif rows < p:
         jacobians = np.concatenate([jacobians, np.zeros((throws, p - rows, p))], 1)
     _, all_singular, right = np.linalg.svd(jacobians * typical, full_matrices=False)

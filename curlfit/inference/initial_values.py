@@ -19,13 +19,14 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebint, chebval, chebvander
 
 from curlfit.friction import Coefficient
-from curlfit.inference.identifiability import inverted, triangle
+from curlfit.inference.identifiability import inverted, r_factor
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
 from curlfit.inference.system import assumed_conditions
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import BATCH
+from curlfit.numerics.trapezoid import running_integral
 from curlfit.throws.throw import last_motion
 
 _BLOCKS = 64  # of rows to which a throw is condensed
@@ -69,7 +70,7 @@ def smooth(problems: Problem) -> SmoothPath:
     degree = np.minimum(_DEGREE, np.maximum(np.minimum(2, n - 1), (n - 1) // 3))
     part = (np.arange(_DEGREE + 1) <= degree[..., None]) & (n >= 2)[..., None]
     basis = chebvander(2 * t / span[:, None] - 1, _DEGREE)
-    few = triangle(
+    few = r_factor(
         np.concatenate([basis[:, None] * part[:, :, None], observed[..., None]], -1)
         * use[..., None]
     )
@@ -193,8 +194,10 @@ def _design(
         1,
     )
     step = path.span / (POINTS - 1)
-    once = _cumulative(in_ice, step)
-    twice = _cumulative(once, step)
+    along_last, steps = np.moveaxis(in_ice, 2, -1), step[:, None, None, None]
+    once = running_integral(along_last, steps)
+    twice = np.moveaxis(running_integral(once, steps), -1, 2)
+    once = np.moveaxis(once, -1, 2)
 
     channels, k = use.shape[1], slopes.shape[-1] - 1
     count, times, observed = _condensed(use, problems, path)
@@ -214,7 +217,7 @@ def _design(
         own[..., k] = 1.0 if row < 3 else 0.0
         own[..., k + 1] = times[:, row] if row < 3 else 1.0
         columns = [*range(k), k + 2 * axis, k + 2 * axis + 1, -1]
-        few = triangle(own * scale[:, row, :, None])
+        few = r_factor(own * scale[:, row, :, None])
         few = np.where(np.isfinite(few).all((1, 2), keepdims=True), few, 0.0)
         design[:, row, :, columns] = np.moveaxis(few, -1, 0)
     design = design.reshape(len(t), channels * (k + 3), -1)
@@ -259,12 +262,6 @@ def _bases(size: int) -> tuple[Any, Any]:
     places = np.linspace(-1, 1, POINTS)
     slopes = np.asarray(chebval(places, chebder(np.eye(size))), float)
     return chebvander(places, size - 1), slopes.T
-
-
-def _cumulative(values: Floats, step: Floats) -> Floats:
-    """Running integral over the third axis, by the trapezoidal rule."""
-    middle = (values[:, :, 1:] + values[:, :, :-1]) / 2 * step[:, None, None, None]
-    return np.concatenate([np.zeros_like(values[:, :, :1]), np.cumsum(middle, 2)], 2)
 
 
 def _bounded_least_squares(matrix: Floats, right: Floats, low: Floats, high: Floats) -> Floats:

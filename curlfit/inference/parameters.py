@@ -102,7 +102,10 @@ class ParameterSet:
         key: Any = law
         named = {*(fix or ()), *(bounds or ()), *free, *(priors or ())}
         if "sweep" in named and not swept:
-            raise InputError("sweep: when was the stone swept? Expected `swept`, two times in s")
+            raise InputError(
+                "sweep is a parameter only of a swept stone; expected also `swept`, the two times "
+                "in s between which it was swept"
+            )
         if swept and "sweep" not in named:
             free = (*free, "sweep")
         known = tuple(parse_priors(priors).items())

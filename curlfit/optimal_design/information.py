@@ -25,7 +25,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.fit.systematics import residual_changes
-from curlfit.inference.identifiability import visible
+from curlfit.inference.identifiability import r_factor, visible
 from curlfit.inference.least_squares import Indices
 from curlfit.inference.likelihood import linearize_once, predict_many, prepare_many
 from curlfit.inference.model import Model
@@ -165,11 +165,11 @@ def record_information(
                 lacking = [responses[index].at(here, row) for row in range(channels)]
                 weighted = discrepancy * np.stack(lacking) * problems.weight[column][..., None]
                 own_rows = np.concatenate([own_rows, weighted], -1)
-            factors[index].append(_r_factor(own_rows))
+            factors[index].append(r_factor(own_rows))
     shapes = 0 if responses is None else responses[0].by_channel.shape[-1]
     return [
         RecordInformation(
-            len(clock), float(clock[-1]), *end, _r_factor(np.concatenate(parts, 1)), shapes
+            len(clock), float(clock[-1]), *end, r_factor(np.concatenate(parts, 1)), shapes
         )
         for clock, end, parts in zip(clocks, ends, factors, strict=True)
     ]
@@ -197,10 +197,6 @@ def _paths(
     values = np.stack([_vector(coefficients, throw) for throw in throws])
     problems = _problems(list(enumerate(clocks)), throws, 3)
     return predict_many(Model(law, load), values, problems, _BATCH)
-
-
-def _r_factor(matrix: Floats) -> Floats:
-    return np.asarray(np.linalg.qr(matrix, mode="r"))
 
 
 def _vector(coefficients: Floats, throw: PlannedThrow) -> Floats:
@@ -307,7 +303,7 @@ def marginal_factor(
     left = left[:, singular > _ROUNDING * singular[0]]
     for _ in range(2):  # twice, against rounding errors
         wanted = wanted - left @ (left.T @ wanted)
-    factor = _r_factor(wanted)
+    factor = r_factor(wanted)
     full = np.zeros((factor.shape[1], factor.shape[1]))
     full[: len(factor)] = factor
     return full
@@ -315,7 +311,7 @@ def marginal_factor(
 
 def combined(factors: Sequence[Floats]) -> Floats:
     """R factor of the information of several throws together."""
-    return _r_factor(np.concatenate(list(factors)))
+    return r_factor(np.concatenate(list(factors)))
 
 
 def standard_error(factor: Floats, weights: Floats) -> float | None:

@@ -154,7 +154,7 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
     _ellipse(
         axes, np.array([x, y]), own, np.array(rest["parameter"]),
         facecolor="none", edgecolor=FIT_COLOR, lw=0.8, ls="--", zorder=5,
-        label="95 %, by errors of parameters alone",
+        label="95 %, parameter uncertainty only",
     )  # fmt: skip
     _stone(axes, (x, y), hollow=True)
     if prediction.goal is not None:

@@ -25,6 +25,7 @@ import numpy as np
 
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, no_motion_because
+from curlfit.inference.derived import LEVELS, quantiles_of
 from curlfit.inference.fit.fit import refit
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain
@@ -57,7 +58,6 @@ from curlfit.prediction.result import (
 from curlfit.sheet import END, HOUSE, LINES, STONE_RADIUS, TEE
 from curlfit.throws.throw import CHANNELS, Throw
 
-LEVELS = ("2.5", "16", "50", "84", "97.5")
 _BAND_POINTS = 121
 _SAMPLED, _SAMPLE_TIMES = 60, 30  # draws kept, and times of each
 _DIGITS = 4  # decimals of these: 0.1 mm
@@ -340,7 +340,7 @@ def _quantities(
             unit=unit,
             parameter_sd=float(ours[there].std()),
             model_sd=float(_rms((both - ours)[there])),
-            quantiles=_quantiles(both[there]),
+            quantiles=quantiles_of(both[there]),
             share=float(np.isfinite(both).mean()),
         )
     return found
@@ -367,11 +367,6 @@ def _throw_quantities(ensemble: TrajectoryEnsemble) -> dict[str, Floats]:
         "speed_at_far_hog": passed["far-hog"][1],
         "speed_at_tee": passed["far-tee"][1],
     }
-
-
-def _quantiles(values: Floats) -> dict[str, float]:
-    found = np.quantile(values, [float(level) / 100 for level in LEVELS])
-    return dict(zip(LEVELS, map(float, found), strict=True))
 
 
 def _rms(values: Floats) -> Floats:

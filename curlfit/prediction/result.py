@@ -241,8 +241,8 @@ class Prediction(Displayed):
             + ("extrapolated to rest" if self.of == "fitted" else "another throw"),
             "# t in s since the start, lengths in m, angles in rad; x to the right of the centre "
             f"line, y from the hack thrown from (far tee at {TEE:.3f})",
-            "# _parameter_sd: standard deviation; _model_sd: root mean square by the model "
-            "discrepancy; _2.5 .. _97.5: percentiles by both errors",
+            "# _parameter_sd: standard deviation; _model_sd: rms effect of the model "
+            "discrepancy; _2.5 .. _97.5: percentiles including both",
             ",".join(names),
         ]
         for row in zip(*self.series.values(), strict=True):

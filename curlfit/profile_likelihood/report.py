@@ -92,13 +92,13 @@ def overview(profile: Profile | PairProfile) -> Overview:
 
 
 _FINDINGS = {
-    "limited": "limited by the data", "hardly": "hardly determined", "flat": "not determined",
+    "limited": "limited by the data", "hardly": "weakly determined", "flat": "not identifiable",
     "narrow": "unclear, for the range is too narrow",
 }  # fmt: skip
 
 
 def describe_undetermined(profile: Profile) -> str:
-    """Why a parameter is not determined, in words, and what would determine it."""
+    """Why a parameter is not identifiable, in words, and what would determine it."""
     span = _span(profile, *profile.free)
     name = profile.name
     if profile.verdict == "narrow":
@@ -109,13 +109,13 @@ def describe_undetermined(profile: Profile) -> str:
     if profile.verdict == "flat":
         same = f"the same to {profile.rise:.0e}" if profile.rise > 0 else "exactly the same"
         text = (
-            f"{name} is not determined, its profile is flat: chi squared is {same} over the whole "
-            f"range {span}."
+            f"{name} is not identifiable, its profile is flat: chi squared is {same} over the "
+            f"whole range {span}."
         )
     else:
         times, all_of_it = profile.quieter(1.0), profile.quieter(profile.levels[-1].delta_chi2)
         text = (
-            f"{name} is hardly determined: chi squared changes by no more than {profile.rise:.2g} "
+            f"{name} is weakly determined: chi squared changes by no more than {profile.rise:.2g} "
             f"over {span}. For a limit at 68 % the noise would have to be "
             f"{_times(times)} smaller, or the rows {_times(times**2)} as many; at 95 %, "
             f"{_times(all_of_it)} and {_times(all_of_it**2)}."
@@ -137,20 +137,20 @@ def describe_pair(profile: PairProfile) -> str:
     """Comparison of the region of two parameters with the ellipse, in words."""
     one, other = profile.names
     if profile.ellipse is None:
-        text = "There is no ellipse of the covariance to compare with."
+        text = "The covariance gives no ellipse to compare with."
     elif profile.ellipse <= _AGREE_PAIR:
         text = (
-            "The ellipse of the covariance is accurate: within its 95 % chi squared differs by at "
-            f"most {profile.ellipse:.1g}."
+            "The 95 % confidence ellipse from the covariance is accurate: within it, chi squared "
+            f"differs from its quadratic approximation by at most {profile.ellipse:.1g}."
         )
     else:
         size = f"up to {profile.ellipse:.2g}" if profile.ellipse < 100 else "more than 100"
         text = (
-            "The ellipse of the covariance is not accurate: within its 95 % chi squared differs by "
-            f"{size}. Use the contours."
+            "The 95 % confidence ellipse from the covariance is not accurate: within it, chi "
+            f"squared differs from its quadratic approximation by {size}. Use the contours."
         )
     if profile.across is None:
-        text += f" {other} is not determined even with {one} fixed."
+        text += f" {other} is not identifiable even with {one} fixed."
     elif profile.each[0].verdict in ("flat", "hardly"):
         text += (
             f" Both lie in a valley, drawn as a line: with {one} fixed, the standard error of "
@@ -233,7 +233,7 @@ def _limits(profile: Profile) -> list[str]:
                 f"No {side} limit from these data: its {side} bound, {_short(end)}, is within 95 %."
             )
         elif by == "range":
-            remarks.append(f"No {side} limit from these data, as far as {_short(end)}.")
+            remarks.append(_no_limit(side, end))
     for names, end, side in zip(profile.stops, profile.free, ("Below", "Above"), strict=True):
         if names and profile.free[0] < profile.free[1] and widest.low <= end <= widest.high:
             bound = "is at its bound" if len(names) == 1 else "are at their bounds"
@@ -254,7 +254,13 @@ def _open_ends(profile: Profile) -> str:
         )
         if not names and end != bound and end in (profile.at[0], profile.at[-1])
     ]
-    return "".join(f" No {side} limit, as far as {_short(end)}." for side, end in ends)
+    return "".join(f" {_no_limit(side, end)}" for side, end in ends)
+
+
+def _no_limit(side: str, end: float) -> str:
+    """That no limit was found up to an end of the range examined."""
+    way = "down" if side == "lower" else "up"
+    return f"No {side} limit within the range examined, {way} to {_short(end)}."
 
 
 def _region(profile: PairProfile) -> RenderableType:

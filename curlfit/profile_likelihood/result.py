@@ -104,8 +104,8 @@ class Profile(Displayed):
     stops : the names of those that reach one, beyond either end of it.
     rise : the largest delta chi squared within that part.
     verdict : "limited" (the data set limits), "hardly" (delta chi squared is below 1 within the
-        free part, which is most of the interval: hardly determined), "flat" (the same, and zero to
-        rounding: not determined), "narrow" (the given range is too narrow for a verdict).
+        free part, which is most of the interval: weakly determined), "flat" (the same, and zero to
+        rounding: not identifiable), "narrow" (the given range is too narrow for a verdict).
     combinations : those of the fit that contain the parameter.
     posterior : None, or "at", "height" (-2 log of the marginal density, shifted onto the profile),
         "error" (its standard deviation), by bin of the chain.

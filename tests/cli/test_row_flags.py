@@ -116,7 +116,7 @@ def test_other_verbs_take_them(typed, folder):
         (["--exclude", "0:40"], "the excluded intervals leave no row"),
         (["--sweep", "5"], "--sweep 5: expected A:B"),
         (["--sweep", "5:6,7:8"], "expected one interval"),
-        (["--free", "sweep"], "when was the stone swept"),
+        (["--free", "sweep"], "a parameter only of a swept stone"),
     ],
 )
 def test_refusals(words, fault, folder, monkeypatch, capsys):

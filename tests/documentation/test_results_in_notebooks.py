@@ -136,7 +136,7 @@ def test_what_a_fit_finds_comes_first_and_nothing_undetermined_has_an_error(know
     failed = replace(fit, converged=False, status="Did not converge: 200 steps were not enough")
     assert repr(failed).startswith("FitResult, did not converge: 200 steps were not enough:")
     assert html.COLORS["red"] in failed._repr_html_().partition("<table")[0]
-    assert "not determined" in repr(known["flat"]).splitlines()[0]
+    assert "not identifiable" in repr(known["flat"]).splitlines()[0]
 
 
 def test_pages_are_escaped(known):

@@ -193,6 +193,12 @@ def test_the_extent_of_one_unseen_direction_is_that_of_linear_programming():
         assert _extent(along, walls, room) == pytest.approx((least.fun, -greatest.fun), abs=1e-9)
 
 
+def test_an_undetermined_direction_without_bounds_is_named(eq12):
+    wide = dict.fromkeys(("mu1_eta", "mu2_eta"), (-np.inf, np.inf))
+    with pytest.raises(curlfit.UnusableFitError, match="mu1_eta and mu2_eta, and none of them"):
+        sample(fit(eq12, stone=Stone(R=0.065, rho=0.1025), bounds=wide))
+
+
 def test_what_is_slow_to_load_is_not_loaded_and_still_works():
     program = (
         "import sys, curlfit.inference.mcmc.sampler, emcee\n"

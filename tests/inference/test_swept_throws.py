@@ -151,8 +151,8 @@ def test_saved_and_loaded_it_can_be_refitted(fitted, tmp_path):
     [
         ({"swept": (9.0, 5.0)}, "the earlier first"),
         ({"swept": (5.0,)}, "two times"),
-        ({"free": ["sweep"]}, "when was the stone swept"),
-        ({"priors": {"sweep": "0.9+-0.1"}}, "when was the stone swept"),
+        ({"free": ["sweep"]}, "a parameter only of a swept stone"),
+        ({"priors": {"sweep": "0.9+-0.1"}}, "a parameter only of a swept stone"),
     ],
 )
 def test_what_is_not_said_well_is_refused(swept, choices, fault):

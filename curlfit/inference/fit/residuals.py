@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.inference.identifiability import Bounded, confined, r_factors, triangle
+from curlfit.inference.identifiability import Bounded, confined, r_factor, r_factors
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.losses import MAD_TO_SIGMA, robust_sigma
@@ -83,7 +83,7 @@ def residual_statistics(
     if penalty is not None:
         prior, slope = penalty.residual_and_slope(solutions.values)
         rows = np.concatenate([slope[..., None] * np.eye(slope.shape[-1]), prior[..., None]], -1)
-        whole = triangle(np.concatenate([of_data, rows], 1))
+        whole = r_factor(np.concatenate([of_data, rows], 1))
     return ResidualStatistics(
         path=paths,
         residual=residual,

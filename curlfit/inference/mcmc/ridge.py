@@ -12,6 +12,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import directions
 from curlfit.inference.mcmc.proposals import Indices, RidgeMove
 from curlfit.numerics.arrays import Floats
+from curlfit.output.text import join_words
 
 _MARGIN = 4.0  # standard errors by which the proposal extends beyond the ridge's ends
 
@@ -41,7 +42,8 @@ def ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
     wide[:, open_] = null
     reach = np.zeros(len(centre))
     reach[open_] = _MARGIN * np.sqrt(((seen.T * spread) ** 2).sum(1))
-    pivots, low, high = _pivots(wide, lower, upper, reach)
+    names = np.array(parameters.names_where(free))
+    pivots, low, high = _pivots(wide, lower, upper, reach, names)
     # Away from the bound the log-posterior falls by its slope and curvature, which set the scale.
     curvature = np.diag(information)[pushed] - ((rows[:, pushed] * singular[:, None]) ** 2).sum(0)
     push = np.abs(gradient[pushed]) + np.sqrt(np.maximum(curvature, 0.0))
@@ -50,7 +52,7 @@ def ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
 
 
 def _pivots(
-    null: Floats, lower: Floats, upper: Floats, reach: Floats
+    null: Floats, lower: Floats, upper: Floats, reach: Floats, names: np.ndarray
 ) -> tuple[Indices, Floats, Floats]:
     """A bounded parameter for each null direction, and its range along the ridge."""
     pivots: list[int] = []
@@ -59,8 +61,11 @@ def _pivots(
     for _ in range(len(null)):
         size = np.where(bounded, (rest**2).sum(0), 0.0)
         if size.max() < 1e-12:
+            open_ = list(names[(rest**2).sum(0) >= 1e-12])
+            none_of = "which has no" if len(open_) == 1 else "and none of them has"
             raise UnusableFitError(
-                "a direction that the data do not see has no bounds; give some with --bound"
+                f"the path does not determine {join_words(open_)}, {none_of} finite bounds; give "
+                "bounds"
             )
         pivot = int(np.argmax(size))
         pivots.append(pivot)

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.inference.derived import quantiles_of
 from curlfit.inference.fit.result import FitResult, Posterior
 from curlfit.inference.mcmc.chain import Chain, load_chain, subject_of
 from curlfit.inference.mcmc.convergence import diagnose
-
-_QUANTILES = ("2.5", "16", "50", "84", "97.5")
 
 
 def unfinished_posterior(
@@ -44,7 +43,6 @@ def summarised(
     quantities = {name: chain.of({name: 1.0}) for name in names}
     correlation = np.atleast_2d(np.corrcoef(np.stack(list(quantities.values()))))
     quantities |= {item.expression: chain.of(item.weights) for item in fit.combinations}
-    levels = [float(level) / 100 for level in _QUANTILES]
     steps, walkers, _ = chain.values.shape
     status = ended
     if ended != "converged":
@@ -69,10 +67,7 @@ def summarised(
         ess=dict(zip(names, map(float, diagnosis.effective), strict=True)),
         r_hat=dict(zip(names, map(float, diagnosis.r_hat), strict=True)),
         autocorrelation_time=dict(zip(names, map(float, diagnosis.times), strict=True)),
-        quantiles={
-            name: dict(zip(_QUANTILES, map(float, np.quantile(values, levels)), strict=True))
-            for name, values in quantities.items()
-        },
+        quantiles={name: quantiles_of(values) for name, values in quantities.items()},
         mean={name: float(values.mean()) for name, values in quantities.items()},
         sd={name: float(values.std()) for name, values in quantities.items()},
         correlation={

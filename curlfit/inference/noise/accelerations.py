@@ -24,12 +24,13 @@ sliding speed along the ring.
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.trapezoid import running_integral
 from curlfit.stone import GRAVITY, Stone
 from curlfit.throws.throw import CHANNELS
 
@@ -82,18 +83,19 @@ class Responses(NamedTuple):
         sizes = mean * np.array([1.0, 1.0, stone.R / stone.rho**2 * max(ratio, 0.01)])
         shape = np.array([np.interp(np.log(speed), np.log(SPEEDS), row) for row in shapes()])
         found = np.zeros((len(CHANNELS), 3, SHAPES, _GRID))
+        integral = partial(running_integral, steps=np.diff(t))
         turn, spin_up = np.gradient(heading, t), np.gradient(omega, t)
         for component, size in enumerate(sizes):
             across, along, angular = (size * shape * (component == k) for k in range(3))
-            s = _integral(along / slow, t)
-            heading_change = _integral(across / speed - turn * along / slow, t) + turn * s
-            spin_change = _integral(angular - spin_up * along / slow, t) + spin_up * s
+            s = integral(along / slow)
+            heading_change = integral(across / speed - turn * along / slow) + turn * s
+            spin_change = integral(angular - spin_up * along / slow) + spin_up * s
             speed_change = slow * s
             sine, cosine = np.sin(heading), np.cos(heading)
             found[:, component] = (
-                _integral(speed_change * sine + speed * cosine * heading_change, t),
-                _integral(speed_change * cosine - speed * sine * heading_change, t),
-                _integral(spin_change, t),
+                integral(speed_change * sine + speed * cosine * heading_change),
+                integral(speed_change * cosine - speed * sine * heading_change),
+                integral(spin_change),
                 speed_change,
                 spin_change,
             )
@@ -131,12 +133,6 @@ def log_prior(sizes: Floats) -> Floats:
     rate = -math.log(_TAIL)
     found: Floats = (np.log(sizes) - rate * sizes).sum(-1)
     return found
-
-
-def _integral(values: Floats, t: Floats) -> Floats:
-    """Integral from the first time on, along the last axis, by the trapezoidal rule."""
-    steps = (values[..., 1:] + values[..., :-1]) / 2 * np.diff(t)
-    return np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(steps, -1)], -1)
 
 
 def covariance(speed: Floats, other: Floats) -> Floats:

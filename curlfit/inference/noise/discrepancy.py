@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from curlfit.inference.identifiability import triangle
+from curlfit.inference.identifiability import r_factor
 from curlfit.inference.noise import ar1
 from curlfit.inference.noise.accelerations import (
     COMPONENTS,
@@ -215,7 +215,7 @@ def _at_memory(
     halves = sum(part.half for part in parts)
     # R factors of the channels of known noise and of the others
     factors = [
-        triangle(np.concatenate(some)) if some else np.zeros((0, columns[0].shape[1]))
+        r_factor(np.concatenate(some)) if some else np.zeros((0, columns[0].shape[1]))
         for some in (
             [part.rows for item, part in zip(channels, parts, strict=True) if item.given == known]
             for known in (True, False)
@@ -224,7 +224,7 @@ def _at_memory(
 
     def log_posterior(scale: float, sizes: Floats) -> Floats:
         rows = np.concatenate([factors[0], factors[1] / scale])
-        likelihood = log_likelihood(triangle(rows), sizes, n_nuisance)
+        likelihood = log_likelihood(r_factor(rows), sizes, n_nuisance)
         return likelihood - count * math.log(scale) - halves + log_prior(sizes)
 
     scale = 1.0
