@@ -4,7 +4,7 @@ Columns of the Jacobian of the residuals (in units of their sigma) are scaled by
 of each parameter. A singular value s then means that the data determine its direction to 1/s
 typical sizes: below 1 the direction is weakly determined; below `_UNSEEN`, or below the rounding
 error of the largest singular value, it is not determined at all. Nor is one along which the bounds
-leave less room than a standard error: there the bounds determine it, not the data.
+leave less room than a tenth of a standard error: there the bounds determine it, not the data.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _UNSEEN = 1e-3  # known to no better than a thousand typical sizes
 _ROUNDING = 1e-9  # over the largest singular value
 _NO_PART = 1e-3  # share of a direction below which a parameter takes no part in it
 _LITTLE_PART = 0.05  # the same for a direction that is weakly determined
-_ROOM = 1.0  # standard errors within the bounds, below which the data do not determine a direction
+_ROOM = 0.1  # standard errors within the bounds, below which these determine a direction
 _WHOLE = np.arange(1.0, 7)  # denominators of simple ratios
 _WEAK = 1.0  # singular value below which a direction is known to no better than typical sizes
 
@@ -123,8 +123,8 @@ class Bounded(NamedTuple):
     upper: Floats
 
     def confine(self, right: Floats, singular: Floats, typical: Floats) -> Booleans:
-        """Which directions, rows of `right` in scaled parameters, have less room within the bounds
-        than a standard error, 1/`singular`."""
+        """Which directions, rows of `right` in scaled parameters, have so little room within the
+        bounds, compared with their standard error 1/`singular`, that only the bounds limit them."""
         step = right * typical / np.maximum(singular, 1e-300)[..., None]
         free = self.upper > self.lower
         below = np.where(free, self.values - self.lower, np.inf)[..., None, :]

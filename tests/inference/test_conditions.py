@@ -28,8 +28,8 @@ ASSUMED = {
 }  # fmt: skip
 HELD = {name: width for name, width in WIDTHS.items() if width}
 ALONE = dict.fromkeys(("slope_x", "slope_y", "drag", "wear"), "determined") | {
-    "R": "weak", "rho": "weak", "length_scale": "weak",
-    "h": "not identifiable", "time_scale": "not identifiable",
+    "R": "weak", "length_scale": "weak",
+    **dict.fromkeys(("rho", "h", "time_scale"), "not identifiable"),
 }  # fmt: skip
 """What one throw says of them under uniform load, the split held."""
 START = InitialState(x=0.5, y=-1.0, heading=0.03, v=2.1, phi=0.4, omega=1.4)

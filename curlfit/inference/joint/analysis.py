@@ -166,7 +166,10 @@ class JointAnalysis:
             effect = rows @ weights.T
             information = of_channel.mT @ of_channel
             parts.append(np.einsum("ks,ckl,ls->cs", effect, information, effect))
-        return [satterthwaite(each, np.concatenate(dof)) for each in np.concatenate(parts).T]
+        total = ((weights @ covariance) * weights).sum(-1)
+        of_priors = np.maximum(total - np.concatenate(parts).sum(0), 0.0)
+        variances = np.concatenate([*parts, of_priors[None]])
+        return [satterthwaite(each, np.append(dof, np.inf)) for each in variances.T]
 
     @cached_property
     def _dof(self) -> list[float | None]:
