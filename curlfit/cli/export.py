@@ -82,7 +82,7 @@ def export(
     result = _load(folder, kind)
     # Everything is made before anything is written.
     made: dict[str, Callable[[Path], Any]] = {}
-    game = _game(result) if set(forms) & set(_GAME) else {}
+    game, note = _game(result) if set(forms) & set(_GAME) else ({}, "")
     for form in forms:
         made |= {name: write for name, write in game.items() if name == _GAME_FILES.get(form)}
         made |= _files(form, result, kind, folder)
@@ -91,6 +91,8 @@ def export(
         with atomic_write(target / name) as temporary:
             write(temporary)
     typer.echo("Written: " + ", ".join(str(target / name) for name in made))
+    if note:
+        typer.echo(note)
 
 
 _GAME_FILES = {
@@ -151,13 +153,15 @@ def _inference_data(folder: Path) -> Any:
     return chain.to_arviz(result)
 
 
-def _game(fit: FitResult) -> dict[str, Callable[[Path], Any]]:
+def _game(fit: FitResult) -> tuple[dict[str, Callable[[Path], Any]], str]:
+    """The files of a stone for games, and what of the fit they do not include."""
     from curlfit.export.accelerations import tabulate
-    from curlfit.export.game import c_header, javascript_module
+    from curlfit.export.game import c_header, javascript_module, not_included
 
     table = tabulate(fit)
-    return {
+    files = {
         "accelerations.json": _text(json.dumps(table.to_json(), indent=1) + "\n"),
         "curlfit_stone.h": _text(c_header(table)),
         "curlfit_stone.mjs": _text(javascript_module(table)),
     }
+    return files, not_included(table)

@@ -9,7 +9,7 @@ one and `c` the cosine of the angle from the fastest point, the sliding speed is
 - means odd in `eta` are integrals of polynomials in c over rho, and `1/rho = sum (-q)^n P_n(c)` is
   the generating function of Legendre's polynomials (DLMF 18.12.11);
 - means even in `eta` are those of `c^n/rho`, complete elliptic integrals of the modulus q
-  (DLMF 19.2.8, 19.2.29 and, for n > 1, by parts).
+  (DLMF 19.2.8 and, for n > 1, by parts).
 """
 
 from __future__ import annotations

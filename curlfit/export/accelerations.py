@@ -12,7 +12,7 @@ Rom 1974), for which the table has an additional node at either end.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from curlfit.dynamics.contact import accelerations
@@ -24,6 +24,7 @@ import jax
 import numpy as np
 from scipy.optimize import brentq
 
+from curlfit.environment import Environment
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, NetLaw, check_load
 from curlfit.inference.fit.result import FitResult
@@ -69,6 +70,8 @@ class AccelerationTable:
         shape (3, n + 3, k + 3): n intervals of log s, k of p, and an additional node at either end.
     interpolation : largest errors over random motions, in the units of the values.
     resting_place : largest distance in m, over some throws, from the resting position by the law.
+    not_included : slope, air drag and sweeping of the fit, which the program that uses the table
+        must add.
     """
 
     law: str
@@ -78,6 +81,7 @@ class AccelerationTable:
     values: Floats
     interpolation: tuple[float, float, float]
     resting_place: float
+    not_included: dict[str, float] = field(default_factory=dict)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -170,6 +174,7 @@ class AccelerationTable:
                 "interpolation": dict(zip(names, self.interpolation, strict=True)),
                 "resting_place": self.resting_place,
             },
+            "not_included": self.not_included,
             **{name: [[float(f"{v:.7g}") for v in row] for row in part.tolist()]
                for name, part in zip(names, self.values, strict=True)},
         }  # fmt: skip
@@ -202,7 +207,8 @@ def tabulate(fit: FitResult) -> AccelerationTable:
     Raises
     ------
     UnusableFitError : the fit did not converge.
-    InputError : the friction depends on more than speed and spin, or admits no motion.
+    InputError : the friction depends on more than speed and spin, such as the distance along the
+        throw (`wear`), or admits no motion.
     """
     if not fit.converged:
         raise UnusableFitError(f"no table can be made of this fit: {fit.status}")
@@ -219,6 +225,7 @@ def tabulate(fit: FitResult) -> AccelerationTable:
             f"the friction of law {law.name} depends on the angle turned or on the time; a table "
             "by speed and spin does not hold it"
         )
+    others = _not_included(fit)
     load = check_load(fit.load)
     motion = jax.jit(lambda v, omega: accelerations(law, stone, load, v, omega))
 
@@ -240,7 +247,7 @@ def tabulate(fit: FitResult) -> AccelerationTable:
             )
         coefficients = {name: item.value for name, item in fit.coefficients.items()}
         table = AccelerationTable(
-            law.name, fit.load, coefficients, stone, values, (0.0, 0.0, 0.0), 0.0
+            law.name, fit.load, coefficients, stone, values, (0.0, 0.0, 0.0), 0.0, others
         )
         off = max(_distance(table, draw, end) for draw, end in zip(_DRAWS, ends, strict=True))
         if off < _GOOD:
@@ -252,9 +259,25 @@ def tabulate(fit: FitResult) -> AccelerationTable:
         )
     pairs = np.array([table.accelerations(*pair) for pair in zip(*trials, strict=True)]).T
     error = np.abs(pairs - true).max(1).tolist()
-    return AccelerationTable(
-        law.name, fit.load, coefficients, stone, values, (error[0], error[1], error[2]), off
-    )
+    return replace(table, interpolation=(error[0], error[1], error[2]), resting_place=off)
+
+
+def _not_included(fit: FitResult) -> dict[str, float]:
+    """The fit's slope, air drag and sweeping; raises `InputError` for friction that changes along
+    the throw. The scales of lengths and times are of the record, not of the motion."""
+    neutral = vars(Environment())
+    found = {
+        name: item.value
+        for name, item in fit.conditions.items()
+        if name in neutral and item.value != neutral[name]
+    }
+    wear = [f"{name} = {value:.4g}" for name, value in found.items() if name.startswith("wear")]
+    if wear:
+        raise InputError(
+            f"the friction of this fit changes along the throw ({', '.join(wear)}); a table by "
+            "speed and spin does not hold it"
+        )
+    return found
 
 
 def _scale_free(exact: Any, R: float) -> bool:

@@ -213,6 +213,14 @@ def javascript_module(table: AccelerationTable) -> str:
     return _filled(_JS, table, "[", "]")
 
 
+def not_included(table: AccelerationTable) -> str:
+    """A sentence on conditions of the fit that the table does not include; empty without any."""
+    if not table.not_included:
+        return ""
+    named = ", ".join(f"{name} = {value:.4g}" for name, value in table.not_included.items())
+    return f"Not included from the fit: {named}."
+
+
 def _filled(template: str, table: AccelerationTable, left: str, right: str) -> str:
     n, k = table.shape
     across, along, angular = (f"{size:.1g}" for size in table.interpolation)
@@ -230,7 +238,8 @@ def _filled(template: str, table: AccelerationTable, left: str, right: str) -> s
             for part in table.values.tolist()
         ),
     }  # fmt: skip
-    head = Template(_HEAD).substitute(values).replace("*/", "* /")  # which would end the comment
+    head = "\n".join(filter(None, [Template(_HEAD).substitute(values), not_included(table)]))
+    head = head.replace("*/", "* /")  # which would end the comment
     return Template(template).substitute(values, head=head)
 
 

@@ -14,7 +14,7 @@ class Radial(LocalLaw):
     name = "radial"
     formula = "t = -n (mu_n a n + mu_t b tau)/|v|, (mu1, mu3) where a > 0, (mu2, mu4) where a < 0"
     source = "Ivanov and Shuvalov (2012), eq. 18-24"
-    predicts = "left where mu1 + 2 mu3 < mu2 + 2 mu4"
+    predicts = "left where mu1 + 2 mu3 < mu2 + 2 mu4, if R |omega| < v"
 
     mu1: float = coefficient(0.006, "outward, along the radius", symbol=r"\mu_1")
     mu2: float = coefficient(0.008, "inward, along the radius", symbol=r"\mu_2")

@@ -86,7 +86,10 @@ class Stribeck(LocalLaw):
     name = "stribeck"
     formula = "t = -mu n v/|v|, mu = mu0 + mu1 |v| n0/n"
     source = "Ivanov and Shuvalov (2012), eq. 10-11"
-    predicts = "right where mu0 > 0, left where mu0 < 0 < mu1, with consistent load (Prop. 4)"
+    predicts = (
+        "right where mu0 > 0, left where mu0 < 0, with consistent load, while friction slows it "
+        "(Prop. 4)"
+    )
 
     mu0: float = coefficient(0.006, "coefficient of friction at rest", lower=-1.0,
                              symbol=r"\mu_0")  # fmt: skip

@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import G, Reference, front_back
+from conftest import G, Reference, command, front_back
 
 from curlfit import LAWS, InitialState, LocalLaw, find_law, simulate
 from curlfit.errors import InputError
 from curlfit.export.accelerations import FASTEST, SLOWEST, Moved, tabulate
 from curlfit.export.game import c_header, javascript_module
 from curlfit.friction import LOADS
+from curlfit.inference.conditions import CONDITIONS
 
 THROWS = ((2.35, -1.1, 0.2), (2.1, 2.0, -0.1), (1.0, 14.0, 0.0))  # none of those of `tabulate`
 CM = 0.01
@@ -245,6 +246,40 @@ def test_what_no_table_holds_is_refused(eq12_fit):
         tabulate(like("debris"))
     with pytest.raises(InputError, match="has no contact ring"):
         tabulate(like("semi-empirical"))
+
+
+def with_conditions(fit, **values):
+    item = fit.parameters["mu1_xi"]
+    more = {
+        one.name: replace(item, value=values[one.name], verdict="fixed", lower=one.lower,
+                          upper=one.upper)
+        for one in CONDITIONS if one.name in values
+    }  # fmt: skip
+    return replace(fit, parameters=fit.coefficients | more | {
+        name: one for name, one in fit.parameters.items() if name not in fit.coefficients
+    })  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["wear", "wear_20"])
+def test_friction_that_changes_along_the_throw_is_refused(eq12_fit, name):
+    with pytest.raises(InputError, match=rf"changes along the throw \({name} = 0.02\)"):
+        tabulate(with_conditions(eq12_fit, **{name: 0.02}))
+
+
+def test_slope_drag_and_sweeping_of_a_fit_are_named(eq12_fit, table, tmp_path):
+    neutral = {"wear": 0.0, "slope_y": 0.0, "sweep": 1.0, "length_scale": 1.02}
+    same = tabulate(with_conditions(eq12_fit, **neutral))
+    np.testing.assert_array_equal(same.values, table.values)
+    assert c_header(same) == c_header(table)
+    fit = with_conditions(eq12_fit, slope_x=1.25e-4, drag=0.8, sweep=0.9)
+    other = tabulate(fit)
+    assert other.to_json()["not_included"] == {"slope_x": 1.25e-4, "drag": 0.8, "sweep": 0.9}
+    said = "Not included from the fit: slope_x = 0.000125, drag = 0.8, sweep = 0.9."
+    assert said in c_header(other)
+    assert said in javascript_module(other)
+    fit.save(tmp_path / "fit.json")
+    done = command("export", "fit.json", "--to", "js", "--out", "game", cwd=tmp_path)
+    assert said in done.stdout
 
 
 @pytest.mark.slow

@@ -413,6 +413,31 @@ def test_propositions_2_to_4_as_checked(name, values, load, omega, right, forwar
         assert force[1] == pytest.approx(forward, rel=0.03)
 
 
+@pytest.mark.parametrize("speed", [0.3, 2.0])
+def test_stribeck_curls_right_by_the_sign_of_mu0_while_it_slows(speed):
+    for mu0, mu1 in ((0.01, 0.003), (0.01, -0.004), (-0.002, 0.01), (-0.01, 0.004)):
+        for epsilon in (0.05, 0.9, 1.1, 4.0, 30.0):
+            force = over_weight(
+                "stribeck", (mu0, mu1), "consistent", speed, epsilon * speed / STONE.R
+            )
+            assert np.sign(force[0]) == -np.sign(mu0 * force[1])
+
+
+def test_radial_curls_by_its_sum_up_to_epsilon_one_and_then_by_the_tangential_pair():
+    def right(values, epsilon):
+        return over_weight("radial", values, "uniform", 2.0, epsilon * 2.0 / STONE.R)[0]
+
+    for epsilon in (0.05, 0.5, 0.99):
+        for pair in (0, 1):  # mu1 and mu2, mu3 and mu4
+            alone = np.eye(4)[2 * pair : 2 * pair + 2] * 0.01
+            assert right(alone[0], epsilon) == pytest.approx(-right(alone[1], epsilon), rel=1e-6)
+        ratio = right((0, 0, 0.01, 0), epsilon) / right((0.01, 0, 0, 0), epsilon)
+        assert ratio == pytest.approx(2, rel=1e-6)
+    for epsilon, times in ((1.5, 5.74), (100.0, 3e4)):
+        ratio = right((0, 0, 0.01, 0), epsilon) / right((0.01, 0, 0, 0), epsilon)
+        assert ratio == pytest.approx(times, rel=0.01)
+
+
 @pytest.mark.parametrize(
     ("name", "values", "load"),
     [

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pytest
 from conftest import command
+from rich.console import Console
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
@@ -213,6 +215,16 @@ def test_throws_of_different_lengths_and_channels_go_together(three):
     assert joint.converged
     item = joint.coefficients["mu2_xi"]
     assert abs(item.value - 0.05) < 4 * item.stderr
+
+
+def test_the_scatter_of_speed_and_spin_has_their_units(three):
+    joint = fit_together(three)
+    rms = dict.fromkeys(("x", "phi", "speed", "omega"), 0.002)
+    joint = replace(joint, throws=tuple(replace(one, rms=rms) for one in joint.throws))
+    text = StringIO()
+    curlfit.print_joint(joint, Console(width=140, file=text))
+    for unit in ("(mm)", "(mrad)", "(mm/s)", "(mrad/s)"):
+        assert text.getvalue().count(unit) == 1
 
 
 def test_outliers_in_one_throw_do_not_pull_the_others(three):

@@ -61,6 +61,13 @@ def test_nothing_tells_the_split_and_the_report_says_where_to_look(seen, tmp_pat
     assert load_fit(tmp_path / "fit.json").remedies == found.remedies
 
 
+def test_nothing_is_said_to_help_under_correlated_noise_but_the_split_stays_hidden(seen):
+    found = fitted(seen, "x", "y", noise="ar1")
+    assert found.parameters["omega0"].verdict in ("weak", "not identifiable")
+    split = {"parameters": ["mu1_eta", "mu2_eta"], "measure": [], "all": False}
+    assert found.remedies == (split,)
+
+
 def test_what_is_held_stays_so_and_what_is_known_needs_nothing(seen):
     held = fitted(seen, "x", "y", "phi", fix={"mu1_eta": 0.009})
     assert held.remedies == ()

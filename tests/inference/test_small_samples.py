@@ -12,7 +12,7 @@ from rich.console import Console
 from scipy.stats import binomtest, chi2, f, t
 
 import curlfit
-from curlfit.inference.fit.covariance import Covariance
+from curlfit.inference.fit.covariance import Covariance, satterthwaite
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.residuals import outlier_warning
 from curlfit.inference.likelihood import SIGMA_FLOOR
@@ -67,6 +67,15 @@ def test_degrees_of_freedom_are_welch_s():
     assert Covariance.degrees_of_freedom(covariance, weights) == pytest.approx(expected)
     covariance.dof = np.array([np.inf, np.inf])
     assert Covariance.degrees_of_freedom(covariance, weights) is None
+
+
+def test_a_variance_almost_all_known_has_no_degrees_of_freedom():
+    dof = np.array([10.0, np.inf])
+    for share in (0.0, 1e-20, -1e-20, 1e-8, 9e-4):
+        assert satterthwaite(np.array([share, 1.0]), dof) is None
+    assert satterthwaite(np.array([0.01, 0.99]), dof) == pytest.approx(10 / 0.01**2)
+    assert satterthwaite(np.zeros(2), dof) is None
+    assert satterthwaite(np.array([1.0, 0.0]), dof) == pytest.approx(10)
 
 
 @pytest.mark.parametrize("dof", [3.0, 12.5, 200.0, None])

@@ -23,6 +23,7 @@ CONVERGED = 0.01
 _CURVED = 0.003  # standard error over typical size below which chi squared is quadratic
 _UNKNOWN = 3.0  # the same, above which nothing is determined in any case
 _QUADRATIC = 0.5  # largest departure from one of the rise of chi squared at one standard error
+_KNOWN = 1e-3  # share of estimated variances in a sum below which the sum counts as known
 _MEDIAN_EFFICIENCY = 0.37  # of sigma from the median absolute residual, Gaussian noise (Huber 1981)
 
 
@@ -56,9 +57,12 @@ class Covariance(NamedTuple):
 
 def satterthwaite(parts: Floats, dof: Floats) -> float | None:
     """Degrees of freedom of a sum of estimated variances (Satterthwaite 1946, eq. 17); None where
-    all are known."""
-    inverse = float((parts**2 / dof).sum())
-    return float(parts.sum()) ** 2 / inverse if inverse > 0 else None
+    all are known, or those with finite `dof` contribute less than a thousandth, so that Student's
+    distribution is normal to rounding of what is printed."""
+    estimated = np.isfinite(dof)
+    if not np.abs(parts[estimated]).sum() > _KNOWN * np.abs(parts).sum():
+        return None
+    return float(parts.sum()) ** 2 / float((parts**2 / dof).sum())
 
 
 def noise_dof(number: Any, leverage: Floats, estimated: Booleans, loss: str) -> Floats:

@@ -155,7 +155,8 @@ def fit(
     if open_:
         local = prepared.local_parameters
         values, n = found.solution.values, len(prepared.throw)
-        remedy = remedies(model, values, found.problem, local, n, open_, fix or ())
+        white = result.noise.kind == "white"
+        remedy = remedies(model, values, found.problem, local, n, open_, fix or (), white)
         result = replace(result, remedies=remedy)
     return result
 

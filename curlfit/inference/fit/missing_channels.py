@@ -3,7 +3,9 @@
 Channels that were not measured are added hypothetically at the same times, with the noise of an
 ordinary tracker and gyroscope. If one of them, or all together, would determine a parameter, that
 is the remedy; if not, no measurement along this path would, and another throw or another stone is
-needed (`curlfit design`).
+needed (`curlfit design`). All channels are weighted by their sigma alone, as for white noise. The
+correlation of noise that was not measured is unknown; under other noise models only those
+parameters are named that no channel determines under any noise (null directions).
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.inference.identifiability import analyse
+from curlfit.inference.identifiability import Identifiability, analyse
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
@@ -35,6 +37,7 @@ def remedies(
     rows: int,
     open_: Sequence[str],
     held: Collection[str],
+    white: bool = True,
 ) -> tuple[dict[str, Any], ...]:
     """What would determine some parameters, as {"parameters": names, "measure": channels}.
 
@@ -44,6 +47,7 @@ def remedies(
     rows : of the data; the rest of the problem is padding.
     open_ : parameters that the data do not determine.
     held : parameters that stay fixed whatever is measured.
+    white : whether the noise is white.
 
     Returns
     -------
@@ -57,16 +61,23 @@ def remedies(
     missing = [name for row, name in enumerate(CHANNELS) if not weight[row].any()]
     names = [parameters.names[place] for place in free]
 
-    def determined(channels: Sequence[str]) -> set[str]:
+    def analysed(channels: Sequence[str]) -> Identifiability:
         full = weight.copy()
         for name in channels:
             full[CHANNELS.index(name)] = 1 / NOISE[name]
         matrix = (full[..., None] * jacobian).reshape(-1, len(free))
-        known = analyse(matrix, names, values[free], parameters.typical[free])
+        return analyse(matrix, names, values[free], parameters.typical[free])
+
+    def determined(channels: Sequence[str]) -> set[str]:
+        known = analysed(channels)
         spread = np.sqrt(np.diag(known.covariance))
         sharp = (spread < parameters.typical[free]) & ~known.unseen
         return {name for name, take in zip(names, sharp, strict=True) if take}
 
+    if not white:
+        unseen = dict(zip(names, analysed(missing).unseen, strict=True))
+        never = [name for name in open_ if unseen[name]]
+        return ({"parameters": never, "measure": [], "all": False},) if never else ()
     alone = {name: determined([name]) for name in missing}
     together = determined(missing) if len(missing) > 1 else set()
     found: dict[tuple[tuple[str, ...], bool], list[str]] = {}

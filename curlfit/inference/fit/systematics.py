@@ -1,8 +1,10 @@
 """Systematic errors due to the conditions that a fit holds fixed, to first order.
 
 If a condition c differs by d from its assumed value, the measured path differs by (df/dc) d, and
-the least-squares estimates are shifted: by -(J^T J)^+ J^T (df/dc) d from the estimate to the true
-value. Shifts due to different conditions are independent and add in quadrature.
+the least-squares estimates are shifted: by -(J^T J)^+ J^T W (df/dc) d from the estimate to the true
+value, where W contains the weights 1/sigma and J = W (df/dp) is the Jacobian of the weighted
+residuals (model - observed). Shifts due to different conditions are independent and add in
+quadrature.
 """
 
 from __future__ import annotations

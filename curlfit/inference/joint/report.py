@@ -12,6 +12,7 @@ from curlfit.inference.derived_report import derived_table
 from curlfit.inference.report import systematics
 from curlfit.output.console import terminal
 from curlfit.output.text import STYLE, compact, format_estimate, plain_table
+from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
     from curlfit.inference.joint.result import Difference, JointResult
@@ -109,8 +110,7 @@ def _throws(result: JointResult) -> RenderableType:
         table.add_column(name, justify="right", min_width=13 if " alone" in name else 8)
     channels = list(result.throws[0].rms)
     for name in channels:
-        unit = "mrad" if name == "phi" else "mrad/s" if name == "omega" else "mm"
-        table.add_column(f"{name}\n({unit})", justify="right", min_width=6)
+        table.add_column(f"{name}\n(m{UNITS[name]})", justify="right", min_width=6)
     for place, one in enumerate(result.throws):
         estimates = [one.parameters[name] for name in shown]
         row = [format_estimate(item.value, item.stderr)[0] for item in estimates]
