@@ -21,7 +21,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, check_load
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.identifiability import Identifiability, analyse
+from curlfit.inference.identifiability import Bounded, Identifiability, analyse, confined
 from curlfit.inference.linearized_problem import classify
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
@@ -221,6 +221,16 @@ class _DesignModel:
         self.all = [item.name for item in items]
         self.names = [name for name, take in zip(self.all, free, strict=True) if take]
         self.typical = np.array([item.typical for item in items])[free]
+        # A bound beyond which the value lies was not that of its fit.
+        lower = [
+            item.lower if value > item.lower else -np.inf
+            for item, value in zip(items, values, strict=True)
+        ]
+        upper = [
+            item.upper if value < item.upper else np.inf
+            for item, value in zip(items, values, strict=True)
+        ]
+        self.bounded = Bounded(values[free], np.array(lower)[free], np.array(upper)[free])
 
     def factor(self, one: RecordInformation, **noise: float) -> Floats:
         """R factor of the information on the free coefficients, for noise scaled by channel."""
@@ -231,7 +241,10 @@ class _DesignModel:
         return dict(zip(self.all, map(float, values), strict=True))
 
     def identifiability(self, factor: Floats) -> Identifiability:
-        return analyse(factor / self.typical, self.names, self.values[self.free], self.typical)
+        return analyse(
+            factor / self.typical, self.names, self.values[self.free], self.typical,
+            bounded=self.bounded,
+        )  # fmt: skip
 
     def quantities(self, together: Identifiability) -> dict[str, dict[str, float]]:
         """The determined coefficients and combinations, as weights."""
@@ -245,6 +258,7 @@ class _DesignModel:
     def errors(
         self, factor: Floats, quantities: Mapping[str, Mapping[str, float]]
     ) -> dict[str, float | None]:
+        factor = confined(factor / self.typical, self.bounded, self.typical) * self.typical
         return {
             name: standard_error(
                 factor, np.array([weights.get(name, 0.0) for name in self.names]) * self.typical

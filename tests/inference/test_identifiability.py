@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from curlfit.inference.identifiability import analyse, analyse_many, expression
+import curlfit
+from curlfit.inference.fit.fit import fit_throws
+from curlfit.inference.identifiability import Bounded, analyse, analyse_many, expression
 
 
 def _analysed(jacobian, names, typical=None):
@@ -108,3 +110,38 @@ def test_many_are_analysed_as_each_alone():
         assert found.combinations == alone.combinations
         assert found.null_directions == alone.null_directions
         np.testing.assert_array_equal(found.covariance, alone.covariance)
+
+
+def test_a_direction_that_only_the_bounds_limit_is_not_determined():
+    """The difference of two coefficients has a standard error of 50, their bounds a width of 1."""
+    rotated = np.array([[10.0, 10.0], [0.02, -0.02]]) / np.sqrt(2)
+    values, ends = np.array([0.5, 0.5]), (np.zeros(2), np.ones(2))
+    about = (["a", "b"], values, np.ones(2))
+    free = analyse(rotated, *about)
+    assert free.rank == 2
+    assert free.covariance[0, 0] == pytest.approx((0.1**2 + 50**2) / 2)
+    held = analyse(rotated, *about, bounded=Bounded(values, *ends))
+    assert (held.rank, held.null_directions) == (1, ({"a": 1.0, "b": -1.0},))
+    (total,) = held.combinations
+    assert (total.expression, total.stderr) == ("a + b", pytest.approx(0.1 * np.sqrt(2)))
+    wider = analyse(rotated, *about, bounded=Bounded(values, *(10 * end for end in ends)))
+    assert wider.rank == 2  # 0.2 standard errors of room
+
+
+def test_errors_under_consistent_load_are_those_of_repetition():
+    true = {"mu1_xi": 0.005, "mu2_xi": 0.05, "v0": 2.1, "omega0": 1.2}
+    law, times = curlfit.LAWS["front-back"](), np.linspace(0, 20, 201)
+    start = curlfit.InitialState(v=true["v0"], omega=true["omega0"])
+    path = curlfit.simulate(law, curlfit.Stone(), start, times, load="consistent").to_numpy()
+    throws = []
+    for seed in range(60):
+        noise = np.random.default_rng(seed).standard_normal((3, 201))
+        channels = (path.x, path.y, path.phi) + noise * [[0.005], [0.005], [0.01]]
+        throws.append(curlfit.Throw.from_arrays(times, *channels))
+    fits = fit_throws(throws, "front-back", load="consistent")
+    assert all(fit.converged for fit in fits)
+    for name, value in true.items():
+        pulls = [(fit[name].value - value) / fit[name].stderr for fit in fits]
+        assert abs(np.mean(pulls)) < 4 / np.sqrt(60)
+        assert 0.7 < np.std(pulls) < 1.4
+    assert {fit["mu2_eta"].verdict for fit in fits} == {"not identifiable"}
