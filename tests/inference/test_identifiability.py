@@ -124,8 +124,8 @@ def test_a_direction_that_only_the_bounds_limit_is_not_determined():
     assert (held.rank, held.null_directions) == (1, ({"a": 1.0, "b": -1.0},))
     (total,) = held.combinations
     assert (total.expression, total.stderr) == ("a + b", pytest.approx(0.1 * np.sqrt(2)))
-    wider = analyse(rotated, *about, bounded=Bounded(values, *(10 * end for end in ends)))
-    assert wider.rank == 2  # 0.2 standard errors of room
+    wider = analyse(rotated, *about, bounded=Bounded(values, values - 5, values + 5))
+    assert wider.rank == 2  # a room of 0.28 standard errors
 
 
 def test_errors_under_consistent_load_are_those_of_repetition():
