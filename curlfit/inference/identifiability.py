@@ -3,8 +3,8 @@
 Columns of the Jacobian of the residuals (in units of their sigma) are scaled by the typical size
 of each parameter. A singular value s then means that the data determine its direction to 1/s
 typical sizes: below 1 the direction is weakly determined; below `_UNSEEN`, or below the rounding
-error of the largest singular value, it is not determined at all. Nor is one along which the bounds
-leave less room than a tenth of a standard error: there the bounds determine it, not the data.
+error of the largest singular value, it is not determined at all. Nor is a weak one along which the
+bounds leave less room than a tenth of a standard error: there the bounds determine it, not the data.
 """
 
 from __future__ import annotations
@@ -71,6 +71,15 @@ class Identifiability:
     unseen: Booleans
     combinations: tuple[Combination, ...]
 
+    def determined(self) -> dict[str, Floats]:
+        """Weights of the parameters in what is determined: themselves and the combinations."""
+        unit = np.eye(len(self.names))
+        weights = {name: unit[row] for row, name in enumerate(self.names) if not self.unseen[row]}
+        for item in self.combinations:
+            row = [item.weights.get(name, 0.0) for name in self.names]
+            weights[item.expression] = np.array(row)
+        return weights
+
 
 def student_quantile(level: float, dof: float | None) -> float:
     """Half width, in standard errors, of a two-sided confidence interval at a level.
@@ -123,8 +132,9 @@ class Bounded(NamedTuple):
     upper: Floats
 
     def confine(self, right: Floats, singular: Floats, typical: Floats) -> Booleans:
-        """Which directions, rows of `right` in scaled parameters, have so little room within the
-        bounds, compared with their standard error 1/`singular`, that only the bounds limit them."""
+        """Which weakly determined directions, rows of `right` in scaled parameters, have so little
+        room within the bounds, compared with their standard error 1/`singular`, that only the
+        bounds limit them."""
         step = right * typical / np.maximum(singular, 1e-300)[..., None]
         free = self.upper > self.lower
         below = np.where(free, self.values - self.lower, np.inf)[..., None, :]
@@ -132,7 +142,7 @@ class Bounded(NamedTuple):
         size = np.maximum(np.abs(step), 1e-300)
         forward = np.where(step > 0, above, below) / size
         backward = np.where(step > 0, below, above) / size
-        found: Booleans = forward.min(-1) + backward.min(-1) < _ROOM
+        found: Booleans = (forward.min(-1) + backward.min(-1) < _ROOM) & (singular < _WEAK)
         return found
 
 

@@ -131,8 +131,6 @@ def examine_fit(
     t, speed : times (s) and fitted speeds (m/s), shape (n,); may be empty.
     start_speed, start_error : fitted initial speed and its standard error, m/s.
     """
-    if not set(throw.seen) & {"x", "y", "speed"} and not throw.events:
-        return ()  # angles say little about the speed
     found = []
     units = _units_words(throw, "t=ms", "length=cm")
     sure = 3 * (start_error or 0.0)

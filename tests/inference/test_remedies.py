@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -33,23 +35,29 @@ def fitted(seen, *channels, **choices):
 
 
 @pytest.mark.parametrize(
-    ("channels", "name"), [(("x", "y"), "omega0"), (("y", "phi"), "mu1_xi"), (("phi",), "mu1_xi")]
+    ("channels", "name", "known"),
+    [
+        (("x", "y"), "omega0", {}),
+        (("y", "phi"), "mu1_xi", {}),
+        (("phi",), "mu1_xi", {"v0": 2.1}),  # a speed that an angle hardly determines
+    ],
 )
-def test_what_is_said_to_help_does_and_the_rest_does_not(seen, channels, name):
-    before = fitted(seen, *channels)
+def test_what_is_said_to_help_does_and_the_rest_does_not(seen, channels, name, known):
+    with_known = partial(fitted, seen, fix=known)
+    before = with_known(*channels)
     assert before.parameters[name].verdict in ("weak", "not identifiable")
     (remedy,) = (item for item in before.remedies if name in item["parameters"])
     assert remedy["measure"]
     others = [other for other in NOISE if other not in channels]
     if remedy["all"]:
         more = remedy["measure"]
-        assert fitted(seen, *channels, *more).parameters[name].verdict == "determined"
+        assert with_known(*channels, *more).parameters[name].verdict == "determined"
         for left_out in more:
             fewer = [other for other in more if other != left_out]
-            assert fitted(seen, *channels, *fewer).parameters[name].verdict != "determined"
+            assert with_known(*channels, *fewer).parameters[name].verdict != "determined"
     else:
         for other in others:
-            helps = fitted(seen, *channels, other).parameters[name].verdict == "determined"
+            helps = with_known(*channels, other).parameters[name].verdict == "determined"
             assert helps == (other in remedy["measure"]), other
 
 

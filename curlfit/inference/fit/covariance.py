@@ -22,6 +22,8 @@ CONVERGED = 0.01
 """Distance to the optimum, in standard errors, at which a fit has converged."""
 _CURVED = 0.003  # standard error over typical size below which chi squared is quadratic
 _UNKNOWN = 3.0  # the same, above which nothing is determined in any case
+_MISLEADING = 4.0  # factor by which the rise of chi squared is off if a standard error is by two
+_SMALL = 0.1  # standard error over typical size, below which an estimate is determined even then
 _QUADRATIC = 0.5  # largest departure from one of the rise of chi squared at one standard error
 _KNOWN = 1e-3  # share of estimated variances in a sum below which the sum counts as known
 _MEDIAN_EFFICIENCY = 0.37  # of sigma from the median absolute residual, Gaussian noise (Huber 1981)
@@ -220,20 +222,41 @@ def one_sigma_points(
     return OneSigmaPoints(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
 
 
-def nonquadratic_parameters(
-    found: Sequence[Covariance], around: OneSigmaPoints, delta_chi2: Floats
-) -> list[dict[str, float]]:
-    """Parameters along which chi squared does not rise by about one at one standard error, and the
-    largest factor by which the rise is larger or smaller."""
+class Departure(NamedTuple):
+    """Departure of chi squared from a parabola along an estimate."""
+
+    factor: float
+    """largest factor by which the rise at one standard error is larger or smaller than one"""
+    misleading: bool
+    """whether it is so large that nothing may be determined"""
+
+
+def nonquadratic_estimates(
+    found: Sequence[Covariance], around: OneSigmaPoints, delta_chi2: Floats, typical: Floats
+) -> list[dict[str, Departure]]:
+    """Parameters and combinations along which chi squared does not rise by about one at one
+    standard error.
+
+    An axis concerns an estimate if it contributes a quarter or more of its variance. A large
+    departure is misleading for the parameters that dominate the axis, and for estimates whose
+    standard error is not small.
+    """
     off = ~(np.abs(delta_chi2 - 1) < _QUADRATIC)
     rise = np.maximum(np.nan_to_num(delta_chi2, nan=np.inf), 1e-300)
     factor = np.maximum(rise, 1 / rise)
-    named: list[dict[str, float]] = [{} for _ in found]
+    named: list[dict[str, Departure]] = [{} for _ in found]
     for owner in np.unique(around.owner[off]):
         mine = off & (around.owner == owner)
-        size = np.abs(around.axis[mine])
-        large = (size > 0.3 * size.max(1, keepdims=True))[:, found[owner].open]
-        most = np.where(large, factor[mine, None], 0.0).max(0)
-        names = found[owner].identifiability.names
-        named[owner] = {name: float(f) for name, f in zip(names, most, strict=True) if f > 0}
+        known, sizes = found[owner].identifiability, typical[found[owner].open]
+        axes = around.axis[mine][:, found[owner].open]
+        longest = np.abs(axes).max(1)
+        for name, row in known.determined().items():
+            error = np.sqrt(row @ known.covariance @ row)
+            concerned = np.abs(axes @ (row * sizes)) > 0.5 * error
+            if not concerned.any():
+                continue
+            most = float(factor[mine][concerned].max())
+            dominant = (np.abs(axes @ row)[concerned] > 0.3 * longest[concerned]).any()
+            large = error > _SMALL * sizes[row != 0].max()
+            named[owner][name] = Departure(most, bool(most > _MISLEADING and (dominant or large)))
     return named

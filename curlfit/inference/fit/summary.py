@@ -18,9 +18,10 @@ from curlfit.friction import Parameter
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
+    Departure,
     bound_warning,
     covariances,
-    nonquadratic_parameters,
+    nonquadratic_estimates,
     one_sigma_points,
 )
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
@@ -51,7 +52,6 @@ from curlfit.throws.throw import CHANNELS
 
 IMPLAUSIBLE = "implausible"
 """First word of the status of a fit that is impossible for a curling stone."""
-_MISLEADING = 4.0  # factor by which the rise of chi squared is off if a standard error is by two
 _NOT_LINEAR = 10.0  # typical sizes, beyond which a shift is not of first order
 _LASTING = 0.1  # memory over time of motion, above which errors are too small (`tests/statistics`)
 
@@ -131,7 +131,7 @@ def summarize_many(
     gradient = 2 * (jacobian.mT @ residual)[..., 0]
     step = around.point - solutions.values[around.owner]
     delta = delta - (gradient[around.owner] * step).sum(-1)
-    nonquadratic = nonquadratic_parameters(found, around, delta)
+    nonquadratic = nonquadratic_estimates(found, around, delta, sets[0].typical)
     systematics = [Systematics()] * len(fits)
     if paths is not None and widths:
         loss = fits[0].loss
@@ -155,7 +155,7 @@ def _record(
     fit: LeastSquaresFit,
     statistics: ResidualStatistics,
     found: Covariance,
-    nonquadratic: dict[str, float],
+    nonquadratic: dict[str, Departure],
     systematics: Systematics,
     *,
     bounds: bool,
@@ -169,7 +169,8 @@ def _record(
         curves = dict(zip(CHANNELS, path, strict=True))
     rms = {name: float(v) for name, v in statistics.by_channel(statistics.rms).items()}
     lag1 = {name: float(v) for name, v in statistics.by_channel(statistics.lag1, 3).items()}
-    estimates = _estimates(parameters, found, nonquadratic)
+    misleading = {name for name, one in nonquadratic.items() if one.misleading}
+    estimates = _estimates(parameters, found, misleading)
     unusual = _unusual(fit, estimates["v0"], curves)
     converged = found.distance < CONVERGED and not any(one.refused for one in unusual)
     outliers = outliers_of(
@@ -226,6 +227,7 @@ def _record(
                 ),
             )
             for item in known.combinations
+            if item.expression not in misleading
         ),
         rank=known.rank,
         singular_values=tuple(map(float, known.singular_values)),
@@ -315,7 +317,7 @@ def _parameter_warnings(fit: LeastSquaresFit, found: Covariance, *, bounds: bool
 
 
 def _error_warnings(
-    parameters: ParameterSet, nonquadratic: dict[str, float], systematics: Systematics
+    parameters: ParameterSet, nonquadratic: dict[str, Departure], systematics: Systematics
 ) -> list[str]:
     """Warnings about standard and systematic errors that first order does not describe."""
     warnings = []
@@ -353,7 +355,7 @@ def _memory_warnings(noise: Noise, t: Floats, curves: dict[str, Floats]) -> list
 
 
 def _estimates(
-    parameters: ParameterSet, found: Covariance, nonquadratic: dict[str, float]
+    parameters: ParameterSet, found: Covariance, misleading: set[str]
 ) -> dict[str, Estimate]:
     """Estimates by name; see `Estimate` for the verdicts."""
     estimates = {}
@@ -371,7 +373,7 @@ def _estimates(
             verdict, reason = "prior", "without the priors the data do not determine it"
         elif verdict == "weak":
             reason = f"its standard error is no smaller than its typical size, {item.typical:g}"
-        elif verdict == "determined" and nonquadratic.get(item.name, 1.0) > _MISLEADING:
+        elif verdict == "determined" and item.name in misleading:
             verdict, reason = "weak", "chi squared is far from quadratic within its standard error"
         estimates[item.name] = Estimate(
             value=float(found.values[row]),

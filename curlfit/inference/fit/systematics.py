@@ -142,12 +142,7 @@ def shifts_by_name(
     known: Identifiability, by_condition: Mapping[str, Floats]
 ) -> dict[str, dict[str, float]]:
     """Shifts of each determined parameter and each combination, by condition."""
-    unit = np.eye(len(known.names))
-    weights = {name: unit[row] for row, name in enumerate(known.names) if not known.unseen[row]}
-    for item in known.combinations:
-        row = [item.weights.get(name, 0.0) for name in known.names]
-        weights[item.expression] = np.array(row)
     return {
         name: {condition: float(row @ shift) for condition, shift in by_condition.items()}
-        for name, row in weights.items()
+        for name, row in known.determined().items()
     }
