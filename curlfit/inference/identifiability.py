@@ -4,7 +4,7 @@ Columns of the Jacobian of the residuals (in units of their sigma) are scaled by
 of each parameter. A singular value s then means that the data determine its direction to 1/s
 typical sizes: below 1 the direction is weakly determined; below `_UNSEEN`, or below the rounding
 error of the largest singular value, it is not determined at all. Nor is a weak one along which the
-bounds leave less room than a tenth of a standard error: there the bounds determine it, not the data.
+bounds leave less room than a tenth of a standard error: only the bounds determine it.
 """
 
 from __future__ import annotations

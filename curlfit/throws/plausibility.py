@@ -132,7 +132,9 @@ def examine_fit(
     start_speed, start_error : fitted initial speed and its standard error, m/s.
     """
     found = []
-    units = _units_words(throw, "t=ms", "length=cm")
+    remedy = f"if units are wrong, set them as in {_units_words(throw, 't=ms', 'length=cm')}"
+    if not set(throw.seen) & {"x", "y", "speed"} and not throw.events:
+        remedy = "angles alone hardly determine the speed; measure it as well, or fix v0"
     sure = 3 * (start_error or 0.0)
     if start_speed - sure > SPEED:
         found.append(
@@ -140,7 +142,7 @@ def examine_fit(
                 "fitted speed",
                 f"the fitted initial speed of {start_speed:.3g} m/s is more than anyone throws "
                 f"(about 4 m/s)",
-                f"if units are wrong, set them as in {units}",
+                remedy,
             )
         )
     moving = speed > 1e-3
@@ -160,7 +162,7 @@ def examine_fit(
                     "the fitted stone speeds up, which friction cannot cause"
                     if mean < 0
                     else f"the fitted mean coefficient of friction is {mean:.2g}; {usual}",
-                    f"if units are wrong, set them as in {units}",
+                    remedy,
                 )
             )
     if throw.defaults.get("as_given"):

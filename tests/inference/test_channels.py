@@ -155,3 +155,33 @@ def test_the_time_of_rest_and_its_derivatives():
         assert rest(2.0, 0.01, last) == pytest.approx(3 + 2.0 / (0.01 * 9.81), abs=1e-6)
         slopes = jax.jacfwd(rest, (0, 1))(2.0, 0.01, last)
         np.testing.assert_allclose(slopes, (1 / 0.0981, -2.0 / (0.01**2 * 9.81)), rtol=1e-6)
+
+
+def _repeated(**noise):
+    """A throw of other noise, with the channels named."""
+    times, start = np.linspace(0, 20, 201), InitialState(v=2.1, omega=1.2)
+    path = simulate(LAWS["front-back"](), Stone(), start, times).to_numpy()
+    random = np.random.default_rng(24 if "x" in noise else 7)
+    return curlfit.Throw.from_arrays(
+        times, **{name: getattr(path, name) + sd * random.standard_normal(201)
+                  for name, sd in noise.items()},
+    )  # fmt: skip
+
+
+def test_positions_alone_leave_the_transverse_coefficients_weak():
+    """Chi squared rises a thousandfold along the axis that makes up their errors."""
+    found = curlfit.fit(_repeated(x=0.005, y=0.005))
+    for name in ("mu1_xi", "mu2_xi", "omega0"):
+        assert found[name].verdict == "weak"
+        assert "far from quadratic" in found[name].reason
+    (total,) = (item for item in found.combinations if "omega0" not in item.weights)
+    assert total.expression == "mu1_eta + mu2_eta"
+    assert total.value == pytest.approx(0.018, rel=0.02)
+
+
+def test_a_speed_that_angles_alone_suggest_is_not_believed():
+    found = curlfit.fit(_repeated(omega=0.02))
+    assert found["v0"].value < 0.2  # of 2.1
+    assert not found.converged
+    assert "friction" in found.status
+    assert "angles alone hardly determine the speed" in found.status
