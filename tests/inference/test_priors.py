@@ -331,3 +331,11 @@ def test_a_prior_does_not_make_the_estimated_noise_larger(throw):
             expected = weight * other.value + (1 - weight) * 0.06
             assert item.value == pytest.approx(expected, abs=0.01 * other.stderr)
             assert fit.prior_chi_squared == pytest.approx(25, rel=0.1)
+
+
+def test_an_interval_ends_at_the_bounds(eq12_fit):
+    item = eq12_fit["mu1_xi"]
+    low, high = replace(item, value=item.stderr).interval()
+    assert (low, item.lower) == (0.0, 0.0)
+    assert high > item.stderr
+    assert item.interval()[0] > 0

@@ -73,8 +73,10 @@ class Estimate:
     prior: str = ""
 
     def interval(self, level: float = 0.95) -> tuple[float, float] | None:
-        """Confidence interval by Student's t; None where there is no standard error."""
-        return student_interval(self.value, self.stderr, self.dof, level)
+        """Confidence interval by Student's t, within the bounds; None where there is no standard
+        error."""
+        found = student_interval(self.value, self.stderr, self.dof, level)
+        return found and (max(found[0], self.lower), min(found[1], self.upper))
 
     @classmethod
     def from_json(cls, found: dict[str, Any]) -> Estimate:
