@@ -91,11 +91,17 @@ class LinearizedProblem(NamedTuple):
         along = (self.residual[..., None, :] @ left)[..., 0, :]
         return np.linalg.norm(along * visible(singular), axis=-1)
 
-    def distance(self, count: Any) -> Any:
-        """Distance to the optimum in standard errors: `newton_decrement` of what can move, over
-        the noise where `count` values scatter by more than their sigma."""
+    def distance(self, count: Any, whole: LinearizedProblem) -> Any:
+        """Distance to the optimum in standard errors, over the noise where `count` values scatter
+        by more than their sigma.
+
+        `whole` is the problem with the directions that only the bounds determine. A step along them
+        would leave the bounds; without them, parameters at a bound may seem free to move. Both are
+        upper limits.
+        """
         reduced = (self.residual**2).sum(-1) / np.maximum(count, 1)
-        return self.newton_decrement(self.movable()) / np.sqrt(np.maximum(reduced, 1.0))
+        steps = (one.newton_decrement(one.movable()) for one in (self, whole))
+        return np.minimum(*steps) / np.sqrt(np.maximum(reduced, 1.0))
 
 
 def classify(

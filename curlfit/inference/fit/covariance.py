@@ -114,7 +114,8 @@ def covariances(
           for name in ("lower", "upper", "typical", "free")),
     )  # fmt: skip
     at_bound = linearized.at_bound()
-    distance = linearized.distance(statistics.number.sum(-1))
+    whole = linearized._replace(jacobian=statistics.unconfined[..., :-1])
+    distance = linearized.distance(statistics.number.sum(-1), whole)
     open_and_slack = [
         LinearizedProblem(*one).open(stuck)
         for one, stuck in zip(zip(*linearized, strict=True), at_bound, strict=True)

@@ -39,8 +39,10 @@ class ResidualStatistics(NamedTuple):
     r_factor: Floats
     """R factor of the Jacobian and, as the last column, the residual over its sigma, with the
     priors: as many rows as columns"""
+    unconfined: Floats
+    """the same with the directions that only the bounds determine (`confined`)"""
     of_data: Floats
-    """the same without the priors"""
+    """with these directions, without the priors"""
     number: NDArray[np.int64]
     """of values of each channel, shape (channels,)"""
     rms: Floats
@@ -57,7 +59,9 @@ class ResidualStatistics(NamedTuple):
         """Without the directions that only the bounds determine, where the priors count."""
         factor = self.r_factor
         matrix = confined(factor[..., :-1], bounded, typical)
-        return self._replace(r_factor=np.concatenate([matrix, factor[..., -1:]], -1))
+        return self._replace(
+            r_factor=np.concatenate([matrix, factor[..., -1:]], -1), unconfined=factor
+        )
 
     def by_channel(self, series: Any, more_than: int = 0) -> dict[str, Any]:
         """Values of one throw by name, for the channels with more than `more_than` values."""
@@ -88,6 +92,7 @@ def residual_statistics(
         path=paths,
         residual=residual,
         r_factor=whole,
+        unconfined=whole,
         of_data=of_data,
         number=count,
         rms=rms,

@@ -100,7 +100,8 @@ class JointAnalysis:
     @property
     def converged(self) -> bool:
         """Whether the search ended, and at an optimum."""
-        distance = self.linearized.distance(int(self.statistics.number.sum()))
+        whole = self.linearized._replace(jacobian=self._factor[0])
+        distance = self.linearized.distance(int(self.statistics.number.sum()), whole)
         return bool(self.solution.success and distance < CONVERGED)
 
     @property
