@@ -163,6 +163,7 @@ def _record(
     law, prepared, noise = fit.model.law, fit.prepared, fit.noise
     throw, parameters = prepared.throw, prepared.parameters
     known, n = found.identifiability, len(throw)
+    weights = known.determined()
     curves = {}
     if statistics.path is not None:
         path = statistics.path[: len(CHANNELS), :n] + prepared.origin.place[:, None]
@@ -220,12 +221,7 @@ def _record(
         chi_squared=float(fit.solution.chi_squared),
         prior_chi_squared=float(fit.solution.penalty),
         combinations=tuple(
-            replace(
-                item,
-                dof=found.degrees_of_freedom(
-                    np.array([item.weights.get(name, 0.0) for name in known.names])
-                ),
-            )
+            replace(item, dof=found.degrees_of_freedom(weights[item.expression]))
             for item in known.combinations
             if item.expression not in misleading
         ),

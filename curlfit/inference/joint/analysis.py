@@ -136,9 +136,8 @@ class JointAnalysis:
     def identifiability(self) -> Identifiability:
         """Of the open parameters; the combinations have degrees of freedom."""
         known = self._analysed(self._matrix)
-        weights = [
-            [item.weights.get(name, 0.0) for name in known.names] for item in known.combinations
-        ]
+        determined = known.determined()
+        weights = [determined[item.expression] for item in known.combinations]
         dof = self._degrees_of_freedom(np.reshape(weights, (-1, len(known.names))), known)
         sums = (replace(item, dof=n) for item, n in zip(known.combinations, dof, strict=True))
         return replace(known, combinations=tuple(sums))
