@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.principal_axes import principal_axes
 
 _UNSEEN = 1e-3  # known to no better than a thousand typical sizes
 _ROUNDING = 1e-9  # over the largest singular value
@@ -110,9 +111,8 @@ def directions(information: Floats, typical: Floats) -> tuple[Floats, Floats, Fl
     seen, singular, null : rows of orthonormal directions in scaled parameters that the data
         determine, the singular value of each, and rows that span the rest.
     """
-    squared, vectors = np.linalg.eigh(typical[:, None] * information * typical)
-    singular = np.sqrt(np.maximum(squared[::-1], 0.0))
-    rows = vectors.T[::-1]
+    squared, rows = principal_axes(typical[:, None] * information * typical)
+    singular = np.sqrt(np.maximum(squared, 0.0))
     # Squaring costs half the digits, hence about the square root of the rounding error.
     seen = singular > max(_UNSEEN, 1e-7 * singular[0])
     return rows[seen], singular[seen], rows[~seen]

@@ -53,6 +53,7 @@ from curlfit.inference.noise.models import WHITE, independences
 from curlfit.inference.problem import ROWS_OF_DATA, Problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import stacked
+from curlfit.numerics.principal_axes import principal_axes
 from curlfit.prediction.ensemble import TrajectoryEnsemble
 from curlfit.prediction.result import Discrepancy
 from curlfit.throws.events import along_path
@@ -343,8 +344,8 @@ def _unseen_shapes(speed: Floats) -> Floats:
     known = whole[fitted][:, fitted] + 1e-6 * np.eye(int(fitted.sum()))
     conditional = whole - whole[:, fitted] @ np.linalg.solve(known, whole[fitted])
     conditional[fitted] = conditional[:, fitted] = 0.0
-    squares, vectors = np.linalg.eigh(conditional)
-    return cast(Floats, (np.sqrt(np.maximum(squares, 0.0)) * vectors).T[: -SHAPES - 1 : -1])
+    squares, rows = principal_axes(conditional)
+    return cast(Floats, np.sqrt(np.maximum(squares[:SHAPES, None], 0.0)) * rows[:SHAPES])
 
 
 def _response_of_events(fit: FitResult, responses: Responses) -> Floats:
@@ -366,10 +367,15 @@ def _adjustable(fit: FitResult) -> Booleans:
 
 
 def _null_space(matrix: Floats) -> Floats:
-    """Orthonormal basis of the null space of a matrix, as columns."""
-    _, singular, rows = np.linalg.svd(matrix)
-    rank = int((singular > 1e-9 * singular.max(initial=0.0)).sum())
-    return cast(Floats, rows[rank:].T)
+    """Orthonormal basis of the null space of a matrix, as columns.
+
+    Of all bases, that of the principal axes of fixed weights of the coordinates, so that random
+    draws are the same on every processor.
+    """
+    n = matrix.shape[1]
+    projector = np.eye(n) - np.linalg.pinv(matrix, rcond=1e-9) @ matrix
+    values, rows = principal_axes(projector * np.linspace(2.0, 1.0, n) @ projector)
+    return cast(Floats, rows[values > 0.5].T)
 
 
 def prepare_discrepancy(fit: FitResult) -> None:

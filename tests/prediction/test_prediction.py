@@ -825,5 +825,5 @@ def test_of_correlated_noise_the_parameters_error_is_that_of_its_model():
         own, other = from_discrepancy.quantities[name], white.quantities[name]
         assert own.value == pytest.approx(other.value, abs=1e-4)
         assert own.parameter_sd == pytest.approx(other.parameter_sd, rel=1e-6)
-        assert own.model_sd == pytest.approx(other.model_sd, rel=0.1)
+        assert own.model_sd == pytest.approx(other.model_sd, rel=1e-6)
     assert any("least-squares coefficients" in text for text in from_discrepancy.notes)

@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.principal_axes import principal_axes
 from curlfit.numerics.trapezoid import running_integral
 from curlfit.stone import GRAVITY, Stone
 from curlfit.throws.throw import CHANNELS
@@ -145,5 +146,5 @@ def covariance(speed: Floats, other: Floats) -> Floats:
 @cache
 def shapes() -> Any:
     """Leading Karhunen-Loeve functions of an acceleration of size 1, shape (functions, speeds)."""
-    squares, vectors = np.linalg.eigh(covariance(SPEEDS[:, None], SPEEDS))
-    return (np.sqrt(np.maximum(squares, 0.0)) * vectors).T[: -SHAPES - 1 : -1]
+    squares, rows = principal_axes(covariance(SPEEDS[:, None], SPEEDS))
+    return np.sqrt(np.maximum(squares[:SHAPES, None], 0.0)) * rows[:SHAPES]
