@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import atexit
+import gc
 import os
 import sys
 import threading
 
-from curlfit.cli import main
+_GARBAGE = 300_000  # objects between two searches for garbage; 700, the default, cost time
 
 
 def run() -> None:
@@ -16,6 +17,9 @@ def run() -> None:
     Python would tear down JAX, XLA's programs and matplotlib piece by piece, which takes a tenth of
     the time of a fit.
     """
+    gc.set_threshold(_GARBAGE)  # before the imports, whose objects live to the end
+    from curlfit.cli import main
+
     try:
         main()
         status = 0

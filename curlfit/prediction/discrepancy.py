@@ -375,7 +375,7 @@ def _null_space(matrix: Floats) -> Floats:
     n = matrix.shape[1]
     projector = np.eye(n) - np.linalg.pinv(matrix, rcond=1e-9) @ matrix
     values, rows = principal_axes(projector * np.linspace(2.0, 1.0, n) @ projector)
-    return cast(Floats, rows[values > 0.5].T)
+    return rows[values > 0.5].T
 
 
 def prepare_discrepancy(fit: FitResult) -> None:

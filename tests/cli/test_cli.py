@@ -277,13 +277,14 @@ def test_ctrl_c_is_answered_by_a_word(monkeypatch, capsys):
 def test_the_process_ends_with_the_status_of_the_command_and_all_it_printed(tmp_path):
     code = (
         "import sys, threading, time\n"
-        "import curlfit.__main__ as process\n"
+        "import curlfit.cli\n"
+        "from curlfit.__main__ import run\n"
         "def main():\n"
         "    threading.Thread(target=lambda: (time.sleep(0.3), print('stored'))).start()\n"
         "    print('done')\n"
         "    sys.exit(2)\n"
-        "process.main = main\n"
-        "process.run()\n"
+        "curlfit.cli.main = main\n"
+        "run()\n"
     )
     run = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
