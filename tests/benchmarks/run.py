@@ -25,6 +25,7 @@ import numpy as np
 
 HERE = Path(__file__).parent
 DATA = HERE.parent.parent / "data" / "jensen_shegelski_2004.csv"
+CURLFIT = [sys.executable, "-P", "-m", "curlfit"]  # the installed one, wherever this is run
 _SEASON = 4096  # throws of a batch; the time of the first quarter is taken off, as it starts up
 
 
@@ -74,21 +75,20 @@ def best(function: Callable[[], Any], seconds: float = 2.0) -> float:
 
 def answering() -> None:
     """The command as a process, against the scipy script as one."""
-    curlfit = [sys.executable, "-m", "curlfit"]
     peer = [sys.executable, str(HERE / "peer_scipy.py"), str(DATA)]
     with tempfile.TemporaryDirectory() as folder:
-        fit = [*curlfit, "fit", str(DATA), "--no-sample", "--out", f"{folder}/fit"]
+        fit = [*CURLFIT, "fit", str(DATA), "--no-sample", "--out", f"{folder}/fit"]
         bare = [*fit, "--no-figures"]
-        whole = [*curlfit, "fit", str(DATA), "--out", f"{folder}/whole"]
+        whole = [*CURLFIT, "fit", str(DATA), "--out", f"{folder}/whole"]
         (first,) = processes(bare, times=1, env={"CURLFIT_CACHE": f"{folder}/cache"})
         (first_whole,) = processes(whole, times=1, env={"CURLFIT_CACHE": f"{folder}/other"})
         processes(whole, times=1)
-        report = [*curlfit, "report", f"{folder}/whole"]
+        report = [*CURLFIT, "report", f"{folder}/whole"]
         commands = {
             "fit, no figures": bare, "fit with fit.png": fit,
             "fit, posterior and two figures": whole, "report of that": report,
-            "--help": [*curlfit, "--help"],
-            "refusal of a bad file": [*curlfit, "fit", str(HERE / "run.py")],
+            "--help": [*CURLFIT, "--help"],
+            "refusal of a bad file": [*CURLFIT, "fit", str(HERE / "run.py")],
         }  # fmt: skip
         script, *ours = processes(peer, *commands.values())
     row("scipy script", f"{script:.2f} s", 1.0)
@@ -100,7 +100,6 @@ def answering() -> None:
 
 def verbs() -> None:
     """The other commands, first with nothing compiled and then again, against the scipy script."""
-    curlfit = [sys.executable, "-m", "curlfit"]
     peer = [sys.executable, str(HERE / "peer_scipy.py"), str(DATA)]
     with tempfile.TemporaryDirectory() as folder:
         fit = f"{folder}/fit"
@@ -112,12 +111,12 @@ def verbs() -> None:
             "design": ["design"],
             "reproduce": ["reproduce"],
         }
-        processes([*curlfit, "fit", str(DATA), "--out", fit], times=1)
+        processes([*CURLFIT, "fit", str(DATA), "--out", fit], times=1)
         (script,) = processes(peer)
         row("scipy script", f"{script:.2f} s", 1.0)
         for number, (name, words) in enumerate(commands.items()):
             own = {"CURLFIT_CACHE": f"{folder}/cache-{number}"}
-            command = [*curlfit, *words, "--out", f"{folder}/result-{number}"]
+            command = [*CURLFIT, *words, "--out", f"{folder}/result-{number}"]
             runs = [measured(command, own) for _ in range(4)]
             seconds, memory = runs[0]
             row(f"{name}, first", f"{seconds:.1f} s, {memory:.0f} MB", seconds / script)
@@ -127,14 +126,11 @@ def verbs() -> None:
 
 def stopwatch() -> None:
     """A stopwatch's record by the command, against the scipy script in closed form."""
-    curlfit, peer = (
-        [sys.executable, "-m", "curlfit"],
-        [sys.executable, str(HERE / "peer_stopwatch.py")],
-    )
+    peer = [sys.executable, str(HERE / "peer_stopwatch.py")]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "stopwatch.txt")
         file.write_text("hog_to_hog = 14.2\ncurl = 4 ft left\nrest = 0.6\n")
-        fit = [*curlfit, "fit", str(file), "--no-sample", "--out", f"{folder}/fit"]
+        fit = [*CURLFIT, "fit", str(file), "--no-sample", "--out", f"{folder}/fit"]
         processes(fit, times=1)
         bare, drawn, ours, with_figure = processes(
             [*peer, str(file)], [*peer, str(file), f"{folder}/a.png"], [*fit, "--no-figures"], fit
@@ -236,7 +232,7 @@ def batch() -> None:
         texts = list(map(write_table, throws))
         for place in range(_SEASON):
             (Path(folder) / f"{place:04}.csv").write_text(texts[place % len(texts)])
-        command = [sys.executable, "-m", "curlfit", "batch", folder, "--again", "--out"]
+        command = [*CURLFIT, "batch", folder, "--again", "--out"]
         files = sorted(Path(folder).glob("*.csv"))[: _SEASON // 4]
         few = [*command[:4], *map(str, files), "--again", "--out", f"{folder}.out"]
         processes(few, times=1)
