@@ -57,10 +57,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest files first, so that none of them runs on alone at the end.
-
-    What compares all laws comes later, when the commands of the book have compiled them.
-    """
+    """The longest files first, so that none of them runs on alone at the end."""
     place = {name: -1 - LONG[::-1].index(name) for name in LONG}
     items.sort(key=lambda item: place.get(item.path.stem, 0))
 
