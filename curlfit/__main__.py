@@ -8,7 +8,7 @@ import os
 import sys
 import threading
 
-_GARBAGE = 300_000  # objects between two searches for garbage; 700, the default, cost time
+_GARBAGE = 300_000  # new objects between searches for garbage; the default, 700, costs time
 
 
 def run() -> None:
