@@ -46,6 +46,7 @@ from curlfit.inference.noise.accelerations import (
     SPEEDS,
     Responses,
     covariance,
+    leading_functions,
     log_prior,
     shapes,
 )
@@ -344,8 +345,7 @@ def _unseen_shapes(speed: Floats) -> Floats:
     known = whole[fitted][:, fitted] + 1e-6 * np.eye(int(fitted.sum()))
     conditional = whole - whole[:, fitted] @ np.linalg.solve(known, whole[fitted])
     conditional[fitted] = conditional[:, fitted] = 0.0
-    squares, rows = principal_axes(conditional)
-    return cast(Floats, np.sqrt(np.maximum(squares[:SHAPES, None], 0.0)) * rows[:SHAPES])
+    return leading_functions(conditional)
 
 
 def _response_of_events(fit: FitResult, responses: Responses) -> Floats:

@@ -232,11 +232,11 @@ def batch() -> None:
         texts = list(map(write_table, throws))
         for place in range(_SEASON):
             (Path(folder) / f"{place:04}.csv").write_text(texts[place % len(texts)])
-        command = [*CURLFIT, "batch", folder, "--again", "--out"]
         files = sorted(Path(folder).glob("*.csv"))[: _SEASON // 4]
-        few = [*command[:4], *map(str, files), "--again", "--out", f"{folder}.out"]
+        options = ["--again", "--out", f"{folder}.out"]
+        few = [*CURLFIT, "batch", *map(str, files), *options]
         processes(few, times=1)
-        part, whole = processes(few, [*command, f"{folder}.out"], times=3)
+        part, whole = processes(few, [*CURLFIT, "batch", folder, *options], times=3)
         for made in (f"{folder}.out", f"{folder}.settings.json"):
             Path(made).unlink()
     ours = (_SEASON - len(files)) / (whole - part)

@@ -145,6 +145,12 @@ def covariance(speed: Floats, other: Floats) -> Floats:
 
 @cache
 def shapes() -> Any:
-    """Leading Karhunen-Loeve functions of an acceleration of size 1, shape (functions, speeds)."""
-    squares, rows = principal_axes(covariance(SPEEDS[:, None], SPEEDS))
-    return np.sqrt(np.maximum(squares[:SHAPES, None], 0.0)) * rows[:SHAPES]
+    """`leading_functions` of an acceleration of size 1."""
+    return leading_functions(covariance(SPEEDS[:, None], SPEEDS))
+
+
+def leading_functions(matrix: Floats) -> Floats:
+    """Leading Karhunen-Loeve functions of a covariance at `SPEEDS`, shape (functions, speeds)."""
+    squares, rows = principal_axes(matrix)
+    found: Floats = np.sqrt(np.maximum(squares[:SHAPES, None], 0.0)) * rows[:SHAPES]
+    return found
