@@ -17,7 +17,10 @@ def run() -> None:
     Python would tear down JAX, XLA's programs and matplotlib piece by piece, which takes a tenth of
     the time of a fit.
     """
-    gc.set_threshold(_GARBAGE)  # before the imports, whose objects live to the end
+    # before the imports: of NumPy, whose threads would wait for one another over small matrices,
+    # and of objects that live to the end
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.set_threshold(_GARBAGE)
     from curlfit.cli import main
 
     try:

@@ -30,9 +30,8 @@ from curlfit.inference.likelihood import SIGMA_FLOOR
 import jax.numpy as jnp
 import numpy as np
 
-from curlfit.inference.fit.prepared import motion_of
+from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.noise.correlated import whitener_of
 from curlfit.inference.noise.losses import likeliest_sigma, log_density
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS
@@ -90,18 +89,14 @@ def log_likelihood(result: FitResult) -> dict[str, float]:
 
 def _of_correlated(result: FitResult) -> dict[str, float]:
     """The same for Gaussian noise with the correlation of the fit."""
-    t = result.observed["t"]
-    weight, residual = np.zeros((2, len(CHANNELS), len(t)))
+    problem, _ = problem_of(result)
+    weight, whitener = problem.weight, problem.whitener
+    residual = np.zeros(weight.shape)
     for row, name in enumerate(CHANNELS):
         if name in result.rms:
-            there = np.isfinite(result.observed[name])
-            sigma = result.observed.get(f"sigma_{name}")
-            weight[row, there] = 1 / (result.sigma[name] if sigma is None else sigma[there])
             off = result.observed[name] - result.fitted[name]
-            residual[row] = np.where(there, off, 0.0) * weight[row]
-    whitener = whitener_of(result.noise, t - t[0], weight, motion_of(result))
-    assert whitener is not None
-    white = np.asarray(whitener.whiten(jnp.asarray(residual)))
+            residual[row, : len(off)] = np.where(np.isfinite(off), off, 0.0)
+    white = np.asarray(whitener.whiten(jnp.asarray(residual * weight)))
     determinant = whitener.log_determinant()
     found = {}
     for row, name in enumerate(CHANNELS):

@@ -26,8 +26,8 @@ import numpy as np
 from jax import Array
 
 from curlfit.inference.model import Model
-from curlfit.inference.noise.correlated import whitened
 from curlfit.inference.noise.losses import signed_root
+from curlfit.inference.noise.whitening import whitened
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.inference.system import System
@@ -120,6 +120,24 @@ def predict_many(model: Model, values: Floats, problems: Problem, batch: int = B
         return np.array([predict_channels(model, *pair) for pair in pairs])
     program = partial(_batch_of_channels, model)
     return np.asarray(in_batches(program, (values, _without_data(problems)), batch))
+
+
+@compiled("model")
+def _slopes_of_channels(model: Model, values: Array, problems: Problem) -> Array:
+    return jax.vmap(jax.jacfwd(partial(_channels, model)))(values, problems)
+
+
+def path_jacobians(model: Model, values: Floats, problems: Problem) -> Floats:
+    """Derivatives of the result of `predict_many` by the parameters, (throws, 5 or 6, n, p)."""
+    arguments = model.vector(values), _without_data(problems)
+    found = np.asarray(_slopes_of_channels(model.of_program, *arguments))
+    return found[..., model.columns(values.shape[-1])]
+
+
+def prepare_path_jacobians(model: Model, values: Floats, problems: Problem) -> None:
+    """Begin to compile what `path_jacobians` needs."""
+    arguments = model.vector(values), _without_data(problems)
+    _slopes_of_channels.prepare(model.of_program, *arguments)
 
 
 def prepare_many(model: Model, values: Floats, problems: Problem) -> None:

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.environment import Environment
-from curlfit.inference.noise.correlated import FittedMotion, whitener_of
 from curlfit.inference.noise.models import LOSSES, Noise
+from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
@@ -53,7 +53,7 @@ class Problem(NamedTuple):
     events: EventArrays | None = None
     """definitions of the events in the last row"""
     whitener: Any = None
-    """makes correlated noise independent, see `curlfit.inference.noise.correlated`"""
+    """makes correlated noise independent, see `curlfit.inference.noise.whitening`"""
 
 
 class Origin(NamedTuple):
@@ -96,7 +96,6 @@ def build_problem(
     loss: str = "linear",
     noise: Noise | None = None,
     environment: Environment | None = None,
-    motion: FittedMotion | None = None,
     shape: tuple[int, int] | None = None,
 ) -> Problem:
     """The throw relative to an origin, padded.
@@ -105,7 +104,6 @@ def build_problem(
     ----------
     sigma : of the channels for which the throw gives none.
     environment : the assumed one, see `environment_of`; level ice and still air if None.
-    motion : of the stone, for a noise that has sizes.
     shape : of the data, channels and rows; the smallest possible if None.
     """
     n = len(throw)
@@ -132,7 +130,7 @@ def build_problem(
         environment=environment or LEVEL_AND_STILL,
         loss=np.asarray(LOSSES.index(loss)),
         events=events,
-        whitener=None if noise is None else whitener_of(noise, times, weight, motion),
+        whitener=None if noise is None else Whitener.of(noise, times, weight),
     )
 
 

@@ -27,6 +27,7 @@ from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, no_motion_because
 from curlfit.inference.derived import LEVELS, quantiles_of
 from curlfit.inference.fit.fit import refit
+from curlfit.inference.fit.prepared import prepare_linearized
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.mcmc.ridge import ridge_move
@@ -40,7 +41,7 @@ from curlfit.prediction.diagnostics import (
     off_the_sheet,
     thin,
 )
-from curlfit.prediction.discrepancy import discrepancy_posterior, prepare_discrepancy
+from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import (
     VARIED,
     ThrowFamily,
@@ -131,7 +132,7 @@ def predict(
             "as noise is here in the bands"
         )
     prepare_ensemble(fit)
-    prepare_discrepancy(fit)
+    prepare_linearized(fit)
     random = np.random.default_rng(seed)
     throw_start = start_of(fit, request)
     values, source = _drawn_values(fit, chain, draws, random)

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 import curlfit
 from curlfit import LAWS, InitialState, Stone, Throw, simulate
 from curlfit.inference.fit.fit import fit_throws
-from curlfit.inference.fit.prepared import problem_of
+from curlfit.inference.fit.prepared import linearized_fit, problem_of
 from curlfit.inference.noise import accelerations
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.throws.throw import CHANNELS
@@ -43,8 +44,7 @@ def test_responses_are_the_derivatives_of_the_path(component, name, sign):
     along = np.zeros((3, accelerations.SHAPES))
     row = accelerations.COMPONENTS.index(component)
     along[row] = constant
-    ratio = np.mean(np.minimum(STONE.R * np.abs(path[4]) / np.maximum(path[3], 1e-9), 1.0))
-    size = found.friction * 9.81 * (STONE.R / STONE.rho**2 * ratio if component == "turning" else 1)
+    size = found.size[row]
     for channel in range(len(CHANNELS)):
         response = found.at(TIMES, channel) @ along.ravel() / size
         scale = np.abs(expected[channel]).max()
@@ -102,58 +102,73 @@ def test_under_the_right_law_errors_are_those_of_noise_and_somewhat_larger():
     assert own.sigma["x"] == pytest.approx(0.005, rel=0.2)
 
 
-@pytest.fixture(scope="module", params=["discrepancy", "ar1+discrepancy"])
-def wrong_law(request):
+@pytest.fixture(scope="module")
+def wrong_law():
     """A fit by a wrong law, with a gap in x."""
     (_, throw), *_ = thrown(LAWS["stribeck"](), 1)
     x = throw.x.copy()
     x[60:80] = np.nan
-    return curlfit.fit(replace(throw, x=x), "coulomb", noise=request.param)
+    return curlfit.fit(replace(throw, x=x), "coulomb", noise="discrepancy")
 
 
-def dense_covariances(fit):
-    """Of the discrepancy (five channels) and of the other noise (x, y, phi), over sigma 1 and that
-    of the fit."""
-    responses = Responses.of(TIMES, np.array([fit.fitted[name] for name in CHANNELS]), fit.stone)
-    sizes = np.repeat([fit.noise.sizes[name] for name in accelerations.COMPONENTS],
-                      accelerations.SHAPES)  # fmt: skip
-    rows = np.concatenate([responses.at(TIMES, c) * sizes for c in range(5)])
-    own = np.eye(len(TIMES))
-    if fit.noise.memory:
-        (memory,) = set(fit.noise.memory.values())
-        own = np.exp(-np.abs(TIMES[:, None] - TIMES) / memory)
-    return rows @ rows.T, np.kron(np.eye(3), own)
+def dense(fit):
+    """Of a fit under discrepancy, for the values that were observed, over sigma: covariance of the
+    noise alone, what the discrepancy adds, changes of the initial state, and the changes of all
+    five channels for each amplitude, of standard deviation 1, while the parameters adjust."""
+    data, n = linearized_fit(fit), len(TIMES)
+    to_parameters = data.from_standard
+    jacobian = data.jacobian[:, :n] @ data.to_standard
+    rows = data.responses[:, :n]
+    blocks = []
+    for name in ("x", "y", "phi"):
+        memory, white = max(fit.noise.memory[name], 1e-9), fit.noise.white[name]
+        correlated = np.exp(-np.abs(TIMES[:, None] - TIMES) / memory)
+        blocks.append((1 - white) * correlated + white * np.eye(n))
+    weight = data.weight[:3, :n].ravel()
+    seen = weight > 0
+    noise = block_diag(*blocks)[seen][:, seen]
+    j, s = (weight[:, None] * part[:3].reshape(3 * n, -1) for part in (jacobian, rows))
+    j, s = j[seen] @ to_parameters, s[seen]
+    inverse = np.linalg.inv(noise)
+    own = [k for k in range(j.shape[1]) if np.abs(j[:, k]).max() > 0]
+    change = np.zeros((j.shape[1], s.shape[1]))
+    change[own] = np.linalg.solve(j[:, own].T @ inverse @ j[:, own], j[:, own].T @ inverse @ s)
+    of_law = (to_parameters @ change)[: len(fit.coefficients)]
+    free = np.repeat(np.square(list(fit.noise.sizes.values())), accelerations.SHAPES)
+    amplitudes = np.diag(free) - (free * of_law).T @ np.linalg.solve(
+        (of_law * free) @ of_law.T, of_law * free
+    )
+    paid = rows - data.jacobian[:, :n] @ change
+    lacking = weight[seen, None] * paid[:3].reshape(3 * n, -1)[seen]
+    state = (weight[:, None] * jacobian[:3].reshape(3 * n, -1))[seen][:, -6:]
+    return noise, lacking, amplitudes, state @ np.array(fit.noise.initial_state) @ state.T, paid
 
 
 def test_its_whitening_is_the_inverse_root_of_its_covariance(wrong_law):
     fit = wrong_law
     problem, _ = problem_of(fit)
+    noise, lacking, amplitudes, of_state, _ = dense(fit)
+    covariance = noise + lacking @ amplitudes @ lacking.T + of_state
     n, weight = len(TIMES), np.asarray(problem.weight)
-    missing, noise = dense_covariances(fit)
-    scale = weight[:, :n].ravel()
-    covariance = noise + scale[:, None] * missing[: 3 * n, : 3 * n] * scale
-    seen = scale > 0
-    covariance = covariance[seen][:, seen]
-    residual = np.random.default_rng(0).standard_normal((3, weight.shape[1]))
+    residual = np.random.default_rng(0).standard_normal(weight.shape)
     residual[weight == 0] = 0.0
     white = np.asarray(problem.whitener.whiten(residual))[:, :n].ravel()
-    own = residual[:, :n].ravel()[seen]
-    assert white @ white == pytest.approx(own @ np.linalg.solve(covariance, own), rel=1e-8)
+    own = residual[:, :n][weight[:, :n] > 0]
+    assert white @ white == pytest.approx(own @ np.linalg.solve(covariance, own), rel=1e-6)
     determinant = -0.5 * np.linalg.slogdet(covariance)[1]
-    assert problem.whitener.log_determinant().sum() == pytest.approx(determinant, rel=1e-8)
+    assert problem.whitener.log_determinant().sum() == pytest.approx(determinant, rel=1e-6)
 
 
 def test_the_recorded_discrepancy_is_its_mean_given_the_residuals(wrong_law, tmp_path):
     """K (K + N)^-1 r with dense matrices, in metres; at rows in the gap and channels that were not
     measured by the covariances with those that were."""
     fit = wrong_law
-    missing, noise = dense_covariances(fit)
-    sigma = np.repeat([fit.sigma[name] for name in ("x", "y", "phi")], len(TIMES))
-    residual = np.concatenate([fit.residuals[name] for name in ("x", "y", "phi")])
-    seen = np.flatnonzero(np.isfinite(residual))
-    of_data = (missing[: len(sigma), : len(sigma)] + sigma[:, None] * noise * sigma)[seen][:, seen]
-    expected = missing[:, seen] @ np.linalg.solve(of_data, residual[seen])
-    for name, mean in zip(CHANNELS, expected.reshape(5, -1), strict=True):
+    noise, lacking, amplitudes, _, paid = dense(fit)
+    residual = np.concatenate([fit.residuals[name] / fit.sigma[name] for name in ("x", "y", "phi")])
+    of_data = noise + lacking @ amplitudes @ lacking.T
+    gain = np.linalg.solve(of_data, residual[np.isfinite(residual)])
+    expected = paid @ (amplitudes @ lacking.T @ gain)
+    for name, mean in zip(CHANNELS, expected, strict=True):
         scale = np.abs(mean).max()
         np.testing.assert_allclose(fit.discrepancy[name], mean, atol=1e-5 * scale)
         np.testing.assert_array_equal(fit.predicted[name], fit.fitted[name] + fit.discrepancy[name])
@@ -171,22 +186,15 @@ def test_the_recorded_discrepancy_is_its_mean_given_the_residuals(wrong_law, tmp
     assert curlfit.FitResult.from_json(record).discrepancy == {}
 
 
-def test_the_likelihood_of_sizes_is_that_of_the_covariance():
-    random = np.random.default_rng(2)
-    count = 3 * accelerations.SHAPES
-    fixed, shapes, residual = (random.standard_normal((60, k)) for k in (4, count, 1))
-    factor = np.linalg.qr(np.hstack([fixed, shapes, residual]), mode="r")
-    sizes = np.array([[0.01, 0.3, 0.02], [0.2, 0.05, 0.6]])
-    found = accelerations.log_likelihood(factor, sizes, 4)
-    expected = []
-    for own in sizes:
-        weighted = shapes * np.repeat(own, accelerations.SHAPES)
-        inverse = np.linalg.inv(np.eye(60) + weighted @ weighted.T)
-        spent = fixed.T @ inverse @ fixed
-        left = inverse - inverse @ fixed @ np.linalg.solve(spent, fixed.T @ inverse)
-        logs = np.linalg.slogdet(inverse)[1] - np.linalg.slogdet(spent)[1]
-        expected.append((logs - (residual.T @ left @ residual).item()) / 2)
-    assert found[0] - found[1] == pytest.approx(expected[0] - expected[1], rel=1e-6)
+def test_the_law_is_fitted_as_without_a_discrepancy(wrong_law):
+    """Its coefficients and its path are those nearest to the data; the initial state has the error
+    that a discrepancy may hide in it."""
+    white = curlfit.fit(wrong_law.throw, "coulomb")
+    mu, other = wrong_law["mu"], white["mu"]
+    assert mu.value == pytest.approx(other.value, rel=0.02)
+    for name, size in white.rms.items():
+        assert wrong_law.rms[name] < 1.5 * size
+    assert wrong_law["v0"].stderr > 5 * white["v0"].stderr
 
 
 @pytest.mark.slow
@@ -201,13 +209,13 @@ def test_a_memory_is_told_from_a_discrepancy():
             noise[:, row] = carry * noise[:, row - 1] + np.sqrt(1 - carry**2) * noise[:, row]
         series = np.stack([throw.x, throw.y, throw.phi]) + noise * [[0.005], [0.005], [0.01]]
         throws.append((start, Throw.from_arrays(TIMES, *series)))
-    fits = fit_throws([throw for _, throw in throws], "coulomb", noise="ar1+discrepancy")
+    fits = fit_throws([throw for _, throw in throws], "coulomb", noise="discrepancy")
     lasting = [next(iter(fit.noise.memory.values())) for fit in fits]
     assert np.exp(np.mean(np.log(lasting))) == pytest.approx(memory, rel=0.4)
     assert not any("too small" in text for fit in fits for text in fit.warnings)
-    own = np.sqrt((pulls_of(throws, "coulomb", "ar1+discrepancy") ** 2).mean())
+    own = np.sqrt((pulls_of(throws, "coulomb", "discrepancy") ** 2).mean())
     assert 0.4 < own < 1.8
-    assert np.sqrt((pulls_of(throws, "coulomb", "discrepancy") ** 2).mean()) > 1.5 * own
+    assert np.sqrt((pulls_of(throws, "coulomb", "ar1") ** 2).mean()) > 1.5 * own
 
 
 def test_a_mirrored_throw_has_the_same_discrepancy():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,8 +11,12 @@ import numpy as np
 from curlfit.environment import Environment
 from curlfit.errors import InputError, require_kind
 from curlfit.friction import Law
+from curlfit.inference.fit.linearization import linearized
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.noise.correlated import FittedMotion
+from curlfit.inference.likelihood import prepare_path_jacobians
+from curlfit.inference.noise.linearized import Linearized
+from curlfit.inference.noise.models import WHITE
+from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Origin, Problem, build_problem, environment_of
@@ -125,16 +130,39 @@ def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
     origin = Origin.of(throw)
     environment = environment_of(fit.data["swept"], origin.t)
     problem = build_problem(
-        throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise, environment=environment,
-        motion=motion_of(fit) if fit.noise.sizes else None,
-    )  # fmt: skip
+        throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise, environment=environment
+    )
+    if fit.noise.sizes:
+        data = _linearized(fit, problem, origin).first(len(problem.weight))
+        whitener = Whitener.of(fit.noise, problem.times, problem.weight, data)
+        problem = problem._replace(whitener=whitener)
     return problem, origin
 
 
-def motion_of(fit: FitResult) -> FittedMotion:
-    """The fitted motion, with times since the first row."""
-    t = fit.observed["t"]
-    return FittedMotion(t - t[0], np.array([fit.fitted[name] for name in CHANNELS]), fit.stone)
+def linearized_fit(fit: FitResult) -> Linearized:
+    """The fitted path to first order."""
+    problem, origin = problem_of(replace(fit, noise=WHITE))
+    return _linearized(fit, problem, origin)
+
+
+def prepare_linearized(fit: FitResult) -> None:
+    """Begin to compile what `linearized_fit` needs."""
+    problem, _ = problem_of(replace(fit, noise=WHITE))
+    prepare_path_jacobians(fit.model, fit.values[None], stacked([problem]))
+
+
+def _linearized(fit: FitResult, problem: Problem, origin: Origin) -> Linearized:
+    path = np.array([fit.fitted[name] for name in CHANNELS]) - origin.place[:, None]
+    if fit.events:
+        row = np.zeros((1, path.shape[1]))
+        row[0, : len(fit.events)] = [one["fitted"] for one in fit.events]
+        row[0, : len(fit.events)] -= [origin.of_event(event) for event in fit.throw.events]
+        path = np.concatenate([path, row])
+    verdicts = [item.verdict for item in fit.parameters.values()]
+    adjustable = np.array([verdict not in ("fixed", "at bound") for verdict in verdicts])
+    values = fit.values - origin.offset(len(fit.values))
+    typical = fit.parameter_set.typical
+    return linearized(fit.model, problem, values, path, fit.stone, typical, adjustable)
 
 
 def check_period(swept: Sequence[float]) -> tuple[float, float]:

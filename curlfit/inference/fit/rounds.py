@@ -19,7 +19,8 @@ import jax
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.inference.fit.prepared import PreparedThrow
+from curlfit.inference.fit.linearization import linearized
+from curlfit.inference.fit.prepared import PreparedThrow, local_bounds
 from curlfit.inference.fit.summary import LeastSquaresFit
 from curlfit.inference.least_squares import (
     Indices,
@@ -30,11 +31,13 @@ from curlfit.inference.least_squares import (
 )
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, whitened_residuals_of_many
 from curlfit.inference.model import Model
-from curlfit.inference.noise.correlated import FittedMotion, estimate, whitener_of
-from curlfit.inference.noise.estimation import channel_residuals
+from curlfit.inference.noise.linearized import Linearized
 from curlfit.inference.noise.losses import robust_sigma
 from curlfit.inference.noise.models import LOSSES, Noise, time_of_motion
+from curlfit.inference.noise.restricted import estimate
+from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.problem import ROWS_OF_DATA, Problem, build_problem
+from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import stacked
 from curlfit.throws.throw import CHANNELS
 
@@ -157,41 +160,51 @@ class Rounds:
     def _estimate_noise(self, now: Indices, solutions: Solution) -> Revision:
         problems = self._problems_of(now)
         paths = predict_many(self.model, solutions.values, problems, self.batch)
-        estimated, motions = [], {}
+        estimated: dict[int, Linearized] = {}
         for place, index in enumerate(now):
-            throw = self.throws[index].throw
-            n = len(throw)
-            span = time_of_motion(throw.t, paths[place, CHANNELS.index("speed"), :n])
-            try:
-                channels = channel_residuals(
-                    throw, solutions.residual[place, :, :n],
-                    solutions.jacobian[place, :, :n][..., self.free[index]],
-                    problems.weight[place, :, :n],
-                )  # fmt: skip
-            except InputError as error:
-                self.failures[int(index)] = error
+            solution = jax.tree.map(itemgetter(place), solutions)
+            problem = jax.tree.map(itemgetter(place), problems)
+            data = self._linearized(int(index), problem, solution, paths[place])
+            if not data.enough.any():
+                name = self.throws[index].throw.name
+                self.failures[int(index)] = InputError(
+                    f"{name}: too few values to estimate a correlation of the noise"
+                )
                 continue
-            estimated.append(index)
-            kind = self.noises[index].kind
-            motion = FittedMotion(
-                self.problems.times[index, :n], paths[place, :, :n], self.throws[index].stone
-            )
-            self.noises[index], sigma = estimate(kind, channels, span, motion)
-            motions[int(index)] = motion
-            for row in np.flatnonzero(self.unknown[index]):
-                name = self.channels[row]
-                self.sigma[index, row] = sigma.get(name, self.sigma[index, row]) + SIGMA_FLOOR
-        now = np.array(estimated, int)
+            found = estimate(self.noises[index].kind, data, ~self.unknown[index])
+            self.noises[index] = found.noise
+            scale = np.where(self.unknown[index], found.scale, 1.0)
+            self.sigma[index] = scale * self.sigma[index] + SIGMA_FLOOR * self.unknown[index]
+            estimated[int(index)] = data._replace(weight=data.weight / scale[:, None])
+        now = np.array(list(estimated), int)
         self._reweighted(now)
-        for index in now:
-            whitener = whitener_of(
-                self.noises[index], self.problems.times[index], self.problems.weight[index],
-                motions[int(index)],
-            )  # fmt: skip
+        for index, data in estimated.items():
+            whitener = Whitener.of(
+                self.noises[index], self.problems.times[index], self.problems.weight[index], data
+            )
             pairs = zip(*map(jax.tree.leaves, (self.problems.whitener, whitener)), strict=True)
             for leaf, new in pairs:
                 leaf[index] = new
         return Revision(now, self._problems_of(now), None)
+
+    def _linearized(
+        self, index: int, problem: Problem, solution: Solution, path: Floats
+    ) -> Linearized:
+        """A fit with white noise to first order."""
+        one, channels = self.throws[index], len(problem.weight)
+        _, lower, upper = local_bounds([one])
+        adjustable = ((lower < solution.values) & (solution.values < upper))[0]
+        typical, n = one.parameters.typical, len(one.throw)
+        if self.noises[index].kind == "discrepancy":
+            return linearized(
+                self.model, problem, solution.values, path[:, :n], one.stone, typical, adjustable
+            ).first(channels)
+        inverse = 1 / np.where(problem.weight > 0, problem.weight, 1.0)
+        return Linearized.of(
+            problem.times, time_of_motion(problem.times[:n], path[CHANNELS.index("speed"), :n]),
+            problem.weight, -solution.residual * inverse, solution.jacobian * inverse[..., None],
+            typical, adjustable, len(self.model.law.coefficients()),
+        )  # fmt: skip
 
     def _reweighted(self, now: Indices, *, rescaled: bool = False) -> Revision:
         before = self.problems.weight[now]

@@ -24,6 +24,7 @@ from curlfit.inference.fit.covariance import (
     nonquadratic_estimates,
     one_sigma_points,
 )
+from curlfit.inference.fit.linearization import linearized
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.residuals import (
     ResidualStatistics,
@@ -40,9 +41,8 @@ from curlfit.inference.identifiability import Bounded
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.linearized_problem import classify
 from curlfit.inference.model import Model
-from curlfit.inference.noise.accelerations import Responses
-from curlfit.inference.noise.discrepancy import posterior_mean
 from curlfit.inference.noise.models import Noise, time_of_motion
+from curlfit.inference.noise.whitening import posterior_mean
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem
@@ -237,7 +237,7 @@ def _record(
         reference=reference if reference and reference.law == law.name else None,
         observed=observed,
         fitted=curves,
-        discrepancy=_discrepancy(fit, statistics),
+        discrepancy=_discrepancy(fit, statistics, found),
         loss=fit.loss,
         noise=noise,
         independence=statistics.by_channel(statistics.independence, 3),
@@ -246,18 +246,20 @@ def _record(
     )
 
 
-def _discrepancy(fit: LeastSquaresFit, statistics: ResidualStatistics) -> dict[str, Floats]:
+def _discrepancy(
+    fit: LeastSquaresFit, statistics: ResidualStatistics, found: Covariance
+) -> dict[str, Floats]:
     """Mean of the model discrepancy by channel; empty where the noise has none."""
     if statistics.path is None or not fit.noise.sizes:
         return {}
-    n, channels = len(fit.prepared.throw), min(len(fit.problem.weight), len(CHANNELS))
-    times = np.asarray(fit.problem.times)[:n]
-    responses = Responses.of(times, statistics.path[: len(CHANNELS), :n], fit.prepared.stone)
-    weight = np.asarray(fit.problem.weight)[:channels, :n]
-    mean = posterior_mean(
-        fit.noise, times, weight, statistics.residual[:channels, :n], responses
+    n, prepared = len(fit.prepared.throw), fit.prepared
+    adjustable = prepared.parameters.free & ~found.at_bound
+    data = linearized(
+        fit.model, fit.problem, fit.solution.values, statistics.path[:, :n], prepared.stone,
+        prepared.parameters.typical, adjustable,
     )  # fmt: skip
-    return dict(zip(CHANNELS, mean, strict=True))
+    mean = posterior_mean(fit.noise, fit.problem.times, data)[:, :n]
+    return dict(zip(CHANNELS, mean, strict=False))
 
 
 def _events(fit: LeastSquaresFit, statistics: ResidualStatistics) -> tuple[dict[str, Any], ...]:

@@ -19,8 +19,8 @@ import numpy as np
 from curlfit.inference.conditions import ALL, WIDTHS, check_systematics
 from curlfit.inference.identifiability import Identifiability, inverted, visible
 from curlfit.inference.model import Model
-from curlfit.inference.noise.correlated import whitened
 from curlfit.inference.noise.losses import root_slope
+from curlfit.inference.noise.whitening import whitened
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import unstacked

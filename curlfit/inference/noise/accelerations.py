@@ -15,10 +15,10 @@ for the speed v, the heading b and the spin omega at a given time, whose integra
 angle.
 
 Sizes. The size of each component has an exponential prior, a penalised-complexity prior (Simpson et
-al. 2017, Statistical Science 32, 1), with 5 % of its probability above the friction: a missing
-contact force is no larger than the contact force itself. For the rotation, the friction means its
-angular acceleration, mu g R/rho^2, times the mean of R omega/v, the relative variation of the
-sliding speed along the ring.
+al. 2017, Statistical Science 32, 1), with 5 % of its probability above what friction does to the
+throw in that component: along the path the mean deceleration mu g; across it the acceleration that
+bends the path, or 5 % of mu g where that is less; for the rotation mu g R/rho^2 times the mean of
+R omega/v, the relative variation of the sliding speed along the ring.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.namespace import namespace
 from curlfit.numerics.principal_axes import principal_axes
 from curlfit.numerics.trapezoid import running_integral
 from curlfit.stone import GRAVITY, Stone
@@ -37,7 +38,8 @@ from curlfit.throws.throw import CHANNELS
 
 COMPONENTS = ("across", "along", "turning")
 SHAPES = 12  # basis functions of speed
-_TAIL = 0.05  # prior probability of a size above the friction
+_TAIL = 0.05  # prior probability of a size above that of friction
+_STRAIGHT = 0.05  # acceleration across a straight path that a law may miss, over mu g
 _GRID = 400  # number of times along the path
 SPEEDS = np.geomspace(0.02, 10.0, 161)  # m/s, at which shapes are tabulated
 _SLOWEST = 0.02  # over the initial speed: lowest speed at which accelerations are evaluated
@@ -47,7 +49,7 @@ SIZES = np.sqrt(_EDGES[1:] * _EDGES[:-1])
 
 
 class Responses(NamedTuple):
-    """Response of a path to accelerations of the size of the friction."""
+    """Response of a path to accelerations of the size of those by friction."""
 
     t: Floats
     """s since the first row"""
@@ -81,7 +83,10 @@ class Responses(NamedTuple):
         # without deceleration a stone would stay at one speed forever
         slow = np.minimum(slow, -0.1 * mean)
         ratio = float(np.mean(np.minimum(stone.R * np.abs(omega) / speed, 1.0)))
-        sizes = mean * np.array([1.0, 1.0, stone.R / stone.rho**2 * max(ratio, 0.01)])
+        bend = float(np.sqrt(np.mean((speed * np.gradient(heading, t)) ** 2)))
+        sizes = mean * np.array(
+            [max(bend / mean, _STRAIGHT), 1.0, stone.R / stone.rho**2 * max(ratio, 0.01)]
+        )
         shape = np.array([np.interp(np.log(speed), np.log(SPEEDS), row) for row in shapes()])
         found = np.zeros((len(CHANNELS), 3, SHAPES, _GRID))
         integral = partial(running_integral, steps=np.diff(t))
@@ -109,31 +114,30 @@ class Responses(NamedTuple):
         return np.array(columns).T
 
 
-def log_likelihood(factor: Floats, sizes: Floats, n_nuisance: int) -> Floats:
-    """Logarithm of the restricted likelihood at sizes, shape (sizes, 3), up to a constant.
+def log_prior(sizes: Any) -> Any:
+    """Logarithm of the prior density of the logarithms of the sizes, for NumPy or JAX."""
+    rate = -math.log(_TAIL)
+    return (namespace(sizes).log(sizes) - rate * sizes).sum(-1)
+
+
+def amplitude_root(sizes: Any, held: Any) -> Any:
+    """F of the covariance F F^T of the amplitudes given that combinations of them are zero.
+
+    With D the standard deviations of the components, F = D (1 - P) with the projection P on the
+    rows of `held` D. For NumPy or JAX.
 
     Parameters
     ----------
-    factor : R factor of the columns over their noise: parameters, shapes, residuals.
+    sizes : of the components, shape (3,).
+    held : the combinations, as rows; rows of zeros do not count.
     """
-    spent = np.log(np.abs(np.diag(factor)[:n_nuisance])).sum()
-    left = factor[n_nuisance:, n_nuisance:]
-    # The diagonal of the Cholesky factor of [1 + D S D, D s; s^T D, r^T r] gives the determinant of
-    # the first block and, last, the root of chi squared, r^T (1 + ...)^-1 r.
-    scale = np.concatenate([np.repeat(sizes, SHAPES, axis=1), np.ones((len(sizes), 1))], 1)
-    whole = scale[:, :, None] * (left.T @ left) * scale[:, None]
-    diagonal = np.arange(whole.shape[1])
-    whole[:, diagonal, diagonal] += np.append(np.ones(len(diagonal) - 1), 1e-9)
-    roots = np.diagonal(np.linalg.cholesky(whole), axis1=1, axis2=2)
-    found: Floats = -(roots[:, -1] ** 2) / 2 - np.log(roots[:, :-1]).sum(1) - spent
-    return found
-
-
-def log_prior(sizes: Floats) -> Floats:
-    """Logarithm of the prior density of the logarithms of the sizes."""
-    rate = -math.log(_TAIL)
-    found: Floats = (np.log(sizes) - rate * sizes).sum(-1)
-    return found
+    xp = namespace(sizes)
+    scale = xp.repeat(sizes, SHAPES)
+    rows = held * scale
+    square = (rows**2).sum(-1)
+    rows = rows / xp.sqrt(xp.where(square > 0, square, 1.0))[:, None]
+    inner = rows @ rows.T + xp.diag(xp.where(square > 0, 1e-12, 1.0))
+    return scale[:, None] * (xp.eye(len(scale)) - rows.T @ xp.linalg.solve(inner, rows))
 
 
 def covariance(speed: Floats, other: Floats) -> Floats:

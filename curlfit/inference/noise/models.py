@@ -3,13 +3,14 @@
 The models:
 
 - "white": independent from row to row.
-- "ar1": the correlation decays exponentially, as exp(-gap/memory) between rows (an
-  Ornstein-Uhlenbeck process; AR(1) where rows are evenly spaced). For noise of the tracker:
-  filters, a swaying camera.
-- "discrepancy": independent noise, and accelerations that the law lacks, as functions of speed,
-  propagated to all channels by the equations of motion (`curlfit.inference.noise.accelerations`).
-  For a law that is not exact (Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425).
-- "ar1+discrepancy": both, with one correlation time for all channels.
+- "ar1": independent noise, and noise whose correlation decays exponentially, as exp(-gap/memory)
+  between rows (an Ornstein-Uhlenbeck process; AR(1) where rows are evenly spaced). For noise of
+  the tracker: filters, a swaying camera.
+- "discrepancy": the same, and accelerations that the law lacks, as functions of speed, propagated
+  to all channels by the equations of motion (`curlfit.inference.noise.accelerations`). For a law
+  that is not exact (Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425). Slow noise and an
+  inexact law leave similar residuals, so that neither is estimated without the other;
+  "ar1+discrepancy" is another name of this model.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _MATTERS = 0.2  # lag-1 correlation below which errors would hardly change
 LOSSES = ("linear", "huber", "soft-l1", "cauchy", "student")
 """How much large residuals count; for the formulas see `curlfit.inference.noise.losses`."""
 
-NOISES = ("white", "ar1", "discrepancy", "ar1+discrepancy")
+NOISES = ("white", "ar1", "discrepancy")
 """How noise is correlated from row to row."""
 
 
@@ -44,6 +45,7 @@ def check_loss(loss: str) -> str:
 
 def check_noise(kind: str, loss: str = "linear") -> str:
     """The name of a noise model, if it is one that the loss admits. Raises `InputError`."""
+    kind = "discrepancy" if kind == "ar1+discrepancy" else kind
     if kind not in NOISES:
         raise InputError(f"unknown noise {kind!r}; expected one of {', '.join(NOISES)}")
     if kind != "white" and loss != "linear":
@@ -61,14 +63,28 @@ class Noise:
     Attributes
     ----------
     kind : one of `NOISES`.
-    memory : for "ar1", the correlation time in s by channel.
-    sizes : for "discrepancy", the standard deviation of the missing acceleration over the friction
-        by component (`across`, `along`, `turning`).
+    memory : correlation time in s by channel, 0 where the noise is independent.
+    white : independent share of the variance by channel.
+    sizes : for "discrepancy", the standard deviation of the missing acceleration over that by
+        friction, by component (`across`, `along`, `turning`).
+    initial_state : covariance of the change of the initial state (x0, y0, heading, v0, phi0,
+        omega0; SI) that compensates the discrepancy, part of the error of its estimate.
     """
 
     kind: str = "white"
     memory: dict[str, float] = field(default_factory=dict)
+    white: dict[str, float] = field(default_factory=dict)
     sizes: dict[str, float] = field(default_factory=dict)
+    initial_state: list[list[float]] = field(default_factory=list)
+
+    def white_share(self, channel: str) -> float:
+        """Independent share of the variance of a channel."""
+        return self.white.get(channel, 0.0 if channel in self.memory else 1.0)
+
+    @property
+    def all_sizes(self) -> Floats:
+        """The sizes as an array, shape (3,)."""
+        return np.array(list(self.sizes.values()))
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -82,11 +98,6 @@ def time_of_motion(t: Floats, speed: Floats) -> float:
     """Time from the first row to the last in which a stone moves, s."""
     moving = np.flatnonzero(speed > 0)
     return float(t[moving[-1]] - t[0]) if len(moving) else 0.0
-
-
-def ar1_correlation(gaps: Floats, memory: float) -> Floats:
-    """Correlation of "ar1" noise over gaps in s."""
-    return np.exp(-gaps / memory)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,151 @@
+"""A fitted path to first order: its changes with the parameters and with missing accelerations.
+
+Identification. The amplitudes of a discrepancy are conditioned to leave the estimates of the law's
+coefficients unchanged (as in Plumlee 2017, Journal of the American Statistical Association 112,
+1274), while those of the initial state would adjust. A fit reports the path of the law nearest to
+the data; that adjustment is part of the error of its initial state.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Self
+
+from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
+
+# isort: split
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.scipy.linalg import solve_triangular
+
+from curlfit.inference.identifiability import directions
+from curlfit.inference.noise.accelerations import amplitude_root
+from curlfit.inference.noise.kalman import KalmanFilter
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.compiled import compiled
+from curlfit.throws.throw import CHANNELS
+
+_FEWEST = 20  # values of a channel, at least, for its noise to be estimated
+_NOTHING = 1e-9  # singular value over the largest, below which it is rounding error
+
+
+class Linearized(NamedTuple):
+    """A fitted path and what can change it, to first order; SI, shapes (channels, n, ...)."""
+
+    gaps: Any
+    """time to the next row, s, shape (n,)"""
+    weight: Any
+    """1/sigma, 0 where nothing was observed"""
+    residual: Any
+    """measured - fitted, 0 where nothing was observed"""
+    jacobian: Any
+    """derivatives by the directions of the parameters, in units of their standard errors"""
+    responses: Any
+    """derivatives by the amplitudes of missing accelerations; none without a discrepancy"""
+    from_standard: Any
+    """from directions to parameters, shape (parameters, directions)"""
+    to_standard: Any
+    held: Any
+    """directions of the coefficients among all, as orthonormal rows"""
+    span: Any
+    """time after the first row during which the stone moves, s"""
+
+    @classmethod
+    def of(
+        cls, times: Floats, span: float, weight: Floats, residual: Floats, jacobian: Floats,
+        typical: Floats, adjustable: Booleans, coefficients: int, responses: Floats | None = None,
+    ) -> Self:  # fmt: skip
+        """From the derivatives by all parameters.
+
+        Parameters
+        ----------
+        times : of the rows, s, shape (n,).
+        jacobian : derivatives of the path by the parameters.
+        typical : sizes of the parameters, the law's coefficients first; their number is
+            `coefficients`.
+        adjustable : which parameters are neither fixed nor at a bound.
+        """
+        own = (weight[..., None] * jacobian * adjustable).reshape(-1, len(typical))
+        rows, singular, _ = directions(own.T @ own, typical)
+        missing = ((0, 0), (0, len(typical) - len(rows)))
+        from_standard = np.pad(typical[:, None] * rows.T / singular, missing)
+        to_standard = np.pad((singular[:, None] * rows / typical).T, missing).T
+        law = from_standard[:coefficients] / typical[:coefficients, None]
+        _, sizes, held = np.linalg.svd(law, full_matrices=False)
+        held = np.where((sizes > _NOTHING * sizes.max(initial=0.0))[:, None], held, 0.0)
+        return cls(
+            np.diff(times, append=times[-1]), weight, residual, jacobian @ from_standard,
+            jacobian[..., :0] if responses is None else responses, from_standard, to_standard, held,
+            np.asarray(span),
+        )  # fmt: skip
+
+    @property
+    def columns(self) -> Any:
+        """Directions, amplitudes and, last, the residual, over sigma."""
+        parts = self.jacobian, self.responses, self.residual[..., None]
+        return self.weight[..., None] * jnp.concatenate(parts, -1)
+
+    def first(self, channels: int) -> Self:
+        """Of the first channels alone."""
+        parts = self.weight, self.residual, self.jacobian, self.responses
+        weight, residual, jacobian, responses = (part[:channels] for part in parts)
+        return self._replace(
+            weight=weight, residual=residual, jacobian=jacobian, responses=responses
+        )
+
+    @property
+    def enough(self) -> Booleans:
+        """Which channels have enough values for their noise to be estimated."""
+        found: Booleans = (self.weight > 0).sum(1) >= _FEWEST
+        found[len(CHANNELS) :] = False
+        return found
+
+    def regression(self, own: KalmanFilter, scale: Any) -> Regression:
+        """After a filter of the noise, with sigma times `scale` by channel."""
+        p, columns = len(self.held.T), own.innovations(self.columns) / scale[:, None, None]
+        sums = jnp.einsum("cnk,cnl->kl", columns, columns)
+        precision = sums[:p, :p] + jnp.diag(jnp.where(jnp.diag(sums)[:p] > 0, 0.0, 1.0))
+        lower = jnp.linalg.cholesky(precision)
+        along = solve_triangular(lower, sums[:p, p:], lower=True)
+        change = solve_triangular(lower.T, along, lower=False)
+        return Regression(
+            sums[p:, p:] - along.T @ along, change, precision, self.held @ change[:, :-1]
+        )
+
+    def change_of_initial_state(self, regression: Regression, number: int) -> Any:
+        """Change of the last parameters for each amplitude, shape (number, amplitudes)."""
+        return -self.from_standard[-number:] @ regression.change[:, :-1]
+
+
+class Regression(NamedTuple):
+    """Regression of amplitudes' columns and residual on the parameters, over independent values."""
+
+    left: Any
+    """products of what is left of these columns"""
+    change: Any
+    """change of the parameters' directions for each of these columns"""
+    precision: Any
+    """of the directions"""
+    held: Any
+    """combinations of amplitudes that are zero"""
+
+    def log_likelihood(self, sizes: Any) -> Array:
+        """Restricted log-likelihood of the sizes of a discrepancy, up to a constant."""
+        spent = jnp.linalg.slogdet(self.precision)[1] / 2
+        if not len(sizes):
+            return -spent - self.left[-1, -1] / 2
+        lower, white, _ = self.posterior(sizes)
+        return -spent - jnp.log(jnp.diag(lower)).sum() - (self.left[-1, -1] - white @ white) / 2
+
+    def posterior(self, sizes: Any) -> tuple[Array, Array, Array]:
+        """Of z, where the amplitudes are F z: the Cholesky factor L of its precision, L^T times its
+        mean, and F."""
+        root = amplitude_root(sizes, self.held)
+        lower = jnp.linalg.cholesky(jnp.eye(len(root)) + root.T @ self.left[:-1, :-1] @ root)
+        return lower, solve_triangular(lower, root.T @ self.left[:-1, -1], lower=True), root
+
+
+@compiled()
+def regression_of(own: KalmanFilter, data: Linearized) -> Regression:
+    """The regression after a filter, with sigma as in the weights."""
+    return data.regression(own, jnp.ones(len(data.weight)))
