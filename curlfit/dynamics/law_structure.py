@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from curlfit.friction import LAWS, Law, Load, LocalLaw, Motion, NetLaw, RingPoint, power
+from curlfit.friction import Law, Load, LocalLaw, Motion, NetLaw, RingPoint, power
 from curlfit.friction.base import on_new_law
 from curlfit.stone import Stone
 
@@ -41,8 +41,13 @@ def _register(law: type[Law]) -> None:
     )
 
 
-for _law in LAWS.values():
-    _register(_law)
+def _register_all(kind: type[Law]) -> None:
+    for law in kind.__subclasses__():
+        _register(law)
+        _register_all(law)
+
+
+_register_all(Law)
 on_new_law.append(_register)
 jax.tree_util.register_dataclass(Stone, data_fields=["m", "R", "rho", "h"], meta_fields=[])
 

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Literal, NamedTuple, Self, dataclass_transform, get_args
 
-from curlfit.errors import InputError, require_kind
+from curlfit.errors import InputError
 
 Load = Literal["uniform", "consistent"]
 """Distribution of the weight over the ring: uniform, or consistent with friction (eq. 8-9)."""
@@ -182,7 +182,7 @@ def power(base: Any, exponent: Any) -> Any:
 
 
 LAWS: dict[str, type[Law]] = {}
-"""All laws by name; a class is registered when it is defined."""
+"""All laws by name; a class that has one is registered when it is defined, others at first use."""
 
 on_new_law: list[Callable[[type[Law]], None]] = []
 """Called with each law class as it is defined."""
@@ -238,6 +238,8 @@ class Law:
                     "coefficient(default, meaning)"
                 )
             _check(cls, field.name, field.metadata["coefficient"])
+        for callback in on_new_law:
+            callback(cls)
         if cls.name:
             cls.register(cls.name)
 
@@ -253,8 +255,6 @@ class Law:
             raise TypeError(f"{cls.__name__}: curlfit has a law {name!r} already; choose another")
         cls.name = name
         LAWS[name] = cls
-        for callback in on_new_law:
-            callback(cls)
 
     @classmethod
     @functools.cache
@@ -294,10 +294,11 @@ def _check(law: type[Law], name: str, metadata: dict[str, Any]) -> None:
 class LocalLaw(Law, ABC):
     """A law of friction at a point of the contact ring (eq. 3-5).
 
-    A subclass defines `traction`, which curlfit integrates over the ring. The traction may be
-    discontinuous between the front and the back half, and at the angles of `edges`. If on each half
-    it is a polynomial in `xi` and `eta`, up to second order, times the direction or the velocity of
-    sliding, the integral has a closed form.
+    A subclass defines `traction`, which curlfit integrates over the ring. The traction may jump
+    between the front and the back half and at fixed angles, which curlfit finds when the law is
+    first used; angles that depend on coefficients or on the angle turned are to be given by
+    `edges`. If on each half it is a polynomial in `xi` and `eta`, up to second order, times the
+    direction or the velocity of sliding, the integral has a closed form.
 
     Examples
     --------
@@ -312,9 +313,13 @@ class LocalLaw(Law, ABC):
     0.012
     """
 
+    divisions: ClassVar[Edges] = Edges()
+    """Angles at which friction jumps, has a kink or changes quickly, found when the law is first
+    used if it does not define `edges`"""
+
     def edges(self, turned: Any) -> Edges:
         """Jumps of friction within the halves, after an angle turned."""
-        return Edges()
+        return self.divisions
 
     @abstractmethod
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
@@ -333,35 +338,3 @@ class NetLaw(Law, ABC):
     @abstractmethod
     def accelerations(self, motion: Motion, stone: Any) -> tuple[Any, Any, Any]:
         """(to the right, forward, angular) in m/s^2, m/s^2, rad/s^2, in the moving frame."""
-
-
-def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
-    """The law of that name, or a user's law in a file, as "FILE.py:CLASS"; a law is itself.
-
-    `from_files` is False where the name comes from a data file, which must not execute code.
-
-    Raises
-    ------
-    InputError : no such law; the message lists the laws. DataError : the file contains no
-        usable law.
-
-    Examples
-    --------
-    >>> curlfit.find_law("front-back").name
-    'front-back'
-    """
-    if isinstance(name, type) and issubclass(name, Law):
-        return name
-    require_kind(name, str, "law", "the name of a law, or a law's class")
-    assert isinstance(name, str)
-    if name in LAWS:
-        return LAWS[name]
-    file, colon, kind = name.rpartition(":")
-    if from_files and (file.endswith(".py") or name.endswith(".py")):
-        from curlfit.friction.registry import law_from_file
-
-        return law_from_file(*((file, kind) if colon and not kind.endswith(".py") else (name, "")))
-    raise InputError(
-        f"unknown law {name!r}; the laws are {', '.join(sorted(LAWS))} (see `curlfit laws`)"
-        + ("; a law of your own is FILE.py:CLASS" if from_files else "")
-    )
