@@ -41,13 +41,12 @@ def _register(law: type[Law]) -> None:
     )
 
 
-def _register_all(kind: type[Law]) -> None:
-    for law in kind.__subclasses__():
-        _register(law)
-        _register_all(law)
+def _derived(kind: type[Law]) -> set[type[Law]]:
+    return {kind}.union(*(_derived(law) for law in kind.__subclasses__()))
 
 
-_register_all(Law)
+for _law in _derived(Law) - {Law}:
+    _register(_law)
 on_new_law.append(_register)
 jax.tree_util.register_dataclass(Stone, data_fields=["m", "R", "rho", "h"], meta_fields=[])
 

@@ -127,32 +127,33 @@ class RingPoint(NamedTuple):
 
     Lengths are in units of the ring radius, directions in the moving frame: `eta` along the
     velocity of the centre, `xi` to its right (eq. 21).
+
+    Attributes
+    ----------
+    xi : cos(alpha), the coordinate to the right of the centre; negative on the left half.
+    eta : sin(alpha), the coordinate ahead of the centre.
+    angle : alpha in rad, in (-pi, pi), counter-clockwise from `xi`.
+    front : 1.0 on the front half (eta > 0), 0.0 on the back half.
+    slide_xi, slide_eta : sliding velocity to the right and forward, m/s (eq. 16).
+    speed : magnitude of the sliding velocity, m/s.
+    e_xi, e_eta : unit vector of sliding, to the right and forward (eq. 4).
+    load : normal load relative to the uniform load, n/n0.
+    turned : angle turned since release (the first row of a throw), rad, counter-clockwise positive.
+    time : time since release, s.
     """
 
     xi: Any
-    """cos(alpha), the coordinate to the right of the centre"""
     eta: Any
-    """sin(alpha), the coordinate ahead of the centre"""
     angle: Any
-    """alpha in rad, in (-pi, pi), counter-clockwise from `xi`"""
     front: Any
-    """1.0 on the front half (eta > 0), 0.0 on the back half"""
     slide_xi: Any
-    """sliding velocity to the right, m/s (eq. 16)"""
     slide_eta: Any
-    """sliding velocity forward, m/s (eq. 16)"""
     speed: Any
-    """magnitude of the sliding velocity, m/s"""
     e_xi: Any
-    """unit vector of sliding, to the right (eq. 4)"""
     e_eta: Any
-    """unit vector of sliding, forward (eq. 4)"""
     load: Any
-    """normal load relative to the uniform load, n/n0"""
     turned: Any
-    """angle turned since release (the first row of a throw), rad, counter-clockwise positive"""
     time: Any
-    """time since release, s"""
 
 
 class Edges(NamedTuple):
@@ -163,16 +164,20 @@ class Edges(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Variables of a net law: the motion of the stone as a whole."""
+    """Variables of a net law: the motion of the stone as a whole.
+
+    Attributes
+    ----------
+    speed : speed of the centre, m/s.
+    omega : spin, rad/s, counter-clockwise positive.
+    turned : angle turned since release, rad.
+    time : time since release, s.
+    """
 
     speed: Any
-    """speed of the centre, m/s"""
     omega: Any
-    """spin, rad/s, counter-clockwise positive"""
     turned: Any
-    """angle turned since release, rad"""
     time: Any
-    """time since release, s"""
 
 
 @functools.singledispatch
@@ -217,7 +222,8 @@ class Law:
     last of them friction no longer depends on the angle."""
 
     def quickness(self, time: Any) -> Any:
-        """Relative rate of the explicit change of friction with time since release, 1/s."""
+        """Relative rate of the explicit change of friction with time since release, 1/s; steps in
+        time become shorter in proportion."""
         return 0.0 * time
 
     def steepness(self) -> Any:

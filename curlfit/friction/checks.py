@@ -209,18 +209,19 @@ class Check:
         some = conditions.take(slice(_COMPARED))
         one = conditions.take([worst])
         same = conditions.take([worst] * len(some.time))
-        here = jumps(self.sampled.friction(one)) or []
+        here = jumps(self.sampled.friction(one))
         head = f"{self.law.__name__}: friction jumps, or changes within a narrow range, at "
         tail = f" (error of its sum over the ring: {100 * error:.2g} %); "
         for name, fields in _DEPENDENCES.items():
-            varied = same._replace(**{field: getattr(some, field) for field in fields})
+            varied = same._replace(**{field: _toward(some, same, field) for field in fields})
             found = jumps(self.sampled.friction(self.sampled.usable(varied)))
-            if found is None or len(found) > len(here):
+            if here is not None and (found is None or len(found) > len(here)):
                 remedy = _EDGES if name in ("its coefficients", "the angle turned") else _GRADUAL
                 self.refuse(f"{head}polar angles that depend on {name}{tail}{remedy}")
         known = self.sampled.ends(one)
-        more = [f"{angle:.4g}" for angle in here if np.abs(known - angle).min() > 1e-6]
-        self.refuse(f"{head}too many polar angles ({', '.join(more[:4])} ... rad){tail}{_EDGES}")
+        more = [f"{angle:.4g}" for angle in here or () if np.abs(known - angle).min() > 1e-6]
+        number = f"{len(more)} polar angles ({', '.join(more[:4])} rad)" if more else "many angles"
+        self.refuse(f"{head}{number}{tail}{_EDGES}")
 
     def changes(self) -> None:
         """Compare friction summed over steps in time with that over many more points."""
@@ -255,11 +256,19 @@ class Check:
         if change > _JUMP or not steps:
             remedy = _GRADUAL
         else:
-            remedy = f"declare its rate in 1/s in `def quickness(self, time)`; {steps[0]:g} would do"
+            remedy = (
+                f"declare its rate in 1/s in `def quickness(self, time)`; {steps[0]:g} would do"
+            )
         self.refuse(
             f"{self.law.__name__}: friction changes too quickly for the steps in time, at {place} "
             f"(error of the path about {1000 * shift:.2g} mm); {remedy}"
         )
+
+
+def _toward(others: Conditions, same: Conditions, field: str) -> Floats:
+    """A field of a condition, changed a little in the direction of others."""
+    now: Floats = getattr(same, field)
+    return now + 0.03 * (getattr(others, field) - now)
 
 
 def _course(coefficients: Floats, spin: float) -> Conditions:
@@ -270,36 +279,40 @@ def _course(coefficients: Floats, spin: float) -> Conditions:
     return Conditions(repeated, _SPEED * one, spin * one, spin * time, time, 0 * one, 0 * one)
 
 
-def _shift(
-    net: Floats, law: Law, spin: float, more: float = 0.0
-) -> tuple[float, float]:
+def _shift(net: Floats, law: Law, spin: float, more: float = 0.0) -> tuple[float, float]:
     """Error of a path in m whose steps in time are those of `dynamics.equations`, with `more`
-    quickness than the law declares, and the time at which it arises.
+    quickness than the law declares, and the time at which most of it arises.
 
     Parameters
     ----------
     net : friction of the stone at the times of `_course`, shape (3, n).
     """
     time = np.arange(net.shape[1]) * _INTERVAL
-    quickness = np.broadcast_to(np.asarray(law.quickness(time), float), time.shape) + more
-    corners = [int(np.ceil(angle / spin / _INTERVAL)) for angle in law.corners]
-    rate = _STEP_RATES[0] + _STEP_RATES[1] * (quickness + abs(spin) * (np.arange(len(time)) < max(corners, default=0)))
-    ends = [0]
-    while ends[-1] < len(time) - 1:
-        here = ends[-1]
-        ahead = max(here + 1, int(here + 1 / rate[here] / _INTERVAL))
-        ends.append(min([ahead, len(time) - 1, *(corner for corner in corners if corner > here)]))
+    ends = _steps(law, spin, more)
     low, high = time[ends[:-1]], time[ends[1:]]
-    nodes, weights = np.polynomial.legendre.leggauss(3)
+    nodes, weights = np.polynomial.legendre.leggauss(3)  # of the order of the integrator
     at = (low + high)[:, None] / 2 + (high - low)[:, None] / 2 * nodes
     by_steps = np.array([np.interp(at, time, part) for part in net]) @ weights / 2 * (high - low)
-    total = np.concatenate([np.zeros((3, 1)), np.cumsum((net[:, 1:] + net[:, :-1]) / 2, 1)], 1) * _INTERVAL
-    error = by_steps - np.diff(total[:, ends])
-    size = np.abs(net).mean(1).max()
-    shift = _SPEED * np.abs(np.cumsum(error, 1)).max() / size
+    intervals = (net[:, 1:] + net[:, :-1]) / 2 * _INTERVAL
+    error = by_steps - np.add.reduceat(intervals, ends[:-1], axis=1)
+    shift = _SPEED * np.abs(np.cumsum(error, 1)).max() / np.abs(net).mean(1).max()
     worst = np.abs(error).max(0).argmax()
     changes = np.abs(np.diff(net[:, ends[worst] : ends[worst + 1] + 1])).max(0)
-    return float(shift), float(low[worst] + changes.argmax() * _INTERVAL)
+    return float(shift), float(low[worst] + (changes.argmax() + 1) * _INTERVAL)
+
+
+def _steps(law: Law, spin: float, more: float) -> list[int]:
+    """Ends of the steps, as numbers of times of `_course`."""
+    time = np.arange(0.0, _DURATION, _INTERVAL)
+    corners = [int(np.ceil(angle / spin / _INTERVAL)) for angle in law.corners]
+    turning = abs(spin) * (np.arange(len(time)) < max(corners, default=0))
+    rate = _STEP_RATES[0] + _STEP_RATES[1] * (law.quickness(time) + turning + more)
+    sizes = np.maximum((1 / rate / _INTERVAL).astype(int), 1)
+    ends, last = [0], len(time) - 1
+    while ends[-1] < last:
+        here = ends[-1]
+        ends.append(min(here + int(sizes[here]), last, *(c for c in corners if c > here)))
+    return ends
 
 
 def last_line(path: Path, error: Exception) -> int | None:

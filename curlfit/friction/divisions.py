@@ -78,7 +78,8 @@ def jumps(friction: Friction) -> list[float] | None:
         low, high = parts.reshape(1, -1, 2).transpose(2, 0, 1)
         return errors_of_means(friction, low, high, 2).max(0) > _ROUGH
 
-    halves, found = np.array(list(pairwise(HALVES))), []
+    found: list[float] = []
+    halves = np.array(list(pairwise(HALVES)))
     parts = halves[rough(halves)]
     while len(parts):
         if len(parts) + len(found) > _MOST_ROUGH:

@@ -73,9 +73,7 @@ def _module(path: Path, _modified: int, file: str) -> ModuleType:
     except SyntaxError as error:
         raise DataError(f"{error.msg}; expected Python", file=file, line=error.lineno) from None
     except Exception as error:
-        raise DataError(
-            first_line(error), file=file, line=last_line(path, error)
-        ) from None
+        raise DataError(first_line(error), file=file, line=last_line(path, error)) from None
     return module
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -43,7 +42,7 @@ def sample(law: type[Law], count: int, seed: int) -> Conditions:
     items = law.coefficients()
     default = np.array([item.default for item in items])
     reach = np.array([max(abs(item.default) / 2, item.typical) for item in items])
-    lower, upper = (np.array([getattr(item, side) for item in items]) for side in ("lower", "upper"))
+    lower, upper = np.array([(item.lower, item.upper) for item in items]).reshape(-1, 2).T
 
     def coefficients() -> Floats:
         for _ in range(_MOST_TRIES):
@@ -83,10 +82,10 @@ class Sampled:
         import jax  # only for user-defined laws
 
         self.law = law
-        function = _at_point if issubclass(law, LocalLaw) else _of_stone
+        function: Any = _at_point if issubclass(law, LocalLaw) else _of_stone
         self._program = jax.jit(jax.vmap(partial(function, law)))
 
-    def _run(self, conditions: Conditions, rows: Floats, alpha: Floats) -> Floats:
+    def _run(self, conditions: Conditions, rows: Any, alpha: Any) -> Floats:
         """Force to the right, forward and moment for pairs of a condition and an angle: (3, n)."""
         found = []
         for first in range(0, len(rows), _POINTS):
