@@ -220,8 +220,8 @@ class Check:
                 self.refuse(f"{head}polar angles that depend on {name}{tail}{remedy}")
         known = self.sampled.ends(one)
         more = [f"{angle:.4g}" for angle in here or () if np.abs(known - angle).min() > 1e-6]
-        number = f"{len(more)} polar angles ({', '.join(more[:4])} rad)" if more else "many angles"
-        self.refuse(f"{head}{number}{tail}{_EDGES}")
+        angles = f"{', '.join(more[:4])} rad" if more else "many angles"
+        self.refuse(f"{head}{angles}{tail}{_EDGES}")
 
     def changes(self) -> None:
         """Compare friction summed over steps in time with that over many more points."""
