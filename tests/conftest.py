@@ -31,6 +31,15 @@ DATA = Path(__file__).parents[1] / "data" / "jensen_shegelski_2004.csv"
 G = 9.81
 
 
+@pytest.fixture(scope="module", autouse=True)
+def shipped_laws_only():
+    """The laws of a test file are known to no other."""
+    before = set(curlfit.LAWS)
+    yield
+    for name in curlfit.LAWS.keys() - before:
+        del curlfit.LAWS[name]
+
+
 LONG = ("test_book", "test_laws", "test_motion", "test_prediction", "test_hard_numerics")
 
 

@@ -23,7 +23,7 @@ from jax import Array
 
 from curlfit.environment import Environment
 from curlfit.errors import InputError
-from curlfit.friction import Law, Load, check_load
+from curlfit.friction import Law, Load, check_load, find_law
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
 from curlfit.stone import Stone
@@ -99,6 +99,7 @@ def aim(
     >>> round(found.v0, 2), found.heading > 0
     (2.24, True)
     """
+    find_law(type(law))
     across, along = target[0] - start[0], target[1] - start[1]
     for name, value in (("target", across), ("target", along), ("omega0", omega0)):
         if not math.isfinite(value):

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from curlfit.friction import LAWS, Law, Load, LocalLaw, Motion, NetLaw, RingPoint, power
+from curlfit.friction import Law, Load, LocalLaw, Motion, NetLaw, RingPoint, power
 from curlfit.friction.base import on_new_law
 from curlfit.stone import Stone
 
@@ -41,7 +41,11 @@ def _register(law: type[Law]) -> None:
     )
 
 
-for _law in LAWS.values():
+def _derived(kind: type[Law]) -> set[type[Law]]:
+    return {kind}.union(*(_derived(law) for law in kind.__subclasses__()))
+
+
+for _law in _derived(Law) - {Law}:
     _register(_law)
 on_new_law.append(_register)
 jax.tree_util.register_dataclass(Stone, data_fields=["m", "R", "rho", "h"], meta_fields=[])

@@ -26,10 +26,11 @@ import numpy as np
 from jax import Array
 
 from curlfit.friction import LocalLaw, RingPoint
+from curlfit.friction.divisions import NODES
 
-NODES = 20  # on each half of the ring: error 1e-14 of the force at |epsilon| = 0.7, 1e-9 at 0.98
 _MIN_DISTANCE = 5e-5  # singularity distance of the densest nodes: smallest maximum error, 4e-7
 
+# The error of the force is 1e-14 at |epsilon| = 0.7, 1e-9 at 0.98.
 _x, _w = np.polynomial.legendre.leggauss(NODES)
 _GAUSS_NODES, GAUSS_WEIGHTS = (_x + 1) / 2, _w / 2
 

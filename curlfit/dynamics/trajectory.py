@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from numbers import Real
 from typing import Any
 
 from curlfit.dynamics.equations import ExternalForces
@@ -18,7 +19,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from curlfit.environment import Environment
-from curlfit.friction import Law, Load, check_load
+from curlfit.errors import InputError, require_kind
+from curlfit.friction import Law, Load, check_load, find_law
 from curlfit.numerics.compiled import compiled
 from curlfit.output.display import Displayed, Overview
 from curlfit.output.frames import frame
@@ -232,7 +234,8 @@ def simulate(
 
     Raises
     ------
-    InputError : unknown `load`.
+    InputError : unknown `load`; `start` or the law has arrays in place of numbers, or `start` a
+        negative speed; `times` of another shape. DataError : a law of your own that is not usable.
 
     Examples
     --------
@@ -243,6 +246,7 @@ def simulate(
     True
     """
     checked = check_load(load)
+    _check_motion(law, start, times)
     given = (law, stone, start, environment, times, t0)
     if np.size(times) and not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(given)):
         return _simulate_known(law, stone, start, times, t0, environment, checked)
@@ -266,6 +270,31 @@ def simulate(
         )
         path = jax.tree.map(lambda values: values[back] if values.ndim else values, path)
     return replace(path, t=times)
+
+
+def _check_motion(law: Law, start: InitialState, times: ArrayLike) -> None:
+    """Raise InputError for arrays in place of numbers, and for an impossible start."""
+    find_law(type(law))
+    for name, record in (("InitialState", start), (type(law).__name__, law)):
+        for item in fields(record):  # type: ignore[arg-type]
+            value = getattr(record, item.name)
+            if isinstance(value, jax.core.Tracer) and not value.shape:
+                continue
+            if np.shape(value):
+                raise InputError(
+                    f"{name}.{item.name} of shape {np.shape(value)} found, expected a number; for "
+                    "many motions, `jax.vmap` a function that simulates one"
+                )
+            require_kind(value, (Real, np.ndarray, Array), f"{name}.{item.name}", "a number")
+            if record is start and not math.isfinite(value):
+                raise InputError(f"{name}.{item.name} = {value}: expected a finite number")
+    if not isinstance(start.v, jax.core.Tracer) and start.v < 0:
+        raise InputError(
+            f"InitialState.v = {float(start.v):g} m/s: expected a speed >= 0; `heading` gives its "
+            "direction"
+        )
+    if np.ndim(times) != 1:
+        raise InputError(f"times of shape {np.shape(times)} found, expected (n,)")
 
 
 def _simulate_known(

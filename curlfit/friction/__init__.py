@@ -17,10 +17,10 @@ from curlfit.friction.base import (
     RingPoint,
     check_load,
     coefficient,
-    find_law,
     no_motion_because,
     power,
 )
+from curlfit.friction.registry import find_law
 
 for _module in iter_modules(__path__):
     import_module(f"{__name__}.{_module.name}")

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Literal, NamedTuple, Self, dataclass_transform, get_args
 
-from curlfit.errors import InputError, require_kind
+from curlfit.errors import InputError
 
 Load = Literal["uniform", "consistent"]
 """Distribution of the weight over the ring: uniform, or consistent with friction (eq. 8-9)."""
@@ -127,32 +127,33 @@ class RingPoint(NamedTuple):
 
     Lengths are in units of the ring radius, directions in the moving frame: `eta` along the
     velocity of the centre, `xi` to its right (eq. 21).
+
+    Attributes
+    ----------
+    xi : cos(alpha), the coordinate to the right of the centre; negative on the left half.
+    eta : sin(alpha), the coordinate ahead of the centre.
+    angle : alpha in rad, in (-pi, pi), counter-clockwise from `xi`.
+    front : 1.0 on the front half (eta > 0), 0.0 on the back half.
+    slide_xi, slide_eta : sliding velocity to the right and forward, m/s (eq. 16).
+    speed : magnitude of the sliding velocity, m/s.
+    e_xi, e_eta : unit vector of sliding, to the right and forward (eq. 4).
+    load : normal load relative to the uniform load, n/n0.
+    turned : angle turned since release (the first row of a throw), rad, counter-clockwise positive.
+    time : time since release, s.
     """
 
     xi: Any
-    """cos(alpha), the coordinate to the right of the centre"""
     eta: Any
-    """sin(alpha), the coordinate ahead of the centre"""
     angle: Any
-    """alpha in rad, in (-pi, pi), counter-clockwise from `xi`"""
     front: Any
-    """1.0 on the front half (eta > 0), 0.0 on the back half"""
     slide_xi: Any
-    """sliding velocity to the right, m/s (eq. 16)"""
     slide_eta: Any
-    """sliding velocity forward, m/s (eq. 16)"""
     speed: Any
-    """magnitude of the sliding velocity, m/s"""
     e_xi: Any
-    """unit vector of sliding, to the right (eq. 4)"""
     e_eta: Any
-    """unit vector of sliding, forward (eq. 4)"""
     load: Any
-    """normal load relative to the uniform load, n/n0"""
     turned: Any
-    """angle turned since release (the first row of a throw), rad, counter-clockwise positive"""
     time: Any
-    """time since release, s"""
 
 
 class Edges(NamedTuple):
@@ -163,16 +164,20 @@ class Edges(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Variables of a net law: the motion of the stone as a whole."""
+    """Variables of a net law: the motion of the stone as a whole.
+
+    Attributes
+    ----------
+    speed : speed of the centre, m/s.
+    omega : spin, rad/s, counter-clockwise positive.
+    turned : angle turned since release, rad.
+    time : time since release, s.
+    """
 
     speed: Any
-    """speed of the centre, m/s"""
     omega: Any
-    """spin, rad/s, counter-clockwise positive"""
     turned: Any
-    """angle turned since release, rad"""
     time: Any
-    """time since release, s"""
 
 
 @functools.singledispatch
@@ -182,7 +187,7 @@ def power(base: Any, exponent: Any) -> Any:
 
 
 LAWS: dict[str, type[Law]] = {}
-"""All laws by name; a class is registered when it is defined."""
+"""All laws by name; a class that has one is registered when it is defined, others at first use."""
 
 on_new_law: list[Callable[[type[Law]], None]] = []
 """Called with each law class as it is defined."""
@@ -217,7 +222,8 @@ class Law:
     last of them friction no longer depends on the angle."""
 
     def quickness(self, time: Any) -> Any:
-        """Relative rate of the explicit change of friction with time since release, 1/s."""
+        """Relative rate of the explicit change of friction with time since release, 1/s; steps in
+        time become shorter in proportion."""
         return 0.0 * time
 
     def steepness(self) -> Any:
@@ -238,6 +244,8 @@ class Law:
                     "coefficient(default, meaning)"
                 )
             _check(cls, field.name, field.metadata["coefficient"])
+        for callback in on_new_law:
+            callback(cls)
         if cls.name:
             cls.register(cls.name)
 
@@ -253,8 +261,6 @@ class Law:
             raise TypeError(f"{cls.__name__}: curlfit has a law {name!r} already; choose another")
         cls.name = name
         LAWS[name] = cls
-        for callback in on_new_law:
-            callback(cls)
 
     @classmethod
     @functools.cache
@@ -294,10 +300,11 @@ def _check(law: type[Law], name: str, metadata: dict[str, Any]) -> None:
 class LocalLaw(Law, ABC):
     """A law of friction at a point of the contact ring (eq. 3-5).
 
-    A subclass defines `traction`, which curlfit integrates over the ring. The traction may be
-    discontinuous between the front and the back half, and at the angles of `edges`. If on each half
-    it is a polynomial in `xi` and `eta`, up to second order, times the direction or the velocity of
-    sliding, the integral has a closed form.
+    A subclass defines `traction`, which curlfit integrates over the ring. The traction may jump
+    between the front and the back half and at fixed angles, which curlfit finds when the law is
+    first used; angles that depend on coefficients or on the angle turned are to be given by
+    `edges`. If on each half it is a polynomial in `xi` and `eta`, up to second order, times the
+    direction or the velocity of sliding, the integral has a closed form.
 
     Examples
     --------
@@ -312,9 +319,13 @@ class LocalLaw(Law, ABC):
     0.012
     """
 
+    divisions: ClassVar[Edges] = Edges()
+    """Angles at which friction jumps, has a kink or changes quickly, found when the law is first
+    used if it does not define `edges`"""
+
     def edges(self, turned: Any) -> Edges:
         """Jumps of friction within the halves, after an angle turned."""
-        return Edges()
+        return self.divisions
 
     @abstractmethod
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
@@ -333,35 +344,3 @@ class NetLaw(Law, ABC):
     @abstractmethod
     def accelerations(self, motion: Motion, stone: Any) -> tuple[Any, Any, Any]:
         """(to the right, forward, angular) in m/s^2, m/s^2, rad/s^2, in the moving frame."""
-
-
-def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
-    """The law of that name, or a user's law in a file, as "FILE.py:CLASS"; a law is itself.
-
-    `from_files` is False where the name comes from a data file, which must not execute code.
-
-    Raises
-    ------
-    InputError : no such law; the message lists the laws. DataError : the file contains no
-        usable law.
-
-    Examples
-    --------
-    >>> curlfit.find_law("front-back").name
-    'front-back'
-    """
-    if isinstance(name, type) and issubclass(name, Law):
-        return name
-    require_kind(name, str, "law", "the name of a law, or a law's class")
-    assert isinstance(name, str)
-    if name in LAWS:
-        return LAWS[name]
-    file, colon, kind = name.rpartition(":")
-    if from_files and (file.endswith(".py") or name.endswith(".py")):
-        from curlfit.friction.registry import law_from_file
-
-        return law_from_file(*((file, kind) if colon and not kind.endswith(".py") else (name, "")))
-    raise InputError(
-        f"unknown law {name!r}; the laws are {', '.join(sorted(LAWS))} (see `curlfit laws`)"
-        + ("; a law of your own is FILE.py:CLASS" if from_files else "")
-    )

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from curlfit.friction.base import Law, LocalLaw, coefficient, on_new_law
+from curlfit.friction.base import Law, LocalLaw, coefficient
 from curlfit.numerics.arrays import Floats
 
 _NEVER = -1e9  # rad, an angle that no stone reaches
@@ -100,7 +100,7 @@ def family_of(laws: Iterable[type[Law]]) -> type[LawFamily] | None:
 def _family(members: tuple[Any, ...]) -> type[LawFamily]:
     count = max(len(member.coefficients()) for member in members)
     names = ["member", *(f"c{number}" for number in range(1, count + 1))]
-    family = type(
+    return type(
         f"LawFamily[{', '.join(member.name for member in members)}]",
         (LawFamily,),
         {
@@ -110,6 +110,3 @@ def _family(members: tuple[Any, ...]) -> type[LawFamily]:
             **{name: coefficient(0.0, name) for name in names},
         },
     )
-    for callback in on_new_law:
-        callback(family)
-    return family

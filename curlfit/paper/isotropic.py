@@ -13,7 +13,6 @@ from typing import Any
 from curlfit.dynamics import law_structure  # noqa: F401  (configures JAX before its first use)
 
 # isort: split
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -44,11 +43,6 @@ class SpeedMixture(LocalLaw):
         decay = jnp.exp(-s)
         mu = self.level + self.rise * point.speed + (self.drop + self.hump * s**2) * decay
         return -mu * point.e_xi, -mu * point.e_eta
-
-
-jax.tree_util.register_dataclass(
-    SpeedMixture, data_fields=[item.name for item in SpeedMixture.coefficients()], meta_fields=[]
-)
 
 
 Family = type[LawFamily] | None

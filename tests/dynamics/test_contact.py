@@ -16,7 +16,6 @@ from curlfit.dynamics.contact import accelerations
 from curlfit.dynamics.law_structure import sample_points
 from curlfit.dynamics.ring_polynomials import at_points, has_closed_form, traction
 from curlfit.friction import Edges, RingPoint, power
-from curlfit.friction.base import on_new_law
 
 pytestmark = pytest.mark.numerical
 
@@ -97,7 +96,6 @@ def test_laws_with_a_closed_form(load):
 def test_closed_form_and_quadrature_agree_with_all_derivatives(name, load):
     kind = LAWS[name]
     written = _as_written(kind)
-    on_new_law[0](written)  # a law without a name is entered by hand
     assert has_closed_form(kind, load)
     assert not has_closed_form(written, load)
     values = np.array([0.004, 0.05, 0.012, 0.006][: len(kind.coefficients())])
@@ -177,7 +175,6 @@ def test_a_law_without_a_transverse_force_is_one_with_a_coefficient_of_zero():
         def traction(self, point):
             return 0.0, -self.mu * point.e_eta
 
-    on_new_law[0](Straight)
     assert has_closed_form(Straight, "uniform")
     of_zero = LAWS["front-back"](0.0, 0.0, 0.01, 0.01)
     for v, omega in (np.array([1.5, 0.4]), np.array([2.0, -9.0])), (1.0, 0.0):
@@ -222,7 +219,6 @@ def test_any_friction_is_summed(uneven):
                 self.mu * (forward - (1 + more) * point.e_eta),
             )
 
-    on_new_law[0](Uneven)
     v, u = 1.2, 0.5
     a = np.linspace(-np.pi, np.pi, 2_000_001)[:-1] + np.pi / 2_000_000
     slide = -u * np.sin(a), v + u * np.cos(a)

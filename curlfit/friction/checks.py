@@ -1,0 +1,331 @@
+"""What is wrong with a user's law, said before it is used, and where its ring is divided.
+
+A law is evaluated with its defaults at a few points; then, in many motions and with coefficients
+near the defaults, its sum over the ring and over steps in time is compared with that over many more
+points.
+"""
+
+from __future__ import annotations
+
+import inspect
+import traceback
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from curlfit.errors import DataError, warn_once
+from curlfit.friction.base import Edges, Law, LocalLaw, Motion, NetLaw, RingPoint
+from curlfit.friction.divisions import TOLERANCE, divisions, errors_of_sums, jumps
+from curlfit.friction.sampled import STONE, Conditions, Sampled, ring_points, sample
+from curlfit.numerics.arrays import Floats
+
+_STATES = [
+    Motion(speed=2.0, omega=1.0, turned=0.0, time=0.0),
+    Motion(speed=2.0, omega=-1.0, turned=-0.5, time=1.0),
+    Motion(speed=0.3, omega=2.0, turned=6.0, time=10.0),
+    Motion(speed=0.02, omega=1.0, turned=9.0, time=20.0),
+]
+"""Motions at which a law is evaluated with its defaults."""
+_ANGLES = np.linspace(-np.pi, np.pi, 24, endpoint=False) + np.pi / 24
+_ROUNDING = 1e-12  # m/s, of a power per unit load
+_USE_JAX = (
+    "a law is compiled, which numpy, math and `if` cannot be; expected functions of jax.numpy "
+    "(`import jax.numpy as jnp`, jnp.sqrt for np.sqrt) and jnp.where(condition, a, b) for `if`"
+)
+_MOTIONS = 64  # in which the sum over the ring is checked
+_COMPARED = 8  # of them, by which the ring is divided
+_LARGEST_ERROR = 1e-5
+"""Of the sum over the ring, relative: a hundredth of the standard error of a coefficient in a good
+measurement."""
+_DURATION, _INTERVAL = 25.0, 0.01  # s, in which changes are looked for
+_SPEED, _SPINS = 2.0, (1.5, -1.5)  # m/s and rad/s, of the motion meanwhile
+_LARGEST_SHIFT = 1e-4  # m, of the path, if the steps in time are too long for a change
+_STEP_RATES = 0.8, 7.1
+"""Inverse length of a step in 1/s, and its increase per 1/s of `quickness`, at the release of such
+a stone (`dynamics.equations.step_size`)"""
+_RATES = 0.3, 1.0, 3.0, 10.0  # 1/s, of a quickness that a message may recommend
+_JUMP = 0.3  # of all change, within one interval
+_COURSES = 4
+
+_DEPENDENCES = {
+    "its coefficients": ("coefficients",),
+    "the angle turned": ("turned",),
+    "the time": ("time",),
+    "the load": ("tilt_xi", "tilt_eta"),
+    "the motion": ("speed", "omega"),
+}
+_EDGES = (
+    "give these in `def edges(self, turned)`, which returns Edges(front=(ANGLE, ...), back=(ANGLE, "
+    "...)) of curlfit.friction"
+)
+_GRADUAL = (
+    "make the change gradual, as (1 + jnp.tanh((a - b) / width)) / 2 in place of the condition "
+    "a > b"
+)
+
+_CHECKED: set[type[Law]] = set()
+
+
+def checked(law: type[Law], file: str = "") -> type[Law]:
+    """The law, registered under its name, or that of its class if it has none.
+
+    Parameters
+    ----------
+    file : where the law is, for messages; by default the file of its code.
+
+    Raises
+    ------
+    DataError : the law cannot be evaluated or compiled, drives the stone, jumps or changes where it
+        cannot be integrated, or has the name of a law of curlfit.
+    """
+    if law.shipped() or law in _CHECKED:
+        return law
+    import jax  # only for user-defined laws
+
+    check = Check(law, file)
+    with jax.ensure_compile_time_eval():  # also while another function is traced
+        check.values()
+        check.sums()
+        check.changes()
+    try:
+        law.register(law.name or law.__name__)
+    except TypeError as error:
+        check.refuse(str(error))
+    _CHECKED.add(law)
+    return law
+
+
+class Check:
+    """The checks of one law, which raise DataError."""
+
+    def __init__(self, law: type[Law], file: str = "") -> None:
+        self.law = law
+        method: Any = getattr(law, "traction", None) or getattr(law, "accelerations", None)
+        code = getattr(inspect.unwrap(method), "__code__", None)
+        self.path = Path(code.co_filename if code else "")
+        self.file = file or str(self.path)
+        self.sampled = Sampled(law)
+
+    def refuse(self, message: str, line: int | None = None) -> NoReturn:
+        """Raise DataError for the law."""
+        raise DataError(message, file=self.file, line=line) from None
+
+    def values(self) -> None:
+        """Evaluate the law with its defaults, both on numbers and traced."""
+        local = issubclass(self.law, LocalLaw)
+        names = ("to the right", "forward") if local else ("to the right", "forward", "angular")
+        for state in _STATES:
+            point = ring_points(_ANGLES, state)
+            result = self._evaluated(point if local else state)
+            if not (isinstance(result, tuple) and len(result) == len(names)):
+                found = (
+                    f"{len(result)} values"
+                    if isinstance(result, tuple)
+                    else f"a value of type {type(result).__name__}"
+                )
+                self.refuse(
+                    f"{self.law.__name__} gives {found}; expected {len(names)}: "
+                    f"({', '.join(names)})"
+                )
+            conditions = f"with its defaults, at {state.speed:g} m/s and {state.omega:g} rad/s"
+            if not all(np.isfinite(np.asarray(part, float)).all() for part in result):
+                self.refuse(f"{self.law.__name__} {conditions}, gives {result!r}")
+            if local:
+                power = result[0] * point.slide_xi + result[1] * point.slide_eta
+            else:
+                power = state.speed * result[1] + STONE.rho**2 * state.omega * result[2]
+            self._opposes(power, conditions)
+
+    def _evaluated(self, argument: RingPoint | Motion) -> Any:
+        import jax
+
+        defaults = np.array([item.default for item in self.law.coefficients()])
+
+        def evaluate(values: Any, argument: Any) -> Any:
+            friction = self.law.from_vector(values)
+            if isinstance(friction, LocalLaw):
+                return friction.traction(argument)
+            assert isinstance(friction, NetLaw)
+            return friction.accelerations(argument, STONE)
+
+        try:
+            jax.eval_shape(evaluate, defaults, argument)
+            return evaluate(defaults, argument)
+        except (
+            jax.errors.ConcretizationTypeError,
+            jax.errors.TracerArrayConversionError,
+            jax.errors.TracerIntegerConversionError,
+        ) as error:
+            self.refuse(_USE_JAX, last_line(self.path, error))
+        except Exception as error:
+            self.refuse(first_line(error), last_line(self.path, error))
+
+    def _opposes(self, power: Any, conditions: str) -> None:
+        """Refuse a law whose friction does not oppose the motion; warn of one that drives some
+        points of the ring."""
+        local = issubclass(self.law, LocalLaw)
+        if np.sum(power) > _ROUNDING:
+            self.refuse(
+                f"{self.law.__name__} {conditions}, drives the stone; expected a force against the "
+                + ("sliding, as -mu * point.e_xi, -mu * point.e_eta" if local else "motion")
+            )
+        if np.max(power) > _ROUNDING:
+            warn_once(
+                f"{self.file}: {self.law.__name__} {conditions}, drives some points of the ring; "
+                "friction opposes sliding at each of them"
+            )
+
+    def sums(self) -> None:
+        """Divide the ring where the friction of a local law jumps, if need be."""
+        law, sampled = self.law, self.sampled
+        if not issubclass(law, LocalLaw):
+            return
+        law.divisions = Edges()
+        conditions = sampled.usable(sample(law, _MOTIONS, seed=0))
+        error = self._errors(conditions)
+        if error.max(initial=0.0) <= TOLERANCE:
+            return
+        if law.edges is LocalLaw.edges:
+            rows = np.flatnonzero(error > TOLERANCE)
+            rows = rows[:: -(-len(rows) // _COMPARED)]
+            found = divisions(sampled.friction(conditions.take(rows)))
+            if found is not None:
+                front, back = (
+                    tuple(angle for angle in found if sign * angle > 0) for sign in (1, -1)
+                )
+                law.divisions = Edges(front, back)
+                conditions = sampled.usable(sample(law, _MOTIONS, seed=1))
+                error = self._errors(conditions)
+        if error.max() > _LARGEST_ERROR:
+            self._refuse_jump(conditions, int(error.argmax()), error.max())
+
+    def _errors(self, conditions: Conditions) -> Floats:
+        ends = self.sampled.ends(conditions)
+        return errors_of_sums(self.sampled.friction(conditions), ends)
+
+    def _refuse_jump(self, conditions: Conditions, worst: int, error: float) -> NoReturn:
+        """Say what the angles at which friction jumps depend on."""
+        some = conditions.take(slice(_COMPARED))
+        one = conditions.take([worst])
+        same = conditions.take([worst] * len(some.time))
+        here = jumps(self.sampled.friction(one))
+        head = f"{self.law.__name__}: friction jumps, or changes within a narrow range, at "
+        tail = f" (error of its sum over the ring: {100 * error:.2g} %); "
+        for name, fields in _DEPENDENCES.items():
+            varied = same._replace(**{field: _toward(some, same, field) for field in fields})
+            found = jumps(self.sampled.friction(self.sampled.usable(varied)))
+            if here is not None and (found is None or len(found) > len(here)):
+                remedy = _EDGES if name in ("its coefficients", "the angle turned") else _GRADUAL
+                self.refuse(f"{head}polar angles that depend on {name}{tail}{remedy}")
+        known = self.sampled.ends(one)
+        more = [f"{angle:.4g}" for angle in here or () if np.abs(known - angle).min() > 1e-6]
+        angles = f"{', '.join(more[:4])} rad" if more else "many angles"
+        self.refuse(f"{head}{angles}{tail}{_EDGES}")
+
+    def changes(self) -> None:
+        """Compare friction summed over steps in time with that over many more points."""
+        rows = sample(self.law, _COURSES, seed=2).coefficients
+        rows[0] = [item.default for item in self.law.coefficients()]
+        for coefficients in rows:
+            for spin in _SPINS:
+                course = _course(coefficients, spin)
+                if not self._is_constant(course):
+                    self._check_course(course)
+
+    def _is_constant(self, course: Conditions) -> bool:
+        friction = self.sampled.friction(course, relative=False)(_ANGLES[None, ::3])
+        return bool(np.allclose(friction, friction[:, :1], rtol=1e-9, atol=0))
+
+    def _check_course(self, course: Conditions) -> None:
+        net = self.sampled.net(course)
+        law = self.law.from_vector(course.coefficients[0])
+        spin = course.omega[0]
+        shift, time = _shift(net, law, spin)
+        if not shift > _LARGEST_SHIFT:
+            return
+        by_time = self.sampled.net(course._replace(turned=0 * course.turned))
+        depends_on_time = _shift(by_time, law, spin)[0] > _LARGEST_SHIFT
+        place = (
+            f"{time:.3g} s after release"
+            if depends_on_time
+            else f"an angle turned of {spin * time:.3g} rad"
+        )
+        change = np.abs(np.diff(net)).max() / np.ptp(net, axis=1).max()
+        steps = [rate for rate in _RATES if _shift(net, law, spin, rate)[0] <= _LARGEST_SHIFT]
+        if change > _JUMP or not steps:
+            remedy = _GRADUAL
+        else:
+            remedy = (
+                f"declare its rate in 1/s in `def quickness(self, time)`; {steps[0]:g} would do"
+            )
+        self.refuse(
+            f"{self.law.__name__}: friction changes too quickly for the steps in time, at {place} "
+            f"(error of the path about {1000 * shift:.2g} mm); {remedy}"
+        )
+
+
+def _toward(others: Conditions, same: Conditions, field: str) -> Floats:
+    """A field of a condition, changed a little in the direction of others."""
+    now: Floats = getattr(same, field)
+    return now + 0.03 * (getattr(others, field) - now)
+
+
+def _course(coefficients: Floats, spin: float) -> Conditions:
+    """A motion at constant speed and spin."""
+    time = np.arange(0.0, _DURATION, _INTERVAL)
+    one = np.ones_like(time)
+    repeated = np.broadcast_to(coefficients, (len(time), len(coefficients)))
+    return Conditions(repeated, _SPEED * one, spin * one, spin * time, time, 0 * one, 0 * one)
+
+
+def _shift(net: Floats, law: Law, spin: float, more: float = 0.0) -> tuple[float, float]:
+    """Error of a path in m whose steps in time are those of `dynamics.equations`, with `more`
+    quickness than the law declares, and the time at which most of it arises.
+
+    Parameters
+    ----------
+    net : friction of the stone at the times of `_course`, shape (3, n).
+    """
+    time = np.arange(net.shape[1]) * _INTERVAL
+    ends = _steps(law, spin, more)
+    low, high = time[ends[:-1]], time[ends[1:]]
+    nodes, weights = np.polynomial.legendre.leggauss(3)  # of the order of the integrator
+    at = (low + high)[:, None] / 2 + (high - low)[:, None] / 2 * nodes
+    by_steps = np.array([np.interp(at, time, part) for part in net]) @ weights / 2 * (high - low)
+    intervals = (net[:, 1:] + net[:, :-1]) / 2 * _INTERVAL
+    error = by_steps - np.add.reduceat(intervals, ends[:-1], axis=1)
+    shift = _SPEED * np.abs(np.cumsum(error, 1)).max() / np.abs(net).mean(1).max()
+    worst = np.abs(error).max(0).argmax()
+    changes = np.abs(np.diff(net[:, ends[worst] : ends[worst + 1] + 1])).max(0)
+    return float(shift), float(low[worst] + (changes.argmax() + 1) * _INTERVAL)
+
+
+def _steps(law: Law, spin: float, more: float) -> list[int]:
+    """Ends of the steps, as numbers of times of `_course`."""
+    time = np.arange(0.0, _DURATION, _INTERVAL)
+    corners = [int(np.ceil(angle / spin / _INTERVAL)) for angle in law.corners]
+    turning = abs(spin) * (np.arange(len(time)) < max(corners, default=0))
+    rate = _STEP_RATES[0] + _STEP_RATES[1] * (law.quickness(time) + turning + more)
+    sizes = np.maximum((1 / rate / _INTERVAL).astype(int), 1)
+    ends, last = [0], len(time) - 1
+    while ends[-1] < last:
+        here = ends[-1]
+        ends.append(min(here + int(sizes[here]), last, *(c for c in corners if c > here)))
+    return ends
+
+
+def last_line(path: Path, error: Exception) -> int | None:
+    """Number of the last line of the user's file in a traceback."""
+    lines = [
+        frame.lineno
+        for frame in traceback.extract_tb(error.__traceback__)
+        if Path(frame.filename) == path
+    ]
+    return lines[-1] if lines else None
+
+
+def first_line(error: Exception) -> str:
+    """An error of the user's code, in one line."""
+    text = str(error).strip().splitlines()
+    return f"{type(error).__name__}{': ' + text[0] if text else ''}"

@@ -1,0 +1,264 @@
+"""Laws that jump or change quickly: those integrated as they are, and what is said of others."""
+
+from __future__ import annotations
+
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import Reference
+from scipy.integrate import quad
+
+import curlfit
+from curlfit import InputError, LocalLaw, NetLaw, coefficient, find_law
+from curlfit.dynamics.contact import accelerations
+from curlfit.errors import DataError
+from curlfit.friction import Edges
+from curlfit.stone import GRAVITY
+
+STONE = curlfit.Stone()
+
+
+def law_of(coulomb, **declared):
+    """A law whose coefficient of friction is a function of law, point and array library."""
+
+    def traction(self, point):
+        mu = coulomb(self, point, jnp)
+        return -mu * point.e_xi, -mu * point.e_eta
+
+    return type(
+        "Own",
+        (LocalLaw,),
+        {
+            "__annotations__": dict.fromkeys(("a", "b", "c"), float),
+            "__module__": __name__,
+            "a": coefficient(0.006, ""),
+            "b": coefficient(0.012, ""),
+            "c": coefficient(0.5, "", upper=3, typical=0.3),
+            "traction": traction,
+            **declared,
+        },
+    )
+
+
+ACROSS = (-np.pi / 2, np.pi / 2)
+
+
+def sides(law, p, xp):
+    return xp.where(p.xi < 0, law.a, law.b)
+
+
+UNEVEN = {
+    "left and right": (sides, ACROSS),
+    "one angle": (lambda law, p, xp: xp.where(p.angle < 1, law.a, law.b), (1.0,)),
+    "eight sectors": (
+        lambda law, p, xp: law.a * (1 + 0.3 * (xp.floor(p.angle / (np.pi / 4)) % 2)),
+        tuple(np.pi / 4 * np.arange(-3, 4)),
+    ),
+    "kink": (lambda law, p, xp: law.a + law.b * abs(p.xi - 0.3), (-np.arccos(0.3), np.arccos(0.3))),
+    "bump": (lambda law, p, xp: law.a * (1 + 5 * xp.exp(-(((p.angle - 1) / 0.01) ** 2))), (1.0,)),
+    "steep": (lambda law, p, xp: law.a * (2 + xp.tanh((p.speed - 1) / 0.03)), ()),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", UNEVEN)
+def test_friction_that_jumps_is_integrated_between_its_jumps(case):
+    coulomb, breaks = UNEVEN[case]
+    law = find_law(law_of(coulomb))()
+    for v, omega in (2.0, 1.5), (1.0, -1.0), (0.97, 2.0):
+
+        class Point:
+            def __init__(self, angle, u=STONE.R * omega, v=v):
+                self.angle, self.xi, self.eta = angle, np.cos(angle), np.sin(angle)
+                self.slide = -u * self.eta, v + u * self.xi
+                self.speed = np.hypot(*self.slide)
+
+        def density(angle, part, point_of=Point):
+            p = point_of(angle)
+            x, y = (-coulomb(law, p, np) * float(side) / p.speed for side in p.slide)
+            return (x, y, p.xi * y - p.eta * x)[part]
+
+        exact = [
+            quad(density, -np.pi, np.pi, (part,), points=(*breaks, 0.0), limit=2000, epsabs=1e-12)[
+                0
+            ]
+            for part in range(3)
+        ]
+        found = accelerations(law, STONE, "uniform", v, omega)
+        scale = GRAVITY / (2 * np.pi) * np.array([1, 1, STONE.R / STONE.rho**2])
+        np.testing.assert_allclose(found, exact * scale, rtol=2e-6, atol=1e-9)
+
+
+def test_jumps_are_found_where_they_are():
+    kind = find_law(law_of(UNEVEN["one angle"][0]))
+    assert kind().edges(0.0).back == ()
+    np.testing.assert_allclose(kind().edges(0.0).front, [1.0], atol=1e-10)
+
+
+def test_two_sides_are_recovered_from_a_path():
+    def traction(ring, load):
+        mu = np.where(ring.xi < 0, 0.006, 0.012)
+        return -mu * ring.v_xi / ring.speed, -mu * ring.v_eta / ring.speed
+
+    path = Reference(traction, R=STONE.R, edges=lambda turned: ACROSS)
+    times = np.linspace(0, 20, 101)
+    x, y, phi = path.path(curlfit.InitialState(v=2.0, omega=1.2), times)
+    random = np.random.default_rng(1)
+    throw = curlfit.Throw.from_arrays(
+        times, *(part + 0.004 * random.normal(size=101) for part in (x, y)),
+        phi + 0.01 * random.normal(size=101),
+    )  # fmt: skip
+    fit = curlfit.fit(throw, law_of(sides), fix={"c": 0.5}, details=False)
+    for name, true in ("a", 0.006), ("b", 0.012):
+        assert abs(fit[name].value - true) < 2 * fit[name].stderr
+        assert fit[name].stderr < 2e-5
+    assert not fit.warnings
+
+
+EDGES = r"give these in `def edges\(self, turned\)`"
+GRADUAL = r"make the change gradual, as \(1 \+ jnp\.tanh"
+MOVING = {
+    "depend on its coefficients": (
+        lambda law, p, xp: xp.where(p.angle < law.c, law.a, law.b), EDGES,
+    ),
+    "depend on the angle turned": (
+        lambda law, p, xp: xp.where(xp.cos(p.angle - p.turned) < 0, law.a, law.b), EDGES,
+    ),
+    "depend on the motion": (lambda law, p, xp: xp.where(p.speed < 1, law.a, law.b), GRADUAL),
+    "depend on the time": (
+        lambda law, p, xp: xp.where(p.angle < p.time / 10, law.a, law.b), GRADUAL,
+    ),
+    "depend on the load": (lambda law, p, xp: xp.where(p.load < 1, law.a, law.b), GRADUAL),
+    "at many angles": (lambda law, p, xp: law.a * (1 + (xp.floor(p.angle * 10) % 2)), EDGES),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", MOVING)
+def test_jumps_that_move_are_refused_with_what_to_declare(what):
+    coulomb, remedy = MOVING[what]
+    with pytest.raises(DataError, match=f"Own: friction jumps.*{what}.*%.*; {remedy}"):
+        find_law(law_of(coulomb))
+
+
+def test_declared_edges_are_taken_and_checked():
+    moving = MOVING["depend on its coefficients"][0]
+    find_law(law_of(moving, edges=lambda law, turned: Edges(front=(law.c,))))
+    with pytest.raises(DataError, match="depend on its coefficients"):
+        find_law(law_of(moving, edges=lambda law, turned: Edges(front=(0.5,))))
+
+    def across(law, turned):
+        angle = (turned + np.pi / 2) % np.pi
+        return Edges(front=(angle,), back=(angle - np.pi,))
+
+    find_law(law_of(MOVING["depend on the angle turned"][0], edges=across))
+    with pytest.raises(DataError, match=r"at -1\.571 rad \(error"):
+        find_law(law_of(sides, edges=lambda law, turned: Edges(front=(np.pi / 2,))))
+
+
+def rippled(law, p, xp):
+    return law.a * (1 + 0.1 * xp.cos(10 * p.time))
+
+
+def test_a_quick_change_in_time_is_refused_until_it_is_declared():
+    with pytest.raises(DataError, match=r"too quickly.*in `def quickness") as refusal:
+        find_law(law_of(rippled))
+    rate = float(re.search(r"; ([\d.]+) would do", str(refusal.value))[1])
+    law = law_of(rippled, quickness=lambda law, time: rate + 0 * time)()
+    t = np.linspace(0, 15, 16)
+    path = curlfit.simulate(law, STONE, curlfit.InitialState(v=2.0, omega=0.0), t)
+    # v' = -g mu(t), twice integrated
+    fallen = GRAVITY * law.a * (t**2 / 2 + 0.1 * (1 - np.cos(10 * t)) / 100)
+    np.testing.assert_allclose(path.y, 2.0 * t - fallen, atol=1e-4)
+
+
+def test_jumps_in_time_and_angle_turned_are_refused():
+    with pytest.raises(DataError, match=rf"at 5 s after release .* mm\); {GRADUAL}"):
+        find_law(law_of(lambda law, p, xp: xp.where(p.time < 5, law.a, law.b)))
+    with pytest.raises(DataError, match=r"at an angle turned of (3|3\.01) rad"):
+        find_law(law_of(lambda law, p, xp: law.a * (1 + 0.2 * (p.turned > 3.0))))
+
+    class Sudden(NetLaw):
+        mu: float = coefficient(0.01, "")
+
+        def accelerations(self, motion, stone):
+            return 0.0, -self.mu * 9.81 * jnp.where(motion.time < 5, 1, 2), -0.01 * motion.omega
+
+    with pytest.raises(DataError, match="5 s after release"):
+        find_law(Sudden)
+
+
+def test_a_class_without_a_name_is_fitted_and_a_bad_one_refused_in_words(eq12):
+    class Halves(LocalLaw):
+        mu_front: float = coefficient(0.008, "in front")
+        mu_back: float = coefficient(0.012, "behind")
+
+        def traction(self, point):
+            mu = point.front * self.mu_front + (1 - point.front) * self.mu_back
+            return -mu * point.e_xi, -mu * point.e_eta
+
+    fit = curlfit.fit(eq12, Halves, details=False)
+    assert (fit.converged, fit.law) == (True, "Halves")
+    assert find_law("Halves") is Halves
+
+    class Wrong(LocalLaw):
+        mu: float = coefficient(0.01, "")
+
+        def traction(self, point):
+            return np.sqrt(self.mu), -self.mu * point.e_eta
+
+    for use in (
+        lambda: curlfit.fit(eq12, Wrong),
+        lambda: curlfit.compare(eq12, ["coulomb", Wrong]),
+        lambda: curlfit.simulate(Wrong(), STONE, curlfit.InitialState(), [0.0, 1.0]),
+        lambda: curlfit.aim(Wrong(), STONE, (0.0, 28.0), omega0=1.0),
+    ):
+        with pytest.raises(DataError, match=r"test_jumps\.py, line \d+: a law is compiled"):
+            use()
+
+
+def test_a_class_is_used_first_within_a_transformation():
+    law = law_of(sides)
+
+    def rest(v):
+        start = curlfit.InitialState(v=v)
+        return curlfit.simulate(law(), STONE, start, jnp.array([0.0, 40.0])).y[-1]
+
+    speeds = jnp.array([1.5, 2.0])
+    np.testing.assert_allclose(jax.vmap(rest)(speeds), [*map(rest, speeds)], rtol=1e-9)
+    assert len(law.divisions.front) == 1
+
+
+@pytest.mark.parametrize(
+    ("field", "message"),
+    [
+        ({"v": np.array([1.0, 2.0])}, r"InitialState.v of shape \(2,\) found, expected a number"),
+        ({"x": [0.0, 1.0]}, r"InitialState.x of shape \(2,\) found.*jax\.vmap"),
+        ({"v": -1.0}, r"InitialState.v = -1 m/s: expected a speed >= 0; `heading`"),
+        ({"omega": np.nan}, r"InitialState.omega = nan: expected a finite number"),
+        ({"v": "fast"}, r"InitialState.v: str 'fast' found, expected a number"),
+    ],
+)
+def test_an_impossible_start_is_told(field, message):
+    with pytest.raises(InputError, match=message):
+        curlfit.simulate(curlfit.LAWS["coulomb"](), STONE, curlfit.InitialState(**field), [0.0, 1])
+
+
+def test_starts_are_mapped_over():
+    starts = curlfit.InitialState(*(jnp.array([a, a + 0.1]) for a in (0.0, 0.0, 0.0, 2.0, 0.0, 1)))
+    law, times = curlfit.LAWS["coulomb"](), [0.0, 5.0]
+
+    def far(start):
+        return curlfit.simulate(law, STONE, start, times).y[-1]
+
+    one = [curlfit.InitialState(*(a + k for a in (0.0, 0.0, 0.0, 2.0, 0.0, 1.0))) for k in (0, 0.1)]
+    np.testing.assert_allclose(jax.vmap(far)(starts), [*map(far, one)], rtol=1e-12)
+
+
+def test_the_help_of_a_point_names_its_fields():
+    from curlfit.friction import Motion, RingPoint
+
+    for kind in RingPoint, Motion:
+        for name in kind._fields:
+            assert re.search(rf"^    .*\b{name}\b.* : ", kind.__doc__, re.M)
