@@ -220,7 +220,8 @@ class FitResult(NamedEstimates):
     data : source and extent of the data.
     converged, status, warnings : whether the fit may be used, and why it may mislead.
     n_observations : finite values of all channels. rms : of the residuals by channel (SI, rad).
-    sigma : estimated noise by channel, without the channels whose sigma was given.
+    sigma : estimated noise by channel, without the channels whose sigma was given; the smallest
+        where it varies by row.
     lag1 : correlation of neighbouring residuals by channel.
     independence : by channel, how far the residuals are from independent noise, after subtraction
         of what the noise model predicts.
@@ -234,7 +235,8 @@ class FitResult(NamedEstimates):
     reference : published or true values of the same law, if the data file has them.
     reference_fits : fits repeated with other constants of the stone, where the reference gives
         them: {"stone": constants, "values": by name or expression}.
-    observed : t, x, y, phi as measured, speed and omega if measured, and given sigmas.
+    observed : t, x, y, phi as measured, speed and omega if measured, and sigmas where they
+        are given or vary by row.
     fitted : x, y, phi, speed, omega of the fit at the same times; empty if not requested.
     posterior : None until sampled.
     discrepancy : of a fit with the noise "discrepancy", the mean of the model discrepancy given
@@ -354,10 +356,12 @@ class FitResult(NamedEstimates):
         """The data that were fitted."""
         series = self.observed
         channels: dict[str, Any] = {name: series.get(name) for name in CHANNELS}
+        sigma = {name: series[f"sigma_{name}"] for name in CHANNELS if f"sigma_{name}" in series}
         return Throw.from_arrays(
             series["t"],
             **channels,
-            sigma={name: series[f"sigma_{name}"] for name in CHANNELS if f"sigma_{name}" in series},
+            sigma={name: by_row for name, by_row in sigma.items() if name not in self.sigma},
+            relative_sigma={name: by_row for name, by_row in sigma.items() if name in self.sigma},
             name=self.data["file"],
             reference=self.reference,
             events=tuple(Event(**known_fields(Event, item)) for item in self.events),

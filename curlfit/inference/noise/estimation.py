@@ -41,8 +41,8 @@ class ChannelResiduals(NamedTuple):
 
     @property
     def scale(self) -> float:
-        """Sigma of the channel, SI."""
-        return float(1 / np.sqrt(np.mean(self.weight**2)))
+        """Sigma of the channel, SI; the smallest where it varies by row."""
+        return float(1 / self.weight.max())
 
     @property
     def square(self) -> float:

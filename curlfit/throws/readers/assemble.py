@@ -21,7 +21,7 @@ from curlfit.throws.readers.axes import (
     unwrap,
 )
 from curlfit.throws.readers.columns import parse_header
-from curlfit.throws.readers.homography import load_homography
+from curlfit.throws.readers.homography import Homography, displacements, load_homography
 from curlfit.throws.readers.mark import add_angle_of_mark
 from curlfit.throws.readers.parsed_file import ParsedFile, Series, clock_of
 from curlfit.throws.throw import CHANNELS, Conventions, Throw
@@ -74,8 +74,9 @@ def assemble(
     merged = parsed if lines is parsed.lines else replace(parsed, lines=lines)
     t, columns, lines = _in_order(merged, t, columns, notes)
     merged = replace(merged, lines=lines)
+    calibration, unknown = None, ()
     if {"u", "v"} & columns.keys():
-        _pixels_to_metres(merged, columns, reference, notes)
+        calibration, unknown = _pixels_to_metres(merged, columns, reference, notes)
     elif reference is not None:
         raise InputError(
             f"--reference {reference}: {parsed.source} has no positions in pixels (columns u, v "
@@ -87,9 +88,13 @@ def assemble(
     mark = columns.pop("x_mark", None), columns.pop("y_mark", None)
     if not convention.is_standard:
         columns = _to_sheet_axes(columns, convention, len(t))
+        if calibration is not None:
+            there = convention.matrix
+            calibration = there @ calibration @ np.linalg.inv(there)
         notes.append(f"axes: {words}")
     elif "from-hack" in words:
         notes.append("y from the hack")
+    relative = {name: columns.pop(f"sigma_{name}") for name in unknown}
     if mark[0] is not None and mark[1] is not None:
         add_angle_of_mark(merged, t, columns, convention.to_sheet(mark[0], mark[1]), notes)
     channels: dict[str, Any] = {name: columns.get(name) for name in CHANNELS}
@@ -97,6 +102,8 @@ def assemble(
         t,
         **channels,
         sigma={c: columns[f"sigma_{c}"] for c in CHANNELS if f"sigma_{c}" in columns},
+        relative_sigma=relative,
+        calibration=calibration,
         name=str(parsed.source),
         reference=parsed.reference,
         defaults=settings,
@@ -263,7 +270,9 @@ def _require_one_place(
 
 def _pixels_to_metres(
     parsed: ParsedFile, columns: dict[str, Floats], reference: Path | None, notes: list[str]
-) -> None:
+) -> tuple[Floats | None, tuple[str, ...]]:
+    """Put x and y with their sigma in place of u and v; return the errors of the map, and the
+    channels whose sigma is that of an unknown noise, for one pixel of it."""
     if reference is None:
         raise DataError(
             "positions are in pixels; give four or more known points with --reference FILE "
@@ -286,31 +295,57 @@ def _pixels_to_metres(
     columns["x"], columns["y"] = x, y
     if "x_mark" in columns:
         columns["x_mark"], columns["y_mark"] = plane(columns["x_mark"], columns["y_mark"])
-    notes.append(
-        f"pixels to metres by {plane.points} points of {reference}: "
-        + (
-            f"rms residual {plane.rms_px:.2g} px, {1000 * plane.rms_m:.2g} mm"
-            if plane.points > 4
-            else "four points are fitted exactly, so their errors are unknown; use more points"
-        )
-    )
     sizes = plane.jacobian(u, v)
-    across, along = (np.hypot(*sizes[k])[seen] for k in (0, 1))
-    notes.append(
-        f"one pixel is {1000 * across.min():.2g} to {1000 * across.max():.2g} mm in x and "
-        f"{1000 * along.min():.2g} to {1000 * along.max():.2g} mm in y along the track: the noise "
-        "of the position scales with it; sigma_u and sigma_v (px) are converted"
-    )
     sigma_u, sigma_v = (columns.pop(f"sigma_{axis}", None) for axis in ("u", "v"))
-    if sigma_u is not None and sigma_v is not None:
-        columns["sigma_x"], columns["sigma_y"] = np.hypot(
-            sizes[:, 0] * sigma_u, sizes[:, 1] * sigma_v
-        )
+    unknown = sigma_u is None or sigma_v is None
+    if unknown:
+        sigma_u = sigma_v = np.ones_like(u)
+    columns["sigma_x"], columns["sigma_y"] = np.hypot(sizes[:, 0] * sigma_u, sizes[:, 1] * sigma_v)
+    notes += _of_pixels(plane, reference, np.stack([x, y])[:, seen], sizes[..., seen], unknown)
     if "phi" in columns:
         notes.append(
             "angles are taken as angles on the ice, seen from above; an oblique camera distorts "
             "them"
         )
+    return plane.errors, ("x", "y") if unknown else ()
+
+
+def _of_pixels(
+    plane: Homography, reference: Path, places: Floats, sizes: Floats, unknown: bool
+) -> list[str]:
+    """Notes on the map from pixels to metres.
+
+    Parameters
+    ----------
+    places : of the rows with a position, m, shape (2, rows). sizes : of a pixel, (2, 2, rows).
+    unknown : whether the noise of the pixels is unknown.
+    """
+
+    def extent(values: Floats) -> str:
+        return f"{1000 * values.min():.2g} to {1000 * values.max():.2g} mm"
+
+    fitted = f"pixels to metres by {plane.points} points of {reference}: "
+    if plane.errors is None:
+        fitted += (
+            "four points are fitted exactly, so their errors are unknown and missing from the "
+            "systematic errors; use more points"
+        )
+    else:
+        across, along = np.hypot.reduce(displacements(plane.errors, *places), axis=0)
+        fitted += (
+            f"rms residual {plane.rms_px:.2g} px, which makes positions along the track uncertain "
+            f"by {extent(across)} in x and {extent(along)} in y"
+        )
+    across, along = np.hypot(sizes[:, 0], sizes[:, 1])
+    return [
+        fitted,
+        f"one pixel is {extent(across)} in x and {extent(along)} in y along the track: the noise "
+        + (
+            "of each row is that of one unknown number of pixels"
+            if unknown
+            else "of each row follows from its sigma_u and sigma_v"
+        ),
+    ]
 
 
 def _require_radians(
