@@ -17,7 +17,7 @@ import numpy as np
 
 from curlfit.errors import InputError, require_kind
 from curlfit.friction import LAWS, Law, Parameter, check_load, find_law
-from curlfit.inference.conditions import CONDITIONS
+from curlfit.inference.conditions import CALIBRATION, CONDITIONS
 from curlfit.inference.derived import Derived, FirstOrder, derive
 from curlfit.inference.identifiability import Combination, student_interval
 from curlfit.inference.model import Model
@@ -147,6 +147,22 @@ class Systematics:
         """Systematic error of each parameter or combination: the shifts added in quadrature."""
         return {
             name: math.hypot(*shifts.values()) for name, shifts in self.shifts.items() if shifts
+        }
+
+    @property
+    def of_calibration(self) -> dict[str, float]:
+        """The part of each error that the map from pixels to metres contributes."""
+        return {
+            name: math.hypot(*(shifts[one] for one in shifts if one.startswith(CALIBRATION)))
+            for name, shifts in self.shifts.items()
+        }
+
+    @property
+    def settings(self) -> dict[str, float]:
+        """The widths as `fit` takes them, with one for the calibration."""
+        return {
+            CALIBRATION if name.startswith(CALIBRATION) else name: width
+            for name, width in self.widths.items()
         }
 
 

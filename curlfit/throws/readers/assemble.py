@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.errors import DataError, InputError
+from curlfit.errors import InputError
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.axes import (
     MAX_SPIN,
@@ -21,9 +21,9 @@ from curlfit.throws.readers.axes import (
     unwrap,
 )
 from curlfit.throws.readers.columns import parse_header
-from curlfit.throws.readers.homography import Homography, displacements, load_homography
 from curlfit.throws.readers.mark import add_angle_of_mark
 from curlfit.throws.readers.parsed_file import ParsedFile, Series, clock_of
+from curlfit.throws.readers.pixels import pixels_to_metres
 from curlfit.throws.throw import CHANNELS, Conventions, Throw
 
 
@@ -74,9 +74,10 @@ def assemble(
     merged = parsed if lines is parsed.lines else replace(parsed, lines=lines)
     t, columns, lines = _in_order(merged, t, columns, notes)
     merged = replace(merged, lines=lines)
-    calibration, unknown = None, ()
+    calibration: Floats | None = None
+    unknown: tuple[str, ...] = ()
     if {"u", "v"} & columns.keys():
-        calibration, unknown = _pixels_to_metres(merged, columns, reference, notes)
+        calibration, unknown = pixels_to_metres(merged, columns, reference, convention, notes)
     elif reference is not None:
         raise InputError(
             f"--reference {reference}: {parsed.source} has no positions in pixels (columns u, v "
@@ -88,9 +89,6 @@ def assemble(
     mark = columns.pop("x_mark", None), columns.pop("y_mark", None)
     if not convention.is_standard:
         columns = _to_sheet_axes(columns, convention, len(t))
-        if calibration is not None:
-            there = convention.matrix
-            calibration = there @ calibration @ np.linalg.inv(there)
         notes.append(f"axes: {words}")
     elif "from-hack" in words:
         notes.append("y from the hack")
@@ -266,86 +264,6 @@ def _require_one_place(
                 row,
                 "t",
             )
-
-
-def _pixels_to_metres(
-    parsed: ParsedFile, columns: dict[str, Floats], reference: Path | None, notes: list[str]
-) -> tuple[Floats | None, tuple[str, ...]]:
-    """Put x and y with their sigma in place of u and v; return the errors of the map, and the
-    channels whose sigma is that of an unknown noise, for one pixel of it."""
-    if reference is None:
-        raise DataError(
-            "positions are in pixels; give four or more known points with --reference FILE "
-            "(columns u,v,x,y)",
-            file=parsed.source,
-        )
-    if {"x", "y"} & columns.keys():
-        raise DataError("positions in pixels and in metres; remove one pair", file=parsed.source)
-    plane = load_homography(Path(reference))
-    u, v = columns.pop("u"), columns.pop("v")
-    x, y = plane(u, v)
-    seen = np.isfinite(u) & np.isfinite(v)
-    lost = seen & ~(np.isfinite(x) & np.isfinite(y) & (np.abs(x) < 1e5) & (np.abs(y) < 1e5))
-    if lost.any():
-        raise parsed.error(
-            "this pixel lies on or beyond the horizon of the plane of the known points",
-            int(np.argmax(lost)),
-            "v",
-        )
-    columns["x"], columns["y"] = x, y
-    if "x_mark" in columns:
-        columns["x_mark"], columns["y_mark"] = plane(columns["x_mark"], columns["y_mark"])
-    sizes = plane.jacobian(u, v)
-    sigma_u, sigma_v = (columns.pop(f"sigma_{axis}", None) for axis in ("u", "v"))
-    unknown = sigma_u is None or sigma_v is None
-    if unknown:
-        sigma_u = sigma_v = np.ones_like(u)
-    columns["sigma_x"], columns["sigma_y"] = np.hypot(sizes[:, 0] * sigma_u, sizes[:, 1] * sigma_v)
-    notes += _of_pixels(plane, reference, np.stack([x, y])[:, seen], sizes[..., seen], unknown)
-    if "phi" in columns:
-        notes.append(
-            "angles are taken as angles on the ice, seen from above; an oblique camera distorts "
-            "them"
-        )
-    return plane.errors, ("x", "y") if unknown else ()
-
-
-def _of_pixels(
-    plane: Homography, reference: Path, places: Floats, sizes: Floats, unknown: bool
-) -> list[str]:
-    """Notes on the map from pixels to metres.
-
-    Parameters
-    ----------
-    places : of the rows with a position, m, shape (2, rows). sizes : of a pixel, (2, 2, rows).
-    unknown : whether the noise of the pixels is unknown.
-    """
-
-    def extent(values: Floats) -> str:
-        return f"{1000 * values.min():.2g} to {1000 * values.max():.2g} mm"
-
-    fitted = f"pixels to metres by {plane.points} points of {reference}: "
-    if plane.errors is None:
-        fitted += (
-            "four points are fitted exactly, so their errors are unknown and missing from the "
-            "systematic errors; use more points"
-        )
-    else:
-        across, along = np.hypot.reduce(displacements(plane.errors, *places), axis=0)
-        fitted += (
-            f"rms residual {plane.rms_px:.2g} px, which makes positions along the track uncertain "
-            f"by {extent(across)} in x and {extent(along)} in y"
-        )
-    across, along = np.hypot(sizes[:, 0], sizes[:, 1])
-    return [
-        fitted,
-        f"one pixel is {extent(across)} in x and {extent(along)} in y along the track: the noise "
-        + (
-            "of each row is that of one unknown number of pixels"
-            if unknown
-            else "of each row follows from its sigma_u and sigma_v"
-        ),
-    ]
 
 
 def _require_radians(
