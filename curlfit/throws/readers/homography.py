@@ -1,7 +1,7 @@
 """Pixels of a fixed camera to metres on the ice: a plane homography from known points.
 
 The places on the sheet are exact, the clicked pixels have errors, so the homography minimises the
-distances in the image (Hartley and Zisserman 2004, sect. 4.2.3); the residual tells how large the
+distances in the image (Hartley and Zisserman 2004, sect. 4.2.2); the residual tells how large the
 errors are, and so the covariance of the eight parameters (sect. 5.2.2).
 """
 
