@@ -91,6 +91,18 @@ def test_the_noise_of_a_row_is_that_of_one_pixel(write):
         assert throw.select_rows(until=5).sigma_over_smallest(name).min() == 1.0
 
 
+def test_the_weight_of_a_row_does_not_depend_on_its_noise(write):
+    noise = np.random.default_rng(2).normal(size=(2, len(T)))
+    u, v = project(X, Y) + noise
+    rows = write(table({"t": T, "u": u, "v": v}))
+    throw = load_throw(rows, reference=write(known_points(), "points.csv"))
+    changes = np.diff(np.log(throw.relative_sigma["y"]))
+    assert abs(np.corrcoef(changes, np.diff(noise[1]))[0, 1]) < 0.3
+    without = load_throw(write(ROWS), reference=write(known_points(), "points.csv"))
+    exact = without.relative_sigma["y"]
+    np.testing.assert_allclose(throw.relative_sigma["y"], exact, rtol=0.05)
+
+
 @pytest.mark.parametrize("axes", ["x-along,y-right", "x-back,y-left,from-tee", "y-back,x-left"])
 def test_the_errors_follow_the_axes(write, axes):
     rows, points = write(ROWS), write(known_points(noise=1.0), "points.csv")

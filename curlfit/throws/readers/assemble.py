@@ -77,7 +77,7 @@ def assemble(
     calibration: Floats | None = None
     unknown: tuple[str, ...] = ()
     if {"u", "v"} & columns.keys():
-        calibration, unknown = pixels_to_metres(merged, columns, reference, convention, notes)
+        calibration, unknown = pixels_to_metres(merged, t, columns, reference, convention, notes)
     elif reference is not None:
         raise InputError(
             f"--reference {reference}: {parsed.source} has no positions in pixels (columns u, v "

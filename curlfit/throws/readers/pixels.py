@@ -12,9 +12,12 @@ from curlfit.throws.readers.axes import AxisConvention
 from curlfit.throws.readers.homography import Homography, displacements, load_homography
 from curlfit.throws.readers.parsed_file import ParsedFile
 
+_BLOCK, _MOST_BLOCKS = 10, 50  # rows of a block, at least, and blocks
+
 
 def pixels_to_metres(
     parsed: ParsedFile,
+    t: Floats,
     columns: dict[str, Floats],
     reference: Path | None,
     convention: AxisConvention,
@@ -53,7 +56,8 @@ def pixels_to_metres(
     columns["x"], columns["y"] = x, y
     if "x_mark" in columns:
         columns["x_mark"], columns["y_mark"] = plane(columns["x_mark"], columns["y_mark"])
-    sizes = plane.jacobian(u, v)
+    sizes = plane.jacobian(*_smooth(t, u, v))
+    sizes = np.where(np.isfinite(sizes), sizes, plane.jacobian(u, v))
     unknown = not {"sigma_u", "sigma_v"} <= columns.keys()
     noise = [columns.pop(f"sigma_{axis}", np.ones_like(u)) for axis in ("u", "v")]
     across, along = sizes * (1.0 if unknown else np.stack(noise))
@@ -68,6 +72,20 @@ def pixels_to_metres(
     to_sheet = convention.matrix
     errors = None if plane.errors is None else to_sheet @ plane.errors @ np.linalg.inv(to_sheet)
     return errors, ("x", "y") if unknown else ()
+
+
+def _smooth(t: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats]:
+    """The course of the pixels, by medians over blocks of rows. With its own pixel, the weight of a
+    row would depend on its noise: 1 px is 1 % of the weight at the far end."""
+    seen = np.flatnonzero(np.isfinite(u) & np.isfinite(v))
+    count = min(len(seen) // _BLOCK, _MOST_BLOCKS)
+    if count < 2:
+        return u, v
+    series = np.stack([t, u, v])
+    knots = np.stack([np.median(series[:, b], 1) for b in np.array_split(seen, count)], 1)
+    first, last = 2 * knots[:, :1] - knots[:, 1:2], 2 * knots[:, -1:] - knots[:, -2:-1]
+    times, *places = np.concatenate([first, knots, last], 1)
+    return np.interp(t, times, places[0]), np.interp(t, times, places[1])
 
 
 def _of_pixels(
