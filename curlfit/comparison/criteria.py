@@ -77,12 +77,12 @@ def log_likelihood(result: FitResult) -> dict[str, float]:
         return _of_correlated(result)
     found = {}
     for name, residual in residuals_of(result).items():
-        given = result.observed.get(f"sigma_{name}")
-        sigma: Floats | float = (
-            likeliest_sigma(residual, result.loss)
-            if given is None
-            else given[np.isfinite(result.observed[name])]
-        )
+        by_row = result.observed.get(f"sigma_{name}")
+        sigma: Floats | float = 1.0
+        if by_row is not None:
+            sigma = by_row[np.isfinite(result.observed[name])]
+        if name in result.sigma:
+            sigma = sigma * likeliest_sigma(residual / sigma, result.loss)
         found[name] = float((log_density(residual / sigma, result.loss) - np.log(sigma)).sum())
     return found
 

@@ -15,7 +15,7 @@ from curlfit.comparison.result import Comparison
 from curlfit.errors import CurlfitError
 from curlfit.friction import Parameter
 from curlfit.html_report.document import Block, Section, rows, section
-from curlfit.inference.conditions import CONDITIONS, WIDTHS
+from curlfit.inference.conditions import CALIBRATION, CONDITIONS, WIDTHS
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.joint.result import JointResult
 from curlfit.inference.parameters import START
@@ -99,7 +99,7 @@ def fit_settings(fit: FitResult) -> dict[str, str]:
     ]  # fmt: skip
     if bounds:
         found["Bounds"] = ", ".join(bounds)
-    widths = {name: value for name, value in fit.systematics.widths.items() if value}
+    widths = {name: value for name, value in fit.systematics.settings.items() if value}
     if widths:
         found["Standard uncertainty of what is held"] = ", ".join(
             f"{name} {value:g}" for name, value in widths.items()
@@ -153,8 +153,8 @@ def fit_flags(fit: FitResult) -> list[str]:
     words += [f"--loss={fit.loss}"] * (fit.loss != "linear")
     words += [f"--noise={fit.noise.kind}"] * (fit.noise.kind != "white")
     held = {
-        name: width for name, width in fit.systematics.widths.items()
-        if not math.isclose(width, WIDTHS.get(name, math.nan), rel_tol=1e-12)
+        name: width for name, width in fit.systematics.settings.items()
+        if not math.isclose(width, (WIDTHS | {CALIBRATION: 1.0})[name], rel_tol=1e-12)
     }  # fmt: skip
     words += _pairs("--systematic", held)
     return [*words, *(f"--derive={item.expression}" for item in fit.derived)]

@@ -82,6 +82,9 @@ CONDITIONS = (
 )  # fmt: skip
 WIDTHS = {item.name: item.width for item in CONDITIONS}
 ALL = "all"
+CALIBRATION = "calibration"
+"""The map from pixels to metres; its width is in units of its own standard uncertainty, 1 unless
+given, and its independent errors are conditions named `calibration_1` and so on."""
 WEAK_CONDITIONS = ("R", "rho", "h", "length_scale", "time_scale")
 """Conditions that a single path hardly determines."""
 
@@ -90,10 +93,10 @@ def check_systematics(given: Mapping[str, float]) -> None:
     """Raise `InputError` for a negative or infinite width or an unknown condition; `ALL` stands for
     the conditions that are not named."""
     for name, width in given.items():
-        if name != ALL and name not in WIDTHS:
+        if name not in (ALL, CALIBRATION, *WIDTHS):
             raise InputError(
-                f"systematic: no condition {name!r}; the conditions are {', '.join(WIDTHS)}, and "
-                f"{ALL}"
+                f"systematic: no condition {name!r}; the conditions are {', '.join(WIDTHS)}, "
+                f"{CALIBRATION} and {ALL}"
             )
         if not 0 <= width < math.inf:
             raise InputError(f"systematic: {name} = {width:g}; expected a width of 0 or more")

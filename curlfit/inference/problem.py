@@ -161,6 +161,8 @@ def _as_arrays(*values: float) -> Stone:
 
 
 def _sigma_of(throw: Throw, sigma: dict[str, float], name: str) -> Any:
-    """Sigma of a channel; 1 where a value was not observed."""
+    """Sigma of a channel by row; positive where a value was not observed."""
     given = throw.sigma.get(name)
-    return sigma.get(name, 1.0) if given is None else np.where(given > 0, given, 1.0)
+    if given is None:
+        return sigma.get(name, 1.0) * throw.sigma_over_smallest(name)
+    return np.where(given > 0, given, 1.0)

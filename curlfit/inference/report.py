@@ -10,7 +10,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from curlfit.inference.conditions import if_off
+from curlfit.inference.conditions import CALIBRATION, if_off
 from curlfit.inference.derived_report import derived_table, quantities_table
 from curlfit.inference.parameters import START
 from curlfit.output.console import terminal
@@ -245,7 +245,8 @@ def _coefficients(fit: FitResult) -> RenderableType:
 
 
 def systematics(found: Systematics, reported: Mapping[str, tuple[float, float | None]]) -> str:
-    """The largest systematic error of each coefficient or combination, in sentences.
+    """The largest systematic error of each coefficient or combination, and that due to the
+    calibration of a camera, in sentences.
 
     Parameters
     ----------
@@ -253,25 +254,40 @@ def systematics(found: Systematics, reported: Mapping[str, tuple[float, float | 
     """
     named: dict[str, list[str]] = {}
     for name, (_, stderr) in reported.items():
-        shifts = found.shifts.get(name, {})
+        shifts = {
+            condition: shift
+            for condition, shift in found.shifts.get(name, {}).items()
+            if not condition.startswith(CALIBRATION)
+        }
         condition = max(shifts, key=lambda one: abs(shifts[one]), default="")
         size = abs(shifts.get(condition, 0.0))
         if stderr is None or size < _NOTABLE * stderr:
             continue
         verb = "higher" if shifts[condition] > 0 else "lower"
         named.setdefault(condition, []).append(f"{name} is {size:.2g} {verb}")
-    if not named:
-        return ""
-    sentences = [
-        f"{if_off(condition, found.widths[condition])}, the true {join_words(parts)}"
-        for condition, parts in named.items()
+    text = ""
+    if named:
+        sentences = [
+            f"{if_off(condition, found.widths[condition])}, the true {join_words(parts)}"
+            for condition, parts in named.items()
+        ]
+        text = (
+            "Systematic errors come from conditions that the fit holds fixed; the largest: "
+            + "; ".join(sentences)
+            + ". `--systematic` sets the standard uncertainties of the conditions; `--prior` or "
+            "`--free` estimates them with the coefficients. "
+        )
+    calibration = [
+        f"{found.of_calibration.get(name, 0.0):.2g} to {name}"
+        for name, (_, stderr) in reported.items()
+        if stderr and found.of_calibration.get(name, 0.0) >= _NOTABLE * stderr
     ]
-    return (
-        "Systematic errors come from conditions that the fit holds fixed; the largest: "
-        + "; ".join(sentences)
-        + ". `--systematic` sets the standard uncertainties of the conditions; `--prior` or "
-        "`--free` estimates them with the coefficients."
-    )
+    if calibration:
+        text += (
+            f"The calibration of the camera contributes {join_words(calibration)}, according to "
+            "the residual of its known points."
+        )
+    return text.strip()
 
 
 def _estimate(item: Estimate) -> tuple[str, str]:
@@ -289,6 +305,8 @@ def _quality(fit: FitResult) -> RenderableType:
     for name, rms in fit.rms.items():
         origin = fit.data["sigma"][name]
         noise = f"{fit.sigma[name]:.3g} {UNITS[name]}" if origin == "estimated" else "by row"
+        if origin == "estimated" and (by_row := fit.observed.get(f"sigma_{name}")) is not None:
+            noise = f"{fit.sigma[name]:.3g} to {by_row.max():.3g} {UNITS[name]}"
         lag1 = fit.lag1.get(name)
         cells = [name, f"{rms:.3g}", UNITS[name], noise, origin, _two(lag1)]
         if not white:

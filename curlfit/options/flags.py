@@ -70,8 +70,9 @@ Systematic = Annotated[
     list[str] | None,
     typer.Option(
         help="Standard uncertainty of a condition that is held fixed, for the systematic errors: "
-        "`slope_x=2e-4`; 0 if it is known exactly, `all=0` for no systematic errors. `curlfit laws "
-        "--conditions` lists the defaults.",
+        "`slope_x=2e-4`; 0 if it is known exactly, `all=0` for no systematic errors, "
+        "`calibration=0` for none of the map from pixels to metres. `curlfit laws --conditions` "
+        "lists the defaults.",
         metavar="NAME=V",
     ),
 ]

@@ -176,7 +176,10 @@ def compare_held_out(
         if not finite.any():
             continue
         sigma = discrepancy.noise.get(name, fit.sigma.get(name, 0.0))
-        given = throw.sigma.get(name)
+        given, course = throw.sigma.get(name), throw.relative_sigma.get(name)
+        if given is None and course is not None and f"sigma_{name}" in fit.observed:
+            fitted = np.interp(fit.observed["t"], throw.t, course)
+            given = course * np.nanmedian(fit.observed[f"sigma_{name}"] / fitted)
         noise = np.full(len(later), sigma) if given is None else given[later]
         noisy = at[:, row] + noise * random.standard_normal(at[:, row].shape)
         low95, low68, high68, high95 = np.quantile(noisy, [0.025, 0.16, 0.84, 0.975], axis=0)

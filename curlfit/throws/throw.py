@@ -88,6 +88,10 @@ class Throw(Displayed):
         radar, gyroscope), shape (n,); NaN where not. All NaN if not given.
     sigma : standard deviation of the noise by channel, each of shape (n,); that of other
         channels is unknown and is estimated by a fit.
+    relative_sigma : of channels without a sigma, its course over the rows where this is known, up
+        to a factor that a fit estimates; each of shape (n,).
+    calibration : independent errors of the map from pixels to metres, one standard deviation each,
+        as of `curlfit.throws.readers.homography.Homography`, shape (errors, 3, 3); None without.
     name : name of the throw, for instance a file name.
     reference : values to show beside a fit.
     defaults : settings in the data file (`since`, `until`, `exclude`, `stone`, `law`, `load`;
@@ -126,6 +130,8 @@ class Throw(Displayed):
     events: tuple[Event, ...] = ()
     assumed: dict[str, float] = field(default_factory=dict)
     conventions: Conventions | None = field(default=None, repr=False)
+    relative_sigma: dict[str, Floats] = field(default_factory=dict)
+    calibration: Floats | None = None
 
     def __post_init__(self) -> None:
         n = len(self.t)
@@ -318,6 +324,14 @@ class Throw(Displayed):
         """Number of finite values in all channels plus number of events."""
         return int(np.count_nonzero(self.finite)) + len(self.events)
 
+    def sigma_over_smallest(self, name: str) -> Floats:
+        """The course of a channel's sigma over its rows where only this is known, with a smallest
+        value of 1 among the measured ones; 1 for all others. Shape (n,)."""
+        there, known = np.isfinite(getattr(self, name)), self.relative_sigma.get(name)
+        if known is None or not there.any():
+            return np.ones(len(self))
+        return np.where(there, known, 1.0) / known[there].min()
+
     @property
     def has_path(self) -> bool:
         """Whether any channel was measured, apart from events."""
@@ -372,10 +386,13 @@ class Throw(Displayed):
             total = np.add.reduceat(np.where(finite, values, 0.0), starts)
             return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
-        sigma = {}
-        for name, values in self.sigma.items():
-            finite = np.add.reduceat(np.isfinite(getattr(self, name)).astype(float), starts)
-            sigma[name] = np.sqrt(mean(values**2) / np.maximum(finite, 1))
+        def of_means(sigma: dict[str, Floats]) -> dict[str, Floats]:
+            found = {}
+            for name, values in sigma.items():
+                finite = np.add.reduceat(np.isfinite(getattr(self, name)).astype(float), starts)
+                found[name] = np.sqrt(mean(values**2) / np.maximum(finite, 1))
+            return found
+
         step = float(np.median(np.diff(self.t)))
         note = (
             f"{n} rows condensed to {len(starts)}: means over {block} rows "
@@ -397,7 +414,8 @@ class Throw(Displayed):
             phi=mean(self.phi),
             speed=mean(self.speed),
             omega=mean(self.omega),
-            sigma=sigma,
+            sigma=of_means(self.sigma),
+            relative_sigma=of_means(self.relative_sigma),
             lines=None if self.lines is None else self.lines[starts],
             notes=(*self.notes, note),
         )
@@ -438,6 +456,7 @@ class Throw(Displayed):
             self,
             **{name: getattr(self, name)[keep] for name in ("t", *CHANNELS)},
             sigma={name: values[keep] for name, values in self.sigma.items()},
+            relative_sigma={name: values[keep] for name, values in self.relative_sigma.items()},
             lines=None if self.lines is None else self.lines[keep],
         )
 

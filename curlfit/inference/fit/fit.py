@@ -138,7 +138,8 @@ def fit(
     model = Model(law, load, prepared.parameters.conditions).within(family)
     rounds = Rounds(model, [prepared], loss=loss, noise=noise)
     found = _fitted_alone(rounds, start)
-    result = summarize(found, widths_of(model, systematics))
+    errors = len(prepared.calibration)
+    result = summarize(found, widths_of(model, systematics, errors))
     if not result.converged:
         return result
     doubtful = any(item.doubtful for item in result.independence.values())
@@ -283,7 +284,8 @@ def fit_throws(
             model = Model(law, checked, next(iter(part.values())).parameters.conditions)
             rounds = Rounds(model, list(part.values()), loss=loss, noise=noise, batch=BATCH)
             solved = _fitted_together(rounds, start)
-            widths = {} if systematics is None else widths_of(model, systematics)
+            errors = max(len(one.calibration) for one in part.values())
+            widths = {} if systematics is None else widths_of(model, systematics, errors)
             results = summarize_many(list(solved.values()), curves=curves, widths=widths)
             found |= zip((list(part)[row] for row in solved), results, strict=True)
             for row, (index, prepared) in enumerate(part.items()):

@@ -130,10 +130,12 @@ def outliers_of(
         limit = 5 + 30 / (len(there) - 6)
         series = throw.sigma.get(name)
         size = np.abs(residual[row, there])
+        if series is None:
+            size = size / throw.sigma_over_smallest(name)[there]
         studentized = len(there) < _FEW and loss == "linear" and series is None and dof[row] > 2
         if not studentized and 2 * (size > size.max() / (limit * MAD_TO_SIGMA)).sum() > len(there):
             continue  # the median size is so large that no value is far off
-        bulk = max(robust_sigma(residual[row, there]), SIGMA_FLOOR)
+        bulk = max(robust_sigma(size), SIGMA_FLOOR)
         sigma = np.full(len(throw), bulk) if series is None else np.maximum(series, bulk)
         far = size > limit * sigma[there]
         if studentized:
@@ -143,14 +145,14 @@ def outliers_of(
             others = np.maximum((size**2).sum() - size**2 / free, SIGMA_FLOOR**2) / (dof[row] - 1)
             chance = _BY_CHANCE / (2 * residual.shape[0] * len(there))
             far |= size > -stdtrit(dof[row] - 1, chance) * np.sqrt(free * others)
-        for index in there[far]:
+        for index, out in zip(there[far], size[far], strict=True):
             found.append(
                 {
                     "channel": name,
                     "t": float(throw.t[index]),
                     "line": None if throw.lines is None else int(throw.lines[index]),
                     "off": float(residual[row, index]),
-                    "sigmas": float(abs(residual[row, index]) / sigma[index]),
+                    "sigmas": float(out / sigma[index]),
                 }
             )
     return tuple(sorted(found, key=lambda item: -item["sigmas"]))

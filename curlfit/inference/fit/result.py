@@ -17,7 +17,7 @@ import numpy as np
 
 from curlfit.errors import InputError, require_kind
 from curlfit.friction import LAWS, Law, Parameter, check_load, find_law
-from curlfit.inference.conditions import CONDITIONS
+from curlfit.inference.conditions import CALIBRATION, CONDITIONS
 from curlfit.inference.derived import Derived, FirstOrder, derive
 from curlfit.inference.identifiability import Combination, student_interval
 from curlfit.inference.model import Model
@@ -149,6 +149,22 @@ class Systematics:
             name: math.hypot(*shifts.values()) for name, shifts in self.shifts.items() if shifts
         }
 
+    @property
+    def of_calibration(self) -> dict[str, float]:
+        """The part of each error that the map from pixels to metres contributes."""
+        return {
+            name: math.hypot(*(shifts[one] for one in shifts if one.startswith(CALIBRATION)))
+            for name, shifts in self.shifts.items()
+        }
+
+    @property
+    def settings(self) -> dict[str, float]:
+        """The widths as `fit` takes them, with one for the calibration."""
+        return {
+            CALIBRATION if name.startswith(CALIBRATION) else name: width
+            for name, width in self.widths.items()
+        }
+
 
 class NamedEstimates(Displayed):
     """A result whose estimates are items by name, and rows of a table."""
@@ -220,7 +236,8 @@ class FitResult(NamedEstimates):
     data : source and extent of the data.
     converged, status, warnings : whether the fit may be used, and why it may mislead.
     n_observations : finite values of all channels. rms : of the residuals by channel (SI, rad).
-    sigma : estimated noise by channel, without the channels whose sigma was given.
+    sigma : estimated noise by channel, without the channels whose sigma was given; the smallest
+        where it varies by row.
     lag1 : correlation of neighbouring residuals by channel.
     independence : by channel, how far the residuals are from independent noise, after subtraction
         of what the noise model predicts.
@@ -234,7 +251,8 @@ class FitResult(NamedEstimates):
     reference : published or true values of the same law, if the data file has them.
     reference_fits : fits repeated with other constants of the stone, where the reference gives
         them: {"stone": constants, "values": by name or expression}.
-    observed : t, x, y, phi as measured, speed and omega if measured, and given sigmas.
+    observed : t, x, y, phi as measured, speed and omega if measured, and sigmas where they
+        are given or vary by row.
     fitted : x, y, phi, speed, omega of the fit at the same times; empty if not requested.
     posterior : None until sampled.
     discrepancy : of a fit with the noise "discrepancy", the mean of the model discrepancy given
@@ -354,10 +372,12 @@ class FitResult(NamedEstimates):
         """The data that were fitted."""
         series = self.observed
         channels: dict[str, Any] = {name: series.get(name) for name in CHANNELS}
+        sigma = {name: series[f"sigma_{name}"] for name in CHANNELS if f"sigma_{name}" in series}
         return Throw.from_arrays(
             series["t"],
             **channels,
-            sigma={name: series[f"sigma_{name}"] for name in CHANNELS if f"sigma_{name}" in series},
+            sigma={name: by_row for name, by_row in sigma.items() if name not in self.sigma},
+            relative_sigma={name: by_row for name, by_row in sigma.items() if name in self.sigma},
             name=self.data["file"],
             reference=self.reference,
             events=tuple(Event(**known_fields(Event, item)) for item in self.events),

@@ -50,7 +50,8 @@ class Rounds:
     Attributes
     ----------
     problems : throws along the first axis. initial_problems : the same for the initial values.
-    sigma : of each throw and channel; 0 where the throw gives its own.
+    sigma : of each throw and channel, the smallest where it varies by row; 0 where the throw gives
+        its own.
     failures : by index, the error that prevents a further round.
     """
 
@@ -210,7 +211,8 @@ class Rounds:
         before = self.problems.weight[now]
         there = before > 0
         sigma = np.where(self.unknown[now], self.sigma[now], 1.0)[..., None]
-        weight = np.where(there & self.unknown[now][..., None], 1 / sigma, before)
+        relative = before / np.maximum(before.max(-1, keepdims=True), np.finfo(float).tiny)
+        weight = np.where(there & self.unknown[now][..., None], relative / sigma, before)
         self.problems.weight[now] = weight
         scale = weight / np.where(there, before, 1.0) if rescaled else None
         return Revision(now, self._problems_of(now), scale)

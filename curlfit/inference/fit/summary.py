@@ -36,7 +36,12 @@ from curlfit.inference.fit.residuals import (
     residual_statistics,
 )
 from curlfit.inference.fit.result import Estimate, FitResult, Systematics
-from curlfit.inference.fit.systematics import residual_changes, shifts, shifts_by_name
+from curlfit.inference.fit.systematics import (
+    calibrations_of,
+    residual_changes,
+    shifts,
+    shifts_by_name,
+)
 from curlfit.inference.identifiability import Bounded
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.linearized_problem import classify
@@ -135,7 +140,10 @@ def summarize_many(
     systematics = [Systematics()] * len(fits)
     if paths is not None and widths:
         loss = fits[0].loss
-        changes = residual_changes(model, problems, solutions.values, paths, widths, loss, batch)
+        changes = residual_changes(
+            model, problems, solutions.values, paths, widths, loss, batch,
+            calibrations_of([fit.prepared for fit in fits]),
+        )  # fmt: skip
         for throw, one in enumerate(found):
             by_condition = shifts(
                 statistics.r_factor[throw, :, :-1][:, one.open],
@@ -190,7 +198,11 @@ def _record(
     warnings += event_warnings(events, law.name)
     shown = [name for name in CHANNELS if name in throw.seen or name in ("x", "y", "phi")]
     observed = {name: getattr(throw, name) for name in ("t", *shown)}
-    observed |= {f"sigma_{name}": series for name, series in throw.sigma.items()}
+    by_row = throw.sigma | {
+        name: fit.sigma[name] * throw.sigma_over_smallest(name)
+        for name in throw.relative_sigma.keys() & fit.sigma.keys()
+    }
+    observed |= {f"sigma_{name}": by_row[name] for name in CHANNELS if name in by_row}
     free = parameters.free
     residual, jacobian = statistics.r_factor[:, -1], statistics.r_factor[:, :-1][:, free]
     reference = throw.reference

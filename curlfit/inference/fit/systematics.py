@@ -9,14 +9,15 @@ quadrature.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from curlfit.inference.likelihood import predict_many
 
 # isort: split
 import numpy as np
 
-from curlfit.inference.conditions import ALL, WIDTHS, check_systematics
+from curlfit.inference.conditions import ALL, CALIBRATION, WIDTHS, check_systematics
+from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.identifiability import Identifiability, inverted, visible
 from curlfit.inference.model import Model
 from curlfit.inference.noise.losses import root_slope
@@ -26,16 +27,20 @@ from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import unstacked
 from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.events import EventArrays
+from curlfit.throws.readers.homography import displacements
 
 _STEP = 1e-2  # of a width, for finite differences: the path is accurate to 1e-7 of it
 
 
-def widths_of(model: Model, given: Mapping[str, float] | None = None) -> dict[str, float]:
+def widths_of(
+    model: Model, given: Mapping[str, float] | None = None, errors: int = 0
+) -> dict[str, float]:
     """Standard uncertainty of each condition that a model holds fixed.
 
     Parameters
     ----------
     given : in place of `WIDTHS`; 0 where a condition is known. "all" stands for all not named.
+    errors : number of independent errors of calibration.
 
     Raises
     ------
@@ -44,8 +49,31 @@ def widths_of(model: Model, given: Mapping[str, float] | None = None) -> dict[st
     given = dict(given or {})
     check_systematics(given)
     common = given.pop(ALL, None)
+    of_calibration = given.pop(CALIBRATION, 1.0 if common is None else common)
     found = {name: width if common is None else common for name, width in WIDTHS.items()} | given
+    found |= {f"{CALIBRATION}_{k + 1}": of_calibration for k in range(errors)}
     return {name: width for name, width in found.items() if width and name not in model.conditions}
+
+
+def calibrations_of(throws: Sequence[PreparedThrow], *, jointly: bool = False) -> Floats:
+    """Independent errors of the calibration of each throw, in the problems' coordinates, shape
+    (throws, errors, 3, 3), with zeros where a throw does not have one.
+
+    Throws that are fitted `jointly` share the errors of a calibration, and each of several
+    calibrations has its own.
+    """
+    known = [one.throw.calibration for one in throws]
+    distinct: list[Floats] = []
+    for one in known if jointly else ():
+        if one is not None and not any(np.array_equal(one, other) for other in distinct):
+            distinct.append(one)
+    most = max((len(one) for one in known if one is not None), default=0)
+    found = np.zeros((len(throws), most * max(len(distinct), 1), 3, 3))
+    for row, (throw, one) in enumerate(zip(throws, known, strict=True)):
+        if one is not None:
+            first = most * next((k for k, d in enumerate(distinct) if np.array_equal(one, d)), 0)
+            found[row, first : first + len(one)] = throw.calibration
+    return found
 
 
 def residual_changes(
@@ -56,13 +84,14 @@ def residual_changes(
     widths: Mapping[str, float],
     loss: str,
     batch: int,
+    calibrations: Floats | None = None,
 ) -> dict[str, Floats]:
     """Change of the weighted residuals of many throws for one width of each condition.
 
     Parameters
     ----------
     values : of the parameters, shape (throws, parameters), and their `paths`, (throws, 5, n).
-    widths : from `widths_of`.
+    widths : from `widths_of`. calibrations : from `calibrations_of`.
 
     Returns
     -------
@@ -71,7 +100,12 @@ def residual_changes(
     channels = problems.observed.shape[1]
     found = {}
     for name, width in widths.items():
-        if name == "length_scale":
+        if name.startswith(CALIBRATION):
+            assert calibrations is not None
+            error = calibrations[:, int(name.removeprefix(f"{CALIBRATION}_")) - 1, None]
+            change = np.zeros_like(paths)
+            change[:, :2] = -width * displacements(error, paths[:, 0], paths[:, 1])[:, 0]
+        elif name == "length_scale":
             change = np.zeros_like(paths)
             first = len(model.law.coefficients()) + len(model.conditions)
             change[:, :2] = paths[:, :2] - values[:, first : first + 2, None]
@@ -110,7 +144,9 @@ def _of_events(
 
 
 def with_condition_off(problems: Problem, name: str, by: float) -> Problem:
-    """Problems with a condition changed by `by`."""
+    """Problems with a condition changed by `by`; the calibration does not change the motion."""
+    if name.startswith(CALIBRATION):
+        return problems
     if name == "time_scale":
         events = problems.events
         events = None if events is None else events.with_clock(1 + by)

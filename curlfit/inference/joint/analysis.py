@@ -24,7 +24,12 @@ from curlfit.inference.fit.covariance import (
 from curlfit.inference.fit.residuals import ResidualStatistics, residual_statistics
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.fit.rounds import Rounds
-from curlfit.inference.fit.systematics import residual_changes, shifts, shifts_by_name
+from curlfit.inference.fit.systematics import (
+    calibrations_of,
+    residual_changes,
+    shifts,
+    shifts_by_name,
+)
 from curlfit.inference.identifiability import (
     Bounded,
     Identifiability,
@@ -208,7 +213,7 @@ class JointAnalysis:
         gradients = {}
         changes = residual_changes(
             rounds.model, rounds.problems, each.values, self.paths, widths, rounds.loss,
-            len(each.values),
+            len(each.values), calibrations_of(rounds.throws, jointly=True),
         )  # fmt: skip
         for name, change in changes.items():
             total = np.zeros(len(layout.names))

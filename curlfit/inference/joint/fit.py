@@ -20,7 +20,7 @@ from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult, Systematics
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many
-from curlfit.inference.fit.systematics import widths_of
+from curlfit.inference.fit.systematics import calibrations_of, widths_of
 from curlfit.inference.initial_values import smooth, start_values
 from curlfit.inference.joint.heterogeneity import differences_of
 from curlfit.inference.joint.result import Difference, JointResult
@@ -127,7 +127,8 @@ def fit_together(
             + no_motion_because(load)
         )
     analysis = JointAnalysis(rounds, layout, solution)
-    return _result(analysis, shared, widths_of(model, systematics))
+    errors = calibrations_of(rounds.throws, jointly=True).shape[1]
+    return _result(analysis, shared, widths_of(model, systematics, errors))
 
 
 def _differs_by_spin(item: Difference, counter_clockwise: Booleans) -> bool:

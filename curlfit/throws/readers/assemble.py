@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.errors import DataError, InputError
+from curlfit.errors import InputError
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.axes import (
     MAX_SPIN,
@@ -21,9 +21,9 @@ from curlfit.throws.readers.axes import (
     unwrap,
 )
 from curlfit.throws.readers.columns import parse_header
-from curlfit.throws.readers.homography import load_homography
 from curlfit.throws.readers.mark import add_angle_of_mark
 from curlfit.throws.readers.parsed_file import ParsedFile, Series, clock_of
+from curlfit.throws.readers.pixels import pixels_to_metres
 from curlfit.throws.throw import CHANNELS, Conventions, Throw
 
 
@@ -74,8 +74,10 @@ def assemble(
     merged = parsed if lines is parsed.lines else replace(parsed, lines=lines)
     t, columns, lines = _in_order(merged, t, columns, notes)
     merged = replace(merged, lines=lines)
+    calibration: Floats | None = None
+    unknown: tuple[str, ...] = ()
     if {"u", "v"} & columns.keys():
-        _pixels_to_metres(merged, columns, reference, notes)
+        calibration, unknown = pixels_to_metres(merged, t, columns, reference, convention, notes)
     elif reference is not None:
         raise InputError(
             f"--reference {reference}: {parsed.source} has no positions in pixels (columns u, v "
@@ -90,6 +92,7 @@ def assemble(
         notes.append(f"axes: {words}")
     elif "from-hack" in words:
         notes.append("y from the hack")
+    relative = {name: columns.pop(f"sigma_{name}") for name in unknown}
     if mark[0] is not None and mark[1] is not None:
         add_angle_of_mark(merged, t, columns, convention.to_sheet(mark[0], mark[1]), notes)
     channels: dict[str, Any] = {name: columns.get(name) for name in CHANNELS}
@@ -97,6 +100,8 @@ def assemble(
         t,
         **channels,
         sigma={c: columns[f"sigma_{c}"] for c in CHANNELS if f"sigma_{c}" in columns},
+        relative_sigma=relative,
+        calibration=calibration,
         name=str(parsed.source),
         reference=parsed.reference,
         defaults=settings,
@@ -259,58 +264,6 @@ def _require_one_place(
                 row,
                 "t",
             )
-
-
-def _pixels_to_metres(
-    parsed: ParsedFile, columns: dict[str, Floats], reference: Path | None, notes: list[str]
-) -> None:
-    if reference is None:
-        raise DataError(
-            "positions are in pixels; give four or more known points with --reference FILE "
-            "(columns u,v,x,y)",
-            file=parsed.source,
-        )
-    if {"x", "y"} & columns.keys():
-        raise DataError("positions in pixels and in metres; remove one pair", file=parsed.source)
-    plane = load_homography(Path(reference))
-    u, v = columns.pop("u"), columns.pop("v")
-    x, y = plane(u, v)
-    seen = np.isfinite(u) & np.isfinite(v)
-    lost = seen & ~(np.isfinite(x) & np.isfinite(y) & (np.abs(x) < 1e5) & (np.abs(y) < 1e5))
-    if lost.any():
-        raise parsed.error(
-            "this pixel lies on or beyond the horizon of the plane of the known points",
-            int(np.argmax(lost)),
-            "v",
-        )
-    columns["x"], columns["y"] = x, y
-    if "x_mark" in columns:
-        columns["x_mark"], columns["y_mark"] = plane(columns["x_mark"], columns["y_mark"])
-    notes.append(
-        f"pixels to metres by {plane.points} points of {reference}: "
-        + (
-            f"rms residual {plane.rms_px:.2g} px, {1000 * plane.rms_m:.2g} mm"
-            if plane.points > 4
-            else "four points are fitted exactly, so their errors are unknown; use more points"
-        )
-    )
-    sizes = plane.jacobian(u, v)
-    across, along = (np.hypot(*sizes[k])[seen] for k in (0, 1))
-    notes.append(
-        f"one pixel is {1000 * across.min():.2g} to {1000 * across.max():.2g} mm in x and "
-        f"{1000 * along.min():.2g} to {1000 * along.max():.2g} mm in y along the track: the noise "
-        "of the position scales with it; sigma_u and sigma_v (px) are converted"
-    )
-    sigma_u, sigma_v = (columns.pop(f"sigma_{axis}", None) for axis in ("u", "v"))
-    if sigma_u is not None and sigma_v is not None:
-        columns["sigma_x"], columns["sigma_y"] = np.hypot(
-            sizes[:, 0] * sigma_u, sizes[:, 1] * sigma_v
-        )
-    if "phi" in columns:
-        notes.append(
-            "angles are taken as angles on the ice, seen from above; an oblique camera distorts "
-            "them"
-        )
 
 
 def _require_radians(

@@ -82,6 +82,13 @@ class AxisConvention(NamedTuple):
         along = self.y[1] * y if not self.swapped else self.x[1] * x
         return right + 0.0, along + self.zero
 
+    @property
+    def matrix(self) -> Floats:
+        """`to_sheet` as a matrix that acts on (x, y, 1)."""
+        ends = np.stack([*self.to_sheet(np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])),
+                         np.ones(3)])  # fmt: skip
+        return ends - ends[:, 2:] * [1, 1, 0]
+
 
 def corrected(text: str, across: int, along: int, turn: int, *, exchanged: bool = False) -> str:
     """Corrected words for axes that `text` describes wrongly.

@@ -1,4 +1,9 @@
-"""Pixels of a fixed camera to metres on the ice: a plane homography from known points."""
+"""Pixels of a fixed camera to metres on the ice: a plane homography from known points.
+
+The places on the sheet are exact, the clicked pixels have errors, so the homography minimises the
+distances in the image (Hartley and Zisserman 2004, sect. 4.2.2); the residual tells how large the
+errors are, and so the covariance of the eight parameters (sect. 5.2.2).
+"""
 
 from __future__ import annotations
 
@@ -20,6 +25,7 @@ from curlfit.throws.readers.text import (
 )
 
 _EXPECTED = "expected a header u,v,x,y (pixels, and metres on the sheet) and four points or more"
+_MOST_STEPS, _STEP_DONE = 50, 1e-10  # of the least squares, in normalised coordinates
 
 
 class Homography(NamedTuple):
@@ -28,14 +34,18 @@ class Homography(NamedTuple):
     Attributes
     ----------
     matrix : shape (3, 3), acting on (u, v, 1); its third coordinate is positive on the ice.
-    points : number of known points. rms_m, rms_px : root mean square distance between the
-        known points and the mapped ones, on the ice and in the image.
+    points : number of known points. rms_m, rms_px : root mean square error of a coordinate of the
+        known points, on the ice and in the image.
+    errors : independent errors of the map, each of one standard deviation, shape (8, 3, 3): a place
+        (x, y, 1) on the sheet may in truth be at (I + error)(x, y, 1), homogeneous. None for four
+        points, which leave no residual.
     """
 
     matrix: Floats
     points: int
     rms_m: float
     rms_px: float
+    errors: Floats | None = None
 
     def __call__(self, u: Floats, v: Floats) -> tuple[Floats, Floats]:
         """Positions in m, shape (n,); NaN beyond the horizon."""
@@ -52,6 +62,23 @@ class Homography(NamedTuple):
             [(self.matrix[1, k] - y * self.matrix[2, k]) / w for k in (0, 1)],
         ]
         return np.array(rows)
+
+
+def displacements(errors: Floats, x: Floats, y: Floats) -> Floats:
+    """By how much errors of a map displace places on the sheet, to first order, in m.
+
+    Parameters
+    ----------
+    errors : shape (..., errors, 3, 3). x, y : m, shape (..., n).
+
+    Returns
+    -------
+    of shape (..., errors, 2, n).
+    """
+    places = np.stack([x, y, np.ones_like(x)], -2)[..., None, :, :]
+    moved = errors @ places
+    found: Floats = moved[..., :2, :] - places[..., :2, :] * moved[..., 2:, :]
+    return found
 
 
 def load_homography(file: Path) -> Homography:
@@ -100,7 +127,9 @@ def load_homography(file: Path) -> Homography:
 
 
 def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -> Homography:
-    """The plane homography fitted to known points by the normalised direct linear transform.
+    """The plane homography fitted to known points by least squares in the image.
+
+    It begins at the normalised direct linear transform.
 
     Parameters
     ----------
@@ -120,46 +149,95 @@ def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -
                 f"the points are collinear {what}; take four corners of an area", file=file
             )
     (a, T), (b, U) = _normalise(pixels), _normalise(metres)
-    rows = []
-    for (u, v), (x, y) in zip(a.T, b.T, strict=True):
-        rows.append([u, v, 1, 0, 0, 0, -x * u, -x * v, -x])
-        rows.append([0, 0, 0, u, v, 1, -y * u, -y * v, -y])
-    _, sizes, directions = np.linalg.svd(np.array(rows, float))
-    inner = directions[-1].reshape(3, 3)
-    if sizes[7] < 1e-4 * sizes[0] or abs(np.linalg.det(inner)) < 1e-6:
+    inner = _direct_linear_transform(a, b)
+    if inner is None:
         raise DataError(
             "three of the points are collinear, or two coincide; take four corners of an area",
             file=file,
         )
-    matrix = np.linalg.inv(U) @ inner @ T
-    depth = matrix[2] @ np.stack([*pixels, np.ones(n)])
+    depth = inner[2] @ np.stack([*a, np.ones(n)])
     if not ((depth > 0).all() or (depth < 0).all()):
         raise DataError(
             "no image of a plane has the points in this order; two of them may be interchanged",
             file=file,
         )
-    matrix = matrix * np.sign(depth[0]) / np.abs(matrix).max()
-    fitted = Homography(matrix, n, 0.0, 0.0)
-    back = np.linalg.inv(matrix) @ np.stack([*metres, np.ones(n)])
-    rms_m = _rms(np.stack(fitted(*pixels)) - metres)
-    rms_px = _rms(back[:2] / back[2] - pixels)
-    size = _rms(pixels - pixels.mean(axis=1, keepdims=True))
-    if not (np.isfinite(rms_m) and rms_px <= 0.1 * size):
+    camera, off, slope = _least_squares(np.linalg.inv(inner * np.sign(depth[0])), a, b)
+    matrix = np.linalg.inv(U) @ np.linalg.inv(camera) @ T
+    fitted = Homography(matrix / np.abs(matrix).max(), n, 0.0, 0.0)
+    rms_m, rms_px = _rms(np.stack(fitted(*pixels)) - metres), _rms(off) / T[0, 0]
+    if not (np.isfinite(rms_m) and _rms(off) <= 0.1):
         raise DataError(
             f"the points do not fit an image of a plane: rms {rms_px:.3g} pixels "
             f"({rms_m:.3g} m); two of them may be interchanged",
             file=file,
         )
-    return fitted._replace(rms_m=rms_m, rms_px=rms_px)
+    errors = None
+    if n > 4:
+        # covariance s^2 (J^T J)^-1 = root root^T, with s^2 = rss/(2 n - 8)
+        scale = np.sqrt((off**2).sum() / (2 * n - 8))
+        root = scale * np.linalg.inv(np.linalg.qr(slope.reshape(-1, 8), mode="r"))
+        errors = np.linalg.inv(U) @ _generators(root.T) @ U
+    return fitted._replace(rms_m=rms_m, rms_px=rms_px, errors=errors)
+
+
+def _direct_linear_transform(image: Floats, sheet: Floats) -> Floats | None:
+    """A map from normalised image to normalised sheet, up to its sign; None where the points do not
+    determine one."""
+    rows = []
+    for (u, v), (x, y) in zip(image.T, sheet.T, strict=True):
+        rows.append([u, v, 1, 0, 0, 0, -x * u, -x * v, -x])
+        rows.append([0, 0, 0, u, v, 1, -y * u, -y * v, -y])
+    _, sizes, directions = np.linalg.svd(np.array(rows, float))
+    found: Floats = directions[-1].reshape(3, 3)
+    if sizes[7] < 1e-4 * sizes[0] or abs(np.linalg.det(found)) < 1e-6:
+        return None
+    return found
+
+
+def _least_squares(camera: Floats, image: Floats, sheet: Floats) -> tuple[Floats, Floats, Floats]:
+    """The map from the sheet to the image that minimises the distances in the image, by
+    Gauss-Newton steps from camera to camera (I + S), S having eight elements.
+
+    Parameters
+    ----------
+    camera : initial map, shape (3, 3). image, sheet : normalised points, shape (2, n).
+
+    Returns
+    -------
+    the map; measured - projected points, shape (2, n); derivatives of the projected points by the
+    elements of S, shape (2, n, 8).
+    """
+    places = np.stack([*sheet, np.ones(sheet.shape[1])])
+    step, off, slope = np.zeros(8), np.full_like(image, np.inf), np.zeros((*image.shape, 8))
+    for _ in range(_MOST_STEPS):
+        trial = camera @ (np.eye(3) + _generators(step))
+        u, v, w = trial @ places
+        found = image - np.stack([u, v]) / w
+        if not ((w > 0).all() and (found**2).sum() <= (off**2).sum()):
+            step = step / 4
+            continue
+        camera, off = trial, found
+        moved = np.einsum("ci,jn->cnij", camera, places).reshape(3, -1, 9)[..., :8]
+        slope = (moved[:2] - (image - off)[..., None] * moved[2]) / w[:, None]
+        step = np.linalg.lstsq(slope.reshape(-1, 8), off.ravel(), rcond=None)[0]
+        if np.abs(step).max() < _STEP_DONE:
+            break
+    return camera, off, slope
+
+
+def _generators(elements: Floats) -> Floats:
+    """Matrices, shape (..., 3, 3), of their first eight elements; the last is 0."""
+    whole = np.concatenate([elements, np.zeros_like(elements[..., :1])], -1)
+    return whole.reshape(*elements.shape[:-1], 3, 3)
 
 
 def _normalise(points: Floats) -> tuple[Floats, Floats]:
-    """Points centred and scaled to an rms distance of sqrt(2), and the matrix of that map."""
+    """Points centred and scaled to coordinates of rms 1, and the matrix of that map."""
     centre = points.mean(axis=1)
-    scale = np.sqrt(2) / max(_rms(points - centre[:, None]), 1e-300)
+    scale = 1 / max(_rms(points - centre[:, None]), 1e-300)
     matrix = np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]])
     return scale * (points - centre[:, None]), matrix
 
 
 def _rms(offsets: Floats) -> float:
-    return float(np.sqrt((offsets**2).sum(axis=0).mean()))
+    return float(np.sqrt((offsets**2).mean()))

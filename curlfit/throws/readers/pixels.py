@@ -1,0 +1,127 @@
+"""Positions in pixels of a fixed camera to metres, with their noise and the error of the map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from curlfit.errors import DataError
+from curlfit.numerics.arrays import Floats
+from curlfit.throws.readers.axes import AxisConvention
+from curlfit.throws.readers.homography import Homography, displacements, load_homography
+from curlfit.throws.readers.parsed_file import ParsedFile
+
+_BLOCK, _MOST_BLOCKS = 10, 50  # rows of a block, at least, and blocks
+
+
+def pixels_to_metres(
+    parsed: ParsedFile,
+    t: Floats,
+    columns: dict[str, Floats],
+    reference: Path | None,
+    convention: AxisConvention,
+    notes: list[str],
+) -> tuple[Floats | None, tuple[str, ...]]:
+    """Put x and y with their sigma in place of u and v.
+
+    Returns
+    -------
+    the errors of the map (see `Homography`) in curlfit's axes, and the channels whose sigma is for
+    one pixel of noise, because the noise is unknown.
+
+    Raises
+    ------
+    DataError : there are no known points, they determine no map, or a pixel shows no ice.
+    """
+    if reference is None:
+        raise DataError(
+            "positions are in pixels; give four or more known points with --reference FILE "
+            "(columns u,v,x,y)",
+            file=parsed.source,
+        )
+    if {"x", "y"} & columns.keys():
+        raise DataError("positions in pixels and in metres; remove one pair", file=parsed.source)
+    plane = load_homography(Path(reference))
+    u, v = columns.pop("u"), columns.pop("v")
+    x, y = plane(u, v)
+    seen = np.isfinite(u) & np.isfinite(v)
+    lost = seen & ~(np.isfinite(x) & np.isfinite(y) & (np.abs(x) < 1e5) & (np.abs(y) < 1e5))
+    if lost.any():
+        raise parsed.error(
+            "this pixel lies on or beyond the horizon of the plane of the known points",
+            int(np.argmax(lost)),
+            "v",
+        )
+    columns["x"], columns["y"] = x, y
+    if "x_mark" in columns:
+        columns["x_mark"], columns["y_mark"] = plane(columns["x_mark"], columns["y_mark"])
+    sizes = plane.jacobian(*_smooth(t, u, v))
+    sizes = np.where(np.isfinite(sizes), sizes, plane.jacobian(u, v))
+    unknown = not {"sigma_u", "sigma_v"} <= columns.keys()
+    noise = [columns.pop(f"sigma_{axis}", np.ones_like(u)) for axis in ("u", "v")]
+    across, along = sizes * (1.0 if unknown else np.stack(noise))
+    columns["sigma_x"], columns["sigma_y"] = np.hypot(*across), np.hypot(*along)
+    if seen.any():
+        notes += _of_pixels(plane, reference, np.stack([x, y])[:, seen], sizes[..., seen], unknown)
+    if "phi" in columns:
+        notes.append(
+            "angles are taken as angles on the ice, seen from above; an oblique camera distorts "
+            "them"
+        )
+    to_sheet = convention.matrix
+    errors = None if plane.errors is None else to_sheet @ plane.errors @ np.linalg.inv(to_sheet)
+    return errors, ("x", "y") if unknown else ()
+
+
+def _smooth(t: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats]:
+    """The course of the pixels, by medians over blocks of rows. With its own pixel, the weight of a
+    row would depend on its noise: 1 px is 1 % of the weight at the far end."""
+    seen = np.flatnonzero(np.isfinite(u) & np.isfinite(v))
+    count = min(len(seen) // _BLOCK, _MOST_BLOCKS)
+    if count < 2:
+        return u, v
+    series = np.stack([t, u, v])
+    knots = np.stack([np.median(series[:, b], 1) for b in np.array_split(seen, count)], 1)
+    first, last = 2 * knots[:, :1] - knots[:, 1:2], 2 * knots[:, -1:] - knots[:, -2:-1]
+    times, *places = np.concatenate([first, knots, last], 1)
+    return np.interp(t, times, places[0]), np.interp(t, times, places[1])
+
+
+def _of_pixels(
+    plane: Homography, reference: Path, places: Floats, sizes: Floats, unknown: bool
+) -> list[str]:
+    """Notes on the map from pixels to metres.
+
+    Parameters
+    ----------
+    places : of the rows with a position, m, shape (2, rows). sizes : of a pixel, (2, 2, rows).
+    unknown : whether the noise of the pixels is unknown.
+    """
+
+    def extent(values: Floats) -> str:
+        return f"{1000 * values.min():.2g} to {1000 * values.max():.2g} mm"
+
+    fitted = f"pixels to metres by {plane.points} points of {reference}: "
+    if plane.errors is None:
+        fitted += (
+            "four points are fitted exactly, so their errors are unknown and missing from the "
+            "systematic errors; use more points"
+        )
+    else:
+        across, along = np.hypot.reduce(displacements(plane.errors, *places), axis=0)
+        fitted += (
+            f"rms residual {plane.rms_px:.2g} px ({2 * plane.points - 8} degrees of freedom), "
+            f"which makes positions along the track uncertain by {extent(across)} in x and "
+            f"{extent(along)} in y"
+        )
+    across, along = np.hypot(sizes[:, 0], sizes[:, 1])
+    return [
+        fitted,
+        f"one pixel is {extent(across)} in x and {extent(along)} in y along the track: the noise "
+        + (
+            "of each row is that of one unknown number of pixels"
+            if unknown
+            else "of each row follows from its sigma_u and sigma_v"
+        ),
+    ]
