@@ -117,7 +117,7 @@ def test_the_restricted_likelihood_is_that_of_the_covariance():
 
 
 def swaying(seed, memory=0.6, sway=0.01, jitter=0.004):
-    """A throw filmed at 25 Hz by a camera that sways, every channel with its own share of jitter."""
+    """A throw filmed at 25 Hz by a swaying camera, each channel with its own share of jitter."""
     t = np.arange(0.0, 22.0, 0.04)
     start = curlfit.InitialState(v=START["v0"], omega=START["omega0"])
     path = curlfit.simulate(
@@ -268,9 +268,13 @@ def test_given_sigmas_are_kept():
     found = curlfit.fit(given, "front-back", noise="ar1")
     assert found.sigma == {}
     assert all(0.1 < value < 2 for value in found.noise.memory.values())
-    both = curlfit.fit(given, "front-back", noise="ar1+discrepancy")
-    assert both.sigma == {}
-    assert both.noise.memory["y"] == pytest.approx(-0.1 / np.log(0.8), rel=0.5)
+    memories = []
+    for seed in range(4):
+        given = thrown(seed, 0.8).with_sigma(SIGMA)
+        both = curlfit.fit(given, "front-back", noise="ar1+discrepancy", details=False)
+        assert both.sigma == {}
+        memories.append(both.noise.memory["y"])
+    assert np.exp(np.mean(np.log(memories))) == pytest.approx(-0.1 / np.log(0.8), rel=0.3)
 
 
 def test_it_is_saved_and_sampled(tmp_path):
