@@ -35,6 +35,7 @@ from curlfit.inference.noise.estimation import channel_residuals
 from curlfit.inference.noise.losses import robust_sigma
 from curlfit.inference.noise.models import LOSSES, Noise, time_of_motion
 from curlfit.inference.problem import ROWS_OF_DATA, Problem, build_problem
+from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import stacked
 from curlfit.throws.throw import CHANNELS
 
@@ -120,7 +121,9 @@ class Rounds:
                 revisions.append(self._rounds[number](which[here], found))
         return revisions
 
-    def record(self, index: int, solution: Solution, tried: int = 1) -> LeastSquaresFit:
+    def record(
+        self, index: int, solution: Solution, tried: int = 1, rival: Floats | None = None
+    ) -> LeastSquaresFit:
         """The outcome of the fit of a throw."""
         return LeastSquaresFit(
             prepared=self.throws[index],
@@ -135,6 +138,7 @@ class Rounds:
             },
             solution=solution,
             tried=tried,
+            rival=rival,
         )
 
     def _estimate_sigma(self, now: Indices, solutions: Solution) -> Revision:

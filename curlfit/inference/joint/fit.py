@@ -21,7 +21,7 @@ from curlfit.inference.fit.result import FitResult, Systematics
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many
 from curlfit.inference.fit.systematics import widths_of
-from curlfit.inference.initial_values import smooth, start_values
+from curlfit.inference.initial_values import smooth, start_values_of_sides
 from curlfit.inference.joint.heterogeneity import differences_of
 from curlfit.inference.joint.result import Difference, JointResult
 from curlfit.inference.model import Model
@@ -111,8 +111,8 @@ def fit_together(
     ):
         alone = stacked([problem])
         ends = parameters.lower[None], parameters.upper[None]
-        (values,) = start_values(model, alone, smooth(alone), *ends, batch=1)
-        initial.append(one.with_start(values, start))
+        sides = start_values_of_sides(model, alone, smooth(alone), *ends, batch=1)
+        initial.append(one.with_start(sides[0, 0], start))
     best = layout.joined(np.stack(initial))
     solution = minimize_jointly(model, rounds.problems, first, best, progress)
     every = np.arange(len(prepared))
