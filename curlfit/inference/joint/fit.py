@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 from curlfit.inference.joint.analysis import JointAnalysis
 from curlfit.inference.joint.solver import Layout, Progress, minimize_jointly
@@ -17,10 +18,11 @@ from curlfit.errors import InputError, UnusableFitError, require_kind
 from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.quantities import quantities_of
-from curlfit.inference.fit.result import FitResult, Systematics
+from curlfit.inference.fit.result import Estimate, FitResult, Systematics
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many
 from curlfit.inference.fit.systematics import widths_of
+from curlfit.inference.identifiability import Combination
 from curlfit.inference.initial_values import smooth, start_values_of_sides
 from curlfit.inference.joint.heterogeneity import differences_of
 from curlfit.inference.joint.result import Difference, JointResult
@@ -182,7 +184,12 @@ def _result(
     throws = [_of_throw(analysis, *one, widths, systematic) for one in enumerate(single)]
     coefficients = {name: throws[0].parameters[name] for name in shared}
     combinations = tuple(item for item in known.combinations if set(item.weights) <= set(shared))
-    differences = differences_of(analysis.solution, layout, coefficients, combinations)
+    plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
+    differences = differences_of(
+        analysis.solution, layout, coefficients, combinations, rounds.problems,
+        rounds.unknown & plain,
+    )  # fmt: skip
+    among = {item.expression: item for item in differences if item.significant}
     implausible = [
         f"{item.data['file']}: {item.status}"
         for item in single
@@ -205,14 +212,25 @@ def _result(
         converged=analysis.converged and not implausible,
         status=". ".join(implausible) or analysis.status,
         warnings=tuple(warnings),
-        coefficients=coefficients,
-        combinations=combinations,
+        coefficients={name: _among(item, among.get(name)) for name, item in coefficients.items()},
+        combinations=tuple(_among(item, among.get(item.expression)) for item in combinations),
         rank=known.rank,
         parameters=int(analysis.open.sum()),
         differences=differences,
         throws=tuple(throws),
         systematics=Systematics(dict(widths), of_shared),
     )
+
+
+_Shared = TypeVar("_Shared", Estimate, Combination)
+
+
+def _among(item: _Shared, difference: Difference | None) -> _Shared:
+    """A shared estimate with its error as that of the mean over throws that differ in it."""
+    if difference is None:
+        return item
+    throws = sum(one is not None for one in difference.each)
+    return replace(item, stderr=difference.shared_stderr, dof=float(throws - 1))
 
 
 def _of_throw(
@@ -263,9 +281,8 @@ def _heterogeneity_warnings(
     significant = [item for item in differences if item.significant]
     warnings = [
         f"{item.expression} varies between throws by more than its errors ({item.p_text}); "
-        f"the standard error of its mean over such throws is {item.stderr:.2g}, not that "
-        "of the shared fit, and large residuals of single throws may be due to the common "
-        "value rather than to their data"
+        "its standard error is that of the mean over such throws, and large residuals of single "
+        "throws may be due to the common value rather than to their data"
         for item in reversed(significant)
     ]
     # For a throw without a path the curl is at most one number, which the heading absorbs.
