@@ -10,6 +10,7 @@ path in `adequacy`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -27,12 +28,18 @@ from curlfit.friction import LAWS, Law, NetLaw, find_law
 from curlfit.friction.family import family_of
 from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.fit import fit
+from curlfit.inference.fit.missing_channels import NOISE
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import options_of, require_known
 from curlfit.inference.priors import Prior
 from curlfit.numerics.threads import in_threads
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw, require_path, require_throw
+
+_FAR = 5.0
+"""Times the residuals of another law, or the noise of an ordinary tracker, beyond which a law does
+not follow a path: 4.1 for the front-back law on the path of eq. 12, 7.7 where friction depends on
+the speed to the power -0.25."""
 
 
 def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[Law], str]]:
@@ -123,7 +130,26 @@ def compare(
             found += next(results)
     if progress is not None:
         progress("", len(fits), len(fits))
-    return ranked(found)
+    return ranked(_followed(found))
+
+
+def _followed(found: Sequence[Fitted]) -> list[Fitted]:
+    """The fits; no law follows the path that leaves far larger residuals than another, beyond the
+    noise of an ordinary tracker."""
+    each = [one.candidate for one in found]
+    known = [item.bulk or item.rms or {} for item in each if item.converged and not item.negative]
+    least = {
+        name: max(sigma, min((size.get(name, math.inf) for size in known), default=math.inf))
+        for name, sigma in NOISE.items()
+    }
+    far = [
+        any(size > _FAR * least[name] for name, size in (item.bulk or item.rms or {}).items())
+        for item in each
+    ]
+    return [
+        one._replace(candidate=replace(one.candidate, follows=False)) if beyond else one
+        for one, beyond in zip(found, far, strict=True)
+    ]
 
 
 def _with_free_signs(throw: Throw, law: type[Law], choices: dict[str, Any]) -> list[Fitted]:

@@ -143,7 +143,7 @@ def _ranks(comparison: Comparison) -> RenderableType:
         f"{criteria}x, y, phi: {measure} of the residuals; curl: fraction of the curl explained; "
         "ccw curls: sides to which the law can curl a counter-clockwise stone. A law follows the "
         "path if no residual exceeds a tenth of the deviation from uniform straight-line motion, "
-        f"or the noise.{by}",
+        f"or the noise, nor five times that of another law.{by}",
         style="dim",
     )
     return Padding(Group(table, note), (1, 0))

@@ -37,7 +37,8 @@ class Candidate:
     curl_explained : fraction of the path's curl that the law explains, at most 1; None where the
         path has no curl beyond its scatter.
     follows : whether each channel's residual is within a tenth of its departure from uniform
-        straight motion, or within its noise; None where correlated noise may explain the residual.
+        straight motion, or within its noise, and not five times that of another law; None where
+        correlated noise may explain the residual.
     log_likelihood : under the noise model and the loss.
     aicc, bic : information criteria, from likelihoods weighted by effective sample sizes (see
         `Comparison.effective`); the penalty of BIC is that of the effective sample size, the

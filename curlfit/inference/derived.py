@@ -11,7 +11,7 @@ import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.inference.expression import CONSTANTS, parse, samples_of
-from curlfit.inference.identifiability import Combination, student_interval
+from curlfit.inference.identifiability import WEAK_ERROR, Combination, student_interval
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import UNITS as STONE_UNITS
 
@@ -31,9 +31,9 @@ class Derived:
     value : at the estimates.
     stderr : standard error, from the covariance to first order; None where the quantity is not
         determined, or depends on a parameter at its bound.
-    verdict : "determined"; "prior" (it rests on priors); "weak" (its standard error is no smaller
-        than typical sizes of its parameters imply); "not identifiable" (it depends on a direction
-        that the path does not determine); "at bound" or "fixed".
+    verdict : "determined"; "prior" (it rests on priors); "weak" (its standard error is more
+        than half of what typical sizes of its parameters imply); "not identifiable" (it depends on
+        a direction that the path does not determine); "at bound" or "fixed".
     systematic : error due to the conditions that the fit holds fixed; None where there is none.
     dof : degrees of freedom of `stderr`, the smallest of its parameters'; None where sigma was
         given.
@@ -162,7 +162,7 @@ class FirstOrder(NamedTuple):
         dof = [*(used[key].dof for key in free), *(item.dof for item in sums)]
         known = [one for one in dof if one is not None]
         verdict = "prior" if "prior" in verdicts else "determined"
-        if stderr >= np.linalg.norm(self.vector(gradient) * self._typical):
+        if stderr >= WEAK_ERROR * np.linalg.norm(self.vector(gradient) * self._typical):
             verdict = "weak"
         row = self.vector(gradient)
         by_condition = [

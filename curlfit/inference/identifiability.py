@@ -28,6 +28,9 @@ _LITTLE_PART = 0.05  # the same for a direction that is weakly determined
 _ROOM = 0.1  # standard errors within the bounds, below which these determine a direction
 _WHOLE = np.arange(1.0, 7)  # denominators of simple ratios
 _WEAK = 1.0  # singular value below which a direction is known to no better than typical sizes
+WEAK_ERROR = 0.5
+"""Standard error over typical size, from which an estimate is weakly determined: a 95 % interval
+then reaches a typical size to either side."""
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from curlfit.throws.throw import last_motion
 _BLOCKS = 64  # of rows to which a throw is condensed
 _DEGREE = 5
 _NOTHING = 1e-13  # length of a column, over the longest, below which it is rounding error
+_FAINT = 1e-6  # singular value over the largest, below which derivatives are not accurate enough
 _USUAL_SPEED = 2.0  # m/s, where no measurement determines it
 
 
@@ -97,15 +98,19 @@ def start_values(
     upper: Floats,
     *,
     spin: float = 1.0,
+    mirrored: bool = False,
     batch: int = BATCH,
 ) -> Floats:
     """Parameter vectors near the optima, within the bounds, shape (throws, parameters).
+
+    What the data do not determine to first order is near the usual coefficients of the law.
 
     Parameters
     ----------
     problems : of many throws, as `stacked` returns them; `path` is what `smooth` returns for them.
     lower, upper : bounds, shape (throws, parameters).
     spin : in rad/s, where the angle was not measured.
+    mirrored : whether this is near the reflection of the usual coefficients in the smallest ones.
     batch : number of throws computed together.
     """
     law = model.law
@@ -122,7 +127,7 @@ def start_values(
     )
     typical = np.array([item.typical for item in law.coefficients()])
     going = np.arange(len(found))
-    for _ in range(3):
+    for step in range(3):
         here: Any = jax.tree.map(lambda leaf, going=going: leaf[going], (problems, path, moving))
         nominal = found[going, :k]
         a, by_coefficient = accelerations_and_slopes(
@@ -131,7 +136,11 @@ def start_values(
         linear = (by_coefficient @ nominal[:, None, :, None])[..., 0]
         slopes = np.concatenate([by_coefficient, (a - linear)[..., None]], -1)
         matrix, right = _design(np.nan_to_num(slopes), use[going], *here)
-        found[going] = _bounded_least_squares(matrix, right, low[going], high[going])
+        about = matrix, right, low[going], high[going]
+        if mirrored and step == 0:
+            nearest = _bounded_least_squares(*about, found)
+            found = np.clip(2 * _bounded_least_squares(*about, 0 * found) - nearest, low, high)
+        found[going] = _bounded_least_squares(*about, found[going])
         bent = np.abs(linear - a) > 1e-12 + 1e-9 * np.abs(a)
         going = going[(bent | np.isnan(a)).any((1, 2))]
         if not len(going):
@@ -146,6 +155,39 @@ def start_values(
     begin = np.stack([x0, y0, np.arctan2(vx0, vy0), np.hypot(vx0, vy0), phi0, omega0], -1)
     conditions = assumed_conditions(model, problems)
     return np.clip(np.hstack([found[:, :k], conditions, begin]), lower, upper)
+
+
+def start_values_of_sides(
+    model: Model,
+    problems: Problem,
+    path: SmoothPath,
+    lower: Floats,
+    upper: Floats,
+    *,
+    batch: int = BATCH,
+) -> Floats:
+    """Initial values on all sides that may fit equally, shape (sides, throws, parameters).
+
+    Without the angle a path tells the sense of the spin at most by the side of the curl; without x
+    it does not tell this side. Values with the most usual coefficients come first. Arguments as in
+    `start_values`.
+    """
+    about = model, problems, path, lower, upper
+    if path.known.all():
+        return start_values(*about, batch=batch)[None]
+    found = np.stack(
+        [
+            start_values(*about, spin=spin, mirrored=mirrored, batch=batch)
+            for mirrored in (False, True)
+            for spin in (1.0, -1.0)
+        ]
+    )
+    items = model.law.coefficients()
+    usual = np.array([default_guess(item) for item in items])
+    typical = np.array([item.typical for item in items])
+    away = (((found[..., : len(items)] - usual) / typical) ** 2).sum(-1)
+    order = np.argsort(np.round(away, 6), 0, kind="stable")
+    return np.take_along_axis(found, order[..., None], 0)
 
 
 class _Moving(NamedTuple):
@@ -264,9 +306,13 @@ def _bases(size: int) -> tuple[Any, Any]:
     return chebvander(places, size - 1), slopes.T
 
 
-def _bounded_least_squares(matrix: Floats, right: Floats, low: Floats, high: Floats) -> Floats:
-    """Linear least squares of many throws within bounds; the smallest solution where it is not
-    unique."""
+def _bounded_least_squares(
+    matrix: Floats, right: Floats, low: Floats, high: Floats, nominal: Floats
+) -> Floats:
+    """Linear least squares of many throws within bounds; the solution nearest to the nominal one
+    where it is not unique. The smallest could be where by symmetry chi squared has a saddle point.
+    """
+    right, low, high = right - (matrix @ nominal[..., None])[..., 0], low - nominal, high - nominal
     size = np.linalg.norm(matrix, axis=1)
     size[size <= _NOTHING * size.max(1, keepdims=True)] = np.inf  # has no effect: 0
     held = np.full_like(low, np.nan)
@@ -277,11 +323,11 @@ def _bounded_least_squares(matrix: Floats, right: Floats, low: Floats, high: Flo
         left, singular, rows = np.linalg.svd(
             matrix * np.where(free, 1 / size, 0.0)[:, None], full_matrices=False
         )
-        inverse = inverted(singular, singular > 1e-9 * singular[:, :1])[..., None]
+        inverse = inverted(singular, singular > _FAINT * singular[:, :1])[..., None]
         found = rows.mT @ (inverse * (left.mT @ (right - known)[..., None]))
         solution = np.where(free, found[..., 0] / size, held)
         outside = free & ((solution < low) | (solution > high))
         if not outside.any():
             break
         held = np.where(outside, np.clip(solution, low, high), held)
-    return np.clip(solution, low, high)
+    return nominal + np.clip(solution, low, high)

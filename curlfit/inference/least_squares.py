@@ -22,7 +22,7 @@ from jax import Array
 from numpy.typing import NDArray
 
 from curlfit.inference.identifiability import inverted
-from curlfit.inference.initial_values import SmoothPath, default_guess, start_values
+from curlfit.inference.initial_values import SmoothPath, default_guess, start_values_of_sides
 from curlfit.inference.likelihood import weighted_residuals
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import LOSSES
@@ -40,6 +40,9 @@ _QUICK = lm.Control(1e-4, 1e-8, 1e-10)  # for many: within 1e-5 standard errors
 _FEW = 16  # problems in a batch
 _NOTHING = 1e-7  # length of a column, over the longest, below which it is rounding error
 _ROUNDING = 1e-12  # eigenvalue, with columns of length 1, that may be rounding error
+_SAME_START = 1e-3  # typical sizes within which initial values are the same
+_EQUAL = 4.0  # chi squared within which optima fit equally: two standard deviations ...
+_APART = 9.0  # ... if the linearized problem expects this much of their distance
 _POOR = (3.0, 0.02)  # rms over that of a polynomial, and over the range, of a poor fit
 
 
@@ -142,42 +145,62 @@ def minimize(
 
 def starts(
     model: Model, problem: Problem, path: SmoothPath, parameters: ParameterSet
-) -> list[Floats]:
-    """Initial values in the order in which to try them; `path` is that of this problem alone."""
-    spins = (1.0,) if path.known[0, 2] else (1.0, -1.0)
+) -> tuple[list[Floats], list[Floats]]:
+    """Initial values of which all are to be tried, since they may fit equally, and others.
+
+    `path` is that of this problem alone.
+    """
     bounds = parameters.lower[None], parameters.upper[None]
-    one = stacked([problem])
-    first = [start_values(model, one, path, *bounds, spin=s, batch=1)[0] for s in spins]
+    sides: list[Floats] = []
+    for one in start_values_of_sides(model, stacked([problem]), path, *bounds, batch=1)[:, 0]:
+        far = [np.abs(one - other) > _SAME_START * parameters.typical for other in sides]
+        if all(apart.any() for apart in far):
+            sides.append(one)
     others = []
     k = len(model.law.coefficients())
     defaults = np.array([default_guess(item) for item in model.law.coefficients()])
     for factor in (1.0, 0.3, 3.0):
-        values = first[0].copy()
+        values = sides[0].copy()
         values[:k] = defaults * factor
         others.append(np.clip(values, parameters.lower, parameters.upper))
-    return [*first, *others]
+    return sides, others
 
 
 def multistart(
     model: Model,
-    tries: list[Floats],
+    sides: list[Floats],
+    others: list[Floats],
     parameters: ParameterSet,
     problem: Problem,
     path: SmoothPath,
-) -> tuple[Solution | None, int]:
-    """The best optimum, and the number of initial values tried."""
-    best: Solution | None = None
+) -> tuple[list[Solution], int]:
+    """Optima, the best one first, and the number of initial values tried: all `sides`, and the
+    others where no optimum is good."""
+    found: list[Solution] = []
     tried = 0
-    for values in tries:
+    for values in (*sides, *others):
         # If the first optimum is poor, all are tried: a later one may be local and look good.
-        one = None if best is None or tried > 1 else stacked([best])
+        one = stacked(found[:1]) if found and tried == len(sides) else None
         if one is not None and not needs_restart(one, path, stacked([problem]))[0]:
             break
         tried += 1
         other = minimize(model, values, parameters, problem)
-        if other is not None and (best is None or other.objective < (1 - 1e-9) * best.objective):
-            best = other
-    return best, tried
+        if other is not None:
+            better = bool(found) and other.objective < (1 - 1e-9) * found[0].objective
+            found.insert(0 if better else len(found), other)
+    return found, tried
+
+
+def fits_equally(best: Solution, other: Solution) -> Booleans:
+    """Whether other optima of the same problems fit as well as the best, within two standard
+    deviations of the noise, though to first order about the best they should not."""
+    best, other = (jax.tree.map(np.asarray, one) for one in (best, other))
+    count = np.maximum((best.jacobian != 0).any(-1).sum((-1, -2)), 1)
+    noise = best.objective / count
+    move = best.jacobian @ (other.values - best.values)[..., None, :, None]
+    expected = (move**2).sum((-1, -2, -3))
+    worse = other.objective - best.objective
+    return other.success & (worse < _EQUAL * noise) & (expected > _APART * noise)
 
 
 def needs_restart(solutions: Solution, paths: SmoothPath, problems: Problem) -> Booleans:
@@ -285,6 +308,38 @@ def minimize_many(
         if progress is not None:
             progress(int((~going).sum()))
     return searches.solution(np.arange(len(going)))
+
+
+def best_of_sides(model: Model, tasks: Tasks, sides: Floats) -> dict[int, Floats]:
+    """Set the initial values of each of many throws to the best optimum of those that may fit
+    equally, and return other optima that do, by throw.
+
+    `sides` is what `start_values_of_sides` returns; the first are replaced by those of the tasks.
+    """
+    apart = np.abs(sides - sides[:1]) > _SAME_START * tasks.typical
+    throws = np.flatnonzero(apart.any((0, 2)))
+    if not len(throws):
+        return {}
+    some: Tasks = tasks._replace(
+        **{
+            name: jax.tree.map(itemgetter(throws), getattr(tasks, name))
+            for name in ("problems", "start", "lower", "upper", "penalty")
+        }
+    )
+    found = [
+        minimize_many(model, some._replace(start=start))
+        for start in (some.start, *sides[1:, throws])
+    ]
+    objective = np.array([np.where(one.success, one.objective, np.inf) for one in found])
+    better = objective.min(0) < (1 - 1e-9) * objective[0]
+    place = np.where(better, objective.argmin(0), 0), np.arange(len(throws))
+    best = jax.tree.map(lambda *parts: np.stack(parts)[place], *found)
+    tasks.start[throws] = best.values
+    rivals: dict[int, Floats] = {}
+    for one in found:
+        for row in np.flatnonzero(fits_equally(best, one)):
+            rivals.setdefault(int(throws[row]), one.values[row])
+    return rivals
 
 
 def as_slice(indices: Indices) -> Indices | slice:

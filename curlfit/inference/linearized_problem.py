@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.inference.identifiability import Identifiability, slack, visible
+from curlfit.inference.identifiability import WEAK_ERROR, Identifiability, slack, visible
 from curlfit.numerics.arrays import Booleans, Floats
 
 _LOOSE = 0.1  # typical sizes inside its bound from which a parameter is not held by it
@@ -109,12 +109,12 @@ def classify(
 ) -> tuple[float | None, str]:
     """Standard error, where there is one, and verdict of a free parameter.
 
-    A weakly determined parameter is known to no better than its typical size. `place` is the index
-    of the parameter in `known`.
+    The 95 % interval of a weakly determined parameter reaches its typical size to either side.
+    `place` is the index of the parameter in `known`.
     """
     if at_bound:
         return None, "at bound"
     if known.unseen[place]:
         return None, "not identifiable"
     stderr = float(np.sqrt(known.covariance[place, place]))
-    return stderr, "determined" if stderr < typical else "weak"
+    return stderr, "determined" if stderr < WEAK_ERROR * typical else "weak"

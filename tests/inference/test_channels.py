@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 import curlfit
 from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.errors import DataError
+from curlfit.inference.fit.fit import fit_throws
 
 STONE = Stone()
 LAW = LAWS["front-back"]()
@@ -185,3 +188,56 @@ def test_a_speed_that_angles_alone_suggest_is_not_believed():
     assert not found.converged
     assert "friction" in found.status
     assert "angles alone hardly determine the speed" in found.status
+
+
+@pytest.mark.parametrize("many", [False, True])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_without_x_the_fit_does_not_end_at_a_saddle_point(seed, many):
+    """There the transverse coefficients are equal; by symmetry nothing pulls them apart."""
+    path = simulate(LAW, Stone(), InitialState(v=2.1, omega=1.2), T).to_numpy()
+    random = np.random.default_rng(seed)
+    y, phi = (
+        path.y + 0.005 * random.standard_normal(200),
+        path.phi + 0.01 * random.standard_normal(200),
+    )
+    throw = curlfit.Throw.from_arrays(T, y=y, phi=phi).with_sigma({"y": 0.005, "phi": 0.01})
+    found = fit_throws([throw])[0] if many else curlfit.fit(throw)
+    lowest = min(
+        curlfit.fit(throw, fix={"mu1_xi": value}).chi_squared for value in np.linspace(0, 0.025, 6)
+    )
+    assert found.chi_squared < lowest + 1e-6
+    assert found["mu2_xi"].value - found["mu1_xi"].value > 0.01
+    (said,) = (text for text in found.warnings if "fit as well" in text)
+    assert "measure x to distinguish" in said
+
+
+@pytest.mark.parametrize("many", [False, True])
+@pytest.mark.parametrize("omega", [1.2, -3.0])
+def test_without_an_angle_both_senses_of_spin_are_tried(omega, many):
+    """Exchanged halves of the ring and the opposite spin give the same path."""
+    path = simulate(LAW, Stone(), InitialState(v=2.1, omega=omega), T).to_numpy()
+    noise = 5e-4 * np.random.default_rng(1).standard_normal((2, 200))
+    throw = curlfit.Throw.from_arrays(T, path.x + noise[0], path.y + noise[1])
+    throw = throw.with_sigma({"x": 5e-4, "y": 5e-4})
+    found = fit_throws([throw])[0] if many else curlfit.fit(throw)
+    # of equal solutions the one with the usual coefficients, in which mu2_xi is the larger
+    assert np.sign(found["omega0"].value) == np.sign(omega)
+    assert found["mu2_xi"].value > found["mu1_xi"].value
+    one, two, spin = (found[name].value for name in ("mu1_xi", "mu2_xi", "omega0"))
+    held = {"mu1_xi": two, "mu2_xi": one, "omega0": -spin}
+    assert curlfit.fit(throw, fix=held).chi_squared == pytest.approx(found.chi_squared, abs=1e-3)
+    assert found["omega0"].verdict == "weak"
+    (said,) = (text for text in found.warnings if "fit as well" in text)
+    other = float(re.findall(r"omega0 = ([-.\d]+)", said)[0])
+    assert other == pytest.approx(-spin, rel=0.01)
+    assert "measure the angle to distinguish" in said
+
+
+def test_an_error_of_nearly_a_typical_size_determines_nothing():
+    path = simulate(LAW, Stone(), InitialState(v=2.1, omega=1.2), T).to_numpy()
+    noise = 1e-3 * np.random.default_rng(0).standard_normal((2, 200))
+    omega = curlfit.fit(curlfit.Throw.from_arrays(T, path.x + noise[0], path.y + noise[1]))[
+        "omega0"
+    ]
+    assert 0.5 < omega.stderr < 1  # of about 1
+    assert omega.verdict == "weak"

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from conftest import command
 from rich.console import Console
-from scipy.optimize import least_squares
+from scipy.optimize import brentq, least_squares
 from scipy.stats import chi2
 
 import curlfit
 from curlfit import LAWS, InitialState, Stone, fit_together, simulate
 from curlfit.environment import Environment
 from curlfit.errors import InputError
+from curlfit.inference.joint.heterogeneity import _difference
 from curlfit.options.settings import load_fit_and_chain
 
 LAW = LAWS["front-back"]
@@ -277,3 +278,59 @@ def test_on_the_command_line(three, tmp_path):
         assert refused.returncode == 2
         assert message in refused.stderr
         assert "Traceback" not in refused.stderr
+
+
+@pytest.mark.parametrize("load", ["uniform", "consistent"])
+def test_throws_of_different_friction_do_not_hide_it_in_their_noise(load):
+    """The error of the mean is the scatter of what single fits give, over the root of their number.
+
+    In the joint fit a throw's misfit to the common value is part of its residuals.
+    """
+    random, throws = np.random.default_rng(500), []
+    for place, factor in enumerate(1 + 0.008 * random.standard_normal(6)):
+        law = LAW(mu1_eta=0.009 * factor, mu2_eta=0.009 * factor)
+        throws.append(
+            curlfit.synthetic_throw(
+                law, STONE, load=load, v0=2 + 0.02 * place, noise_xy=0.005, noise_phi=0.01,
+                omega0=(1.0, 1.5, 2.2)[place % 3] * (-1) ** place, seed=place,
+            )
+        )  # fmt: skip
+    joint = fit_together(throws, load=load)
+    (total,) = (item for item in joint.combinations if "mu1_eta" in item.weights)
+    (differs,) = (item for item in joint.differences if item.expression == total.expression)
+    weights = [total.weights["mu1_eta"], total.weights["mu2_eta"]]
+    alone = [curlfit.fit(throw, load=load) for throw in throws]
+    split = 1 if load == "uniform" else 0.98  # the path determines about this sum
+    values = [one.combinations[0].value * sum(weights) / (1 + split) for one in alone]
+    scatter = np.std(values, ddof=1)
+    assert scatter / np.sqrt(6) == pytest.approx(7e-5, rel=0.1)
+    assert differs.stderr == pytest.approx(scatter / np.sqrt(6), rel=0.05)
+    assert differs.spread == pytest.approx(scatter, rel=0.05)
+    assert total.stderr == differs.shared_stderr
+    assert differs.stderr <= total.stderr < 1.5 * differs.stderr
+    assert total.dof == 5
+    for (_, error), one in zip(differs.each, alone, strict=True):
+        assert error == pytest.approx(one.combinations[0].stderr, rel=0.1)
+    true = 0.009 * sum(weights)
+    assert abs(total.value - true) < 3 * total.stderr
+
+
+def test_the_spread_between_throws_is_that_of_paule_and_mandel():
+    """Of eight results and their errors: their weighted sum of squares is then their number less
+    one."""
+    random = np.random.default_rng(8)
+    error = np.array([1, 2, 1, 0.3, 4, 1, 2, 0.5])
+    value = 10 + random.standard_normal(8) * np.hypot(error, 3.0)
+    item = _difference("mu", list(zip(value, error, strict=True)), error**-2.0)
+
+    def excess(variance):
+        weight = 1 / (error**2 + variance)
+        return weight @ (value - np.average(value, weights=weight)) ** 2 - 7
+
+    assert item.spread == pytest.approx(np.sqrt(brentq(excess, 0, 1e3)), rel=1e-6)
+    weight = 1 / (error**2 + item.spread**2)
+    assert item.mean == pytest.approx(np.average(value, weights=weight))
+    assert item.stderr == pytest.approx(weight.sum() ** -0.5)
+    alike = _difference("mu", [(10.0, one) for one in error], error**-2.0)
+    assert (alike.spread, alike.p_value) == (0.0, 1.0)
+    assert alike.shared_stderr == pytest.approx(alike.stderr) == (error**-2.0).sum() ** -0.5

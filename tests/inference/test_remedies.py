@@ -38,7 +38,7 @@ def fitted(seen, *channels, **choices):
     ("channels", "name", "known"),
     [
         (("x", "y"), "omega0", {}),
-        (("y", "phi"), "mu1_xi", {}),
+        (("y", "phi"), "mu2_xi", {}),
         (("phi",), "mu1_xi", {"v0": 2.1}),  # a speed that an angle hardly determines
     ],
 )

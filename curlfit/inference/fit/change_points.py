@@ -1,5 +1,5 @@
-"""Abrupt changes in the motion of a fitted throw: of its friction, as by sweeping, or of its
-velocity, as in a collision.
+"""Causes of smooth residuals of a fitted throw: abrupt changes of its friction, as by sweeping, or
+of its velocity, as in a collision; friction that depends on speed; distorted positions.
 
 Score tests. The path responds linearly to a small change of the friction from some time on; the
 response to a change within an interval is the difference of two of these. A change of the velocity
@@ -7,6 +7,9 @@ displaces all later positions by itself times the time elapsed since. The tests 
 and the time whose responses explain most of the residuals, beyond what the parameters of the fit
 explain and a quantity that varies smoothly with time, as under a law that is not exact: for the
 interval the friction, for the time the accelerations along both axes.
+
+Friction times a power of the speed, and positions that are a cubic function of those measured, have
+few parameters. Of all causes that are sure the one is named that leaves the smallest residuals.
 """
 
 from __future__ import annotations
@@ -69,6 +72,36 @@ class FrictionChange(NamedTuple):
             f"the friction changes abruptly, by a factor of about {self.factor:.2f} between "
             f"{begin} and {end} s, as by sweeping or a touched stone; `--sweep {begin}:{end}` "
             "estimates the factor, `--until` and `--exclude` leave rows out"
+        )
+
+
+class SpeedDependence(NamedTuple):
+    """Friction that depends on speed otherwise than under the law."""
+
+    exponent: float
+    """of the speed, in a factor on the friction of the law"""
+
+    def warning(self) -> str:
+        """The dependence in words, with what accounts for it."""
+        return (
+            "the friction depends on speed otherwise than under this law, by a factor of about "
+            f"v^{self.exponent:.2g}; compare laws whose friction does (curlfit compare), or fit "
+            "your own law with such a factor"
+        )
+
+
+class Distortion(NamedTuple):
+    """Positions that are a cubic function of those measured."""
+
+    size: float
+    """rms, m"""
+
+    def warning(self) -> str:
+        """The distortion in words, with what accounts for it."""
+        return (
+            "the positions seem distorted along the sheet, as by the lens of a camera: a cubic "
+            f"function of them, {1000 * self.size:.2g} mm (rms), explains the residuals better "
+            "than a change of the friction; correct the lens, then fit again"
         )
 
 
@@ -149,29 +182,95 @@ class _Fitted(NamedTuple):
 
 
 def sudden_change(fit: LeastSquaresFit) -> SuddenChange | None:
-    """The abrupt change, of friction or velocity, that explains more; None if there is none."""
+    """The cause that explains the residuals best; None if none does."""
     fitted = _Fitted.of(fit)
-    tests = ((_friction_change, _SURE_FRICTION), (_velocity_change, _SURE_VELOCITY))
-    found = [(*test(fitted), limit) for test, limit in tests]
-    sure = [(gain, change) for gain, change, limit in found if gain > limit]
-    return max(sure, key=lambda item: item[0])[1] if sure else None
-
-
-def _friction_change(fitted: _Fitted) -> tuple[float, FrictionChange]:
-    """The interval in which the friction differs abruptly from that before, and its gain."""
-    problem, origin = fitted.fit.problem, fitted.fit.prepared.origin
     times = np.linspace(0.0, fitted.duration, _TIMES + 1)
-    responses = []
+    since = _friction_since(fitted, times)
+    tests = (
+        (_friction_change(fitted, since, times), _SURE_FRICTION),
+        (_velocity_change(fitted), _SURE_VELOCITY),
+        (_speed_dependence(fitted, since, times), _SURE_FRICTION),
+        (_distortion(fitted), _SURE_FRICTION),
+    )
+    sure = [test for test, limit in tests if test.gain > limit]
+    return min(sure, key=lambda test: _left_by(fitted, test.response)).change if sure else None
+
+
+class _Test(NamedTuple):
+    """The gain of a possible cause, and its response, rows of changes of all weighted channels."""
+
+    gain: float
+    change: SuddenChange | None
+    response: Floats
+
+
+def _left_by(fitted: _Fitted, response: Floats) -> float:
+    """Sum of squares left by the parameters of the fit and a response."""
+    left = _without(np.hstack([fitted.jacobian, response.T]), fitted.residual, response)[0]
+    return float(left @ left)
+
+
+def _friction_since(fitted: _Fitted, times: Floats) -> Floats:
+    """Responses to a change of the friction from each time on; none after the last."""
+    problem, responses = fitted.fit.problem, []
     for time in times[:-1]:
         environment = replace(
             problem.environment, sweep=np.asarray(1 + _STEP), swept_from=np.asarray(time),
             swept_to=np.asarray(np.inf),
         )  # fmt: skip
         responses.append(fitted.response(problem._replace(environment=environment)) / _STEP)
-    since = np.array([*responses, np.zeros(fitted.weight.size)])
-    # friction that is polynomial in time
+    return np.array([*responses, np.zeros(fitted.weight.size)])
+
+
+def _amplitudes(fitted: _Fitted, response: Floats) -> tuple[float, Any]:
+    """The gain of a response beyond the parameters of the fit, and its amplitudes."""
+    left, beyond = _without(fitted.jacobian, fitted.residual, response)
+    amplitude = np.linalg.lstsq(beyond.T, -left, rcond=1e-9)[0]
+    return fitted.gain(left, left + amplitude @ beyond), amplitude
+
+
+def _speed_dependence(fitted: _Fitted, since: Floats, times: Floats) -> _Test:
+    """Friction times a power of the speed."""
+    middle = (times[1:] + times[:-1]) / 2
+    speed = np.interp(middle, fitted.t, fitted.path[CHANNELS.index("speed"), : len(fitted.t)])
+    response = (np.log(speed) @ (since[:-1] - since[1:]))[None]
+    gain, (exponent,) = _amplitudes(fitted, response)
+    return _Test(gain, SpeedDependence(float(exponent)), response)
+
+
+def _distortion(fitted: _Fitted) -> _Test:
+    """Positions along the sheet that are a cubic function of those measured."""
+    if not (fitted.weight[1] > 0).any():
+        return _Test(0.0, None, np.zeros((0, fitted.weight.size)))
+    y = fitted.path[1, : len(fitted.t)]
+    place = 2 * (y - y.min()) / max(float(np.ptp(y)), 1e-9) - 1
+    shapes = chebvander(place, 3).T[2:]  # a change of scale would be one of speed and friction
+    response = fitted.displacement(shapes, 1)
+    gain, amplitude = _amplitudes(fitted, response)
+    off = amplitude @ shapes
+    return _Test(gain, Distortion(float(off.std())), response)
+
+
+def _friction_change(fitted: _Fitted, since: Floats, times: Floats) -> _Test:
+    """The interval in which the friction differs abruptly from that before.
+
+    Its gain is that beyond friction that is polynomial in time, which is then left out: it takes up
+    part of a change.
+    """
     smooth = chebvander(np.linspace(-1, 1, _TIMES), _SMOOTH).T @ (since[:-1] - since[1:])
-    left, since = _without(np.hstack([fitted.jacobian, smooth.T]), fitted.residual, since)
+    columns = np.hstack([fitted.jacobian, smooth.T])
+    left, beyond = _without(columns, fitted.residual, since)
+    first, last, factor = _best_interval(left, beyond)
+    gain = fitted.gain(left, left + (factor - 1) * (beyond[first] - beyond[last]))
+    if gain > _SURE_FRICTION:
+        first, last, factor = _best_interval(*_without(fitted.jacobian, fitted.residual, since))
+    begin, end = (float(times[place]) + fitted.fit.prepared.origin.t for place in (first, last))
+    return _Test(gain, FrictionChange(begin, end, factor), (since[first] - since[last])[None])
+
+
+def _best_interval(left: Floats, since: Floats) -> tuple[int, int, float]:
+    """The places of its ends, and the factor on the friction, that explain most of the residuals
+    `left`."""
     along, products = since @ left, since @ since.T
     squares = np.diag(products)
     # of the difference of any two: its square, and its product with the residuals
@@ -184,15 +283,12 @@ def _friction_change(fitted: _Fitted) -> tuple[float, FrictionChange]:
     there[ends] = there[:, ends] = False
     gain = np.divide(score**2, size, out=np.zeros_like(size), where=there)
     first, last = np.unravel_index(int(np.argmax(np.triu(gain, 1))), gain.shape)
-    factor = float(factors[first, last])
-    rest = left + (factor - 1) * (since[first] - since[last])
-    begin, end = times[first] + origin.t, times[last] + origin.t
-    return fitted.gain(left, rest), FrictionChange(float(begin), float(end), factor)
+    return int(first), int(last), float(factors[first, last])
 
 
-def _velocity_change(fitted: _Fitted) -> tuple[float, VelocityChange]:
-    """The time at which the velocity changes abruptly, and its gain; 0 without x and y."""
-    best = 0.0, VelocityChange(0.0, 0.0, True)
+def _velocity_change(fitted: _Fitted) -> _Test:
+    """The time at which the velocity changes abruptly; no gain without x and y."""
+    best = _Test(0.0, None, np.zeros((0, fitted.weight.size)))
     if not (fitted.weight[:2] > 0).any(axis=1).all():
         return best
     duration = fitted.duration
@@ -203,15 +299,17 @@ def _velocity_change(fitted: _Fitted) -> tuple[float, VelocityChange]:
     nuisance = [fitted.displacement(smooth, axis) for axis in (0, 1)]
     changes = np.vstack([fitted.displacement(late, axis) for axis in (0, 1)])
     columns = np.vstack([fitted.jacobian.T, *nuisance]).T
+    every = changes
     left, changes = _without(columns, fitted.residual, changes)
     speed = np.interp(times, fitted.t, fitted.path[CHANNELS.index("speed"), : len(fitted.t)])
     for index in range(_ENDS, len(times) - _ENDS):
         pair = changes[[index, len(times) + index]]
         amplitude = np.linalg.lstsq(pair @ pair.T, -(pair @ left), rcond=1e-9)[0]
         gain, size = fitted.gain(left, left + amplitude @ pair), float(np.hypot(*amplitude))
-        if gain > best[0] and _LEAST_VELOCITY < size < speed[index]:
+        if gain > best.gain and _LEAST_VELOCITY < size < speed[index]:
             at = float(times[index]) + fitted.fit.prepared.origin.t
-            best = gain, VelocityChange(at, size, 2 * index < len(times))
+            response = every[[index, len(times) + index]]
+            best = _Test(gain, VelocityChange(at, size, 2 * index < len(times)), response)
     return best
 
 

@@ -23,13 +23,15 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import LeastSquaresFit, summarize, summarize_many
 from curlfit.inference.fit.systematics import widths_of
-from curlfit.inference.initial_values import smooth, start_values
+from curlfit.inference.initial_values import smooth, start_values_of_sides
 from curlfit.inference.least_squares import (
     Indices,
     Revision,
     Solution,
     Tasks,
     as_slice,
+    best_of_sides,
+    fits_equally,
     minimize,
     minimize_many,
     multistart,
@@ -181,22 +183,29 @@ def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSqu
     prepare_minimize(model, prepared.first_parameters, problem)
     prepare_channels(model, len(parameters), problem)
     path = smooth(rounds.initial_problems)
-    tries = starts(model, sketch, path, parameters)
+    sides, others = starts(model, sketch, path, parameters)
     if start:
-        tries.insert(0, prepared.with_start(tries[0], start))
-    solution, tried = multistart(model, tries, prepared.first_parameters, problem, path)
-    if solution is None:
+        if len(sides) == 1:
+            others = sides + others
+            sides = []
+        sides.insert(0, prepared.with_start((sides or others)[0], start))
+    found, tried = multistart(model, sides, others, prepared.first_parameters, problem, path)
+    if not found:
         raise UnusableFitError(
             f"{prepared.throw.name}: law {model.law.name} with {model.load} load gives no finite "
             "path from any start" + no_motion_because(model.load)
         )
+    solution, rivals = found[0], [one for one in found[1:] if fits_equally(found[0], one)][:1]
     only = np.zeros(1, int)
     while rounds.revise(only, stacked([solution])):
         (problem,) = unstacked(rounds.problems)
-        solution = minimize(model, solution.values, parameters, problem) or solution
+        solution, *rivals = (
+            minimize(model, one.values, parameters, problem) or one for one in (solution, *rivals)
+        )
     for failure in rounds.failures.values():
         raise failure
-    return rounds.record(0, solution, tried)
+    rival = rivals[0].values if rivals and fits_equally(solution, rivals[0]) else None
+    return rounds.record(0, solution, tried, rival)
 
 
 def _reference_fits(fit: LeastSquaresFit, result: FitResult) -> tuple[dict[str, Any], ...]:
@@ -311,7 +320,8 @@ def _fitted_together(
     model, throws = rounds.model, rounds.throws
     _, lower, upper = local_bounds(throws)
     paths = smooth(rounds.initial_problems)
-    begin = start_values(model, rounds.initial_problems, paths, lower, upper)
+    sides = start_values_of_sides(model, rounds.initial_problems, paths, lower, upper)
+    begin = sides[0]
     if start:
         begin = np.stack(
             [one.with_start(values, start) for one, values in zip(throws, begin, strict=True)]
@@ -332,11 +342,12 @@ def _fitted_together(
     typical = throws[0].parameters.typical
     priors = penalties(throws, first=True), penalties(throws)
     tasks = Tasks(rounds.problems, begin, lower, upper, typical, *priors)
+    rivals = best_of_sides(model, tasks, sides)
     solutions = minimize_many(model, tasks, revise)
     each = unstacked(solutions)
     usable = np.flatnonzero(solutions.success & ~poor)
     return {
-        int(index): rounds.record(int(index), each[index])
+        int(index): rounds.record(int(index), each[index], rival=rivals.get(int(index)))
         for index in usable
         if index not in rounds.failures
     }

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.inference.identifiability import Identifiability, analyse
+from curlfit.inference.identifiability import WEAK_ERROR, Identifiability, analyse
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
@@ -71,7 +71,7 @@ def remedies(
     def determined(channels: Sequence[str]) -> set[str]:
         known = analysed(channels)
         spread = np.sqrt(np.diag(known.covariance))
-        sharp = (spread < parameters.typical[free]) & ~known.unseen
+        sharp = (spread < WEAK_ERROR * parameters.typical[free]) & ~known.unseen
         return {name for name, take in zip(names, sharp, strict=True) if take}
 
     if not white:

@@ -51,10 +51,10 @@ class Estimate:
         bound, or where it was fixed.
     verdict : "determined"; "prior" (determined, but not without the priors); "weak"; "not
         identifiable"; "at bound" or "fixed".
-    reason : of a weak parameter: its standard error is no smaller than its typical size, or chi
+    reason : of a weak parameter: its standard error is more than half its typical size, chi
         squared is so far from quadratic that the standard error is wrong by a factor of two or
-        more; of a parameter that rests on priors: that the data alone do not determine it.
-        Otherwise empty.
+        more, or another value fits as well; of a parameter that rests on priors: that the data
+        alone do not determine it. Otherwise empty.
     dof : degrees of freedom of the standard error; None without one, or where sigma was given.
     prior : its prior, in the notation of `curlfit.inference.priors`; empty without one.
     """

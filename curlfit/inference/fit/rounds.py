@@ -124,7 +124,9 @@ class Rounds:
                 revisions.append(self._rounds[number](which[here], found))
         return revisions
 
-    def record(self, index: int, solution: Solution, tried: int = 1) -> LeastSquaresFit:
+    def record(
+        self, index: int, solution: Solution, tried: int = 1, rival: Floats | None = None
+    ) -> LeastSquaresFit:
         """The outcome of the fit of a throw."""
         return LeastSquaresFit(
             prepared=self.throws[index],
@@ -139,6 +141,7 @@ class Rounds:
             },
             solution=solution,
             tried=tried,
+            rival=rival,
         )
 
     def _estimate_sigma(self, now: Indices, solutions: Solution) -> Revision:

@@ -53,10 +53,11 @@ from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.plausibility import Finding, examine_fit
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.throw import CHANNELS, Throw
 
 IMPLAUSIBLE = "implausible"
 """First word of the status of a fit that is impossible for a curling stone."""
+_DIFFERENT = 0.1  # typical sizes by which solutions that fit equally differ in a parameter
 _NOT_LINEAR = 10.0  # typical sizes, beyond which a shift is not of first order
 _LASTING = 0.1  # memory over time of motion, above which errors are too small (`tests/statistics`)
 
@@ -74,6 +75,8 @@ class LeastSquaresFit(NamedTuple):
     solution: Solution
     tried: int
     """number of initial values tried"""
+    rival: Floats | None = None
+    """another optimum that fits as well, in the coordinates of the problem"""
 
 
 def summarize(fit: LeastSquaresFit, widths: Mapping[str, float] | None = None) -> FitResult:
@@ -179,13 +182,15 @@ def _record(
     rms = {name: float(v) for name, v in statistics.by_channel(statistics.rms).items()}
     lag1 = {name: float(v) for name, v in statistics.by_channel(statistics.lag1, 3).items()}
     misleading = {name for name, one in nonquadratic.items() if one.misleading}
-    estimates = _estimates(parameters, found, misleading)
+    rival = _rival(fit)
+    estimates = _estimates(parameters, found, misleading, rival)
     unusual = _unusual(fit, estimates["v0"], curves)
     converged = found.distance < CONVERGED and not any(one.refused for one in unusual)
     outliers = outliers_of(
         throw, statistics.residual, lag1, found.dof[:-1], found.leverage, fit.loss
     )
     warnings = [str(one) for one in unusual]
+    warnings += _rival_warnings(rival, throw)
     warnings += _parameter_warnings(fit, found, bounds=bounds)
     warnings += correlation_warnings(statistics, noise.kind)
     warnings += _error_warnings(parameters, nonquadratic, systematics)
@@ -364,8 +369,32 @@ def _memory_warnings(noise: Noise, t: Floats, curves: dict[str, Floats]) -> list
     ]
 
 
+def _rival(fit: LeastSquaresFit) -> dict[str, float]:
+    """Parameters that differ at another optimum that fits as well, with their values there."""
+    if fit.rival is None:
+        return {}
+    parameters = fit.prepared.parameters
+    far = np.abs(fit.rival - fit.solution.values) > _DIFFERENT * parameters.typical
+    values = parameters.values_of(fit.rival + fit.prepared.offset)
+    return {name: values[name] for name in parameters.names_where(far)}
+
+
+def _rival_warnings(rival: dict[str, float], throw: Throw) -> list[str]:
+    """Warnings about another optimum that fits as well."""
+    if not rival:
+        return []
+    listed = ", ".join(f"{name} = {value:.3g}" for name, value in rival.items())
+    missing = [
+        said
+        for said, channels in (("x", ("x",)), ("the angle", ("phi", "omega")))
+        if not set(channels) & set(throw.seen)
+    ]
+    remedy = f"; measure {' or '.join(missing)} to distinguish them" if missing else ""
+    return [f"other values fit as well: {listed}; the estimates are one of two solutions{remedy}"]
+
+
 def _estimates(
-    parameters: ParameterSet, found: Covariance, misleading: set[str]
+    parameters: ParameterSet, found: Covariance, misleading: set[str], rival: dict[str, float]
 ) -> dict[str, Estimate]:
     """Estimates by name; see `Estimate` for the verdicts."""
     estimates = {}
@@ -381,10 +410,12 @@ def _estimates(
         reason, prior = "", parameters.priors.get(item.name)
         if verdict == "determined" and not _determined_by_data(item, found, int(index[row])):
             verdict, reason = "prior", "without the priors the data do not determine it"
-        elif verdict == "weak":
-            reason = f"its standard error is no smaller than its typical size, {item.typical:g}"
-        elif verdict == "determined" and item.name in misleading:
+        elif verdict in ("determined", "weak") and item.name in misleading:
             verdict, reason = "weak", "chi squared is far from quadratic within its standard error"
+        elif verdict == "weak":
+            reason = f"its standard error is more than half its typical size, {item.typical:g}"
+        if verdict == "determined" and item.name in rival:
+            verdict, reason = "weak", f"{rival[item.name]:.3g} fits as well"
         estimates[item.name] = Estimate(
             value=float(found.values[row]),
             stderr=stderr,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 from curlfit.inference.joint.analysis import JointAnalysis
 from curlfit.inference.joint.solver import Layout, Progress, minimize_jointly
@@ -17,11 +18,12 @@ from curlfit.errors import InputError, UnusableFitError, require_kind
 from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.quantities import quantities_of
-from curlfit.inference.fit.result import FitResult, Systematics
+from curlfit.inference.fit.result import Estimate, FitResult, Systematics
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many
 from curlfit.inference.fit.systematics import calibrations_of, widths_of
-from curlfit.inference.initial_values import smooth, start_values
+from curlfit.inference.identifiability import Combination
+from curlfit.inference.initial_values import smooth, start_values_of_sides
 from curlfit.inference.joint.heterogeneity import differences_of
 from curlfit.inference.joint.result import Difference, JointResult
 from curlfit.inference.model import Model
@@ -111,8 +113,8 @@ def fit_together(
     ):
         alone = stacked([problem])
         ends = parameters.lower[None], parameters.upper[None]
-        (values,) = start_values(model, alone, smooth(alone), *ends, batch=1)
-        initial.append(one.with_start(values, start))
+        sides = start_values_of_sides(model, alone, smooth(alone), *ends, batch=1)
+        initial.append(one.with_start(sides[0, 0], start))
     best = layout.joined(np.stack(initial))
     solution = minimize_jointly(model, rounds.problems, first, best, progress)
     every = np.arange(len(prepared))
@@ -183,7 +185,12 @@ def _result(
     throws = [_of_throw(analysis, *one, widths, systematic) for one in enumerate(single)]
     coefficients = {name: throws[0].parameters[name] for name in shared}
     combinations = tuple(item for item in known.combinations if set(item.weights) <= set(shared))
-    differences = differences_of(analysis.solution, layout, coefficients, combinations)
+    plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
+    differences = differences_of(
+        analysis.solution, layout, coefficients, combinations, rounds.problems,
+        rounds.unknown & plain,
+    )  # fmt: skip
+    among = {item.expression: item for item in differences if item.significant}
     implausible = [
         f"{item.data['file']}: {item.status}"
         for item in single
@@ -206,14 +213,25 @@ def _result(
         converged=analysis.converged and not implausible,
         status=". ".join(implausible) or analysis.status,
         warnings=tuple(warnings),
-        coefficients=coefficients,
-        combinations=combinations,
+        coefficients={name: _among(item, among.get(name)) for name, item in coefficients.items()},
+        combinations=tuple(_among(item, among.get(item.expression)) for item in combinations),
         rank=known.rank,
         parameters=int(analysis.open.sum()),
         differences=differences,
         throws=tuple(throws),
         systematics=Systematics(dict(widths), of_shared),
     )
+
+
+_Shared = TypeVar("_Shared", Estimate, Combination)
+
+
+def _among(item: _Shared, difference: Difference | None) -> _Shared:
+    """A shared estimate with its error as that of the mean over throws that differ in it."""
+    if difference is None:
+        return item
+    throws = sum(one is not None for one in difference.each)
+    return replace(item, stderr=difference.shared_stderr, dof=float(throws - 1))
 
 
 def _of_throw(
@@ -264,9 +282,8 @@ def _heterogeneity_warnings(
     significant = [item for item in differences if item.significant]
     warnings = [
         f"{item.expression} varies between throws by more than its errors ({item.p_text}); "
-        f"the standard error of its mean over such throws is {item.stderr:.2g}, not that "
-        "of the shared fit, and large residuals of single throws may be due to the common "
-        "value rather than to their data"
+        "its standard error is that of the mean over such throws, and large residuals of single "
+        "throws may be due to the common value rather than to their data"
         for item in reversed(significant)
     ]
     # For a throw without a path the curl is at most one number, which the heading absorbs.

@@ -38,6 +38,7 @@ class Difference:
     p_value : probability of differences at least as large if the throws agree (chi squared).
     spread : standard deviation between throws beyond what the errors explain.
     mean, stderr : mean over such throws and its standard error, including the spread between them.
+    shared_stderr : standard error of the shared estimate as one of this mean; None in old records.
     significant : p_value below 0.01.
     """
 
@@ -47,6 +48,7 @@ class Difference:
     spread: float
     mean: float
     stderr: float
+    shared_stderr: float | None = None
 
     @property
     def significant(self) -> bool:
@@ -67,8 +69,9 @@ class JointResult(NamedEstimates):
     ----------
     law, load, share : what was fitted; names of the shared coefficients.
     converged, status, warnings : whether the fit may be used, and why it may mislead.
-    coefficients : the shared ones, by name.
-    combinations : what is determined where single shared coefficients are not.
+    coefficients : the shared ones, by name. Where throws differ in one, its standard error is that
+        of an estimate of the mean over such throws, with one degree of freedom less than throws.
+    combinations : what is determined where single shared coefficients are not; likewise.
     rank, parameters : directions that the throws determine together, and number of free parameters.
     differences : of each determined shared coefficient or combination.
     throws : a `FitResult` for each throw; its standard errors and its information are those of the
