@@ -20,6 +20,7 @@ from pathlib import Path
 import nbformat
 import numpy as np
 import pytest
+from curlfit.inference.noise.ar1 import AR1Whitener
 from docstring_examples import run_examples
 from nbclient import NotebookClient
 from scipy import stats
@@ -28,7 +29,6 @@ import curlfit
 from curlfit.errors import InputError
 from curlfit.exploration.explore import describe
 from curlfit.inference.mcmc.arviz_export import draw_noise, log_likelihoods, whitening_matrix
-from curlfit.inference.noise.ar1 import AR1Whitener
 from curlfit.inference.noise.models import Noise
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.output import html
