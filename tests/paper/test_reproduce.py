@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import re
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -14,7 +15,7 @@ from conftest import DATA, Reference, command, front_back
 from docstring_examples import run_examples
 
 import curlfit
-from curlfit.friction.isotropic import Power
+from curlfit.friction.isotropic import Power, Stribeck
 from curlfit.paper.eq28 import rounds_to_print
 from curlfit.paper.findings import PRINTED, SHOWN, coefficients_of
 from curlfit.paper.isotropic import SpeedMixture
@@ -28,6 +29,7 @@ IDS = [
     "load", "eq22", "eq23", "eq24-l1", "eq24-l2", "eq24-l3", "eq27", "eq28", "ratio", "split",
 ]  # fmt: skip
 CORRECTED = {"eq13", "eq14x", "eq14y", "prop5", "eq15-17", "eq28", "stribeck"}
+NOTEBOOK = "2_the_paper_claim_by_claim.ipynb"
 KEYS = ["id", "claim", "printed", "computed", "verdict", "why"]
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -396,3 +398,18 @@ def test_records_and_figures_load_no_jax():
         "import sys, curlfit.paper.findings, curlfit.paper.figures; sys.exit('jax' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_the_state_to_try_in_the_notebook_is_that_of_the_remark():
+    """It gains speed and loses spin, with friction that opposes sliding on the whole ring."""
+    notebook = json.loads((DATA.parents[1] / "notebooks" / NOTEBOOK).read_text())
+    said = " ".join("".join(notebook["cells"][-1]["source"]).split())
+    number = r"([-\d.]+)"
+    found = re.search(
+        f"`mu0 = {number}`, `mu1 = {number}` s/m at {number} m/s and {number} 1/s", said
+    )
+    mu0, mu1, v, omega = map(float, found.groups())
+    states = ring_states(Stribeck, np.array([[mu0, mu1]]), np.array([v]), np.array([omega]))
+    assert states.t_xi < 0 < states.t_eta
+    assert states.spin_up < 0
+    assert states.least > 0
