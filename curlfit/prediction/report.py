@@ -83,6 +83,8 @@ def describe_rest(prediction: Prediction) -> str:
         f"{_off(found['rest_x'].value, _SIDES)} the centre line"
     )
     side = "right" if curl > 0 else "left"
+    if abs(curl) < 0.005:
+        return f"{text}. It does not curl."
     return f"{text}. It curls {abs(curl):.2f} m ({abs(curl) / FOOT:.2f} ft) to the {side}."
 
 
