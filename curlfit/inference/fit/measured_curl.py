@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from curlfit.dynamics.law_structure import can_curl
+from curlfit.friction import check_load
 from curlfit.inference.fit.result import FitResult
 from curlfit.throws.motion import SURE, motion_of
 
@@ -18,9 +19,9 @@ def curl_warnings(fits: Sequence[FitResult]) -> list[str]:
     A slope of the ice among the parameters may cause the curl instead.
     """
     first = fits[0]
-    law, load = first.law_class, first.model.load
+    law, load = first.law_class, check_load(first.load)
     # mypy takes a class for one of its instances, which compare by value and have no hash.
-    if first.model.has_slope or can_curl(law, load, first.stone):  # type: ignore[arg-type]
+    if can_curl(law, load, first.stone) or first.model.has_slope:  # type: ignore[arg-type]
         return []
     curls = [curl for fit in fits if (curl := measured_curl(fit)) is not None]
     if not curls:
@@ -41,7 +42,8 @@ def curl_warnings(fits: Sequence[FitResult]) -> list[str]:
 
 def with_curl_warning(fit: FitResult) -> FitResult:
     """The fit of a single throw with that warning, if any."""
-    return replace(fit, warnings=(*fit.warnings, *curl_warnings([fit])))
+    warnings = curl_warnings([fit])
+    return replace(fit, warnings=(*fit.warnings, *warnings)) if warnings else fit
 
 
 def measured_curl(fit: FitResult) -> float | None:
