@@ -15,6 +15,8 @@ from curlfit.inference.noise.models import check_loss, check_noise
 from curlfit.inference.parameters import ParameterSet
 from curlfit.stone import Stone
 from curlfit.throws.readers import check_reader_options, format_of
+from curlfit.throws.readers.text import text_of
+from curlfit.throws.readers.timings import usual_law as law_of_timings
 from curlfit.throws.throw import Throw, check_sigma
 
 CHUNK = 128
@@ -120,12 +122,13 @@ def columns(plan: BatchSettings) -> list[str]:
 
 
 def usual_law(file: str, format: str | None) -> str:
-    """The law if none is given: for stopwatch times, the one that they determine."""
+    """The law if none is given: for a stopwatch record, the one that its values determine."""
     try:
-        timed = format == "timings" or (format is None and format_of(file) == "timings")
+        if (format or format_of(file)) == "timings":
+            return law_of_timings(Path(file), text_of(Path(file)).split("\n"))
     except CurlfitError:
-        timed = False
-    return "coulomb" if timed else "front-back"
+        pass  # reported with the file
+    return "front-back"
 
 
 def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[Path]:

@@ -12,8 +12,10 @@ from curlfit.options import settings as s
 
 if TYPE_CHECKING:
     from curlfit.environment import Environment
+    from curlfit.errors import DataError
     from curlfit.friction import Law
     from curlfit.stone import Stone
+    from curlfit.throws.throw import Throw
 
 _START = "Start"
 _CONDITIONS = "Conditions"
@@ -47,6 +49,7 @@ def check(
     Example: `curlfit check data/jensen_shegelski_2004.csv`
     """
     from curlfit.errors import InputError
+    from curlfit.inference.parameters import FEWEST_ROWS
     from curlfit.throws.inspection import inspect_throw
     from curlfit.throws.plausibility import examine, require_plausible
     from curlfit.throws.readers import read
@@ -79,6 +82,11 @@ def check(
     console = terminal(highlight=False)
     print_inspection(parsed, throw, inspect_throw(throw), shown, console)
     print_findings(examine(cut), console)
+    refused = _refusal(cut, settings)
+    if refused is not None:
+        if len(cut) < FEWEST_ROWS:
+            raise refused
+        console.print(f"\nNo fit as set: {refused}", style="yellow", markup=False)
     if out is not None:
         from curlfit.output.figures import save_figure
         from curlfit.throws.figures import throw_figure
@@ -86,6 +94,20 @@ def check(
         save_figure(throw_figure(throw), out)
         console.print(f"Written: {out}", soft_wrap=True)
     require_plausible(cut)
+
+
+def _refusal(throw: Throw, settings: dict[str, Any]) -> DataError | None:
+    """Why a fit with these settings would refuse the throw for its number of rows."""
+    from curlfit.errors import DataError
+    from curlfit.friction import find_law
+    from curlfit.inference.parameters import ParameterSet
+
+    law = find_law(settings.get("law", "front-back"))
+    try:
+        ParameterSet.for_throw(law, throw, **s.for_parameter_set(s.parameter_choices(settings)))
+    except DataError as error:
+        return error
+    return None
 
 
 def simulate(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import product
 
-from curlfit.dynamics.law_structure import sample_points
+from curlfit.dynamics.law_structure import law_in_general, sample_points
 
 # isort: split
 import numpy as np
@@ -26,10 +26,7 @@ def opposes_sliding(law: type[Law]) -> bool:
     """Whether friction opposes sliding all around the ring, whatever the coefficients."""
     if not issubclass(law, LocalLaw):
         return False
-    # With coefficients that are all different, which excludes special cases of the law.
-    general = law.from_vector(
-        [item.default + 0.1 * (j + 1) * item.typical for j, item in enumerate(law.coefficients())]
-    )
+    general = law_in_general(law)
     for half in (1.0, 0.0):
         points = sample_points(half)
         xi, eta = general.traction(points)

@@ -22,7 +22,7 @@ _SPECIAL = {
 def estimates_table(result: FitResult | JointResult) -> str:
     """Coefficients, initial state, combinations and derived quantities of a fit, as a `table` with
     `booktabs`: values with standard errors in units of the last digits."""
-    rows = rows_of(result)
+    rows = rows_of(result, in_words=True)
     systematic = any(row.systematic for row in rows)
     posterior = getattr(result, "posterior", None)
     columns = "l l" + " l" * systematic + " l" * (posterior is not None) + " l"

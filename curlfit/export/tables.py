@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from io import StringIO
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from curlfit.inference.derived import Derived
+from curlfit.inference.derived import Derived, to_its_side
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.identifiability import Combination
 
@@ -47,8 +47,11 @@ class Row(NamedTuple):
     """of a quantity of the path"""
 
 
-def rows_of(result: FitResult | JointResult) -> list[Row]:
-    """Coefficients first, then determined combinations, other parameters and derived quantities."""
+def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[Row]:
+    """Coefficients first, then determined combinations, other parameters and derived quantities.
+
+    With `in_words`, quantities of the path are positive, their meaning names the side.
+    """
     errors, found = result.systematics.errors, []
     estimates = result.coefficients
     sums = {item.expression: item for item in result.combinations}
@@ -56,6 +59,8 @@ def rows_of(result: FitResult | JointResult) -> list[Row]:
     others = getattr(result, "parameters", {})
     others = others if isinstance(others, dict) else {}
     quoted = getattr(result, "quantities", {})
+    if in_words:
+        quoted = {name: to_its_side(item) for name, item in quoted.items()}
     everything: dict[str, Estimate | Combination | Derived] = {
         **estimates, **sums, **{k: v for k, v in others.items() if k not in estimates}, **derived,
         **quoted,

@@ -13,6 +13,7 @@ from curlfit.errors import InputError
 from curlfit.inference.expression import CONSTANTS, parse, samples_of
 from curlfit.inference.identifiability import WEAK_ERROR, Combination, student_interval
 from curlfit.numerics.arrays import Floats
+from curlfit.output.text import sided
 from curlfit.stone import UNITS as STONE_UNITS
 
 LEVELS = ("2.5", "16", "50", "84", "97.5")
@@ -54,6 +55,26 @@ class Derived:
     def interval(self, level: float = 0.95) -> tuple[float, float] | None:
         """Confidence interval by Student's t; None where there is no standard error."""
         return student_interval(self.value, self.stderr, self.dof, level)
+
+
+def scaled(item: Derived, factor: float) -> Derived:
+    """The quantity times a factor."""
+
+    def times(value: float | None) -> float | None:
+        return None if value is None else value * abs(factor)
+
+    quantiles = sorted(value * factor for value in item.quantiles.values())
+    return replace(
+        item, value=item.value * factor, stderr=times(item.stderr),
+        systematic=times(item.systematic),
+        quantiles=dict(zip(item.quantiles, quantiles, strict=True)),
+    )  # fmt: skip
+
+
+def to_its_side(item: Derived) -> Derived:
+    """A signed quantity as a positive one, with its side in words."""
+    meaning, sign = sided(item.meaning, item.value)
+    return scaled(replace(item, meaning=meaning), sign) if sign < 0 else item
 
 
 class _Estimate(Protocol):

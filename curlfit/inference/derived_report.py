@@ -9,7 +9,7 @@ from rich.console import RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from curlfit.inference.derived import Derived
+from curlfit.inference.derived import Derived, scaled, to_its_side
 from curlfit.output.text import STYLE, compact, format_estimate, from_to, plain_table
 from curlfit.sheet import FOOT
 
@@ -25,8 +25,7 @@ def quantities_table(quantities: Mapping[str, Derived]) -> list[RenderableType]:
         return []
     rows = []
     for name, item in quantities.items():
-        if name in ("curl", "turns"):
-            item = to_its_side(item)
+        item = to_its_side(item)
         rows.append(item)
         if name == "curl":
             rows.append(scaled(replace(item, unit="ft"), 1 / FOOT))
@@ -47,35 +46,10 @@ def quantities_line(quantities: Mapping[str, Derived]) -> str:
         if name not in quantities:
             continue
         item = quantities[name]
-        one = to_its_side(item) if name in ("curl", "turns") else item
+        one = to_its_side(item)
         unit = "" if item.unit in ("", "1") else f" {item.unit}"
         parts.append(f"{one.meaning.partition(',')[0]} {compact(one.value, one.stderr)}{unit}")
     return ", ".join(parts)
-
-
-def scaled(item: Derived, factor: float) -> Derived:
-    """The quantity times a factor."""
-
-    def times(value: float | None) -> float | None:
-        return None if value is None else value * abs(factor)
-
-    quantiles = sorted(value * factor for value in item.quantiles.values())
-    return replace(
-        item, value=item.value * factor, stderr=times(item.stderr),
-        systematic=times(item.systematic),
-        quantiles=dict(zip(item.quantiles, quantiles, strict=True)),
-    )  # fmt: skip
-
-
-def to_its_side(item: Derived) -> Derived:
-    """A signed quantity as a positive one, with its direction in words."""
-    if item.value >= 0:
-        return item
-    words = {"to the right": "to the left", "counter-clockwise": "clockwise"}
-    meaning = item.meaning
-    for positive, negative in words.items():
-        meaning = meaning.replace(positive, negative)
-    return scaled(replace(item, meaning=meaning), -1.0)
 
 
 def _table(head: str, items: Sequence[Derived], *, verdicts: bool) -> RenderableType:

@@ -247,7 +247,7 @@ def joint_figure(result: JointResult) -> Figure:
         )  # fmt: skip
         axes.set_ylim(count - 0.4, -0.6)
         differs = "differs" if item.significant else "no significant difference"
-        title(axes, f"{differs}, p = {item.p_value:.2g}", columns=len(shown), margin=0.25)
+        title(axes, f"{differs}, {item.p_text}", columns=len(shown), margin=0.25)
         estimates.append((axes, in_symbols(item.expression, symbols)))
     figure.draw_without_rendering()  # ticks and the note depend on the layout
     for axes, expression in estimates:

@@ -17,6 +17,9 @@ from curlfit.inference.priors import NO_PRIOR, Penalty, Prior, parse_priors, pen
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.throw import Throw
 
+FEWEST_ROWS = 3
+"""Rows of a path without given sigma below which nothing can be fitted."""
+
 START = (
     Parameter("x0", "m", -math.inf, math.inf, 1.0, "x_0", "initial position, to the right"),
     Parameter("y0", "m", -math.inf, math.inf, 1.0, "y_0", "initial position, along the sheet"),
@@ -197,7 +200,11 @@ class ParameterSet:
                 parameters = parameters.with_fixed("heading", 0.0)
             return parameters
         rows = int(throw.finite.any(0).sum())
-        if throw.has_path and rows < max(free, 3) and not set(throw.seen) <= throw.sigma.keys():
+        if (
+            throw.has_path
+            and rows < max(free, FEWEST_ROWS)
+            and not set(throw.seen) <= throw.sigma.keys()
+        ):
             raise DataError(
                 f"{rows} rows for {free} parameters; give more rows, or sigmas, or fix parameters",
                 file=throw.name,

@@ -35,6 +35,10 @@ _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
     "Sampling is unfinished; repeat the `curlfit fit` command with --resume to continue it."
 )
+_PLURAL = {
+    "its standard error is": "their standard errors are", "its standard error": "their standard "
+    "errors", "its typical size": "their typical size",
+}  # fmt: skip
 _WORDS = {
     "x": "x", "y": "y", "phi": "the angle", "speed": "the speed", "omega": "the spin",
 }  # fmt: skip
@@ -379,6 +383,9 @@ def identifiability(fit: FitResult) -> str:
     for reason in dict.fromkeys(fit.parameters[name].reason for name in weak):
         alike = [name for name in weak if fit.parameters[name].reason == reason]
         text += f" {join_words(alike)} {'are' if len(alike) > 1 else 'is'} weakly determined"
+        if len(alike) > 1:
+            for one, several in _PLURAL.items():
+                reason = reason.replace(one, several)
         text += f": {reason}." if reason else "."
     if weak and not unseen:
         text += _instead(fit, weak)

@@ -15,6 +15,12 @@ STYLE = {
     "fixed": "dim",
 }
 
+_OTHER_SIDE = {
+    "to the right": "to the left", "right of": "left of", "counter-clockwise": "clockwise",
+    "beyond": "before",
+}  # fmt: skip
+_LEAST_P = 0.001
+
 _HUGE = 1e9  # numbers from this size on are written with a power of ten
 
 
@@ -61,6 +67,23 @@ def decimals(size: float) -> int:
     if not (size > 0 and math.isfinite(size)):
         return 6
     return min(max(1 - math.floor(math.log10(size)), 0), 12)
+
+
+def sided(meaning: str, value: float) -> tuple[str, float]:
+    """The meaning of a signed quantity with its side in words, and the sign that makes it positive.
+
+    For a negative value whose meaning names a side these are the opposite side and -1.
+    """
+    if value < 0:
+        for positive, negative in _OTHER_SIDE.items():
+            if positive in meaning:
+                return meaning.replace(positive, negative), -1.0
+    return meaning, 1.0
+
+
+def p_text(p_value: float) -> str:
+    """A p-value as text, such as "p = 0.031" or "p < 0.001"."""
+    return f"p < {_LEAST_P:g}" if p_value < _LEAST_P else f"p = {p_value:.2g}"
 
 
 def join_words(words: list[str]) -> str:

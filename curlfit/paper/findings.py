@@ -245,18 +245,23 @@ class RingFindings:
 
     Attributes
     ----------
+    eq_22_gap : largest difference of eq. 22 from the radial law, over the largest coefficient.
+    load_errors : relative errors of T_xi, T_eta, M under uniform load, shape (radii, 3).
     radial, front_back : eq. 23 and the right sides of eq. 27 compared with the ring.
     closed_gap : largest distance (m) and angle (rad) between eq. 27 in closed form and integrated
     numerically, t <= 20 s. ring_gap : the same between eq. 27 and the full ring.
     t : s. l1, l2, l3 : combinations that solve eq. 24 at each time, shape (n,).
     rank : of eq. 24 with respect to the four unknowns, and with l1, l2, l3 as further rows.
-    l1_zero : time in s at which l1 changes sign, or None. greatest_epsilon : on t <= 20 s.
+    l1_zero : time in s at which l1 changes sign, or None. l1_ratio : rho/R beyond which it does not
+    on t <= 20 s. l3_largest : for such stones. greatest_epsilon : on t <= 20 s.
     radial_fit : the radial law fitted with coefficients of either sign; radial_l its l1, l2, l3.
     split_epsilon : values examined. split_uniform : largest relative change of T_xi, T_eta, M at
     each when mu1_eta and mu2_eta are exchanged, uniform load. split_consistent : relative change of
     T_eta, consistent load.
     """
 
+    eq_22_gap: float
+    load_errors: Floats
     radial: Expansion
     front_back: Expansion
     closed_gap: tuple[float, float]
@@ -267,6 +272,8 @@ class RingFindings:
     l3: Floats
     rank: tuple[int, int]
     l1_zero: float | None
+    l1_ratio: float
+    l3_largest: float
     greatest_epsilon: float
     radial_fit: FitResult
     radial_l: tuple[float, float, float]

@@ -162,7 +162,7 @@ def _curves(family: Family) -> tuple[Curve, ...]:
 
 
 def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
-    """Prop. 1-4, by id."""
+    """Prop. 1-4 and the remark on the last, by id."""
     prop1_holds = found.orthogonality < 1e-8 and found.handedness > 1 - 1e-8 and found.arm < 1e-8
     c = found.coulomb
     n_power, n_slow, n_left = found.power_total
@@ -175,6 +175,8 @@ def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
     example, other = found.power_example, found.stribeck_example
     one, two, three = (found.stribeck[name] for name in ("i", "ii", "iii"))
     below = found.negative["iii"]
+    # the line of eq. 11 meets mu = 0 at v/n = -mu0/mu1
+    crossing = {name for name, sets in CASES.items() if all(-a / b > 0 for a, b in sets)}
     prop4_holds = (
         one.left == 0
         and two.slow_left == 0
@@ -234,7 +236,20 @@ def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
             f"mu1 = {other.coefficients['mu1']:g} s/m, v = {other.v:.2g} m/s, "
             f"omega = {other.omega:.0f} 1/s.",
         ),
-    ]
+        Claim(
+            "stribeck",
+            "regions of the Stribeck curve, remark on Prop. 4",
+            "boundary and EHD friction are cases (i) or (iii), mixed friction (ii); left if the "
+            "line of eq. 11 meets mu = 0 at v/n > 0",
+            f"lines that meet mu = 0 at v/n > 0: (iii), left in {three.left} of {three.states}, "
+            f"but also (ii), right in {two.slow - two.slow_left} of {two.slow} with |eps| < 1",
+            "holds with a correction" if prop4_holds and crossing == {"ii", "iii"}
+            else "does not hold",
+            "The line must also rise: that of mixed friction falls and meets mu = 0 at v/n > 0 as "
+            "well. Boundary friction, positive down to v/n = 0, has mu0 > 0 and is case (i); only "
+            "EHD friction can be case (iii).",
+        ),
+    ]  # fmt: skip
     return {claim.id: claim for claim in claims}
 
 

@@ -17,8 +17,9 @@ from curlfit.paper.kinematics import path_claims, study_path
 from curlfit.paper.ring import ring_claims, study_ring
 
 ORDER = (
-    "eq13", "eq14x", "eq14y", "prop1", "prop2", "prop3", "prop4", "prop5", "eq15-17",
-    "eq23", "eq24-l1", "eq24-l2", "eq24-l3", "eq27", "eq28", "ratio", "split",
+    "eq13", "eq14x", "eq14y", "prop1", "prop2", "prop3", "prop4", "stribeck", "prop5",
+    "eq15-17", "load", "eq22", "eq23", "eq24-l1", "eq24-l2", "eq24-l3", "eq27", "eq28", "ratio",
+    "split",
 )  # fmt: skip
 """Ids of the claims, in the order of the table."""
 
@@ -62,7 +63,7 @@ def reproduce(
     --------
     >>> reproduction = curlfit.reproduce()
     >>> len(reproduction.claims)
-    17
+    20
     """
     found: dict[str, Any] = {}
 

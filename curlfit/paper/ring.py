@@ -1,10 +1,11 @@
-"""Claims about anisotropic friction on the ring: eq. 23, 24 and 27, and the split of eq. 28."""
+"""Claims about anisotropic friction on the ring: load, eq. 22-24, 27, and the split of eq. 28."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from curlfit.dynamics.contact import accelerations
+from curlfit.dynamics.contact import accelerations, contact_of
+from curlfit.dynamics.quadrature import panels
 
 # isort: split
 import jax
@@ -21,8 +22,13 @@ from curlfit.inference.model import Model
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.paper.claim import Claim
-from curlfit.paper.findings import RADIUS, Expansion, Kinematics, RingFindings
-from curlfit.paper.printed import first_order_motion, jensen_shegelski_throw
+from curlfit.paper.findings import PRINTED, RADIUS, Expansion, Kinematics, RingFindings
+from curlfit.paper.printed import (
+    EQ_28_STONE,
+    SOLID_RHO,
+    first_order_motion,
+    jensen_shegelski_throw,
+)
 from curlfit.stone import GRAVITY, Stone
 
 RHO = 0.1
@@ -33,6 +39,8 @@ EPSILONS = np.array([0.1, 0.05, 0.025])
 SPLIT = (0.012, 0.006)
 """mu1_eta and mu2_eta of the example, exchanged for the comparison."""
 _SPLIT_EPSILONS = np.array([0.01, 0.1, 0.5, 0.9, 0.99, 1.01, 1.5, 3.0, 10.0])
+_OTHER_STONES = ((RADIUS, 0.1045), (0.0625, SOLID_RHO), (EQ_28_STONE.R, RHO))
+"""R and rho that the paper prints elsewhere, or that round to what it prints, m."""
 _SMALL = 0.005  # relative difference at eps = 0.1: half of eps^2
 _TEST_VALUE = 0.01  # each coefficient in turn; the laws are linear in them
 
@@ -60,6 +68,45 @@ def _net_accelerations(law: Any, stone: Stone, spin: Array, load: Load) -> Any:
 
 
 _compiled_net = jax.jit(_net_accelerations, static_argnames="load")
+
+
+def radial_at(mu: Floats, epsilon: float, angle: Floats) -> Floats:
+    """Eq. 22: friction of the radial law to the right and forward over the load, shape (2, n).
+
+    `mu` are mu1..mu4, `angle` the polar angles of the points in rad, shape (n,).
+    """
+    normal, tangent = np.where(angle > 0, mu[0::2, None], mu[1::2, None])
+    sin, cos = np.sin(angle), np.cos(angle)
+    right = (normal - tangent) * sin * cos - epsilon * tangent * sin
+    forward = normal * sin**2 + tangent * cos**2 + epsilon * tangent * cos
+    return -np.stack([right, forward]) / np.sqrt(1 + 2 * epsilon * cos + epsilon**2)
+
+
+def _largest_gap_of_eq_22() -> float:
+    """Relative to the largest friction, at the nodes of the ring's quadrature."""
+    mu = np.array([0.006, 0.008, 0.009, 0.018])
+    law, stone = Radial(*mu), Stone(R=RADIUS)
+    gap = 0.0
+    for epsilon in (0.1, 0.9, 3.0):
+        contact = contact_of(law, stone, "uniform", SPEED, SPEED * epsilon / RADIUS)
+        for points, _ in panels(law, *contact.motion, contact.clustering):
+            own = np.stack([np.asarray(part) for part in law.traction(points)])
+            gap = max(gap, np.abs(own - radial_at(mu, epsilon, np.asarray(points.angle))).max())
+    return float(gap / mu.max())
+
+
+def _load_errors(epsilon: float) -> Floats:
+    """Relative errors of T_xi, T_eta, M under uniform load, for eq. 28, shape (radii, 3)."""
+    mu = np.array([[*PRINTED[:2], *[PRINTED[2] / 2] * 2]])
+    errors = []
+    for radius in (RADIUS, EQ_28_STONE.R):
+        stone = Stone(R=radius, h=0.057)
+        uniform, consistent = (
+            net_forces(FrontBack, mu, np.array([epsilon]), stone, load)
+            for load in ("uniform", "consistent")
+        )
+        errors.append((uniform / consistent - 1)[0])
+    return np.array(errors)
 
 
 def first_order_radial(mu: Floats, epsilon: Floats) -> Floats:
@@ -101,12 +148,14 @@ def _expansion(law: type[LocalLaw], first_order: Any) -> Expansion:
     return Expansion(EPSILONS, gap, np.where(gap[0] > 1e-9, order, np.nan))
 
 
-def solve_eq_24(motion: Kinematics) -> tuple[Floats, Floats, Floats]:
+def solve_eq_24(
+    motion: Kinematics, radius: float = RADIUS, rho: float = RHO
+) -> tuple[Floats, Floats, Floats]:
     """l1 = mu1 + mu2, l2 = mu3 + mu4, l3 = mu1 + 2 mu3 at each time."""
-    epsilon = motion.epsilon(RADIUS)
+    epsilon = motion.epsilon(radius)
     difference = 3 * np.pi * motion.xi / (epsilon * GRAVITY)  # mu1 - mu2 + 2 mu3 - 2 mu4
     total = -4 * motion.eta / GRAVITY
-    l2 = -4 * RHO**2 * motion.angular / (epsilon * GRAVITY * RADIUS)
+    l2 = -4 * rho**2 * motion.angular / (epsilon * GRAVITY * radius)
     l1 = total - l2
     return l1, l2, (difference + l1 + 2 * l2) / 2
 
@@ -114,6 +163,7 @@ def solve_eq_24(motion: Kinematics) -> tuple[Floats, Floats, Floats]:
 def study_ring(motion: Kinematics) -> RingFindings:
     """Compare first order with the ring, solve eq. 24 along `motion`, exchange mu1_eta, mu2_eta."""
     l1, l2, l3 = solve_eq_24(motion)
+    l3_elsewhere = [solve_eq_24(motion, *stone)[2].max() for stone in _OTHER_STONES]
     rows = np.array([[1, -1, 2, -2], [1, 1, 1, 1], [0, 0, 1, 1]])
     combinations = np.array([[1, 1, 0, 0], [0, 0, 1, 1], [1, 0, 2, 0]])
     crossing = np.flatnonzero(l1[:-1] * l1[1:] < 0)
@@ -129,6 +179,8 @@ def study_ring(motion: Kinematics) -> RingFindings:
     uniform, consistent = _exchange_effects()
     mu = [radial_fit.parameters[f"mu{index}"].value for index in (1, 2, 3, 4)]
     return RingFindings(
+        eq_22_gap=_largest_gap_of_eq_22(),
+        load_errors=_load_errors(float(EPSILONS[1])),
         radial=_expansion(Radial, first_order_radial),
         front_back=_expansion(FrontBack, first_order_front_back),
         closed_gap=closed_gap,
@@ -142,6 +194,9 @@ def study_ring(motion: Kinematics) -> RingFindings:
             int(np.linalg.matrix_rank(np.concatenate([rows, combinations]))),
         ),
         l1_zero=zero,
+        # l1 is a constant less l2, and l2 goes as (rho/R)^2.
+        l1_ratio=float(RHO / RADIUS * np.sqrt(np.max((l1 + l2) / l2))),
+        l3_largest=float(max(l3_elsewhere)),
         greatest_epsilon=float(motion.epsilon(RADIUS).max()),
         radial_fit=radial_fit,
         radial_l=(mu[0] + mu[1], mu[2] + mu[3], mu[0] + 2 * mu[2]),
@@ -191,8 +246,41 @@ def _exchange_effects() -> tuple[Floats, Floats]:
     return uniform, consistent_forces[1][:, 1] / consistent_forces[0][:, 1] - 1
 
 
+def _range_of(values: Floats) -> str:
+    """Smallest and largest value, to a tenth."""
+    low, high = (f"{value:.1f}" for value in (values.min(), values.max()))
+    return low if low == high else f"{low} to {high}"
+
+
+def _local_claims(found: RingFindings) -> list[Claim]:
+    """The error of a uniform load, and eq. 22."""
+    off = np.abs(100 * found.load_errors)
+    load_holds = bool((off.max(1) >= 0.5).all() and (off < 2).all())
+    return [
+        Claim(
+            "load",
+            "error of a uniform load",
+            "about 1 %",
+            f"{_range_of(off[:, 0])} % in T_xi, {_range_of(off[:, 1])} % in T_eta, "
+            f"{_range_of(off[:, 2])} % in M_T (R = {RADIUS:g} and {EQ_28_STONE.R:g} m)",
+            "holds" if load_holds else "does not hold",
+            "Front-back law of eq. 28 with mu1_eta = mu2_eta, beside the load of eq. 8-9 with "
+            "h = 0.057 m. The load of front and back differs from the mean by 2 h/R times the "
+            "friction; where front and back nearly cancel in T_xi, the relative error is larger.",
+        ),
+        Claim(
+            "eq22",
+            "friction of the radial law at a point of the ring",
+            "eq. 22 with mu1, mu3 in front, mu2, mu4 behind",
+            f"agrees with eq. 18-21 within {found.eq_22_gap:.0e} of the largest friction",
+            "holds" if found.eq_22_gap < 1e-12 else "does not hold",
+            "At the nodes of the ring's quadrature, for eps = 0.1, 0.9, 3; it is exact in eps.",
+        ),
+    ]  # fmt: skip
+
+
 def ring_claims(found: RingFindings) -> dict[str, Claim]:
-    """Eq. 23, 24 and 27, by id."""
+    """The load, eq. 22, 23, 24 and 27, by id."""
     t, l1, l2, l3 = found.t, found.l1, found.l2, found.l3
     order = np.round(np.nanmin(found.radial.order), 1)
     fitted = found.radial_l
@@ -216,13 +304,16 @@ def ring_claims(found: RingFindings) -> dict[str, Claim]:
         Claim(
             "eq24-l1",
             "l1 = mu1 + mu2 of the radial law",
-            "negative for all t <= 20 s",
-            f"{early[0]:.4f}, {early[1]:.4f}, {early[2]:+.4f} at t = 0, 10, 20 s",
-            "holds" if bool(np.all(l1 < 0)) else "does not hold",
-            ("With the right derivatives l1 is negative throughout."
-            if found.l1_zero is None
-            else f"With the right derivatives l1 changes its sign at t = {found.l1_zero:.1f} s; "
-            "the conclusion rests on l3."),
+            "negative for all t <= 20 s (R = 0.065 m, rho = 0.1 m)",
+            f"{early[0]:.4f}, {early[1]:.4f}, {early[2]:+.4f} at t = 0, 10, 20 s; negative "
+            f"throughout if rho/R > {found.l1_ratio:.3f}",
+            "holds" if found.l1_zero is None else "does not hold",
+            f"It depends on rho/R, here {RHO / RADIUS:.3f}"
+            + ("" if found.l1_zero is None else f": l1 changes its sign at {found.l1_zero:.1f} s")
+            + ". With R and rho = "
+            + " or ".join(f"{radius:g} and {rho:g} m" for radius, rho in _OTHER_STONES)
+            + " it is negative throughout. The conclusion rests on l3, which is negative for each "
+            f"of these (at most {found.l3_largest:.3f}).",
         ),
         Claim(
             "eq24-l2",
@@ -257,4 +348,4 @@ def ring_claims(found: RingFindings) -> dict[str, Claim]:
             f"integration agree to {closed[0]:.0e} m.",
         ),
     ]  # fmt: skip
-    return {claim.id: claim for claim in claims}
+    return {claim.id: claim for claim in (*_local_claims(found), *claims)}

@@ -27,6 +27,7 @@ from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, no_motion_because
 from curlfit.inference.derived import LEVELS, quantiles_of
 from curlfit.inference.fit.fit import refit
+from curlfit.inference.fit.measured_curl import curl_warnings
 from curlfit.inference.fit.prepared import prepare_linearized
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain
@@ -145,6 +146,7 @@ def predict(
         *extrapolation(fit, best, request.new),
         *null_warnings,
         *law_warnings,
+        *curl_warnings([fit]),
         *off_the_sheet(best),
     ]
     notes += [*null_notes, *law_notes]

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from curlfit.output.console import terminal
 from curlfit.output.display import Overview
-from curlfit.output.text import format_estimate, plain_table
+from curlfit.output.text import format_estimate, plain_table, sided
 from curlfit.sheet import FOOT, STONE_RADIUS, TEE_TO_BACK
 
 if TYPE_CHECKING:
@@ -83,6 +83,8 @@ def describe_rest(prediction: Prediction) -> str:
         f"{_off(found['rest_x'].value, _SIDES)} the centre line"
     )
     side = "right" if curl > 0 else "left"
+    if abs(curl) < 0.005:
+        return f"{text}. It does not curl."
     return f"{text}. It curls {abs(curl):.2f} m ({abs(curl) / FOOT:.2f} ft) to the {side}."
 
 
@@ -155,21 +157,23 @@ def _quantities(prediction: Prediction) -> RenderableType:
         table.add_column(head, no_wrap=True)
     for name, item in shown.items():
         meaning, unit = QUANTITIES[name]
+        meaning, sign = sided(meaning, item.value)
         share = "" if item.share == 1 else f"{100 * item.share:.3g} %"
-        table.add_row(f"{meaning} ({unit})" if unit else meaning, *_row(item), share)
+        table.add_row(f"{meaning} ({unit})" if unit else meaning, *_row(item, sign), share)
     return Padding(table, (1, 0, 1, 0))
 
 
-def _row(item: Quantity) -> list[str]:
+def _row(item: Quantity, sign: float) -> list[str]:
     """Best value, both errors, and the intervals, to two digits of the larger error."""
     size = max(item.parameter_sd, item.model_sd)
     digits = 4 if size < 1e-9 else min(len(format_estimate(0.0, size)[1].partition(".")[2]), 4)
-    best = "-" if math.isnan(item.value) else f"{item.value:.{digits}f}"
+    best = "-" if math.isnan(item.value) else f"{sign * item.value:.{digits}f}"
     own = [
         f"{part:.{digits + 1}f}" if part > 1e-9 else "-"
         for part in (item.parameter_sd, item.model_sd)
     ]
-    q = {level: f"{value:.{digits}f}" for level, value in item.quantiles.items()}
+    ends = sorted(sign * value for value in item.quantiles.values())
+    q = {level: f"{value:.{digits}f}" for level, value in zip(item.quantiles, ends, strict=True)}
     if size < 1e-9:
         return [best, *own, "", ""]
     return [best, *own, f"{q['16']} .. {q['84']}", f"{q['2.5']} .. {q['97.5']}"]

@@ -12,6 +12,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import START
 from curlfit.inference.system import System
 from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HOG, WIDTH
+from curlfit.throws.plausibility import SPEED
 from curlfit.throws.throw import Throw
 
 GUARD = -(HOUSE + TEE_TO_HOG) / 2
@@ -52,8 +53,11 @@ class ThrowRequest(NamedTuple):
                 raise InputError(f"start: unknown {name!r}; expected some of {', '.join(names)}")
             if not math.isfinite(value):
                 raise InputError(f"{name} = {value}: expected a finite number")
-        if not 0 < self.start.get("v0", 1.0) <= 10:
-            raise InputError(f"v0 = {self.start['v0']:g} m/s: expected a speed up to 10 m/s")
+        if not 0 < self.start.get("v0", 1.0) <= SPEED:
+            raise InputError(
+                f"v0 = {self.start['v0']:g} m/s: expected a speed up to {SPEED:g} m/s; none is "
+                "thrown at more than about 4 m/s"
+            )
         if not abs(self.start.get("omega0", 0.0)) <= 100:
             raise InputError(f"omega0 = {self.start['omega0']:g} rad/s: expected at most 100 rad/s")
         if self.line not in (*list(LINES)[:-1], "data"):

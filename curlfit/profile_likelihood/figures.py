@@ -194,7 +194,8 @@ def _others(profile: Profile, axes: Any) -> None:
 
 def _label(item: Estimate, name: str) -> tuple[str, str]:
     """Label and unit of an axis."""
-    return (f"${item.symbol}$" if item.symbol == name else f"${item.symbol}$, {name}"), item.unit
+    named = item.symbol in (name, rf"\mathrm{{{name}}}")  # the latter has no symbol of its own
+    return (name if named else f"${item.symbol}$, {name}"), item.unit
 
 
 def _pair_figure(profile: PairProfile) -> Figure:

@@ -226,10 +226,16 @@ def _scale(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     elif motion.fastest > _USUAL_SPEED:
         unusual.append(f"the stone moves at {motion.fastest:.3g} m/s, and few are thrown at more "
                        "than 4 m/s")  # fmt: skip
-    if motion.length > _LENGTH:
-        faults.append(f"the path is {motion.length:.3g} m long, and a sheet {LENGTH:.1f} m")
     mu, error = motion.friction, motion.friction_error
     low, high = FRICTION
+    if motion.length > _LENGTH:
+        # A stone of usual speed and friction needs no other unit to slide so far: a simulator may
+        # have no back line.
+        usual = motion.fastest < _USUAL_SPEED and _USUAL_FRICTION[0] < mu < _USUAL_FRICTION[1]
+        (unusual if usual else faults).append(
+            f"the path is {motion.length:.3g} m long, and a sheet {LENGTH:.1f} m"
+            + (", unless the ice goes on behind the back line" if usual else "")
+        )
     growing = mu < 0 and motion.speed[-1] > motion.speed[0]
     if not growing and (mu + 3 * error < low or mu - 3 * error > high):
         deceleration = mu * GRAVITY
@@ -279,7 +285,8 @@ def _scale_of_few(throw: Throw) -> Iterator[Finding]:
 
 def _faults_of_few(length: float, time: float) -> Iterator[str]:
     """Impossible features of a path of this length (m) and duration (s)."""
-    if length > _LENGTH:
+    # A stone that stops has twice its mean speed at first.
+    if length > _LENGTH and 2 * length / time > _USUAL_SPEED:
         yield f"the path is {length:.3g} m long, and a sheet {LENGTH:.1f} m"
     if length / time > SPEED:
         yield (

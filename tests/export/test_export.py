@@ -192,6 +192,17 @@ def test_the_table_of_a_paper(eq12_fit):
     assert f"curlfit {curlfit.__version__}" in text
 
 
+def test_the_table_of_a_paper_names_the_side(eq12_fit):
+    """Eq. 12 deviates to the left, by 0.84 m at its end."""
+    assert eq12_fit.quantities["curl"].value < 0
+    found = {row[0]: row[1] for row in cells(estimates_table(eq12_fit))[1:]}
+    assert not any("to the right" in name for name in found)
+    (said,) = (value for name, value in found.items() if name.startswith("curl to the left"))
+    assert said.startswith(f"${-eq12_fit.quantities['curl'].value:.4f}")
+    in_data = {row["name"]: row for row in rows(parameters_csv(eq12_fit))}
+    assert float(in_data["curl"]["value"]) == eq12_fit.quantities["curl"].value
+
+
 def test_names_that_tex_would_trip_over(eq12_fit):
     odd = replace(eq12_fit.parameters["mu1_xi"], symbol=r"\mathrm{a_b_c}", unit="1/m^2", value=3e12)
     fit = replace(

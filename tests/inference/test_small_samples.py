@@ -170,6 +170,12 @@ def test_a_weak_parameter_says_why():
     assert weak
     assert all(item.reason for item in weak.values())
     assert "weakly determined: its standard error" in identifiability(fit)
+    # the same of two parameters
+    one = next(name for name in weak if "typical size" in weak[name].reason)
+    other = next(name for name in fit.parameters if name != one)
+    alike = fit.parameters | {other: weak[one]}
+    said = identifiability(replace(fit, parameters=alike))
+    assert "are weakly determined: their standard errors are no smaller than their typical" in said
 
 
 def test_outliers_in_the_first_rows_alone_have_a_flag_that_leaves_them_out():

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 import curlfit
 from curlfit import LAWS, InitialState, Stone, simulate
+from curlfit.dynamics.law_structure import can_curl, law_in_general
 from curlfit.errors import InputError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.systematics import residual_changes
@@ -20,6 +21,7 @@ from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, build_problem
 from curlfit.numerics.compiled import in_batches, stacked
 from curlfit.options.settings import prepare_all
+from curlfit.prediction.report import describe_rest
 from curlfit.throws.events import MOST_EVENTS, Event, even_motion
 from curlfit.throws.throw import Throw
 
@@ -386,3 +388,55 @@ def test_correlated_noise_is_of_rows_and_not_of_events(noise):
     throw = Throw.from_arrays(t, 0 * t, 2 * t - 0.04 * t**2, 0.1 * t, events=EVENTS[:1])
     with pytest.raises(InputError, match="timed events beside its path"):
         curlfit.fit(throw, "coulomb", noise=noise)
+
+
+STONE = curlfit.Stone()
+
+
+@pytest.mark.parametrize("load", ["uniform", "consistent"])
+@pytest.mark.parametrize("name", [name for name, law in LAWS.items() if law.shipped()])
+def test_whether_a_law_curls_is_that_of_the_integrated_motion(name, load):
+    """From 2 m/s: off its initial direction by more than 3 cm in 28 m, by the integrator."""
+    path = simulate(
+        law_in_general(LAWS[name]), STONE, InitialState(v=2.0, omega=1.2), np.linspace(0, 12, 49),
+        load=load,
+    ).to_numpy()  # fmt: skip
+    curls = abs(path.x[-1]) > 0.03 * path.y[-1] / 28
+    # debris pushes to one side, and after half a turn to the other
+    assert can_curl(LAWS[name], load, STONE) == (curls or name == "debris")
+
+
+def test_a_law_that_cannot_curl_names_the_measured_curl():
+    curl = Event("curl", "x", -1.0, 0.05, since=10.059)
+    turns = Event("turns", "phi", 20.6, 0.6, since=10.059)
+    times = Throw.from_events(
+        [
+            Event("hog_to_hog", "time", 13.43, 0.1, 32.004, 10.059),
+            Event("hog_to_rest", "time", 12.9, 0.1, None, 32.004),
+            Event("rest", "y", 38.755, 0.05), curl, turns,
+        ]
+    )  # fmt: skip
+    words = "the coulomb law cannot curl a stone: the measured curl of 1.00 m to the left is in "
+    found = curlfit.fit(times, "coulomb")
+    (said,) = (item for item in found.warnings if "cannot curl" in item)
+    assert said.startswith(words + "the heading; ")
+    assert abs(found["heading"].value + 1.0 / 28.7) < 1e-3  # the chord of the curl
+    assert not any("cannot curl" in item for item in curlfit.fit(times).warnings)
+    predicted = curlfit.predict(found, start={"v0": 2.2}, draws=100)
+    assert said in predicted.warnings
+    assert "It does not curl." in describe_rest(predicted)
+    (joint,) = (
+        item for item in fit_together([times, times], "coulomb").warnings if "cannot" in item
+    )
+    assert "the measured curls of 2 of 2 throws are in the heading" in joint
+
+
+def test_a_path_that_curls_names_its_curl_and_a_straight_one_none():
+    t = np.linspace(0, 20, 201)
+    x = -0.9 * (t / 20) ** 3
+    y = 10.059 + 2.2 * t - 0.05 * t**2
+    said = curlfit.fit(Throw.from_arrays(t, x, y, t), "coulomb").warnings
+    assert any("is in the heading and in the residuals" in item for item in said)
+    assert any("cannot curl a stone: the measured curl of 0." in item for item in said)
+    straight = Throw.from_arrays(t, 0.01 * np.sin(5 * t), y, t)
+    assert not any("cannot curl" in item for item in curlfit.fit(straight, "coulomb").warnings)

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import curlfit
 from curlfit.cli import app
 from curlfit.output.console import PlainTable, terminal
-from curlfit.output.text import compact, format_estimate
+from curlfit.output.text import compact, format_estimate, p_text, sided
 from curlfit.paper.claim import Claim
 from curlfit.paper.page import claims_table
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
@@ -183,3 +183,27 @@ def test_the_claims_keep_their_formulas_at_80_columns():
     for word in (*claim.printed.split(), *claim.computed.split()):
         assert word in text
     assert "\N{HORIZONTAL ELLIPSIS}" not in text
+
+
+@pytest.mark.parametrize(
+    ("meaning", "value", "expected"),
+    [
+        ("curl to the right, at rest", -1.15, ("curl to the left, at rest", -1.0)),
+        ("curl to the right, at rest", 1.15, ("curl to the right, at rest", 1.0)),
+        ("turns counter-clockwise", -2.0, ("turns clockwise", -1.0)),
+        ("rests right of centre line", -0.1, ("rests left of centre line", -1.0)),
+        ("rests beyond tee line", -0.1, ("rests before tee line", -1.0)),
+        ("mean deceleration / g", -0.1, ("mean deceleration / g", 1.0)),
+    ],
+)
+def test_a_signed_quantity_is_told_with_its_side(meaning, value, expected):
+    assert sided(meaning, value) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "p < 0.001"), (1e-30, "p < 0.001"), (0.00099, "p < 0.001"), (0.0012, "p = 0.0012"),
+     (0.31, "p = 0.31")],
+)  # fmt: skip
+def test_a_p_value_is_never_zero(value, text):
+    assert p_text(value) == text

@@ -489,6 +489,7 @@ def test_throws_of_a_stop_watch_have_no_path_to_draw(eq12_fit):
     (estimates,) = figure.axes
     assert [container[0].get_xdata()[0] for container in estimates.containers] == [0.01, 0.02]
     assert "mu_{1" in estimates.get_xlabel()
+    assert "p < 0.001" in estimates.get_title(loc="left")
     assert not outside(figure)
 
 

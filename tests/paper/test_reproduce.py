@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import re
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -14,20 +15,21 @@ from conftest import DATA, Reference, command, front_back
 from docstring_examples import run_examples
 
 import curlfit
-from curlfit.friction.isotropic import Power
+from curlfit.friction.isotropic import Power, Stribeck
 from curlfit.paper.eq28 import rounds_to_print
 from curlfit.paper.findings import PRINTED, SHOWN, coefficients_of
 from curlfit.paper.isotropic import SpeedMixture
 from curlfit.paper.printed import jensen_shegelski
 from curlfit.paper.reproduce import ORDER
-from curlfit.paper.ring import EPSILONS
+from curlfit.paper.ring import EPSILONS, radial_at
 from curlfit.paper.ring_states import STONE, ring_states
 
 IDS = [
-    "eq13", "eq14x", "eq14y", "prop1", "prop2", "prop3", "prop4", "prop5", "eq15-17", "eq23",
-    "eq24-l1", "eq24-l2", "eq24-l3", "eq27", "eq28", "ratio", "split",
+    "eq13", "eq14x", "eq14y", "prop1", "prop2", "prop3", "prop4", "stribeck", "prop5", "eq15-17",
+    "load", "eq22", "eq23", "eq24-l1", "eq24-l2", "eq24-l3", "eq27", "eq28", "ratio", "split",
 ]  # fmt: skip
-CORRECTED = {"eq13", "eq14x", "eq14y", "prop5", "eq15-17", "eq28"}
+CORRECTED = {"eq13", "eq14x", "eq14y", "prop5", "eq15-17", "eq28", "stribeck"}
+NOTEBOOK = "2_the_paper_claim_by_claim.ipynb"
 KEYS = ["id", "claim", "printed", "computed", "verdict", "why"]
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -234,6 +236,62 @@ def test_eq_24(found):
     assert found.ring.radial_fit.converged
 
 
+def test_l1_depends_on_rho_over_r(found):
+    """At t = 20 s, where l1 is largest, by second differences of eq. 12."""
+
+    def l1(radius, rho, t=20.0, d=1e-3):
+        low, here, high = (np.array(jensen_shegelski(t + k * d)) for k in (-1, 0, 1))
+        (vx, vy, omega), (ax, ay, angular) = (high - low) / (2 * d), (high - 2 * here + low) / d**2
+        speed = np.hypot(vx, vy)
+        along = (ax * vx + ay * vy) / speed
+        return 4 / 9.81 * (rho**2 * angular * speed / (radius**2 * omega) - along)
+
+    assert abs(l1(0.065, 0.1) - found.ring.l1[-1]) < 1e-6
+    assert abs(l1(0.065, 0.065 * found.ring.l1_ratio)) < 1e-6
+    assert l1(0.065, 0.1) > 0
+    said = found.claim("eq24-l1")
+    assert f"rho/R > {found.ring.l1_ratio:.3f}" in said.computed
+    for radius, rho in ((0.065, 0.1045), (0.0625, 0.1025), (0.054, 0.1)):
+        assert f"{radius} and {rho} m" in said.why
+        assert l1(radius, rho) < 0
+        assert rho / radius > found.ring.l1_ratio
+    assert found.ring.l3_largest < -0.028
+
+
+def test_eq_22(found):
+    """By hand from eq. 18-21: v(A)/v = sin(alpha) n + (eps + cos(alpha)) tau."""
+    assert found.ring.eq_22_gap < 1e-13
+    mu = np.array([0.006, 0.008, 0.009, 0.018])
+    for angle, (normal, tangent) in ((0.7, mu[[0, 2]]), (2.9, mu[[0, 2]]), (-1.1, mu[[1, 3]])):
+        n = np.array([np.cos(angle), np.sin(angle)])
+        tau = np.array([-n[1], n[0]])
+        a, b = np.sin(angle), 0.3 + np.cos(angle)
+        force = -(normal * a * n + tangent * b * tau) / np.hypot(a, b)
+        np.testing.assert_allclose(radial_at(mu, 0.3, np.array([angle]))[:, 0], force, rtol=1e-13)
+
+
+def test_error_of_a_uniform_load(found):
+    """In closed form to first order in eps, with the load 1 + a cos(alpha) + b sin(alpha)."""
+    m1, m2, along = 0.0018, 0.058, 0.018
+    for radius, error in zip((0.065, 0.054), found.ring.load_errors, strict=True):
+        lever = 2 * 0.057 / radius
+        b = lever * along / 2  # T_eta = -0.009 of the weight
+        a = lever * (m2 - m1) / np.pi  # over eps
+        across = 1 + np.pi / 4 * b * (m1 + m2) / (m1 - m2)
+        moment = 1 + 8 * b / (3 * np.pi) * (m1 - m2) / (m1 + m2) + a * along / (m1 + m2)
+        np.testing.assert_allclose(error, (1 / across - 1, 0.0, 1 / moment - 1), atol=2e-4)
+    assert found.claim("load").computed.startswith("1.3 to 1.6 % in T_xi")
+    assert "0.3 to 0.4 % in M_T" in found.claim("load").computed
+
+
+def test_a_line_that_meets_zero_must_also_rise(found):
+    """At 2 m/s and 1 1/s: both lines meet mu = 0 at v/n > 0, and only the rising one curls left."""
+    falling, rising = found.isotropic.curves[4], found.isotropic.curves[5]
+    assert falling.t_xi[np.searchsorted(falling.omega, 1.0)] > 0
+    assert rising.t_xi[np.searchsorted(rising.omega, 1.0)] < 0
+    assert "must also rise" in found.claim("stribeck").why
+
+
 @pytest.mark.parametrize(
     ("method", "radius", "rho", "window", "expected"),
     [
@@ -340,3 +398,18 @@ def test_records_and_figures_load_no_jax():
         "import sys, curlfit.paper.findings, curlfit.paper.figures; sys.exit('jax' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_the_state_to_try_in_the_notebook_is_that_of_the_remark():
+    """It gains speed and loses spin, with friction that opposes sliding on the whole ring."""
+    notebook = json.loads((DATA.parents[1] / "notebooks" / NOTEBOOK).read_text())
+    said = " ".join("".join(notebook["cells"][-1]["source"]).split())
+    number = r"([-\d.]+)"
+    found = re.search(
+        f"`mu0 = {number}`, `mu1 = {number}` s/m at {number} m/s and {number} 1/s", said
+    )
+    mu0, mu1, v, omega = map(float, found.groups())
+    states = ring_states(Stribeck, np.array([[mu0, mu1]]), np.array([v]), np.array([omega]))
+    assert states.t_xi < 0 < states.t_eta
+    assert states.spin_up < 0
+    assert states.least > 0

@@ -583,7 +583,7 @@ def test_rows_of_another_throw_are_refused(fit):
     [
         ({"start": {"speed": 2.0}}, "unknown 'speed'; expected some of x0, y0"),
         ({"start": {"v0": np.inf}}, "v0 = inf: expected a finite number"),
-        ({"start": {"v0": 0.0}}, "expected a speed up to 10"),
+        ({"start": {"v0": 0.0}}, "expected a speed up to 6"),
         ({"start": {"omega0": 200.0}}, "at most 100"),
         ({"line": "house"}, "expected one of hack, back"),
         ({"target": (0.0, 0.0), "weight": "draw"}, "expected one of them"),

@@ -333,6 +333,13 @@ def test_a_saved_pair_is_the_same(fit, tmp_path):
     assert "mu1_xi" in figure.axes[0].get_xlabel()
 
 
+def test_a_coefficient_without_a_symbol_is_named_once(request):
+    sharp = request.getfixturevalue("sharp")
+    own = replace(sharp.estimate, symbol=r"\mathrm{mu_left}")
+    named = replace(sharp, name="mu_left", parameters=sharp.parameters | {"mu_left": own})
+    assert curlfit.profile_figure(named).axes[1].get_xlabel().startswith("mu_left (")
+
+
 @pytest.mark.parametrize("which", ["sharp", "flat"])
 def test_the_label_of_the_axis_does_not_meet_the_legend(request, which):
     figure = curlfit.profile_figure(request.getfixturevalue(which))

@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from conftest import command
 
 from curlfit import Throw
 from curlfit.throws.inspection import inspect_throw
@@ -135,3 +136,15 @@ def test_a_line_in_dots_rises_from_corner_to_corner():
     assert dots >= 20  # each column has one at least
     assert ord(lines[0][9]) & 0x08  # top right
     assert ord(lines[1][0]) & 0x40  # bottom left
+
+
+def test_what_no_fit_can_use_is_refused_by_check(tmp_path):
+    (tmp_path / "two.csv").write_text("t,x,y,phi\n0,0,0,0\n1,0,2,1\n")
+    for verb in ("check", "fit"):
+        run = command(verb, "two.csv", cwd=tmp_path)
+        assert run.returncode == 2
+        assert "two.csv: 2 rows for 10 parameters; give more rows" in run.stderr
+    (tmp_path / "three.csv").write_text("t,x,y,phi\n0,0,0,0\n1,0,2,1\n2,0,3.9,1.9\n")
+    run = command("check", "three.csv", cwd=tmp_path)
+    assert run.returncode == 0
+    assert "No fit as set: three.csv: 3 rows for 10 parameters" in run.stdout

@@ -373,3 +373,25 @@ def test_a_fit_of_mirrored_axes_does_not_end_calmly():
     calm = curlfit.fit(Throw.from_arrays(**FEW), "coulomb")
     assert calm.converged
     assert "unusual" not in calm.status
+
+
+def slid(v0, mu):
+    """Constant friction until rest, 10 rows a second; the stone covers v0^2/(2 mu g)."""
+    a = mu * 9.81
+    t = np.arange(0, v0 / a, 0.1)
+    return t, v0 * t - a * t**2 / 2
+
+
+def test_a_takeout_without_a_back_line_is_no_matter_of_units():
+    t, y = slid(3.0, 0.0074)
+    assert y[-1] > 61.9
+    (found,) = require_plausible(Throw.from_arrays(t, 0 * y, y))
+    assert not found.refused
+    assert "the path is 62 m long, and a sheet 45.7 m, unless the ice goes on" in found.says
+    few = slice(None, None, 80)
+    assert examine(Throw.from_arrays(t[few], 0 * y[few], y[few])) == ()
+    # in feet a draw is too long and too fast
+    t, y = slid(2.0, 0.0074)
+    for rows in (slice(None), few):
+        with pytest.raises(InputError, match="length=ft"):
+            require_plausible(Throw.from_arrays(t[rows], 0 * y[rows], y[rows] / FOOT))

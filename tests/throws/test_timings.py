@@ -9,6 +9,7 @@ import pytest
 from sample_files import TIMINGS
 from typer.testing import CliRunner
 
+from curlfit.batch.settings import usual_law
 from curlfit.cli import app
 from curlfit.errors import DataError, InputError
 from curlfit.throws.readers import load_throw, load_throws
@@ -35,7 +36,7 @@ def values(throw):
 def test_a_record(read):
     throw = read(TIMINGS)
     assert not throw.has_path
-    assert throw.defaults["law"] == "coulomb"
+    assert throw.defaults["law"] == "front-back"  # curl and turns were measured
     found = {event.name: event for event in throw.events}
     # back line, hog lines and far tee, m from the hack (World Curling, rule R1)
     lines = {name: (event.since, event.at) for name, event in found.items()}
@@ -187,6 +188,24 @@ def test_a_table_has_a_throw_in_each_row(tmp_path):
     assert [part.shot for part in load_throws(file, shot=3)] == [3]
     with pytest.raises(InputError, match="there is no such row; expected one of 1 line 3; 2"):
         load_throw(file, shot=9)
+
+
+@pytest.mark.parametrize(
+    ("rows", "law"),
+    [
+        ("14.2,11,1,4 ft left,2.5 ccw", "front-back"),
+        ("14.2,11,1,4 ft left,", "coulomb"),
+        ("14.2,11,1,,2.5 ccw", "coulomb"),
+        ("14.2,11,1,,", "coulomb"),
+        ("14.2,11,1,4 ft left,2.5 ccw\n14.0,11,1,,", "front-back"),
+        ("14.2,11,1,4 ft left,2.5 ccw\n14.0,11,1,,\n14.1,11,1,,", "coulomb"),
+    ],
+)
+def test_the_law_is_that_of_what_was_measured(tmp_path, rows, law):
+    file = tmp_path / "evening.csv"
+    file.write_text("hog_to_hog,hog_to_rest,rest,curl,turns\n" + rows + "\n")
+    assert {part.throw.defaults["law"] for part in load_throws(file)} == {law}
+    assert usual_law(str(file), None) == usual_law(str(file), "timings") == law
 
 
 def test_words_of_a_quantity():

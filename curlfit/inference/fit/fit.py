@@ -16,6 +16,7 @@ from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
 from curlfit.friction.family import LawFamily
 from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.change_points import sudden_change
+from curlfit.inference.fit.measured_curl import with_curl_warning
 from curlfit.inference.fit.missing_channels import remedies
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.quantities import quantities_of
@@ -151,7 +152,7 @@ def fit(
             result = replace(result, warnings=(change.warning(), *result.warnings))
     if not details:
         return result
-    result = replace(result, quantities=quantities_of(result))
+    result = replace(with_curl_warning(result), quantities=quantities_of(result))
     if result.reference is not None:
         result = replace(result, reference_fits=_reference_fits(found, result))
     open_ = [name for name, item in result.parameters.items() if item.verdict in _OPEN]
@@ -295,7 +296,10 @@ def fit_throws(
             solved = _fitted_together(rounds, start)
             errors = max(len(one.calibration) for one in part.values())
             widths = {} if systematics is None else widths_of(model, systematics, errors)
-            results = summarize_many(list(solved.values()), curves=curves, widths=widths)
+            results = map(
+                with_curl_warning,
+                summarize_many(list(solved.values()), curves=curves, widths=widths),
+            )
             found |= zip((list(part)[row] for row in solved), results, strict=True)
             for row, (index, prepared) in enumerate(part.items()):
                 if row not in solved:

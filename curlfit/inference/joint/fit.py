@@ -16,6 +16,7 @@ import numpy as np
 
 from curlfit.errors import InputError, UnusableFitError, require_kind
 from curlfit.friction import Law, check_load, find_law, no_motion_because
+from curlfit.inference.fit.measured_curl import curl_warnings
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import Estimate, FitResult, Systematics
@@ -198,6 +199,7 @@ def _result(
     ]
     warnings = [
         *_heterogeneity_warnings(differences, throws, rounds),
+        *curl_warnings(throws),
         *analysis.bound_warnings(),
         *(f"{item.data['file']}: {warning}" for item in single for warning in item.warnings),
     ]

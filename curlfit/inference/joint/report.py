@@ -89,7 +89,7 @@ def _said(item: Difference | None) -> Text:
     if item is None:
         return Text("")
     if not item.significant:
-        return Text(f"no (p = {item.p_value:.2g})", style="green")
+        return Text(f"no ({item.p_text})", style="green")
     return Text(
         f"yes ({item.p_text}): spread {item.spread:.2g}, mean {compact(item.mean, item.stderr)}",
         style="yellow",

@@ -21,6 +21,7 @@ from curlfit.inference.fit.result import (
 )
 from curlfit.inference.identifiability import Combination
 from curlfit.output.files import known_fields, load_record, write_json
+from curlfit.output.text import p_text
 
 SCHEMA = 1
 
@@ -57,8 +58,8 @@ class Difference:
 
     @property
     def p_text(self) -> str:
-        """The p-value of a significant difference as text."""
-        return f"p = {self.p_value:.1g}" if self.p_value > 1e-99 else "p < 1e-99"
+        """The p-value as text, such as "p < 0.001"."""
+        return p_text(self.p_value)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -203,7 +203,7 @@ def _record(path: Path, lines: list[str], rows: list[dict[str, _Entry]], index: 
     entries = rows[index]
     comments = [(k, line) for k, line in enumerate(lines, 1) if line.lstrip().startswith("#")]
     settings, reference, notes = defaults_of(path, comments)
-    settings.setdefault("law", "coulomb")
+    settings.setdefault("law", _usual_law(rows))
     record = _Record(path, entries, min_line(entries) if len(rows) > 1 else None)
     events = record.events()
     record.require_friction(events)
@@ -220,6 +220,18 @@ def _record(path: Path, lines: list[str], rows: list[dict[str, _Entry]], index: 
         said,
     ]
     return parsed
+
+
+def usual_law(path: Path, lines: list[str]) -> str:
+    """The law that a file is fitted with if none is named. Raises `DataError` as `read_timings`."""
+    return _usual_law(_rows(path, lines))
+
+
+def _usual_law(rows: list[dict[str, _Entry]]) -> str:
+    """The law that the measurements determine: curl and turns need one that curls and slows the
+    spin as stones do, times and positions along the sheet a mean friction."""
+    both = sum({"curl", "turns"} <= row.keys() for row in rows)
+    return "front-back" if 2 * both >= len(rows) > 0 else "coulomb"
 
 
 class _Record:
