@@ -43,7 +43,7 @@ def adequacy(result: FitResult) -> tuple[float | None, bool | None]:
         noise["phi"] = _noise(times[turned], phi[turned], result.loss)
         wanted["phi"] = _uneven(times[turned], _seen(phi[turned], result.loss))
     size = sizes(result, residuals)
-    correlated = bool(result.noise.memory) or any(
+    correlated = any(result.noise.memory.values()) or any(
         item.doubtful for item in result.independence.values()
     )
     answers = []

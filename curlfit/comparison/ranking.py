@@ -1,4 +1,5 @@
-"""The ranking of fits by BIC, and the difference of each from the best by each criterion."""
+"""The ranking of fits by BIC, first of laws that follow the path, and the difference of each from
+the best by each criterion."""
 
 from __future__ import annotations
 
@@ -44,12 +45,15 @@ def ranked(found: list[Fitted]) -> Comparison:
         )
         for one in found
     ]
-    found = sorted(found, key=_order)
+    followed = any(one.candidate.follows and _counts(one.candidate) for one in found)
+    found = sorted(found, key=lambda one: _order(one, followed))
     noises = list(dict.fromkeys(one.noise.kind for one in fits))
     independent = not effective.number and len(noises) == 1
     if independent:
         found = _with_predictions(found)
-    best = [one.candidate for one in found if _counts(one.candidate)] or [found[0].candidate]
+    best = [
+        one.candidate for one in found if _counts(one.candidate) and not _misses(one, followed)
+    ] or [found[0].candidate]
     candidates = _weighted([_with_differences(one.candidate, best) for one in found])
     first = fits[0]
     curl, side = bend(first)
@@ -78,10 +82,17 @@ def most_likely(found: list[Fitted]) -> FitResult:
     return best
 
 
-def _order(one: Fitted) -> tuple[bool, bool, bool, float]:
+def _order(one: Fitted, followed: bool) -> tuple[bool, bool, bool, bool, float]:
     item = one.candidate
     # Differences below a tenth are meaningless: the order of the request is kept.
-    return item.bic is None, item.signs_free, not item.converged, round(item.bic or 0.0, 1)
+    bic = round(item.bic or 0.0, 1)
+    return item.bic is None, item.signs_free, not item.converged, _misses(one, followed), bic
+
+
+def _misses(one: Fitted, followed: bool) -> bool:
+    """Whether a law does not follow a path that another follows: with a flexible noise model its
+    likelihood may be greater all the same."""
+    return followed and one.candidate.follows is False
 
 
 def _counts(item: Candidate) -> bool:

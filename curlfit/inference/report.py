@@ -344,8 +344,9 @@ def _two(value: float | None) -> str:
 def _memory(fit: FitResult, channel: str) -> str:
     """The correlation of a channel's noise, in a few words."""
     parts = ["discrepancy"] if fit.noise.sizes else []
-    if channel in fit.noise.memory:
-        parts.append(f"correlation time {fit.noise.memory[channel]:.2g} s")
+    if memory := fit.noise.memory.get(channel):
+        share = fit.noise.white_share(channel)
+        parts.append(f"correlation time {memory:.2g} s, {share:.0%} independent")
     return ", ".join(parts) or "independent"
 
 

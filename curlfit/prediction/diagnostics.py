@@ -108,9 +108,9 @@ def discrepancy_remarks(discrepancy: Discrepancy) -> tuple[list[str], list[str]]
         )
 
     limit = (
-        f"the prior is truncated at the friction (mu = {discrepancy.friction:.2g}, mu g = "
-        f"{discrepancy.ceilings['along']:.2g} m/s^2; untruncated, 5 % of it would lie above, and "
-        "its mean would be a third of that)"
+        "the prior is truncated at what friction does to this throw, "
+        f"{listing(discrepancy.ceilings, COMPONENT_LABELS)} (mu = {discrepancy.friction:.2g}; "
+        "untruncated, 5 % of it would lie above, and its mean would be a third of that)"
     )
     if not discrepancy.estimated:
         return [

@@ -18,6 +18,7 @@ from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.change_points import sudden_change
 from curlfit.inference.fit.measured_curl import with_curl_warning
 from curlfit.inference.fit.missing_channels import remedies
+from curlfit.inference.fit.noise_advice import with_noise_advice
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
@@ -150,6 +151,8 @@ def fit(
         change = sudden_change(found)
         if change is not None:
             result = replace(result, warnings=(change.warning(), *result.warnings))
+        elif details and not result.events:
+            result = with_noise_advice(result, refit)
     if not details:
         return result
     result = replace(with_curl_warning(result), quantities=quantities_of(result))

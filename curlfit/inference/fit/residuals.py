@@ -19,6 +19,8 @@ from curlfit.numerics.arrays import Floats
 from curlfit.output.text import two_digits
 from curlfit.throws.throw import CHANNELS, Throw
 
+CORRELATED = "the residuals are correlated from row to row"
+"""First words of the warning about residuals of a fit with independent noise."""
 _EARLY = 5  # rows in which a hand may still be on the stone
 _FEWEST = 10  # values of a channel in which outliers are sought
 _FEW = 50  # values, below which a single one pulls the fit
@@ -232,20 +234,14 @@ def correlation_warnings(statistics: ResidualStatistics, noise: str) -> list[str
         return []
     listed = ", ".join(f"{item.lag1:.2f} in {name}" for name, item in doubtful.items())
     if noise != "white":
-        remedy = "; fit with --noise ar1+discrepancy" if "+" not in noise else ""
         return [
             f"noise {noise} does not describe these residuals, which stay correlated from row to "
-            f"row (lag-1 correlation {listed}); standard errors may be too small{remedy}"
+            f"row (lag-1 correlation {listed}); standard errors may be too small"
         ]
     effective = ", ".join(
         f"{item.effective:.0f} of {count[name]} in {name}" for name, item in doubtful.items()
     )
-    smooth = max(item.lag1 for item in doubtful.values()) > _SMOOTH
-    kind = "are smooth" if smooth else "are correlated from row to row"
-    cause = ", as a model discrepancy or slowly varying noise makes them" if smooth else ""
     return [
-        f"the residuals {kind} (lag-1 correlation {listed}){cause}; standard errors, which assume "
-        f"independent noise, are too small (effective sample size: {effective}); fit with "
-        f"--noise {'discrepancy' if smooth else 'ar1'}, or compare noise models (curlfit "
-        f"compare --noise white,{'discrepancy' if smooth else 'ar1'})"
+        f"{CORRELATED} (lag-1 correlation {listed}); standard errors, which assume independent "
+        f"noise, are too small (effective sample size: {effective})"
     ]

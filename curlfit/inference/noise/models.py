@@ -94,6 +94,15 @@ class Noise:
 WHITE = Noise()
 
 
+_ROUGH = 1.0  # second over first differences, squared: 2 to 3 for noise that is not differentiable
+
+
+def is_rough(series: Floats) -> bool:
+    """Whether a series is as rough as noise; others are due to a law, or to a formula."""
+    first, second = (float(np.sum(np.diff(series, order) ** 2)) for order in (1, 2))
+    return second > _ROUGH * first
+
+
 def time_of_motion(t: Floats, speed: Floats) -> float:
     """Time from the first row to the last in which a stone moves, s."""
     moving = np.flatnonzero(speed > 0)

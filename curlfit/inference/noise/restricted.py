@@ -24,7 +24,7 @@ from jax import Array
 from curlfit.inference.noise.accelerations import COMPONENTS, SIZES, log_prior
 from curlfit.inference.noise.kalman import KalmanFilter
 from curlfit.inference.noise.linearized import Linearized, Regression
-from curlfit.inference.noise.models import Noise
+from curlfit.inference.noise.models import Noise, is_rough
 from curlfit.inference.noise.whitening import STATE
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import compiled
@@ -40,7 +40,6 @@ _MOST = 9.0  # limit of the logit of that of correlated noise
 _SIZE = 0.05  # initial size of a discrepancy
 _PRECISE = 1e-7  # relative change of the log-posterior at which the search ends
 _STEP = 1e-3  # of differences of slopes
-_ROUGH = 1.0  # square of second over first differences: 2 to 3 for any noise of these models
 _FACTOR = 4 / 3  # mean square of a factor of the discrepancy that is uniform between 0 and 2
 GRID = np.stack(np.meshgrid(*[SIZES] * len(COMPONENTS), indexing="ij"), -1).reshape(
     -1, len(COMPONENTS)
@@ -189,7 +188,7 @@ class _Search:
     def rough(self, found: _Maximum) -> Booleans:
         """Channels whose residuals are as rough as noise; others are due to the law, or to a file
         without noise."""
-        data, answers = self.data, []
+        data = self.data
         regression = jax.tree.map(np.asarray, _at(found.logs, data))
         change, amplitudes = regression.change[:, -1], np.zeros(data.responses.shape[-1])
         if self.sizes:
@@ -198,11 +197,8 @@ class _Search:
             amplitudes = root @ np.linalg.solve(lower.T, white)
             change = change - regression.change[:, :-1] @ amplitudes
         left = data.residual - data.jacobian @ change - data.responses @ amplitudes
-        for series, weight in zip(left, data.weight, strict=True):
-            series = (weight * series)[weight > 0]
-            squares = [float(np.sum(np.diff(series, order) ** 2)) for order in (1, 2)]
-            answers.append(squares[1] > _ROUGH * squares[0])
-        return np.array(answers)
+        series = zip(data.weight * left, data.weight > 0, strict=True)
+        return np.array([is_rough(values[seen]) for values, seen in series])
 
     def widened(self, best: _Maximum) -> _Maximum:
         """With the mean variance of the noise at low frequencies in place of the most probable.
