@@ -22,6 +22,7 @@ from curlfit.html_report.document import (
 from curlfit.html_report.drawings import inline_svg
 from curlfit.html_report.provenance import fit_command, fit_settings, made_by, reading_notes
 from curlfit.html_report.replay import replay_of_fit
+from curlfit.inference.derived_report import FITTED, OF_LAW
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.overview import overview
 from curlfit.inference.report import identifiability, sections
@@ -34,7 +35,8 @@ _CAPTIONS = {
     "refitted parameter": "Shift of the estimates with the constants of the stone",
     "": "Intervals at 95 %",
     "derived": "Derived quantities",
-    "along the fitted path": "Along the fitted path",
+    FITTED: "Along the fitted path",
+    OF_LAW: "Along the path of the law, without the discrepancy",
     "channel": "Residuals by channel",
     "measured": "Timed events",
 }

@@ -19,7 +19,13 @@ def derived_table(items: Sequence[Derived]) -> list[RenderableType]:
     return [_table("derived", items, verdicts=True)] if items else []
 
 
-def quantities_table(quantities: Mapping[str, Derived]) -> list[RenderableType]:
+FITTED, OF_LAW = "along the fitted path", "along the path of the law"
+"""Headings of the quantities of a path, without and beside a model discrepancy."""
+
+
+def quantities_table(
+    quantities: Mapping[str, Derived], *, discrepancy: bool = False
+) -> list[RenderableType]:
     """Quantities of the fitted path within the record; empty if there are none."""
     if not quantities:
         return []
@@ -29,7 +35,7 @@ def quantities_table(quantities: Mapping[str, Derived]) -> list[RenderableType]:
         rows.append(item)
         if name == "curl":
             rows.append(scaled(replace(item, unit="ft"), 1 / FOOT))
-    found: list[RenderableType] = [_table("along the fitted path", rows, verdicts=False)]
+    found: list[RenderableType] = [_table(OF_LAW if discrepancy else FITTED, rows, verdicts=False)]
     if "draw_time" in quantities and "curl" in quantities:
         time, curl = quantities["draw_time"].value, abs(quantities["curl"].value) / FOOT
         text = (

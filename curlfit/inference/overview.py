@@ -34,7 +34,7 @@ def _(fit: FitResult) -> Overview:
     parts: list[RenderableType] = [
         table_of(fit.parameters, fit.combinations, fit.systematics, len(fit.coefficients)),
         *derived_table(fit.derived),
-        *quantities_table(fit.quantities),
+        *quantities_table(fit.quantities, discrepancy=bool(fit.noise.sizes)),
         Text(identifiability(fit)),
     ]
     if fit.posterior is not None:

@@ -95,6 +95,7 @@ def build_problem(
     sigma: dict[str, float],
     loss: str = "linear",
     noise: Noise | None = None,
+    parameters: int = 0,
     environment: Environment | None = None,
     shape: tuple[int, int] | None = None,
 ) -> Problem:
@@ -103,6 +104,7 @@ def build_problem(
     Parameters
     ----------
     sigma : of the channels for which the throw gives none.
+    parameters : their number, for a noise that is not white.
     environment : the assumed one, see `environment_of`; level ice and still air if None.
     shape : of the data, channels and rows; the smallest possible if None.
     """
@@ -130,7 +132,7 @@ def build_problem(
         environment=environment or LEVEL_AND_STILL,
         loss=np.asarray(LOSSES.index(loss)),
         events=events,
-        whitener=None if noise is None else Whitener.of(noise, times, weight),
+        whitener=None if noise is None else Whitener.of(noise, times, weight, parameters),
     )
 
 

@@ -69,7 +69,7 @@ def sections(fit: FitResult) -> dict[str, list[RenderableType]]:
         "heading": [_heading(fit)],
         "estimates": [_coefficients(fit), *_student(fit)],
         "derived": derived_table(fit.derived),
-        "path": quantities_table(fit.quantities),
+        "path": quantities_table(fit.quantities, discrepancy=bool(fit.noise.sizes)),
         "systematics": [_spaced(said)] * bool(said),
         "reference": _beside_reference(fit),
         "quality": [_quality(fit)] * bool(fit.rms),

@@ -91,7 +91,7 @@ class DiscrepancyPosterior:
         right = factor * white[which] + random.standard_normal((draws, lower.shape[-1]))
         inner = np.linalg.solve(lower.mT[which], right[..., None])
         amplitudes = (root[which] @ inner)[..., 0]
-        change = -amplitudes @ (self._data.from_standard @ regression.change[:, :-1]).T
+        change = -amplitudes @ (self._data.from_standard @ np.asarray(self._data.coupling)).T
         ceilings = np.array([self.summary.ceilings[component] for component in COMPONENTS])
         fitted = amplitudes.reshape(draws, len(COMPONENTS), -1) * ceilings[:, None]
         sizes = random.choice(SIZES, (draws, len(COMPONENTS)), p=_prior_weights()) * ceilings
@@ -103,9 +103,12 @@ class DiscrepancyPosterior:
         """Draws of the parameters corrected for the missing accelerations, with errors enlarged
         where a fit with independent noise has correlated residuals."""
         found, data = values + missing.change, self._data
-        if self._fit.noise.kind == "white" and self._estimate.regression is not None:
-            squares, axes = np.linalg.eigh(self._estimate.regression.precision)
-            stretch = (axes / np.sqrt(np.clip(squares, 1e-12, 1.0))) @ axes.T - np.eye(len(axes))
+        if self._fit.noise.kind == "white":
+            t = self._fit.observed["t"]
+            noise, scale = self._estimate.noise, self._estimate.scale
+            times = np.append(t - t[0], np.full(len(data.gaps) - len(t), t[-1] - t[0]))
+            squares, axes = np.linalg.eigh(data.covariance(noise, times, scale))
+            stretch = (axes * np.sqrt(np.maximum(squares, 1.0))) @ axes.T - np.eye(len(axes))
             offset = (values - self._fit.values) @ data.to_standard.T
             found += offset @ stretch @ data.from_standard.T
         bounds = self._fit.parameter_set

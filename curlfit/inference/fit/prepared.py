@@ -141,18 +141,20 @@ def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
     origin = Origin.of(throw)
     environment = environment_of(fit.data["swept"], origin.t)
     problem = build_problem(
-        throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise, environment=environment
-    )
+        throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise, len(fit.values),
+        environment=environment,
+    )  # fmt: skip
     if fit.noise.sizes:
-        data = _linearized(fit, problem, origin).first(len(problem.weight))
-        whitener = Whitener.of(fit.noise, problem.times, problem.weight, data)
+        data = linearized_fit(fit).first(len(problem.weight))
+        whitener = Whitener.of(fit.noise, problem.times, problem.weight, len(fit.values), data)
         problem = problem._replace(whitener=whitener)
     return problem, origin
 
 
 def linearized_fit(fit: FitResult) -> Linearized:
-    """The fitted path to first order."""
-    problem, origin = problem_of(replace(fit, noise=WHITE))
+    """The fitted path to first order, with the weights of independent noise."""
+    independent = fit.sigma | fit.noise.independent
+    problem, origin = problem_of(replace(fit, sigma=independent, noise=WHITE))
     return _linearized(fit, problem, origin)
 
 

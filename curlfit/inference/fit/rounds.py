@@ -81,7 +81,7 @@ class Rounds:
             [
                 build_problem(
                     one.throw, one.stone, one.origin, sigma, noise=blank,
-                    environment=one.environment, shape=shape,
+                    parameters=len(one.parameters), environment=one.environment, shape=shape,
                 )
                 for one, sigma in zip(throws, even, strict=True)
             ]
@@ -177,15 +177,19 @@ class Rounds:
                 continue
             found = estimate(self.noises[index].kind, data, ~self.unknown[index])
             self.noises[index] = found.noise
+            if found.noise.sizes:
+                pairs = zip(self.channels, self.sigma[index], self.unknown[index], strict=True)
+                found.noise.independent.update({n: float(s) for n, s, own in pairs if own})
             scale = np.where(self.unknown[index], found.scale, 1.0)
             self.sigma[index] = scale * self.sigma[index] + SIGMA_FLOOR * self.unknown[index]
-            estimated[int(index)] = data._replace(weight=data.weight / scale[:, None])
+            estimated[int(index)] = data
         now = np.array(list(estimated), int)
         self._reweighted(now)
         for index, data in estimated.items():
             whitener = Whitener.of(
-                self.noises[index], self.problems.times[index], self.problems.weight[index], data
-            )
+                self.noises[index], self.problems.times[index], self.problems.weight[index],
+                len(data.from_standard), data,
+            )  # fmt: skip
             pairs = zip(*map(jax.tree.leaves, (self.problems.whitener, whitener)), strict=True)
             for leaf, new in pairs:
                 leaf[index] = new

@@ -271,11 +271,17 @@ def _discrepancy(
         return {}
     n, prepared = len(fit.prepared.throw), fit.prepared
     adjustable = prepared.parameters.free & ~found.at_bound
+    weight = np.array(fit.problem.weight)
+    for name, sigma in fit.noise.independent.items():
+        weight[CHANNELS.index(name)] *= fit.sigma[name] / sigma
     data = linearized(
-        fit.model, fit.problem, fit.solution.values, statistics.path[:, :n], prepared.stone,
+        fit.model, fit.problem._replace(weight=weight), fit.solution.values,
+        statistics.path[:, :n], prepared.stone,
         prepared.parameters.typical, adjustable,
     )  # fmt: skip
-    mean = posterior_mean(fit.noise, fit.problem.times, data)[:, :n]
+    now = np.zeros_like(data.weight)
+    now[: len(weight)] = fit.problem.weight
+    mean = posterior_mean(fit.noise, fit.problem.times, now, data)[:, :n]
     return dict(zip(CHANNELS, mean, strict=False))
 
 

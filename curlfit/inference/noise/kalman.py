@@ -22,7 +22,8 @@ from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
 from curlfit.throws.throw import CHANNELS
 
-_SHORTEST = 1e-9  # s, in place of a correlation time of 0
+SHORTEST = 1e-9
+"""s, in place of a correlation time of 0."""
 
 
 class KalmanFilter(NamedTuple):
@@ -44,7 +45,7 @@ class KalmanFilter(NamedTuple):
         gaps : time to the next row, s, shape (n,).
         seen : which values were observed, shape (channels, n).
         """
-        rate = gaps / jnp.maximum(memory, _SHORTEST)[:, None]
+        rate = gaps / jnp.maximum(memory, SHORTEST)[:, None]
 
         def advance(variance: Array, row: tuple[Array, Array]) -> tuple[Array, tuple[Array, Array]]:
             rate, seen = row

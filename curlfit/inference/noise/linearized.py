@@ -1,9 +1,9 @@
 """A fitted path to first order: its changes with the parameters and with missing accelerations.
 
-Identification. The amplitudes of a discrepancy are conditioned to leave the estimates of the law's
-coefficients unchanged (as in Plumlee 2017, Journal of the American Statistical Association 112,
-1274), while those of the initial state would adjust. A fit reports the path of the law nearest to
-the data; that adjustment is part of the error of its initial state.
+Identification. The amplitudes of a discrepancy are conditioned to leave the least-squares estimates
+of the law's coefficients unchanged (as in Plumlee 2017, Journal of the American Statistical
+Association 112, 1274), while those of the initial state would adjust. A fit reports the path of the
+law nearest to the data; that adjustment is part of the error of its initial state.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from jax.scipy.linalg import solve_triangular
 
 from curlfit.inference.identifiability import directions
 from curlfit.inference.noise.accelerations import amplitude_root
-from curlfit.inference.noise.kalman import KalmanFilter
+from curlfit.inference.noise.kalman import SHORTEST, KalmanFilter
+from curlfit.inference.noise.models import Noise
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import compiled
 from curlfit.throws.throw import CHANNELS
@@ -100,6 +101,17 @@ class Linearized(NamedTuple):
         found[len(CHANNELS) :] = False
         return found
 
+    @property
+    def coupling(self) -> Any:
+        """Change of the least-squares estimates of the directions for each amplitude."""
+        rows = self.weight[..., None] ** 2 * self.responses
+        return jnp.einsum("cnp,cnk->pk", self.jacobian, rows)
+
+    @property
+    def paid(self) -> Any:
+        """Derivatives of the path by the amplitudes while the parameters adjust."""
+        return self.responses - self.jacobian @ self.coupling
+
     def regression(self, own: KalmanFilter, scale: Any) -> Regression:
         """After a filter of the noise, with sigma times `scale` by channel."""
         p, columns = len(self.held.T), own.innovations(self.columns) / scale[:, None, None]
@@ -107,14 +119,20 @@ class Linearized(NamedTuple):
         precision = sums[:p, :p] + jnp.diag(jnp.where(jnp.diag(sums)[:p] > 0, 0.0, 1.0))
         lower = jnp.linalg.cholesky(precision)
         along = solve_triangular(lower, sums[:p, p:], lower=True)
-        change = solve_triangular(lower.T, along, lower=False)
-        return Regression(
-            sums[p:, p:] - along.T @ along, change, precision, self.held @ change[:, :-1]
-        )
+        return Regression(sums[p:, p:] - along.T @ along, precision, self.held @ self.coupling)
 
-    def change_of_initial_state(self, regression: Regression, number: int) -> Any:
-        """Change of the last parameters for each amplitude, shape (number, amplitudes)."""
-        return -self.from_standard[-number:] @ regression.change[:, :-1]
+    def covariance(self, noise: Noise, times: Floats, scale: Floats) -> Floats:
+        """Of the least-squares estimates of the directions under noise with sigma times `scale`."""
+        found = np.zeros((len(self.held.T),) * 2)
+        for row, (weight, factor) in enumerate(zip(self.weight, scale, strict=True)):
+            name, seen = [*CHANNELS, ""][row], weight > 0
+            rows, t = factor * weight[seen, None] * self.jacobian[row, seen], times[seen]
+            share, memory = noise.white_share(name), max(noise.memory.get(name, 0.0), SHORTEST)
+            found += share * rows.T @ rows
+            if share < 1:
+                correlation = np.exp(-np.abs(t[:, None] - t) / memory)
+                found += (1 - share) * rows.T @ correlation @ rows
+        return found
 
 
 class Regression(NamedTuple):
@@ -122,8 +140,6 @@ class Regression(NamedTuple):
 
     left: Any
     """products of what is left of these columns"""
-    change: Any
-    """change of the parameters' directions for each of these columns"""
     precision: Any
     """of the directions"""
     held: Any
@@ -146,6 +162,6 @@ class Regression(NamedTuple):
 
 
 @compiled()
-def regression_of(own: KalmanFilter, data: Linearized) -> Regression:
-    """The regression after a filter, with sigma as in the weights."""
-    return data.regression(own, jnp.ones(len(data.weight)))
+def regression_of(own: KalmanFilter, data: Linearized, scale: Array) -> Regression:
+    """`Linearized.regression`."""
+    return data.regression(own, scale)

@@ -67,6 +67,8 @@ class Noise:
     white : independent share of the variance by channel.
     sizes : for "discrepancy", the standard deviation of the missing acceleration over that by
         friction, by component (`across`, `along`, `turning`).
+    independent : for "discrepancy", sigma of the fit with independent noise, by channel: the
+        coefficients and the path of the law are nearest to the data with these weights.
     initial_state : covariance of the change of the initial state (x0, y0, heading, v0, phi0,
         omega0; SI) that compensates the discrepancy, part of the error of its estimate.
     """
@@ -75,6 +77,7 @@ class Noise:
     memory: dict[str, float] = field(default_factory=dict)
     white: dict[str, float] = field(default_factory=dict)
     sizes: dict[str, float] = field(default_factory=dict)
+    independent: dict[str, float] = field(default_factory=dict)
     initial_state: list[list[float]] = field(default_factory=list)
 
     def white_share(self, channel: str) -> float:

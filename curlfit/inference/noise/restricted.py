@@ -189,14 +189,12 @@ class _Search:
         """Channels whose residuals are as rough as noise; others are due to the law, or to a file
         without noise."""
         data = self.data
-        regression = jax.tree.map(np.asarray, _at(found.logs, data))
-        change, amplitudes = regression.change[:, -1], np.zeros(data.responses.shape[-1])
+        left = data.residual
         if self.sizes:
+            regression: Regression = jax.tree.map(np.asarray, _at(found.logs, data))
             sizes = np.exp(found.logs[-self.sizes :])
             lower, white, root = map(np.asarray, regression.posterior(sizes))
-            amplitudes = root @ np.linalg.solve(lower.T, white)
-            change = change - regression.change[:, :-1] @ amplitudes
-        left = data.residual - data.jacobian @ change - data.responses @ amplitudes
+            left = left - np.asarray(data.paid) @ (root @ np.linalg.solve(lower.T, white))
         series = zip(data.weight * left, data.weight > 0, strict=True)
         return np.array([is_rough(values[seen]) for values, seen in series])
 
@@ -238,7 +236,7 @@ class _Search:
         noise.sizes.update(zip(COMPONENTS, map(float, rms), strict=True))
         lower, white, root = map(np.asarray, regression.posterior(rms))
         spread = np.linalg.inv(lower.T)
-        shift = data.change_of_initial_state(regression, STATE) @ root
+        shift = data.from_standard[-STATE:] @ np.asarray(data.coupling) @ root
         noise.initial_state.extend(
             (shift @ (spread @ spread.T + _FACTOR * np.outer(spread @ white, spread @ white))
              @ shift.T).tolist()

@@ -23,27 +23,35 @@ from curlfit.numerics.arrays import Floats
 
 STATE = 6
 """Number of parameters of the initial state, the last of all."""
-_COUNT = len(COMPONENTS) * SHAPES + STATE
+_COUNT = len(COMPONENTS) * SHAPES
 
 
 class Whitener(NamedTuple):
     """Makes residuals with correlated noise independent.
 
-    After the filter, each direction u of the residuals in which the discrepancy is s times the
-    noise is scaled down by sqrt(1 + s^2): with C = 1 + U diag(s^2) U^T,
-    C^-1/2 = 1 - U diag(1 - 1/sqrt(1 + s^2)) U^T.
+    Without a discrepancy, by the filter W of the noise alone. With one, the estimates are those of
+    least squares, b = B^T r, and independent of the rest: after the filter, the changes with the
+    parameters, of orthonormal basis G, are replaced by G V^-1/2 b with the covariance V of b, and
+    each direction in which the discrepancy is s times the noise is scaled down by sqrt(1 + s^2).
     """
 
     filter: KalmanFilter
     directions: Any = None
     """orthonormal, shape (channels, n, k); None without a discrepancy"""
     shrink: Any = None
-    """1 - 1/sqrt(1 + s^2) by direction, shape (k,)"""
+    """1 - 1/sqrt(1 + s^2) by direction, and 1 for those of G, shape (k,)"""
+    estimates: Any = None
+    """B, shape (channels, n, parameters)"""
+    restored: Any = None
+    """G V^-1/2, of that shape"""
+    determinant: Any = None
+    """of what follows the filter, its logarithm"""
 
     @classmethod
     def of(
-        cls, noise: Noise, times: Floats, weight: Floats, data: Linearized | None = None
-    ) -> Self | None:
+        cls, noise: Noise, times: Floats, weight: Floats, parameters: int,
+        data: Linearized | None = None,
+    ) -> Self | None:  # fmt: skip
         """The whitener of a noise model; None where that is white.
 
         It changes nothing where the noise has neither a memory nor a size.
@@ -52,21 +60,46 @@ class Whitener(NamedTuple):
         ----------
         times : s since the first row, shape (n,).
         weight : 1/sigma, 0 where nothing was observed, shape (channels, n).
-        data : the fitted path, with these weights; None for a noise that has no size yet.
+        parameters : their number.
+        data : the fit with independent noise to first order; None for a noise that has no size yet.
         """
         if noise.kind == "white":
             return None
         own = KalmanFilter.of_noise(noise, times, weight > 0)
         if noise.kind != "discrepancy":
             return cls(own)
-        directions, shrink = np.zeros((weight.size, _COUNT)), np.zeros(_COUNT)
+        k, n = _COUNT, weight.size
+        directions, shrink = np.zeros((n, k + parameters)), np.zeros(k + parameters)
+        estimates, restored = np.zeros((2, n, parameters))
+        determinant = 0.0
         if noise.sizes and data is not None:
-            rows = _discrepancy_rows(noise, own, data)
-            q, r = np.linalg.qr(rows.reshape(-1, _COUNT))  # faster than an SVD of all rows
-            left, singular, _ = np.linalg.svd(r, full_matrices=False)
-            directions[:, : left.shape[1]] = q @ left
+            scale = scale_between(data.weight, weight)
+            by_parameters = weight[..., None] * data.jacobian
+            determined = np.abs(data.from_standard).max(0) > 0
+            size = int(determined.sum())
+            g, triangle = np.linalg.qr(_filtered(own, by_parameters)[:, determined])
+            directions[:, k : k + size], shrink[k : k + size] = g, 1.0
+            estimates = (scale[:, None, None] * data.weight[..., None] * data.jacobian).reshape(
+                n, -1
+            )
+            covariance = data.covariance(noise, times, scale)
+            to_state = data.to_standard[:, -STATE:]
+            covariance += to_state @ np.array(noise.initial_state) @ to_state.T
+            values, axes = np.linalg.eigh(covariance[determined][:, determined])
+            restored[:, determined] = g @ (axes / np.sqrt(values)) @ axes.T
+            root = _posterior(noise, own, data, scale)[2]
+            rows = _filtered(own, weight[..., None] * np.asarray(data.paid)) @ root
+            rows -= g @ (g.T @ rows)
+            left, singular, _ = np.linalg.svd(rows, full_matrices=False)
+            directions[:, : len(singular)] = left
             shrink[: len(singular)] = 1 - 1 / np.sqrt(1 + singular**2)
-        return cls(own, directions.reshape(*weight.shape, _COUNT), shrink)
+            determinant = np.log1p(-shrink[:k]).sum() - np.log(values).sum() / 2
+            determinant -= np.log(np.abs(np.diag(triangle))).sum()
+        shape = (*weight.shape, -1)
+        return cls(
+            own, directions.reshape(shape), shrink, estimates.reshape(shape),
+            restored.reshape(shape), np.asarray(determinant),
+        )  # fmt: skip
 
     def whiten(self, residual: Array) -> Array:
         """Whitened residuals from residuals over sigma, shape (channels, n)."""
@@ -74,13 +107,14 @@ class Whitener(NamedTuple):
         if self.directions is None:
             return white
         along = jnp.einsum("cnk,cn->k", self.directions, white) * self.shrink
-        return white - jnp.einsum("cnk,k->cn", self.directions, along)
+        estimates = jnp.einsum("cnp,cn->p", self.estimates, residual)
+        return white - self.directions @ along + self.restored @ estimates
 
     def log_determinant(self) -> Floats:
         """Log-determinant of the whitening by channel, for the likelihood; shape (channels,)."""
         found = np.array(self.filter.log_determinant())
-        if self.shrink is not None:
-            found[0] += np.log1p(-self.shrink).sum()  # of all channels together
+        if self.determinant is not None:
+            found[0] += self.determinant  # of all channels together
         return found
 
 
@@ -89,32 +123,28 @@ def whitened(residual: Array, whitener: Whitener | None) -> Array:
     return residual if whitener is None else whitener.whiten(residual)
 
 
-def _discrepancy_rows(noise: Noise, own: KalmanFilter, data: Linearized) -> Floats:
-    """B of the covariance 1 + B B^T of the residuals after the filter, shape (channels, n, k).
-
-    First what no change of the parameters can produce, then that of the initial state."""
-    regression = _numpy(regression_of(own, data))
-    columns = np.asarray(own.innovations(data.columns))
-    p, q = len(data.held.T), STATE
-    paid = columns[..., p:-1] - columns[..., :p] @ regression.change[:, :-1]
-    values, axes = np.linalg.eigh(np.array(noise.initial_state))
-    spread = axes * np.sqrt(np.maximum(values, 0.0))
-    of_state = columns[..., :p] @ data.to_standard[:, -q:] @ spread
-    return np.concatenate([paid @ regression.posterior(noise.all_sizes)[2], of_state], -1)
+def scale_between(before: Floats, weight: Floats) -> Floats:
+    """Factor between weights before and now, by channel; 1 where nothing was observed."""
+    largest = weight.max(1)
+    return np.where(largest > 0, before.max(1) / np.where(largest > 0, largest, 1.0), 1.0)
 
 
-def posterior_mean(noise: Noise, times: Floats, data: Linearized) -> Floats:
+def posterior_mean(noise: Noise, times: Floats, weight: Floats, data: Linearized) -> Floats:
     """Mean of the discrepancy given the residuals (Rasmussen and Williams 2006, eq. 2.25), beside
-    the path of the law; SI, shape (channels, n)."""
+    the path of the law; SI, shape (channels, n). Parameters as of `Whitener.of`."""
     own = KalmanFilter.of_noise(noise, times, data.weight > 0)
-    regression = _numpy(regression_of(own, data))
-    lower, white, root = map(np.asarray, regression.posterior(noise.all_sizes))
-    amplitudes = root @ np.linalg.solve(lower.T, white)
-    by_parameters = data.jacobian @ (regression.change[:, :-1] @ amplitudes)
-    found: Floats = data.responses @ amplitudes - by_parameters
+    lower, white, root = _posterior(noise, own, data, scale_between(data.weight, weight))
+    found: Floats = np.asarray(data.paid) @ (root @ np.linalg.solve(lower.T, white))
     return found
 
 
-def _numpy(regression: Regression) -> Regression:
-    found: Regression = jax.tree.map(np.asarray, regression)
-    return found
+def _posterior(
+    noise: Noise, own: KalmanFilter, data: Linearized, scale: Floats
+) -> tuple[Floats, ...]:
+    regression: Regression = jax.tree.map(np.asarray, regression_of(own, data, scale))
+    return tuple(map(np.asarray, regression.posterior(noise.all_sizes)))
+
+
+def _filtered(own: KalmanFilter, columns: Floats) -> Floats:
+    found = np.array(own.innovations(columns))
+    return found.reshape(-1, found.shape[-1])
