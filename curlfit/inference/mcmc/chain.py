@@ -216,7 +216,7 @@ class Chain(Displayed):
         with h5py.File(image, "w") as out:
             self._write(out, {"compression": "gzip", "shuffle": True} if compressed else {})
         with atomic_write(Path(file)) as temporary:
-            temporary.write_bytes(image.getbuffer())
+            temporary.write_bytes(image.getvalue())
 
     def _write(self, out: Any, how: dict[str, Any]) -> None:
         group = out.create_group("mcmc")
