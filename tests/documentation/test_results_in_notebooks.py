@@ -12,6 +12,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 import warnings
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -271,6 +272,14 @@ def test_other_results_as_tables(known):
     assert errors.tolist() == [one.stderr["mu1_eta + mu2_eta"] for one in known["plan"].candidates]
     path = known["path"].to_frame()
     np.testing.assert_allclose(path["speed"], np.hypot(path["vx"], path["vy"]))
+
+
+def test_extras_have_a_kernel_and_no_upper_bounds():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    assert any(one.startswith("ipykernel") for one in extras["notebook"])
+    for requirements in (project["dependencies"], *extras.values()):
+        assert not [one for one in requirements if "<" in one]
 
 
 @pytest.mark.parametrize(
