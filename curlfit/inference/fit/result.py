@@ -121,6 +121,7 @@ class Posterior(Displayed):
     seed: int
     acceptance: float
     ess: dict[str, float]
+    ess_tail: dict[str, float] = field(default_factory=dict, kw_only=True)
     r_hat: dict[str, float]
     quantiles: dict[str, dict[str, float]]
     mean: dict[str, float]
@@ -128,7 +129,6 @@ class Posterior(Displayed):
     correlation: dict[str, dict[str, float]]
     converged: bool
     status: str
-    ess_tail: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
