@@ -45,10 +45,10 @@ def export(
     to: Annotated[
         list[Form],
         typer.Option(
-            help="csv: parameters, and the path with its residuals. netcdf: InferenceData of ArviZ "
-            "(the sampled posterior). json: what `curlfit show --json` prints. latex: a table with "
-            "booktabs. table, c, js: the accelerations of the stone by speed and spin, as JSON, a "
-            "C header, a JavaScript module, for games and simulators; game: all three.",
+            help="csv: parameters, and the path with its residuals. netcdf: the sampled posterior "
+            "for ArviZ. json: what `curlfit show --json` prints. latex: a table with booktabs. "
+            "table, c, js: the accelerations of the stone by speed and spin, as JSON, C header and "
+            "JavaScript module, for games and simulators; game: all three.",
             show_default=False,
         ),
     ],

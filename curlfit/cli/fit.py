@@ -299,7 +299,8 @@ def _sample(
                 task, completed=min(samples, effective), state=f"{steps} steps, R-hat {r_hat:.3f}"
             )
 
-        return sample(result, effective=effective, progress=show_state, **choices)
+        shown = None if progress.disable else show_state  # R-hat takes time
+        return sample(result, effective=effective, progress=shown, **choices)
 
 
 def _fit_jointly(

@@ -451,15 +451,17 @@ def _change(direction: dict[str, float]) -> str:
 
 def about_posterior(found: Posterior) -> Text:
     """How a posterior was sampled, and how well."""
-    least = min(found.ess, key=found.ess.__getitem__)
+    sizes = []
+    for part, ess in (("bulk", found.ess), ("tail", found.ess_tail)):
+        if ess:  # records of earlier versions have none of the tails
+            least = min(ess, key=ess.__getitem__)
+            sizes.append(f"{ess[least]:.0f} in the {part} ({least})")
     worst = max(found.r_hat, key=found.r_hat.__getitem__)
-    slowest = max(found.autocorrelation_time.values())
     text = Text("Posterior: ")
     text.append(found.status, style="green" if found.converged else "bold yellow")
     text.append(
         f"; {found.samples} samples ({found.ensembles} ensembles, {found.walkers} walkers, "
-        f"{found.steps} steps), effective sample size at least {found.ess[least]:.0f} ({least}), "
-        f"R-hat at most {found.r_hat[worst]:.4f} ({worst}), "
-        f"autocorrelation time {slowest:.1f} steps, acceptance {found.acceptance:.0%}."
+        f"{found.steps} steps), effective sample size at least {' and '.join(sizes)}, "
+        f"R-hat at most {found.r_hat[worst]:.4f} ({worst}), acceptance {found.acceptance:.0%}."
     )
     return text

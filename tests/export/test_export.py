@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 import json
 import re
+import warnings
 from dataclasses import replace
 from io import StringIO
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import curlfit
 from curlfit.cli import main
@@ -86,9 +88,8 @@ def test_every_form_is_written(typed, folder):
     assert {row["throw"] for row in path} == {"a.csv", "b.csv"}
 
 
+@pytest.mark.numerical  # on the newest Python, whose ArviZ is 1.x
 def test_the_posterior_goes_to_arviz(typed, folder):
-    import warnings
-
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of ArviZ about its next version
         typed("export", "sampled", "--to", "netcdf")
@@ -96,12 +97,44 @@ def test_the_posterior_goes_to_arviz(typed, folder):
 
         data = arviz.from_netcdf(str(folder / "sampled-export/posterior.nc"), engine="h5netcdf")
     chain = curlfit.load_chain(folder / "sampled" / "chain.h5")
-    assert float(data.posterior["mu2_xi"].mean()) == pytest.approx(
+    assert float(data["posterior"]["mu2_xi"].mean()) == pytest.approx(
         chain.of({"mu2_xi": 1.0}).mean(), rel=1e-4
     )
-    assert data.posterior.sizes["chain"] == chain.ensembles
-    assert {"posterior_predictive", "log_likelihood", "observed_data"} <= set(data.groups())
+    assert data["posterior"].sizes["chain"] == chain.ensembles
+    for group in ("posterior_predictive", "observed_data", "constant_data"):
+        assert {"x", "y", "phi"} & {name.removeprefix("sigma_") for name in data[group].data_vars}
+    assert data.attrs["law"] == "front-back"
     data.close()
+
+
+@pytest.mark.numerical
+def test_priors_and_likelihood_are_those_of_the_chain(eq12):
+    """Their logarithms sum to that of the sampled density but for a constant."""
+    priors = {"mu2_xi": "0.05563+-0.00002", "mu1_xi": "lognormal:0.0004,0.5"}
+    fit, chain = curlfit.sample(curlfit.fit(eq12, priors=priors), effective=1000)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        data = chain.to_arviz(draws=1500)
+        import arviz
+    prior = data["log_prior"]
+    assert set(prior.data_vars) == set(fit.parameter_set.names_where(fit.parameter_set.free))
+    assert not np.any(prior["v0"])
+    total = sum(prior[name] for name in prior.data_vars)
+    for name in ("x", "y", "phi"):
+        total = total + data["log_likelihood"][name].sum("time")
+    off = data["sample_stats"]["lp"] - total
+    np.testing.assert_allclose(off, float(off.mean()), atol=1e-6)
+    for name, density in (
+        ("mu2_xi", stats.norm(0.05563, 0.00002)),
+        ("mu1_xi", stats.lognorm(0.5, scale=0.0004)),
+    ):
+        expected = density.logpdf(data["posterior"][name])
+        np.testing.assert_allclose(
+            prior[name] - prior[name].mean(), expected - expected.mean(), atol=1e-9
+        )
+    sense = getattr(arviz, "psense", None) or arviz.psens
+    found = sense(data)
+    assert max(found, key=lambda name: float(found[name])) == "mu2_xi"
 
 
 @pytest.mark.parametrize(

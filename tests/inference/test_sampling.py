@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+import warnings
 
 import emcee
 import numpy as np
 import pytest
+import xarray
 from scipy import optimize, stats
 
 import curlfit
 from curlfit import Stone, fit, law_with, load_chain, sample, synthetic_throw
 from curlfit.inference.fit.result import load_fit
-from curlfit.inference.mcmc.convergence import autocorrelation_times, r_hat
+from curlfit.inference.mcmc.convergence import Diagnosis, steps_to_discard
 from curlfit.inference.mcmc.proposals import EnsembleMove, RidgeMove
 from curlfit.inference.mcmc.ridge import _extent
 
@@ -33,6 +36,9 @@ def test_the_ridge_is_explored_to_its_ends_evenly(eq12_posterior):
         assert stats.kstest(thin, "uniform").pvalue > 1e-3
     assert max(found.r_hat.values()) < 1.01
     assert min(found.ess.values()) > 2000
+    assert min(found.ess_tail.values()) > 2000
+    said = " ".join(_report(result).split())
+    assert re.search(r"at least \d+ in the bulk \(\S+\) and \d+ in the tail \(\S+\), R-hat", said)
 
 
 def test_determined_parameters_agree_with_least_squares(eq12_posterior):
@@ -161,25 +167,69 @@ def test_ridge_move_leaves_its_target_as_it_is():
     assert stats.kstest((chain[::40].sum(1) - 2) / np.sqrt(2) / 0.25, "norm").pvalue > 1e-3
 
 
-@pytest.mark.parametrize("steps", [5, 64, 333])
-def test_autocorrelation_times_are_those_of_emcee(steps):
-    random = np.random.default_rng(0)
-    values = random.normal(size=(steps, 12, 3))
+def _walk(random, steps, memory, walkers=128):
+    """Stationary normal chains, shape (steps, walkers, parameters), with these autocorrelations."""
+    memory = np.array(memory)
+    values = random.standard_normal((steps, walkers, len(memory)))
     for step in range(1, steps):
-        values[step] += [0.0, 0.5, 0.9] * values[step - 1]
-    expected = emcee.autocorr.integrated_time(values, tol=0)
-    np.testing.assert_allclose(autocorrelation_times(values), expected, rtol=1e-12)
-    values[:, 3, 1] = 2.0
-    assert np.isnan(autocorrelation_times(values)).tolist() == [False, True, False]
+        values[step] = memory * values[step - 1] + np.sqrt(1 - memory**2) * values[step]
+    return values
 
 
-def test_r_hat_by_hand():
-    random = np.random.default_rng(0)
-    same = random.normal(size=(50, 4, 8, 1))
-    assert r_hat(same)[0] == pytest.approx(1, abs=0.01)
-    apart = same + np.array([0, 0, 0, 2.0])[None, :, None, None]
-    # between variance of means 0, 0, 0, 2 is 1; within is 1
-    assert r_hat(apart)[0] == pytest.approx(np.sqrt(2), abs=0.1)
+@pytest.mark.numerical
+@pytest.mark.parametrize("steps", [40, 81, 400])
+def test_diagnostics_are_those_of_arviz(steps):
+    """Walkers are its chains for effective sample sizes, ensembles for R-hat."""
+    random = np.random.default_rng(steps)
+    values = _walk(random, steps, [0.0, 0.5, 0.95, -0.4])
+    for step in range(1, steps):  # refused proposals repeat a value
+        stay = random.random(128) < 0.3
+        values[step, stay] = values[step - 1, stay]
+    values[:, 32:64, 0] *= 1.3
+    values[..., 3] = np.maximum(values[..., 3], -0.5)
+    found = Diagnosis(values, 4)
+
+    with warnings.catch_warnings():  # ArviZ announces its next version
+        warnings.simplefilter("ignore")
+        import arviz
+    kept = values[steps_to_discard(steps) :]
+    walkers = xarray.Dataset({str(k): (("chain", "draw"), kept[..., k].T) for k in range(4)})
+    half = len(kept) // 2
+    halves = np.concatenate([kept[:half], kept[-half:]]).reshape(2 * half, 4, 32, 4)
+    ensembles = xarray.Dataset(
+        {str(k): (("chain", "draw"), np.moveaxis(halves[..., k], 1, 0).reshape(4, -1))
+         for k in range(4)}
+    )  # fmt: skip
+    for expected, ours in (
+        (arviz.ess(walkers, method="bulk"), found.bulk),
+        (arviz.ess(walkers, method="tail", prob=(0.05, 0.95)), found.tail),
+        (arviz.rhat(ensembles, method="rank"), found.r_hat),
+    ):
+        np.testing.assert_allclose(ours, [float(expected[str(k)]) for k in range(4)], rtol=1e-12)
+
+
+def test_effective_sample_sizes_are_those_of_autoregressive_chains():
+    """Their autocorrelation time is (1 + a)/(1 - a)."""
+    memory = np.array([0.0, 0.5, 0.8])
+    values = _walk(np.random.default_rng(1), 4000, memory)
+    expected = 3600 * 128 * (1 - memory) / (1 + memory)
+    np.testing.assert_allclose(Diagnosis(values, 4).bulk, expected, rtol=0.03)
+
+
+def test_r_hat_sees_ensembles_that_differ_in_place_width_or_time():
+    values = _walk(np.random.default_rng(2), 200, [0.0] * 4)
+    values[:, :32, 1] += 0.5
+    values[:, :32, 2] *= 2  # the means agree
+    values[:, :, 3] += np.linspace(-1, 1, 200)[:, None]
+    found = Diagnosis(values, 4).r_hat
+    assert found[0] < 1.002
+    assert (found[1:] > 1.02).all()
+
+
+def test_a_chain_of_few_steps_has_few_effective_samples():
+    found = Diagnosis(np.random.default_rng(3).standard_normal((4, 128, 2)), 4)
+    assert found.bulk.tolist() == found.tail.tolist() == [256, 256]
+    assert not found.good(100)
 
 
 def test_the_extent_of_one_unseen_direction_is_that_of_linear_programming():

@@ -15,7 +15,7 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -144,7 +144,17 @@ def importance_sampled(fit: curlfit.FitResult, draws: int = 3000) -> tuple[float
     return float(logsumexp(logs) - np.log(draws)), error
 
 
-def psis(fit: curlfit.FitResult, draws: int = 4000, seed: int = 0) -> Any:
+class Psis(NamedTuple):
+    """Results of ArviZ, whose versions name them differently."""
+
+    elpd: float
+    p_loo: float
+    left_out: Any
+    stderr: float
+    pareto_k: Any
+
+
+def psis(fit: curlfit.FitResult, draws: int = 4000, seed: int = 0) -> Psis:
     """PSIS-LOO (Vehtari, Gelman and Gabry 2017) of draws from the chain."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -152,10 +162,13 @@ def psis(fit: curlfit.FitResult, draws: int = 4000, seed: int = 0) -> Any:
 
         _, chain = curlfit.sample(fit, seed=seed, effective=2.0 * draws)
         some = chain.flat[:: max(len(chain.flat) // draws, 1)]
-        data = arviz.from_dict(
-            posterior={"first": some[None, :, 0]}, log_likelihood={"row": by_row(fit)(some)[None]}
-        )
-        return arviz.loo(data, pointwise=True, reff=1.0)
+        logs = {"row": by_row(fit)(some)[None]}
+        groups = {"posterior": {"first": some[None, :, 0]}, "log_likelihood": logs}
+        old = arviz.__version__.startswith("0.")
+        data = arviz.from_dict(**groups) if old else arviz.from_dict(groups)
+        found = arviz.loo(data, pointwise=True, reff=1.0)
+        names = ("elpd_loo", "p_loo", "loo_i") if old else ("elpd", "p", "elpd_i")
+        return Psis(*(getattr(found, name) for name in names), found.se, found.pareto_k)
 
 
 def closed_form(fit: curlfit.FitResult) -> LeaveOneOut:
@@ -185,10 +198,10 @@ def main() -> None:
         )  # fmt: skip
         print(evidence[-1], f"({time.time() - began:.0f} s)", file=sys.stderr)
         mine, sampled = closed_form(fit), psis(fit)
-        off = np.abs(mine.left_out - np.asarray(sampled.loo_i)).max()
+        off = np.abs(mine.left_out - np.asarray(sampled.left_out)).max()
         loo.append(
-            row([case.title, f"{mine.elpd:.2f}", f"{sampled.elpd_loo:.2f}", f"{mine.stderr:.2f}",
-                 f"{sampled.se:.2f}", f"{mine.p_loo:.2f}", f"{sampled.p_loo:.2f}",
+            row([case.title, f"{mine.elpd:.2f}", f"{sampled.elpd:.2f}", f"{mine.stderr:.2f}",
+                 f"{sampled.stderr:.2f}", f"{mine.p_loo:.2f}", f"{sampled.p_loo:.2f}",
                  f"{float(sampled.pareto_k.max()):.2f}", f"{off:.3f}"])
         )  # fmt: skip
         print(loo[-1], f"({time.time() - began:.0f} s)", file=sys.stderr)

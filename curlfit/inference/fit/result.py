@@ -93,8 +93,11 @@ class Posterior(Displayed):
     ----------
     samples : number kept, over all walkers, after the first `discarded` steps.
     steps, walkers, ensembles : of the run; the walkers are divided among the ensembles.
-    ess : effective sample size by parameter. r_hat : across the ensembles, by parameter.
-    autocorrelation_time : in steps, by parameter. acceptance : fraction of proposals accepted.
+    ess, ess_tail : bulk and tail effective sample sizes by parameter; the latter is the smaller of
+        those of the quantiles 5 % and 95 %, and empty in records of earlier versions.
+    r_hat : rank-normalised, by parameter: the larger of that of the halves of the ensembles and
+        that of their distances from the median (Vehtari et al. 2021).
+    acceptance : fraction of proposals accepted.
     quantiles : by parameter and by determined combination, keys "2.5", "16", "50", "84", "97.5".
     mean, sd : the same.
     correlation : between parameters.
@@ -118,8 +121,8 @@ class Posterior(Displayed):
     seed: int
     acceptance: float
     ess: dict[str, float]
+    ess_tail: dict[str, float] = field(default_factory=dict, kw_only=True)
     r_hat: dict[str, float]
-    autocorrelation_time: dict[str, float]
     quantiles: dict[str, dict[str, float]]
     mean: dict[str, float]
     sd: dict[str, float]

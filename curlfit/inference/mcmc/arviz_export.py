@@ -1,8 +1,10 @@
-"""A posterior sample as ArviZ `InferenceData`."""
+"""A posterior sample for ArviZ: `InferenceData` of its versions 0.x, xarray's `DataTree` of 1.x."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +20,7 @@ from curlfit.output.frames import optional
 from curlfit.throws.throw import CHANNELS
 from curlfit.version import __version__
 
+_DRAWS = ("chain", "draw")
 _MOST_CORRELATED = 6000  # largest number of values whose covariance is inverted
 _BLOCK = 256  # columns of a matrix that are computed at a time
 _REACH = 200.0  # sigmas within which the noise of a robust loss is drawn
@@ -35,22 +38,16 @@ def inference_data(
     """
     if draws < 1:
         raise InputError(f"draws = {draws}: expected a positive number")
-    arviz = _arviz()
+    _arviz()  # before what takes time
     ensembles, walkers, steps, _ = samples.shape
     thin = -(-ensembles * walkers * steps // draws)
     kept = samples[:, :, ::thin]
     # Draws of one walker are consecutive, so that autocorrelations are those of the walkers.
     flat = kept.reshape(ensembles, -1, samples.shape[-1])
-    names = fit.parameter_set.names
-    posterior = {
-        name: flat[..., place]
-        for place, (name, free) in enumerate(zip(names, fit.parameter_set.free, strict=True))
-        if free
+    labels = {
+        "walker": ("draw", np.repeat(np.arange(walkers), kept.shape[2])),
+        "step": ("draw", np.tile(np.arange(0, steps, thin), walkers)),
     }
-    for item in fit.combinations:
-        posterior[item.expression] = np.sum(
-            [weight * flat[..., names.index(name)] for name, weight in item.weights.items()], axis=0
-        )
     problem, origin = problem_of(fit)
     data = _Observations.of(fit, problem, origin.place)
     paths = np.array([
@@ -62,47 +59,74 @@ def inference_data(
     random = np.random.default_rng(seed)
     replicated = mean + data.sigma * draw_noise(random, mean.shape, data.noise, fit.loss)
 
-    def by_channel(array: Floats) -> dict[str, Floats]:
-        shaped = array.reshape(*flat.shape[:2], -1)
-        return {name: shaped[..., data.row_of == row] for row, name in data.channels}
+    def by_draw(array: Floats) -> dict[str, Any]:
+        return data.by_channel(array.reshape(*flat.shape[:2], -1), *_DRAWS)
 
-    found = arviz.from_dict(
-        posterior=posterior,
-        posterior_predictive=by_channel(replicated),
-        log_likelihood=by_channel(pointwise - np.log(data.sigma)),
-        sample_stats={"lp": log_posterior[:, :, ::thin].reshape(ensembles, -1)},
-        observed_data={name: data.values[data.row_of == row] for row, name in data.channels},
-        constant_data={"t": fit.observed["t"]}
-        | {f"sigma_{name}": data.sigma[data.row_of == row] for row, name in data.channels},
-        coords=data.coordinates(fit.observed["t"]),
-        dims={"t": ["time"]}
-        | {
-            key: [data.dimensions[name]]
-            for _, name in data.channels
-            for key in (name, f"sigma_{name}")
-        },
-        attrs={
-            "inference_library": "curlfit", "inference_library_version": __version__,
-            "law": fit.law, "load": fit.load, "data": fit.data["file"], "thinning": thin,
-        },
-    )  # fmt: skip
-    walker = np.repeat(np.arange(walkers), kept.shape[2])
-    step = np.tile(np.arange(0, steps, thin), walkers)
-    for group in ("posterior", "sample_stats"):
-        whole = found[group].assign_coords(walker=("draw", walker), step=("draw", step))
-        setattr(found, group, whole)
-    return found
+    lp = log_posterior[:, :, ::thin].reshape(ensembles, -1)
+    times = data.coordinates(fit.observed["t"])
+    groups: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+        "posterior": (_parameters(fit, flat), labels),
+        "posterior_predictive": (by_draw(replicated), times),
+        "log_likelihood": (by_draw(pointwise - np.log(data.sigma)), times),
+        "log_prior": (_log_priors(fit, flat), {}),
+        "sample_stats": ({"lp": (_DRAWS, lp)}, labels),
+        "observed_data": (data.by_channel(data.values), times),
+        "constant_data": (
+            {"t": ("time", fit.observed["t"]), **data.by_channel(data.sigma, prefix="sigma_")},
+            times,
+        ),
+    }
+    attrs = {
+        "inference_library": "curlfit", "inference_library_version": __version__,
+        "law": fit.law, "load": fit.load, "data": fit.data["file"], "thinning": thin,
+    }  # fmt: skip
+    index = {"chain": np.arange(ensembles), "draw": np.arange(flat.shape[1])}
+    return _assembled(groups, index, attrs)
+
+
+def _assembled(
+    groups: dict[str, tuple[dict[str, Any], dict[str, Any]]],
+    index: dict[str, Any],
+    attrs: dict[str, Any],
+) -> Any:
+    """The `InferenceData` or `DataTree` of variables and coordinates by group."""
+    arviz, xarray = _arviz(), import_module("xarray")
+    sets = {
+        name: xarray.Dataset(values, coords if name.endswith("_data") else index | coords)
+        for name, (values, coords) in groups.items()
+    }
+    if arviz.__version__.startswith("0."):
+        return arviz.InferenceData(**sets, attrs=attrs)
+    return xarray.DataTree.from_dict({"/": xarray.Dataset(attrs=attrs), **sets})
+
+
+def _parameters(fit: FitResult, flat: Floats) -> dict[str, Any]:
+    """Free parameters and determined combinations of samples (..., parameters)."""
+    names = fit.parameter_set.names
+    found = {name: flat[..., names.index(name)] for name in _free(fit)}
+    for item in fit.combinations:
+        found[item.expression] = np.sum(
+            [weight * flat[..., names.index(name)] for name, weight in item.weights.items()], axis=0
+        )
+    return {name: (_DRAWS, values) for name, values in found.items()}
+
+
+def _log_priors(fit: FitResult, flat: Floats) -> dict[str, Any]:
+    """Log-densities of the priors of free parameters, each up to a constant; a flat one is 0."""
+    penalty = fit.parameter_set.penalty
+    logs = flat * 0.0 if penalty is None else -0.5 * penalty.residual_and_slope(flat)[0] ** 2
+    names = fit.parameter_set.names
+    return {name: (_DRAWS, logs[..., names.index(name)]) for name in _free(fit)}
+
+
+def _free(fit: FitResult) -> Sequence[str]:
+    return fit.parameter_set.names_where(fit.parameter_set.free)
 
 
 def _arviz() -> Any:
     with warnings.catch_warnings():  # its first import of a day announces the next version
         warnings.simplefilter("ignore", FutureWarning)
-        arviz = optional("arviz", "arviz")
-    if not hasattr(arviz, "InferenceData"):
-        raise InputError(
-            f"arviz {arviz.__version__} has no InferenceData: pip install 'curlfit[arviz]'"
-        )
-    return arviz
+        return optional("arviz", "arviz")
 
 
 class _Observations(NamedTuple):
@@ -139,6 +163,13 @@ class _Observations(NamedTuple):
             1 / weight[finite], whitening_matrix(problem), channels,
             {name: "time" if there.all() else f"time_{name}" for name, there in seen.items()}, seen,
         )  # fmt: skip
+
+    def by_channel(self, array: Floats, *outer: str, prefix: str = "") -> dict[str, Any]:
+        """Variables of xarray, of an array of the last axis m."""
+        return {
+            prefix + name: ((*outer, self.dimensions[name]), array[..., self.row_of == row])
+            for row, name in self.channels
+        }
 
     def coordinates(self, t: Floats) -> dict[str, Floats]:
         """Times of each dimension, s."""

@@ -175,11 +175,14 @@ class Chain(Displayed):
         return replace(self, fit=fit)
 
     def to_arviz(self, fit: FitResult | None = None, *, draws: int = 4000, seed: int = 0) -> Any:
-        """The kept samples as ArviZ `InferenceData` (0.x), one chain per ensemble.
+        """The kept samples for ArviZ, one chain per ensemble: its `InferenceData` where ArviZ is
+        0.x, xarray's `DataTree` where it is 1.x.
 
         Groups: posterior (free parameters and determined combinations), posterior_predictive and
         log_likelihood (by channel; where noise is correlated, of each value given all others),
-        sample_stats (`lp`, up to a constant), observed_data, constant_data (`t`, `sigma_x` ...).
+        log_prior (by parameter, up to a constant: 0 where flat, so that `arviz.psense` needs a fit
+        with priors), sample_stats (`lp`, up to a constant),
+        observed_data, constant_data (`t`, `sigma_x` ...).
         The draws of a chain are those of one walker after another, labelled by the coordinates
         `walker` and `step` of `draw`. A channel with gaps has its own dimension, such as `time_x`.
         ArviZ takes one channel at a time, as in `arviz.loo(data, var_name="x")`; the elpd of all
@@ -216,7 +219,7 @@ class Chain(Displayed):
         with h5py.File(image, "w") as out:
             self._write(out, {"compression": "gzip", "shuffle": True} if compressed else {})
         with atomic_write(Path(file)) as temporary:
-            temporary.write_bytes(image.getbuffer())
+            temporary.write_bytes(image.getvalue())
 
     def _write(self, out: Any, how: dict[str, Any]) -> None:
         group = out.create_group("mcmc")

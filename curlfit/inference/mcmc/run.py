@@ -13,7 +13,7 @@ from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import log_posterior
 from curlfit.inference.mcmc.chain import Chain, SamplerState, require_same, subject_of
-from curlfit.inference.mcmc.convergence import BLOCK, Diagnosis, diagnose, steps_to_discard
+from curlfit.inference.mcmc.convergence import BLOCK, Diagnosis, steps_to_discard
 from curlfit.inference.mcmc.library import State, emcee
 from curlfit.inference.mcmc.proposals import EnsembleMove
 from curlfit.inference.mcmc.ridge import first_walkers, ridge_move
@@ -143,7 +143,7 @@ class Run:
 
     def diagnosis(self) -> Diagnosis:
         """Convergence of the steps so far."""
-        return diagnose(np.stack([step.values[:, self.free] for step in self._done]), ENSEMBLES)
+        return Diagnosis(np.stack([step.values[:, self.free] for step in self._done]), ENSEMBLES)
 
     def chain(self) -> Chain:
         """The chain of the steps so far."""

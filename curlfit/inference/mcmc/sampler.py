@@ -70,7 +70,7 @@ def sample(
         if file.exists():
             run.resume(load_chain(file), file)
     checkpoints = CheckpointWriter(file)
-    ended = "stopped by the user"
+    ended, diagnosis = "stopped by the user", None
     try:
         run.begin()
         while True:
@@ -92,10 +92,11 @@ def sample(
     except KeyboardInterrupt:
         if run.steps < 4:
             raise
+        diagnosis = None  # of earlier steps
     chain = run.chain()
     if file is not None:
         chain.save(file)
-    sampled = summarised(fit, chain, ended, effective)
+    sampled = summarised(fit, chain, ended, effective, diagnosis)
     sampled = replace(sampled, quantities=quantities_of(sampled, chain))
     sampled = sampled.with_derived((item.expression for item in fit.derived), chain)
     return sampled, replace(chain, fit=sampled)

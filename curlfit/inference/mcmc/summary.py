@@ -12,7 +12,7 @@ from curlfit.errors import InputError
 from curlfit.inference.derived import quantiles_of
 from curlfit.inference.fit.result import FitResult, Posterior
 from curlfit.inference.mcmc.chain import Chain, load_chain, subject_of
-from curlfit.inference.mcmc.convergence import diagnose
+from curlfit.inference.mcmc.convergence import Diagnosis
 
 
 def unfinished_posterior(
@@ -33,13 +33,18 @@ def unfinished_posterior(
 
 
 def summarised(
-    fit: FitResult, chain: Chain, ended: str, effective: float | None = None
+    fit: FitResult,
+    chain: Chain,
+    ended: str,
+    effective: float | None = None,
+    diagnosis: Diagnosis | None = None,
 ) -> FitResult:
-    """The fit with the summary of a chain. `ended` says how the run ended, and `effective` is the
-    target for the effective sample size, None where it is not known."""
+    """The fit with the summary of a chain. `ended` says how the run ended, `effective` is the
+    target for the effective sample size, and `diagnosis` that of the chain; None where they are
+    not known."""
     free = fit.parameter_set.free
     names = fit.parameter_set.names_where(free)
-    diagnosis = diagnose(chain.values[:, :, free], chain.ensembles)
+    diagnosis = diagnosis or Diagnosis(chain.values[:, :, free], chain.ensembles)
     quantities = {name: chain.of({name: 1.0}) for name in names}
     correlation = np.atleast_2d(np.corrcoef(np.stack(list(quantities.values()))))
     quantities |= {item.expression: chain.of(item.weights) for item in fit.combinations}
@@ -64,9 +69,9 @@ def summarised(
         ensembles=chain.ensembles,
         seed=chain.seed,
         acceptance=float(chain.accepted.mean() / max(steps - 1, 1)),
-        ess=dict(zip(names, map(float, diagnosis.effective), strict=True)),
+        ess=dict(zip(names, map(float, diagnosis.bulk), strict=True)),
+        ess_tail=dict(zip(names, map(float, diagnosis.tail), strict=True)),
         r_hat=dict(zip(names, map(float, diagnosis.r_hat), strict=True)),
-        autocorrelation_time=dict(zip(names, map(float, diagnosis.times), strict=True)),
         quantiles={name: quantiles_of(values) for name, values in quantities.items()},
         mean={name: float(values.mean()) for name, values in quantities.items()},
         sd={name: float(values.std()) for name, values in quantities.items()},
