@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 import curlfit
 from curlfit import InputError, UnusableFitError, sheet
 from curlfit.cli import app
-from curlfit.inference.noise.accelerations import COMPONENTS, SHAPES
+from curlfit.inference.noise.accelerations import COMPONENTS
 from curlfit.inference.problem import LEVEL_AND_STILL
 from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import simulate_ensemble
@@ -402,29 +402,6 @@ def test_a_path_under_further_accelerations_is_that_of_mechanics():
     np.testing.assert_allclose(nothing.state[:, :3], law.state[:, :3], atol=1e-9)
 
 
-def test_the_likelihood_of_sizes_is_that_of_the_dense_covariance(fit):
-    model = discrepancy_posterior(fit)._model
-    noise, share = np.array([1.2, 0.9, 0.7]), np.ones(3)
-    whole = np.concatenate(
-        [part / np.sqrt(square) for part, square in zip(model.columns, noise, strict=True)]
-    )
-    own, other, data = np.split(whole, [model.n_parameters, whole.shape[1] - 1], axis=1)
-
-    def dense(sizes):
-        """Patterson and Thompson's (1971): of what the parameters' columns leave."""
-        prior = np.linalg.inv((model.basis.T / np.repeat(sizes, SHAPES) ** 2) @ model.basis)
-        covariance = np.eye(len(whole)) + other @ prior @ other.T
-        inverse = np.linalg.inv(covariance)
-        shown = own.T @ inverse @ own
-        left = data - own @ np.linalg.solve(shown, own.T @ inverse @ data)
-        spread = np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(shown)[1]
-        return -(spread + (left.T @ inverse @ left).item()) / 2
-
-    places = np.array([[0.01, 0.02, 0.05], [0.3, 0.1, 0.2]])
-    found = model.log_likelihood(noise, share, places)
-    assert np.diff(found) == pytest.approx(dense(places[1]) - dense(places[0]), rel=1e-6)
-
-
 def test_the_coefficients_of_a_refit_are_not_changed_by_a_missing_acceleration(fit):
     """They are those of least squares by definition; the start follows the acceleration."""
     found = discrepancy_posterior(fit)
@@ -478,7 +455,10 @@ def test_a_missing_force_is_less_than_the_friction(game_fit):
     assert discrepancy.friction == pytest.approx(friction / 9.81, rel=0.01)
     slipping = np.mean(np.minimum(STONE.R * np.abs(game_fit.fitted["omega"]) / speed, 1))
     moment = friction * STONE.R / STONE.rho**2 * slipping
-    expected = {"across": friction, "along": friction, "turning": moment}
+    t, path = game_fit.observed["t"], [game_fit.fitted[name] for name in ("x", "y")]
+    turning = np.gradient(np.unwrap(np.arctan2(*CubicSpline(t, path, axis=1)(t, 1))), t)
+    bend = np.sqrt(np.mean((speed * turning)[speed > 0.05] ** 2))
+    expected = {"across": max(bend, 0.05 * friction), "along": friction, "turning": moment}
     made = found.draw(2000, np.random.default_rng(1)).acceleration
     for place, way in enumerate(COMPONENTS):
         assert discrepancy.ceilings[way] == pytest.approx(expected[way], rel=0.01)
@@ -523,7 +503,6 @@ def test_what_is_missed_along_a_throw_is_missed_along_a_turned_one(eq12):
         x, y = c * eq12.x + s * eq12.y, c * eq12.y - s * eq12.x
         found.append(curlfit.fit(replace(eq12, x=x, y=y).with_sigma(sigma)))
     one, other = (discrepancy_posterior(fit).summary.sizes for fit in found)
-    assert one["across"] < 0.05 * one["along"]
     assert other["along"] == pytest.approx(one["along"], rel=0.05)
     # and the errors of the resting position are turned with the throw
     one, other = (

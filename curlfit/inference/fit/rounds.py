@@ -12,6 +12,7 @@ One throw, many side by side, and several with common coefficients all go throug
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from operator import itemgetter
 
@@ -178,8 +179,10 @@ class Rounds:
             found = estimate(self.noises[index].kind, data, ~self.unknown[index])
             self.noises[index] = found.noise
             if found.noise.sizes:
-                pairs = zip(self.channels, self.sigma[index], self.unknown[index], strict=True)
-                found.noise.independent.update({n: float(s) for n, s, own in pairs if own})
+                own = self.unknown[index]
+                names = itertools.compress(self.channels, own)
+                sigmas = self.sigma[index][own].tolist()
+                found.noise.independent.update(zip(names, sigmas, strict=True))
             scale = np.where(self.unknown[index], found.scale, 1.0)
             self.sigma[index] = scale * self.sigma[index] + SIGMA_FLOOR * self.unknown[index]
             estimated[int(index)] = data

@@ -27,6 +27,7 @@ from curlfit.numerics.compiled import compiled
 from curlfit.throws.throw import CHANNELS
 
 _FEWEST = 20  # values of a channel, at least, for its noise to be estimated
+_ROUNDING = 1e-13  # of the sum of the eigenvalues of a matrix of products
 _NOTHING = 1e-9  # singular value over the largest, below which it is rounding error
 
 
@@ -157,7 +158,9 @@ class Regression(NamedTuple):
         """Of z, where the amplitudes are F z: the Cholesky factor L of its precision, L^T times its
         mean, and F."""
         root = amplitude_root(sizes, self.held)
-        lower = jnp.linalg.cholesky(jnp.eye(len(root)) + root.T @ self.left[:-1, :-1] @ root)
+        sums = root.T @ self.left[:-1, :-1] @ root
+        floor = 1 + _ROUNDING * jnp.trace(sums)  # sums of tiny noise have rounding errors above 1
+        lower = jnp.linalg.cholesky(floor * jnp.eye(len(root)) + sums)
         return lower, solve_triangular(lower, root.T @ self.left[:-1, -1], lower=True), root
 
 

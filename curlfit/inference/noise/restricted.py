@@ -38,7 +38,7 @@ _FAR = 8.0  # limit of the logarithm of a scale over the rms residual
 _WHITE = 12.0  # logit of an independent share that is practically 1
 _MOST = 9.0  # limit of the logit of that of correlated noise
 _SIZE = 0.05  # initial size of a discrepancy
-_PRECISE = 1e-7  # relative change of the log-posterior at which the search ends
+_PRECISE = 1e-12  # relative change of the log-posterior at which the search ends
 _STEP = 1e-3  # of differences of slopes
 _FACTOR = 4 / 3  # mean square of a factor of the discrepancy that is uniform between 0 and 2
 GRID = np.stack(np.meshgrid(*[SIZES] * len(COMPONENTS), indexing="ij"), -1).reshape(
