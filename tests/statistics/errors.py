@@ -70,12 +70,12 @@ CASES = (
          options={"systematics": {"all": 0.0, "slope_x": WIDTHS["slope_x"]}}),
     Case("`slope_x` off by its prior and held: standard error alone", drawn=("slope_x",)),
     Case("right law, `--noise discrepancy`", options={"noise": "discrepancy"}),
-    Case("right law, noise of correlation time 0.3 s, `--noise ar1+discrepancy`", memory=0.3,
-         options={"noise": "ar1+discrepancy"}),
+    Case("right law, noise of correlation time 0.3 s, `--noise discrepancy`", memory=0.3,
+         options={"noise": "discrepancy"}),
     *(
         Case("`stribeck` fitted by `coulomb`, noise of correlation time 0.3 s, "
              f"`--noise {noise}`", "stribeck", "coulomb", 0.3, options={"noise": noise})
-        for noise in ("ar1", "discrepancy", "ar1+discrepancy")
+        for noise in ("ar1", "discrepancy")
     ),
     *(
         Case(f"`{truth}` fitted by `{fitted}`, `--noise {noise}`", truth, fitted,
