@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from io import StringIO
@@ -10,9 +11,13 @@ import jax
 import numpy as np
 import pytest
 from rich.console import Console
+from scipy.integrate import cumulative_simpson
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
 
 import curlfit
 from curlfit import DataError, InputError, Stone, Throw, fit, law_with, synthetic_throw
+from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import load_fit
 from curlfit.inference.least_squares import Solution, residual_sigma
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
@@ -319,3 +324,52 @@ def test_a_reference_whose_stone_makes_no_sense_is_refused(tmp_path):
         )
         with pytest.raises(curlfit.InputError, match=r"throw\.csv: .*reference\.stone\.NAME"):
             curlfit.load_throw(file)
+
+
+def game_throw(every=60, step=0.002):
+    """A throw of a game up to rest, without noise: constant friction and loss of spin, in frames,
+    and a curl that grows toward rest faster than a constant transverse force does."""
+    v, omega, rows = 1.95, 2.75, []
+    x = y = phi = heading = 0.0
+    frame = 0
+    while v > 0:
+        if frame % every == 0:
+            rows.append((frame * step, x, y, phi))
+        x, y = x + v * math.sin(heading) * step, y + v * math.cos(heading) * step
+        phi += omega * step
+        heading -= 0.0084 * max(v, 1e-3) ** -1.3 * step
+        omega -= 0.027 * step
+        v -= 0.082 * step
+        frame += 1
+    return Throw.from_arrays(*np.array(rows).T)
+
+
+def test_an_angle_that_is_fitted_exactly_up_to_rest_does_not_stop_the_search():
+    """The angle is exact if the stone rests no earlier than at the last row. There the fit ends;
+    the optimum of x and y, with the rest there, is that of scipy."""
+    throw = game_throw()
+    found = fit(throw, "semi-empirical", details=False)
+    (together,) = fit_throws([throw], "semi-empirical")
+    t, rest = found.observed["t"], found.observed["t"][-1]
+    u = 1 - (1 - np.linspace(0, 1, 4001)) ** 2  # dense toward rest
+
+    def path(values):
+        a, p, x0, y0, heading, v0 = values
+        k = 1 / (1 - p)
+        v = v0 * (1 - u) ** k
+        h = heading - a * rest / v0 * (1 - (1 - u) ** (1 - k)) / (1 - k)
+        rates = np.nan_to_num(v * np.array([np.sin(h), np.cos(h)]))
+        moved = cumulative_simpson(rates, x=u * rest, initial=0)
+        return np.array([[x0], [y0]]) + CubicSpline(u * rest, moved, axis=1)(t)
+
+    observed = np.array([found.observed[name] for name in "xy"])
+    sigma = np.array([[found.sigma[name]] for name in "xy"])
+    best = least_squares(
+        lambda values: ((path(values) - observed) / sigma).ravel(),
+        [0.008, -0.01, 0.0, 0.0, 0.0, 1.95], x_scale=[0.01, 0.1, 0.1, 0.1, 0.01, 1.0],
+        xtol=1e-12, ftol=1e-12, gtol=1e-12,
+    )  # fmt: skip
+    x, y = np.sqrt(((path(best.x) - observed) ** 2).mean(1))
+    for one in (found, together):
+        assert one.converged, one.status
+        assert [one.rms["x"], one.rms["y"]] == pytest.approx([x, y], rel=1e-3)

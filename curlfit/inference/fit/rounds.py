@@ -3,9 +3,10 @@
 Where no sigma is given, a first fit weights the channels equally, 1 m like 1 rad. The scatter of
 its residuals, corrected for the number of parameters, is the sigma of the second fit (two-step
 generalised least squares). This is not iterated to convergence: where a law is not exact, that
-ends with one channel fitted perfectly at the expense of the others. With a robust loss, sigma is
-taken from the bulk of the residuals, repeatedly. Correlated noise is estimated from the residuals
-of a fit with white noise, and a last fit accounts for it.
+ends with one channel fitted perfectly at the expense of the others. Where a sigma is far below
+the others, further fits lead down to it. With a robust loss, sigma is taken from the bulk of the
+residuals, repeatedly. Correlated noise is estimated from the residuals of a fit with white noise,
+and a last fit accounts for it.
 
 One throw, many side by side, and several with common coefficients all go through these rounds.
 """
@@ -43,6 +44,8 @@ from curlfit.numerics.compiled import stacked
 from curlfit.throws.throw import CHANNELS
 
 _ROBUST_FITS = 4  # each with sigma from the bulk of the last
+_TIGHTER = 0.1  # sigma of a channel over that of the fit before, at least
+_WITH_SIGMA = 2  # the first round once every sigma is known
 
 
 class Rounds:
@@ -103,15 +106,16 @@ class Rounds:
         self.channels = ROWS_OF_DATA[: self.problems.observed.shape[1]]
         self.unknown = np.array([[name in sigma for name in self.channels] for sigma in even])
         self.sigma = np.array([[sigma.get(name, 0.0) for name in self.channels] for sigma in even])
+        self._estimated = np.zeros_like(self.sigma)
         self.free = np.stack([throw.parameters.free for throw in throws])
         self.noises = [Noise(noise)] * len(throws)
         self.failures: dict[int, InputError] = {}
         robust = _ROBUST_FITS if loss != "linear" else 0
         self._rounds: list[Callable[[Indices, Solution], Revision]] = [
-            self._estimate_sigma, *[self._estimate_robust_sigma] * robust,
+            self._estimate_sigma, self._tighten, *[self._estimate_robust_sigma] * robust,
             *[self._estimate_noise] * (noise != "white"),
         ]  # fmt: skip
-        self._next = np.where(self.unknown.any(1), 0, 1)
+        self._next = np.where(self.unknown.any(1), 0, _WITH_SIGMA)
 
     def revise(self, which: Indices, solutions: Solution) -> list[Revision]:
         """The throws to fit again, and how; empty where the fits are done."""
@@ -147,7 +151,20 @@ class Rounds:
 
     def _estimate_sigma(self, now: Indices, solutions: Solution) -> Revision:
         sigma = residual_sigma(solutions, self._problems_of(now), self.free[now])
-        self.sigma[now] = np.where(self.unknown[now], sigma + SIGMA_FLOOR, 0.0)
+        self._estimated[now] = np.where(self.unknown[now], sigma + SIGMA_FLOOR, 0.0)
+        self.sigma[now] = np.where(self.unknown[now], self._estimated[now].max(1)[:, None], 0.0)
+        return self._tighten(now, solutions)
+
+    def _tighten(self, now: Indices, _: Solution) -> Revision:
+        """Continue toward the estimated sigmas, from equal ones.
+
+        An angle has a kink at rest. If it is fitted almost exactly, chi squared has a wall where
+        the stone comes to rest at the last row. Its slope is seen only from beyond the wall, where
+        a weaker weight leads (the quadratic penalty method: Nocedal and Wright 2006, ch. 17.1).
+        """
+        self.sigma[now] = np.maximum(self._estimated[now], _TIGHTER * self.sigma[now])
+        there = (self.sigma[now] == self._estimated[now]).all(1)
+        self._next[now] = np.where(there, _WITH_SIGMA, _WITH_SIGMA - 1)
         return self._reweighted(now, rescaled=True)
 
     def _estimate_robust_sigma(self, now: Indices, solutions: Solution) -> Revision:
@@ -159,7 +176,7 @@ class Rounds:
                 bulk = robust_sigma(residual[place, row, there])
                 self.sigma[throw, row] = bulk * self.sigma[throw, row] + SIGMA_FLOOR
         self.problems.loss[now] = LOSSES.index(self.loss)
-        self._next[now[~self.unknown[now].any(1)]] = 1 + _ROBUST_FITS  # without sigmas to estimate
+        self._next[now[~self.unknown[now].any(1)]] = _WITH_SIGMA + _ROBUST_FITS  # without sigmas
         return self._reweighted(now)
 
     def _estimate_noise(self, now: Indices, solutions: Solution) -> Revision:
