@@ -111,7 +111,7 @@ def test_a_comparison_accounts_for_noise_and_fixed_parameters(throws):
     assert white.best.law == ar1.best.law == "front-back"
     assert ar1.noise == "ar1"
     assert ar1.best.coefficients["mu1_eta"]["verdict"] == "fixed"
-    assert ar1.best.n_parameters == pytest.approx(white.best.n_parameters + 3, abs=1e-3)
+    assert ar1.best.n_parameters == pytest.approx(white.best.n_parameters + 4, abs=1e-3)
     assert ar1.best.log_likelihood > white.best.log_likelihood + 10
 
 
@@ -122,7 +122,9 @@ def test_log_likelihood_of_correlated_noise_is_that_of_its_covariance(throws):
     t = fit.observed["t"] - fit.observed["t"][0]
     for name, found in log_likelihood(fit).items():
         residual = fit.observed[name] - fit.fitted[name]
-        covariance = np.exp(-np.abs(t[:, None] - t) / fit.noise.memory[name])
+        white = fit.noise.white[name]
+        covariance = (1 - white) * np.exp(-np.abs(t[:, None] - t) / fit.noise.memory[name])
+        covariance += white * np.eye(len(t))
         # the most likely scale, and the density of the normal distribution there
         square = residual @ np.linalg.solve(covariance, residual) / len(t)
         _, determinant = np.linalg.slogdet(2 * np.pi * square * covariance)
