@@ -407,8 +407,8 @@ def _notes(
     if discrepancy:
         notes = [
             "these errors allow for accelerations that the law lacks, of "
-            f"{100 * discrepancy:.2g} % of the friction and independent from throw to throw; where "
-            "they recur, more throws help less"
+            f"{100 * discrepancy:.2g} % of what friction does and independent from throw to "
+            "throw; where they recur, more throws help less"
         ]
     if len(rates) > 1:
         notes.append(

@@ -134,7 +134,7 @@ def _heading(design: Design) -> Text:
         f"{'until the stone is at rest' if until is None else f'for {until:g} s'}, independent "
         f"noise of {noise_text(design.sigma)}"
         + (
-            f", a discrepancy of {100 * design.discrepancy:.2g} % of the friction"
+            f", a discrepancy of {100 * design.discrepancy:.2g} % of what friction does"
             if design.discrepancy
             else ""
         )

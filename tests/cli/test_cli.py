@@ -30,7 +30,7 @@ def test_the_main_command_reports_what_it_must(done):
     assert run.stderr == ""
     for words in (
         "mu1_xi", "eq. 28", "0.058", "not identifiable", "mu1_eta + mu2_eta",
-        "Only mu1_eta + mu2_eta is determined", "Posterior: converged", "residuals are smooth",
+        "Only mu1_eta + mu2_eta is determined", "Posterior: converged", "no noise is that smooth",
         "Converged",
     ):  # fmt: skip
         assert words in run.stdout, words

@@ -21,7 +21,6 @@ from pathlib import Path
 import nbformat
 import numpy as np
 import pytest
-from curlfit.inference.noise.ar1 import AR1Whitener
 from docstring_examples import run_examples
 from nbclient import NotebookClient
 from scipy import stats
@@ -31,6 +30,7 @@ from curlfit.errors import InputError
 from curlfit.exploration.explore import describe
 from curlfit.inference.mcmc.arviz_export import draw_noise, log_likelihoods, whitening_matrix
 from curlfit.inference.noise.models import Noise
+from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.output import html
 from curlfit.stone import Stone
@@ -433,7 +433,7 @@ def test_correlated_noise_is_that_of_the_covariance():
     weight[0, :6] = 10.0
     times = np.append(t, [1.0, 1.0])
     noise = Noise("ar1", memory={"x": memory})
-    whitener = AR1Whitener.of(noise, times, weight)
+    whitener = Whitener.of(noise, times, weight, 0)
     problem = Problem(times, weight * 0, weight, Stone(), LEVEL_AND_STILL, whitener=whitener)
     whitening = whitening_matrix(problem)
     covariance = np.exp(-np.abs(t[:, None] - t) / memory)

@@ -38,7 +38,7 @@ def test_eq_28_as_checked(eq12_fit):
     assert eq12_fit.rms["x"] < 0.0015
     assert eq12_fit.rms["y"] < 0.025
     assert eq12_fit.rms["phi"] < 0.005
-    assert any("residuals are smooth" in warning for warning in eq12_fit.warnings)
+    assert any("no noise is that smooth" in warning for warning in eq12_fit.warnings)
 
 
 def test_even_weights_and_a_start_at_the_origin_give_the_checked_digits(eq12):

@@ -221,7 +221,7 @@ def test_the_split_is_exactly_flat_under_uniform_load(flat, eq12_fit):
     assert "mu1_eta is not identifiable, its profile is flat" in text
     assert "Only mu1_eta + mu2_eta = 0.017573(16) is determined" in text
     assert "covariance" not in text
-    assert "residuals are smooth" in text  # the warning of the fit
+    assert "no noise is that smooth" in text  # the warning of the fit
 
 
 def test_under_consistent_load_it_slopes_and_how_much_is_said(sloping):
