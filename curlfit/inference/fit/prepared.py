@@ -145,6 +145,10 @@ def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
         environment=environment,
     )  # fmt: skip
     if fit.noise.sizes:
+        if not fit.noise.initial_state:
+            raise InputError(
+                f"{throw.name}: this fit was saved with an earlier noise model; fit it again"
+            )
         data = linearized_fit(fit).first(len(problem.weight))
         whitener = Whitener.of(fit.noise, problem.times, problem.weight, len(fit.values), data)
         problem = problem._replace(whitener=whitener)
