@@ -163,6 +163,12 @@ class Regression(NamedTuple):
         lower = jnp.linalg.cholesky(floor * jnp.eye(len(root)) + sums)
         return lower, solve_triangular(lower, root.T @ self.left[:-1, -1], lower=True), root
 
+    def mean(self, sizes: Any) -> Floats:
+        """Mean of the amplitudes given the residuals, for NumPy."""
+        lower, white, root = map(np.asarray, self.posterior(sizes))
+        found: Floats = root @ np.linalg.solve(lower.T, white)
+        return found
+
 
 @compiled()
 def regression_of(own: KalmanFilter, data: Linearized, scale: Array) -> Regression:

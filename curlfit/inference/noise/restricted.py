@@ -193,8 +193,7 @@ class _Search:
         if self.sizes:
             regression: Regression = jax.tree.map(np.asarray, _at(found.logs, data))
             sizes = np.exp(found.logs[-self.sizes :])
-            lower, white, root = map(np.asarray, regression.posterior(sizes))
-            left = left - np.asarray(data.paid) @ (root @ np.linalg.solve(lower.T, white))
+            left = left - np.asarray(data.paid) @ regression.mean(sizes)
         series = zip(data.weight * left, data.weight > 0, strict=True)
         return np.array([is_rough(values[seen]) for values, seen in series])
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from curlfit.inference.noise.accelerations import COMPONENTS, SHAPES
+from curlfit.inference.noise.accelerations import COMPONENTS, SHAPES, amplitude_root
 from curlfit.inference.noise.kalman import KalmanFilter
 from curlfit.inference.noise.linearized import Linearized, Regression, regression_of
 from curlfit.inference.noise.models import Noise
@@ -87,7 +87,7 @@ class Whitener(NamedTuple):
             covariance += to_state @ np.array(noise.initial_state) @ to_state.T
             values, axes = np.linalg.eigh(covariance[determined][:, determined])
             restored[:, determined] = g @ (axes / np.sqrt(values)) @ axes.T
-            root = _posterior(noise, own, data, scale)[2]
+            root = amplitude_root(noise.all_sizes, data.held @ np.asarray(data.coupling))
             rows = _filtered(own, weight[..., None] * np.asarray(data.paid)) @ root
             rows -= g @ (g.T @ rows)
             left, singular, _ = np.linalg.svd(rows, full_matrices=False)
@@ -133,16 +133,14 @@ def posterior_mean(noise: Noise, times: Floats, weight: Floats, data: Linearized
     """Mean of the discrepancy given the residuals (Rasmussen and Williams 2006, eq. 2.25), beside
     the path of the law; SI, shape (channels, n). Parameters as of `Whitener.of`."""
     own = KalmanFilter.of_noise(noise, times, data.weight > 0)
-    lower, white, root = _posterior(noise, own, data, scale_between(data.weight, weight))
-    found: Floats = np.asarray(data.paid) @ (root @ np.linalg.solve(lower.T, white))
+    regression = _regression(own, data, scale_between(data.weight, weight))
+    found: Floats = np.asarray(data.paid) @ regression.mean(noise.all_sizes)
     return found
 
 
-def _posterior(
-    noise: Noise, own: KalmanFilter, data: Linearized, scale: Floats
-) -> tuple[Floats, ...]:
-    regression: Regression = jax.tree.map(np.asarray, regression_of(own, data, scale))
-    return tuple(map(np.asarray, regression.posterior(noise.all_sizes)))
+def _regression(own: KalmanFilter, data: Linearized, scale: Floats) -> Regression:
+    found: Regression = jax.tree.map(np.asarray, regression_of(own, data, scale))
+    return found
 
 
 def _filtered(own: KalmanFilter, columns: Floats) -> Floats:
