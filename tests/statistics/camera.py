@@ -10,14 +10,13 @@ jitter is independent from row to row.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from tables import head, put, row
+from tables import asked, head, put, row
 
 import curlfit
 from curlfit.inference.fit.fit import fit_throws
@@ -103,12 +102,7 @@ def cells(fits: Fits, white: Fits, truth: Sequence[Sequence[float]]) -> list[str
 
 def main() -> None:
     """Run the cases and write their table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("throws", type=int, help="of each case")
-    parser.add_argument("--only", default="", help="cases whose title has this; nothing is written")
-    chosen = parser.parse_args()
+    chosen = asked(__doc__)
     lines = head("", "fitted noise", *(f"pull of {name}" for name in ASKED), "within two errors",
                  "largest rms over white", "without error", "not converged")  # fmt: skip
     for seed, case in enumerate(CASES):

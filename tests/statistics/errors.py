@@ -10,7 +10,6 @@ Student's t contain the true value.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 import time
@@ -19,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from tables import LEVELS, head, put, row, share
+from tables import LEVELS, asked, head, put, row, share
 
 import curlfit
 from curlfit.environment import Environment
@@ -155,14 +154,7 @@ def counts(case: Case, throws: int, seed: int = 0) -> tuple[dict[str, list[int]]
 
 def main() -> None:
     """Run the cases and write their table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("throws", type=int, help="of each case")
-    parser.add_argument("--only", default="", help="cases whose title has this; nothing is written")
-    chosen = parser.parse_args()
-    if chosen.throws < 1:
-        parser.error("expected at least one throw")
+    chosen = asked(__doc__)
     lines = head("", *(f"{group}: {level}" for group in ("coefficients", "initial state")
                        for level in LEVELS), "not converged")  # fmt: skip
     for case in CASES:

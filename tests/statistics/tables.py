@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -48,3 +49,16 @@ def reasons(found: Iterable[str]) -> str:
     given = [reason for reason in found if reason]
     often = sorted(set(given), key=lambda reason: (-given.count(reason), reason))
     return ", ".join(f"{reason} {given.count(reason)}" for reason in often)
+
+
+def asked(description: str | None) -> argparse.Namespace:
+    """The number of throws of each case, and which cases."""
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("throws", type=int, help="of each case")
+    parser.add_argument("--only", default="", help="cases whose title has this; nothing is written")
+    chosen = parser.parse_args()
+    if chosen.throws < 1:
+        parser.error("expected at least one throw")
+    return chosen
