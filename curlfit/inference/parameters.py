@@ -100,8 +100,10 @@ class ParameterSet:
         for name, pair in (bounds or {}).items():
             if np.shape(pair) != (2,):
                 raise InputError(f"bounds of {name}: {pair!r} found, expected (lower, upper)")
-        fixed = tuple((fix or {}).items())
-        limits = tuple((name, tuple(pair)) for name, pair in (bounds or {}).items())
+        fixed = tuple((name, float(value)) for name, value in (fix or {}).items())
+        limits = tuple(
+            (name, (float(low), float(high))) for name, (low, high) in (bounds or {}).items()
+        )
         key: Any = law
         named = {*(fix or ()), *(bounds or ()), *free, *(priors or ())}
         if "sweep" in named and not swept:
