@@ -4,103 +4,55 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import typer
+from cyclopts import Parameter
 
-from curlfit.options import flags as o
-from curlfit.options import settings as s
+from curlfit.options.output import COMPILES, Saved, progress_line
+from curlfit.settings.choices import COUNT, SEED, Fitting, Reading
+from curlfit.settings.forms import PATH, SWITCH, TEXT, option
 
 
 def batch(
-    data: Annotated[
-        list[str],
-        typer.Argument(
+    *data: Annotated[
+        str,
+        Parameter(
             help="Folders, files or patterns like `'season/*.csv'`; each file as for `curlfit "
-            "fit`. A folder stands for its .csv, .tsv, .txt, .json and .jsonl files.",
-            metavar="DIR_OR_GLOB...",
-            show_default=False,
+            "fit`. A folder stands for its .csv, .tsv, .txt, .json and .jsonl files."
         ),
     ],
     out: Annotated[
         Path,
-        typer.Option(
-            help="Table of results, one row per throw; its settings are written beside it, as "
-            "results.settings.json."
+        option(
+            PATH,
+            "Table of results, one row per throw; its settings are written beside it, as "
+            "results.settings.json. [default: results.csv]",
+            "FILE.csv",
         ),
     ] = Path("results.csv"),
-    law: o.Law = None,
-    load: Annotated[str, typer.Option(help="`uniform` or `consistent` (eq. 8-9).")] = "uniform",
-    since: o.Since = None,
-    until: o.Until = None,
-    exclude: o.Exclude = None,
-    fix: o.Fix = None,
-    bound: o.Bound = None,
-    unbounded: o.Unbounded = False,
-    free: o.Free = None,
-    prior: o.PriorText = None,
-    systematic: o.Systematic = None,
-    start: o.Start = None,
-    loss: o.Loss = None,
-    noise: o.NoiseModel = None,
-    sigma: Annotated[
-        list[str] | None,
-        typer.Option(help="Noise of a channel, as in `curlfit fit`.", metavar="NAME=V"),
-    ] = None,
-    stone: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="The stone, as in `curlfit fit`, over what the files say.", metavar="R=V,rho=V"
-        ),
-    ] = None,
-    format: o.Format = None,
-    axes: o.Axes = None,
-    units: o.Units = None,
-    reference: o.Reference = None,
-    stone_index: Annotated[
-        int | None,
-        typer.Option(
-            help="Only this object of Tracker exports, stone of shots or throw of tables, from 1. "
-            "[default: every object or throw; the stone thrown]",
-            metavar="N",
-            min=1,
-            rich_help_panel=o.PANEL,
-        ),
-    ] = None,
-    shot: Annotated[
-        int | None,
-        typer.Option(
-            help="Only this shot of logs, from 1. [default: every shot]",
-            metavar="N",
-            min=1,
-            rich_help_panel=o.PANEL,
-        ),
-    ] = None,
-    handle: o.Handle = None,
-    as_given: o.AsGiven = False,
+    flags: Fitting = Fitting(),
+    reading: Reading = Reading(),
     posterior: Annotated[
-        bool,
-        typer.Option(
-            "--posterior", help="Quantiles of each throw's posterior as well; far slower."
-        ),
+        bool, option(SWITCH, "Quantiles of each throw's posterior as well; far slower.")
     ] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the posterior sampling.", min=0)] = 0,
+    seed: Annotated[int, option(SEED, "Seed of the posterior sampling. [default: 0]", "N")] = 0,
     workers: Annotated[
-        int | None, typer.Option(help="Number of processes. [default: one per core]", min=1)
+        int | None, option(COUNT, "Number of processes. [default: one per core]", "N")
     ] = None,
     dask: Annotated[
         str | None,
-        typer.Option(
-            help="Use the workers of a Dask scheduler, which see the same files; `local` starts "
-            "some here. Needs `pip install 'curlfit[dask]'`.",
-            metavar="tcp://...",
+        option(
+            TEXT,
+            "Use the workers of a Dask scheduler, which see the same files; `local` starts some "
+            "here. Needs `pip install 'curlfit[dask]'`.",
+            "tcp://...",
         ),
     ] = None,
-    again: Annotated[
-        bool, typer.Option("--again", help="Start again, overwriting the table.")
+    again: Annotated[bool, option(SWITCH, "Start again, overwriting the table.")] = False,
+    quiet: Annotated[
+        bool, option(SWITCH, "Print nothing but errors.", name=["--quiet", "-q"])
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
-) -> None:
+) -> Saved:
     """Fit a friction law to many throws, each by itself, into one table.
 
     A row has status, rms, coefficients, standard errors, verdicts and what is determined together.
@@ -119,40 +71,14 @@ def batch(
     from curlfit.throws.readers import states_sweeping
 
     files = [str(file) for file in found_files(data, besides=(out, settings_file(out)))]
-    wanted: dict[str, Any] = {
-        "law": law or usual_law(files[0], format),
-        "load": load,
-        "since": since,
-        "until": until,
-        "exclude": s.periods("--exclude", exclude or ()),
-        "fix": s.pairs("--fix", fix or ()),
-        "bounds": s.intervals("--bound", bound or ()),
-        "unbounded": unbounded,
-        "free": s.names(free or ()),
-        "priors": s.texts("--prior", prior or ()),
-        "systematics": s.pairs("--systematic", systematic) if systematic else None,
-        "start": s.pairs("--start", start or ()),
-        "loss": loss or "linear",
-        "noise": noise or "white",
-        "sigma": s.pairs("--sigma", sigma or ()),
-        "stone": s.pairs("--stone", stone or ()),
-        "how": {
-            name: value
-            for name, value in o.reader_options(
-                format, axes, units, reference, stone_index, shot, handle, as_given
-            ).items()
-            if value is not None
-        },
-        "posterior": posterior,
-        "seed": seed,
-        "swept": any(map(states_sweeping, files)),
-    }
     # Invalid settings are refused before anything slow is loaded.
-    plan = BatchSettings(**wanted)
+    plan = BatchSettings.of(
+        {"law": usual_law(files[0], reading.format)}, vars(flags), vars(reading),
+        posterior=posterior, seed=seed, any_swept=any(map(states_sweeping, files)),
+    )  # fmt: skip
     names = columns(plan)
 
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-    from rich.progress import TimeRemainingColumn as Left
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
     from curlfit.output.console import terminal
 
@@ -163,16 +89,14 @@ def batch(
         if len(table.todo) < len(files):
             console.print(f"{len(files) - len(table.todo)} of {len(files)} files are in {out}.")
         with (
-            Progress(
+            progress_line(
+                console,
                 TextColumn("Fitting"),
                 BarColumn(),
                 MofNCompleteColumn(),
                 TextColumn("files"),
-                Left(),
-                TextColumn("(a first run on a machine compiles the model)"),
-                console=console,
-                disable=quiet or not console.is_terminal,
-                transient=True,
+                TimeRemainingColumn(),
+                TextColumn(COMPILES),
             ) as progress,
             executor(plan, workers=workers, dask=dask) as fitted,
         ):
@@ -188,8 +112,8 @@ def batch(
         + f". Written: {out}, {table.settings}",
         soft_wrap=True,
     )
+    read = counts["ok"] + counts["not usable"]
     if not counts["ok"]:
-        read = counts["not usable"]
         fault = "no throw is usable" if read else "no throw could be read"
         print(f"curlfit: {fault}; the column reason of {out} says why", file=sys.stderr)
-        raise typer.Exit(1 if read else 2)
+    return Saved(None, status=0 if counts["ok"] else 1 if read else 2)

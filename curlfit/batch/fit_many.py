@@ -30,9 +30,8 @@ def fit_files(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list
     fits = iter(
         fit_throws(
             throws,
-            curves=plan.systematics is not None,
-            stones=plan.stones(throws),
-            **plan.choices(),
+            curves=bool(plan.systematics),
+            **plan.fitting | {"systematics": plan.systematics or None},
         )
     )
     sums = tuple(plan.sums())
@@ -55,13 +54,10 @@ def _read(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list[tup
     found = []
     for file in map(str, files):
         try:
-            parts = load_throws(file, **plan.how)
+            parts = load_throws(file, **plan.reading)
         except CurlfitError as error:
             parts = [Part(None, None, error)]
-        for part in parts:
-            if isinstance(part.throw, Throw):
-                part = part._replace(throw=part.throw.with_sigma(dict(plan.sigma)))
-            found.append((file, part))
+        found += [(file, part) for part in parts]
     return found
 
 
@@ -84,9 +80,15 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
         name = combination.expression
         if name in sums:
             row |= {name: combination.value, f"{name} stderr": combination.stderr}
-    if plan.systematics is not None:
+    if plan.systematics:
         for name, error in result.systematics.errors.items():
             row |= {f"{name}{' ' if name in sums else '_'}systematic": error}
+    if result.converged:
+        for derived in result.with_derived(plan.derive).derived:
+            row |= {
+                derived.expression: derived.value,
+                f"{derived.expression} stderr": derived.stderr,
+            }
     if plan.posterior and result.converged:
         from curlfit.inference.mcmc.sampler import sample
 

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from curlfit.errors import CurlfitError, InputError
-from curlfit.friction import Law, NetLaw, check_load, find_law
+from curlfit.friction import Law, NetLaw, find_law
 from curlfit.inference.conditions import check_systematics
-from curlfit.inference.noise.models import check_loss, check_noise
+from curlfit.inference.derived import check_derived
 from curlfit.inference.parameters import ParameterSet
+from curlfit.settings.choices import SEED, Fitting, Reading
+from curlfit.settings.forms import SWITCH, option
 from curlfit.stone import Stone
 from curlfit.throws.readers import check_reader_options, format_of
 from curlfit.throws.readers.text import text_of
 from curlfit.throws.readers.timings import usual_law as law_of_timings
-from curlfit.throws.throw import Throw, check_sigma
+from curlfit.throws.throw import check_sigma
 
 CHUNK = 128
 """Number of throws that are read and fitted together."""
@@ -26,72 +28,47 @@ QUANTILES = ("16", "50", "84")
 _SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")
 
 
-@dataclass(frozen=True)
-class BatchSettings:
-    """What is done with each throw; `load` and the others as in `fit`.
+@dataclass(frozen=True, kw_only=True)
+class BatchSettings(Fitting, Reading):
+    """What is done with each throw; values override those of the throw's own file.
 
     Attributes
     ----------
-    stone : values (m, kg) that override those of the throw's own file.
-    sigma : noise by channel, overriding that of the file.
-    swept : whether a file states sweeping, so that the table has columns of `sweep`.
-    how : how to read a file, as the arguments of `load_throw`.
-    systematics : widths as in `fit`; None for a table without systematic errors.
+    any_swept : whether a file states sweeping, so that the table has columns of `sweep`.
     posterior : sample the posterior of each throw as well; hundreds of times slower.
+    seed : of the sampling.
     """
 
-    law: str = "front-back"
-    load: str = "uniform"
-    since: float | None = None
-    until: float | None = None
-    exclude: Sequence[Sequence[float]] = ()
-    stone: Mapping[str, float] = field(default_factory=dict)
-    sigma: Mapping[str, float] = field(default_factory=dict)
-    fix: Mapping[str, float] = field(default_factory=dict)
-    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    unbounded: bool = False
-    free: Sequence[str] = ()
-    priors: Mapping[str, str] = field(default_factory=dict)
-    systematics: Mapping[str, float] | None = None
-    start: Mapping[str, float] = field(default_factory=dict)
-    loss: str = "linear"
-    noise: str = "white"
-    how: Mapping[str, Any] = field(default_factory=dict)
-    posterior: bool = False
-    seed: int = 0
-    swept: bool = False
+    any_swept: Annotated[bool, option(SWITCH, "")] = False
+    posterior: Annotated[bool, option(SWITCH, "")] = False
+    seed: Annotated[int, option(SEED, "")] = 0
 
     def checked(self) -> type[Law]:
         """The law. Raises InputError if the settings are impossible for any throw."""
         law = find_law(self.law)
-        check_load(self.load)
         Stone().with_values(dict(self.stone))
         check_sigma(self.sigma)
-        check_reader_options(**self.how)
-        check_noise(self.noise, check_loss(self.loss))
-        check_systematics(self.systematics or {})
-        self.parameters().require("--start", self.start)
+        check_reader_options(**self.reading)
+        check_systematics(self.systematics)
+        parameters = self.parameter_set()
+        parameters.require("--start", self.start)
+        check_derived(self.derive, parameters.names)
         return law
 
-    def parameters(self) -> ParameterSet:
+    @property
+    def reading(self) -> dict[str, Any]:
+        """How files are read, as arguments of `load_throws`."""
+        return {name: getattr(self, name) for name in Reading.forms()}
+
+    @property
+    def fitting(self) -> dict[str, Any]:
+        """How throws are fitted, as arguments of `fit_throws`."""
+        return {name: getattr(self, name) for name in Fitting.forms()}
+
+    def parameter_set(self) -> ParameterSet:
         """Parameters of each throw's fit."""
-        return ParameterSet.build(
-            find_law(self.law), fix=dict(self.fix), bounds=dict(self.bounds),
-            unbounded=self.unbounded, free=self.free, priors=self.priors, swept=self.swept,
-        )  # fmt: skip
-
-    def choices(self) -> dict[str, Any]:
-        """The settings as arguments of `fit_throws`."""
-        names = (
-            "law", "load", "since", "until", "exclude", "fix", "bounds", "unbounded", "free",
-            "priors", "systematics", "start", "loss", "noise",
-        )  # fmt: skip
-        return {name: getattr(self, name) for name in names}
-
-    def stones(self, throws: Sequence[Throw]) -> list[Stone]:
-        """The stone of each throw."""
-        own = (Stone().with_values(throw.defaults.get("stone", {})) for throw in throws)
-        return [stone.with_values(dict(self.stone)) for stone in own]
+        swept = self.any_swept or self.swept is not None
+        return ParameterSet.build(find_law(self.law), swept=swept, **self.parameters)
 
     def sums(self) -> dict[str, tuple[str, ...]]:
         """Free coefficients of which only the sum enters the motion, by the sum as written."""
@@ -102,22 +79,24 @@ class BatchSettings:
 
     def to_json(self) -> dict[str, Any]:
         """The plan as plain values."""
-        return asdict(self)
+        return dict(self)
 
 
 def columns(plan: BatchSettings) -> list[str]:
     """Columns of the table of results; those of text, which may contain commas, come last."""
     plan.checked()
-    names = plan.parameters().names
+    names = plan.parameter_set().names
     found = ["file", "shot", "stone_index", "status", "n_observations", "rms_x", "rms_y", "rms_phi"]
     quantiles = QUANTILES if plan.posterior else ()
-    systematic = plan.systematics is not None
+    systematic = bool(plan.systematics)
     for name in names:
         found += [name, f"{name}_stderr", f"{name}_verdict", *(f"{name}_{q}" for q in quantiles)]
         found += [f"{name}_systematic"] * systematic
     for name in plan.sums():
         found += [name, f"{name} stderr", *(f"{name} {q}" for q in quantiles)]
         found += [f"{name} systematic"] * systematic
+    for text in plan.derive:
+        found += [text, f"{text} stderr"]
     return [*found, "combinations", "warnings", "reason"]
 
 

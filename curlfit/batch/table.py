@@ -129,7 +129,7 @@ class Table:
                 f"{self.file}: the settings of its rows are unknown, because {self.settings} is "
                 f"missing; {_OTHERWISE}"
             )
-        before = dict(json.loads(json.dumps(json_safe(BatchSettings().to_json()))), **before)
+        before = dict(json.loads(json.dumps(json_safe(BatchSettings.of().to_json()))), **before)
         for key in settings:
             if before.get(key) != settings[key]:
                 raise InputError(

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Annotated, Any
+from collections.abc import Sequence
 
-import typer
+from cyclopts import App, Parameter
+from cyclopts.exceptions import CycloptsError
 
 from curlfit.batch.command import batch
 from curlfit.cli.example import example
@@ -19,70 +20,56 @@ from curlfit.comparison.command import compare
 from curlfit.errors import CurlfitError
 from curlfit.numerics import program_cache
 from curlfit.optimal_design.command import design
-from curlfit.options.flags import Saved
+from curlfit.options.output import Saved
 from curlfit.paper.command import reproduce
 from curlfit.prediction.command import predict
 from curlfit.profile_likelihood.command import profile
 from curlfit.version import __version__
 
-app = typer.Typer(
-    name="curlfit",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode="markdown",
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-
-
 _LIBRARIES = ("jax", "jaxlib", "optimistix", "numpy", "scipy", "emcee", "matplotlib")
+_INTERRUPTED = 130
 
 
-def _version(requested: bool) -> None:
-    if requested:
-        import platform
-        from importlib.metadata import version
+def _versions() -> str:
+    import platform
+    from importlib.metadata import version
 
-        typer.echo(f"curlfit {__version__}")
-        libraries = ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)
-        typer.echo(f"Python {platform.python_version()}, {libraries}")
-        typer.echo(f"{platform.platform()}, {platform.machine()}")
-        raise typer.Exit
-
-
-def _finished(saved: Saved | None, **_: Any) -> None:
-    """Write the page of the result saved by a verb, if requested with `--report`."""
-    if isinstance(saved, Saved):
-        file = write_page(saved.folder)
-        if not saved.quiet:
-            typer.echo(f"Written: {file}")
-        if saved.status:
-            raise typer.Exit(saved.status)
+    libraries = ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)
+    return (
+        f"curlfit {__version__}\nPython {platform.python_version()}, {libraries}\n"
+        f"{platform.platform()}, {platform.machine()}"
+    )
 
 
-@app.callback(result_callback=_finished)
-def _root(
-    version: Annotated[
-        bool,
-        typer.Option(
-            "--version",
-            callback=_version,
-            is_eager=True,
-            help="Print the versions of curlfit and of the libraries it uses.",
-        ),
-    ] = False,
-) -> None:
-    """Estimate friction coefficients from the trajectory of a curling stone.
-
-    Begin with `curlfit fit DATA.csv`, where DATA.csv has columns t, x, y, phi (s, m, m, rad).
-    """
-
-
+app = App(
+    name="curlfit",
+    help="Estimate friction coefficients from the trajectory of a curling stone.\n\n"
+    "Begin with `curlfit fit DATA.csv`, where DATA.csv has columns t, x, y, phi (s, m, m, rad).",
+    help_format="markdown",
+    version=_versions,
+    default_parameter=Parameter(negative=(), show_default=False, show_choices=False),
+    print_error=False,
+    exit_on_error=False,
+    suppress_keyboard_interrupt=False,
+    result_action="return_value",
+)
 for _verb in (
     check, fit, compare, batch, predict, profile, design, show, plot, report, export, simulate,
     laws, reproduce, example,
 ):  # fmt: skip
-    app.command()(_verb)
+    app.command(_verb)
+
+
+def run(words: Sequence[str]) -> int:
+    """Carry out a command; returns its exit status."""
+    saved = app(words)
+    if not isinstance(saved, Saved):
+        return 0
+    if saved.page is not None:
+        file = write_page(saved.page)
+        if not saved.quiet:
+            print(f"Written: {file}")
+    return saved.status
 
 
 def _without_data(words: list[str]) -> str:
@@ -95,9 +82,6 @@ def _without_data(words: list[str]) -> str:
     )
 
 
-_INTERRUPTED = 130
-
-
 def main() -> None:
     """Run the command; errors of the input become one sentence and an exit status."""
     # NumPy is not loaded yet. Its matrices here are small: threads would wait for one another.
@@ -105,21 +89,26 @@ def main() -> None:
     program_cache.command = _without_data(sys.argv[1:])
     try:
         try:
-            app()
+            status = run(sys.argv[1:])
         finally:
             sys.stdout.flush()
     except CurlfitError as error:
         print(f"curlfit: {error}", file=sys.stderr)
-        sys.exit(error.exit_status)
-    except (KeyboardInterrupt, SystemExit) as stop:  # typer exits silently on Ctrl-C
-        if isinstance(stop, SystemExit) and stop.code != _INTERRUPTED:
-            raise
+        status = error.exit_status
+    except CycloptsError as error:
+        print(f"curlfit: {error}", file=sys.stderr)
+        status = 2
+    except KeyboardInterrupt:
         print("curlfit: stopped", file=sys.stderr)
-        sys.exit(_INTERRUPTED)
+        status = _INTERRUPTED
     except OSError as error:
         # Unprinted output is dropped; Python would otherwise try to write it again on exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if isinstance(error, BrokenPipeError):
-            sys.exit(1)
-        print(f"curlfit: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
-        sys.exit(2)
+        status = 1
+        if not isinstance(error, BrokenPipeError):
+            status = 2
+            print(
+                f"curlfit: {error.filename or 'output'}: {error.strerror or error}",
+                file=sys.stderr,
+            )
+    sys.exit(status)

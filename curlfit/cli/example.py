@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from cyclopts import Parameter
 
 _PACKAGE = Path(__file__).parents[1]
 _PARTS = {"data": "*", "notebooks": "*.ipynb"}
@@ -16,8 +16,11 @@ _FIRST = "data/jensen_shegelski_2004.csv"
 def example(
     folder: Annotated[
         Path,
-        typer.Argument(help="Destination folder; created if it does not exist.", metavar="[DIR]"),
+        Parameter(
+            help="Destination folder; created if it does not exist. [default: curlfit-examples]"
+        ),
     ] = Path("curlfit-examples"),
+    /,
 ) -> None:
     """Copy the example data and the notebooks to a folder of your own.
 
@@ -39,8 +42,8 @@ def example(
         for file in sorted((source / part).glob(pattern)):
             target = folder / part / file.name
             if target.exists():
-                typer.echo(f"Left as it is: {target}")
+                print(f"Left as it is: {target}")
             elif file.is_file():
                 shutil.copyfile(file, target)
-                typer.echo(f"Written: {target}")
-    typer.echo(f"\nTry: cd {folder} && curlfit fit {_FIRST}")
+                print(f"Written: {target}")
+    print(f"\nTry: cd {folder} && curlfit fit {_FIRST}")

@@ -8,10 +8,11 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from cyclopts import Parameter
 
 import curlfit
 from curlfit.options import settings as s
+from curlfit.settings.forms import PATH, option
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
@@ -35,26 +36,22 @@ _GAME = (Form.c, Form.js, Form.table)
 
 def export(
     folder: Annotated[
-        Path,
-        typer.Argument(
-            help="Folder of a fit, a joint fit or a comparison, or the JSON file in it.",
-            metavar="DIR",
-            show_default=False,
-        ),
+        Path, Parameter(help="Folder of a fit, a joint fit or a comparison, or the JSON in it.")
     ],
+    /,
+    *,
     to: Annotated[
         list[Form],
-        typer.Option(
+        Parameter(
             help="csv: parameters, and the path with its residuals. netcdf: the sampled posterior "
             "for ArviZ. json: what `curlfit show --json` prints. latex: a table with booktabs. "
             "table, c, js: the accelerations of the stone by speed and spin, as JSON, C header and "
-            "JavaScript module, for games and simulators; game: all three.",
-            show_default=False,
+            "JavaScript module, for games and simulators; game: all three."
         ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for the files. [default: the result's name with -export]"),
+        option(PATH, "Folder for the files. [default: the result's name with -export]", "DIR"),
     ] = None,
 ) -> None:
     """Export a saved fit, joint fit or comparison to other programs and papers.
@@ -90,9 +87,9 @@ def export(
     for name, write in made.items():
         with atomic_write(target / name) as temporary:
             write(temporary)
-    typer.echo("Written: " + ", ".join(str(target / name) for name in made))
+    print("Written: " + ", ".join(str(target / name) for name in made))
     if note:
-        typer.echo(note)
+        print(note)
 
 
 _GAME_FILES = {

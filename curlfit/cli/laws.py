@@ -7,28 +7,25 @@ import textwrap
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from cyclopts import Parameter
+
+from curlfit.settings.forms import SWITCH, option
 
 if TYPE_CHECKING:
     from curlfit.friction import Coefficient, Law
 
 
 def laws(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="Only these; FILE.py:CLASS for a law of your own.", metavar="[NAME]..."
-        ),
-    ] = None,
+    *names: Annotated[str, Parameter(help="Only these; FILE.py:CLASS for a law of your own.")],
     conditions: Annotated[
         bool,
-        typer.Option(
-            "--conditions",
-            help="The conditions that a fit holds (level ice, still air, the stone, the scales), "
-            "and their standard uncertainties.",
+        option(
+            SWITCH,
+            "The conditions that a fit holds (level ice, still air, the stone, the scales), and "
+            "their standard uncertainties.",
         ),
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="As JSON, for programs.")] = False,
+    as_json: Annotated[bool, option(SWITCH, "As JSON, for programs.", name="--json")] = False,
 ) -> None:
     """List the friction laws: formula, coefficients, source, direction of curl.
 
@@ -45,12 +42,12 @@ def laws(
         return
     chosen = [find_law(name) for name in names] if names else list(LAWS.values())
     if as_json:
-        typer.echo(json.dumps([_record(law) for law in chosen], indent=1))
+        print(json.dumps([_record(law) for law in chosen], indent=1))
         return
     from curlfit.output.console import terminal
 
     width = terminal().width
-    typer.echo("\n\n".join(_text(law, width) for law in chosen))
+    print("\n\n".join(_text(law, width) for law in chosen))
 
 
 def _print_conditions(*, as_json: bool) -> None:
@@ -58,14 +55,14 @@ def _print_conditions(*, as_json: bool) -> None:
     from curlfit.output.console import terminal
 
     if as_json:
-        typer.echo(json.dumps([asdict(item) for item in CONDITIONS], indent=1))
+        print(json.dumps([asdict(item) for item in CONDITIONS], indent=1))
         return
     width = terminal().width
     longest = max(len(item.name) for item in CONDITIONS)
     for item in CONDITIONS:
         unit = "" if item.unit == "1" else f" {item.unit}"
         text = f"{item.meaning}; standard uncertainty {item.width:g}{unit} ({item.basis})"
-        typer.echo("\n".join(_wrap(f"{item.name:<{longest}}  ", text, width)))
+        print("\n".join(_wrap(f"{item.name:<{longest}}  ", text, width)))
 
 
 def _record(law: type[Law]) -> dict[str, object]:

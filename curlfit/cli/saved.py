@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
+from cyclopts import Parameter
 
 import curlfit
-from curlfit.options import flags as o
 from curlfit.options.figures import FigureFiles, write_figures
 from curlfit.options.settings import chain_beside, kind_of
+from curlfit.settings.forms import PATH, SWITCH, TEXT, TEXTS, option
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,12 +41,14 @@ _KINDS = {
 
 
 def show(
-    folder: Annotated[
-        Path,
-        typer.Argument(help="Folder of results, or the JSON file in it.", metavar="DIR"),
-    ],
-    as_json: Annotated[bool, typer.Option("--json", help="Print the JSON record.")] = False,
-    derive: o.Derive = None,
+    folder: Annotated[Path, Parameter(help="Folder of results, or the JSON file in it.")],
+    /,
+    *,
+    as_json: Annotated[bool, option(SWITCH, "Print the JSON record.", name="--json")] = False,
+    derive: Annotated[
+        Sequence[str],
+        option(TEXTS, "A quantity derived from the parameters, as in `curlfit fit`.", "EXPRESSION"),
+    ] = (),
 ) -> None:
     """Print the report of a saved fit, joint fit, comparison, prediction, profile or design.
 
@@ -76,11 +79,17 @@ def show(
 
 
 def plot(
-    folder: Annotated[Path, typer.Argument(help="Folder of results.", metavar="DIR")],
-    out: Annotated[Path | None, typer.Option(help="Folder for the figures. [default: DIR]")] = None,
+    folder: Annotated[Path, Parameter(help="Folder of results, or the JSON file in it.")],
+    /,
+    *,
+    out: Annotated[
+        Path | None, option(PATH, "Folder for the figures. [default: that of the results]", "DIR")
+    ] = None,
     format: Annotated[
         str,
-        typer.Option(help="`png`, `pdf` or `svg`; several separated by commas.", metavar="FORMAT"),
+        option(
+            TEXT, "`png`, `pdf` or `svg`; several separated by commas. [default: png]", "FORMAT"
+        ),
     ] = "png",
 ) -> None:
     """Draw the figures again of a saved fit, joint fit, comparison, prediction, profile, design."""
@@ -102,19 +111,18 @@ def plot(
         drawn = getattr(curlfit, names.draw)(getattr(curlfit, names.load)(folder))
         figures |= drawn if kind == "design" else {kind: drawn}
     written = write_figures(prepare_folder(target), figures, formats)
-    typer.echo("Written: " + ", ".join(map(str, written)))
+    print("Written: " + ", ".join(map(str, written)))
 
 
 def report(
-    folder: Annotated[
-        Path,
-        typer.Argument(help="Folder of results, or the JSON file in it.", metavar="DIR"),
-    ],
+    folder: Annotated[Path, Parameter(help="Folder of results, or the JSON file in it.")],
+    /,
+    *,
     out: Annotated[
         Path | None,
-        typer.Option(help="The file. [default: DIR/report.html]", metavar="FILE.html"),
+        option(PATH, "The file. [default: report.html among the results]", "FILE.html"),
     ] = None,
-    show_it: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+    show_it: Annotated[bool, option(SWITCH, "Open it in the browser.", name="--open")] = False,
 ) -> None:
     """Write a saved result as one HTML file to send: numbers, figures, warnings, animations.
 
@@ -125,7 +133,7 @@ def report(
     Example: `curlfit report throw-fit --open`
     """
     file = write_page(folder, out)
-    typer.echo(f"Written: {file}")
+    print(f"Written: {file}")
     if show_it:
         import webbrowser
 

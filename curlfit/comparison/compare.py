@@ -11,7 +11,7 @@ path in `adequacy`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +20,6 @@ import numpy as np
 from curlfit.comparison.adequacy import adequacy, sizes
 from curlfit.comparison.capability import opposes_sliding, sides_of_curl
 from curlfit.comparison.criteria import log_likelihood, number_of_parameters, residuals_of
-from curlfit.comparison.noise_models import noise_models
 from curlfit.comparison.ranking import Fitted, ranked
 from curlfit.comparison.result import PLACE, Candidate, Comparison
 from curlfit.errors import UnusableFitError
@@ -30,10 +29,9 @@ from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.missing_channels import NOISE
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.parameters import options_of, require_known
-from curlfit.inference.priors import Prior
+from curlfit.inference.parameters import by_parameter, options_of, require_known
 from curlfit.numerics.threads import in_threads
-from curlfit.stone import Stone
+from curlfit.settings.choices import Comparing, takes
 from curlfit.throws.throw import Throw, require_path, require_throw
 
 _FAR = 5.0
@@ -58,38 +56,24 @@ def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[L
     ]
 
 
+@takes(Comparing, "laws")
 def compare(
     throw: Throw,
     laws: Sequence[str | type[Law]] | None = None,
     *,
-    load: str = "uniform",
-    stone: Stone | None = None,
-    since: float | None = None,
-    until: float | None = None,
-    exclude: Sequence[tuple[float, float]] = (),
-    swept: Sequence[float] | None = None,
-    fix: Mapping[str, float] | None = None,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    unbounded: bool = False,
-    free: Sequence[str] = (),
-    priors: Mapping[str, str | Prior] | None = None,
-    start: Mapping[str, float] | None = None,
-    loss: str = "linear",
-    noise: str | Sequence[str] = "white",
     progress: Callable[[str, int, int], None] | None = None,
+    **choices: Any,
 ) -> Comparison:
     """Fit each law to a throw, under each noise model, and rank the fits by BIC.
 
+    Parameters of a law (`fix`, `bounds`, `free`, `priors`, `start`) hold for the laws that have
+    them. With `unbounded`, the fits are ranked even so.
+
     Parameters
     ----------
-    throw, stone, since, until, exclude, swept, loss : as in `fit`.
-    noise : a noise model as in `fit`, or several, as a sequence or separated by commas; estimated
-        anew for each law.
     laws : names or classes; by default curlfit's own except those that approximate another.
-    load : "uniform", "consistent" or "both".
-    fix, bounds, free, priors, start : as in `fit`, for the laws that have such a parameter.
-    unbounded : whether the coefficients of all laws may be negative; the fits are ranked even so.
     progress : called with the law being fitted, the number of fits done, and their total number.
+    {choices}
 
     Raises
     ------
@@ -104,23 +88,25 @@ def compare(
     """
     require_throw(throw)
     require_path(throw)
-    todo = plan(laws, load)
-    fits = [(law, one_load, kind) for kind in noise_models(noise, loss) for law, one_load in todo]
-    options: dict[str, Mapping[str, Any]] = {
-        "fix": fix or {}, "bounds": bounds or {}, "start": start or {},
-        "free": dict.fromkeys(free, True), "priors": priors or {},
-    }  # fmt: skip
+    chosen = Comparing.of(throw.settings, laws=laws, **choices)
+    todo = plan(chosen.laws, chosen.load)
+    fits = [(law, one_load, kind) for kind in chosen.noise for law, one_load in todo]
+    options = by_parameter(chosen)
     require_known([law for law, _ in todo], options)
 
     family = family_of(law for law, _ in todo)
 
     def fitted(law: type[Law], one_load: str, kind: str) -> list[Fitted]:
-        choices: dict[str, Any] = {
-            "load": one_load, "stone": stone, "since": since, "until": until, "exclude": exclude,
-            "swept": swept, "unbounded": unbounded, "loss": loss, "noise": kind, "family": family,
-            "systematics": {ALL: 0.0}, **options_of(law, options),
-        }  # fmt: skip
-        return _with_free_signs(throw, law, choices)
+        own = vars(chosen) | options_of(law, options)
+        own |= {
+            "free": tuple(own["free"]),
+            "load": one_load,
+            "noise": kind,
+            "family": family,
+            "systematics": {ALL: 0.0},
+        }
+        del own["laws"]
+        return _with_free_signs(throw, law, own)
 
     found: list[Fitted] = []
     with in_threads(fitted, fits) as results:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -15,6 +15,7 @@ from curlfit.friction import Law, Parameter
 from curlfit.inference.conditions import CONDITIONS, WEAK_CONDITIONS
 from curlfit.inference.priors import NO_PRIOR, Penalty, Prior, parse_priors, penalty_of
 from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.settings.choices import Comparing
 from curlfit.throws.throw import Throw
 
 FEWEST_ROWS = 3
@@ -312,8 +313,8 @@ class ParameterSet:
         return replace(self, parameters=parameters, fixed={**self.fixed, name: value})
 
 
-Options = Mapping[str, Mapping[str, Any]]
-"""Values by option (fix, bounds, start) and by parameter."""
+Options = Mapping[str, Mapping[str, Any] | Sequence[str]]
+"""Choices that name parameters, by choice: values by name, or names."""
 
 
 def require_known(laws: Iterable[type[Law]], options: Options) -> None:
@@ -328,10 +329,18 @@ def require_known(laws: Iterable[type[Law]], options: Options) -> None:
                 )
 
 
-def options_of(law: type[Law], options: Options) -> dict[str, dict[str, Any]]:
+def options_of(law: type[Law], options: Options) -> dict[str, Any]:
     """The options, limited to the parameters that a law has."""
     own = parameter_names(law)
     return {
         option: {name: value for name, value in values.items() if name in own}
+        if isinstance(values, Mapping)
+        else tuple(name for name in values if name in own)
         for option, values in options.items()
     }
+
+
+def by_parameter(chosen: Comparing) -> dict[str, Any]:
+    """The choices that name parameters of laws, by choice and name."""
+    names = ("fix", "bounds", "start", "free", "priors")
+    return {name: getattr(chosen, name) for name in names}

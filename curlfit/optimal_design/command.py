@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from cyclopts import Group, Parameter
 
-from curlfit.options import flags as o
+from curlfit.errors import InputError
 from curlfit.options import settings as s
-from curlfit.options.figures import FigureFiles
+from curlfit.options.output import COMPILES, Output, Saved, status_line
+from curlfit.settings.choices import COUNT, LAW, LOAD, Choices
+from curlfit.settings.forms import NAMES, NUMBER, NUMBERS, PATH, TIME, VALUES, option, quantity
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,140 +22,143 @@ if TYPE_CHECKING:
     from curlfit.optimal_design.result import Design
 
 _FIGURES = ("design-map", "design-errors", "design-separate")
-_TRUTH = "Assumed values"
-_THROWS = "The throws"
-_RECORD = "The record"
 _UNMEASURED = "`none`: not measured."
 
 
-def design(
+@Parameter(name="*", group=Group("Assumed values", sort_key=0))
+@dataclass(frozen=True, kw_only=True)
+class Assumed(Choices):
+    """The law and the stone that a design assumes."""
+
     law: Annotated[
-        str | None,
-        typer.Option(
-            help="Friction law; `curlfit laws` lists them. [default: front-back]",
-            rich_help_panel=_TRUTH,
-        ),
-    ] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="A coefficient; the law's default if not set.",
-            metavar="N=V",
-            rich_help_panel=_TRUTH,
-        ),
-    ] = None,
+        Any, option(LAW, "Friction law; `curlfit laws` lists them. [default: front-back]", "NAME")
+    ] = None
+    coefficients: Annotated[
+        Mapping[str, float],
+        option(VALUES, "A coefficient; the law's default if not set.", "NAME=V", name="--set"),
+    ] = field(default_factory=dict)
     fit: Annotated[
         Path | None,
-        typer.Option(
-            help="A saved fit, for its law, coefficients, load and stone.",
-            metavar="DIR",
-            rich_help_panel=_TRUTH,
-        ),
-    ] = None,
+        option(PATH, "A saved fit, for its law, coefficients, load and stone.", "FIT"),
+    ] = None
     load: Annotated[
         str | None,
-        typer.Option(
-            help="`uniform` or `consistent` (eq. 8-9). [default: uniform]", rich_help_panel=_TRUTH
-        ),
-    ] = None,
-    stone: o.StoneValues = None,
+        option(LOAD, "`uniform` or `consistent` (eq. 8-9). [default: uniform]", "NAME"),
+    ] = None
+    stone: Annotated[
+        Mapping[str, float], option(VALUES, "The stone, as in `curlfit fit`.", "R=V,rho=V")
+    ] = field(default_factory=dict)
+
+
+@Parameter(name="*", group=Group("The throws", sort_key=1))
+@dataclass(frozen=True, kw_only=True)
+class Grid(Choices):
+    """The candidates."""
+
     v0: Annotated[
-        str | None,
-        typer.Option(
-            help="Candidate speeds, m/s. [default: 1.6,1.9,2.2]",
-            metavar="V,V",
-            rich_help_panel=_THROWS,
-        ),
-    ] = None,
+        Sequence[float], option(NUMBERS, "Speeds, m/s. [default: 1.6,1.9,2.2]", "V,V")
+    ] = ()
     omega0: Annotated[
-        str | None,
-        typer.Option(
-            help="Candidate spins, rad/s, counter-clockwise positive. "
-            "[default: 0.5,1,2,5,10, from a draw to a hard spinner]",
-            metavar="V,V",
-            rich_help_panel=_THROWS,
+        Sequence[float],
+        option(
+            NUMBERS,
+            "Spins, rad/s, counter-clockwise positive. [default: 0.5,1,2,5,10, from a draw to a "
+            "hard spinner]",
+            "V,V",
         ),
-    ] = None,
-    throws: Annotated[
-        int,
-        typer.Option(
-            help="Number of throws, chosen optimally among the candidates, with repetition.",
-            rich_help_panel=_THROWS,
-        ),
-    ] = 3,
+    ] = ()
     rate: Annotated[
-        str,
-        typer.Option(
-            help="Rows per second, Hz; one or more.", metavar="V,V", rich_help_panel=_RECORD
-        ),
-    ] = "30",
+        Sequence[float], option(NUMBERS, "Rows per second, Hz. [default: 30]", "V,V")
+    ] = ()
+
+
+@Parameter(name="*", group=Group("The record", sort_key=2))
+@dataclass(frozen=True, kw_only=True)
+class Record(Choices):
+    """What is measured of each throw."""
+
     until: Annotated[
         float | None,
-        typer.Option(
-            help="Length of the record, s. [default: until the stone is at rest]",
-            metavar="S",
-            rich_help_panel=_RECORD,
-        ),
-    ] = None,
+        option(TIME, "Length of the record, s. [default: until the stone is at rest]", "S"),
+    ] = None
     sigma_xy: Annotated[
-        str,
-        typer.Option(
-            help=f"Noise of x and y: 0.005, 5mm, 0.2in. {_UNMEASURED}",
-            metavar="V",
-            rich_help_panel=_RECORD,
+        float | None,
+        option(
+            quantity("x"), f"Noise of x and y: 0.005, 5mm, 0.2in. {_UNMEASURED} [default: 5mm]", "V"
         ),
-    ] = "5mm",
+    ] = 0.005
     sigma_phi: Annotated[
-        str,
-        typer.Option(
-            help=f"Noise of the angle: 0.01, 10mrad, 0.5deg. {_UNMEASURED}",
-            metavar="V",
-            rich_help_panel=_RECORD,
+        float | None,
+        option(
+            quantity("phi"),
+            f"Noise of the angle: 0.01, 10mrad, 0.5deg. {_UNMEASURED} [default: 10mrad]",
+            "V",
         ),
-    ] = "10mrad",
+    ] = 0.01
     sigma_speed: Annotated[
-        str,
-        typer.Option(
-            help="Noise of a directly measured speed.", metavar="V", rich_help_panel=_RECORD
+        float | None,
+        option(
+            quantity("speed"), "Noise of a directly measured speed. [default: not measured]", "V"
         ),
-    ] = "none",
+    ] = None
     sigma_omega: Annotated[
-        str,
-        typer.Option(
-            help="Noise of a directly measured spin.", metavar="V", rich_help_panel=_RECORD
+        float | None,
+        option(
+            quantity("omega"), "Noise of a directly measured spin. [default: not measured]", "V"
         ),
-    ] = "none",
+    ] = None
     discrepancy: Annotated[
         float,
-        typer.Option(
-            help="Size of the accelerations that the law may lack, over the friction, such as "
-            "0.05. [default: 0, an exact law]",
-            show_default=False,
-            rich_help_panel=_RECORD,
+        option(
+            NUMBER,
+            "Size of the accelerations that the law may lack, over the friction, such as 0.05. "
+            "[default: 0, an exact law]",
+            "V",
         ),
-    ] = 0.0,
+    ] = 0.0
+
+    def sigma(self) -> dict[str, float]:
+        """Noise of each channel that is measured."""
+        each = {
+            "x": self.sigma_xy, "y": self.sigma_xy, "phi": self.sigma_phi,
+            "speed": self.sigma_speed, "omega": self.sigma_omega,
+        }  # fmt: skip
+        return {name: value for name, value in each.items() if value is not None}
+
+
+def design(
+    *,
+    assumed: Assumed = Assumed(),
+    grid: Grid = Grid(),
+    throws: Annotated[
+        int,
+        option(
+            COUNT,
+            "Number of throws, chosen among the candidates, with repetition. [default: 3]",
+            "N",
+            group="The throws",
+        ),
+    ] = 3,
+    record: Record = Record(),
     separate: Annotated[
-        str | None,
-        typer.Option(
-            help="Two coefficients to be separated. [default: two of which only the sum is "
-            "determined under uniform load]",
-            metavar="A,B",
+        Sequence[str],
+        option(
+            NAMES,
+            "Two coefficients to be separated. [default: two of which only the sum is determined "
+            "under uniform load]",
+            "A,B",
         ),
-    ] = None,
+    ] = (),
     relative_error: Annotated[
         float,
-        typer.Option(
-            help="Required, of their difference, or of their mean where they are equal.",
-            metavar="V",
+        option(
+            NUMBER,
+            "Required, of their difference, or of their mean where they are equal. [default: 0.2]",
+            "V",
         ),
     ] = 0.2,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("design"),
-    figures: o.FigureFormats = None,
-    no_figures: o.NoFigures = False,
-    report: o.Report = False,
-    quiet: o.Quiet = False,
-) -> o.Saved | None:
+    output: Output = Output(),
+) -> Saved:
     """Optimal design: the expected errors of a law's coefficients, and the best choice of throws.
 
     Every combination of speed, spin and rate is a candidate. Each throw has its own unknown initial
@@ -171,33 +178,16 @@ def design(
     `curlfit design --load consistent --separate mu1_eta,mu2_eta --stone h=0.1`
 
     `curlfit design --fit throw-fit --until 12`: for the ice of a fitted throw
-    """  # fmt: skip
-    from curlfit.errors import InputError
+    """
     from curlfit.output.files import prepare_folder
 
-    drawn = FigureFiles.of(figures, none=no_figures)
-    if fit is not None and law is not None:
+    drawn = output.drawn()
+    fit = assumed.fit
+    if fit is not None and assumed.law is not None:
         raise InputError("--law and --fit: expected one of them")
     kind = s.kind_of(fit) if fit is not None else "fit"
     if kind != "fit":
         raise InputError(f"{fit}: a result of curlfit {kind}; expected the fit of one throw")
-    sigma = {
-        name: s.with_unit(option, name, text)
-        for option, text, names in (
-            ("--sigma-xy", sigma_xy, ("x", "y")), ("--sigma-phi", sigma_phi, ("phi",)),
-            ("--sigma-speed", sigma_speed, ("speed",)), ("--sigma-omega", sigma_omega, ("omega",)),
-        )
-        if text.strip().lower() != "none"
-        for name in names
-    }  # fmt: skip
-    grid = {
-        name: s.numbers(f"--{name}", text)
-        for name, text in (("v0", v0), ("omega0", omega0), ("rate", rate))
-        if text is not None
-    }
-    pair = [name.strip() for name in separate.split(",")] if separate is not None else None
-    given = s.pairs("--set", set_ or ())
-    body = s.pairs("--stone", stone or ())
 
     from curlfit.inference.fit.result import load_fit
     from curlfit.stone import Stone
@@ -206,34 +196,30 @@ def design(
 
     from rich.console import Console
 
-    from curlfit.output.console import terminal
-
-    console = terminal(quiet=quiet)
     drawn.draw_beside()
-    errors = Console(stderr=True, quiet=quiet)
-    with errors.status("Reading") as status:
+    with status_line(Console(stderr=True, quiet=output.quiet), "Reading") as say:
 
         def progress(text: str) -> None:
-            status.update(f"Computing {text} (a first run on a machine compiles the model)")
+            say(f"Computing {text} {COMPILES}")
 
         progress("the information of each throw")
         from curlfit.optimal_design.design import design as compute_design
 
         result = compute_design(
-            known or law or "front-back",
-            coefficients=given,
-            load=load,
-            stone=(known.stone if known else Stone()).with_values(body),
-            until=until,
-            sigma=sigma,
-            discrepancy=discrepancy,
+            known or assumed.law or "front-back",
+            coefficients=dict(assumed.coefficients),
+            load=assumed.load,
+            stone=(known.stone if known else Stone()).with_values(dict(assumed.stone)),
+            until=record.until,
+            sigma=record.sigma(),
+            discrepancy=record.discrepancy,
             throws=throws,
-            separate=pair,
+            separate=list(separate) or None,
             relative_error=relative_error,
             progress=progress,
-            **grid,
+            **grid.given(),
         )
-    folder = prepare_folder(out)
+    folder = prepare_folder(output.out or Path("design"))
     written = [folder / "design.json"]
     result.save(written[0])
 
@@ -241,10 +227,9 @@ def design(
 
     from curlfit.optimal_design.report import print_design
 
+    console = output.console()
     print_design(result, console)
-    written += drawn.written()
-    console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
-    return o.saved(folder, report=report, quiet=quiet)
+    return output.written(folder, written + drawn.written(), console)
 
 
 def _figures(found: Design) -> dict[str, Figure]:

@@ -1,160 +1,37 @@
-"""Settings: defaults of the data file, overridden by the configuration file, then by the flags."""
+"""Choices of a verb: those of the data file, overridden by a configuration, then by flags."""
 
 from __future__ import annotations
 
-import math
-import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar
 
 from curlfit.errors import DataError, InputError
 from curlfit.output.files import RECORDS
+from curlfit.settings.choices import FLAGS, SEED, Comparing, Fitting, Modelling, Reading, Rows
+from curlfit.settings.forms import PATH, option
 
 if TYPE_CHECKING:
-    from curlfit.friction import Law, Load
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.mcmc.chain import Chain
     from curlfit.inference.model import Model
     from curlfit.inference.parameters import ParameterSet
     from curlfit.inference.problem import Problem
-    from curlfit.stone import Stone
     from curlfit.throws.throw import Throw
 
-READER_OPTIONS = (
-    "format", "axes", "units", "reference", "stone_index", "shot", "handle", "as_given",
-)  # fmt: skip
-"""Settings of the readers."""
-_SETTINGS = (
-    "law", "load", "since", "until", "exclude", "swept", "stone", "sigma", "fix", "bound", "start",
-    "unbounded", "free", "prior", "systematic", "loss", "noise", "seed", "derive",
-    *READER_OPTIONS,
-)  # fmt: skip
-
-
-def pairs(option: str, items: Sequence[str]) -> dict[str, float]:
-    """`NAME=V[,NAME=V...]`, any number of times, as a dictionary."""
-    found: dict[str, float] = {}
-    for item in items:
-        for part in item.split(","):
-            name, equals, text = part.partition("=")
-            if not equals or not name.strip():
-                raise InputError(f"{option} {item}: expected NAME=VALUE")
-            if name.strip() in found:
-                raise InputError(f"{option}: {name.strip()} is given twice")
-            found[name.strip()] = number(option, name.strip(), text)
-    return found
-
-
-def texts(option: str, items: Sequence[str]) -> dict[str, str]:
-    """`NAME=TEXT`, any number of times."""
-    found: dict[str, str] = {}
-    for item in items:
-        name, equals, text = item.partition("=")
-        if not equals or not name.strip() or not text.strip():
-            raise InputError(f"{option} {item}: expected NAME=PRIOR")
-        if name.strip() in found:
-            raise InputError(f"{option}: {name.strip()} is given twice")
-        found[name.strip()] = text.strip()
-    return found
-
-
-def periods(option: str, items: Sequence[str]) -> list[list[float]]:
-    """`A:B[,A:B...]`, any number of times, in s."""
-    found = []
-    for item in items:
-        for part in item.split(","):
-            low, colon, high = part.partition(":")
-            try:
-                pair = [float(low), float(high)]
-            except ValueError:
-                pair = []
-            if not colon or not pair or not pair[0] < pair[1]:
-                raise InputError(f"{option} {part}: expected A:B, times in s with A before B")
-            found.append(pair)
-    return found
-
-
-def row_choices(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Selection of rows by settings, as arguments of `Throw.select_rows` and of `fit`."""
-    return {
-        "since": settings.get("since"),
-        "until": settings.get("until"),
-        "exclude": settings.get("exclude", ()),
-    }
-
-
-def swept_choice(text: str | None) -> list[float] | None:
-    """`--sweep A:B` as a setting."""
-    if text is None:
-        return None
-    found = periods("--sweep", [text])
-    if len(found) != 1:
-        raise InputError(f"--sweep {text}: expected one interval A:B")
-    return found[0]
-
-
-def names(items: Sequence[str]) -> list[str]:
-    """`NAME[,NAME...]`, any number of times."""
-    return [name.strip() for item in items for name in item.split(",") if name.strip()]
-
-
-def intervals(option: str, items: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """`NAME=LO:HI`, any number of times; an empty end is infinite."""
-    found = {}
-    for item in items:
-        name, equals, text = item.partition("=")
-        low, colon, high = text.partition(":")
-        if not equals or not colon:
-            raise InputError(f"{option} {item}: expected NAME=LOW:HIGH")
-        found[name.strip()] = (
-            number(option, name, low) if low.strip() else -math.inf,
-            number(option, name, high) if high.strip() else math.inf,
-        )
-    return found
-
-
-def numbers(option: str, text: str) -> tuple[float, ...]:
-    """Finite numbers separated by commas."""
-    try:
-        found = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        found = (math.nan,)
-    if not all(map(math.isfinite, found)):
-        raise InputError(f"{option} {text.strip()}: expected numbers separated by commas")
-    return found
-
-
-def with_unit(option: str, quantity: str, text: str) -> float:
-    """A number such as `5mm` in SI units; SI if it has no unit. `quantity` is "x", for instance."""
-    size = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
-    if size is None:
-        raise InputError(
-            f"{option} {text.strip()}: expected a number, followed by its unit unless in SI"
-        )
-    from curlfit.throws.readers.columns import in_unit
-
-    unit = text[size.end() :].strip()
-    try:
-        return float(size[0]) * (in_unit(quantity, unit).factor if unit else 1.0)
-    except InputError as error:
-        raise InputError(f"{option} {text.strip()}: {error}") from None
-
-
-def number(option: str, name: str, text: str) -> float:
-    """A finite number from an option's text."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{option} {name}={text.strip()}: expected a number after '='")
-    return value
+_FORMS = {**Fitting.forms(), **Comparing.forms(), **Reading.forms(), "seed": SEED}
+_KEYS = {FLAGS.get(name, name).removeprefix("--"): name for name in _FORMS} | {"swept": "swept"}
+Chosen = TypeVar("Chosen", bound=Rows)
+ModelChoices = TypeVar("ModelChoices", bound=Modelling)
+Config = Annotated[
+    Path | None,
+    option(PATH, "TOML file of settings, by the names of flags; flags override it.", "TOML"),
+]
 
 
 def read_config(file: Path | None) -> dict[str, Any]:
-    """Settings from a TOML file; empty without a file."""
+    """Choices from a TOML file, by name; none without a file."""
     if file is None:
         return {}
     try:
@@ -165,102 +42,35 @@ def read_config(file: Path | None) -> dict[str, Any]:
         raise DataError(f"cannot be read ({error.strerror})", file=file) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DataError(f"not a TOML file: {error}", file=file) from None
-    for key in found:
-        if key not in _SETTINGS:
+    for key, value in found.items():
+        if key not in _KEYS:
             raise DataError(
-                f"unknown setting {key!r}; the settings are {', '.join(_SETTINGS)}", file=file
+                f"unknown setting {key!r}; the settings are {', '.join(_KEYS)}", file=file
             )
-    if "bound" in found:
-        found["bound"] = {
-            name: _interval(file, name, value) for name, value in found["bound"].items()
-        }
-    return found
+        try:
+            _FORMS[_KEYS[key]].checked(key, value)
+        except InputError as error:
+            raise InputError(f"{file}: {error}") from None
+    return {_KEYS[key]: value for key, value in found.items()}
 
 
-def _interval(file: Path, name: str, value: Any) -> tuple[float, float]:
-    if isinstance(value, list) and len(value) == 2:
-        return float(value[0]), float(value[1])
-    raise DataError(f"bound.{name} = {value!r}; expected [low, high]", file=file)
-
-
-def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
-    """Later layers override earlier ones, tables entry by entry; None and {} are ignored."""
-    result: dict[str, Any] = {}
-    for layer in layers:
-        for key, value in layer.items():
-            if value is None:
-                continue
-            if isinstance(value, Mapping):
-                result[key] = {**result.get(key, {}), **value}
-            else:
-                result[key] = value
-    return result
-
-
-def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
-    """The settings; raises `InputError` if one has a wrong type."""
-    from curlfit.throws.readers.table import check_intervals, check_seed
-
-    free = settings.get("free", [])
-    if not isinstance(free, list) or not all(isinstance(name, str) for name in free):
-        raise InputError(f"{origin}: free = {free!r}; expected a list of names")
-    derive = settings.get("derive", [])
-    if not isinstance(derive, list) or not all(isinstance(text, str) for text in derive):
-        raise InputError(f"{origin}: derive = {derive!r}; expected a list of strings")
-    for name, value in settings.get("prior", {}).items():
-        if not isinstance(value, str):
-            raise InputError(
-                f"{origin}: prior.{name} = {value!r}; expected a string such as '1+-0.1'"
-            )
-    for key in ("stone", "sigma", "fix", "start", "systematic"):
-        for name, value in settings.get(key, {}).items():
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"{origin}: {key}.{name} = {value!r}; expected a number")
-    for key in ("since", "until"):
-        time = settings.get(key, 0.0)
-        if isinstance(time, bool) or not isinstance(time, int | float) or not math.isfinite(time):
-            raise InputError(f"{origin}: {key} = {time!r}; expected a time in s")
-    for key in ("law", "load", "loss", "format", "axes", "units", "reference"):
-        if not isinstance(settings.get(key, ""), str):
-            raise InputError(f"{origin}: {key} = {settings[key]!r}; expected a quoted string")
-    noise = settings.get("noise", "")
-    if not isinstance(noise, str) and not (
-        isinstance(noise, list) and all(isinstance(name, str) for name in noise)
-    ):
-        raise InputError(
-            f"{origin}: noise = {noise!r}; expected a quoted string, for `compare` also a list"
-        )
-    if not isinstance(settings.get("as_given", False), bool):
-        raise InputError(f"{origin}: as_given = {settings['as_given']!r}; expected true or false")
-    for key in ("stone_index", "shot", "handle"):
-        value = settings.get(key, 1)
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise InputError(f"{origin}: {key} = {value!r}; expected a whole number from 1")
-    try:
-        check_intervals("exclude", settings.get("exclude", []))
-        check_intervals("swept", [settings["swept"]] if "swept" in settings else [])
-        check_seed(settings.get("seed", 0))
-    except InputError as error:
-        raise InputError(f"{origin}: {error}") from None
-    return settings
-
-
-class ConfiguredThrow(NamedTuple):
-    """A throw with the settings for its fit."""
+class ConfiguredThrow(NamedTuple, Generic[Chosen]):
+    """A throw with the choices for its fit."""
 
     throw: Throw
-    settings: dict[str, Any]
-    stone: Stone
+    chosen: Chosen
+    seed: int | None = None
+
+    @property
+    def cut(self) -> Throw:
+        """The rows to be used."""
+        return self.throw.select_rows(**self.chosen.rows)
 
 
-def reader_arguments(configured: Mapping[str, Any], flags: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of `load_throw` from the configuration and the flags."""
-    settings = merge(configured, flags)
-    return {key: settings[key] for key in READER_OPTIONS if key in settings}
-
-
-def prepare(data: Path, config: Path | None, flags: Mapping[str, Any]) -> ConfiguredThrow:
-    """The throw and its settings: its own, overridden by the configuration, then by the flags.
+def prepare(
+    data: Path, config: Path | None, reading: Reading, flags: Chosen, seed: int | None = None
+) -> ConfiguredThrow[Chosen]:
+    """The throw and its choices: its own, overridden by the configuration, then by the flags.
 
     Raises
     ------
@@ -268,21 +78,36 @@ def prepare(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Config
     """
     from curlfit.throws.readers import load_throw
 
-    configured = check_settings(read_config(config), str(config))
-    throw = load_throw(data, **reader_arguments(configured, flags))
-    return apply_settings(throw, configured, flags)
+    configured = read_config(config)
+    throw = load_throw(data, **vars(Reading.of(configured, vars(reading))))
+    return apply_settings(throw, configured, flags, seed)
 
 
-def result_folder(data: Path, kind: str, shot: int | None, stone_index: int | None) -> Path:
+def apply_settings(
+    throw: Throw, configured: Mapping[str, Any], flags: Chosen, seed: int | None = None
+) -> ConfiguredThrow[Chosen]:
+    """`prepare` for a throw that has already been read."""
+    from curlfit.stone import Stone
+    from curlfit.throws.throw import check_sigma
+
+    chosen = type(flags).of(throw.settings, configured, vars(flags))
+    Stone().with_values(dict(getattr(chosen, "stone", {})))
+    check_sigma(getattr(chosen, "sigma", {}))
+    if seed is None:
+        seed = configured.get("seed", throw.defaults.get("seed"))
+    return ConfiguredThrow(throw, chosen, seed)
+
+
+def result_folder(data: Path, kind: str, reading: Reading) -> Path:
     """Default folder for the results of a data file, or of the throw that is chosen from it."""
-    chosen = [str(number) for number in (shot, stone_index) if number is not None]
+    chosen = [str(number) for number in (reading.shot, reading.stone_index) if number is not None]
     return Path("-".join([data.stem, *chosen, kind]))
 
 
 def prepare_all(
-    files: Sequence[Path], config: Path | None, flags: Mapping[str, Any]
-) -> dict[str, ConfiguredThrow]:
-    """The throws of files and their settings, by file name; from a table of stopwatch times, those
+    files: Sequence[Path], config: Path | None, reading: Reading, flags: Chosen
+) -> dict[str, ConfiguredThrow[Chosen]]:
+    """The throws of files and their choices, by file name; from a table of stopwatch times, those
     of all rows unless one is selected.
 
     Raises
@@ -303,161 +128,88 @@ def prepare_all(
                 "are stored by name"
             )
     found = {}
+    configured = read_config(config)
+    options = vars(Reading.of(configured, vars(reading)))
     for file, name in zip(files, names, strict=True):
-        if not holds_timed_rows(file, flags.get("format")):
-            found[name] = prepare(file, config, flags)
+        if not holds_timed_rows(file, reading.format):
+            found[name] = prepare(file, config, reading, flags)
             continue
-        configured = check_settings(read_config(config), str(config))
-        parts = load_throws(file, **reader_arguments(configured, flags))
-        for part in parts:
+        for part in load_throws(file, **options):
             if isinstance(part.throw, CurlfitError):
                 raise part.throw
             found[folder_name(part.throw.name)] = apply_settings(part.throw, configured, flags)
     return found
 
 
-def apply_settings(
-    throw: Throw, configured: Mapping[str, Any], flags: Mapping[str, Any]
-) -> ConfiguredThrow:
-    """`prepare` for a throw that has already been read."""
-    from curlfit.stone import Stone
+def checked_parameters(
+    chosen: Modelling, throw: Throw, *, others_swept: bool = False
+) -> ParameterSet:
+    """The parameters of a fit of the rows to be used, before slow modules are loaded.
 
-    settings = merge(check_settings(throw.defaults, throw.name), configured, flags)
-    stone = Stone().with_values(settings.get("stone", {}))
-    return ConfiguredThrow(throw.with_sigma(settings.get("sigma", {})), settings, stone)
+    Raises
+    ------
+    InputError : a choice that cannot be used.
+    """
+    from curlfit.friction import find_law
+    from curlfit.inference.conditions import check_systematics
+    from curlfit.inference.derived import check_derived
+    from curlfit.inference.parameters import ParameterSet
 
-
-def fit_flags(
-    reader_options: Mapping[str, Any],
-    *,
-    law: str | None,
-    load: str | None,
-    since: float | None,
-    until: float | None,
-    exclude: list[str] | None,
-    swept: str | None,
-    stone: list[str] | None,
-    sigma: list[str] | None,
-    fix: list[str] | None,
-    bound: list[str] | None,
-    start: list[str] | None,
-    unbounded: bool,
-    free: list[str] | None,
-    prior: list[str] | None,
-    **others: Any,
-) -> dict[str, Any]:
-    """The flags of a fit as settings."""
-    return {
-        **reader_options,
-        "law": law,
-        "load": load,
-        "since": since,
-        "until": until,
-        "exclude": periods("--exclude", exclude or ()) or None,
-        "swept": swept_choice(swept),
-        "stone": pairs("--stone", stone or ()),
-        "sigma": pairs("--sigma", sigma or ()),
-        "fix": pairs("--fix", fix or ()),
-        "bound": intervals("--bound", bound or ()),
-        "start": pairs("--start", start or ()),
-        "unbounded": unbounded or None,
-        "free": names(free or ()) or None,
-        "prior": texts("--prior", prior or ()),
-        **others,
-    }
+    law, swept = find_law(chosen.law), chosen.swept is not None or others_swept
+    parameters = ParameterSet.for_throw(law, throw, swept=swept, **chosen.parameters)
+    parameters.require("--start", chosen.start)
+    if isinstance(chosen, Fitting):
+        check_systematics(chosen.systematics)
+        check_derived(chosen.derive, parameters.names)
+    return parameters
 
 
-def parameter_choices(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of the parameters, as arguments of `fit`."""
-    return {
-        "fix": settings.get("fix"),
-        "bounds": settings.get("bound"),
-        "unbounded": bool(settings.get("unbounded", False)),
-        "free": tuple(settings.get("free", ())),
-        "priors": settings.get("prior", {}),
-        "swept": settings.get("swept"),
-    }
-
-
-def for_parameter_set(choices: Mapping[str, Any]) -> dict[str, Any]:
-    """The choices as arguments of `ParameterSet.for_throw`."""
-    return {**choices, "swept": choices["swept"] is not None}
-
-
-class FitRequest(NamedTuple):
+class FitRequest(NamedTuple, Generic[ModelChoices]):
     """A requested fit; `cut` is the throw with only the rows to be used."""
 
     throw: Throw
     cut: Throw
-    settings: dict[str, Any]
-    law: type[Law]
-    load: Load
-    loss: str
-    noise: str
-    stone: Stone
-    choices: dict[str, Any]
+    chosen: ModelChoices
+    seed: int | None
     parameters: ParameterSet
 
     def fit(self) -> FitResult:
         """Run the fit."""
         from curlfit.inference.fit.fit import fit
 
-        found = fit(
-            self.throw, self.law, load=self.load, stone=self.stone,
-            start=self.settings.get("start"), loss=self.loss, noise=self.noise,
-            systematics=self.settings.get("systematic"), **row_choices(self.settings),
-            **self.choices,
-        )  # fmt: skip
-        return self.with_derived(found)
+        return fit(self.throw, **vars(self.chosen))
 
     def problem(self) -> tuple[Model, ParameterSet, Problem]:
         """The initial problem of the fit, for programs compiled alongside it."""
+        from curlfit.friction import find_law
         from curlfit.inference.fit.prepared import PreparedThrow
         from curlfit.inference.fit.rounds import Rounds
         from curlfit.inference.model import Model
         from curlfit.numerics.compiled import unstacked
 
-        prepared = PreparedThrow.of(
-            self.throw, self.law, self.stone, **row_choices(self.settings), **self.choices
-        )
-        model = Model(self.law, self.load, prepared.parameters.conditions)
-        rounds = Rounds(model, [prepared], loss=self.loss, noise=self.noise)
+        chosen = self.chosen
+        prepared = PreparedThrow.of(self.throw, chosen)
+        model = Model(find_law(chosen.law), chosen.load, prepared.parameters.conditions)
+        rounds = Rounds(model, [prepared], loss=chosen.loss, noise=chosen.noise)
         (problem,) = unstacked(rounds.problems)
         return model, prepared.local_parameters, problem
 
-    def with_derived(self, fit: FitResult) -> FitResult:
-        """The fit with the derived quantities requested in the settings."""
-        wanted = self.settings.get("derive")
-        return fit if wanted is None else fit.with_derived(wanted)
 
-
-def request_fit(data: Path, config: Path | None, flags: Mapping[str, Any]) -> FitRequest:
+def request_fit(
+    data: Path, config: Path | None, reading: Reading, flags: ModelChoices, seed: int | None = None
+) -> FitRequest[ModelChoices]:
     """The requested fit, with its input checked before slow modules are loaded.
 
     Raises
     ------
     InputError : the data, a setting or a value cannot be used.
     """
-    from curlfit.friction import check_load, find_law
-    from curlfit.inference.conditions import check_systematics
-    from curlfit.inference.derived import check_derived
-    from curlfit.inference.noise.models import check_loss, check_noise
-    from curlfit.inference.parameters import ParameterSet
     from curlfit.throws.plausibility import require_plausible
 
-    throw, settings, stone = prepare(data, config, flags)
-    law = find_law(settings.get("law", "front-back"))
-    load = check_load(settings.get("load", "uniform"))
-    loss = check_loss(settings.get("loss", "linear"))
-    noise = check_noise(settings.get("noise", "white"), loss)
-    check_systematics(settings.get("systematic", {}))
-    choices = parameter_choices(settings)
-    cut = throw.select_rows(**row_choices(settings))
+    throw, chosen, seed = job = prepare(data, config, reading, flags, seed)
+    cut = job.cut
     require_plausible(cut)
-    parameters = ParameterSet.for_throw(law, cut, **for_parameter_set(choices))
-    parameters.require("--start", settings.get("start", {}))
-    check_derived(settings.get("derive", ()), parameters.names)
-    return FitRequest(throw, cut, settings, law, load, loss, noise, stone, choices, parameters)
+    return FitRequest(throw, cut, chosen, seed, checked_parameters(chosen, cut))
 
 
 def kind_of(folder: Path) -> str:

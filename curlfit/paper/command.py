@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from curlfit.options import flags as o
+from curlfit.errors import InputError
 from curlfit.options.figures import FigureFiles
+from curlfit.options.output import progress_line
+from curlfit.settings.forms import PATH, SWITCH, TEXT, option
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,13 +21,26 @@ if TYPE_CHECKING:
 
 
 def reproduce(
+    *,
     out: Annotated[
-        Path, typer.Option(help="Folder for claims.json, claims.md and its figures.")
+        Path,
+        option(
+            PATH,
+            "Folder for claims.json, claims.md and its figures. [default: reproduction]",
+            "DIR",
+        ),
     ] = Path("reproduction"),
-    figures: o.FigureFormats = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing.")] = False,
+    figures: Annotated[
+        str | None,
+        option(
+            TEXT,
+            "Format of the figures: `png`, `pdf`, `svg`; several with commas between.",
+            "FORMAT",
+        ),
+    ] = None,
+    quiet: Annotated[bool, option(SWITCH, "Print nothing.", name=["--quiet", "-q"])] = False,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print claims.json in place of the table.")
+        bool, option(SWITCH, "Print claims.json in place of the table.", name="--json")
     ] = False,
 ) -> None:
     """Recompute every numbered claim of Ivanov and Shuvalov (2012) and give a verdict on each.
@@ -35,7 +48,6 @@ def reproduce(
     Eq. 12 is differentiated, friction is integrated over the ring, and the laws are fitted.
     Takes about a minute on the first run of a machine.
     """
-    from curlfit.errors import InputError
     from curlfit.output.files import atomic_write, prepare_folder
 
     if quiet and as_json:
@@ -57,7 +69,7 @@ def reproduce(
         with atomic_write(file) as temporary:
             temporary.write_text(text, encoding="utf-8")
     if as_json:
-        typer.echo(claims)
+        print(claims)
     console.print(claims_table(result.claims))
     console.print(verdicts(result.claims))
     written += drawn.written()
@@ -89,15 +101,10 @@ def _figure(name: str, findings: Sequence[Any]) -> dict[str, Figure]:
 
 
 def _computed(console: Console, arrived: Callable[[str, Any], None]) -> Reproduction:
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        console=console,
-        disable=console.quiet or not console.is_terminal,
-        transient=True,
+    with progress_line(
+        console, TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
     ) as progress:
         task = progress.add_task("compiling", total=None)
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from cyclopts import Parameter
 
-from curlfit.options import flags as o
+from curlfit.errors import InputError
 from curlfit.options import settings as s
-from curlfit.options.figures import FigureFiles
+from curlfit.options.output import COMPILES, Output, Saved, status_line
+from curlfit.settings.choices import COUNT, Modelling, Reading
+from curlfit.settings.forms import NAMES, Several, numbers, option
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,74 +22,46 @@ if TYPE_CHECKING:
     from curlfit.inference.mcmc.chain import Chain
     from curlfit.profile_likelihood.result import PairProfile, Profile
 
+_RANGES = Several(numbers(2, "LOW,HIGH"), "pairs of numbers", "LOW,HIGH", commas=False)
+
 
 def profile(
     data: Annotated[
         Path,
-        typer.Argument(
-            help="Data as for `curlfit fit`; or a saved fit: its folder, or the fit.json in it.",
-            metavar="DATA|FIT",
-            show_default=False,
+        Parameter(
+            help="Data as for `curlfit fit`; or a saved fit: its folder, or the fit.json in it."
         ),
     ],
+    /,
+    *,
     param: Annotated[
-        list[str],
-        typer.Option(
-            help="A fitted parameter: a coefficient, or one of x0 y0 heading v0 phi0 omega0. Given "
+        Sequence[str],
+        option(
+            NAMES,
+            "A fitted parameter: a coefficient, or one of x0 y0 heading v0 phi0 omega0. Given "
             "twice: two parameters jointly.",
-            metavar="NAME",
-            show_default=False,
+            "NAME",
         ),
     ],
     points: Annotated[
         int | None,
-        typer.Option(
-            help="Values of each parameter. [default: 41; 25 of each of two]", metavar="N"
-        ),
+        option(COUNT, "Values of each parameter. [default: 41; 25 of each of two]", "N"),
     ] = None,
-    span: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--range",
-            help="Range; given twice, of the first and the second parameter. [default: 4 standard "
+    ranges: Annotated[
+        Sequence[tuple[float, float]],
+        option(
+            _RANGES,
+            "Range; given twice, of the first and the second parameter. [default: 4 standard "
             "errors to either side; where there are none, up to the limits]",
-            metavar="LO,HI",
+            "LO,HI",
+            name="--range",
         ),
-    ] = None,
-    law: o.Law = None,
-    load: o.LoadName = None,
-    since: o.Since = None,
-    until: o.Until = None,
-    exclude: o.Exclude = None,
-    sweep: o.Swept = None,
-    fix: o.Fix = None,
-    bound: o.Bound = None,
-    unbounded: o.Unbounded = False,
-    free: o.Free = None,
-    prior: o.PriorText = None,
-    start: o.Start = None,
-    sigma: o.Sigma = None,
-    loss: o.Loss = None,
-    noise: o.NoiseModel = None,
-    stone: o.StoneValues = None,
-    format: o.Format = None,
-    axes: o.Axes = None,
-    units: o.Units = None,
-    reference: o.Reference = None,
-    stone_index: o.StoneIndex = None,
-    shot: o.Shot = None,
-    handle: o.Handle = None,
-    as_given: o.AsGiven = False,
-    config: o.Config = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for the results. [default: DATA's name with -profile-NAME]"),
-    ] = None,
-    figures: o.FigureFormats = None,
-    no_figures: o.NoFigures = False,
-    report: o.Report = False,
-    quiet: o.Quiet = False,
-) -> o.Saved | None:
+    ] = (),
+    flags: Modelling = Modelling(),
+    reading: Reading = Reading(),
+    config: s.Config = None,
+    output: Output = Output(),
+) -> Saved:
     """Profile likelihood: a parameter is fixed at many values, all others are fitted at each.
 
     The increase of chi squared gives intervals that are valid where it is not quadratic, and shows
@@ -101,31 +74,24 @@ def profile(
 
     `curlfit profile throw-fit --param mu1_eta --param mu2_eta`: two of a saved fit
     """
-    from curlfit.errors import InputError
     from curlfit.output.files import prepare_folder
 
-    drawn = FigureFiles.of(figures, none=no_figures)
-    flags = s.fit_flags(
-        o.reader_options(format, axes, units, reference, stone_index, shot, handle, as_given),
-        law=law, load=load, since=since, until=until, exclude=exclude, swept=sweep,
-        stone=stone, sigma=sigma, fix=fix, bound=bound, start=start, unbounded=unbounded,
-        free=free, prior=prior, loss=loss, noise=noise,
-    )  # fmt: skip
-    if len(span or ()) > len(param):
-        raise InputError(f"--range is given {len(span or ())} times; expected one of each --param")
-    ranges = {name: _range(text) for name, text in zip(param, span or (), strict=False)}
+    drawn = output.drawn()
+    if len(ranges) > len(param):
+        raise InputError(f"--range is given {len(ranges)} times; expected one of each --param")
+    limits = dict(zip(param, ranges, strict=False))
     saved = data.is_dir() or data.name == "fit.json"
     make_fit: Callable[[], tuple[FitResult, Chain | None]]
     if saved:
-        given = [name for name, value in {**flags, "config": config}.items() if value]
-        if given:
-            option = given[0].replace("_", "-")
-            raise InputError(f"--{option}: a saved fit has its own; give the data to fit again")
+        words = [*flags.words(), *reading.words(), *(["--config"] if config else [])]
+        if words:
+            option_of = words[0].partition("=")[0]
+            raise InputError(f"{option_of}: a saved fit has its own; give the data to fit again")
         result, chain = s.load_fit_and_chain(data)
         parameters = result.parameter_set
         make_fit = lambda: (result, chain)  # noqa: E731
     else:
-        request = s.request_fit(data, config, flags)
+        request = s.request_fit(data, config, reading, flags)
         parameters = request.parameters
 
         def make_fit() -> tuple[FitResult, Chain | None]:
@@ -136,64 +102,42 @@ def profile(
 
     from curlfit.profile_likelihood.result import require_usable
 
-    require_usable(parameters, param, points, ranges)
+    require_usable(parameters, param, points, limits)
     kind = f"profile-{'-'.join(param)}"
     drawn.draw_beside()
 
-    with _progress(quiet) as progress:
+    from rich.console import Console
+
+    errors = Console(stderr=True, quiet=output.quiet)
+    with status_line(errors, f"Fitting {COMPILES}") as say:
         fit, chain = make_fit()
-        require_usable(parameters, param, points, ranges, parameters.values_of(fit.values))
+        require_usable(parameters, param, points, limits, parameters.values_of(fit.values))
         folder = prepare_folder(
-            out
+            output.out
             or (
-                Path(f"{s.name_of(data)}-{kind}")
-                if saved
-                else s.result_folder(data, kind, shot, stone_index)
+                Path(f"{s.name_of(data)}-{kind}") if saved else s.result_folder(data, kind, reading)
             )
         )
 
         from curlfit.profile_likelihood.profile import profile as compute_profile
 
         found = compute_profile(
-            fit, param, chain=chain, points=points, ranges=ranges, progress=progress
+            fit,
+            param,
+            chain=chain,
+            points=points,
+            ranges=limits,
+            progress=lambda done: say(f"Fitting the other parameters again: {done} fits"),
         )
     written = [folder / "profile.json"]
     found.save(written[0])
     drawn.replace(folder, ["profile"], partial(_figures, found))
 
-    from curlfit.output.console import terminal
     from curlfit.profile_likelihood.report import print_profile
 
-    console = terminal(quiet=quiet)
+    console = output.console()
     print_profile(found, console)
-    written += drawn.written()
-    console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
-    return o.saved(folder, report=report, quiet=quiet)
-
-
-def _range(text: str) -> tuple[float, float]:
-    from curlfit.errors import InputError
-
-    parts = text.split(",")
-    if len(parts) != 2:
-        raise InputError(f"--range {text}: expected LOW,HIGH")
-    low, high = (
-        s.number("--range", end, part) for end, part in zip(("low", "high"), parts, strict=True)
-    )
-    return low, high
-
-
-@contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[int], None]]:
-    """A status line on a terminal: the number of fits done."""
-    from rich.console import Console
-
-    console = Console(stderr=True, quiet=quiet)
-    if not console.is_terminal or quiet:
-        yield lambda done: None
-        return
-    with console.status("Fitting (a first run on a machine compiles the model)") as status:
-        yield lambda done: status.update(f"Fitting the other parameters again: {done} fits")
+    return output.written(folder, written + drawn.written(), console)
 
 
 def _figures(found: Profile | PairProfile) -> dict[str, Figure]:

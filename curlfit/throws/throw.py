@@ -464,6 +464,13 @@ class Throw(Displayed):
         """The throw with some defaults replaced."""
         return replace(self, defaults={**self.defaults, **defaults})
 
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The defaults; sigma only of channels that have none of their own."""
+        own = self.defaults.get("sigma", {})
+        unknown = {name: value for name, value in own.items() if name not in self.sigma}
+        return {**self.defaults, "sigma": unknown}
+
     def with_sigma(self, sigma: dict[str, float]) -> Throw:
         """The throw with one standard deviation for all rows of a channel, or for all times of
         events ("time"); SI units."""

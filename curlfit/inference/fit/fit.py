@@ -12,9 +12,10 @@ import jax
 import numpy as np
 
 from curlfit.errors import CurlfitError, UnusableFitError
-from curlfit.friction import Law, Load, check_load, find_law, no_motion_because
+from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.friction.family import LawFamily
 from curlfit.inference.conditions import ALL
+from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.change_points import sudden_change
 from curlfit.inference.fit.measured_curl import with_curl_warning
 from curlfit.inference.fit.missing_channels import remedies
@@ -43,10 +44,9 @@ from curlfit.inference.least_squares import (
 )
 from curlfit.inference.likelihood import prepare_channels
 from curlfit.inference.model import Model
-from curlfit.inference.noise.models import check_loss, check_noise
-from curlfit.inference.priors import Prior
 from curlfit.inference.problem import Origin, problem_shape
 from curlfit.numerics.compiled import BATCH, gc_paused, stacked, unstacked
+from curlfit.settings.choices import Fitting, takes
 from curlfit.stone import Stone
 from curlfit.throws.throw import Reference, Throw, require_throw
 
@@ -54,62 +54,26 @@ _OPEN = ("not identifiable", "weak")  # verdicts that another measurement might 
 _ROWS = 2 * BATCH * 256  # of throws that are fitted together, to limit memory
 
 
+@takes(Fitting, "law")
 def fit(
     throw: Throw,
     law: str | type[Law] | None = None,
     *,
-    load: str | None = None,
-    stone: Stone | None = None,
-    since: float | None = None,
-    until: float | None = None,
-    exclude: Sequence[tuple[float, float]] = (),
-    swept: Sequence[float] | None = None,
-    fix: Mapping[str, float] | None = None,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    unbounded: bool = False,
-    free: Sequence[str] = (),
-    priors: Mapping[str, str | Prior] | None = None,
-    start: Mapping[str, float] | None = None,
-    loss: str = "linear",
-    noise: str = "white",
-    systematics: Mapping[str, float] | None = None,
     details: bool = True,
     family: type[LawFamily] | None = None,
+    **choices: Any,
 ) -> FitResult:
     """Fit a friction law and the initial state of the throw to a measured path by least squares.
 
     Parameters
     ----------
-    throw : the data. Its own defaults (`since`, `until`, `exclude`, `stone`, `law`, `load`) apply
-        where an argument is not given.
-    law : name or class of the friction law; by default that of the throw, otherwise "front-back".
-    load : "uniform" or "consistent" (eq. 8-9).
-    stone : the stone; by default that of the data file, otherwise `Stone()`.
-    since, until : use rows with since <= t <= until (s).
-    exclude : intervals (from, to) in s whose rows are not used. The motion continues through them
-        under the same friction.
-    swept : times at which sweeping began and ended (s); `sweep`, the friction in between over that
-        before, is then a parameter.
-    fix, bounds : values of parameters held fixed, and (lower, upper) in place of the law's own.
-    unbounded : whether coefficients may be negative.
-    free : optional coefficients and conditions (`slope_x`, `rho`, ...; see
-        `curlfit.inference.conditions`) to be estimated. Others are held fixed.
-    priors : prior densities by name of the parameter, such as {"rho": "0.1+-0.0025"}; the forms
-        are "MEAN+-SD", "lognormal:MEDIAN,SIGMA", "half-normal:SD" and "uniform:LOW,HIGH". They make
-        their parameters free.
-    start : initial values of some parameters, if any; the others are found from the data.
-    loss : "linear" is least squares; "huber", "soft-l1", "cauchy" and "student" (4 degrees of
-        freedom) are robust to outliers.
-    noise : "white" is independent from row to row; "ar1" has a correlation that decays
-        exponentially; "discrepancy" is white noise plus accelerations that the law lacks;
-        "ar1+discrepancy" is both (see `curlfit.inference.noise.models`).
-    systematics : standard uncertainties of conditions that are held fixed, such as
-        {"slope_x": 2e-4}, in place of those of `curlfit.inference.conditions`; 0 where one is
-        known, "all" for all that are not named. They enter only the systematic errors.
+    throw : the data. Its own settings (such as `until`, `stone`, `law`) apply where an argument is
+        not given.
     details : whether to compute also the quantities of the path, the fits with the stones of the
         throw's reference, and what would determine more parameters (`remedies`).
     family : of laws that are fitted to the same throw, including this one: they are compiled as
         one program.
+    {choices}
 
     Returns
     -------
@@ -131,19 +95,22 @@ def fit(
     'not identifiable'
     """
     require_throw(throw)
-    law = throw.defaults.get("law", "front-back") if law is None else law
-    law = find_law(law)
-    loss, noise = check_loss(loss), check_noise(noise, loss)
-    load = check_load(load or throw.defaults.get("load", "uniform"))
-    prepared = PreparedThrow.of(
-        throw, law, stone, since=since, until=until, exclude=exclude, swept=swept, fix=fix,
-        bounds=bounds, unbounded=unbounded, free=free, priors=priors,
-    )  # fmt: skip
-    model = Model(law, load, prepared.parameters.conditions).within(family)
+    chosen = Fitting.of(throw.settings, law=law, **choices)
+    prepared = PreparedThrow.of(throw, chosen)
+    check_derived(chosen.derive, prepared.parameters.names)
+    result = _fit(prepared, chosen, details=details, family=family)
+    return result.with_derived(chosen.derive) if chosen.derive else result
+
+
+def _fit(
+    prepared: PreparedThrow, chosen: Fitting, *, details: bool, family: type[LawFamily] | None
+) -> FitResult:
+    model = Model(find_law(chosen.law), chosen.load, prepared.parameters.conditions).within(family)
+    loss, noise, start = chosen.loss, chosen.noise, chosen.start
     rounds = Rounds(model, [prepared], loss=loss, noise=noise)
     found = _fitted_alone(rounds, start)
     errors = len(prepared.calibration)
-    result = summarize(found, widths_of(model, systematics, errors))
+    result = summarize(found, widths_of(model, chosen.systematics, errors))
     if not result.converged:
         return result
     doubtful = any(item.doubtful for item in result.independence.values())
@@ -163,7 +130,7 @@ def fit(
         local = prepared.local_parameters
         values, n = found.solution.values, len(prepared.throw)
         white = result.noise.kind == "white"
-        remedy = remedies(model, values, found.problem, local, n, open_, fix or (), white)
+        remedy = remedies(model, values, found.problem, local, n, open_, chosen.fix, white)
         result = replace(result, remedies=remedy)
     return result
 
@@ -247,11 +214,6 @@ def fit_throws(
     throws: Sequence[Throw],
     law: str | type[Law] = "front-back",
     *,
-    load: str = "uniform",
-    stones: Sequence[Stone | None] | None = None,
-    start: Mapping[str, float] | None = None,
-    loss: str = "linear",
-    noise: str = "white",
     curves: bool = True,
     systematics: Mapping[str, float] | None = None,
     **choices: Any,
@@ -263,29 +225,23 @@ def fit_throws(
 
     Parameters
     ----------
-    throws, law, load, start, loss, noise : as in `fit`; `load` applies to all.
-    stones : one for each throw; by default its own.
+    law, choices : as in `fit`, for all throws.
     curves : whether the fits contain the fitted curves; they always do under a robust loss or
         correlated noise.
     systematics : as in `fit`, but none by default; they need the curves.
-    choices : `since`, `until`, `exclude`, `swept`, `fix`, `bounds`, `unbounded`, `free` and
-        `priors` as in `fit`.
 
     Raises
     ------
     InputError : as in `fit`, for the arguments common to all throws.
     """
-    law = find_law(law)
-    checked, loss = check_load(load), check_loss(loss)
-    noise = check_noise(noise, loss)
+    common = Fitting.of(law=law, **choices)
+    law, loss, noise = find_law(common.law), common.loss, common.noise
     curves = curves or loss != "linear" or noise != "white"
     found: dict[int, FitResult | CurlfitError] = {}
     groups: dict[tuple[int, int, tuple[str, ...]], dict[int, PreparedThrow]] = {}
-    for index, (throw, stone) in enumerate(
-        zip(throws, stones or [None] * len(throws), strict=True)
-    ):
+    for index, throw in enumerate(throws):
         try:
-            prepared = PreparedThrow.of(throw, law, stone, **choices)
+            prepared = PreparedThrow.of(throw, Fitting.of(throw.settings, vars(common)))
         except CurlfitError as error:
             found[index] = error
         else:
@@ -294,9 +250,9 @@ def fit_throws(
     for (_, rows, _), alike in groups.items():
         rest = iter(alike.items())
         while part := dict(islice(rest, max(BATCH, _ROWS // rows))):
-            model = Model(law, checked, next(iter(part.values())).parameters.conditions)
+            model = Model(law, common.load, next(iter(part.values())).parameters.conditions)
             rounds = Rounds(model, list(part.values()), loss=loss, noise=noise, batch=BATCH)
-            solved = _fitted_together(rounds, start)
+            solved = _fitted_together(rounds, common.start)
             errors = max(len(one.calibration) for one in part.values())
             widths = {} if systematics is None else widths_of(model, systematics, errors)
             results = map(
@@ -306,15 +262,9 @@ def fit_throws(
             found |= zip((list(part)[row] for row in solved), results, strict=True)
             for row, (index, prepared) in enumerate(part.items()):
                 if row not in solved:
+                    held = {ALL: 0.0} if systematics is None else systematics
                     found[index] = rounds.failures.get(row) or _alone(
-                        prepared,
-                        law,
-                        checked,
-                        start=start,
-                        loss=loss,
-                        noise=noise,
-                        systematics={ALL: 0.0} if systematics is None else systematics,
-                        **choices,
+                        prepared.given, vars(common) | {"systematics": held}
                     )
     return [found[index] for index in range(len(throws))]
 
@@ -360,9 +310,9 @@ def _fitted_together(
     }
 
 
-def _alone(prepared: PreparedThrow, law: type[Law], load: Load, **choices: Any) -> Any:
+def _alone(throw: Throw, choices: Mapping[str, Any]) -> Any:
     """The fit of one throw with all initial values that `fit` would try, or the error."""
     try:
-        return fit(prepared.given, law, load=load, stone=prepared.stone, **choices)
+        return fit(throw, **choices)
     except CurlfitError as error:
         return error

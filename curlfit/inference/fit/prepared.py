@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.environment import Environment
-from curlfit.errors import InputError, require_kind
-from curlfit.friction import Law
+from curlfit.errors import InputError
+from curlfit.friction import find_law
 from curlfit.inference.fit.linearization import linearized
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import prepare_path_jacobians
@@ -22,6 +22,7 @@ from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Origin, Problem, build_problem, environment_of
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import stacked
+from curlfit.settings.choices import Modelling
 from curlfit.stone import Stone
 from curlfit.throws.plausibility import Finding, require_plausible
 from curlfit.throws.throw import CHANNELS, Throw
@@ -42,49 +43,28 @@ class PreparedThrow(NamedTuple):
     """what is unusual about the throw"""
 
     @classmethod
-    def of(
-        cls,
-        throw: Throw,
-        law: type[Law],
-        stone: Stone | None = None,
-        *,
-        since: float | None = None,
-        until: float | None = None,
-        exclude: Sequence[Sequence[float]] = (),
-        swept: Sequence[float] | None = None,
-        others_swept: bool = False,
-        **choices: Any,
-    ) -> PreparedThrow:
-        """Prepare a throw: its own defaults are filled in, and a very long one is condensed.
+    def of(cls, throw: Throw, chosen: Modelling, *, others_swept: bool = False) -> PreparedThrow:
+        """Prepare a throw, whose own defaults are among the choices; a very long one is condensed.
 
         `others_swept` makes `sweep` a parameter also of a throw that was not swept, on which it has
-        no effect. `choices` are those of `ParameterSet.build`.
+        no effect.
 
         Raises
         ------
         InputError : as in `fit`.
         """
         given = throw
-        if stone is None:
-            stone = Stone().with_values(throw.defaults.get("stone", {}))
-        elif isinstance(stone, Mapping):
-            stone = Stone().with_values(dict(stone))
-        require_kind(stone, Stone, "stone", "a Stone, or its values by name")
-        rows: dict[str, Any] = {
-            "since": throw.defaults.get("since") if since is None else since,
-            "until": throw.defaults.get("until") if until is None else until,
-            "exclude": [list(pair) for pair in exclude or throw.defaults.get("exclude", ())],
-        }
-        if not throw.sigma and throw.defaults.get("sigma"):
-            throw = throw.with_sigma(throw.defaults["sigma"])
-        throw = throw.select_rows(**rows)
+        stone = Stone().with_values(dict(chosen.stone))
+        throw = throw.with_sigma(dict(chosen.sigma)).select_rows(**chosen.rows)
         findings = require_plausible(throw)
         throw = throw.condensed()
-        swept = throw.defaults.get("swept") if swept is None else swept
-        period = None if swept is None else check_period(swept)
-        sweep = period is not None or others_swept
-        parameters = ParameterSet.for_throw(law, throw, swept=sweep, **choices)
-        return cls(given, throw, stone, rows, period, parameters, Origin.of(throw), findings)
+        swept = chosen.swept is not None or others_swept
+        parameters = ParameterSet.for_throw(
+            find_law(chosen.law), throw, swept=swept, **chosen.parameters
+        )
+        return cls(
+            given, throw, stone, chosen.rows, chosen.swept, parameters, Origin.of(throw), findings
+        )
 
     @property
     def environment(self) -> Environment:
@@ -180,13 +160,6 @@ def _linearized(fit: FitResult, problem: Problem, origin: Origin) -> Linearized:
     values = fit.values - origin.offset(len(fit.values))
     typical = fit.parameter_set.typical
     return linearized(fit.model, problem, values, path, fit.stone, typical, adjustable)
-
-
-def check_period(swept: Sequence[float]) -> tuple[float, float]:
-    """The times between which a stone is swept. Raises `InputError` where they are not valid."""
-    if len(swept) != 2 or not swept[0] < swept[1]:
-        raise InputError(f"swept = {swept!r}: expected two times in s, the earlier first")
-    return float(swept[0]), float(swept[1])
 
 
 def penalties(throws: Sequence[PreparedThrow], *, first: bool = False) -> Penalty | None:

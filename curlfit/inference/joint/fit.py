@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from curlfit.inference.joint.analysis import JointAnalysis
 from curlfit.inference.joint.solver import Layout, Progress, minimize_jointly
@@ -15,7 +15,8 @@ from curlfit.numerics.compiled import stacked, unstacked
 import numpy as np
 
 from curlfit.errors import InputError, UnusableFitError, require_kind
-from curlfit.friction import Law, check_load, find_law, no_motion_because
+from curlfit.friction import Law, find_law, no_motion_because
+from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.measured_curl import curl_warnings
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.quantities import quantities_of
@@ -28,47 +29,34 @@ from curlfit.inference.initial_values import smooth, start_values_of_sides
 from curlfit.inference.joint.heterogeneity import differences_of
 from curlfit.inference.joint.result import Difference, JointResult
 from curlfit.inference.model import Model
-from curlfit.inference.noise.models import check_loss, check_noise
-from curlfit.inference.priors import Prior
 from curlfit.inference.problem import problem_shape
-from curlfit.stone import Stone
+from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Throw, require_throw
 
 
+@takes(Fitting, "law", "load")
 def fit_together(
     throws: Sequence[Throw],
     law: str | type[Law] | None = None,
     *,
     share: str | Sequence[str] = "all",
     load: str | None = None,
-    stone: Stone | None = None,
-    since: float | None = None,
-    until: float | None = None,
-    exclude: Sequence[tuple[float, float]] = (),
-    swept: Sequence[float] | None = None,
-    fix: Mapping[str, float] | None = None,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    unbounded: bool = False,
-    free: Sequence[str] = (),
-    priors: Mapping[str, str | Prior] | None = None,
-    start: Mapping[str, float] | None = None,
-    loss: str = "linear",
-    noise: str = "white",
-    systematics: Mapping[str, float] | None = None,
     progress: Progress | None = None,
+    **choices: Any,
 ) -> JointResult:
     """Fit one law to several throws that share some or all of its coefficients.
+
+    The choices hold for all throws; where one is not given, each throw's own applies. The prior of
+    a shared parameter counts once.
 
     Parameters
     ----------
     throws : at least two; each has its own initial state, noise and, if its file says so, stone.
     law, load : as in `fit`; the defaults of the throws must agree.
-    stone, since, until, exclude, swept, fix, bounds, unbounded, free, priors, start, loss, noise,
-    systematics : as in `fit`, for all throws. The prior of a shared parameter counts once. By
-        default `swept` is what each throw states; one that states nothing was not swept.
     share : "all" coefficients, or the names of those that the throws share; each throw has its own
         values of the others. Conditions, such as the slope of the ice, are always shared.
     progress : called with the number of steps done and chi squared.
+    {choices}
 
     Raises
     ------
@@ -87,23 +75,22 @@ def fit_together(
     if len(throws) < 2:
         raise InputError(f"{len(throws)} throw to fit together; expected two or more")
     law = find_law(_common(throws, "law", "front-back") if law is None else law)
-    load = check_load(_common(throws, "load", "uniform") if load is None else load)
-    loss = check_loss(loss)
-    noise = check_noise(noise, loss)
+    load = _common(throws, "load", "uniform") if load is None else load
+    given = {**choices, "law": law, "load": load}
+    chosen = [Fitting.of(throw.settings, **given) for throw in throws]
+    common = chosen[0]
     shared = _shared(law, share)
-    any_swept = swept is not None or any(one.defaults.get("swept") for one in throws)
+    check_derived(common.derive, [item.name for item in law.coefficients()])
+    any_swept = any(one.swept is not None for one in chosen)
     prepared = [
-        PreparedThrow.of(
-            throw, law, stone, since=since, until=until, exclude=exclude, swept=swept, fix=fix,
-            bounds=bounds, unbounded=unbounded, free=free, priors=priors, others_swept=any_swept,
-        )
-        for throw in throws
-    ]  # fmt: skip
+        PreparedThrow.of(throw, one, others_swept=any_swept)
+        for throw, one in zip(throws, chosen, strict=True)
+    ]
     shared = (*shared, *prepared[0].parameters.conditions)
     channels, rows = zip(*(problem_shape(one.throw) for one in prepared), strict=True)
     shape = max(channels), max(rows)
-    model = Model(law, load, prepared[0].parameters.conditions)
-    rounds = Rounds(model, prepared, loss=loss, noise=noise, shape=shape)
+    model = Model(law, common.load, prepared[0].parameters.conditions)
+    rounds = Rounds(model, prepared, loss=common.loss, noise=common.noise, shape=shape)
     local = [one.local_parameters for one in prepared]
     layout, first = (
         Layout(sets, shared) for sets in (local, [one.first_parameters for one in prepared])
@@ -115,7 +102,7 @@ def fit_together(
         alone = stacked([problem])
         ends = parameters.lower[None], parameters.upper[None]
         sides = start_values_of_sides(model, alone, smooth(alone), *ends, batch=1)
-        initial.append(one.with_start(sides[0, 0], start))
+        initial.append(one.with_start(sides[0, 0], common.start))
     best = layout.joined(np.stack(initial))
     solution = minimize_jointly(model, rounds.problems, first, best, progress)
     every = np.arange(len(prepared))
@@ -126,12 +113,13 @@ def fit_together(
         raise failure
     if not np.isfinite(solution.chi_squared):
         raise UnusableFitError(
-            f"law {law.name} with {load} load gives no finite path for these throws"
-            + no_motion_because(load)
+            f"law {law.name} with {common.load} load gives no finite path for these throws"
+            + no_motion_because(common.load)
         )
     analysis = JointAnalysis(rounds, layout, solution)
     errors = calibrations_of(rounds.throws, jointly=True).shape[1]
-    return _result(analysis, shared, widths_of(model, systematics, errors))
+    result = _result(analysis, shared, widths_of(model, common.systematics, errors))
+    return result.with_derived(common.derive)
 
 
 def _differs_by_spin(item: Difference, counter_clockwise: Booleans) -> bool:

@@ -22,38 +22,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.errors import InputError
 from curlfit.numerics.arrays import Floats
+from curlfit.settings.choices import LOSS, NOISE
 
 _SURE = 3.5  # standard deviations from which independence is rejected
 _MATTERS = 0.2  # lag-1 correlation below which errors would hardly change
 
 
-LOSSES = ("linear", "huber", "soft-l1", "cauchy", "student")
+LOSSES = LOSS.names
 """How much large residuals count; for the formulas see `curlfit.inference.noise.losses`."""
 
-NOISES = ("white", "ar1", "discrepancy")
+NOISES = NOISE.names
 """How noise is correlated from row to row."""
-
-
-def check_loss(loss: str) -> str:
-    """The name of a loss, if it is one. Raises `InputError`."""
-    if loss not in LOSSES:
-        raise InputError(f"unknown loss {loss!r}; expected one of {', '.join(LOSSES)}")
-    return loss
-
-
-def check_noise(kind: str, loss: str = "linear") -> str:
-    """The name of a noise model, if it is one that the loss admits. Raises `InputError`."""
-    kind = "discrepancy" if kind == "ar1+discrepancy" else kind
-    if kind not in NOISES:
-        raise InputError(f"unknown noise {kind!r}; expected one of {', '.join(NOISES)}")
-    if kind != "white" and loss != "linear":
-        raise InputError(
-            f"noise {kind} and loss {loss} cannot be combined: a robust loss takes each value by "
-            "itself"
-        )
-    return kind
 
 
 @dataclass(frozen=True)

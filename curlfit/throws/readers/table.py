@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Iterable
 from functools import lru_cache, partial
@@ -10,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from curlfit.errors import DataError, InputError
-from curlfit.friction import check_load, find_law
+from curlfit.friction import find_law
+from curlfit.settings.choices import SEED, Modelling, Reading
 from curlfit.stone import Stone
 from curlfit.throws.readers.axes import parse_axes
 from curlfit.throws.readers.columns import in_unit
@@ -38,6 +38,9 @@ _SETTINGS = (
     "since", "until", "exclude", "swept", "law", "load", "stone", "sigma", "seed", "reference",
     "axes", "as_given",
 )  # fmt: skip
+
+
+_FORMS = {**Modelling.forms(), **Reading.forms(), "seed": SEED}
 
 
 def first_lines(path: Path, lines: list[str]) -> tuple[int, list[tuple[int, str]]]:
@@ -181,27 +184,12 @@ def _raise_at_fault(path: Path, numbers: list[int], bodies: list[str]) -> None:
 
 def _check(settings: dict[str, Any]) -> None:
     """Raise `InputError` for settings that cannot be used."""
-    kinds = (
-        ("stone", dict), ("sigma", dict), ("law", str), ("load", str), ("axes", str),
-        ("as_given", bool),
-    )  # fmt: skip
-    for key, expected in kinds:
-        if not isinstance(settings.get(key, expected()), expected):
-            raise InputError(f"{key} = {settings[key]!r} cannot be used")
-    numbers = {f"stone.{name}": value for name, value in settings.get("stone", {}).items()}
-    numbers |= {f"sigma.{name}": value for name, value in settings.get("sigma", {}).items()}
-    numbers |= {key: settings[key] for key in ("since", "until") if key in settings}
-    for key, value in numbers.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
-            raise InputError(f"{key} = {value!r}: expected a number")
-    check_intervals("exclude", settings.get("exclude", []))
-    check_intervals("swept", [settings["swept"]] if "swept" in settings else [])
-    check_seed(settings.get("seed", 0))
+    for name, value in settings.items():
+        if name in _FORMS:
+            _FORMS[name].checked(name, value)
     Stone().with_values(settings.get("stone", {}))
     if "law" in settings:
         find_law(settings["law"], from_files=False)
-    if "load" in settings:
-        check_load(settings["load"])
     parse_axes(settings.get("axes"))
 
 
@@ -225,20 +213,3 @@ def _reference(path: Path, found: Any) -> Reference:
 def _stone_constants(found: dict[str, Any]) -> dict[str, float]:
     Stone().with_values(found)  # checks names and signs
     return {str(name): float(value) for name, value in found.items()}
-
-
-def check_intervals(key: str, found: object) -> None:
-    """Raise `InputError` if a setting is not a list of pairs of times."""
-    pairs = found if isinstance(found, list) else [None]
-    for pair in pairs:
-        numbers = pair if isinstance(pair, list) and len(pair) == 2 else [None]
-        for value in numbers:
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"{key} = {found!r}: expected [[A, B], ...], times in s")
-
-
-def check_seed(seed: object) -> int:
-    """The seed; raises `InputError` if it is not valid."""
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**32:
-        raise InputError(f"seed = {seed!r}: expected a whole number from 0 to {2**32 - 1}")
-    return seed

@@ -1,0 +1,104 @@
+"""What the verbs share of their output: its folder and figures, a progress line, the last words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+from cyclopts import Group, Parameter
+
+from curlfit.options.figures import FigureFiles
+from curlfit.settings.choices import Choices
+from curlfit.settings.forms import PATH, SWITCH, TEXT, option
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress, ProgressColumn
+
+OUTPUT = Group("Output", sort_key=2)
+COMPILES = "(a first run on a machine compiles the model)"
+
+
+class Saved(NamedTuple):
+    """What remains to be done after a verb: the page of its saved result, and its exit status."""
+
+    page: Path | None
+    quiet: bool = False
+    status: int = 0
+
+
+@Parameter(name="*", group=OUTPUT)
+@dataclass(frozen=True, kw_only=True)
+class Output(Choices):
+    """Where and how results are written."""
+
+    out: Annotated[
+        Path | None,
+        option(
+            PATH,
+            "Folder for the results. [default: the name of DATA or FIT, with the numbers given by "
+            "--shot and --stone-index, and the verb]",
+            "DIR",
+        ),
+    ] = None
+    figures: Annotated[
+        str | None,
+        option(
+            TEXT,
+            "Format of the figures, `png`, `pdf` or `svg`; several separated by commas. [default: "
+            "png]",
+            "FORMAT",
+        ),
+    ] = None
+    no_figures: Annotated[bool, option(SWITCH, "Draw no figures.")] = False
+    report: Annotated[
+        bool,
+        option(
+            SWITCH,
+            "Also write `report.html`, the result as one self-contained page, as `curlfit report` "
+            "does.",
+        ),
+    ] = False
+    quiet: Annotated[bool, option(SWITCH, "Print nothing but errors.", name=["--quiet", "-q"])] = (
+        False
+    )
+
+    def drawn(self) -> FigureFiles:
+        """The figures to be drawn. Raises `InputError` for an unknown format."""
+        return FigureFiles.of(self.figures, none=self.no_figures)
+
+    def console(self) -> Console:
+        """Where to print."""
+        from curlfit.output.console import terminal
+
+        return terminal(quiet=self.quiet)
+
+    def written(
+        self, folder: Path, files: Sequence[Path], console: Console, more: str = ""
+    ) -> Saved:
+        """Say which files were written; an earlier page of another result is removed."""
+        console.print("Written: " + ", ".join(map(str, files)) + more, soft_wrap=True)
+        if not self.report:
+            (folder / "report.html").unlink(missing_ok=True)
+        return Saved(folder if self.report else None, self.quiet)
+
+
+def progress_line(console: Console, *columns: str | ProgressColumn) -> Progress:
+    """A line of progress, on a terminal."""
+    from rich.progress import Progress
+
+    hidden = console.quiet or not console.is_terminal
+    return Progress(*columns, console=console, disable=hidden, transient=True)
+
+
+@contextmanager
+def status_line(console: Console, text: str) -> Iterator[Callable[[str], None]]:
+    """A line that says what is done, on a terminal, and a function that changes it."""
+    if console.quiet or not console.is_terminal:
+        yield lambda text: None
+        return
+    with console.status(text) as status:
+        yield status.update

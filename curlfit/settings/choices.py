@@ -1,0 +1,456 @@
+"""The choices that verbs share.
+
+A field is one choice: its form, its help and, by its name, its flag, its key in a file of settings
+and its keyword in Python. None, or nothing in a table or list, means that it is not given; the
+default is then that of the data file, or the one that its help states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cache
+from inspect import Parameter as Sign
+from inspect import signature
+from textwrap import fill
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_type_hints
+
+from cyclopts import Group, Parameter
+
+from curlfit.errors import InputError
+from curlfit.settings.forms import (
+    LIMITS,
+    NAMES,
+    PERIOD,
+    PERIODS,
+    PRIORS,
+    SWITCH,
+    TEXT,
+    TEXTS,
+    TIME,
+    VALUES,
+    Form,
+    OneOf,
+    Several,
+    option,
+    whole,
+)
+
+READING = Group("How to read DATA", sort_key=1)
+FLAGS = {
+    "swept": "--sweep",
+    "bounds": "--bound",
+    "priors": "--prior",
+    "systematics": "--systematic",
+}
+"""Flags of other names than their choices."""
+UNSET: Any = None
+COUNT = whole(1)
+LOAD = OneOf("load", ("uniform", "consistent"))
+LOSS = OneOf("loss", ("linear", "huber", "soft-l1", "cauchy", "student"))
+NOISE = OneOf("noise", ("white", "ar1", "discrepancy"), **{"ar1+discrepancy": "discrepancy"})
+NOISES = Several(NOISE, "noise models", "noise models with commas between", text=True)
+LOADS = OneOf("load", (*LOAD.names, "both"))
+LAW = Form("the name or the class of a law", lambda law: law, written="a name, or FILE.py:CLASS")
+LAWS = Several(LAW, "names or classes of laws", "names with commas between", text=True)
+SEED = whole(0, 2**32 - 1)
+
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def takes(kind: type[Choices], *without: str) -> Callable[[Function], Function]:
+    """Let `**choices` of a function be documented as the choices of a kind.
+
+    They enter its signature, and its docstring in place of the line `{choices}`.
+    """
+
+    def documented(function: Function) -> Function:
+        names = [name for name in kind.forms() if name not in without]
+        own = signature(function)
+        keywords = [Sign(name, Sign.KEYWORD_ONLY, default=kind.usual.get(name)) for name in names]
+        first = [one for one in own.parameters.values() if one.kind is not Sign.VAR_KEYWORD]
+        function.__signature__ = own.replace(parameters=[*first, *keywords])  # type: ignore[attr-defined]
+        text = "\n".join(
+            fill(f"{name} : {kind.help(name)}", 100, initial_indent="    ",
+                 subsequent_indent="        ")
+            for name in names
+        )  # fmt: skip
+        function.__doc__ = (function.__doc__ or "").replace("    {choices}", text)
+        return function
+
+    return documented
+
+
+def given(value: Any) -> bool:
+    """Whether a value gives a choice."""
+    return not (value is None or value is False or (hasattr(value, "__len__") and not len(value)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """Base of the choices of a verb."""
+
+    @classmethod
+    @cache
+    def options(cls) -> dict[str, Parameter]:
+        """The flag of each choice by its name."""
+        return {
+            name: hint.__metadata__[0]
+            for name, hint in get_type_hints(cls, include_extras=True).items()
+            if hasattr(hint, "__metadata__")
+        }
+
+    @classmethod
+    @cache
+    def forms(cls) -> dict[str, Form]:
+        """The form of each choice by its name."""
+        return {
+            name: getattr(flag.converter, "__self__", SWITCH)
+            for name, flag in cls.options().items()
+        }
+
+    @classmethod
+    def help(cls, name: str) -> str:
+        """What a choice is."""
+        return str(cls.options()[name].help)
+
+    usual: ClassVar[Mapping[str, Any]] = {}
+    """Defaults, by name."""
+
+    @classmethod
+    def of(cls, *layers: Mapping[str, Any], **keywords: Any) -> Self:
+        """Choices from layers, of which the later override the earlier, tables entry by entry.
+
+        Layers may have more than these choices, `keywords` only these; they are the last layer.
+
+        Raises
+        ------
+        InputError : a value is of another kind than its choice.
+        """
+        forms = cls.forms()
+        for name in keywords.keys() - forms.keys():
+            raise TypeError(f"unexpected keyword argument {name!r}; there are {', '.join(forms)}")
+        found: dict[str, Any] = dict(cls.usual)
+        for layer in (*layers, keywords):
+            for name in forms.keys() & layer.keys():
+                if given(layer[name]):
+                    value = forms[name].checked(name, layer[name])
+                    if isinstance(value, dict):
+                        value = {**found.get(name, {}), **value}
+                    found[name] = value
+        chosen = cls(**found)
+        chosen.check()
+        return chosen
+
+    def check(self) -> None:
+        """Raise `InputError` where choices exclude one another."""
+
+    def given(self) -> dict[str, Any]:
+        """The choices that are given, by name."""
+        return {name: value for name, value in self if given(value)}
+
+    def words(self) -> list[str]:
+        """The flags that give these choices."""
+        forms = self.forms()
+        found = []
+        for name, value in self.given().items():
+            flag = FLAGS.get(name, f"--{name.replace('_', '-')}")
+            found += (
+                [flag] if value is True else [f"{flag}={word}" for word in forms[name].words(value)]
+            )
+        return found
+
+    def __iter__(self) -> Iterator[tuple[str, Any]]:
+        return ((item.name, getattr(self, item.name)) for item in fields(self))
+
+
+@Parameter(name="*", group=READING)
+@dataclass(frozen=True, kw_only=True)
+class Reading(Choices):
+    """How a file of data is read."""
+
+    format: Annotated[
+        str | None,
+        option(
+            TEXT,
+            "`table`, `tracker` (export of Tracker), `digitalcurling` (log of DigitalCurling 3) or "
+            "`timings` (stopwatch). [default: detected from the file]",
+            "NAME",
+        ),
+    ] = None
+    axes: Annotated[
+        str | None,
+        option(
+            TEXT,
+            "The file's axes, words separated by commas: `x-along`, `x-back`, `x-right`, `x-left` "
+            "and the same for y say where an axis points, seen along the throw; `from-hack`, "
+            "`from-back`, `from-tee`, `from-hog`, `from-centre`, `from-far-hog`, `from-far-tee` "
+            "where its zero lies; `clockwise` or `counter-clockwise` how angles count, seen from "
+            "above (else from +x to +y). [default: x-right,y-along]",
+            "WORDS",
+        ),
+    ] = None
+    units: Annotated[
+        str | None,
+        option(
+            TEXT,
+            "Units in place of those of the header: t, x, y, length, angle, speed, spin.",
+            "t=ms,x=cm,angle=deg",
+        ),
+    ] = None
+    reference: Annotated[
+        str | None,
+        option(
+            TEXT,
+            "Positions are in pixels: table of four or more known points u,v (pixels), x,y (m).",
+            "POINTS.csv",
+        ),
+    ] = None
+    stone_index: Annotated[
+        int | None,
+        option(
+            COUNT,
+            "Object of a Tracker export, stone of a shot or throw of a table, from 1. [default: "
+            "the first object; the stone thrown; with `batch`, each]",
+            "N",
+        ),
+    ] = None
+    shot: Annotated[
+        int | None,
+        option(COUNT, "Shot of a log with several, from 1. [with `batch`: each]", "N"),
+    ] = None
+    handle: Annotated[
+        int | None,
+        option(
+            COUNT,
+            "Object of a Tracker export, from 1, that marks the handle or any other point of the "
+            "same stone: its direction from the stone is the angle.",
+            "N",
+        ),
+    ] = None
+    as_given: Annotated[
+        bool,
+        option(SWITCH, "Accept data that are implausible for a curling stone, with a warning."),
+    ] = False
+
+    def arguments(self) -> dict[str, Any]:
+        """Arguments of `load_throw`."""
+        return dict(self)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Rows(Choices):
+    """Which rows of a throw are used."""
+
+    since: Annotated[float | None, option(TIME, "Use only rows from this time on, in s.", "S")] = (
+        None
+    )
+    until: Annotated[float | None, option(TIME, "Use only rows up to this time, in s.", "S")] = None
+    exclude: Annotated[
+        Sequence[Sequence[float]],
+        option(
+            PERIODS,
+            "Leave out the rows between the times A and B, in s. The motion continues through "
+            "them under the same friction.",
+            "A:B",
+        ),
+    ] = ()
+
+    @property
+    def rows(self) -> dict[str, Any]:
+        """The choices of rows, as `Throw.select_rows` takes them."""
+        excluded = [list(pair) for pair in self.exclude]
+        return {"since": self.since, "until": self.until, "exclude": excluded}
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Estimation(Rows):
+    """What of a throw is estimated, what is held, and how residuals count."""
+
+    swept: Annotated[
+        tuple[float, float] | None,
+        option(
+            PERIOD,
+            "The stone was swept between the times A and B, in s; the parameter `sweep` is the "
+            "ratio of the friction during sweeping to that otherwise.",
+            "A:B",
+            name=FLAGS["swept"],
+        ),
+    ] = None
+    fix: Annotated[
+        Mapping[str, float], option(VALUES, "Hold a parameter at a value.", "NAME=V")
+    ] = field(default_factory=dict)
+    bounds: Annotated[
+        Mapping[str, Sequence[float]],
+        option(
+            LIMITS, "Bounds of a parameter, in place of the default ones.", "NAME=LO:HI",
+            name=FLAGS["bounds"],
+        ),
+    ] = field(default_factory=dict)  # fmt: skip
+    unbounded: Annotated[bool, option(SWITCH, "Allow negative coefficients.")] = False
+    free: Annotated[
+        Sequence[str],
+        option(
+            NAMES,
+            "Estimate what is otherwise held: `slope_x`, `slope_y` (downward slope of the ice, "
+            "m/m), `drag` (of the air), `R`, `rho`, `h` (of the stone), `length_scale`, "
+            "`time_scale` (ratio of measured to true), or an optional coefficient of the law.",
+            "NAME,...",
+        ),
+    ] = ()
+    priors: Annotated[
+        Mapping[str, Any],
+        option(
+            PRIORS,
+            "Prior of a parameter, which is then estimated: `rho=0.1+-0.0025`, "
+            "`mu2_xi=lognormal:0.05,0.3` (median, sigma of the logarithm), `drag=half-normal:0.8`, "
+            "`h=uniform:0.05,0.065`.",
+            "NAME=PRIOR",
+            name=FLAGS["priors"],
+        ),
+    ] = field(default_factory=dict)
+    start: Annotated[
+        Mapping[str, float],
+        option(VALUES, "Initial value; derived from the data if not given.", "NAME=V"),
+    ] = field(default_factory=dict)
+    sigma: Annotated[
+        Mapping[str, float],
+        option(
+            VALUES,
+            "Noise of a channel: x=0.005,y=0.005,phi=0.01 (m, m, rad); estimated if not given.",
+            "NAME=V",
+        ),
+    ] = field(default_factory=dict)
+    loss: Annotated[
+        str,
+        option(
+            LOSS,
+            "`linear` is least squares; `huber`, `soft-l1`, `cauchy`, `student` (4 degrees of "
+            "freedom) are robust to outliers. [default: linear]",
+            "NAME",
+        ),
+    ] = UNSET
+    stone: Annotated[
+        Mapping[str, float],
+        option(
+            VALUES,
+            "The stone: ring radius R, radius of gyration rho, height h of the centre of mass "
+            "(m), mass m (kg).",
+            "R=V,rho=V",
+        ),
+    ] = field(default_factory=dict)
+
+    usual: ClassVar = {"loss": "linear"}
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The choices of parameters, as `ParameterSet.build` takes them."""
+        names = ("fix", "bounds", "unbounded", "free", "priors")
+        return {name: getattr(self, name) for name in names}
+
+    def check(self) -> None:
+        """Raise `InputError` for a robust loss with correlated noise."""
+        noise = getattr(self, "noise", ())
+        kinds = [noise] if isinstance(noise, str) else list(noise)
+        for kind in kinds:
+            if kind != "white" and self.loss != "linear":
+                raise InputError(
+                    f"noise {kind} and loss {self.loss} cannot be combined: a robust loss takes "
+                    "each value by itself"
+                )
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Comparing(Estimation):
+    """The same, under many laws."""
+
+    laws: Annotated[
+        Sequence[Any],
+        option(LAWS, "Laws to compare; FILE.py:CLASS for your own. [default: all]", "A,B,..."),
+    ] = ()
+    load: Annotated[
+        str,
+        option(LOADS, "`uniform`, `consistent` (eq. 8-9) or `both`. [default: uniform]", "NAME"),
+    ] = UNSET
+    noise: Annotated[
+        Sequence[str],
+        option(
+            NOISES,
+            "Noise models, as in `curlfit fit`; with several, every law is fitted under each of "
+            "them, and all fits are ranked together. [default: white]",
+            "A,B,...",
+        ),
+    ] = ()
+
+    usual: ClassVar = {**Estimation.usual, "load": "uniform", "noise": ("white",)}
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Modelling(Estimation):
+    """The same, under one law."""
+
+    law: Annotated[
+        Any,
+        option(
+            LAW,
+            "Friction law; `curlfit laws` lists them; FILE.py:CLASS for one of your own. [default: "
+            "front-back; for stopwatch times what they determine]",
+            "NAME",
+        ),
+    ] = None
+    load: Annotated[
+        Literal["uniform", "consistent"],
+        option(
+            LOAD,
+            "Distribution of the load on the ring: `uniform`, or `consistent` with the friction "
+            "(eq. 8-9). [default: uniform]",
+            "NAME",
+        ),
+    ] = UNSET
+    noise: Annotated[
+        str,
+        option(
+            NOISE,
+            "Correlation of the noise from row to row: `white` has none; `ar1` has independent and "
+            "exponentially correlated noise, as from a filter or a swaying camera; `discrepancy` "
+            "also accelerations that an inexact law lacks, as functions of speed. Estimated from "
+            "the residuals. [default: white]",
+            "white|ar1|discrepancy",
+        ),
+    ] = UNSET
+
+    usual: ClassVar = {**Estimation.usual, "law": "front-back", "load": "uniform", "noise": "white"}
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Fitting(Modelling):
+    """The same, with systematic errors and derived quantities."""
+
+    systematics: Annotated[
+        Mapping[str, float],
+        option(
+            VALUES,
+            "Standard uncertainty of a condition that is held fixed, for the systematic errors: "
+            "`slope_x=2e-4`; 0 if it is known exactly, `all=0` for no systematic errors, "
+            "`calibration=0` for none of the map from pixels to metres. "
+            "`curlfit laws --conditions` lists the defaults.",
+            "NAME=V",
+            name=FLAGS["systematics"],
+        ),
+    ] = field(default_factory=dict)
+    derive: Annotated[
+        Sequence[str],
+        option(
+            TEXTS,
+            "A quantity derived from the parameters, with its errors: `mu2_xi - mu1_xi`, "
+            "`R*omega0/v0`, `sqrt(mu1_eta + mu2_eta)`; arithmetic of parameters, of R, rho, h, m, "
+            "g, pi, and sqrt, exp, log, sin, cos, tan, atan, abs, hypot, min, max.",
+            "EXPRESSION",
+        ),
+    ] = ()

@@ -1,0 +1,278 @@
+"""How the value of a choice is written: on the command line, in a file of settings, in Python."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any
+
+from cyclopts import Parameter
+
+from curlfit.errors import InputError
+
+
+class Form:
+    """A kind of value.
+
+    Attributes
+    ----------
+    expected : what it is, as the end of a sentence.
+    written : what it is on the command line, where that differs.
+    """
+
+    def __init__(
+        self,
+        expected: str,
+        check: Callable[[Any], Any],
+        parse: Callable[[str], Any] = str,
+        written: str = "",
+    ) -> None:
+        self.expected, self.written = expected, written or expected
+        self._check, self._parse = check, parse
+
+    def checked(self, name: str, value: Any) -> Any:
+        """A value of a file or of Python. Raises `InputError` if it is of another kind."""
+        try:
+            return self._check(value)
+        except (TypeError, ValueError, OverflowError, AttributeError):
+            raise InputError(f"{name} = {value!r}: expected {self.expected}") from None
+
+    def read(self, _: Any, tokens: Sequence[Any]) -> Any:
+        """The value of the words after a flag, as cyclopts passes them."""
+        (token,) = tokens
+        return self.read_word(token.keyword or token.argument.name, token.value)
+
+    def read_word(self, flag: str, word: str) -> Any:
+        """The value of one word. Raises `InputError`."""
+        try:
+            return self._check(self._parse(word.strip()))
+        except InputError as error:
+            raise InputError(f"{flag} {word.strip()}: {error}") from None
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f"{flag} {word.strip()}: expected {self.written}") from None
+
+    def words(self, value: Any) -> list[str]:
+        """The words after a flag that give a value."""
+        return [f"{value:.10g}" if isinstance(value, float) else str(value)]
+
+
+class Table(Form):
+    """Values by name, `NAME=VALUE`, any number of times; with commas between if `many`."""
+
+    def __init__(self, value: Form, written: str, *, many: bool = False) -> None:
+        super().__init__(f"a table of names, each with {value.expected}", dict, written=written)
+        self.value, self.many = value, many
+
+    def checked(self, name: str, value: Any) -> dict[str, Any]:
+        """The same for each value."""
+        value = value.as_dict() if hasattr(value, "as_dict") else value
+        if not isinstance(value, Mapping):
+            raise InputError(f"{name} = {value!r}: expected {self.expected}")
+        return {str(key): self.value.checked(f"{name}.{key}", one) for key, one in value.items()}
+
+    def read(self, _: Any, tokens: Sequence[Any]) -> dict[str, Any]:
+        """All words together."""
+        found: dict[str, Any] = {}
+        for token in tokens:
+            for part in token.value.split(",") if self.many else [token.value]:
+                name, equals, text = (one.strip() for one in part.partition("="))
+                if not equals or not name or not text:
+                    raise InputError(f"{token.keyword} {token.value}: expected {self.written}")
+                if name in found:
+                    raise InputError(f"{token.keyword}: {name} is given twice")
+                found[name] = self.value.read_word(f"{token.keyword} {name} =", text)
+        return found
+
+    def words(self, value: Mapping[str, Any]) -> list[str]:
+        """One word for each name."""
+        return [f"{name}={self.value.words(one)[0]}" for name, one in value.items()]
+
+
+class Several(Form):
+    """Values with commas between, any number of times."""
+
+    def __init__(
+        self, value: Form, expected: str, written: str, *, commas: bool = True, text: bool = False
+    ) -> None:
+        """`text` allows one text with commas in a file and in Python too."""
+        super().__init__(expected, tuple, written=written)
+        self.value, self.commas, self.text = value, commas, text
+
+    def checked(self, name: str, value: Any) -> tuple[Any, ...]:
+        """The same for each value."""
+        if self.text and isinstance(value, type | str):
+            value = value.split(",") if isinstance(value, str) else [value]
+        if isinstance(value, str | Mapping) or not hasattr(value, "__iter__"):
+            raise InputError(f"{name} = {value!r}: expected {self.expected}")
+        try:
+            return tuple(dict.fromkeys(self.value.checked(name, one) for one in value))
+        except InputError as error:
+            if isinstance(self.value, OneOf):
+                raise
+            raise InputError(f"{name} = {value!r}: expected {self.expected}") from error
+
+    def read(self, _: Any, tokens: Sequence[Any]) -> tuple[Any, ...]:
+        """All words together."""
+        return tuple(
+            self.value.read_word(token.keyword, part)
+            for token in tokens
+            for part in (token.value.split(",") if self.commas else [token.value])
+            if part.strip()
+        )
+
+    def words(self, value: Sequence[Any]) -> list[str]:
+        """One word for each value."""
+        return [word for one in value for word in self.value.words(one)]
+
+
+class Interval(Form):
+    """Two numbers with a colon between, in order; an end may be infinite if `open_ended`."""
+
+    def __init__(self, expected: str, written: str, *, open_ended: bool = False) -> None:
+        def parse(word: str) -> tuple[float, float]:
+            low, colon, high = word.partition(":")
+            if not colon:
+                raise ValueError
+            if open_ended:
+                return float(low or -math.inf), float(high or math.inf)
+            return float(low), float(high)
+
+        def check(value: Any) -> tuple[float, float]:
+            low, high = (float(_real(one)) for one in value)
+            if not (open_ended or low < high) or math.isnan(low) or math.isnan(high):
+                raise ValueError
+            return low, high
+
+        super().__init__(expected, check, parse, written)
+
+    def words(self, value: Sequence[float]) -> list[str]:
+        """The ends with a colon between."""
+        return [":".join(f"{end:.10g}" if math.isfinite(end) else "" for end in value)]
+
+
+def _real(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise TypeError
+    return value
+
+
+def _finite(value: Any) -> float:
+    if not math.isfinite(number := float(_real(value))):
+        raise ValueError
+    return number
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError
+    return value
+
+
+def _truth(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError
+    return value
+
+
+def whole(low: int, high: float = math.inf) -> Form:
+    """A whole number within limits."""
+
+    def check(value: Any) -> int:
+        if isinstance(value, bool) or not isinstance(value, Integral):
+            raise TypeError
+        if not low <= (number := int(value)) <= high:
+            raise ValueError
+        return number
+
+    upper = f" to {high}" if math.isfinite(high) else ""
+    return Form(f"a whole number from {low}{upper}", check, int)
+
+
+class OneOf(Form):
+    """One of some names; `others` are further names of these."""
+
+    def __init__(self, what: str, names: Sequence[str], **others: str) -> None:
+        self.what, self.names, self.others = what, tuple(names), others
+        super().__init__(f"one of {', '.join(names)}", _text)
+
+    def checked(self, name: str, value: Any) -> str:
+        """One of the names."""
+        text = super().checked(name, value)
+        text = self.others.get(text, text)
+        if text not in self.names:
+            listed = " or ".join(self.names) if len(self.names) < 3 else self.expected
+            raise InputError(f"unknown {self.what} {text!r}; expected {listed}")
+        return text
+
+    def read_word(self, flag: str, word: str) -> str:
+        """One of the names."""
+        return self.checked(flag, word.strip())
+
+
+TEXT = Form("a quoted string", _text, written="a word")
+
+
+def numbers(count: int, written: str) -> Form:
+    """So many finite numbers with commas between."""
+
+    def check(value: Any) -> tuple[float, ...]:
+        found = tuple(map(_finite, value))
+        if len(found) != count:
+            raise ValueError
+        return found
+
+    return Form(f"{count} numbers", check, lambda word: map(float, word.split(",")), written)
+
+
+PATH = Form("a name of a file or folder", lambda one: Path(one), Path, "a file or folder")
+NUMBER = Form("a finite number", _finite, float)
+TIME = Form("a time in s", _finite, float)
+SWITCH = Form("true or false", _truth)
+VALUES = Table(NUMBER, "NAME=VALUE", many=True)
+LIMITS = Table(Interval("[low, high]", "LOW:HIGH", open_ended=True), "NAME=LOW:HIGH")
+PERIOD = Interval("two times in s, the earlier first", "A:B, times in s with A before B")
+PERIODS = Several(PERIOD, "[[A, B], ...], times in s with A before B", "A:B")
+NAMES = Several(TEXT, "a list of names", "NAME,...")
+NUMBERS = Several(NUMBER, "a list of numbers", "numbers separated by commas")
+PRIORS = Table(
+    Form("a string such as '1+-0.1'", lambda one: one if hasattr(one, "kind") else _text(one)),
+    "NAME=PRIOR",
+)
+
+
+def quantity(name: str) -> Form:
+    """A number in SI or followed by its unit, such as `5mm`; None for `none`."""
+
+    def check(value: Any) -> float | None:
+        return None if value is None else _finite(value)
+
+    def parse(word: str) -> float | None:
+        if word.lower() == "none":
+            return None
+        size = _SIZE.match(word)
+        if size is None:
+            raise ValueError
+        from curlfit.throws.readers.columns import in_unit
+
+        unit = word[size.end() :].strip()
+        return float(size[0]) * (in_unit(name, unit).factor if unit else 1.0)
+
+    return Form("a number in SI", check, parse, "a number, followed by its unit unless in SI")
+
+
+_SIZE = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+TEXTS = Several(TEXT, "a list of strings", "a text", commas=False)
+
+
+def option(form: Form, help: str, metavar: str = "", **others: Any) -> Parameter:
+    """A flag whose value is of a form; `others` as for `cyclopts.Parameter`."""
+    if form is SWITCH:
+        return Parameter(help=help, **others)
+    repeated = isinstance(form, Table | Several)
+    return Parameter(
+        help=help, metavar=metavar or None, converter=form.read, n_tokens=1, accepts_keys=False,
+        allow_repeating=repeated, **others,
+    )  # fmt: skip
