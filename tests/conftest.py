@@ -106,18 +106,35 @@ def command(*words: object, cwd: Path) -> Ran:
     return Ran(status, out.getvalue(), err.getvalue())
 
 
+class Invoked(NamedTuple):
+    """What a command printed, its exit status, and the error that it raised."""
+
+    stdout: str
+    stderr: str
+    exit_code: int
+    exception: Exception | None = None
+
+
+def invoke(words: Sequence[object]) -> Invoked:
+    """Carry out a command in this process and folder, without the words of `main` for an error."""
+    from curlfit import cli
+
+    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
+        try:
+            status, error = cli.run([*map(str, words)]), None
+        except curlfit.CurlfitError as refusal:
+            status, error = refusal.exit_status, refusal
+    return Invoked(out.getvalue(), err.getvalue(), status, error)
+
+
 @pytest.fixture
 def typed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
     """What `curlfit` with some words prints, in the folder of a test's file."""
-    from typer.testing import CliRunner
-
-    from curlfit.cli import app
-
     monkeypatch.chdir(folder)
 
     def run(*words: object) -> str:
-        done = CliRunner().invoke(app, [*map(str, words)])
-        assert done.exit_code == 0, done.output
+        done = invoke(words)
+        assert done.exit_code == 0, done.exception
         return done.stdout
 
     return run

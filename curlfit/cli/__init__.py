@@ -96,7 +96,8 @@ def main() -> None:
         print(f"curlfit: {error}", file=sys.stderr)
         status = error.exit_status
     except CycloptsError as error:
-        print(f"curlfit: {error}", file=sys.stderr)
+        cause = error.__cause__  # of a value that cannot be used
+        print(f"curlfit: {cause if isinstance(cause, CurlfitError) else error}", file=sys.stderr)
         status = 2
     except KeyboardInterrupt:
         print("curlfit: stopped", file=sys.stderr)

@@ -105,7 +105,7 @@ def _refusal(throw: Throw, chosen: Modelling) -> DataError | None:
 
 def _swept(word: str) -> tuple[tuple[float, float], float]:
     period, _, ratio = word.partition("=")
-    found = PERIOD.read_word("--sweep", period), float(ratio)
+    found = PERIOD.read_word("--sweep ", period), float(ratio)
     if found[1] < 0:
         raise ValueError
     return found
@@ -275,10 +275,8 @@ def _given_model(given: Simulated) -> _Model:
     from curlfit.throws.synthetic import law_with
 
     law = law_with(given.law or "front-back", given.coefficients, unbounded=given.unbounded)
-    return _Model(
-        law, Stone().with_values(dict(given.stone)), "uniform", Environment(), {"v0": 2.0, "omega0": 1.0},
-        20.0,
-    )  # fmt: skip
+    stone = Stone().with_values(dict(given.stone))
+    return _Model(law, stone, "uniform", Environment(), {"v0": 2.0, "omega0": 1.0}, 20.0)
 
 
 def _fitted_model(folder: Path, given: Simulated) -> _Model:

@@ -106,7 +106,7 @@ class Choices:
     def forms(cls) -> dict[str, Form]:
         """The form of each choice by its name."""
         return {
-            name: getattr(flag.converter, "__self__", SWITCH)
+            name: flag.converter if isinstance(flag.converter, Form) else SWITCH
             for name, flag in cls.options().items()
         }
 

@@ -40,19 +40,19 @@ class Form:
         except (TypeError, ValueError, OverflowError, AttributeError):
             raise InputError(f"{name} = {value!r}: expected {self.expected}") from None
 
-    def read(self, _: Any, tokens: Sequence[Any]) -> Any:
+    def __call__(self, _: Any, tokens: Sequence[Any]) -> Any:
         """The value of the words after a flag, as cyclopts passes them."""
         (token,) = tokens
-        return self.read_word(token.keyword or token.argument.name, token.value)
+        return self.read_word(f"{token.keyword} ", token.value)
 
     def read_word(self, flag: str, word: str) -> Any:
-        """The value of one word. Raises `InputError`."""
+        """The value of one word after the text `flag`. Raises `InputError`."""
         try:
             return self._check(self._parse(word.strip()))
         except InputError as error:
-            raise InputError(f"{flag} {word.strip()}: {error}") from None
+            raise InputError(f"{flag}{word.strip()}: {error}") from None
         except (TypeError, ValueError, OverflowError):
-            raise InputError(f"{flag} {word.strip()}: expected {self.written}") from None
+            raise InputError(f"{flag}{word.strip()}: expected {self.written}") from None
 
     def words(self, value: Any) -> list[str]:
         """The words after a flag that give a value."""
@@ -73,7 +73,7 @@ class Table(Form):
             raise InputError(f"{name} = {value!r}: expected {self.expected}")
         return {str(key): self.value.checked(f"{name}.{key}", one) for key, one in value.items()}
 
-    def read(self, _: Any, tokens: Sequence[Any]) -> dict[str, Any]:
+    def __call__(self, _: Any, tokens: Sequence[Any]) -> dict[str, Any]:
         """All words together."""
         found: dict[str, Any] = {}
         for token in tokens:
@@ -83,7 +83,7 @@ class Table(Form):
                     raise InputError(f"{token.keyword} {token.value}: expected {self.written}")
                 if name in found:
                     raise InputError(f"{token.keyword}: {name} is given twice")
-                found[name] = self.value.read_word(f"{token.keyword} {name} =", text)
+                found[name] = self.value.read_word(f"{token.keyword} {name}=", text)
         return found
 
     def words(self, value: Mapping[str, Any]) -> list[str]:
@@ -104,7 +104,8 @@ class Several(Form):
     def checked(self, name: str, value: Any) -> tuple[Any, ...]:
         """The same for each value."""
         if self.text and isinstance(value, type | str):
-            value = value.split(",") if isinstance(value, str) else [value]
+            text = isinstance(value, str)
+            value = [one.strip() for one in value.split(",")] if text else [value]
         if isinstance(value, str | Mapping) or not hasattr(value, "__iter__"):
             raise InputError(f"{name} = {value!r}: expected {self.expected}")
         try:
@@ -114,10 +115,10 @@ class Several(Form):
                 raise
             raise InputError(f"{name} = {value!r}: expected {self.expected}") from error
 
-    def read(self, _: Any, tokens: Sequence[Any]) -> tuple[Any, ...]:
+    def __call__(self, _: Any, tokens: Sequence[Any]) -> tuple[Any, ...]:
         """All words together."""
         return tuple(
-            self.value.read_word(token.keyword, part)
+            self.value.read_word(f"{token.keyword} ", part)
             for token in tokens
             for part in (token.value.split(",") if self.commas else [token.value])
             if part.strip()
@@ -209,7 +210,7 @@ class OneOf(Form):
 
     def read_word(self, flag: str, word: str) -> str:
         """One of the names."""
-        return self.checked(flag, word.strip())
+        return self.checked(flag.strip(), word.strip())
 
 
 TEXT = Form("a quoted string", _text, written="a word")
@@ -273,6 +274,6 @@ def option(form: Form, help: str, metavar: str = "", **others: Any) -> Parameter
         return Parameter(help=help, **others)
     repeated = isinstance(form, Table | Several)
     return Parameter(
-        help=help, metavar=metavar or None, converter=form.read, n_tokens=1, accepts_keys=False,
+        help=help, metavar=metavar or None, converter=form, n_tokens=1, accepts_keys=False,
         allow_repeating=repeated, **others,
     )  # fmt: skip

@@ -86,7 +86,7 @@ def logs(tmp_path):
 
 def test_each_row_is_the_fit_of_that_throw(season):
     files = sorted(season.glob("*.csv"))
-    for row in fit_files(files, BatchSettings()):
+    for row in fit_files(files, BatchSettings.of()):
         if row["reason"] and row["n_observations"] is None:
             with pytest.raises(curlfit.CurlfitError):
                 curlfit.fit(curlfit.load_throw(row["file"]))
@@ -141,14 +141,14 @@ def test_throws_of_every_kind_side_by_side_are_fitted_as_alone():
 
 def test_company_changes_not_a_digit(season):
     files = sorted(season.glob("throw*.csv"))
-    together = fit_files(files, BatchSettings())
+    together = fit_files(files, BatchSettings.of())
     for file, row in zip(files, together, strict=True):
-        assert fit_files([file], BatchSettings()) == [row]
-    assert fit_files(files[::-1], BatchSettings()) == together[::-1]
+        assert fit_files([file], BatchSettings.of()) == [row]
+    assert fit_files(files[::-1], BatchSettings.of()) == together[::-1]
 
 
 def test_a_useless_file_is_a_row_with_its_reason(season):
-    rows = {row["file"]: row for row in fit_files(sorted(season.glob("*.csv")), BatchSettings())}
+    rows = {row["file"]: row for row in fit_files(sorted(season.glob("*.csv")), BatchSettings.of())}
     broken, still = (rows[str(season / name)] for name in ("broken.csv", "still.csv"))
     assert broken["status"] == "failed"
     assert "line 3" in broken["reason"]
@@ -211,16 +211,16 @@ def test_what_is_determined_together_has_columns_of_its_own(season, done):
 
 
 def test_columns_of_sums_are_those_of_the_law_and_what_is_free():
-    assert set(BatchSettings().sums()) == {"mu1_eta + mu2_eta"}
-    assert "mu1_eta + mu2_eta stderr" in columns(BatchSettings())
-    assert "mu1_eta + mu2_eta 50" in columns(BatchSettings(posterior=True))
+    assert set(BatchSettings.of().sums()) == {"mu1_eta + mu2_eta"}
+    assert "mu1_eta + mu2_eta stderr" in columns(BatchSettings.of())
+    assert "mu1_eta + mu2_eta 50" in columns(BatchSettings.of(posterior=True))
     for plan in (
-        BatchSettings(load="consistent"),
-        BatchSettings(fix={"mu1_eta": 0.01}),
-        BatchSettings(law="radial"),
+        BatchSettings.of(load="consistent"),
+        BatchSettings.of(fix={"mu1_eta": 0.01}),
+        BatchSettings.of(law="radial"),
     ):
         assert not plan.sums()
-    assert BatchSettings(law="front-back-first-order", load="consistent").sums()  # knows no load
+    assert BatchSettings.of(law="front-back-first-order", load="consistent").sums()  # knows no load
 
 
 @pytest.mark.parametrize("name", [name for name, law in LAWS.items() if law.shipped()])
@@ -253,7 +253,7 @@ def test_the_sums_that_laws_name_are_all_that_uniform_load_hides(name):
 
 def test_a_log_has_a_row_for_each_shot_and_an_export_one_for_each_object(logs):
     files = sorted(logs.iterdir())
-    rows = fit_files(files, BatchSettings())
+    rows = fit_files(files, BatchSettings.of())
     assert [(row["file"][-7:], row["shot"], row["stone_index"]) for row in rows] == [
         ("a.jsonl", 1, None), ("a.jsonl", 2, None), ("a.jsonl", 3, None),
         ("s/b.txt", None, 1), ("s/b.txt", None, 2), ("c.jsonl", 1, None), ("c.jsonl", 2, None),
@@ -265,8 +265,8 @@ def test_a_log_has_a_row_for_each_shot_and_an_export_one_for_each_object(logs):
         alone = curlfit.fit(curlfit.load_throw(row["file"], **which))
         assert row["n_observations"] == alone.n_observations
         assert row["rms_y"] == pytest.approx(alone.rms["y"], rel=1e-3)
-    assert fit_files(files[-1:], BatchSettings(how={"shot": 2})) == rows[-1:]
-    assert fit_files(files[1:2], BatchSettings(how={"stone_index": 1})) == rows[3:4]
+    assert fit_files(files[-1:], BatchSettings.of(shot=2)) == rows[-1:]
+    assert fit_files(files[1:2], BatchSettings.of(stone_index=1)) == rows[3:4]
 
 
 @pytest.mark.slow
@@ -331,7 +331,7 @@ def test_the_table_may_lie_among_the_throws(season, tmp_path):
 def test_what_cannot_be_done_is_one_sentence(season, tmp_path, words, said):
     out = tmp_path / "results.csv"
     if "coulomb" in words:
-        with Table(out, columns(BatchSettings()), BatchSettings().to_json(), []):
+        with Table(out, columns(BatchSettings.of()), BatchSettings.of().to_json(), []):
             pass
         out.write_text(out.read_text() + "a.csv\n")
     before = {file: file.read_bytes() for file in tmp_path.iterdir()}

@@ -5,34 +5,33 @@ from __future__ import annotations
 from importlib.metadata import version
 from pathlib import Path
 
-from typer.testing import CliRunner
+from conftest import command, invoke
 
 import curlfit
-from curlfit.cli import app
 
 ROOT = Path(__file__).parents[2]
 
 
 def run(*arguments):
-    return CliRunner().invoke(app, [str(one) for one in arguments])
+    return invoke([str(one) for one in arguments])
 
 
 def test_data_and_notebooks_are_copied(tmp_path):
     found = run("example", tmp_path / "mine")
-    assert found.exit_code == 0, found.output
+    assert found.exit_code == 0, found.stdout
     for part, pattern in (("data", "*"), ("notebooks", "*.ipynb")):
         originals = sorted((ROOT / part).glob(pattern))
         copies = sorted((tmp_path / "mine" / part).iterdir())
         assert [one.name for one in copies] == [one.name for one in originals]
         assert all(a.read_bytes() == b.read_bytes() for a, b in zip(copies, originals, strict=True))
-    assert f"cd {tmp_path / 'mine'} && curlfit fit data/" in found.output.replace("\n", "")
+    assert f"cd {tmp_path / 'mine'} && curlfit fit data/" in found.stdout.replace("\n", "")
 
 
 def test_what_is_there_is_left(tmp_path):
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "evening.csv").write_text("my own\n")
     found = run("example", tmp_path)
-    assert "Left as it is:" in found.output
+    assert "Left as it is:" in found.stdout
     assert (tmp_path / "data" / "evening.csv").read_text() == "my own\n"
     assert (tmp_path / "data" / "tracker.txt").exists()
 
@@ -44,8 +43,8 @@ def test_a_file_is_no_folder(tmp_path):
     assert "a file; expected a folder" in str(error)
 
 
-def test_the_version_names_what_computes():
-    text = run("--version").output
+def test_the_version_names_what_computes(tmp_path):
+    text = command("--version", cwd=tmp_path).stdout
     assert text.startswith(f"curlfit {curlfit.__version__}\n")
     assert f"jax {version('jax')}" in text
     assert f"optimistix {version('optimistix')}" in text

@@ -12,10 +12,10 @@ from scipy.stats import multivariate_normal
 
 import curlfit
 from curlfit.cli import main
-from curlfit.comparison.noise_models import noise_models
 from curlfit.comparison.report import conclusions, print_comparison
 from curlfit.comparison.result import load_comparison
 from curlfit.errors import InputError
+from curlfit.settings.choices import Comparing
 from curlfit.throws.synthetic import write_table
 
 MEMORY = 0.5
@@ -120,8 +120,8 @@ def test_noise_models_by_flag_and_in_a_configuration(typed, folder, capsys, monk
     typed("compare", *only, "--config", "c.toml", "--noise", "white", "--out", "flag")
     assert load_comparison(folder / "flag").noises == ("white",)
     for words, said in (
-        (("compare", *only, "--config", "n.toml"), "noise = 3; expected a quoted string"),
-        (("fit", "a.csv", "--config", "c.toml"), "unknown noise ['white', 'ar1']"),
+        (("compare", *only, "--config", "n.toml"), "noise = 3: expected noise models"),
+        (("fit", "a.csv", "--config", "c.toml"), "expected one of white, ar1"),
     ):
         monkeypatch.setattr("sys.argv", ["curlfit", *words])
         with pytest.raises(SystemExit, match="2"):
@@ -130,12 +130,12 @@ def test_noise_models_by_flag_and_in_a_configuration(typed, folder, capsys, monk
 
 
 def test_noise_models_that_are_none_are_refused():
-    assert noise_models("white, ar1,white") == ("white", "ar1")
-    for wrong, what in (("white,pink", "pink"), ([], "expected one or several"), (",", "''")):
+    assert Comparing.of(noise="white, ar1,white").noise == ("white", "ar1")
+    for wrong, what in (("white,pink", "pink"), (",", "''"), (3, "expected noise models")):
         with pytest.raises(InputError, match=what):
-            noise_models(wrong)
+            Comparing.of(noise=wrong)
     with pytest.raises(InputError, match="cannot be combined"):
-        noise_models("white,ar1", "student")
+        Comparing.of(noise="white,ar1", loss="student")
 
 
 def test_correlated_residuals_count_effective_values_less_those_spent(folder):

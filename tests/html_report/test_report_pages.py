@@ -14,17 +14,14 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 import report_records
-import typer
 from conftest import Reference, front_back
 
 import curlfit
-from curlfit.cli import _finished
 from curlfit.html_report.page import page_of, render
 from curlfit.html_report.provenance import fit_command, fit_flags
 from curlfit.html_report.replay import replay_of_fit
 from curlfit.inference.parameters import ParameterSet
 from curlfit.options import settings
-from curlfit.options.flags import Saved
 from curlfit.prediction.result import Prediction
 
 KINDS = ("fit", "joint", "comparison", "profile", "prediction", "design")
@@ -338,9 +335,6 @@ def test_verbs_write_the_page_on_request(folder, typed):
     assert not page.exists()  # it was of the earlier result
     assert typed("predict", "fit", "--draws", 100, "--quiet", "--report", "--out", "p") == ""
     assert "rests" in Page((folder / "p" / "report.html").read_text()).data
-    with pytest.raises(typer.Exit) as left:
-        _finished(Saved(folder / "comparison", quiet=True, status=1))
-    assert left.value.exit_code == 1
 
 
 @pytest.mark.parametrize(

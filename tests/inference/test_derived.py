@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import invoke
 from scipy.optimize import approx_fprime
 
 import curlfit
@@ -298,9 +299,7 @@ def test_an_error_of_the_clock_scales_times_and_friction():
 
 
 def test_the_command_line_and_the_report(tmp_path, throw, monkeypatch):
-    from typer.testing import CliRunner
 
-    from curlfit.cli import app
     from curlfit.throws.synthetic import write_table
 
     monkeypatch.chdir(tmp_path)
@@ -308,8 +307,8 @@ def test_the_command_line_and_the_report(tmp_path, throw, monkeypatch):
     (tmp_path / "c.toml").write_text('derive = ["1e3*mu"]\n')
 
     def run(*words):
-        done = CliRunner().invoke(app, [*map(str, words)])
-        assert done.exit_code == 0, done.output
+        done = invoke([*map(str, words)])
+        assert done.exit_code == 0, done.stdout
         return " ".join(done.stdout.split())
 
     quick = ("--law", "coulomb", "--no-sample", "--no-figures")

@@ -50,9 +50,7 @@ def with_systematic(fit, name):
 
 
 def test_errors_cover_the_truth(seen):
-    fits = fit_throws(
-        [seen(seed) for seed in range(24)], stones=[STONE] * 24, systematics=ONLY_CALIBRATION
-    )
+    fits = fit_throws([seen(seed) for seed in range(24)], stone=STONE, systematics=ONLY_CALIBRATION)
     assert not any(fit.outliers or fit.warnings for fit in fits)
     for name, true in TRUE.items():
         value, stderr, systematic = np.array([with_systematic(fit, name) for fit in fits]).T

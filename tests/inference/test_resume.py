@@ -13,10 +13,9 @@ from itertools import count
 
 import numpy as np
 import pytest
-from conftest import DATA, command
+from conftest import DATA, command, invoke
 
 from curlfit import DataError, InputError, load_chain, load_fit, sample
-from curlfit.cli import app
 from curlfit.inference.mcmc import chain, checkpoint
 from curlfit.inference.mcmc import run as sampling
 
@@ -233,11 +232,10 @@ def saved(eq12_fit, short, tmp_path):
 
 
 def refused(folder, *words):
-    from typer.testing import CliRunner
 
     before = snapshot(folder)
     words = ["fit", str(DATA), "--out", str(folder), "--resume", "--seed", "2", *words]
-    error = CliRunner().invoke(app, words).exception
+    error = invoke(words).exception
     assert isinstance(error, InputError)
     assert error.exit_status == 2
     assert snapshot(folder) == before

@@ -12,13 +12,11 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
-from conftest import DATA, command
+from conftest import DATA, command, invoke
 from matplotlib.figure import Figure
-from typer.testing import CliRunner
 
 import curlfit
 from curlfit import DataError, InputError, load_comparison, load_fit
-from curlfit.cli import app
 from curlfit.inference.report import about_posterior
 from curlfit.output.figures import save_figure
 from curlfit.paper import printed as paper
@@ -59,7 +57,7 @@ def writers(fit, chain, compared, folder):
     figure.add_subplot().plot([1, 2])
 
     def run(*words):
-        found = CliRunner().invoke(app, [str(word) for word in words])
+        found = invoke([str(word) for word in words])
         if isinstance(found.exception, InputError):
             raise found.exception
         assert found.exit_code == 0, found.exception

@@ -7,12 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import Reference, command, front_back
-from typer.testing import CliRunner
+from conftest import Reference, command, front_back, invoke
 
 import curlfit
 from curlfit import LAWS, InitialState, Stone
-from curlfit.cli import app
 from curlfit.dynamics.contact import accelerations
 from curlfit.errors import InputError
 from curlfit.inference.fit.fit import fit_throws
@@ -507,9 +505,9 @@ def test_the_command(tmp_path):
     folder = tmp_path / "design"
     files = ["design-errors.png", "design-map.png", "design-separate.png", "design.json"]
     assert sorted(file.name for file in folder.iterdir()) == files
-    shown = CliRunner().invoke(app, ["show", str(folder)])
-    assert shown.output == run.stdout[: run.stdout.index("Written:")]
-    assert CliRunner().invoke(app, ["plot", str(folder), "--format", "svg"]).exit_code == 0
+    shown = invoke(["show", str(folder)])
+    assert shown.stdout == run.stdout[: run.stdout.index("Written:")]
+    assert invoke(["plot", str(folder), "--format", "svg"]).exit_code == 0
     assert (folder / "design-map.svg").stat().st_size > 10_000
 
 
@@ -519,7 +517,7 @@ def test_a_fit_is_what_is_taken_to_be_true(eq12_fit, tmp_path):
         "design", "--fit", str(tmp_path), "--v0", "2", "--omega0", "1", "--throws", "1", "--set",
         "mu1_xi=0.001", "--no-figures", "-q", "--out", str(tmp_path / "d"),
     ]  # fmt: skip
-    assert CliRunner().invoke(app, words).exit_code == 0
+    assert invoke(words).exit_code == 0
     found = curlfit.load_design(tmp_path / "d")
     assert found.stone == eq12_fit.stone
     fitted = {name: item.value for name, item in eq12_fit.coefficients.items()}
@@ -559,11 +557,11 @@ def test_a_fit_is_what_is_taken_to_be_true(eq12_fit, tmp_path):
 )
 def test_refusals(words, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    found = CliRunner().invoke(app, ["design", *words])
-    assert isinstance(found.exception, InputError), found.output
+    found = invoke(["design", *words])
+    assert isinstance(found.exception, InputError), found.stdout
     assert found.exception.exit_status == 2
     assert said in str(found.exception)
-    assert found.output == ""
+    assert found.stdout == ""
     assert not list(tmp_path.iterdir())
 
 

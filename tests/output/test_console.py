@@ -8,12 +8,11 @@ import sys
 from io import StringIO
 
 import pytest
+from conftest import invoke
 from rich.console import Console
 from rich.text import Text
-from typer.testing import CliRunner
 
 import curlfit
-from curlfit.cli import app
 from curlfit.output.console import PlainTable, terminal
 from curlfit.output.text import compact, format_estimate, p_text, sided
 from curlfit.paper.claim import Claim
@@ -66,12 +65,12 @@ def test_every_verb_prints_whole_lines(verb, folder, monkeypatch):
             monkeypatch.delenv("COLUMNS", raising=False)
         else:
             monkeypatch.setenv("COLUMNS", str(width))
-        run = CliRunner().invoke(app, words, catch_exceptions=False)
-        assert run.exit_code == 0, run.output
-        lines = run.output.splitlines()
+        run = invoke(words)
+        assert run.exit_code == 0, run.exception
+        lines = run.stdout.splitlines()
         assert not [line for line in lines if line != line.rstrip()]
-        assert "\N{HORIZONTAL ELLIPSIS}" not in run.output
-        assert "..." not in run.output
+        assert "\N{HORIZONTAL ELLIPSIS}" not in run.stdout
+        assert "..." not in run.stdout
         if verb == "simulate":  # a table for a file
             return
         # A list of files stays whole, to be copied.

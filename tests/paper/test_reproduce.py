@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import DATA, Reference, command, front_back
+from conftest import DATA, Reference, command, front_back, invoke
 from docstring_examples import run_examples
 
 import curlfit
@@ -60,9 +60,7 @@ def test_a_reproduction_shows_its_verdicts(found):
 @pytest.fixture(scope="module")
 def written(found, tmp_path_factory):
     """The command in this process, with the computation replaced by the one at hand."""
-    from typer.testing import CliRunner
 
-    from curlfit.cli import app
     from curlfit.paper import reproduce as reproduction
 
     def known(progress, arrived):
@@ -73,9 +71,9 @@ def written(found, tmp_path_factory):
     folder = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reproduction, "reproduce", known)
-        run = CliRunner().invoke(app, ["reproduce", "--out", str(folder)])
-        as_json = CliRunner().invoke(app, ["reproduce", "--out", str(folder), "--json"])
-        silent = CliRunner().invoke(app, ["reproduce", "--out", str(folder), "--quiet"])
+        run = invoke(["reproduce", "--out", str(folder)])
+        as_json = invoke(["reproduce", "--out", str(folder), "--json"])
+        silent = invoke(["reproduce", "--out", str(folder), "--quiet"])
     assert (run.exit_code, as_json.exit_code, silent.exit_code) == (0, 0, 0)
     return folder, run.stdout, as_json.stdout, silent.stdout
 

@@ -8,17 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import DATA, Reference, front_back
+from conftest import DATA, Reference, front_back, invoke
 from conftest import command as curlfit_
 from matplotlib.patches import Ellipse
 from scipy.integrate import quad, solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
-from typer.testing import CliRunner
 
 import curlfit
 from curlfit import InputError, UnusableFitError, sheet
-from curlfit.cli import app
 from curlfit.inference.noise.accelerations import COMPONENTS
 from curlfit.inference.problem import LEVEL_AND_STILL
 from curlfit.prediction.discrepancy import discrepancy_posterior
@@ -709,25 +707,25 @@ def test_the_command(folder):
     record = json.loads((folder / "a-predict" / "predict.json").read_text())
     assert record["schema"] == 1
     assert record["goal"] == {"words": "to the tee", "x": 0.0, "y": 0.0, "speed": 0.0}
-    shown = CliRunner().invoke(app, ["show", str(folder / "a-predict")])
-    assert shown.output == run.stdout[: run.stdout.index("Written:")]
-    as_json = CliRunner().invoke(app, ["show", str(folder / "a-predict"), "--json"])
-    assert json.loads(as_json.output)["law"] == "front-back"
+    shown = invoke(["show", str(folder / "a-predict")])
+    assert shown.stdout == run.stdout[: run.stdout.index("Written:")]
+    as_json = invoke(["show", str(folder / "a-predict"), "--json"])
+    assert json.loads(as_json.stdout)["law"] == "front-back"
     (folder / "a-predict" / "predict.png").unlink()
-    assert CliRunner().invoke(app, ["plot", str(folder / "a-predict")]).exit_code == 0
+    assert invoke(["plot", str(folder / "a-predict")]).exit_code == 0
     assert (folder / "a-predict" / "predict.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_command_compares_with_measured_rows(folder, monkeypatch):
     monkeypatch.chdir(folder)
     words = ["predict", "a-fit/fit.json", "--check", "a.csv", "--out", "c"]
-    run = CliRunner().invoke(app, words)
+    run = invoke(words)
     assert run.exit_code == 0, run.exception
-    assert "within 68 %" in run.output
-    assert "from t = 12.1 to 20 s" in " ".join(run.output.split())
+    assert "within 68 %" in run.stdout
+    assert "from t = 12.1 to 20 s" in " ".join(run.stdout.split())
     assert (folder / "c" / "predict.png").exists()
-    quiet = CliRunner().invoke(app, [*words, "-q", "--no-figures"])
-    assert (quiet.exit_code, quiet.output) == (0, "")
+    quiet = invoke([*words, "-q", "--no-figures"])
+    assert (quiet.exit_code, quiet.stdout) == (0, "")
     assert not (folder / "c" / "predict.png").exists()
     assert set(curlfit.load_prediction(folder / "c").check.channels) == {"x", "y", "phi"}
 
@@ -766,11 +764,11 @@ def test_the_same_seed_gives_the_same_prediction(fit, carried):
 def test_refusals_of_the_command(folder, words, said, monkeypatch):
     monkeypatch.chdir(folder)
     before = sorted(folder.rglob("*"))
-    found = CliRunner().invoke(app, ["predict", *words])
+    found = invoke(["predict", *words])
     assert isinstance(found.exception, InputError)
     assert found.exception.exit_status == 2
     assert said in str(found.exception)
-    assert found.output == ""
+    assert found.stdout == ""
     assert sorted(folder.rglob("*")) == before
 
 

@@ -6,16 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import DATA
+from conftest import DATA, invoke
 from matplotlib.figure import Figure
 from rich.console import Console
 from scipy.optimize import least_squares
 from scipy.stats import chi2
-from typer.testing import CliRunner
 
 import curlfit
 from curlfit import DataError, InputError, UnusableFitError
-from curlfit.cli import app
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.likelihood import whitened_residuals_of_many
 from curlfit.inference.mcmc.sampler import sample
@@ -366,20 +364,20 @@ def test_the_command_writes_prints_and_is_shown_again(fit, tmp_path, monkeypatch
     (tmp_path / "throw-fit").mkdir()
     fit.save(tmp_path / "throw-fit" / "fit.json")
     words = ["profile", "throw-fit", "--param", "mu1_xi", "--points", "9"]
-    found = CliRunner().invoke(app, words)
+    found = invoke(words)
     assert found.exit_code == 0, found.exception
     folder = tmp_path / "throw-profile-mu1_xi"
     assert {file.name for file in folder.iterdir()} == {"profile.json", "profile.png"}
     said = found.stdout.rpartition("Written:")[0]
     assert "Profile and covariance agree" in said
-    shown = CliRunner().invoke(app, ["show", str(folder)])
+    shown = invoke(["show", str(folder)])
     assert shown.stdout == said
-    record = CliRunner().invoke(app, ["show", "--json", str(folder / "profile.json")])
+    record = invoke(["show", "--json", str(folder / "profile.json")])
     assert '"verdict": "limited"' in record.stdout
-    drawn = CliRunner().invoke(app, ["plot", str(folder), "--format", "svg"])
+    drawn = invoke(["plot", str(folder), "--format", "svg"])
     assert drawn.exit_code == 0
     assert (folder / "profile.svg").stat().st_size > 1000
-    again = CliRunner().invoke(app, [*words, "--no-figures", "--quiet"])
+    again = invoke([*words, "--no-figures", "--quiet"])
     assert (again.exit_code, again.stdout) == (0, "")
     assert {file.name for file in folder.iterdir()} == {
         "profile.json"
@@ -389,7 +387,7 @@ def test_the_command_writes_prints_and_is_shown_again(fit, tmp_path, monkeypatch
 def test_options_of_a_fit_are_heeded(tmp_path):
     words = ["profile", DATA, "--param", "v0", "--points", "5", "--until", "10", "--no-figures"]
     words += ["--fix", "mu1_eta=0", "--sigma", "x=0.01,y=0.01,phi=0.01", "--out", tmp_path]
-    found = CliRunner().invoke(app, list(map(str, words)))
+    found = invoke(list(map(str, words)))
     assert found.exit_code == 0, found.exception
     profile = curlfit.load_profile(tmp_path)
     assert profile.data["to"] == 10
@@ -422,7 +420,7 @@ def test_options_of_a_fit_are_heeded(tmp_path):
 )
 def test_what_cannot_be_had_is_one_sentence(words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    found = CliRunner().invoke(app, ["profile", str(DATA), *words])
+    found = invoke(["profile", str(DATA), *words])
     assert isinstance(found.exception, InputError)
     assert found.exception.exit_status == 2
     assert message in str(found.exception)
@@ -439,7 +437,7 @@ def test_a_saved_fit_takes_no_options_of_a_fit(fit, tmp_path, monkeypatch):
         (["--stone-index", "2"], "--stone-index: a saved fit has its own"),
         (["--range", "5,6"], "excludes the best estimate"),
     ):
-        found = CliRunner().invoke(app, ["profile", "a-fit/fit.json", "--param", "v0", *words])
+        found = invoke(["profile", "a-fit/fit.json", "--param", "v0", *words])
         assert isinstance(found.exception, InputError)
         assert message in str(found.exception)
     assert [file.name for file in tmp_path.iterdir()] == ["a-fit"]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import invoke
 from mistaken_files import (
     DEGREES,
     collided,
@@ -19,11 +20,9 @@ from mistaken_files import (
     wrapped,
 )
 from sample_files import SAMPLES, table
-from typer.testing import CliRunner
 
 import curlfit
 from curlfit import InputError, Throw, load_throw
-from curlfit.cli import app
 from curlfit.throws.motion import motion_of
 from curlfit.throws.plausibility import examine, require_plausible
 
@@ -355,7 +354,7 @@ def test_an_absurd_fit_is_not_usable(written, made, said, tmp_path):
     file = written(made(FEW))
     assert examine(load_throw(file)) == ()
     words = ["fit", str(file), "--law", "coulomb", "--no-sample", "--no-figures"]
-    run = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out")])
+    run = invoke([*words, "--out", str(tmp_path / "out")])
     assert run.exit_code == 1
     assert said in " ".join(run.stdout.split())
     assert "Converged" not in run.stdout

@@ -6,11 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from conftest import invoke
 from sample_files import TIMINGS
-from typer.testing import CliRunner
 
 from curlfit.batch.settings import usual_law
-from curlfit.cli import app
 from curlfit.errors import DataError, InputError
 from curlfit.throws.readers import load_throw, load_throws
 from curlfit.throws.readers.notation import parse_quantity
@@ -222,14 +221,14 @@ def test_an_evening_by_the_command_line(tmp_path, monkeypatch):
     rest = 10.059 + length - 38.405
     rows = "".join(f"{t:.4f},{y:.4f}\n" for t, y in zip(hog, rest, strict=True))
     (tmp_path / "evening.csv").write_text("hog_to_hog,rest\n" + rows)
-    run = CliRunner().invoke(app, ["fit", "evening.csv", "--out", "joint", "--no-figures"])
-    assert run.exit_code == 0, run.output
-    assert "coulomb law, uniform load, 5 throws together" in run.output
-    assert "mu            0.00850" in run.output
+    run = invoke(["fit", "evening.csv", "--out", "joint", "--no-figures"])
+    assert run.exit_code == 0, run.exception
+    assert "coulomb law, uniform load, 5 throws together" in run.stdout
+    assert "mu            0.00850" in run.stdout
     assert (tmp_path / "joint" / "evening-5" / "fit.json").is_file()
-    run = CliRunner().invoke(app, ["fit", "evening.csv", "--shot", "2", "--no-sample"])
-    assert run.exit_code == 0, run.output
-    text = " ".join(run.output.split())
+    run = invoke(["fit", "evening.csv", "--shot", "2", "--no-sample"])
+    assert run.exit_code == 0, run.exception
+    text = " ".join(run.stdout.split())
     for words in (
         "2 events at lines and at rest", "Two measured values determine one coefficient of "
         "friction and the initial state (v0): a mean friction, as in the coulomb law",
@@ -237,9 +236,9 @@ def test_an_evening_by_the_command_line(tmp_path, monkeypatch):
     ):  # fmt: skip
         assert words in text, words
     assert (tmp_path / "evening-2-fit" / "fit.png").stat().st_size > 10_000
-    run = CliRunner().invoke(app, ["check", "evening.csv"])
-    assert "timings, 2 events at lines and at rest" in run.output
+    run = invoke(["check", "evening.csv"])
+    assert "timings, 2 events at lines and at rest" in run.stdout
     (tmp_path / "watch.txt").write_text(THREE + "curl = 4 ft\n")
-    run = CliRunner().invoke(app, ["fit", "watch.txt"])
+    run = invoke(["fit", "watch.txt"])
     assert run.exit_code != 0
     assert isinstance(run.exception, DataError)
