@@ -116,7 +116,8 @@ def compare(
             found += next(results)
     if progress is not None:
         progress("", len(fits), len(fits))
-    return ranked(_followed(found))
+    made = ranked(_followed(found))
+    return replace(made, data={**made.data, "flags": [*throw.read_with, *chosen.words()]})
 
 
 def _followed(found: Sequence[Fitted]) -> list[Fitted]:

@@ -22,7 +22,6 @@ from curlfit.html_report.of_fit import drawing
 from curlfit.html_report.provenance import (
     comparison_command,
     made_by,
-    reading_notes,
     rows_text,
     stone_text,
 )
@@ -49,7 +48,7 @@ def page_of(comparison: Comparison) -> Page:
         section("laws", "The laws", blocks_of(others(parts, glance.lines), _CAPTIONS)),
         warned(said.warnings),
         drawings(drawing(comparison_figure(comparison), "comparison", caption)),
-        made_by(settings, [comparison_command(comparison)], reading_notes(data)),
+        made_by(settings, [comparison_command(comparison)]),
     ]
     return Page(
         title=f"{Path(data['file']).name}: which law?",

@@ -20,7 +20,7 @@ from curlfit.html_report.document import (
     warned,
 )
 from curlfit.html_report.drawings import inline_svg
-from curlfit.html_report.provenance import fit_command, fit_settings, made_by, reading_notes
+from curlfit.html_report.provenance import fit_command, fit_settings, made_by
 from curlfit.html_report.replay import replay_of_fit
 from curlfit.inference.derived_report import FITTED, OF_LAW
 from curlfit.inference.fit.result import FitResult
@@ -76,7 +76,7 @@ def page_of(fit: FitResult, chain: Chain | None = None) -> Page:
         ),
         throw_section([fit], data),
         drawings(*figures(fit, chain)),
-        made_by(fit_settings(fit), [fit_command(fit)], reading_notes(fit.data)),
+        made_by(fit_settings(fit), [fit_command(fit)]),
     ]  # fmt: skip
     determined = identifiability(fit).partition(". ")[0]
     return Page(

@@ -23,7 +23,6 @@ from curlfit.html_report.provenance import (
     fit_settings,
     joint_command,
     made_by,
-    reading_notes,
 )
 from curlfit.inference.derived_report import quantities_line
 from curlfit.inference.joint.report import report
@@ -71,7 +70,7 @@ def page_of(joint: JointResult) -> Page:
         section(moving.id, moving.heading, note * bool(moving.blocks), moving.blocks),
         drawings(drawing(joint_figure(joint), "joint", "All throws with their fits, and what each "
                          "alone says of what they have in common")),
-        made_by(settings, [joint_command(joint)], reading_notes(first.data)),
+        made_by(settings, [joint_command(joint)]),
     ]  # fmt: skip
     return Page(
         title=f"{len(names)} throws together: {joint.law} law",

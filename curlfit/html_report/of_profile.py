@@ -16,7 +16,7 @@ from curlfit.html_report.document import (
     warned,
 )
 from curlfit.html_report.of_fit import drawing
-from curlfit.html_report.provenance import made_by, profile_command, reading_notes, rows_text
+from curlfit.html_report.provenance import made_by, profile_command, rows_text
 from curlfit.output.text import join_words
 from curlfit.profile_likelihood.figures import profile_figure
 from curlfit.profile_likelihood.report import overview, report
@@ -48,8 +48,7 @@ def page_of(profile: Profile | PairProfile) -> Page:
         drawings(drawing(profile_figure(profile), "profile", caption)),
         made_by(
             settings, [profile_command(one.data["file"], names)],
-            [*reading_notes(one.data),
-             "The folder of the fit has the name that `curlfit fit` gives it, unless --out said "
+            ["The folder of the fit has the name that `curlfit fit` gives it, unless --out said "
              "otherwise."],
         ),
     ]  # fmt: skip

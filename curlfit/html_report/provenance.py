@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import platform
 import shlex
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from curlfit.comparison.result import Comparison
-from curlfit.errors import CurlfitError
-from curlfit.friction import Parameter
 from curlfit.html_report.document import Block, Section, rows, section
-from curlfit.inference.conditions import CALIBRATION, CONDITIONS, WIDTHS
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.joint.result import JointResult
-from curlfit.inference.parameters import START
 from curlfit.optimal_design.result import Design
 from curlfit.prediction.result import Prediction
 from curlfit.stone import Stone
@@ -113,8 +107,8 @@ def fit_settings(fit: FitResult) -> dict[str, str]:
 
 
 def fit_command(fit: FitResult) -> str:
-    """The command line of a fit, as far as it is recorded."""
-    words = ["fit", _file(fit.data["file"]), *fit_flags(fit)]
+    """The command line of a fit."""
+    words = ["fit", _file(fit.data["file"]), *_derived(fit.data.get("flags", ()), fit)]
     if fit.posterior is not None:
         words.append(f"--seed={fit.posterior.seed}")
     elif fit.sampling == "none":
@@ -122,66 +116,14 @@ def fit_command(fit: FitResult) -> str:
     return _line(*words)
 
 
-def fit_flags(fit: FitResult) -> list[str]:
-    """The flags of a fit, as far as they are recorded and differ from the defaults."""
-    data = fit.data
-    words = [f"--law={data.get('law_file') or fit.law}", f"--load={fit.load}", *_stone(fit.stone)]
-    words += [f"--{name}={_number(data[name])}" for name in ("since", "until")
-              if data.get(name) is not None]  # fmt: skip
-    words += [f"--exclude={_number(a)}:{_number(b)}" for a, b in data.get("exclude") or ()]
-    if data.get("swept"):
-        words.append("--sweep=" + ":".join(map(_number, data["swept"])))
-    usual = _usual(fit)
-    assumed = {**fit.throw.assumed} if fit.events else {}
-    for name, item in fit.parameters.items():
-        own = usual.get(name)
-        if own is None:
-            continue
-        if item.verdict == "fixed":
-            default = getattr(own, "default", None) if getattr(own, "optional", False) else None
-            unseen = own in START and item.value == 0.0
-            if name not in assumed and item.value != default and not unseen:
-                words += _pairs("--fix", {name: item.value})
-            continue
-        if item.prior:
-            words.append(f"--prior={name}={item.prior}")
-        elif (name in fit.conditions and name != "sweep") or getattr(own, "optional", False):
-            words.append(f"--free={name}")
-        limits = (own.lower, own.upper)
-        if (item.lower, item.upper) != limits and not item.prior:
-            words.append(f"--bound={name}={_number(item.lower)}:{_number(item.upper)}")
-    words += [f"--loss={fit.loss}"] * (fit.loss != "linear")
-    words += [f"--noise={fit.noise.kind}"] * (fit.noise.kind != "white")
-    held = {
-        name: width for name, width in fit.systematics.settings.items()
-        if not math.isclose(width, (WIDTHS | {CALIBRATION: 1.0})[name], rel_tol=1e-12)
-    }  # fmt: skip
-    words += _pairs("--systematic", held)
-    return [*words, *(f"--derive={item.expression}" for item in fit.derived)]
-
-
-def _usual(fit: FitResult) -> dict[str, Parameter]:
-    """The default parameters of a fit; without coefficients if the file of a user's law no longer
-    exists."""
-    found: tuple[Parameter, ...] = (*CONDITIONS, *START)
-    with suppress(CurlfitError):
-        found += fit.law_class.coefficients()
-    return {item.name: item for item in found}
+def _derived(flags: Sequence[str], result: FitResult | JointResult) -> list[str]:
+    """The flags, with those of quantities that were derived later."""
+    return list(dict.fromkeys([*flags, *(f"--derive={one.expression}" for one in result.derived)]))
 
 
 def _file(name: str) -> str:
     """The file of a throw, from a name that may include a row of the file."""
     return name.partition(" row ")[0]
-
-
-def reading_notes(data: Mapping[str, Any]) -> list[str]:
-    """How the file was read, which is recorded only in its notes: further flags may be needed."""
-    if not data.get("notes"):
-        return []
-    return [
-        "How the file was read, for which its flags (--axes, --units ...) are needed again: "
-        + "; ".join(data["notes"])
-    ]
 
 
 def data_files(joint: JointResult) -> list[str]:
@@ -190,26 +132,17 @@ def data_files(joint: JointResult) -> list[str]:
 
 
 def joint_command(joint: JointResult) -> str:
-    """The command line of a joint fit, as far as it is recorded."""
-    files = data_files(joint)
-    flags = [f for f in fit_flags(joint.throws[0]) if not f.startswith("--derive")]
+    """The command line of a joint fit: with the flags that all throws have in common."""
+    first, *others = (one.data.get("flags", ()) for one in joint.throws)
+    flags = [flag for flag in first if all(flag in one for one in others)]
     if tuple(joint.share) != tuple(joint.throws[0].coefficients):
         flags.append("--share=" + ",".join(joint.share))
-    flags += [f"--derive={item.expression}" for item in joint.derived]
-    return _line("fit", *files, *flags)
+    return _line("fit", *data_files(joint), *_derived(flags, joint))
 
 
 def comparison_command(found: Comparison) -> str:
-    """The command line of a comparison, as far as it is recorded."""
-    loads = {item.load for item in found.candidates} - {"-"}
-    load = "both" if len(loads) > 1 else next(iter(loads), "uniform")
-    laws = dict.fromkeys(item.law for item in found.candidates)
-    words = ["compare", found.data["file"], f"--load={load}", "--laws=" + ",".join(sorted(laws))]
-    words += _stone(found.stone)
-    words += [f"--until={_number(found.data['to'])}"] * bool(found.data["rows"])
-    words += [f"--loss={found.loss}"] * (found.loss != "linear")
-    words += [f"--noise={found.noise}"] * (found.noise != "white")
-    return _line(*words)
+    """The command line of a comparison."""
+    return _line("compare", found.data["file"], *found.data.get("flags", ()))
 
 
 def profile_command(file: str, names: Sequence[str]) -> str:

@@ -51,7 +51,10 @@ LOSS = OneOf("loss", ("linear", "huber", "soft-l1", "cauchy", "student"))
 NOISE = OneOf("noise", ("white", "ar1", "discrepancy"), **{"ar1+discrepancy": "discrepancy"})
 NOISES = Several(NOISE, "noise models", "noise models with commas between", text=True)
 LOADS = OneOf("load", (*LOAD.names, "both"))
-LAW = Form("the name or the class of a law", lambda law: law, written="a name, or FILE.py:CLASS")
+LAW = Form(
+    "the name or the class of a law", lambda law: law, written="a name, or FILE.py:CLASS",
+    words=lambda law: getattr(law, "name", law),
+)  # fmt: skip
 LAWS = Several(LAW, "names or classes of laws", "names with commas between", text=True)
 SEED = whole(0, 2**32 - 1)
 

@@ -29,9 +29,12 @@ class Form:
         check: Callable[[Any], Any],
         parse: Callable[[str], Any] = str,
         written: str = "",
+        words: Callable[[Any], str] = lambda one: (
+            f"{one:.10g}" if isinstance(one, float) else str(one)
+        ),
     ) -> None:
         self.expected, self.written = expected, written or expected
-        self._check, self._parse = check, parse
+        self._check, self._parse, self._words = check, parse, words
 
     def checked(self, name: str, value: Any) -> Any:
         """A value of a file or of Python. Raises `InputError` if it is of another kind."""
@@ -56,7 +59,7 @@ class Form:
 
     def words(self, value: Any) -> list[str]:
         """The words after a flag that give a value."""
-        return [f"{value:.10g}" if isinstance(value, float) else str(value)]
+        return [self._words(value)]
 
 
 class Table(Form):

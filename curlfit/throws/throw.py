@@ -132,6 +132,8 @@ class Throw(Displayed):
     conventions: Conventions | None = field(default=None, repr=False)
     relative_sigma: dict[str, Floats] = field(default_factory=dict)
     calibration: Floats | None = None
+    read_with: tuple[str, ...] = ()
+    """the flags with which its file was read"""
 
     def __post_init__(self) -> None:
         n = len(self.t)

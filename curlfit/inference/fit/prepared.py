@@ -41,6 +41,8 @@ class PreparedThrow(NamedTuple):
     origin: Origin
     findings: tuple[Finding, ...] = ()
     """what is unusual about the throw"""
+    flags: tuple[str, ...] = ()
+    """those that make this fit of the throw's file"""
 
     @classmethod
     def of(cls, throw: Throw, chosen: Modelling, *, others_swept: bool = False) -> PreparedThrow:
@@ -63,8 +65,9 @@ class PreparedThrow(NamedTuple):
             find_law(chosen.law), throw, swept=swept, **chosen.parameters
         )
         return cls(
-            given, throw, stone, chosen.rows, chosen.swept, parameters, Origin.of(throw), findings
-        )
+            given, throw, stone, chosen.rows, chosen.swept, parameters, Origin.of(throw), findings,
+            (*given.read_with, *chosen.words()),
+        )  # fmt: skip
 
     @property
     def environment(self) -> Environment:

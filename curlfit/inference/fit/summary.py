@@ -225,6 +225,7 @@ def _record(
             "swept": prepared.swept,
             "sigma": {name: "estimated" if name in fit.sigma else "given" for name in rms},
             "notes": list(throw.notes),
+            "flags": list(prepared.flags),
         },
         converged=converged,
         status=_status(fit, found.distance, unusual),

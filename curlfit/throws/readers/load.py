@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from os import PathLike
@@ -12,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import CurlfitError, DataError, InputError
+from curlfit.settings.choices import Reading
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.axes import parse_axes
 from curlfit.throws.readers.columns import Column, in_unit, parse_header, parse_units, with_units
@@ -91,7 +93,12 @@ def load_throw(
         file, format, stone_index=stone_index, shot=shot, units=units, handle=handle,
         pixels=points is not None,
     )  # fmt: skip
-    return assemble(parsed, axes=axes, reference=points, as_given=as_given)
+    throw = assemble(parsed, axes=axes, reference=points, as_given=as_given)
+    words = Reading.of(
+        format=format, axes=axes, reference=None if points is None else str(points),
+        stone_index=stone_index, shot=shot, units=units, handle=handle, as_given=as_given,
+    ).words()  # fmt: skip
+    return replace(throw, read_with=tuple(words))
 
 
 class Part(NamedTuple):
