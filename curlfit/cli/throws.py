@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -12,7 +11,7 @@ from cyclopts import Group, Parameter
 from curlfit.errors import InputError
 from curlfit.options import settings as s
 from curlfit.options.start import Start
-from curlfit.settings.choices import LAW, LOAD, SEED, Choices, Modelling, Reading, Rows
+from curlfit.settings.choices import LAW, LOAD, SEED, Choices, Modelling, Named, Reading, Rows
 from curlfit.settings.forms import (
     NUMBER,
     PATH,
@@ -158,7 +157,7 @@ class Simulated(Choices):
         Any, option(LAW, "Friction law; `curlfit laws` lists them. [default: front-back]", "NAME")
     ] = None
     coefficients: Annotated[
-        Mapping[str, float],
+        Named,
         option(VALUES, "A coefficient; the law's default if not set.", "NAME=V", name="--set"),
     ] = field(default_factory=dict)
     unbounded: Annotated[bool, option(SWITCH, "Allow negative coefficients.")] = False
@@ -166,7 +165,7 @@ class Simulated(Choices):
         str | None, option(LOAD, "`uniform` or `consistent`. [default: uniform]", "NAME")
     ] = None
     stone: Annotated[
-        Mapping[str, float],
+        Named,
         option(VALUES, "The stone, as in `curlfit fit`.", "R=V,rho=V"),
     ] = field(default_factory=dict)
 

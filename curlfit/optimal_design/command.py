@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,7 @@ from cyclopts import Group, Parameter
 from curlfit.errors import InputError
 from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved, status_line
-from curlfit.settings.choices import COUNT, LAW, LOAD, Choices
+from curlfit.settings.choices import COUNT, LAW, LOAD, Choices, Named
 from curlfit.settings.forms import NAMES, NUMBER, NUMBERS, PATH, TIME, VALUES, option, quantity
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class Assumed(Choices):
         Any, option(LAW, "Friction law; `curlfit laws` lists them. [default: front-back]", "NAME")
     ] = None
     coefficients: Annotated[
-        Mapping[str, float],
+        Named,
         option(VALUES, "A coefficient; the law's default if not set.", "NAME=V", name="--set"),
     ] = field(default_factory=dict)
     fit: Annotated[
@@ -45,9 +45,9 @@ class Assumed(Choices):
         str | None,
         option(LOAD, "`uniform` or `consistent` (eq. 8-9). [default: uniform]", "NAME"),
     ] = None
-    stone: Annotated[
-        Mapping[str, float], option(VALUES, "The stone, as in `curlfit fit`.", "R=V,rho=V")
-    ] = field(default_factory=dict)
+    stone: Annotated[Named, option(VALUES, "The stone, as in `curlfit fit`.", "R=V,rho=V")] = field(
+        default_factory=dict
+    )
 
 
 @Parameter(name="*", group=Group("The throws", sort_key=1))

@@ -7,13 +7,13 @@ default is then that of the data file, or the one that its help states.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cache
 from inspect import Parameter as Sign
 from inspect import signature
 from textwrap import fill
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar, get_type_hints
 
 from cyclopts import Group, Parameter
 
@@ -45,6 +45,10 @@ FLAGS = {
 }
 """Flags of other names than their choices."""
 UNSET: Any = None
+if TYPE_CHECKING:
+    Named = Mapping[str, Any]
+else:  # values by name; cyclopts passes several words only to what is declared a collection
+    Named = Collection[str]
 COUNT = whole(1)
 LOAD = OneOf("load", ("uniform", "consistent"))
 LOSS = OneOf("loss", ("linear", "huber", "soft-l1", "cauchy", "student"))
@@ -283,11 +287,11 @@ class Estimation(Rows):
             name=FLAGS["swept"],
         ),
     ] = None
-    fix: Annotated[
-        Mapping[str, float], option(VALUES, "Hold a parameter at a value.", "NAME=V")
-    ] = field(default_factory=dict)
+    fix: Annotated[Named, option(VALUES, "Hold a parameter at a value.", "NAME=V")] = field(
+        default_factory=dict
+    )
     bounds: Annotated[
-        Mapping[str, Sequence[float]],
+        Named,
         option(
             LIMITS, "Bounds of a parameter, in place of the default ones.", "NAME=LO:HI",
             name=FLAGS["bounds"],
@@ -305,7 +309,7 @@ class Estimation(Rows):
         ),
     ] = ()
     priors: Annotated[
-        Mapping[str, Any],
+        Named,
         option(
             PRIORS,
             "Prior of a parameter, which is then estimated: `rho=0.1+-0.0025`, "
@@ -316,11 +320,11 @@ class Estimation(Rows):
         ),
     ] = field(default_factory=dict)
     start: Annotated[
-        Mapping[str, float],
+        Named,
         option(VALUES, "Initial value; derived from the data if not given.", "NAME=V"),
     ] = field(default_factory=dict)
     sigma: Annotated[
-        Mapping[str, float],
+        Named,
         option(
             VALUES,
             "Noise of a channel: x=0.005,y=0.005,phi=0.01 (m, m, rad); estimated if not given.",
@@ -337,7 +341,7 @@ class Estimation(Rows):
         ),
     ] = UNSET
     stone: Annotated[
-        Mapping[str, float],
+        Named,
         option(
             VALUES,
             "The stone: ring radius R, radius of gyration rho, height h of the centre of mass "
@@ -436,7 +440,7 @@ class Fitting(Modelling):
     """The same, with systematic errors and derived quantities."""
 
     systematics: Annotated[
-        Mapping[str, float],
+        Named,
         option(
             VALUES,
             "Standard uncertainty of a condition that is held fixed, for the systematic errors: "

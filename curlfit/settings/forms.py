@@ -107,8 +107,8 @@ class Several(Form):
     def checked(self, name: str, value: Any) -> tuple[Any, ...]:
         """The same for each value."""
         if self.text and isinstance(value, type | str):
-            text = isinstance(value, str)
-            value = [one.strip() for one in value.split(",")] if text else [value]
+            each = value.split(",") if isinstance(value, str) else [value]
+            value = [one.strip() if isinstance(one, str) else one for one in each]
         if isinstance(value, str | Mapping) or not hasattr(value, "__iter__"):
             raise InputError(f"{name} = {value!r}: expected {self.expected}")
         try:

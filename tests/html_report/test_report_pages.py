@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import math
 import re
 import shlex
 import subprocess
@@ -17,12 +18,12 @@ import report_records
 from conftest import Reference, front_back
 
 import curlfit
+from curlfit.cli import app
 from curlfit.html_report.page import page_of, render
-from curlfit.html_report.provenance import fit_command, fit_flags
+from curlfit.html_report.provenance import fit_command
 from curlfit.html_report.replay import replay_of_fit
-from curlfit.inference.parameters import ParameterSet
-from curlfit.options import settings
 from curlfit.prediction.result import Prediction
+from curlfit.settings.choices import Fitting
 
 KINDS = ("fit", "joint", "comparison", "profile", "prediction", "design")
 HOSTILE = """</script>--><img src=x onerror="alert('1')">&<!--`\u2028'.csv"""
@@ -380,32 +381,12 @@ def test_the_command_on_the_page_makes_the_fit_again(eq12, folder, typed):
     assert (again.law, again.stone, again.loss) == (fit.law, fit.stone, fit.loss)
 
 
-def test_flags_of_parameters_are_those_of_the_fit(records):
-    """Priors, conditions and bounds, without another fit."""
-    from curlfit.friction import LAWS
-
-    law = LAWS["front-back"]
-    chosen = ParameterSet.build(
-        law, fix={"mu1_xi": 0.001}, bounds={"mu2_xi": (0, 0.2)}, free=["slope_x"],
-        priors={"rho": "0.1+-0.0025", "v0": "uniform:1.5,2.5"},
+def test_flags_of_a_fit_give_the_same_choices():
+    chosen = Fitting.of(
+        fix={"mu1_xi": 0.001}, bounds={"mu2_xi": (0, 0.2), "v0": (1, math.inf)}, free=["slope_x"],
+        priors={"rho": "0.1+-0.0025", "mu1_eta": "uniform:0.001,0.02"}, exclude=[(1, 2), (3, 4.5)],
+        swept=(5, 7), sigma={"x": 0.005}, derive=["hypot(mu1_xi, mu2_xi)"], noise="ar1", since=-1,
+        unbounded=True, stone={"R": 0.06}, systematics={"all": 0}, start={"omega0": -1.5},
     )  # fmt: skip
-    fit = records["fit"]
-    own = {item.name for item in chosen.parameters}
-    estimates = {}
-    for item in chosen.parameters:
-        value = chosen.fixed.get(item.name, (max(item.lower, -1) + min(item.upper, 1)) / 2)
-        estimates[item.name] = replace(
-            fit.parameters["x0"], value=value, lower=item.lower, upper=item.upper,
-            verdict="fixed" if item.name in chosen.fixed else "determined",
-            prior=str(chosen.priors.get(item.name, "")),
-        )  # fmt: skip
-    assert own == estimates.keys()
-    flags = [flag.partition("=")[::2] for flag in fit_flags(replace(fit, parameters=estimates))]
-    given = {name: [text for flag, text in flags if flag == f"--{name}"] for name, _ in
-             {flag[2:]: None for flag, _ in flags}.items()}  # fmt: skip
-    again = ParameterSet.build(
-        law, fix=settings.pairs("--fix", given["fix"]),
-        bounds=settings.intervals("--bound", given["bound"]),
-        free=settings.names(given["free"]), priors=settings.texts("--prior", given["prior"]),
-    )  # fmt: skip
-    assert again == chosen
+    _, bound, _ = app.parse_args(["fit", "a.csv", *chosen.words()])
+    assert Fitting.of(vars(bound.kwargs["flags"])) == chosen
