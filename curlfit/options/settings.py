@@ -415,7 +415,7 @@ class FitRequest(NamedTuple):
         from curlfit.inference.fit.prepared import PreparedThrow
         from curlfit.inference.fit.rounds import Rounds
         from curlfit.inference.model import Model
-        from curlfit.numerics.compiled import unstacked
+        from curlfit.numerics.batches import unstacked
 
         prepared = PreparedThrow.of(
             self.throw, self.law, self.stone, **row_choices(self.settings), **self.choices

@@ -131,7 +131,6 @@ def test_a_full_disk_leaves_no_half_of_a_compiled_program(tmp_path):
 
 COMPILE = """
 import os, resource
-from curlfit.numerics import jax_setup, program_cache
 import jax
 folder = program_cache.folder("jax")
 before = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -198,7 +198,6 @@ def test_a_user_without_a_home_has_no_cache(keeping, tmp_path):
 def test_jax_reads_its_entries_with_the_same_care(keeping, tmp_path):
     code = """
 import jax
-from curlfit.numerics import jax_setup as backend
 hits = []
 jax.monitoring.register_event_listener(lambda event, **more: hits.append(event))
 jax.jit(lambda a: 3 * a)(1.0)

@@ -46,7 +46,7 @@ from curlfit.inference.model import Model
 from curlfit.inference.noise.models import check_loss, check_noise
 from curlfit.inference.priors import Prior
 from curlfit.inference.problem import Origin, problem_shape
-from curlfit.numerics.compiled import BATCH, gc_paused, stacked, unstacked
+from curlfit.numerics.batches import BATCH, stacked, unstacked
 from curlfit.stone import Stone
 from curlfit.throws.throw import Reference, Throw, require_throw
 
@@ -242,7 +242,6 @@ def _other_stones(
     return [own, *(item for item in off if item != own)]
 
 
-@gc_paused()
 def fit_throws(
     throws: Sequence[Throw],
     law: str | type[Law] = "front-back",
