@@ -83,6 +83,10 @@ if "jax" in sys.modules:
 else:
     os.environ["JAX_ENABLE_X64"] = "1"
 
+# Each run-time check of equinox calls Python, and a program with such a call cannot be stored.
+# curlfit checks the status of optimistix itself.
+os.environ.setdefault("EQX_ON_ERROR", "nan")
+
 # The module of each public name. Names are imported on first use, so that `import curlfit` and the
 # command line's help need neither JAX nor matplotlib.
 _HOMES = {

@@ -53,7 +53,7 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.pop("COLUMNS", None)  # reports are as wide as anywhere else
     os.environ["PYTHONPATH"] = str(DATA.parents[1])  # processes run this curlfit, and its programs
     compiled._MOST_LOADED = 100  # tests turn from law to law, and there is memory for it
-    gc.set_threshold(100_000)  # as in `compiled.gc_paused`, for the tests' own programs
+    gc.set_threshold(100_000)  # tracing makes many objects
     if hasattr(config, "workerinput"):
         return
     lowered = jax.jit(lambda x: x).lower(0.0)

@@ -10,7 +10,6 @@ from curlfit.batch.settings import QUANTILES, BatchSettings, columns
 from curlfit.errors import CurlfitError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
-from curlfit.numerics.compiled import gc_paused
 from curlfit.throws.readers import Part, load_throws
 from curlfit.throws.throw import Throw
 
@@ -48,7 +47,6 @@ def fit_files(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list
     return rows
 
 
-@gc_paused()
 def _read(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list[tuple[str, Part]]:
     """Every throw in the files, with the name of its file."""
     found = []

@@ -18,7 +18,6 @@ from curlfit.cli.saved import plot, report, show, write_page
 from curlfit.cli.throws import check, simulate
 from curlfit.comparison.command import compare
 from curlfit.errors import CurlfitError
-from curlfit.numerics import program_cache
 from curlfit.optimal_design.command import design
 from curlfit.options.output import Saved
 from curlfit.paper.command import reproduce
@@ -72,21 +71,10 @@ def run(words: Sequence[str]) -> int:
     return saved.status
 
 
-def _without_data(words: list[str]) -> str:
-    """A command without files and numbers."""
-    return " ".join(
-        word
-        for word in words
-        if not any(letter in "./\\=" or letter.isdigit() for letter in word)
-        and not os.path.exists(word)
-    )
-
-
 def main() -> None:
     """Run the command; errors of the input become one sentence and an exit status."""
     # NumPy is not loaded yet. Its matrices here are small: threads would wait for one another.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    program_cache.command = _without_data(sys.argv[1:])
     try:
         try:
             status = run(sys.argv[1:])

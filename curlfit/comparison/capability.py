@@ -15,7 +15,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.forces import POINTS, accelerations_along, vectors_of
 from curlfit.inference.model import Model
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.compiled import stacked
+from curlfit.numerics.batches import stacked
 from curlfit.stone import Stone
 
 _MOST = 500

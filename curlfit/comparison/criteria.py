@@ -27,7 +27,6 @@ from curlfit.comparison.result import Candidate
 from curlfit.inference.likelihood import SIGMA_FLOOR
 
 # isort: split
-import jax.numpy as jnp
 import numpy as np
 
 from curlfit.inference.fit.prepared import problem_of
@@ -98,7 +97,7 @@ def _of_correlated(result: FitResult) -> dict[str, float]:
         if name in result.rms:
             off = result.observed[name] - result.fitted[name]
             residual[row, : len(off)] = np.where(np.isfinite(off), off, 0.0)
-    white = np.asarray(whitener.whiten(jnp.asarray(residual * weight)))
+    white = np.asarray(whitener.whiten(residual * weight))
     determinant = whitener.log_determinant()
     found = {}
     for row, name in enumerate(CHANNELS):

@@ -34,7 +34,7 @@ from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.compiled import stacked
+from curlfit.numerics.batches import stacked
 from curlfit.throws.throw import CHANNELS
 
 _STEP = 0.1  # standard errors of a parameter with all others known, for finite differences

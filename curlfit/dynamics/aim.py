@@ -117,7 +117,7 @@ def aim(
     guess = direct if heading is None else heading
     for _ in range(_MAX_ITERATIONS):
         # The heading enters only through the direction of the slope.
-        forces = np.asarray(external_forces(stone, surroundings, jnp.asarray(guess)))
+        forces = np.asarray(_external_forces(stone, surroundings, guess, 0.0))
         endpoint = partial(_endpoint, law, stone, check_load(load), forces, omega0, speed)
         v0 = _speed_to_reach(endpoint, distance if heading is None else along, heading, speed)
         if heading is not None:
@@ -216,6 +216,9 @@ def _endpoint(
     # A faster stone reaches the speed at a later time.
     d_time = -slopes[2, k] / deceleration
     return _Endpoint(position, slopes[:2, k] + path[3:, k] * d_time)
+
+
+_external_forces = compiled()(external_forces)
 
 
 @compiled("law", "load")

@@ -16,9 +16,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
-
-# isort: split
 import jax
 import jax.numpy as jnp
 from jax import Array

@@ -11,9 +11,6 @@ from collections.abc import Callable
 from functools import cache, lru_cache, partial
 from typing import Any, TypeVar
 
-from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -319,9 +319,9 @@ def _simulate_known(
     back = np.argsort(order)
 
     def own_rows(values: Array) -> Array:
-        return jnp.asarray(np.asarray(values)[back]) if values.ndim else values
+        return jax.device_put(np.asarray(values)[back]) if values.ndim else values
 
-    return replace(jax.tree.map(own_rows, path), t=jnp.asarray(t))
+    return replace(jax.tree.map(own_rows, path), t=jax.device_put(t))
 
 
 @compiled("law", "load")

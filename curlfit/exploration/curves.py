@@ -10,7 +10,7 @@ from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import chi_squared_of_many, predict_channels
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.compiled import stacked
+from curlfit.numerics.batches import stacked
 from curlfit.throws.throw import CHANNELS
 
 

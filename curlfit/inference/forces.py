@@ -16,7 +16,8 @@ from jax import Array
 from curlfit.friction import Law, Load
 from curlfit.inference.model import Model
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.compiled import BATCH, compiled, in_batches
+from curlfit.numerics.batches import BATCH, in_batches
+from curlfit.numerics.compiled import compiled
 from curlfit.stone import Stone
 
 POINTS = 128

@@ -25,7 +25,7 @@ from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
 from curlfit.inference.system import assumed_conditions
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.compiled import BATCH
+from curlfit.numerics.batches import BATCH
 from curlfit.numerics.trapezoid import running_integral
 from curlfit.throws.throw import last_motion
 

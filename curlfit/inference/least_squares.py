@@ -31,7 +31,8 @@ from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics import levenberg_marquardt as lm
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.compiled import BATCH, compiled, in_batches, stacked
+from curlfit.numerics.batches import BATCH, in_batches, stacked
+from curlfit.numerics.compiled import compiled
 
 Indices = NDArray[np.intp]
 

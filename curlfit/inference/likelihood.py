@@ -32,7 +32,8 @@ from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.inference.system import System
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.compiled import BATCH, compiled, in_batches, unstacked
+from curlfit.numerics.batches import BATCH, in_batches, unstacked
+from curlfit.numerics.compiled import compiled
 
 SIGMA_FLOOR = 1e-7
 """Smallest standard deviation of noise (m and rad): the precision of the computed path."""

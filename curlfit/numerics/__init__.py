@@ -1,1 +1,1 @@
-"""Configuration of JAX, compiled programs, array types and a least-squares solver."""
+"""Compiled programs, batches, threads, array types and a least-squares solver."""

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from curlfit.numerics import jax_setup  # noqa: F401  (before equinox)
-
-# isort: split
 import equinox as eqx
 import jax
 import jax.numpy as jnp

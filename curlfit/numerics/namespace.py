@@ -5,9 +5,6 @@ from __future__ import annotations
 from types import ModuleType
 from typing import Any
 
-from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -1,12 +1,10 @@
-"""The folder of compiled programs: its owner, access to it and its size.
+"""The user's cache folder of compiled programs: whose it is, what it holds and how much.
 
-Loading a compiled program means running it. A file is therefore read only if it belongs to the user
-(or to root) and nobody else may write to it or to the folders above it. Above `LIMIT` the least
-recently used files are deleted. Any number of processes may read, write and delete concurrently:
-files appear atomically, and a missing one is compiled again.
-
-The folder is the user's cache folder; `CURLFIT_CACHE` names another, or disables the cache if it is
-`off`.
+Loading a compiled program means running it. The folder is therefore used only if nobody else may
+write to it or to the folders above it, and each file begins with the SHA-256 of the rest: a damaged
+file would crash the process or compute other numbers. Above `LIMIT` the least recently used files
+are deleted. Any number of processes may read, write and delete concurrently: files appear
+atomically, and a missing one is compiled again.
 """
 
 from __future__ import annotations
@@ -15,6 +13,7 @@ import os
 import stat
 from contextlib import suppress
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
 
 from curlfit.errors import InputError, warn_once
@@ -23,26 +22,21 @@ from curlfit.output.files import atomic_write
 LIMIT = 256 * 2**20
 """Bytes above which the least recently used files are deleted."""
 
-PARTS = ("programs", "jax")
-"""Folders within the cache: programs of `curlfit.numerics.compiled`, and JAX's own."""
-
-command = ""
-"""The command whose programs are read ahead, without what differs from one throw to the next."""
-
-_CHECK_INTERVAL = 1 / 32  # of the limit, written by a process between two checks of the size
-
 
 @cache
-def folder(part: str) -> Path | None:
-    """The folder of one of the `PARTS`, created if missing; None where there is no cache."""
+def folder() -> Path | None:
+    """The folder, created if missing; None where there is none.
+
+    `CURLFIT_CACHE` names another place, or is `off`.
+    """
     try:
         root = _root()
         if root is None:
             return None
-        path = root / part
+        path = root / "programs"
         for missing in [p for p in (*reversed(path.parents), path) if not p.exists()]:
             missing.mkdir(mode=0o700, exist_ok=True)
-        writable = _writable_by_others(path)
+        writable = next((p for p in (path, *path.parents) if _open_to_others(p)), None)
     except (OSError, RuntimeError):  # the latter without a home directory
         return None
     if writable is not None:
@@ -66,69 +60,38 @@ def _root() -> Path | None:
     return root.resolve() if root.is_absolute() else None  # "~/.cache" without a home
 
 
-def _writable_by_others(path: Path) -> Path | None:
-    """The first of a folder and its parents to which somebody else may write."""
+def _open_to_others(path: Path) -> bool:
+    """Whether anybody but the user and root may change what the folder or file holds."""
     if not hasattr(os, "geteuid"):  # Windows, where a user's folders are private
-        return None
-    for directory in (path, *path.parents):
-        status = directory.stat()
-        # With the sticky bit, as in /tmp, nobody can move the files of others.
-        if not _private(status) and not (status.st_uid == 0 and status.st_mode & stat.S_ISVTX):
-            return directory
-    return None
-
-
-def _private(status: os.stat_result) -> bool:
-    """Whether the user or root owns the file, and nobody else may write to it."""
-    if not hasattr(os, "geteuid"):
-        return True
-    return status.st_uid in (os.geteuid(), 0) and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        return False
+    status = path.stat()
+    if status.st_uid == 0 and status.st_mode & stat.S_ISVTX:
+        return False  # as /tmp, where nobody can move the files of others
+    writable = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return status.st_uid not in (os.geteuid(), 0) or bool(writable)
 
 
 def read(file: Path) -> bytes | None:
-    """The content of a file, which is marked as used; None if it cannot be read safely."""
+    """What was written to a file, which is marked as used; None if it is missing or damaged."""
     try:
-        with file.open("rb") as opened:
-            if not _private(os.fstat(opened.fileno())):
-                warn_once(f"{file} is not read, since others may write to it; it is compiled again")
-                return None
-            content = opened.read()
-        with suppress(OSError):
-            os.utime(file)
+        if _open_to_others(file):
+            return None
+        content = file.read_bytes()
+        os.utime(file)
     except OSError:
         return None
-    return content
+    digest, content = content[:32], content[32:]
+    return content if sha256(content).digest() == digest else None
 
 
 def write(file: Path, content: bytes) -> None:
-    """Write a file of the cache atomically."""
-    global _written
-    with suppress(InputError):
+    """Write a file, and make room for it; nothing happens where that is not possible."""
+    with suppress(InputError, OSError):
         with atomic_write(file, private=True) as temporary:
-            temporary.write_bytes(content)
-        _written += len(content)
-        if _written > LIMIT * _CHECK_INTERVAL:
-            _written = 0
-            _evict(file.parent.parent)
-
-
-_written: float = float("inf")  # bytes since the last check; the first file triggers one
-
-
-def _evict(root: Path) -> None:
-    """Delete the least recently used files, down to the limit."""
-    files = []
-    for part in PARTS:
-        with suppress(OSError), os.scandir(root / part) as entries:
-            for entry in entries:
-                with suppress(OSError):
-                    status = entry.stat(follow_symlinks=False)
-                    if stat.S_ISREG(status.st_mode):
-                        files.append((status.st_mtime_ns, status.st_size, entry.path))
-    total = sum(size for _, size, _ in files)
-    for _, size, path in sorted(files):
-        if total <= LIMIT:
-            return
-        with suppress(OSError):
-            os.unlink(path)
-        total -= size
+            temporary.write_bytes(sha256(content).digest() + content)
+        used = sorted(((p.stat().st_mtime_ns, p) for p in file.parent.iterdir()), reverse=True)
+        total = 0
+        for _, path in used:
+            total += path.stat().st_size
+            if total > LIMIT:
+                path.unlink(missing_ok=True)

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import Any
 
-from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
 from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors
 
 # isort: split

@@ -185,7 +185,7 @@ class FitRequest(NamedTuple, Generic[ModelChoices]):
         from curlfit.inference.fit.prepared import PreparedThrow
         from curlfit.inference.fit.rounds import Rounds
         from curlfit.inference.model import Model
-        from curlfit.numerics.compiled import unstacked
+        from curlfit.numerics.batches import unstacked
 
         chosen = self.chosen
         prepared = PreparedThrow.of(self.throw, chosen)

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.compiled import compiled, in_batches
+from curlfit.numerics.batches import in_batches
+from curlfit.numerics.compiled import compiled
 from curlfit.paper.claim import Claim
 from curlfit.paper.findings import RADIUS, Kinematics, PathFindings
 from curlfit.paper.printed import eq_12

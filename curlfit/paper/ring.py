@@ -21,6 +21,7 @@ from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.model import Model
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.compiled import compiled
 from curlfit.paper.claim import Claim
 from curlfit.paper.findings import PRINTED, RADIUS, Expansion, Kinematics, RingFindings
 from curlfit.paper.printed import (
@@ -52,22 +53,21 @@ def net_forces(
 
     `values` are coefficients of shape (n, coefficients), `epsilon` has shape (n,); v = 2 m/s.
     """
-    columns = [jnp.asarray(values[:, index]) for index in range(values.shape[1])]
-    spin = jnp.asarray(SPEED * epsilon / stone.R)
-    acceleration = _compiled_net(law.from_vector(columns), stone, spin, load)
+    acceleration = _net_accelerations(law, load, values, stone, SPEED * epsilon / stone.R)
     moment = np.asarray(acceleration.angular) * stone.rho**2 / stone.R
     return (
         np.stack([np.asarray(acceleration.xi), np.asarray(acceleration.eta), moment], 1) / GRAVITY
     )
 
 
-def _net_accelerations(law: Any, stone: Stone, spin: Array, load: Load) -> Any:
-    return jax.vmap(lambda law, w: accelerations(law, stone, load, jnp.asarray(SPEED), w))(
-        law, spin
-    )
+@compiled("law", "load")
+def _net_accelerations(
+    law: type[LocalLaw], load: Load, values: Array, stone: Stone, spin: Array
+) -> Any:
+    def one(values: Array, spin: Array) -> Any:
+        return accelerations(law.from_vector(values), stone, load, jnp.asarray(SPEED), spin)
 
-
-_compiled_net = jax.jit(_net_accelerations, static_argnames="load")
+    return jax.vmap(one)(values, spin)
 
 
 def radial_at(mu: Floats, epsilon: float, angle: Floats) -> Floats:
@@ -82,16 +82,23 @@ def radial_at(mu: Floats, epsilon: float, angle: Floats) -> Floats:
     return -np.stack([right, forward]) / np.sqrt(1 + 2 * epsilon * cos + epsilon**2)
 
 
+@compiled()
+def _radial_at_nodes(mu: Array, stone: Stone, epsilon: Array) -> list[tuple[Array, Array]]:
+    """Angles of the nodes of the ring's quadrature, and the friction there, for each panel."""
+    law = Radial.from_vector(mu)
+    contact = contact_of(law, stone, "uniform", SPEED, SPEED * epsilon / stone.R)
+    ring = panels(law, *contact.motion, contact.clustering)
+    return [(points.angle, jnp.stack(law.traction(points))) for points, _ in ring]
+
+
 def _largest_gap_of_eq_22() -> float:
     """Relative to the largest friction, at the nodes of the ring's quadrature."""
-    mu = np.array([0.006, 0.008, 0.009, 0.018])
-    law, stone = Radial(*mu), Stone(R=RADIUS)
-    gap = 0.0
+    mu, gap = np.array([0.006, 0.008, 0.009, 0.018]), 0.0
     for epsilon in (0.1, 0.9, 3.0):
-        contact = contact_of(law, stone, "uniform", SPEED, SPEED * epsilon / RADIUS)
-        for points, _ in panels(law, *contact.motion, contact.clustering):
-            own = np.stack([np.asarray(part) for part in law.traction(points)])
-            gap = max(gap, np.abs(own - radial_at(mu, epsilon, np.asarray(points.angle))).max())
+        for angle, own in _radial_at_nodes(mu, Stone(R=RADIUS), epsilon):
+            gap = max(
+                gap, np.abs(np.asarray(own) - radial_at(mu, epsilon, np.asarray(angle))).max()
+            )
     return float(gap / mu.max())
 
 

@@ -19,9 +19,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple, cast
 
-from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
-
-# isort: split
 import jax
 import numpy as np
 

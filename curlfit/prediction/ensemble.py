@@ -20,7 +20,8 @@ from curlfit.inference.parameters import START
 from curlfit.inference.problem import LEVEL_AND_STILL, environment_of
 from curlfit.inference.system import System
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.compiled import BATCH, compiled, in_batches
+from curlfit.numerics.batches import BATCH, in_batches
+from curlfit.numerics.compiled import compiled
 from curlfit.prediction.request import ThrowStart
 from curlfit.stone import Stone
 

@@ -20,7 +20,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.compiled import unstacked
+from curlfit.numerics.batches import unstacked
 from curlfit.profile_likelihood.result import levels_for
 
 # isort: split

@@ -21,7 +21,7 @@ from curlfit.comparison.evidence import (
 )
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.likelihood import chi_squared_of_many
-from curlfit.numerics.compiled import BATCH, stacked
+from curlfit.numerics.batches import BATCH, stacked
 
 FIXED = {"mu1_xi": 0.0018, "mu2_xi": 0.058, "x0": 0.0, "y0": 0.0, "heading": 0.0, "phi0": 0.0,
          "omega0": 1.0}  # fmt: skip

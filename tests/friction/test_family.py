@@ -15,7 +15,7 @@ from curlfit.friction import LOADS, LocalLaw
 from curlfit.friction.family import family_of
 from curlfit.inference.forces import POINTS, accelerations_and_slopes, vectors_of
 from curlfit.inference.model import Model
-from curlfit.numerics.compiled import stacked
+from curlfit.numerics.batches import stacked
 
 STONE = Stone(R=0.065, rho=0.1, h=0.057)
 FAMILY = family_of([law for law, _ in plan(None, "uniform")])

@@ -14,7 +14,7 @@ from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import linearize, predict_channels
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, build_problem
-from curlfit.numerics.compiled import BATCH, stacked
+from curlfit.numerics.batches import BATCH, stacked
 
 LAW = LAWS["front-back"](mu1_xi=0.005, mu2_xi=0.05, mu1_eta=0.009, mu2_eta=0.009)
 

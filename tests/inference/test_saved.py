@@ -129,15 +129,16 @@ def test_a_full_disk_leaves_no_half_of_a_compiled_program(tmp_path):
 
 COMPILE = """
 import os, resource
-from curlfit.numerics import jax_setup, program_cache
-import jax
-folder = program_cache.folder("jax")
+import numpy as np
+from curlfit.numerics import program_cache
+from curlfit.numerics.compiled import compiled
+folder = program_cache.folder()
 before = resource.getrlimit(resource.RLIMIT_FSIZE)
 resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
-jax.jit(lambda a: 2 * a)(1.0)
+compiled()(lambda a: 2 * a)(np.ones(1))
 left = len(os.listdir(folder))
 resource.setrlimit(resource.RLIMIT_FSIZE, before)
-jax.jit(lambda a: 3 * a)(1.0)
+compiled()(lambda a: 3 * a)(np.ones(1))
 print(left, len(os.listdir(folder)))
 """
 

@@ -19,7 +19,7 @@ from curlfit.inference.joint.result import load_joint
 from curlfit.inference.likelihood import linearize, predict_channels, predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, build_problem
-from curlfit.numerics.compiled import in_batches, stacked
+from curlfit.numerics.batches import in_batches, stacked
 from curlfit.options.settings import prepare_all
 from curlfit.prediction.report import describe_rest
 from curlfit.throws.events import MOST_EVENTS, Event, even_motion

@@ -19,6 +19,7 @@ import curlfit
 from curlfit import InputError, UnusableFitError, sheet
 from curlfit.inference.noise.accelerations import COMPONENTS
 from curlfit.inference.problem import LEVEL_AND_STILL
+from curlfit.numerics import compiled
 from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import simulate_ensemble
 from curlfit.prediction.figures import prediction_figure
@@ -45,6 +46,18 @@ def fit():
 @pytest.fixture(scope="module")
 def carried(fit):
     return curlfit.predict(fit)
+
+
+def test_the_longest_programs_are_prepared_as_they_will_be_called(eq12_fit, monkeypatch):
+    prepared = {}
+    monkeypatch.setattr(compiled, "_programs", {})
+    monkeypatch.setattr(
+        compiled._CompiledFunction, "prepare",
+        lambda self, *args: prepared.update({self.__name__: (self, self._call(args).key)}),
+    )  # fmt: skip
+    curlfit.predict(eq12_fit, draws=100)
+    assert set(prepared) == {"_propagated", "_slopes_of_channels", "_slope"}
+    assert set(prepared.values()) <= set(compiled._programs)
 
 
 def reference_of(fit):

@@ -18,7 +18,7 @@ from curlfit.inference.fit.result import Estimate
 from curlfit.inference.likelihood import whitened_residuals_of_many
 from curlfit.inference.mcmc.sampler import sample
 from curlfit.inference.problem import Origin, build_problem
-from curlfit.numerics.compiled import stacked
+from curlfit.numerics.batches import stacked
 
 STONE = curlfit.Stone(R=0.065)
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}

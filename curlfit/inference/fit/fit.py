@@ -45,7 +45,7 @@ from curlfit.inference.least_squares import (
 from curlfit.inference.likelihood import prepare_channels
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, problem_shape
-from curlfit.numerics.compiled import BATCH, gc_paused, stacked, unstacked
+from curlfit.numerics.batches import BATCH, stacked, unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.stone import Stone
 from curlfit.throws.throw import Reference, Throw, require_throw
@@ -209,7 +209,6 @@ def _other_stones(
     return [own, *(item for item in off if item != own)]
 
 
-@gc_paused()
 def fit_throws(
     throws: Sequence[Throw],
     law: str | type[Law] = "front-back",

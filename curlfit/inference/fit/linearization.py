@@ -11,7 +11,7 @@ from curlfit.inference.noise.linearized import Linearized
 from curlfit.inference.noise.models import time_of_motion
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.compiled import stacked
+from curlfit.numerics.batches import stacked
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
 

@@ -16,12 +16,13 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import prepare_path_jacobians
 from curlfit.inference.noise.linearized import Linearized
 from curlfit.inference.noise.models import WHITE
+from curlfit.inference.noise.restricted import prepare_estimate
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Origin, Problem, build_problem, environment_of
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.compiled import stacked
+from curlfit.numerics.batches import stacked
 from curlfit.settings.choices import Modelling
 from curlfit.stone import Stone
 from curlfit.throws.plausibility import Finding, require_plausible
@@ -146,9 +147,11 @@ def linearized_fit(fit: FitResult) -> Linearized:
 
 
 def prepare_linearized(fit: FitResult) -> None:
-    """Begin to compile what `linearized_fit` needs."""
+    """Begin to compile what `linearized_fit` needs, and the discrepancy estimated from it."""
     problem, _ = problem_of(replace(fit, noise=WHITE))
     prepare_path_jacobians(fit.model, fit.values[None], stacked([problem]))
+    channels, coefficients = len(CHANNELS) + bool(fit.events), len(fit.model.law.coefficients())
+    prepare_estimate(channels, len(problem.times), len(fit.values), coefficients)
 
 
 def _linearized(fit: FitResult, problem: Problem, origin: Origin) -> Linearized:

@@ -40,7 +40,7 @@ from curlfit.inference.noise.restricted import estimate
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.problem import ROWS_OF_DATA, Problem, build_problem
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.compiled import stacked
+from curlfit.numerics.batches import stacked
 from curlfit.throws.throw import CHANNELS
 
 _ROBUST_FITS = 4  # each with sigma from the bulk of the last

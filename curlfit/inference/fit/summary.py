@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
-from curlfit.numerics.compiled import BATCH, stacked
+from curlfit.numerics.batches import BATCH, stacked
 
 # isort: split
 import jax

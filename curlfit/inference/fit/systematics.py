@@ -24,7 +24,7 @@ from curlfit.inference.noise.losses import root_slope
 from curlfit.inference.noise.whitening import whitened
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.compiled import unstacked
+from curlfit.numerics.batches import unstacked
 from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.events import EventArrays
 from curlfit.throws.readers.homography import displacements

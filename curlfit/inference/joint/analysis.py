@@ -39,7 +39,7 @@ from curlfit.inference.identifiability import (
 )
 from curlfit.inference.least_squares import Indices
 from curlfit.inference.linearized_problem import LinearizedProblem, classify
-from curlfit.numerics.compiled import unstacked
+from curlfit.numerics.batches import unstacked
 
 
 @dataclass(frozen=True)

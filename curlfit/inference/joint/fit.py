@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from curlfit.inference.joint.analysis import JointAnalysis
 from curlfit.inference.joint.solver import Layout, Progress, minimize_jointly
 from curlfit.numerics.arrays import Booleans
-from curlfit.numerics.compiled import stacked, unstacked
+from curlfit.numerics.batches import stacked, unstacked
 
 # isort: split
 import numpy as np

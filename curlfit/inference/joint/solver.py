@@ -25,7 +25,7 @@ from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics import levenberg_marquardt as lm
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.compiled import in_batches
+from curlfit.numerics.batches import in_batches
 
 Progress = Callable[[int, float], None]
 

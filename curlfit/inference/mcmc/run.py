@@ -21,7 +21,7 @@ from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.compiled import in_batches
+from curlfit.numerics.batches import in_batches
 
 ENSEMBLES = 4
 _MOSTLY_RIDGE = (0.8, 0.1, 0.1)  # shares: ridge, stretch, differential evolution

@@ -9,9 +9,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, Self
 
-from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -70,14 +67,20 @@ class KalmanFilter(NamedTuple):
     def innovations(self, columns: Any) -> Array:
         """What the rows before do not predict, over its standard deviation, of each column; shape
         (channels, n, columns)."""
-        rows = [jnp.swapaxes(part, 0, 1)[..., None] for part in self]
-        columns = jnp.swapaxes(columns, 0, 1)
-        _, found = jax.lax.scan(_innovation, jnp.zeros_like(columns[0]), (*rows, columns))
-        return jnp.swapaxes(found, 0, 1)
+        found: Array = _innovations(self, columns)
+        return found
 
     def log_determinant(self) -> Array:
         """Of the whitening, by channel."""
         return jnp.log(jnp.where(self.scale > 0, self.scale, 1.0)).sum(-1)
+
+
+@compiled()
+def _innovations(own: KalmanFilter, columns: Array) -> Array:
+    rows = [jnp.swapaxes(part, 0, 1)[..., None] for part in own]
+    columns = jnp.swapaxes(columns, 0, 1)
+    _, found = jax.lax.scan(_innovation, jnp.zeros_like(columns[0]), (*rows, columns))
+    return jnp.swapaxes(found, 0, 1)
 
 
 def _innovation(mean: Array, row: tuple[Array, ...]) -> tuple[Array, Array]:

@@ -10,9 +10,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, Self
 
-from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
-
-# isort: split
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -106,7 +103,7 @@ class Linearized(NamedTuple):
     def coupling(self) -> Any:
         """Change of the least-squares estimates of the directions for each amplitude."""
         rows = self.weight[..., None] ** 2 * self.responses
-        return jnp.einsum("cnp,cnk->pk", self.jacobian, rows)
+        return (self.jacobian.mT @ rows).sum(0)
 
     @property
     def paid(self) -> Any:
@@ -157,17 +154,23 @@ class Regression(NamedTuple):
     def posterior(self, sizes: Any) -> tuple[Array, Array, Array]:
         """Of z, where the amplitudes are F z: the Cholesky factor L of its precision, L^T times its
         mean, and F."""
-        root = amplitude_root(sizes, self.held)
-        sums = root.T @ self.left[:-1, :-1] @ root
-        floor = 1 + _ROUNDING * jnp.trace(sums)  # sums of tiny noise have rounding errors above 1
-        lower = jnp.linalg.cholesky(floor * jnp.eye(len(root)) + sums)
-        return lower, solve_triangular(lower, root.T @ self.left[:-1, -1], lower=True), root
+        found: tuple[Array, Array, Array] = _posterior(self, sizes)
+        return found
 
     def mean(self, sizes: Any) -> Floats:
         """Mean of the amplitudes given the residuals, for NumPy."""
         lower, white, root = map(np.asarray, self.posterior(sizes))
         found: Floats = root @ np.linalg.solve(lower.T, white)
         return found
+
+
+@compiled()
+def _posterior(regression: Regression, sizes: Array) -> tuple[Array, Array, Array]:
+    root = amplitude_root(sizes, regression.held)
+    sums = root.T @ regression.left[:-1, :-1] @ root
+    floor = 1 + _ROUNDING * jnp.trace(sums)  # sums of tiny noise have rounding errors above 1
+    lower = jnp.linalg.cholesky(floor * jnp.eye(len(root)) + sums)
+    return lower, solve_triangular(lower, root.T @ regression.left[:-1, -1], lower=True), root
 
 
 @compiled()

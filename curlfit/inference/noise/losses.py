@@ -12,9 +12,6 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np

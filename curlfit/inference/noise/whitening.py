@@ -7,9 +7,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, Self
 
-from curlfit.numerics import jax_setup  # noqa: F401  (configures JAX before its first use)
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +17,7 @@ from curlfit.inference.noise.kalman import KalmanFilter
 from curlfit.inference.noise.linearized import Linearized, Regression, regression_of
 from curlfit.inference.noise.models import Noise
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.compiled import compiled
 
 STATE = 6
 """Number of parameters of the initial state, the last of all."""
@@ -103,12 +101,8 @@ class Whitener(NamedTuple):
 
     def whiten(self, residual: Array) -> Array:
         """Whitened residuals from residuals over sigma, shape (channels, n)."""
-        white = self.filter.innovations(residual[..., None])[..., 0]
-        if self.directions is None:
-            return white
-        along = jnp.einsum("cnk,cn->k", self.directions, white) * self.shrink
-        estimates = jnp.einsum("cnp,cn->p", self.estimates, residual)
-        return white - self.directions @ along + self.restored @ estimates
+        found: Array = _whitened(self, residual)
+        return found
 
     def log_determinant(self) -> Floats:
         """Log-determinant of the whitening by channel, for the likelihood; shape (channels,)."""
@@ -116,6 +110,16 @@ class Whitener(NamedTuple):
         if self.determinant is not None:
             found[0] += self.determinant  # of all channels together
         return found
+
+
+@compiled()
+def _whitened(whitener: Whitener, residual: Array) -> Array:
+    white = whitener.filter.innovations(residual[..., None])[..., 0]
+    if whitener.directions is None:
+        return white
+    along = jnp.einsum("cnk,cn->k", whitener.directions, white) * whitener.shrink
+    estimates = jnp.einsum("cnp,cn->p", whitener.estimates, residual)
+    return white - whitener.directions @ along + whitener.restored @ estimates
 
 
 def whitened(residual: Array, whitener: Whitener | None) -> Array:

@@ -1,4 +1,4 @@
-"""Programs that are loaded, or compiled, in threads before they are needed."""
+"""Programs that are loaded or compiled in threads before they are needed, and results of these."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ from curlfit.numerics.threads import cores, in_threads
 
 CODE = """
 import numpy as np
-from curlfit.numerics import program_cache as cache
-cache.command = "fit"
 from curlfit.numerics import compiled as programs
-from curlfit.numerics.read_ahead import AHEAD
+from curlfit.numerics import program_cache as cache
 
 traced = []
 
@@ -30,13 +28,6 @@ assert twice("double", np.arange(3.0))["of"].tolist() == [0.0, 2.0, 4.0]
 assert twice("same", np.arange(3.0)).tolist() == [0.0, 1.0, 2.0]
 print(len(traced))
 """
-# What was read ahead stands though no file can be read any more.
-READ_AHEAD = """
-names = list(AHEAD.programs)
-assert all(len(AHEAD.programs[name].result()) == 2 for name in names)
-cache.read = lambda file: None
-"""
-
 two_cores = pytest.mark.skipif(cores() < 2, reason="nothing is done beside on a single core")
 
 
@@ -52,35 +43,17 @@ def run(tmp_path):
         assert (done.returncode, done.stderr) == (0, "")
         return int(done.stdout)
 
-    run.folder = tmp_path / "cache" / "programs"
     return run
-
-
-@two_cores
-def test_what_a_command_needed_is_read_ahead_by_the_next(run):
-    assert run(CALLS) == 2
-    (listed,) = run.folder.glob("*.list")
-    assert len(listed.read_text().split()) == 2
-    assert run(READ_AHEAD + CALLS) == 0
-
-
-@two_cores
-def test_what_is_listed_may_be_missing_or_damaged(run):
-    run(CALLS)
-    (listed,) = run.folder.glob("*.list")
-    first, second = (run.folder / name for name in listed.read_text().split())
-    first.unlink()
-    second.write_bytes(b"nonsense")
-    assert run(CALLS) == 2
-    listed.write_bytes(b"\xff ../../x")
-    assert run(CALLS) == 0
 
 
 @two_cores
 def test_a_program_in_preparation_is_compiled_once(run):
     prepared = 'twice.prepare("double", np.ones(3)); twice.prepare("double", np.zeros(3))\n'
     assert run(prepared + CALLS) == 2
-    assert run(prepared + CALLS) == 0
+    # What the thread has read stands though no file can be read any more.
+    read = "while not any(p.done() for p in programs._programs.values()): pass\n"
+    unreadable = "cache.read = lambda file: None\n"
+    assert run(prepared + read + unreadable + CALLS) == 1
 
 
 def test_an_error_in_preparation_comes_with_the_call(run):
