@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from curlfit.foreign import say
 from curlfit.options import flags as o
 from curlfit.options import settings as s
 
@@ -191,5 +191,5 @@ def batch(
     if not counts["ok"]:
         read = counts["not usable"]
         fault = "no throw is usable" if read else "no throw could be read"
-        print(f"curlfit: {fault}; the column reason of {out} says why", file=sys.stderr)
+        say(f"curlfit: {fault}; the column reason of {out} says why", error=True)
         raise typer.Exit(1 if read else 2)

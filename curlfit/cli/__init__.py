@@ -17,6 +17,7 @@ from curlfit.cli.saved import plot, report, show, write_page
 from curlfit.cli.throws import check, simulate
 from curlfit.comparison.command import compare
 from curlfit.errors import CurlfitError
+from curlfit.foreign import say
 from curlfit.numerics import program_cache
 from curlfit.optimal_design.command import design
 from curlfit.options.flags import Saved
@@ -55,7 +56,7 @@ def _finished(saved: Saved | None, **_: Any) -> None:
     if isinstance(saved, Saved):
         file = write_page(saved.folder)
         if not saved.quiet:
-            typer.echo(f"Written: {file}")
+            say(f"Written: {file}")
         if saved.status:
             raise typer.Exit(saved.status)
 
@@ -109,7 +110,7 @@ def main() -> None:
         finally:
             sys.stdout.flush()
     except CurlfitError as error:
-        print(f"curlfit: {error}", file=sys.stderr)
+        say(f"curlfit: {error}", error=True)
         sys.exit(error.exit_status)
     except (KeyboardInterrupt, SystemExit) as stop:  # typer exits silently on Ctrl-C
         if isinstance(stop, SystemExit) and stop.code != _INTERRUPTED:
@@ -121,5 +122,5 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
             sys.exit(1)
-        print(f"curlfit: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
+        say(f"curlfit: {error.filename or 'output'}: {error.strerror or error}", error=True)
         sys.exit(2)

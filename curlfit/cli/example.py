@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from curlfit.foreign import say
+
 _PACKAGE = Path(__file__).parents[1]
 _PARTS = {"data": "*", "notebooks": "*.ipynb"}
 _FIRST = "data/jensen_shegelski_2004.csv"
@@ -39,8 +41,8 @@ def example(
         for file in sorted((source / part).glob(pattern)):
             target = folder / part / file.name
             if target.exists():
-                typer.echo(f"Left as it is: {target}")
+                say(f"Left as it is: {target}")
             elif file.is_file():
                 shutil.copyfile(file, target)
-                typer.echo(f"Written: {target}")
-    typer.echo(f"\nTry: cd {folder} && curlfit fit {_FIRST}")
+                say(f"Written: {target}")
+    say(f"\nTry: cd {folder} && curlfit fit {_FIRST}")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import curlfit
+from curlfit.foreign import say
 from curlfit.options import settings as s
 
 if TYPE_CHECKING:
@@ -90,9 +91,9 @@ def export(
     for name, write in made.items():
         with atomic_write(target / name) as temporary:
             write(temporary)
-    typer.echo("Written: " + ", ".join(str(target / name) for name in made))
+    say("Written: " + ", ".join(str(target / name) for name in made))
     if note:
-        typer.echo(note)
+        say(note)
 
 
 _GAME_FILES = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import curlfit
+from curlfit.foreign import say
 from curlfit.options import flags as o
 from curlfit.options import settings as s
 
@@ -253,7 +253,7 @@ def _load_saved(
 def _finish(result: FitResult | JointResult, saved: o.Saved | None) -> o.Saved | None:
     """Report an unusable fit on stderr; its page is written before the exit."""
     if not result.converged:
-        print(f"curlfit: the fit is not usable: {result.status}", file=sys.stderr)
+        say(f"curlfit: the fit is not usable: {result.status}", error=True)
         if saved is None:
             raise typer.Exit(1)
         return saved._replace(status=1)
@@ -262,7 +262,7 @@ def _finish(result: FitResult | JointResult, saved: o.Saved | None) -> o.Saved |
 
 def _warn_of_posterior(result: FitResult) -> None:
     if result.posterior is not None and not result.posterior.converged:
-        print(f"curlfit: warning: posterior {result.posterior.status}", file=sys.stderr)
+        say(f"curlfit: warning: posterior {result.posterior.status}", error=True)
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 import curlfit
+from curlfit.foreign import say
 from curlfit.options import flags as o
 from curlfit.options.figures import FigureFiles, write_figures
 from curlfit.options.settings import chain_beside, kind_of
@@ -102,7 +103,7 @@ def plot(
         drawn = getattr(curlfit, names.draw)(getattr(curlfit, names.load)(folder))
         figures |= drawn if kind == "design" else {kind: drawn}
     written = write_figures(prepare_folder(target), figures, formats)
-    typer.echo("Written: " + ", ".join(map(str, written)))
+    say("Written: " + ", ".join(map(str, written)))
 
 
 def report(
@@ -125,7 +126,7 @@ def report(
     Example: `curlfit report throw-fit --open`
     """
     file = write_page(folder, out)
-    typer.echo(f"Written: {file}")
+    say(f"Written: {file}")
     if show_it:
         import webbrowser
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from curlfit.foreign import say
 from curlfit.options import flags as o
 from curlfit.options import settings as s
 
@@ -86,7 +87,7 @@ def check(
     if refused is not None:
         if len(cut) < FEWEST_ROWS:
             raise refused
-        console.print(f"\nNo fit as set: {refused}", style="yellow", markup=False)
+        console.print(f"\nNo fit as set: {refused}", style="yellow")
     if out is not None:
         from curlfit.output.figures import save_figure
         from curlfit.throws.figures import throw_figure
@@ -262,7 +263,7 @@ def simulate(
     require_replaceable(out, "a simulated throw", SIMULATED)
     with atomic_write(out) as temporary:
         temporary.write_text(text)
-    typer.echo(f"Written: {out}")
+    say(f"Written: {out}")
 
 
 class _Given(NamedTuple):

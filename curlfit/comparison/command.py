@@ -179,7 +179,7 @@ def compare(
 
     print_comparison(found, console)
     for finding in unusual:
-        console.print(f"Warning: {finding}.", style="yellow", markup=False)
+        console.print(f"Warning: {finding}.", style="yellow")
     written += drawn.written()
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
     return o.saved(folder, report=report, quiet=quiet)

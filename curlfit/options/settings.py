@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from curlfit.errors import DataError, InputError
+from curlfit.foreign import cut, quoted, safe_name
 from curlfit.output.files import RECORDS
 
 if TYPE_CHECKING:
@@ -40,9 +41,9 @@ def pairs(option: str, items: Sequence[str]) -> dict[str, float]:
         for part in item.split(","):
             name, equals, text = part.partition("=")
             if not equals or not name.strip():
-                raise InputError(f"{option} {item}: expected NAME=VALUE")
+                raise InputError(f"{option} {cut(item)}: expected NAME=VALUE")
             if name.strip() in found:
-                raise InputError(f"{option}: {name.strip()} is given twice")
+                raise InputError(f"{option}: {cut(name.strip())} is given twice")
             found[name.strip()] = number(option, name.strip(), text)
     return found
 
@@ -53,9 +54,9 @@ def texts(option: str, items: Sequence[str]) -> dict[str, str]:
     for item in items:
         name, equals, text = item.partition("=")
         if not equals or not name.strip() or not text.strip():
-            raise InputError(f"{option} {item}: expected NAME=PRIOR")
+            raise InputError(f"{option} {cut(item)}: expected NAME=PRIOR")
         if name.strip() in found:
-            raise InputError(f"{option}: {name.strip()} is given twice")
+            raise InputError(f"{option}: {cut(name.strip())} is given twice")
         found[name.strip()] = text.strip()
     return found
 
@@ -71,7 +72,7 @@ def periods(option: str, items: Sequence[str]) -> list[list[float]]:
             except ValueError:
                 pair = []
             if not colon or not pair or not pair[0] < pair[1]:
-                raise InputError(f"{option} {part}: expected A:B, times in s with A before B")
+                raise InputError(f"{option} {cut(part)}: expected A:B, times in s with A before B")
             found.append(pair)
     return found
 
@@ -91,7 +92,7 @@ def swept_choice(text: str | None) -> list[float] | None:
         return None
     found = periods("--sweep", [text])
     if len(found) != 1:
-        raise InputError(f"--sweep {text}: expected one interval A:B")
+        raise InputError(f"--sweep {cut(text)}: expected one interval A:B")
     return found[0]
 
 
@@ -107,7 +108,7 @@ def intervals(option: str, items: Sequence[str]) -> dict[str, tuple[float, float
         name, equals, text = item.partition("=")
         low, colon, high = text.partition(":")
         if not equals or not colon:
-            raise InputError(f"{option} {item}: expected NAME=LOW:HIGH")
+            raise InputError(f"{option} {cut(item)}: expected NAME=LOW:HIGH")
         found[name.strip()] = (
             number(option, name, low) if low.strip() else -math.inf,
             number(option, name, high) if high.strip() else math.inf,
@@ -122,7 +123,7 @@ def numbers(option: str, text: str) -> tuple[float, ...]:
     except ValueError:
         found = (math.nan,)
     if not all(map(math.isfinite, found)):
-        raise InputError(f"{option} {text.strip()}: expected numbers separated by commas")
+        raise InputError(f"{option} {cut(text.strip())}: expected numbers separated by commas")
     return found
 
 
@@ -131,7 +132,7 @@ def with_unit(option: str, quantity: str, text: str) -> float:
     size = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
     if size is None:
         raise InputError(
-            f"{option} {text.strip()}: expected a number, followed by its unit unless in SI"
+            f"{option} {cut(text.strip())}: expected a number, followed by its unit unless in SI"
         )
     from curlfit.throws.readers.columns import in_unit
 
@@ -139,7 +140,7 @@ def with_unit(option: str, quantity: str, text: str) -> float:
     try:
         return float(size[0]) * (in_unit(quantity, unit).factor if unit else 1.0)
     except InputError as error:
-        raise InputError(f"{option} {text.strip()}: {error}") from None
+        raise InputError(f"{option} {cut(text.strip())}: {error}") from None
 
 
 def number(option: str, name: str, text: str) -> float:
@@ -149,7 +150,7 @@ def number(option: str, name: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f"{option} {name}={text.strip()}: expected a number after '='")
+        raise InputError(f"{option} {cut(f'{name}={text.strip()}')}: expected a number after '='")
     return value
 
 
@@ -168,7 +169,7 @@ def read_config(file: Path | None) -> dict[str, Any]:
     for key in found:
         if key not in _SETTINGS:
             raise DataError(
-                f"unknown setting {key!r}; the settings are {', '.join(_SETTINGS)}", file=file
+                f"unknown setting {quoted(key)}; the settings are {', '.join(_SETTINGS)}", file=file
             )
     if "bound" in found:
         found["bound"] = {
@@ -180,7 +181,7 @@ def read_config(file: Path | None) -> dict[str, Any]:
 def _interval(file: Path, name: str, value: Any) -> tuple[float, float]:
     if isinstance(value, list) and len(value) == 2:
         return float(value[0]), float(value[1])
-    raise DataError(f"bound.{name} = {value!r}; expected [low, high]", file=file)
+    raise DataError(f"bound.{name} = {quoted(value)}; expected [low, high]", file=file)
 
 
 def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
@@ -203,39 +204,42 @@ def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
 
     free = settings.get("free", [])
     if not isinstance(free, list) or not all(isinstance(name, str) for name in free):
-        raise InputError(f"{origin}: free = {free!r}; expected a list of names")
+        raise InputError(f"{origin}: free = {quoted(free)}; expected a list of names")
     derive = settings.get("derive", [])
     if not isinstance(derive, list) or not all(isinstance(text, str) for text in derive):
-        raise InputError(f"{origin}: derive = {derive!r}; expected a list of strings")
+        raise InputError(f"{origin}: derive = {quoted(derive)}; expected a list of strings")
     for name, value in settings.get("prior", {}).items():
         if not isinstance(value, str):
             raise InputError(
-                f"{origin}: prior.{name} = {value!r}; expected a string such as '1+-0.1'"
+                f"{origin}: prior.{name} = {quoted(value)}; expected a string such as '1+-0.1'"
             )
     for key in ("stone", "sigma", "fix", "start", "systematic"):
         for name, value in settings.get(key, {}).items():
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"{origin}: {key}.{name} = {value!r}; expected a number")
+                raise InputError(f"{origin}: {key}.{name} = {quoted(value)}; expected a number")
     for key in ("since", "until"):
         time = settings.get(key, 0.0)
         if isinstance(time, bool) or not isinstance(time, int | float) or not math.isfinite(time):
-            raise InputError(f"{origin}: {key} = {time!r}; expected a time in s")
+            raise InputError(f"{origin}: {key} = {quoted(time)}; expected a time in s")
     for key in ("law", "load", "loss", "format", "axes", "units", "reference"):
         if not isinstance(settings.get(key, ""), str):
-            raise InputError(f"{origin}: {key} = {settings[key]!r}; expected a quoted string")
+            raise InputError(f"{origin}: {key} = {quoted(settings[key])}; expected a quoted string")
     noise = settings.get("noise", "")
     if not isinstance(noise, str) and not (
         isinstance(noise, list) and all(isinstance(name, str) for name in noise)
     ):
         raise InputError(
-            f"{origin}: noise = {noise!r}; expected a quoted string, for `compare` also a list"
+            f"{origin}: noise = {quoted(noise)}; expected a quoted string, for `compare` also a "
+            "list"
         )
     if not isinstance(settings.get("as_given", False), bool):
-        raise InputError(f"{origin}: as_given = {settings['as_given']!r}; expected true or false")
+        raise InputError(
+            f"{origin}: as_given = {quoted(settings['as_given'])}; expected true or false"
+        )
     for key in ("stone_index", "shot", "handle"):
         value = settings.get(key, 1)
         if isinstance(value, bool) or not isinstance(value, int):
-            raise InputError(f"{origin}: {key} = {value!r}; expected a whole number from 1")
+            raise InputError(f"{origin}: {key} = {quoted(value)}; expected a whole number from 1")
     try:
         check_intervals("exclude", settings.get("exclude", []))
         check_intervals("swept", [settings["swept"]] if "swept" in settings else [])
@@ -276,7 +280,7 @@ def prepare(data: Path, config: Path | None, flags: Mapping[str, Any]) -> Config
 def result_folder(data: Path, kind: str, shot: int | None, stone_index: int | None) -> Path:
     """Default folder for the results of a data file, or of the throw that is chosen from it."""
     chosen = [str(number) for number in (shot, stone_index) if number is not None]
-    return Path("-".join([data.stem, *chosen, kind]))
+    return Path("-".join([safe_name(data.stem), *chosen, kind]))
 
 
 def prepare_all(
@@ -293,9 +297,9 @@ def prepare_all(
     from curlfit.inference.joint.result import folder_name
     from curlfit.throws.readers import holds_timed_rows, load_throws
 
-    names = [file.stem for file in files]
+    names = [folder_name(file.name) for file in files]
     if len(set(names)) < len(names):
-        names = [f"{file.resolve().parent.name}-{file.stem}" for file in files]
+        names = [safe_name(f"{file.resolve().parent.name}-{file.stem}") for file in files]
     for index, name in enumerate(names):
         if name in names[:index]:
             raise InputError(
@@ -506,4 +510,5 @@ def load_fit_and_chain(folder: Path) -> tuple[FitResult, Chain | None]:
 def name_of(fit: Path) -> str:
     """The name of a saved fit, for results derived from it."""
     own = fit.resolve()
-    return (own.parent if own.suffix == ".json" else own).name.removesuffix("-fit")
+    folder = own.parent if own.suffix == ".json" else own
+    return safe_name(folder.name.removesuffix("-fit"))

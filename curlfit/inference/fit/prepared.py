@@ -10,6 +10,7 @@ import numpy as np
 
 from curlfit.environment import Environment
 from curlfit.errors import InputError, require_kind
+from curlfit.foreign import quoted
 from curlfit.friction import Law
 from curlfit.inference.fit.linearization import linearized
 from curlfit.inference.fit.result import FitResult
@@ -185,7 +186,7 @@ def _linearized(fit: FitResult, problem: Problem, origin: Origin) -> Linearized:
 def check_period(swept: Sequence[float]) -> tuple[float, float]:
     """The times between which a stone is swept. Raises `InputError` where they are not valid."""
     if len(swept) != 2 or not swept[0] < swept[1]:
-        raise InputError(f"swept = {swept!r}: expected two times in s, the earlier first")
+        raise InputError(f"swept = {quoted(swept)}: expected two times in s, the earlier first")
     return float(swept[0]), float(swept[1])
 
 

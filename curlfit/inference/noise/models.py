@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
 
 _SURE = 3.5  # standard deviations from which independence is rejected
@@ -39,7 +40,7 @@ NOISES = ("white", "ar1", "discrepancy")
 def check_loss(loss: str) -> str:
     """The name of a loss, if it is one. Raises `InputError`."""
     if loss not in LOSSES:
-        raise InputError(f"unknown loss {loss!r}; expected one of {', '.join(LOSSES)}")
+        raise InputError(f"unknown loss {quoted(loss)}; expected one of {', '.join(LOSSES)}")
     return loss
 
 
@@ -47,7 +48,7 @@ def check_noise(kind: str, loss: str = "linear") -> str:
     """The name of a noise model, if it is one that the loss admits. Raises `InputError`."""
     kind = "discrepancy" if kind == "ar1+discrepancy" else kind
     if kind not in NOISES:
-        raise InputError(f"unknown noise {kind!r}; expected one of {', '.join(NOISES)}")
+        raise InputError(f"unknown noise {quoted(kind)}; expected one of {', '.join(NOISES)}")
     if kind != "white" and loss != "linear":
         raise InputError(
             f"noise {kind} and loss {loss} cannot be combined: a robust loss takes each value by "

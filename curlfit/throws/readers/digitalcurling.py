@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError
+from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import Column
 from curlfit.throws.readers.parsed_file import (
@@ -211,7 +212,7 @@ def _paths(path: Path, shot: Shot) -> tuple[float, Floats, list[str]]:
 
     period: Any = shot.trajectory.get("seconds_per_frame")
     if not _is_number(period) or not 1e-6 <= period <= 60:
-        raise refuse(f"seconds_per_frame = {period!r}; expected a positive number")
+        raise refuse(f"seconds_per_frame = {quoted(period)}; expected a positive number")
     start, frames = shot.trajectory.get("start"), shot.trajectory.get("frames")
     if not isinstance(start, dict) or not isinstance(frames, list):
         raise refuse("a trajectory needs a start and frames")
@@ -237,7 +238,7 @@ def _paths(path: Path, shot: Shot) -> tuple[float, Floats, list[str]]:
                 side = f"team{side}"
             slot = (side, number) if isinstance(side, str) and isinstance(number, int) else None
             if slot not in index:
-                raise refuse(f"frame {count}: no stone {number!r:.20} of team {side!r:.20}")
+                raise refuse(f"frame {count}: no stone {quoted(number)} of team {quoted(side)}")
             now[index[slot]] = _stone(change.get("value"), refuse)
         positions[:, count] = now
     return float(period), positions, [f"{team} stone {k + 1}" for team, k in slots]

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import CurlfitError, DataError, InputError
+from curlfit.foreign import quoted
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.axes import parse_axes
 from curlfit.throws.readers.columns import Column, in_unit, parse_header, parse_units, with_units
@@ -216,7 +217,7 @@ def read(
 
 def _check_format(format: str | None) -> None:
     if format is not None and format not in FORMATS:
-        raise InputError(f"format {format!r}: expected one of {', '.join(FORMATS)}")
+        raise InputError(f"format {quoted(format)}: expected one of {', '.join(FORMATS)}")
 
 
 class _SourceFile(NamedTuple):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from curlfit.errors import DataError, InputError
+from curlfit.foreign import quoted
 from curlfit.friction import check_load, find_law
 from curlfit.stone import Stone
 from curlfit.throws.readers.axes import parse_axes
@@ -136,7 +137,7 @@ def defaults_of(
         if "=" not in body or not key.isidentifier():
             continue
         if key not in _SETTINGS:
-            notes.append(f"line {number}: setting {key!r} is not known and was ignored")
+            notes.append(f"line {number}: setting {quoted(key)} is not known and was ignored")
             continue
         numbers.append(number)
         bodies.append(body)
@@ -172,7 +173,7 @@ def _raise_at_fault(path: Path, numbers: list[int], bodies: list[str]) -> None:
             raise DataError(str(error), file=path, line=number) from None
         except (ValueError, RecursionError):
             raise DataError(
-                f"cannot read the setting {body!r}; expected key = value as in TOML, "
+                f"cannot read the setting {quoted(body)}; expected key = value as in TOML, "
                 "text in quotes, each key once",
                 file=path,
                 line=number,
@@ -187,13 +188,13 @@ def _check(settings: dict[str, Any]) -> None:
     )  # fmt: skip
     for key, expected in kinds:
         if not isinstance(settings.get(key, expected()), expected):
-            raise InputError(f"{key} = {settings[key]!r} cannot be used")
+            raise InputError(f"{key} = {quoted(settings[key])} cannot be used")
     numbers = {f"stone.{name}": value for name, value in settings.get("stone", {}).items()}
     numbers |= {f"sigma.{name}": value for name, value in settings.get("sigma", {}).items()}
     numbers |= {key: settings[key] for key in ("since", "until") if key in settings}
     for key, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
-            raise InputError(f"{key} = {value!r}: expected a number")
+            raise InputError(f"{key} = {quoted(value)}: expected a number")
     check_intervals("exclude", settings.get("exclude", []))
     check_intervals("swept", [settings["swept"]] if "swept" in settings else [])
     check_seed(settings.get("seed", 0))
@@ -234,11 +235,11 @@ def check_intervals(key: str, found: object) -> None:
         numbers = pair if isinstance(pair, list) and len(pair) == 2 else [None]
         for value in numbers:
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"{key} = {found!r}: expected [[A, B], ...], times in s")
+                raise InputError(f"{key} = {quoted(found)}: expected [[A, B], ...], times in s")
 
 
 def check_seed(seed: object) -> int:
     """The seed; raises `InputError` if it is not valid."""
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**32:
-        raise InputError(f"seed = {seed!r}: expected a whole number from 0 to {2**32 - 1}")
+        raise InputError(f"seed = {quoted(seed)}: expected a whole number from 0 to {2**32 - 1}")
     return seed

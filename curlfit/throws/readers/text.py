@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from curlfit.errors import DataError
+from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
 
 GAPS = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
@@ -311,14 +312,10 @@ def _read_cells(
             value = parse_number(cell, decimal_comma=decimal_comma)
             if value is None or not math.isfinite(value):
                 raise DataError(
-                    f"{_quote(cell)} found, expected a finite number",
+                    f"{quoted(cell)} found, expected a finite number",
                     file=path,
                     line=index + 1,
                     column=names[column],
                 )
             found[slot, row] = value
     return found
-
-
-def _quote(cell: str) -> str:
-    return repr(cell if len(cell) <= 40 else cell[:37] + "...")
