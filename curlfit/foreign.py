@@ -1,5 +1,5 @@
-"""Text from outside (of files, names and options), made harmless where it leaves: in messages, on
-the terminal, in tables, as names of folders."""
+"""What comes from outside, in files, names and options: numbers that can be used, and text made
+harmless where it leaves, in messages, on the terminal, in tables, as names of folders."""
 
 from __future__ import annotations
 
@@ -7,23 +7,39 @@ import csv
 import hashlib
 import math
 import re
+import reprlib
 import sys
 from collections.abc import Iterable, Sequence
 from io import StringIO
 from typing import Any
 
+LARGEST = 1e12
+"""No measurement or setting, in SI, is larger; times since 1970 are smaller."""
+_SMALLEST = 1e-12  # of an option other than 0
 _LONGEST_QUOTE = 60
 _LONGEST_MESSAGE = 1000
 _LONGEST_NAME = 150  # bytes; a file's name may have 255, and suffixes are added
+_SHORT = reprlib.Repr()  # of anything, however long or deep
+_SHORT.maxother = _SHORT.maxlong = _LONGEST_QUOTE
 _UNSAFE = re.compile(r'[\x00-\x1f\x7f<>:"/\\|?*]|^[-. ]+|[. ]+$')
 _DEVICES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.I)  # of Windows
 
 
+def is_number(value: object, *, infinite: bool = False) -> bool:
+    """Whether a value is a number of at most `LARGEST`, or infinite if that is allowed."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= LARGEST or (infinite and abs(value) == math.inf)
+
+
+def is_size(value: float) -> bool:
+    """Whether a number is 0 or such that what is computed from it is finite."""
+    return value == 0 or _SMALLEST <= abs(value) <= LARGEST
+
+
 def quoted(value: object) -> str:
     """A value for a message: in quotes if it is text, cut, control characters as escapes."""
-    if isinstance(value, str):
-        return repr(cut(value))
-    return cut(repr(value))
+    return repr(cut(value)) if isinstance(value, str) else cut(_SHORT.repr(value))
 
 
 def cut(text: str, most: int = _LONGEST_QUOTE) -> str:

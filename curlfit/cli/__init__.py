@@ -20,7 +20,7 @@ from curlfit.errors import CurlfitError
 from curlfit.foreign import say
 from curlfit.numerics import program_cache
 from curlfit.optimal_design.command import design
-from curlfit.options.flags import Saved
+from curlfit.options.flags import Saved, Verb
 from curlfit.paper.command import reproduce
 from curlfit.prediction.command import predict
 from curlfit.profile_likelihood.command import profile
@@ -83,7 +83,7 @@ for _verb in (
     check, fit, compare, batch, predict, profile, design, show, plot, report, export, simulate,
     laws, reproduce, example,
 ):  # fmt: skip
-    app.command()(_verb)
+    app.command(cls=Verb)(_verb)
 
 
 def _without_data(words: list[str]) -> str:

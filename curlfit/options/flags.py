@@ -6,6 +6,24 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
+from typer.core import TyperCommand
+
+from curlfit.errors import InputError
+from curlfit.foreign import LARGEST, cut, is_size
+
+
+class Verb(TyperCommand):
+    """A verb; numbers that no throw has are refused before it runs."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run it. Raises `InputError` for such a number."""
+        for option in self.params:
+            value = ctx.params.get(option.name or "")
+            if isinstance(value, int | float) and not is_size(value):
+                raise InputError(
+                    f"{option.opts[0]} {cut(str(value))}: expected a number, at most {LARGEST:g}"
+                )
+        return super().invoke(ctx)
 
 
 class Saved(NamedTuple):

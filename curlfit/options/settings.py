@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from curlfit.errors import DataError, InputError
-from curlfit.foreign import cut, quoted, safe_name
+from curlfit.foreign import LARGEST, cut, is_number, is_size, quoted, safe_name
 from curlfit.output.files import RECORDS
 
 if TYPE_CHECKING:
@@ -27,11 +27,7 @@ READER_OPTIONS = (
     "format", "axes", "units", "reference", "stone_index", "shot", "handle", "as_given",
 )  # fmt: skip
 """Settings of the readers."""
-_SETTINGS = (
-    "law", "load", "since", "until", "exclude", "swept", "stone", "sigma", "fix", "bound", "start",
-    "unbounded", "free", "prior", "systematic", "loss", "noise", "seed", "derive",
-    *READER_OPTIONS,
-)  # fmt: skip
+_MOST_BYTES = 64_000  # of a configuration file
 
 
 def pairs(option: str, items: Sequence[str]) -> dict[str, float]:
@@ -122,7 +118,7 @@ def numbers(option: str, text: str) -> tuple[float, ...]:
         found = tuple(float(part) for part in text.split(","))
     except ValueError:
         found = (math.nan,)
-    if not all(map(math.isfinite, found)):
+    if not all(map(is_size, found)):
         raise InputError(f"{option} {cut(text.strip())}: expected numbers separated by commas")
     return found
 
@@ -138,9 +134,12 @@ def with_unit(option: str, quantity: str, text: str) -> float:
 
     unit = text[size.end() :].strip()
     try:
-        return float(size[0]) * (in_unit(quantity, unit).factor if unit else 1.0)
+        value = float(size[0]) * (in_unit(quantity, unit).factor if unit else 1.0)
     except InputError as error:
         raise InputError(f"{option} {cut(text.strip())}: {error}") from None
+    if not is_size(value):
+        raise InputError(f"{option} {cut(text.strip())}: expected at most {LARGEST:g}")
+    return value
 
 
 def number(option: str, name: str, text: str) -> float:
@@ -149,7 +148,7 @@ def number(option: str, name: str, text: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
+    if not is_number(value):
         raise InputError(f"{option} {cut(f'{name}={text.strip()}')}: expected a number after '='")
     return value
 
@@ -158,30 +157,22 @@ def read_config(file: Path | None) -> dict[str, Any]:
     """Settings from a TOML file; empty without a file."""
     if file is None:
         return {}
+    from curlfit.throws.readers.settings import SETTINGS
+    from curlfit.throws.readers.text import lines_of
+
+    lines = lines_of(file, most_bytes=_MOST_BYTES, settings=True)
     try:
-        found = tomllib.loads(file.read_text())
-    except FileNotFoundError:
-        raise DataError("no such file", file=file) from None
-    except OSError as error:
-        raise DataError(f"cannot be read ({error.strerror})", file=file) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        found = tomllib.loads("\n".join(lines))
+    except RecursionError:
+        raise DataError("lists or tables nested too deeply", file=file) from None
+    except ValueError as error:
         raise DataError(f"not a TOML file: {error}", file=file) from None
     for key in found:
-        if key not in _SETTINGS:
+        if key not in SETTINGS:
             raise DataError(
-                f"unknown setting {quoted(key)}; the settings are {', '.join(_SETTINGS)}", file=file
+                f"unknown setting {quoted(key)}; the settings are {', '.join(SETTINGS)}", file=file
             )
-    if "bound" in found:
-        found["bound"] = {
-            name: _interval(file, name, value) for name, value in found["bound"].items()
-        }
     return found
-
-
-def _interval(file: Path, name: str, value: Any) -> tuple[float, float]:
-    if isinstance(value, list) and len(value) == 2:
-        return float(value[0]), float(value[1])
-    raise DataError(f"bound.{name} = {quoted(value)}; expected [low, high]", file=file)
 
 
 def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
@@ -200,50 +191,10 @@ def merge(*layers: Mapping[str, Any]) -> dict[str, Any]:
 
 def check_settings(settings: dict[str, Any], origin: str) -> dict[str, Any]:
     """The settings; raises `InputError` if one has a wrong type."""
-    from curlfit.throws.readers.table import check_intervals, check_seed
+    from curlfit.throws.readers.settings import check_types
 
-    free = settings.get("free", [])
-    if not isinstance(free, list) or not all(isinstance(name, str) for name in free):
-        raise InputError(f"{origin}: free = {quoted(free)}; expected a list of names")
-    derive = settings.get("derive", [])
-    if not isinstance(derive, list) or not all(isinstance(text, str) for text in derive):
-        raise InputError(f"{origin}: derive = {quoted(derive)}; expected a list of strings")
-    for name, value in settings.get("prior", {}).items():
-        if not isinstance(value, str):
-            raise InputError(
-                f"{origin}: prior.{name} = {quoted(value)}; expected a string such as '1+-0.1'"
-            )
-    for key in ("stone", "sigma", "fix", "start", "systematic"):
-        for name, value in settings.get(key, {}).items():
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"{origin}: {key}.{name} = {quoted(value)}; expected a number")
-    for key in ("since", "until"):
-        time = settings.get(key, 0.0)
-        if isinstance(time, bool) or not isinstance(time, int | float) or not math.isfinite(time):
-            raise InputError(f"{origin}: {key} = {quoted(time)}; expected a time in s")
-    for key in ("law", "load", "loss", "format", "axes", "units", "reference"):
-        if not isinstance(settings.get(key, ""), str):
-            raise InputError(f"{origin}: {key} = {quoted(settings[key])}; expected a quoted string")
-    noise = settings.get("noise", "")
-    if not isinstance(noise, str) and not (
-        isinstance(noise, list) and all(isinstance(name, str) for name in noise)
-    ):
-        raise InputError(
-            f"{origin}: noise = {quoted(noise)}; expected a quoted string, for `compare` also a "
-            "list"
-        )
-    if not isinstance(settings.get("as_given", False), bool):
-        raise InputError(
-            f"{origin}: as_given = {quoted(settings['as_given'])}; expected true or false"
-        )
-    for key in ("stone_index", "shot", "handle"):
-        value = settings.get(key, 1)
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise InputError(f"{origin}: {key} = {quoted(value)}; expected a whole number from 1")
     try:
-        check_intervals("exclude", settings.get("exclude", []))
-        check_intervals("swept", [settings["swept"]] if "swept" in settings else [])
-        check_seed(settings.get("seed", 0))
+        check_types(settings)
     except InputError as error:
         raise InputError(f"{origin}: {error}") from None
     return settings

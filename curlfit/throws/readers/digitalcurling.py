@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError
-from curlfit.foreign import quoted
+from curlfit.foreign import is_number, quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import Column
 from curlfit.throws.readers.parsed_file import (
@@ -41,7 +41,7 @@ from curlfit.throws.readers.table import defaults_of
 _EXPECTED = (
     'expected a log of a DigitalCurling 3 shot with a "trajectory" (shot_*.json or server.log)'
 )
-_MOST_NUMBERS = 20_000_000
+_MOST_NUMBERS = 2_000_000
 _MOVED = 1e-4  # m; positions are 32-bit numbers
 
 
@@ -211,7 +211,7 @@ def _paths(path: Path, shot: Shot) -> tuple[float, Floats, list[str]]:
         return DataError(f"{shot.name}: {message}", file=path, line=shot.line)
 
     period: Any = shot.trajectory.get("seconds_per_frame")
-    if not _is_number(period) or not 1e-6 <= period <= 60:
+    if not is_number(period) or not 1e-6 <= period <= 60:
         raise refuse(f"seconds_per_frame = {quoted(period)}; expected a positive number")
     start, frames = shot.trajectory.get("start"), shot.trajectory.get("frames")
     if not isinstance(start, dict) or not isinstance(frames, list):
@@ -251,15 +251,9 @@ def _stone(value: Any, refuse: Any) -> list[float]:
     numbers = (
         [place.get("x"), place.get("y"), value.get("angle")] if isinstance(place, dict) else []
     )
-    if not numbers or not all(_is_number(item) for item in numbers):
+    if not numbers or not all(is_number(item) for item in numbers):
         raise refuse("a stone needs a position x, y and an angle, all finite numbers")
     return [float(item) for item in numbers]
-
-
-def _is_number(value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) < 1e12  # false for NaN too
 
 
 def _first_change(stone: Floats) -> int:

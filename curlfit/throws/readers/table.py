@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
+from bisect import bisect_left
 from collections.abc import Iterable
 from functools import lru_cache, partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from curlfit.throws.readers.parsed_file import (
     columns_of,
     in_si,
 )
+from curlfit.throws.readers.settings import check_types
 from curlfit.throws.readers.several import may_name_throws, selected, throws_in
 from curlfit.throws.readers.text import (
     EXPECTED,
@@ -39,6 +40,7 @@ _SETTINGS = (
     "since", "until", "exclude", "swept", "law", "load", "stone", "sigma", "seed", "reference",
     "axes", "as_given",
 )  # fmt: skip
+_MOST_SETTINGS, _MOST_NOTES = 500, 5
 
 
 def first_lines(path: Path, lines: list[str]) -> tuple[int, list[tuple[int, str]]]:
@@ -130,22 +132,31 @@ def defaults_of(
     ------
     DataError : a setting that cannot be read or used.
     """
-    numbers, bodies, notes = [], [], []
+    numbers, bodies, notes, unknown = [], [], [], 0
     for number, line in comments:
         body = line.lstrip().lstrip("#").strip()
         key = body.split("=", 1)[0].strip().split(".")[0]
         if "=" not in body or not key.isidentifier():
             continue
         if key not in _SETTINGS:
-            notes.append(f"line {number}: setting {quoted(key)} is not known and was ignored")
+            unknown += 1
+            if unknown <= _MOST_NOTES:
+                notes.append(f"line {number}: setting {quoted(key)} is not known and was ignored")
             continue
+        if len(bodies) == _MOST_SETTINGS:
+            raise DataError(
+                f"more than {_MOST_SETTINGS} settings; expected those of one throw",
+                file=path,
+                line=number,
+            )
         numbers.append(number)
         bodies.append(body)
+    if unknown > _MOST_NOTES:
+        notes.append(f"{unknown - _MOST_NOTES} more settings are not known and were ignored")
     try:
         common = _settings(tuple(bodies))
     except (ValueError, RecursionError, InputError):
         _raise_at_fault(path, numbers, bodies)
-        raise
     # A copy: the cached settings are shared by all files with the same comments.
     settings = {k: dict(v) if isinstance(v, dict) else v for k, v in common.items()}
     reference = settings.pop("reference", None)
@@ -166,38 +177,27 @@ def _settings(bodies: tuple[str, ...]) -> dict[str, Any]:
 
 def _raise_at_fault(path: Path, numbers: list[int], bodies: list[str]) -> None:
     """Raise `DataError` with the first line that makes the settings unusable."""
-    for last, (number, body) in enumerate(zip(numbers, bodies, strict=True), 1):
+
+    def fault(count: int) -> str:
+        """What is wrong with the first lines; more lines mend nothing."""
         try:
-            _settings(tuple(bodies[:last]))
+            _settings(tuple(bodies[:count]))
         except InputError as error:
-            raise DataError(str(error), file=path, line=number) from None
+            return str(error)
         except (ValueError, RecursionError):
-            raise DataError(
-                f"cannot read the setting {quoted(body)}; expected key = value as in TOML, "
-                "text in quotes, each key once",
-                file=path,
-                line=number,
-            ) from None
+            return (
+                f"cannot read the setting {quoted(bodies[count - 1])}; expected key = value as in "
+                "TOML, text in quotes, each key once"
+            )
+        return ""
+
+    last = 1 + bisect_left(range(1, len(bodies)), True, key=lambda count: bool(fault(count)))
+    raise DataError(fault(last), file=path, line=numbers[last - 1])
 
 
 def _check(settings: dict[str, Any]) -> None:
     """Raise `InputError` for settings that cannot be used."""
-    kinds = (
-        ("stone", dict), ("sigma", dict), ("law", str), ("load", str), ("axes", str),
-        ("as_given", bool),
-    )  # fmt: skip
-    for key, expected in kinds:
-        if not isinstance(settings.get(key, expected()), expected):
-            raise InputError(f"{key} = {quoted(settings[key])} cannot be used")
-    numbers = {f"stone.{name}": value for name, value in settings.get("stone", {}).items()}
-    numbers |= {f"sigma.{name}": value for name, value in settings.get("sigma", {}).items()}
-    numbers |= {key: settings[key] for key in ("since", "until") if key in settings}
-    for key, value in numbers.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
-            raise InputError(f"{key} = {quoted(value)}: expected a number")
-    check_intervals("exclude", settings.get("exclude", []))
-    check_intervals("swept", [settings["swept"]] if "swept" in settings else [])
-    check_seed(settings.get("seed", 0))
+    check_types(settings, besides=("reference",))
     Stone().with_values(settings.get("stone", {}))
     if "law" in settings:
         find_law(settings["law"], from_files=False)
@@ -226,20 +226,3 @@ def _reference(path: Path, found: Any) -> Reference:
 def _stone_constants(found: dict[str, Any]) -> dict[str, float]:
     Stone().with_values(found)  # checks names and signs
     return {str(name): float(value) for name, value in found.items()}
-
-
-def check_intervals(key: str, found: object) -> None:
-    """Raise `InputError` if a setting is not a list of pairs of times."""
-    pairs = found if isinstance(found, list) else [None]
-    for pair in pairs:
-        numbers = pair if isinstance(pair, list) and len(pair) == 2 else [None]
-        for value in numbers:
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"{key} = {quoted(found)}: expected [[A, B], ...], times in s")
-
-
-def check_seed(seed: object) -> int:
-    """The seed; raises `InputError` if it is not valid."""
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**32:
-        raise InputError(f"seed = {quoted(seed)}: expected a whole number from 0 to {2**32 - 1}")
-    return seed
