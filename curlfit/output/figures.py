@@ -283,7 +283,7 @@ def math_symbol(symbol: str) -> str:
         drawn = re.search(r"[%&#~$\n]|\^\^", symbol) is None
     except ValueError:
         drawn = False
-    return symbol if drawn else rf"\mathrm{{{re.sub('[^A-Za-z0-9]+', ' ', symbol) or '?'}}}"
+    return symbol if drawn else rf"\mathrm{{{re.sub('[^A-Za-z0-9]+', ' ', symbol).strip() or '?'}}}"
 
 
 def in_symbols(expression: str, symbols: Mapping[str, str]) -> str:

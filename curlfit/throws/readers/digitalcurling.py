@@ -159,25 +159,30 @@ def shots_of(path: Path, lines: list[str]) -> list[Shot]:
 
 
 def _shots(path: Path, lines: list[str]) -> Iterator[Shot]:
-    text = "\n".join(line for line in lines if line.lstrip()[:1] != "#").strip()
-    try:
-        values = [(1, json.loads(text))]
-    except (ValueError, RecursionError):
-        values = []
-        for number, line in enumerate(lines, 1):
-            if not line.strip() or line.lstrip().startswith("#"):
-                continue
-            try:
-                values.append((number, json.loads(line)))
-            except (ValueError, RecursionError):
-                raise DataError(
-                    f"not a line of JSON; {_EXPECTED}", file=path, line=number
-                ) from None
-    for number, value in values:
+    for number, value in _values(path, lines):
         for item in value if isinstance(value, list) else [value]:
             found = _trajectory(item)
             if found is not None:
                 yield Shot(number, *found)
+
+
+def _values(path: Path, lines: list[str]) -> Iterator[tuple[int, Any]]:
+    """The JSON values of the file, with their lines."""
+    text = "\n".join(line for line in lines if line.lstrip()[:1] != "#").strip()
+    try:
+        whole = json.loads(text)
+    except (ValueError, RecursionError):
+        for number, line in enumerate(lines, 1):
+            if not line.strip() or line.lstrip().startswith("#"):
+                continue
+            try:
+                yield number, json.loads(line)
+            except (ValueError, RecursionError):
+                raise DataError(
+                    f"not a line of JSON; {_EXPECTED}", file=path, line=number
+                ) from None
+    else:
+        yield 1, whole
 
 
 def _trajectory(item: Any) -> tuple[str, dict[str, Any]] | None:

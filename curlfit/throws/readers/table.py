@@ -132,7 +132,10 @@ def defaults_of(
     ------
     DataError : a setting that cannot be read or used.
     """
-    numbers, bodies, notes, unknown = [], [], [], 0
+    numbers: list[int] = []
+    bodies: list[str] = []
+    notes: list[str] = []
+    unknown = 0
     for number, line in comments:
         body = line.lstrip().lstrip("#").strip()
         key = body.split("=", 1)[0].strip().split(".")[0]

@@ -20,6 +20,7 @@ EXPECTED = "expected a header such as t,x,y,phi (time in s, position in m, angle
 _MOST_BYTES = 50_000_000
 # Characters of a comment, a header or a setting; of a row; a line of JSON may have any number.
 _MOST_IN_HEAD, _MOST_IN_ROW = 1000, 20_000
+_MOST_LINES = 2_000_000
 _CHUNK = 20_000
 # A line that is blank or may be a comment
 _ODD_LINE = re.compile(r"\n[\s#]")
@@ -35,7 +36,10 @@ def lines_of(path: Path, *, most_bytes: int = _MOST_BYTES, settings: bool = Fals
     ------
     DataError : as `_text_of`; a line is too long.
     """
-    lines = _text_of(path, most_bytes, "settings" if settings else "throws").split("\n")
+    text = _text_of(path, most_bytes, "settings" if settings else "throws")
+    if text.count("\n") > _MOST_LINES:
+        raise DataError(f"more than {_MOST_LINES} lines; expected throws", file=path)
+    lines = text.split("\n")
     if max(map(len, lines)) <= _MOST_IN_HEAD:
         return lines
     starts = [line[:_MOST_IN_HEAD].lstrip()[:1] for line in lines]
@@ -74,7 +78,7 @@ def _text_of(path: Path, most_bytes: int, what: str) -> str:
     except ValueError:
         raise DataError("this is not a file name", file=quoted(str(path))) from None
     if len(raw) > most_bytes:
-        raise DataError(f"larger than {most_bytes / 1000:g} kB; expected {what}", file=path)
+        raise DataError(f"larger than {most_bytes // 1000} kB; expected {what}", file=path)
     if raw.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
         raise DataError(
             "this is a spreadsheet or another archive, not a text file; save the sheet as CSV",

@@ -58,6 +58,9 @@ _SPLIT = re.compile(r"[\s_\-./()\[\]]+")
 _LINE = re.compile(r"""\s*["']?([^=:;,\t"']*?)["']?\s*[=:;,\t]\s*(\S.*?)\s*[;,]?\s*$""")
 
 
+_MOST_ROWS = 100_000
+
+
 class _Entry(NamedTuple):
     line: int
     text: str
@@ -162,6 +165,8 @@ def _rows(path: Path, lines: list[str]) -> list[dict[str, _Entry]]:
     ]
     if not is_table([text for _, text in body]):
         return [_entries(path, body)]
+    if len(body) > _MOST_ROWS:
+        raise DataError(f"more than {_MOST_ROWS} throws", file=path, line=body[_MOST_ROWS][0])
     header = _header(body[0][1])
     separator = separator_of(body[0][1])
     rows = []
