@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from functools import cache
 from os import PathLike
+
+from curlfit.foreign import message, quoted, say
 
 
 class CurlfitError(Exception):
@@ -19,11 +20,8 @@ class CurlfitError(Exception):
     exit_status = 1
 
     def __str__(self) -> str:
-        """One line; unprintable characters are escaped."""
-        text = super().__str__()
-        return "".join(
-            char if char.isprintable() else char.encode("unicode_escape").decode() for char in text
-        )
+        """One line of bounded length; unprintable characters are escaped."""
+        return message(super().__str__())
 
 
 class InputError(CurlfitError, ValueError):
@@ -43,7 +41,7 @@ class InputError(CurlfitError, ValueError):
 def require_kind(value: object, kind: type | tuple[type, ...], name: str, expected: str) -> None:
     """Raise `InputError` for an argument of another type."""
     if not isinstance(value, kind):
-        found = f"{type(value).__name__} {str(value)[:40]!r}"
+        found = f"{type(value).__name__} {quoted(str(value))}"
         raise InputError(f"{name}: {found} found, expected {expected}")
 
 
@@ -88,4 +86,4 @@ class UnusableFitError(CurlfitError):
 @cache
 def warn_once(sentence: str) -> None:
     """Print a warning to stderr, each one only once."""
-    print(f"curlfit: Warning: {sentence}", file=sys.stderr)
+    say(f"curlfit: Warning: {sentence}", error=True)

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 
 GRAVITY = 9.81  # m/s^2
 LARGEST = 0.5
@@ -44,7 +45,9 @@ class Stone:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if isinstance(value, str):
-                raise InputError(f"stone.{name} = {value!r}: expected a number in {UNITS[name]}")
+                raise InputError(
+                    f"stone.{name} = {quoted(value)}: expected a number in {UNITS[name]}"
+                )
             if isinstance(value, (int, float)) and not isinstance(value, bool):  # a mask of JAX's
                 if not (math.isfinite(value) and value > 0):
                     raise InputError(
@@ -64,7 +67,7 @@ class Stone:
         unknown = values.keys() - UNITS.keys()
         if unknown:
             raise InputError(
-                f"the stone has no property {sorted(unknown)[0]!r}; it has "
+                f"the stone has no property {quoted(sorted(unknown)[0])}; it has "
                 + ", ".join(f"{name} ({unit})" for name, unit in UNITS.items())
             )
         return replace(self, **values)

@@ -1,7 +1,8 @@
 """Damaged files, and what the command does with each.
 
-`python damaged_files.py FOLDER SEED COUNT` lets the command have COUNT files, each in a process of
-its own that is forked from this one, and prints a `Tally` as JSON. A forked process needs what a
+`python damaged_files.py FOLDER SEED COUNT` lets the command have COUNT files (20000, say), some of
+them under hostile names or with a configuration file, each in a process of its own that is forked
+from this one, and prints a `Tally` as JSON. A forked process needs what a
 fresh one would, but for the half second of its imports.
 """
 
@@ -80,9 +81,46 @@ def damaged(chance: random.Random) -> bytes:
     return raw
 
 
+_KEYS = [
+    "law", "load", "since", "until", "exclude", "swept", "stone", "stone.R", "stone.m", "sigma.x",
+    "fix", "fix.v0", "bound.mu1_xi", "bound", "start.v0", "unbounded", "free", "prior.rho",
+    "systematic.slope_x", "loss", "noise", "seed", "derive", "format", "axes", "units", "reference",
+    "stone_index", "shot", "handle", "as_given", "stone." + "a." * 300 + "a", '"\\u001b[31m"', "q",
+]  # fmt: skip
+_VALUES = [
+    "1", "-1", "0", "0.054", "1e308", "-1e308", "nan", "inf", "-inf", "1e-320", "9" * 400, "true",
+    "0x" + "f" * 900, "''", "'front-back'", "'coulomb'", "'x'", f"'{'x' * 900}'", "2026-01-05",
+    "14:03:22", "[]", "[1]", "[2, 5]", "[5, 2]", "[[2, 5]]", "[[1, 'a']]", "['rho']", "{}",
+    "{a = 1}", "{v0 = 2}", "{mu1_xi = [0, inf]}", "[" * 60000, "[\n" * 30000, '"\\u202e"',
+    "'1+-0.1'", "'white'",
+]  # fmt: skip
+_NAMES = [
+    "..csv", "...csv", "-x.csv", "--law.csv", "a$b_{.csv", "$$.csv", "=1+1.csv", "[red].csv",
+    "~.csv", "\x1b]0;title\x07.csv", "\u202efdp.csv", "\u65e5\u672c.csv", "n\nl.csv", "end. .csv",
+    "NUL.csv", "x" * 255, ":smile:.csv", "_u.csv", "a\udcffb.csv", "a row 3", "%s{0}.csv",
+    "*?.csv", "'\".csv", " ",
+]  # fmt: skip
+
+
+def settings(chance: random.Random) -> bytes:
+    """A configuration file, most of whose values have a wrong type."""
+    lines = [
+        f"{chance.choice(_KEYS)} = {chance.choice(_VALUES)}"
+        for _ in range(chance.choice([1, 1, 2, 4]))
+    ]
+    lines *= chance.choice([1] * 30 + [3000])
+    text = "\n".join(lines)
+    if chance.random() < 0.2:
+        k = chance.randrange(len(text))
+        text = text[:k] + chance.choice(_PIECES) + text[k:]
+    return text.encode()
+
+
 def arguments(chance: random.Random, folder: Path) -> list[str]:
     """A damaged file written to the folder, and words that have the command read it."""
     file, points = folder / "damaged", folder / "points.csv"
+    if chance.random() < 0.1:
+        file = folder / chance.choice(_NAMES)
     raw = damaged(chance)
     words = [f"{file}"]
     if chance.random() < 0.15:
@@ -97,6 +135,9 @@ def arguments(chance: random.Random, folder: Path) -> list[str]:
     if chance.random() < 0.1:
         units = ["x=cm", "angle=deg,t=ms", "x=px,y=px", "x=kg", "=", "length=ft"]
         words.append(f"--units={chance.choice(units)}")
+    if chance.random() < 0.2:
+        (folder / "settings.toml").write_bytes(settings(chance))
+        words.append(f"--config={folder / 'settings.toml'}")
     if chance.random() < 0.2:
         spoiled = chance.random() < 0.5
         points.write_bytes(raw if spoiled else known_points().encode())

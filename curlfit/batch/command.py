@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
+from curlfit.foreign import say
 from curlfit.options.output import COMPILES, Saved, progress_line
 from curlfit.settings.choices import COUNT, SEED, Fitting, Reading
 from curlfit.settings.forms import PATH, SWITCH, TEXT, option
@@ -115,5 +115,5 @@ def batch(
     read = counts["ok"] + counts["not usable"]
     if not counts["ok"]:
         fault = "no throw is usable" if read else "no throw could be read"
-        print(f"curlfit: {fault}; the column reason of {out} says why", file=sys.stderr)
+        say(f"curlfit: {fault}; the column reason of {out} says why", error=True)
     return Saved(None, status=0 if counts["ok"] else 1 if read else 2)

@@ -17,7 +17,7 @@ from curlfit.settings.choices import SEED, Fitting, Reading
 from curlfit.settings.forms import SWITCH, option
 from curlfit.stone import Stone
 from curlfit.throws.readers import check_reader_options, format_of
-from curlfit.throws.readers.text import text_of
+from curlfit.throws.readers.text import lines_of
 from curlfit.throws.readers.timings import usual_law as law_of_timings
 from curlfit.throws.throw import check_sigma
 
@@ -104,7 +104,7 @@ def usual_law(file: str, format: str | None) -> str:
     """The law if none is given: for a stopwatch record, the one that its values determine."""
     try:
         if (format or format_of(file)) == "timings":
-            return law_of_timings(Path(file), text_of(Path(file)).split("\n"))
+            return law_of_timings(Path(file), lines_of(Path(file)))
     except CurlfitError:
         pass  # reported with the file
     return "front-back"

@@ -7,9 +7,7 @@ It is plain CSV. The settings of its rows are in a file beside it (`season.setti
 from __future__ import annotations
 
 import csv
-import io
 import json
-import math
 import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,6 +18,7 @@ from typing import Any, Self
 
 from curlfit.batch.settings import BatchSettings
 from curlfit.errors import DataError, InputError
+from curlfit.foreign import csv_cell, csv_lines
 from curlfit.output.files import json_safe, write_json
 from curlfit.version import __version__
 
@@ -67,7 +66,7 @@ class Table:
         self.warned = 0
         self.settings = settings_file(file)
         self._place = {name: place for place, name in enumerate(self.columns)}
-        head = _lines([self.columns])
+        head = csv_lines([self.columns]).encode()
         settings = json.loads(json.dumps(json_safe(dict(plan))))
         done: set[str] = set()
         size = 0
@@ -86,7 +85,7 @@ class Table:
                 self._settle()
         except OSError as error:
             raise InputError(f"{file}: {error.strerror or error}") from None
-        self.todo = [name for name in files if name not in done]
+        self.todo = [name for name in files if csv_cell(name) not in done]
 
     def _settings(self) -> dict[str, Any] | None:
         """Settings of the existing rows; None if they are not recorded."""
@@ -151,7 +150,7 @@ class Table:
                 )
         # If the last rows are of a file with several throws, others of this file may be missing.
         file, shot, stone = (self._place[name] for name in ("file", "shot", "stone_index"))
-        if rows and (rows[-1][shot] or rows[-1][stone]) and rows[-1][file] in files:
+        if rows and (rows[-1][shot] or rows[-1][stone]) and rows[-1][file] in map(csv_cell, files):
             last = len(list(takewhile(lambda row: row[file] == rows[-1][file], reversed(rows))))
             size -= sum(len(line.encode(errors="surrogateescape")) + 1 for line in lines[-last:])
             del rows[-last:]
@@ -160,7 +159,7 @@ class Table:
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Write rows in one piece and flush them to the disk."""
-        self.stream.write(_lines([row[name] for name in self.columns] for row in rows))
+        self.stream.write(csv_lines([row[name] for name in self.columns] for row in rows).encode())
         self._settle()
         self._count(rows)
 
@@ -187,16 +186,3 @@ class Table:
 
 def _shown(value: Any) -> str:
     return "none" if value in (None, {}) else json.dumps(value)
-
-
-def _lines(rows: Iterable[Sequence[Any]]) -> bytes:
-    """Lines of CSV: numbers in full precision, empty cells for missing values, no line breaks."""
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows(map(_cell, row) for row in rows)
-    return out.getvalue().encode(errors="surrogateescape")
-
-
-def _cell(value: Any) -> Any:
-    if isinstance(value, str):
-        return " ".join(value.split()) if "\n" in value else value
-    return None if isinstance(value, float) and math.isnan(value) else value

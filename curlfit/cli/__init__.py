@@ -18,6 +18,7 @@ from curlfit.cli.saved import plot, report, show, write_page
 from curlfit.cli.throws import check, simulate
 from curlfit.comparison.command import compare
 from curlfit.errors import CurlfitError
+from curlfit.foreign import say
 from curlfit.optimal_design.command import design
 from curlfit.options.output import Saved
 from curlfit.paper.command import reproduce
@@ -67,7 +68,7 @@ def run(words: Sequence[str]) -> int:
     if saved.page is not None:
         file = write_page(saved.page)
         if not saved.quiet:
-            print(f"Written: {file}")
+            say(f"Written: {file}")
     return saved.status
 
 
@@ -81,14 +82,14 @@ def main() -> None:
         finally:
             sys.stdout.flush()
     except CurlfitError as error:
-        print(f"curlfit: {error}", file=sys.stderr)
+        say(f"curlfit: {error}", error=True)
         status = error.exit_status
     except CycloptsError as error:
         cause = error.__cause__  # of a value that cannot be used
-        print(f"curlfit: {cause if isinstance(cause, CurlfitError) else error}", file=sys.stderr)
+        say(f"curlfit: {cause if isinstance(cause, CurlfitError) else error}", error=True)
         status = 2
     except KeyboardInterrupt:
-        print("curlfit: stopped", file=sys.stderr)
+        say("curlfit: stopped", error=True)
         status = _INTERRUPTED
     except OSError as error:
         # Unprinted output is dropped; Python would otherwise try to write it again on exit.
@@ -96,8 +97,5 @@ def main() -> None:
         status = 1
         if not isinstance(error, BrokenPipeError):
             status = 2
-            print(
-                f"curlfit: {error.filename or 'output'}: {error.strerror or error}",
-                file=sys.stderr,
-            )
+            say(f"curlfit: {error.filename or 'output'}: {error.strerror or error}", error=True)
     sys.exit(status)

@@ -8,6 +8,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from curlfit.foreign import say
+
 _PACKAGE = Path(__file__).parents[1]
 _PARTS = {"data": "*", "notebooks": "*.ipynb"}
 _FIRST = "data/jensen_shegelski_2004.csv"
@@ -42,8 +44,8 @@ def example(
         for file in sorted((source / part).glob(pattern)):
             target = folder / part / file.name
             if target.exists():
-                print(f"Left as it is: {target}")
+                say(f"Left as it is: {target}")
             elif file.is_file():
                 shutil.copyfile(file, target)
-                print(f"Written: {target}")
-    print(f"\nTry: cd {folder} && curlfit fit {_FIRST}")
+                say(f"Written: {target}")
+    say(f"\nTry: cd {folder} && curlfit fit {_FIRST}")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import curlfit
+from curlfit.foreign import say
 from curlfit.options import settings as s
 from curlfit.settings.forms import PATH, option
 
@@ -87,9 +88,9 @@ def export(
     for name, write in made.items():
         with atomic_write(target / name) as temporary:
             write(temporary)
-    print("Written: " + ", ".join(str(target / name) for name in made))
+    say("Written: " + ", ".join(str(target / name) for name in made))
     if note:
-        print(note)
+        say(note)
 
 
 _GAME_FILES = {

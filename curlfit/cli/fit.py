@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -13,6 +12,7 @@ from cyclopts import Parameter
 
 import curlfit
 from curlfit.errors import InputError
+from curlfit.foreign import say
 from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved, progress_line, status_line
 from curlfit.settings.choices import SEED, Choices, Fitting, Reading
@@ -219,13 +219,13 @@ def _finish(result: FitResult | JointResult, done: Saved) -> Saved:
     """Report an unusable fit on stderr."""
     if result.converged:
         return done
-    print(f"curlfit: the fit is not usable: {result.status}", file=sys.stderr)
+    say(f"curlfit: the fit is not usable: {result.status}", error=True)
     return done._replace(status=1)
 
 
 def _warn_of_posterior(result: FitResult) -> None:
     if result.posterior is not None and not result.posterior.converged:
-        print(f"curlfit: warning: posterior {result.posterior.status}", file=sys.stderr)
+        say(f"curlfit: warning: posterior {result.posterior.status}", error=True)
 
 
 def _sample(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 from cyclopts import Parameter
 
 import curlfit
+from curlfit.foreign import say
 from curlfit.options.figures import FigureFiles, write_figures
 from curlfit.options.settings import chain_beside, kind_of
 from curlfit.settings.forms import PATH, SWITCH, TEXT, TEXTS, option
@@ -111,7 +112,7 @@ def plot(
         drawn = getattr(curlfit, names.draw)(getattr(curlfit, names.load)(folder))
         figures |= drawn if kind == "design" else {kind: drawn}
     written = write_figures(prepare_folder(target), figures, formats)
-    print("Written: " + ", ".join(map(str, written)))
+    say("Written: " + ", ".join(map(str, written)))
 
 
 def report(
@@ -133,7 +134,7 @@ def report(
     Example: `curlfit report throw-fit --open`
     """
     file = write_page(folder, out)
-    print(f"Written: {file}")
+    say(f"Written: {file}")
     if show_it:
         import webbrowser
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 from cyclopts import Group, Parameter
 
 from curlfit.errors import InputError
+from curlfit.foreign import say
 from curlfit.options import settings as s
 from curlfit.options.start import Start
 from curlfit.settings.choices import LAW, LOAD, SEED, Choices, Modelling, Named, Reading, Rows
@@ -81,7 +82,7 @@ def check(
     if refused is not None:
         if len(cut) < FEWEST_ROWS:
             raise refused
-        console.print(f"\nNo fit as set: {refused}", style="yellow", markup=False)
+        console.print(f"\nNo fit as set: {refused}", style="yellow")
     if out is not None:
         from curlfit.output.figures import save_figure
         from curlfit.throws.figures import throw_figure
@@ -254,7 +255,7 @@ def simulate(
     require_replaceable(out, "a simulated throw", SIMULATED)
     with atomic_write(out) as temporary:
         temporary.write_text(text)
-    print(f"Written: {out}")
+    say(f"Written: {out}")
 
 
 class _Model(NamedTuple):

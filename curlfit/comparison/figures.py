@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from curlfit.output.figures import (
     ZERO_LINE,
     Picture,
     feet,
+    file_name,
     fix_layout,
     letter,
     line_styles,
@@ -65,7 +65,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
         path.plot(fitted["y"], fitted["x"], **drawn, label=_names_of(same))
         residual.plot(t, 1000 * (x - fitted["x"]), **drawn)
     path.set(xlabel="along the sheet, y (m)", ylabel="to the right, x (m)")
-    title(path, f"{FilePath(comparison.data['file']).name}: {len(shown)} fits")
+    title(path, f"{file_name(comparison.data['file'])}: {len(shown)} fits")
     path.margins(x=0.02, y=0.1)
     path.invert_yaxis()  # as seen from above, thrown to the right
     feet(path, "right")

@@ -6,6 +6,7 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from curlfit.export.tables import Row, rows_of
+from curlfit.foreign import printable
 from curlfit.output.text import compact
 from curlfit.version import __version__
 
@@ -66,8 +67,8 @@ def candidates_table(comparison: Any) -> str:
 
 
 def escaped(text: str) -> str:
-    """Text with the special characters of TeX escaped."""
-    return "".join(_SPECIAL.get(character, character) for character in str(text))
+    """Text with the special characters of TeX and control characters escaped."""
+    return "".join(_SPECIAL.get(character, character) for character in printable(str(text)))
 
 
 def _table(columns: str, head: list[str], lines: list[str], caption: str) -> str:
@@ -119,9 +120,11 @@ def _software() -> str:
 
 
 def _symbol(row: Row) -> str:
+    from curlfit.output.figures import math_symbol
+
     # The symbol of a coefficient without one is its name, upright.
     inner = re.fullmatch(r"\\mathrm\{(\w+)\}", row.symbol)
-    return rf"\mathrm{{{escaped(inner[1])}}}" if inner else row.symbol
+    return rf"\mathrm{{{escaped(inner[1])}}}" if inner else math_symbol(row.symbol)
 
 
 def _label(row: Row, symbols: dict[str, str]) -> str:
@@ -178,9 +181,9 @@ def _unit(unit: str) -> str:
     if unit in ("", "1"):
         return ""
     above, *below = unit.split("/")
-    parts = [] if above == "1" else [rf"\mathrm{{{above}}}"]
+    parts = [] if above == "1" else [rf"\mathrm{{{escaped(above)}}}"]
     for part in below:
         name, _, power = part.partition("^")
-        parts.append(rf"\mathrm{{{name}}}^{{-{power or 1}}}")
+        parts.append(rf"\mathrm{{{escaped(name)}}}^{{-{escaped(power) or 1}}}")
     joined = r"\,".join(parts)
     return f"${joined}$" if parts else ""

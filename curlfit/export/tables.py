@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Iterable, Sequence
-from io import StringIO
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from curlfit.foreign import csv_lines
 from curlfit.inference.derived import Derived, to_its_side
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.identifiability import Combination
@@ -92,13 +91,13 @@ def parameters_csv(result: FitResult | JointResult) -> str:
     """
     throws: Sequence[FitResult] = getattr(result, "throws", ())
     if not throws:
-        return _csv(_HEAD, map(_cells, rows_of(result)))
+        return csv_lines([_HEAD, *map(_cells, rows_of(result))])
     lines = [("all", *_cells(row)) for row in rows_of(result)]
     shared = {row.name for row in rows_of(result)}
     for one in throws:
         own = (row for row in rows_of(one) if row.name not in shared)
         lines += [(one.data["file"], *_cells(row)) for row in own]
-    return _csv(("throw", *_HEAD), lines)
+    return csv_lines([("throw", *_HEAD), *lines])
 
 
 def _cells(row: Row) -> tuple[Any, ...]:
@@ -125,7 +124,7 @@ def path_csv(fits: Sequence[FitResult]) -> str:
             columns += [observed, fitted, observed - fitted]
         label = (one.data["file"],) if len(fits) > 1 else ()
         lines += [(*label, *row) for row in zip(*(c.tolist() for c in columns), strict=True)]
-    return _csv(("throw", *head) if len(fits) > 1 else head, lines)
+    return csv_lines([("throw", *head) if len(fits) > 1 else head, *lines])
 
 
 def candidates_csv(comparison: Any) -> str:
@@ -137,19 +136,4 @@ def candidates_csv(comparison: Any) -> str:
             f"{name} = {item['value']:.6g}" for name, item in (one.coefficients or {}).items()
         )
         lines.append((*(getattr(one, name) for name in _CANDIDATE), *rms, coefficients))
-    return _csv((*_CANDIDATE, "rms_x", "rms_y", "rms_phi", "coefficients"), lines)
-
-
-def _csv(head: Sequence[str], lines: Iterable[Sequence[Any]]) -> str:
-    out = StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(head)
-    for line in lines:
-        writer.writerow([_cell(value) for value in line])
-    return out.getvalue()
-
-
-def _cell(value: Any) -> Any:
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return ""
-    return repr(float(value)) if isinstance(value, float) else value
+    return csv_lines([(*_CANDIDATE, "rms_x", "rms_y", "rms_phi", "coefficients"), *lines])

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, Literal, NamedTuple, Self, dataclass_transform, get_args
 
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 
 Load = Literal["uniform", "consistent"]
 """Distribution of the weight over the ring: uniform, or consistent with friction (eq. 8-9)."""
@@ -26,7 +27,7 @@ START_NAMES = ("x0", "y0", "heading", "v0", "phi0", "omega0")
 def check_load(load: str) -> Load:
     """The name of a load. Raises `InputError` for any other name."""
     if load not in LOADS:
-        raise InputError(f"unknown load {load!r}; expected {' or '.join(LOADS)}")
+        raise InputError(f"unknown load {quoted(load)}; expected {' or '.join(LOADS)}")
     return load  # type: ignore[return-value]
 
 
@@ -258,7 +259,9 @@ class Law:
     def register(cls, name: str) -> None:
         """Add the class to the laws. Raises TypeError if a law of curlfit has this name."""
         if name in LAWS and LAWS[name].shipped() and not cls.shipped():
-            raise TypeError(f"{cls.__name__}: curlfit has a law {name!r} already; choose another")
+            raise TypeError(
+                f"{cls.__name__}: curlfit has a law {quoted(name)} already; choose another"
+            )
         cls.name = name
         LAWS[name] = cls
 

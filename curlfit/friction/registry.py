@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 from curlfit.errors import DataError, InputError, require_kind
+from curlfit.foreign import quoted
 from curlfit.friction.base import LAWS, Law, LocalLaw, NetLaw
 from curlfit.friction.checks import checked, first_line, last_line
 
@@ -39,7 +40,7 @@ def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
     if from_files and (file.endswith(".py") or name.endswith(".py")):
         return law_from_file(*((file, kind) if colon and not kind.endswith(".py") else (name, "")))
     raise InputError(
-        f"unknown law {name!r}; the laws are {', '.join(sorted(LAWS))} (see `curlfit laws`)"
+        f"unknown law {quoted(name)}; the laws are {', '.join(sorted(LAWS))} (see `curlfit laws`)"
         + ("; a law of your own is FILE.py:CLASS" if from_files else "")
     )
 
@@ -87,7 +88,7 @@ def _select_law(file: str, module: ModuleType, kind: str) -> type[Law]:
     }
     available = f"it has {', '.join(classes)}" if classes else "derive one from curlfit.LocalLaw"
     if kind and kind not in classes:
-        raise DataError(f"no law class {kind!r} in it; {available}", file=file)
+        raise DataError(f"no law class {quoted(kind)} in it; {available}", file=file)
     if not kind and len(classes) != 1:
         raise DataError(f"expected one law class, or FILE.py:CLASS; {available}", file=file)
     return classes[kind or next(iter(classes))]

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from curlfit.environment import WEAR_KNOTS
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 from curlfit.friction import Parameter
 
 
@@ -95,7 +96,7 @@ def check_systematics(given: Mapping[str, float]) -> None:
     for name, width in given.items():
         if name not in (ALL, CALIBRATION, *WIDTHS):
             raise InputError(
-                f"systematic: no condition {name!r}; the conditions are {', '.join(WIDTHS)}, "
+                f"systematic: no condition {quoted(name)}; the conditions are {', '.join(WIDTHS)}, "
                 f"{CALIBRATION} and {ALL}"
             )
         if not 0 <= width < math.inf:

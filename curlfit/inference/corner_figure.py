@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +15,9 @@ from curlfit.output.figures import (
     REFERENCE_COLOR,
     WIDTH,
     Picture,
+    heading_of,
+    literal,
+    math_symbol,
     shrink,
     styled,
 )
@@ -214,7 +216,7 @@ def _neat_panels(item: Estimate, grid: Any, place: int, last: int) -> None:
     if place:
         groups.append((beside.yaxis, [grid[place, column].yaxis for column in range(1, place)]))
     for outer, inner in groups:
-        neat_axis(outer, f"${item.symbol}$", item.unit, neighbours=True)
+        neat_axis(outer, f"${math_symbol(item.symbol)}$", item.unit, neighbours=True)
         for axis in inner:
             axis.set_ticks(outer.get_majorticklocs(), labels=[])
     box = below.get_window_extent()
@@ -240,17 +242,14 @@ def _point_to_mark(axes: Any, value: float | None, extent: tuple[float, float]) 
 def _say_in_corner(fit: FitResult, figure: Figure, side: float) -> None:
     """Write what was fitted, combinations and references into the corner free of panels."""
     width, height = figure.get_size_inches()
-    name = FilePath(fit.data["file"]).name
-    heading = figure.text(
-        _LEFT / width, 1 - 0.06 / height, f"{name}: {fit.law} law, {fit.load} load", va="top"
-    )
+    heading = figure.text(_LEFT / width, 1 - 0.06 / height, heading_of(fit), va="top")
     shrink(heading, (width - _LEFT - _RIGHT) * figure.dpi)
     lines = []
     for item in fit.combinations:
         value, stderr = format_estimate(item.value, item.stderr)
         lines.append(rf"${_as_math(fit, item.weights)} = {value} \pm {stderr}$")
     for direction in fit.null_directions:
-        pair = ", ".join(f"${fit.parameters[name].symbol}$" for name in direction)
+        pair = ", ".join(f"${math_symbol(fit.parameters[name].symbol)}$" for name in direction)
         lines.append(f"{pair}: not identifiable individually")
     lines.append("dashed: 68 %; shaded: 68 and 95 % of the posterior")
     written = [("black", lines[:-1]), (QUIET, lines[-1:])]
@@ -258,12 +257,12 @@ def _say_in_corner(fit: FitResult, figure: Figure, side: float) -> None:
     def symbols(text: str) -> str:
         for name, parameter in fit.parameters.items():
             whole = re.compile(rf"(?<![\w\\{{]){name}\b(?!\$)")
-            text = whole.sub(f"${parameter.symbol}$".replace("\\", r"\\"), text)
+            text = whole.sub(f"${math_symbol(parameter.symbol)}$".replace("\\", r"\\"), text)
         return text
 
     if fit.reference is not None:
         found = [symbols(f"{name} = {value:g}") for name, value in fit.reference.values.items()]
-        written.append((REFERENCE_COLOR, [fit.reference.source, *found]))
+        written.append((REFERENCE_COLOR, [literal(fit.reference.source), *found]))
     for other in fit.reference_fits[:1]:
         constants = ", ".join(f"{name} = {value:g} m" for name, value in other["stone"].items())
         values = [
@@ -287,5 +286,5 @@ def _as_math(fit: FitResult, weights: dict[str, float]) -> str:
     for name, weight in weights.items():
         sign = "-" if weight < 0 else "+" if text else ""
         size = "" if abs(weight) == 1 else f"{abs(weight):.3g}\\,"
-        text += f"{sign}{size}{fit.parameters[name].symbol}"
+        text += f"{sign}{size}{math_symbol(fit.parameters[name].symbol)}"
     return text

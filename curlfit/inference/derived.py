@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 from curlfit.inference.expression import CONSTANTS, parse, samples_of
 from curlfit.inference.identifiability import WEAK_ERROR, Combination, student_interval
 from curlfit.numerics.arrays import Floats
@@ -220,15 +221,17 @@ def derive(known: FirstOrder, text: str, samples: Mapping[str, Floats] | None = 
     expression = parse(text, (*values, *constants), sums)
     value = float(expression.of({**constants, **values}))
     if not math.isfinite(value):
-        raise InputError(f"derive {expression.text!r}: it has no finite value at the estimates")
+        raise InputError(
+            f"derive {quoted(expression.text)}: it has no finite value at the estimates"
+        )
     gradient = expression.gradient({**constants, **values})
     if not all(map(math.isfinite, gradient.values())):
-        raise InputError(f"derive {expression.text!r}: it has no derivative at the estimates")
+        raise InputError(f"derive {quoted(expression.text)}: it has no derivative at the estimates")
     own = {name: slope for name, slope in gradient.items() if name in values}
     if not own:
         raise InputError(
-            f"derive {expression.text!r}: it contains no parameter of the fit; the parameters are "
-            + ", ".join(values)
+            f"derive {quoted(expression.text)}: it contains no parameter of the fit; the "
+            "parameters are " + ", ".join(values)
         )
     changes = {
         name: slope * known.widths[name]

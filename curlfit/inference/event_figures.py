@@ -14,7 +14,9 @@ from curlfit.output.figures import (
     RINGS,
     WIDTH,
     Picture,
+    heading_of,
     legend_above,
+    literal,
     styled,
     title,
 )
@@ -37,7 +39,7 @@ _MOST = 5.0  # sigmas, largest residual shown
 
 
 @styled
-def event_figure(fit: FitResult, name: str) -> Figure:
+def event_figure(fit: FitResult) -> Figure:
     """The path on the sheet, the crossings in time, the speed, and the residuals.
 
     Parameters
@@ -56,7 +58,7 @@ def event_figure(fit: FitResult, name: str) -> Figure:
     moving = slice(0, min(last + 2, len(t)))
     on_sheet = figure.add_subplot(rows[0])
     _sheet(on_sheet, fit, events, moving)
-    title(on_sheet, f"{name}: {fit.law} law, {fit.load} load")
+    title(on_sheet, heading_of(fit))
     _distance(figure.add_subplot(below[0]), fit, events, t, moving)
     _speed(figure.add_subplot(below[1]), fit, events, t, moving)
     _residuals(figure.add_subplot(below[2]), events)
@@ -75,7 +77,7 @@ def _sheet(axes: Any, fit: FitResult, events: list[tuple[Event, float]], moving:
         axes.plot([sheet.LINES[line]] * 2, [-half, half], **_LINE)
     axes.plot([sheet.TEE + sheet.TEE_TO_BACK] * 2, [-half, half], **_LINE)
     axes.axhline(0, **_LINE)
-    axes.plot(y, x, color=FIT_COLOR, lw=1.4, zorder=4, label=f"{fit.law} law")
+    axes.plot(y, x, color=FIT_COLOR, lw=1.4, zorder=4, label=f"{literal(fit.law)} law")
     place = {event.quantity: (event, found) for event, found in events if event.at is None}
     if "x" in place or "y" in place:
         (px, ex), (py, ey) = (

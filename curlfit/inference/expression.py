@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import GRAVITY
 
@@ -100,7 +101,7 @@ def parse(text: str, names: Iterable[str], sums: Mapping[str, Mapping[str, float
     """
     known = tuple(names)
     shown = " ".join(str(text).split())
-    said = f"derive {shown!r}"
+    said = f"derive {quoted(shown)}"
     if not shown:
         raise InputError("derive: the expression is empty; expected arithmetic of parameters")
     if len(shown) > _LONGEST:
@@ -133,13 +134,13 @@ def _check(node: ast.AST, said: str, names: tuple[str, ...], used: dict[str, Non
     """Raise `InputError` for anything that is not arithmetic; collect the names."""
     if isinstance(node, ast.Constant):
         if isinstance(node.value, bool) or not isinstance(node.value, int | float):
-            raise InputError(f"{said}: {node.value!r} is not a number")
+            raise InputError(f"{said}: {quoted(node.value)} is not a number")
         if not abs(node.value) < 1e300:
             raise InputError(f"{said}: a number is too large")
     elif isinstance(node, ast.Name):
         if node.id not in names:
             raise InputError(
-                f"{said}: no parameter {node.id!r}; the parameters are {', '.join(names)}"
+                f"{said}: no parameter {quoted(node.id)}; the parameters are {', '.join(names)}"
             )
         used.setdefault(node.id)
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.UAdd | ast.USub):
@@ -160,7 +161,9 @@ def _check(node: ast.AST, said: str, names: tuple[str, ...], used: dict[str, Non
 
 def _check_call(node: ast.Call, name: str, said: str) -> None:
     if name not in _FUNCTIONS:
-        raise InputError(f"{said}: no function {name!r}; the functions are {', '.join(_FUNCTIONS)}")
+        raise InputError(
+            f"{said}: no function {quoted(name)}; the functions are {', '.join(_FUNCTIONS)}"
+        )
     count, _ = _FUNCTIONS[name]
     if len(node.args) != count or node.keywords:
         raise InputError(f"{said}: {name} takes {count} argument{'s' if count > 1 else ''}")

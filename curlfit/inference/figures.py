@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,10 +21,14 @@ from curlfit.output.figures import (
     ZERO_LINE,
     Picture,
     feet,
+    file_name,
+    heading_of,
     in_symbols,
+    law_and_load,
     legend_above,
     letter,
     line_styles,
+    literal,
     measured_slopes,
     note_stretch,
     panels,
@@ -61,9 +64,8 @@ def fit_figure(fit: FitResult) -> Figure:
     >>> curlfit.fit_figure(fit).savefig("fit.png")
     """
     require_fit(fit)
-    name = FilePath(fit.data["file"]).name
     if not fit.rms:
-        return event_figure(fit, name)
+        return event_figure(fit)
     channels = list(fit.rms)
     rows = [channels[k : k + _IN_A_ROW] for k in range(0, len(channels), _IN_A_ROW)]
     widths = [[1.0] * len(row) for row in rows]
@@ -86,14 +88,14 @@ def fit_figure(fit: FitResult) -> Figure:
     if fit.discrepancy:
         path.plot(found["y"], found["x"], color=FIT_COLOR, label="law and discrepancy")
     alone = {"ls": "--", "lw": 0.9} if fit.discrepancy else {}
-    label = "law alone" if fit.discrepancy else f"{fit.law} law"
+    label = "law alone" if fit.discrepancy else f"{literal(fit.law)} law"
     path.plot(fit.fitted["y"], fit.fitted["x"], color=FIT_COLOR, label=label, **alone)
     path.set(xlabel="along the sheet, y (m)", ylabel="to the right, x (m)")
     path.margins(x=0.02, y=0.12)
     path.invert_yaxis()  # as seen from above, thrown to the right
     feet(path, "right")
     legend_above(path)
-    title(path, f"{name}: {fit.law} law, {fit.load} load", margin=3.4 if fit.discrepancy else 2.7)
+    title(path, heading_of(fit), margin=3.4 if fit.discrepancy else 2.7)
     note_stretch(path)
 
     together = [axes for row in residuals for axes in row]
@@ -202,7 +204,7 @@ def joint_figure(result: JointResult) -> Figure:
     ratios = (1.0, 0.35 + 0.065 * count) if paths else (1.0,)
     rows = figure.add_gridspec(len(ratios), 1, height_ratios=ratios)
     styles = line_styles(count) if paths else [{"color": FIT_COLOR}] * count
-    heading = f"{result.law} law, {result.load} load: {count} throws together"
+    heading = f"{law_and_load(result)}: {count} throws together"
     handles = []
     if paths:
         path = figure.add_subplot(rows[0])
@@ -212,7 +214,7 @@ def joint_figure(result: JointResult) -> Figure:
                 one.observed["y"][some], one.observed["x"][some],
                 **DATA_STYLE | {"color": style["color"]},
             )  # fmt: skip
-            path.plot(found["y"], found["x"], **style, lw=1, label=FilePath(one.data["file"]).name)
+            path.plot(found["y"], found["x"], **style, lw=1, label=file_name(one.data["file"]))
         path.set(xlabel="along the sheet, y (m)", ylabel="to the right, x (m)")
         path.invert_yaxis()
         feet(path, "right")
@@ -242,7 +244,7 @@ def joint_figure(result: JointResult) -> Figure:
                 )
         axes.set_yticks(
             range(count),
-            [FilePath(one.data["file"]).name for one in result.throws] if not place
+            [file_name(one.data["file"]) for one in result.throws] if not place
             else [""] * count,
         )  # fmt: skip
         axes.set_ylim(count - 0.4, -0.6)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from curlfit.errors import DataError, InputError, require_kind
+from curlfit.foreign import quoted
 from curlfit.friction import Law, Parameter
 from curlfit.inference.conditions import CONDITIONS, WEAK_CONDITIONS
 from curlfit.inference.priors import NO_PRIOR, Penalty, Prior, parse_priors, penalty_of
@@ -100,7 +101,7 @@ class ParameterSet:
             require_kind(choice or {}, Mapping, name, "a mapping by the name of the parameter")
         for name, pair in (bounds or {}).items():
             if np.shape(pair) != (2,):
-                raise InputError(f"bounds of {name}: {pair!r} found, expected (lower, upper)")
+                raise InputError(f"bounds of {name}: {quoted(pair)} found, expected (lower, upper)")
         fixed = tuple((name, float(value)) for name, value in (fix or {}).items())
         limits = tuple(
             (name, (float(low), float(high))) for name, (low, high) in (bounds or {}).items()
@@ -140,7 +141,7 @@ class ParameterSet:
         for name in (*fix, *bounds, *free):
             if name not in parameter_names(law):
                 raise InputError(
-                    f"law {law.name} has no parameter {name!r}; it has "
+                    f"law {law.name} has no parameter {quoted(name)}; it has "
                     + ", ".join(item.name for item in (*coefficients, *START))
                     + "; conditions are "
                     + ", ".join(item.name for item in CONDITIONS)
@@ -269,7 +270,8 @@ class ParameterSet:
         for name in names:
             if name not in self.names:
                 raise InputError(
-                    f"{option}: no parameter {name!r}; the parameters are {', '.join(self.names)}"
+                    f"{option}: no parameter {quoted(name)}; the parameters are "
+                    f"{', '.join(self.names)}"
                 )
 
     def index(self, name: str) -> int:
@@ -324,8 +326,8 @@ def require_known(laws: Iterable[type[Law]], options: Options) -> None:
         for name in values:
             if name not in known:
                 raise InputError(
-                    f"{option}: none of the laws has a parameter {name!r}; the parameters are "
-                    + ", ".join(known)
+                    f"{option}: none of the laws has a parameter {quoted(name)}; the parameters "
+                    "are " + ", ".join(known)
                 )
 
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 from curlfit.friction import Parameter
 from curlfit.numerics.arrays import Floats
 
@@ -47,7 +48,7 @@ class Prior:
             except ValueError:
                 values = ()
             if len(values) != _OTHERS.get(kind.strip(), -1):
-                raise InputError(f"prior of {name}: {text!r} is no prior; expected {FORMS}")
+                raise InputError(f"prior of {name}: {quoted(text)} is no prior; expected {FORMS}")
             found = cls(kind.strip(), values)
         found._check(name)
         return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Group, Parameter
 
 from curlfit.errors import InputError
+from curlfit.foreign import is_size
 from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved, status_line
 from curlfit.settings.choices import COUNT, LAW, LOAD, Choices, Named
-from curlfit.settings.forms import NAMES, NUMBER, NUMBERS, PATH, TIME, VALUES, option, quantity
+from curlfit.settings.forms import NAMES, NUMBER, NUMBERS, PATH, TIME, VALUES, Form, option
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,6 +25,30 @@ if TYPE_CHECKING:
 
 _FIGURES = ("design-map", "design-errors", "design-separate")
 _UNMEASURED = "`none`: not measured."
+
+_SIZE = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+
+
+def _quantity(name: str) -> Form:
+    """A number in SI or followed by its unit, such as `5mm`; None for `none`."""
+
+    def parse(word: str) -> float | None:
+        if word.lower() == "none":
+            return None
+        size = _SIZE.match(word)
+        if size is None:
+            raise ValueError
+        from curlfit.throws.readers.columns import in_unit
+
+        unit = word[size.end() :].strip()
+        value = float(size[0]) * (in_unit(name, unit).factor if unit else 1.0)
+        if not is_size(value):
+            raise ValueError
+        return value
+
+    return Form(
+        "a number in SI", lambda value: value, parse, "a number, followed by its unit unless in SI"
+    )
 
 
 @Parameter(name="*", group=Group("Assumed values", sort_key=0))
@@ -84,13 +110,15 @@ class Record(Choices):
     sigma_xy: Annotated[
         float | None,
         option(
-            quantity("x"), f"Noise of x and y: 0.005, 5mm, 0.2in. {_UNMEASURED} [default: 5mm]", "V"
+            _quantity("x"),
+            f"Noise of x, y: 0.005, 5mm, 0.2in. {_UNMEASURED} [default: 5mm]",
+            "V",
         ),
     ] = 0.005
     sigma_phi: Annotated[
         float | None,
         option(
-            quantity("phi"),
+            _quantity("phi"),
             f"Noise of the angle: 0.01, 10mrad, 0.5deg. {_UNMEASURED} [default: 10mrad]",
             "V",
         ),
@@ -98,13 +126,13 @@ class Record(Choices):
     sigma_speed: Annotated[
         float | None,
         option(
-            quantity("speed"), "Noise of a directly measured speed. [default: not measured]", "V"
+            _quantity("speed"), "Noise of a directly measured speed. [default: not measured]", "V"
         ),
     ] = None
     sigma_omega: Annotated[
         float | None,
         option(
-            quantity("omega"), "Noise of a directly measured spin. [default: not measured]", "V"
+            _quantity("omega"), "Noise of a directly measured spin. [default: not measured]", "V"
         ),
     ] = None
     discrepancy: Annotated[

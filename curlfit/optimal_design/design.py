@@ -18,6 +18,7 @@ from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 from curlfit.friction import Law, Load, check_load
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import Bounded, Identifiability, analyse, confined
@@ -302,7 +303,9 @@ def _assumed(
 def _noise(sigma: Mapping[str, float]) -> dict[str, float]:
     for name, value in sigma.items():
         if name not in CHANNELS:
-            raise InputError(f"sigma: no channel {name!r}; the channels are {', '.join(CHANNELS)}")
+            raise InputError(
+                f"sigma: no channel {quoted(name)}; the channels are {', '.join(CHANNELS)}"
+            )
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"sigma of {name} = {value:g}: expected a positive number")
     if not sigma:

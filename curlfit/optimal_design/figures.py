@@ -14,7 +14,9 @@ from curlfit.output.figures import (
     WIDTH,
     Picture,
     in_symbols,
+    law_and_load,
     line_styles,
+    literal,
     styled,
 )
 from curlfit.output.text import two_digits
@@ -136,7 +138,7 @@ def _map(design: Design) -> Figure:
     for axes in panels[::columns]:
         axes.set_ylabel("initial spin (rad/s)")
     figure.suptitle(
-        f"{design.law} law, {design.load} load: standard error from one throw\n"
+        f"{law_and_load(design)}: standard error from one throw\n"
         f"noise {noise_text(design.sigma)}; framed: in the optimal {design.throws} throws",
     )
     return figure
@@ -177,7 +179,7 @@ def _errors(design: Design) -> Figure:
         ncols=len(design.quantities),
     )  # fmt: skip
     figure.suptitle(
-        f"{design.law} law, {design.load} load, optimal {design.throws} throws; dotted: as planned",
+        f"{law_and_load(design)}, optimal {design.throws} throws; dotted: as planned",
     )
     return figure
 
@@ -251,7 +253,7 @@ def _separation(design: Design, separation: Separation) -> Figure:
         f"consistent load; framed: in the optimal {count} throws",
         fontsize=7,
     )
-    figure.suptitle(f"{design.law} law: separation of {' and '.join(separation.pair)}")
+    figure.suptitle(f"{literal(design.law)} law: separation of {' and '.join(separation.pair)}")
     return figure
 
 

@@ -24,6 +24,7 @@ import numpy as np
 from jax import Array
 
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 from curlfit.friction import Law, Load
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import compiled
@@ -79,7 +80,7 @@ class CoefficientPair:
         for name in pair:
             if name not in names:
                 raise InputError(
-                    f"separate: law {law.name} has no free coefficient {name!r}; it has "
+                    f"separate: law {law.name} has no free coefficient {quoted(name)}; it has "
                     + ", ".join(names)
                 )
         units = {item.name: item.unit for item in items}

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar
 
 from curlfit.errors import DataError, InputError
+from curlfit.foreign import quoted, safe_name
 from curlfit.output.files import RECORDS
 from curlfit.settings.choices import FLAGS, SEED, Comparing, Fitting, Modelling, Reading, Rows
 from curlfit.settings.forms import PATH, option
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from curlfit.inference.problem import Problem
     from curlfit.throws.throw import Throw
 
+_MOST_BYTES = 64_000  # of a configuration file
 _FORMS = {**Fitting.forms(), **Comparing.forms(), **Reading.forms(), "seed": SEED}
 _KEYS = {FLAGS.get(name, name).removeprefix("--"): name for name in _FORMS} | {"swept": "swept"}
 Chosen = TypeVar("Chosen", bound=Rows)
@@ -34,18 +36,19 @@ def read_config(file: Path | None) -> dict[str, Any]:
     """Choices from a TOML file, by name; none without a file."""
     if file is None:
         return {}
+    from curlfit.throws.readers.text import lines_of
+
+    lines = lines_of(file, most_bytes=_MOST_BYTES, settings=True)
     try:
-        found = tomllib.loads(file.read_text())
-    except FileNotFoundError:
-        raise DataError("no such file", file=file) from None
-    except OSError as error:
-        raise DataError(f"cannot be read ({error.strerror})", file=file) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        found = tomllib.loads("\n".join(lines))
+    except RecursionError:
+        raise DataError("lists or tables nested too deeply", file=file) from None
+    except ValueError as error:
         raise DataError(f"not a TOML file: {error}", file=file) from None
     for key, value in found.items():
         if key not in _KEYS:
             raise DataError(
-                f"unknown setting {key!r}; the settings are {', '.join(_KEYS)}", file=file
+                f"unknown setting {quoted(key)}; the settings are {', '.join(_KEYS)}", file=file
             )
         try:
             _FORMS[_KEYS[key]].checked(key, value)
@@ -118,9 +121,9 @@ def prepare_all(
     from curlfit.inference.joint.result import folder_name
     from curlfit.throws.readers import holds_timed_rows, load_throws
 
-    names = [file.stem for file in files]
+    names = [folder_name(file.name) for file in files]
     if len(set(names)) < len(names):
-        names = [f"{file.resolve().parent.name}-{file.stem}" for file in files]
+        names = [safe_name(f"{file.resolve().parent.name}-{file.stem}") for file in files]
     for index, name in enumerate(names):
         if name in names[:index]:
             raise InputError(
@@ -258,4 +261,5 @@ def load_fit_and_chain(folder: Path) -> tuple[FitResult, Chain | None]:
 def name_of(fit: Path) -> str:
     """The name of a saved fit, for results derived from it."""
     own = fit.resolve()
-    return (own.parent if own.suffix == ".json" else own).name.removesuffix("-fit")
+    folder = own.parent if own.suffix == ".json" else own
+    return safe_name(folder.name.removesuffix("-fit"))

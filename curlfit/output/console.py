@@ -14,6 +14,8 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from curlfit.foreign import printable
+
 _DEFAULT_WIDTH = 110  # columns, if the output is not a terminal
 _MIN_TEXT_WIDTH = 24  # columns of a wrapped cell
 _UNLIMITED = 10_000
@@ -25,7 +27,8 @@ def terminal(*, quiet: bool = False, highlight: bool = True) -> Console:
     """The console of the command line: width of the terminal or of `COLUMNS`, else 110."""
     from_terminal = sys.stdout.isatty() or "COLUMNS" in os.environ
     width = None if from_terminal else _DEFAULT_WIDTH
-    console = Console(quiet=quiet, highlight=highlight, width=width)
+    # Names of files are no markup.
+    console = Console(quiet=quiet, highlight=highlight, width=width, markup=False, emoji=False)
     console.push_render_hook(_Trimmer())
     return console
 
@@ -44,12 +47,13 @@ class _TrimmedLines:
 
 
 def _trim(segments: Iterable[Segment]) -> Iterator[Segment]:
-    """The segments without trailing blanks."""
+    """The segments without trailing blanks, and without control characters of foreign text."""
     blanks: list[Segment] = []
     for segment in segments:
         runs = [segment.text] if segment.control else _RUNS.findall(segment.text)
         for run in runs:
-            part = Segment(run, segment.style, segment.control)
+            safe = run if segment.control or run == "\n" else printable(run)
+            part = Segment(safe, segment.style, segment.control)
             if run.isspace() and run != "\n":
                 blanks.append(part)
                 continue

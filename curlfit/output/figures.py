@@ -6,18 +6,22 @@ everywhere; markers, dashes and lightness convey the same without colour.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
-from functools import wraps
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import lru_cache, wraps
 from io import BytesIO
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
+from warnings import catch_warnings, filterwarnings
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.mathtext import MathTextParser
 from matplotlib.ticker import MaxNLocator
 
+from curlfit.foreign import cut, printable
 from curlfit.sheet import FOOT
 
 if TYPE_CHECKING:
@@ -69,8 +73,6 @@ DASHES = ("-", "--", "-.", ":")
 CHANNEL_MARKER = {"x": "o", "y": "s", "phi": "^"}
 CHANNEL_LABEL = {"x": "x", "y": "y", "phi": r"\varphi", "speed": "v", "omega": r"\omega"}
 _STYLE: dict[str, Any] = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib: the same figure everywhere
     "mathtext.fontset": "dejavusans",
     "text.usetex": False,
     "axes.unicode_minus": True,
@@ -109,6 +111,11 @@ _STYLE: dict[str, Any] = {
     "figure.constrained_layout.w_pad": 0.04,
     "figure.titlesize": 8,
 }
+_OTHER_SCRIPTS = (
+    "Noto Sans CJK JP", "Noto Sans CJK SC", "Source Han Sans", "WenQuanYi Zen Hei", "Hiragino Sans",
+    "PingFang SC", "Apple SD Gothic Neo", "Yu Gothic", "Microsoft YaHei", "Malgun Gothic",
+    "Noto Sans Arabic", "Noto Sans Hebrew", "Noto Sans Thai", "Noto Sans Devanagari",
+)  # fmt: skip
 _FILES = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.hashsalt": "curlfit"}
 """Embedded TrueType fonts; the same bytes for the same figure."""
 _UNDATED = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
@@ -118,8 +125,21 @@ _SLOPES = 40  # maximum number estimated from a measured series
 MAX_POINTS = 2000  # maximum number drawn of a series
 
 
-def _style(more: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
-    return rc_context(cast("Any", _STYLE | dict(more or {})))
+@lru_cache(1)
+def _fonts() -> list[str]:
+    """The font of all text, and those installed for scripts that it lacks."""
+    from matplotlib.font_manager import fontManager
+
+    installed = set(fontManager.get_font_names())
+    return ["DejaVu Sans", *(name for name in _OTHER_SCRIPTS if name in installed)]
+
+
+@contextmanager
+def _style(more: Mapping[str, Any] | None = None) -> Iterator[None]:
+    settings = _STYLE | {"font.family": _fonts()} | dict(more or {})
+    with rc_context(cast("Any", settings)), catch_warnings():
+        filterwarnings("ignore", message="Glyph .* missing from")
+        yield
 
 
 class Picture(Figure):
@@ -233,9 +253,45 @@ def feet(axes: Any, side: str, label: str = "") -> None:
     axis.grid(visible=False)
 
 
+def literal(text: str) -> str:
+    """Text from outside, for a figure: cut, and no mathematics."""
+    shown = cut(printable(text)).replace("$", r"\$")
+    return f" {shown}" if shown.startswith("_") else shown  # legends omit labels that begin so
+
+
+def file_name(file: str) -> str:
+    """The name of a file, for a figure."""
+    return literal(FilePath(file).name)
+
+
+def law_and_load(result: Any) -> str:
+    """What was fitted, for a title."""
+    return f"{literal(result.law)} law, {literal(result.load)} load"
+
+
+def heading_of(result: Any) -> str:
+    """The data of a result and what was fitted, for a title."""
+    return f"{file_name(result.data['file'])}: {law_and_load(result)}"
+
+
+@lru_cache
+def math_symbol(symbol: str) -> str:
+    """A symbol, without its dollar signs, of which TeX and matplotlib do nothing but draw it; the
+    letters alone of any other."""
+    try:
+        MathTextParser("path").parse(f"${symbol}$")
+        drawn = re.search(r"[%&#~$\n]|\^\^", symbol) is None
+    except ValueError:
+        drawn = False
+    return symbol if drawn else rf"\mathrm{{{re.sub('[^A-Za-z0-9]+', ' ', symbol).strip() or '?'}}}"
+
+
 def in_symbols(expression: str, symbols: Mapping[str, str]) -> str:
     """A sum of parameters with their symbols in place of their names, for matplotlib."""
-    words = [f"${symbols[word]}$" if word in symbols else word for word in expression.split()]
+    words = [
+        f"${math_symbol(symbols[word])}$" if word in symbols else literal(word)
+        for word in expression.split()
+    ]
     return " ".join(word.replace("-", "\N{MINUS SIGN}") for word in words)
 
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
+from curlfit.output.figures import literal
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -43,7 +45,7 @@ def neat_axis(axis: Any, label: str, unit: str = "", *, neighbours: bool = False
     low, high = sorted(map(float, axis.get_view_interval()))
     inches = axis.axes.get_window_extent().width / axis.axes.get_figure().dpi
     letter_width = _LETTER_WIDTH if axis.axis_name == "x" else 0.0
-    unit = "" if unit == "1" else unit.replace("^2", "\N{SUPERSCRIPT TWO}")
+    unit = "" if unit == "1" else literal(unit).replace("^2", "\N{SUPERSCRIPT TWO}")
     most, steps = (5, [1, 2, 3, 4, 5, 10]) if neighbours else (7, [1, 2, 5, 10])
     while True:
         ticks = np.asarray(MaxNLocator(most, steps=steps).tick_values(low, high))

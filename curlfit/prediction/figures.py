@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,8 +20,10 @@ from curlfit.output.figures import (
     ZERO_LINE,
     Picture,
     feet,
+    file_name,
     legend_above,
     letter,
+    literal,
     measured_slopes,
     place,
     styled,
@@ -64,9 +65,9 @@ def prediction_figure(prediction: Prediction) -> Figure:
     wide = (WIDTH - 0.12 + 0.05) / max(len(channels), 1)
     for index, name in enumerate(channels):
         _residuals(prediction, place(figure, 0.6 + index * wide, 5.5, wide - 0.65, 0.85), name)
-    file = FilePath(prediction.fit["file"]).name
+    file = file_name(prediction.fit["file"])
     of = "extrapolated to rest" if prediction.of == "fitted" else "another throw on this ice"
-    title(top, f"{prediction.law} law fitted to {file}, {of}", margin=0.6)
+    title(top, f"{literal(prediction.law)} law fitted to {file}, {of}", margin=0.6)
     letter(top, "a", 0.38, 5)
     for axes, mark in zip((house, across, speed, *figure.axes[5:6]), "bcde", strict=False):
         letter(axes, mark)

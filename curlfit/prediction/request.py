@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from curlfit.dynamics.aim import aim
 from curlfit.environment import Environment
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import START
 from curlfit.inference.system import System
@@ -50,7 +51,9 @@ class ThrowRequest(NamedTuple):
         names = [item.name for item in START]
         for name, value in self.start.items():
             if name not in names:
-                raise InputError(f"start: unknown {name!r}; expected some of {', '.join(names)}")
+                raise InputError(
+                    f"start: unknown {quoted(name)}; expected some of {', '.join(names)}"
+                )
             if not math.isfinite(value):
                 raise InputError(f"{name} = {value}: expected a finite number")
         if not 0 < self.start.get("v0", 1.0) <= SPEED:
@@ -62,11 +65,11 @@ class ThrowRequest(NamedTuple):
             raise InputError(f"omega0 = {self.start['omega0']:g} rad/s: expected at most 100 rad/s")
         if self.line not in (*list(LINES)[:-1], "data"):
             raise InputError(
-                f"start on {self.line!r}: expected one of {', '.join(list(LINES)[:-1])}, data"
+                f"start on {quoted(self.line)}: expected one of {', '.join(list(LINES)[:-1])}, data"
             )
         if self.target is not None and (isinstance(self.target, str) or len(self.target) != 2):
             raise InputError(
-                f"target {self.target!r}: expected (x, y), m from the tee; (0, 0) is the tee"
+                f"target {quoted(self.target)}: expected (x, y), m from the tee; (0, 0) is the tee"
             )
         if self.target is not None and not abs(self.target[0]) <= WIDTH / 2:
             raise InputError(
@@ -76,7 +79,7 @@ class ThrowRequest(NamedTuple):
         if self.target is not None and self.weight is not None:
             raise InputError("a target and a weight are given; expected one of them")
         if self.weight is not None and self.weight not in WEIGHTS:
-            raise InputError(f"weight {self.weight!r}: expected {', '.join(WEIGHTS)}")
+            raise InputError(f"weight {quoted(self.weight)}: expected {', '.join(WEIGHTS)}")
         if self.tee_speed is not None and self.weight != "takeout":
             raise InputError("a speed at the tee needs the weight takeout")
         if self.aimed and "v0" in self.start:

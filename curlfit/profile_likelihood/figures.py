@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +17,9 @@ from curlfit.output.figures import (
     ZERO_LINE,
     Picture,
     fix_layout,
+    heading_of,
     line_styles,
+    math_symbol,
     styled,
     title,
 )
@@ -59,16 +60,12 @@ def _single_figure(profile: Profile) -> Figure:
     _chi_squared(profile, above)
     _others(profile, below)
     above.tick_params(labelbottom=False)
-    title(above, _title(profile))
+    title(above, heading_of(profile))
     label = _label(profile.estimate, profile.name)
     neat_axis(below.xaxis, *label)  # for which the layout leaves space
     fix_layout(figure)
     neat_axis(below.xaxis, *label)  # by the final width
     return figure
-
-
-def _title(profile: Profile) -> str:
-    return f"{FilePath(profile.data['file']).name}: {profile.law} law, {profile.load} load"
 
 
 def _chi_squared(profile: Profile, axes: Any) -> None:
@@ -158,7 +155,7 @@ def _others(profile: Profile, axes: Any) -> None:
     axes.axhline(0, **ZERO_LINE)
     lines, styles = [], line_styles(len(moves))
     for index, name in enumerate(name for name in moves if name in largest):
-        label = f"${profile.parameters[name].symbol}$"
+        label = f"${math_symbol(profile.parameters[name].symbol)}$"
         lines += axes.plot(
             profile.at[shown], moves[name][shown], lw=1.2, label=label, **styles[index],
         )  # fmt: skip
@@ -171,11 +168,11 @@ def _others(profile: Profile, axes: Any) -> None:
             item = profile.parameters[name]
             lines += right.plot(
                 profile.at[shown], series[shown], ls=DASHES[index % len(DASHES)], color="0.15",
-                lw=1.8, label=f"${item.symbol}$ (right)",
+                lw=1.8, label=f"${math_symbol(item.symbol)}$ (right)",
             )  # fmt: skip
         units = {profile.parameters[name].unit for name in values} - {"", "1"}
         unit = f" ({', '.join(sorted(units))})" if units else ""
-        named = ", ".join(f"${profile.parameters[name].symbol}$" for name in values)
+        named = ", ".join(f"${math_symbol(profile.parameters[name].symbol)}$" for name in values)
         right.set_ylabel(named + unit)
         right.margins(y=0.1)
     if not moves:
@@ -195,7 +192,7 @@ def _others(profile: Profile, axes: Any) -> None:
 def _label(item: Estimate, name: str) -> tuple[str, str]:
     """Label and unit of an axis."""
     named = item.symbol in (name, rf"\mathrm{{{name}}}")  # the latter has no symbol of its own
-    return (name if named else f"${item.symbol}$, {name}"), item.unit
+    return (name if named else f"${math_symbol(item.symbol)}$, {name}"), item.unit
 
 
 def _pair_figure(profile: PairProfile) -> Figure:
@@ -219,7 +216,7 @@ def _pair_figure(profile: PairProfile) -> Figure:
         _limits(axes.set_xlim, low, high)
         shown = (profile.second - below(profile.first))[near]
         _limits(axes.set_ylim, shown.min(), shown.max())
-    title(panels[0], _title(profile.each[0]), columns=len(panels), margin=0.5)
+    title(panels[0], heading_of(profile.each[0]), columns=len(panels), margin=0.5)
     if thin:
         title(panels[1], "the same, minus the refitted value", columns=len(panels))
     handles = [
@@ -229,7 +226,10 @@ def _pair_figure(profile: PairProfile) -> Figure:
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     _annotate_plane(profile, panels[0])
     figure.draw_without_rendering()  # the layout, which the ticks depend on
-    refitted = f"${other.symbol}$ \N{MINUS SIGN} refitted ${other.symbol}$", other.unit
+    refitted = (
+        f"${math_symbol(other.symbol)}$ \N{MINUS SIGN} refitted ${math_symbol(other.symbol)}$",
+        other.unit,
+    )
     for axes, second in zip(panels, (labels[1], refitted), strict=False):
         neat_axis(axes.xaxis, *labels[0])
         neat_axis(axes.yaxis, *second)
@@ -258,7 +258,7 @@ def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
     at, valley = profile.each[0].at, profile.valley
     axes.plot(
         at, valley - below(at), color=FIT_COLOR, lw=1.2, ls="-.", zorder=4,
-        label=f"${profile.parameters[profile.names[1]].symbol}$ refitted",
+        label=f"${math_symbol(profile.parameters[profile.names[1]].symbol)}$ refitted",
     )  # fmt: skip
     if profile.covariance is not None:
         angle = np.linspace(0, 2 * np.pi, 361)
@@ -282,8 +282,9 @@ def _annotate_plane(profile: PairProfile, axes: Any) -> None:
     rise = f"{along.rise:.1g}" if along.rise < 1e-3 else f"{along.rise:.2g}"
     lines = [rf"along the valley $\Delta\chi^2 \leq$ {rise}"]
     for item in along.combinations:
+        symbols = {name: math_symbol(profile.parameters[name].symbol) for name in item.weights}
         parts = [
-            f"{'' if weight == 1 else f'{weight:.4g} '}${profile.parameters[name].symbol}$"
+            f"{'' if weight == 1 else f'{weight:.4g} '}${symbols[name]}$"
             for name, weight in item.weights.items()
         ]
         lines.append("only " + " + ".join(parts) + " is determined")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Integral, Real
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 from cyclopts import Parameter
 
 from curlfit.errors import InputError
+from curlfit.foreign import cut, is_number, is_size, quoted
 
 
 class Form:
@@ -41,7 +41,7 @@ class Form:
         try:
             return self._check(value)
         except (TypeError, ValueError, OverflowError, AttributeError):
-            raise InputError(f"{name} = {value!r}: expected {self.expected}") from None
+            raise InputError(f"{name} = {quoted(value)}: expected {self.expected}") from None
 
     def __call__(self, _: Any, tokens: Sequence[Any]) -> Any:
         """The value of the words after a flag, as cyclopts passes them."""
@@ -53,9 +53,9 @@ class Form:
         try:
             return self._check(self._parse(word.strip()))
         except InputError as error:
-            raise InputError(f"{flag}{word.strip()}: {error}") from None
+            raise InputError(f"{flag}{cut(word.strip())}: {error}") from None
         except (TypeError, ValueError, OverflowError):
-            raise InputError(f"{flag}{word.strip()}: expected {self.written}") from None
+            raise InputError(f"{flag}{cut(word.strip())}: expected {self.written}") from None
 
     def words(self, value: Any) -> list[str]:
         """The words after a flag that give a value."""
@@ -73,7 +73,7 @@ class Table(Form):
         """The same for each value."""
         value = value.as_dict() if hasattr(value, "as_dict") else value
         if not isinstance(value, Mapping):
-            raise InputError(f"{name} = {value!r}: expected {self.expected}")
+            raise InputError(f"{name} = {quoted(value)}: expected {self.expected}")
         return {str(key): self.value.checked(f"{name}.{key}", one) for key, one in value.items()}
 
     def __call__(self, _: Any, tokens: Sequence[Any]) -> dict[str, Any]:
@@ -83,10 +83,10 @@ class Table(Form):
             for part in token.value.split(",") if self.many else [token.value]:
                 name, equals, text = (one.strip() for one in part.partition("="))
                 if not equals or not name or not text:
-                    raise InputError(f"{token.keyword} {token.value}: expected {self.written}")
+                    raise InputError(f"{token.keyword} {cut(token.value)}: expected {self.written}")
                 if name in found:
-                    raise InputError(f"{token.keyword}: {name} is given twice")
-                found[name] = self.value.read_word(f"{token.keyword} {name}=", text)
+                    raise InputError(f"{token.keyword}: {cut(name)} is given twice")
+                found[name] = self.value.read_word(f"{token.keyword} {cut(name)}=", text)
         return found
 
     def words(self, value: Mapping[str, Any]) -> list[str]:
@@ -110,13 +110,13 @@ class Several(Form):
             each = value.split(",") if isinstance(value, str) else [value]
             value = [one.strip() if isinstance(one, str) else one for one in each]
         if isinstance(value, str | Mapping) or not hasattr(value, "__iter__"):
-            raise InputError(f"{name} = {value!r}: expected {self.expected}")
+            raise InputError(f"{name} = {quoted(value)}: expected {self.expected}")
         try:
             return tuple(dict.fromkeys(self.value.checked(name, one) for one in value))
         except InputError as error:
             if isinstance(self.value, OneOf):
                 raise
-            raise InputError(f"{name} = {value!r}: expected {self.expected}") from error
+            raise InputError(f"{name} = {quoted(value)}: expected {self.expected}") from error
 
     def __call__(self, _: Any, tokens: Sequence[Any]) -> tuple[Any, ...]:
         """All words together."""
@@ -146,7 +146,9 @@ class Interval(Form):
 
         def check(value: Any) -> tuple[float, float]:
             low, high = (float(_real(one)) for one in value)
-            if not (open_ended or low < high) or math.isnan(low) or math.isnan(high):
+            if not all(is_number(end, infinite=True) for end in (low, high)):
+                raise ValueError
+            if not (open_ended or low < high):
                 raise ValueError
             return low, high
 
@@ -164,7 +166,13 @@ def _real(value: Any) -> Any:
 
 
 def _finite(value: Any) -> float:
-    if not math.isfinite(number := float(_real(value))):
+    if not is_number(number := float(_real(value))):
+        raise ValueError
+    return number
+
+
+def _size(word: str) -> float:
+    if not is_size(number := float(word)):
         raise ValueError
     return number
 
@@ -208,7 +216,7 @@ class OneOf(Form):
         text = self.others.get(text, text)
         if text not in self.names:
             listed = " or ".join(self.names) if len(self.names) < 3 else self.expected
-            raise InputError(f"unknown {self.what} {text!r}; expected {listed}")
+            raise InputError(f"unknown {self.what} {quoted(text)}; expected {listed}")
         return text
 
     def read_word(self, flag: str, word: str) -> str:
@@ -228,12 +236,12 @@ def numbers(count: int, written: str) -> Form:
             raise ValueError
         return found
 
-    return Form(f"{count} numbers", check, lambda word: map(float, word.split(",")), written)
+    return Form(f"{count} numbers", check, lambda word: map(_size, word.split(",")), written)
 
 
 PATH = Form("a name of a file or folder", lambda one: Path(one), Path, "a file or folder")
-NUMBER = Form("a finite number", _finite, float)
-TIME = Form("a time in s", _finite, float)
+NUMBER = Form("a number, at most 1e12", _finite, _size)
+TIME = Form("a time in s", _finite, _size)
 SWITCH = Form("true or false", _truth)
 VALUES = Table(NUMBER, "NAME=VALUE", many=True)
 LIMITS = Table(Interval("[low, high]", "LOW:HIGH", open_ended=True), "NAME=LOW:HIGH")
@@ -247,27 +255,6 @@ PRIORS = Table(
 )
 
 
-def quantity(name: str) -> Form:
-    """A number in SI or followed by its unit, such as `5mm`; None for `none`."""
-
-    def check(value: Any) -> float | None:
-        return None if value is None else _finite(value)
-
-    def parse(word: str) -> float | None:
-        if word.lower() == "none":
-            return None
-        size = _SIZE.match(word)
-        if size is None:
-            raise ValueError
-        from curlfit.throws.readers.columns import in_unit
-
-        unit = word[size.end() :].strip()
-        return float(size[0]) * (in_unit(name, unit).factor if unit else 1.0)
-
-    return Form("a number in SI", check, parse, "a number, followed by its unit unless in SI")
-
-
-_SIZE = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 TEXTS = Several(TEXT, "a list of strings", "a text", commas=False)
 
 

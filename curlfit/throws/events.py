@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
 
 QUANTITIES = {"time": "s", "x": "m", "y": "m", "phi": "rad"}
@@ -57,7 +58,7 @@ class Event:
     def __post_init__(self) -> None:
         if self.quantity not in QUANTITIES:
             raise InputError(
-                f"event {self.name}: {self.quantity!r} found, expected one of "
+                f"event {self.name}: {quoted(self.quantity)} found, expected one of "
                 + ", ".join(QUANTITIES)
             )
         if self.quantity == "y" and self.since is not None:

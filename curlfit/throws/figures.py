@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from curlfit.output.figures import CHANNEL_LABEL, DATA_STYLE, WIDTH, Picture, styled, title
+from curlfit.output.figures import (
+    CHANNEL_LABEL,
+    DATA_STYLE,
+    WIDTH,
+    Picture,
+    file_name,
+    styled,
+    title,
+)
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
@@ -29,5 +36,5 @@ def throw_figure(throw: Throw) -> Figure:
         axes.plot(throw.t, getattr(throw, name), **DATA_STYLE)
         axes.set_ylabel(f"${CHANNEL_LABEL[name]}$ ({UNITS[name]})")
     panels[-1].set_xlabel("t (s)")
-    title(panels[0], FilePath(throw.name).name)
+    title(panels[0], file_name(throw.name))
     return figure

@@ -39,7 +39,7 @@ def print_inspection(
     console = console or terminal(highlight=False)
 
     def write(line: str) -> None:
-        console.print(line, markup=False)
+        console.print(line)
 
     if throw.has_path:
         write(
@@ -72,7 +72,7 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
         return
     console.print("\nImplausible for a curling stone", style="bold")
     for finding in findings:
-        console.print(f"- {finding}", markup=False, style="red" if finding.refused else "yellow")
+        console.print(f"- {finding}", style="red" if finding.refused else "yellow")
 
 
 def _columns(parsed: ParsedFile) -> PlainTable:

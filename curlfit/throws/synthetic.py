@@ -9,6 +9,7 @@ import numpy as np
 
 from curlfit.environment import Environment
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
@@ -50,7 +51,7 @@ def law_with(
     for name, value in coefficients.items():
         if name not in known:
             raise InputError(
-                f"law {kind.name} has no coefficient {name!r}; it has {', '.join(known)}"
+                f"law {kind.name} has no coefficient {quoted(name)}; it has {', '.join(known)}"
             )
         if not math.isfinite(value):
             raise InputError(f"{name} = {value}: expected a finite number")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from curlfit.errors import DataError, InputError, require_kind
+from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.output.display import Displayed, Overview
 from curlfit.output.frames import frame
@@ -521,8 +522,8 @@ def check_sigma(sigma: Mapping[str, float]) -> None:
     for name, value in sigma.items():
         if name not in (*CHANNELS, "time"):
             raise InputError(
-                f"no channel {name!r}; the channels are {', '.join(CHANNELS)}, and `time` is that "
-                "of events"
+                f"no channel {quoted(name)}; the channels are {', '.join(CHANNELS)}, and `time` "
+                "is that of events"
             )
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"sigma of {name} = {value:g}: expected a positive number")

@@ -101,7 +101,7 @@ def test_flags_go_before_the_fit(typed):
         ("--sweep 3:5", "--sweep 3:5: expected A:B=V"),
         ("--sweep 5:3=1", "with A before B"),
         ("--sweep 3:5=-1", "a ratio of friction of 0 or more"),
-        ("--slope-x nan", "slope_x = nan: expected a finite number"),
+        ("--slope-x nan", "--slope-x nan: expected a number"),
         ("--fit nowhere", "nowhere"),
     ],
 )

@@ -15,6 +15,7 @@ from curlfit.numerics.batches import stacked, unstacked
 import numpy as np
 
 from curlfit.errors import InputError, UnusableFitError, require_kind
+from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.measured_curl import curl_warnings
@@ -158,7 +159,7 @@ def _shared(law: type[Law], share: str | Sequence[str]) -> tuple[str, ...]:
     for name in shared:
         if name not in own:
             raise InputError(
-                f"share: law {law.name} has no coefficient {name!r}; it has {', '.join(own)}"
+                f"share: law {law.name} has no coefficient {quoted(name)}; it has {', '.join(own)}"
             )
     return shared
 

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from curlfit.foreign import safe_name
 from curlfit.inference.derived import Derived, derive
 from curlfit.inference.fit.result import (
     Estimate,
@@ -181,7 +182,7 @@ class JointResult(NamedEstimates):
 def folder_name(throw: str) -> str:
     """The folder of a throw beside `joint.json`: `evening-3` for row 3 of `evening.csv`."""
     row = re.fullmatch(r"(.*) row (\d+)", throw)
-    return Path(throw).stem if row is None else f"{Path(row[1]).stem}-{row[2]}"
+    return safe_name(Path(throw).stem if row is None else f"{Path(row[1]).stem}-{row[2]}")
 
 
 def load_joint(file: str | PathLike[str]) -> JointResult:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.sheet import LINES
 
@@ -126,19 +127,23 @@ def parse_axes(text: str | None) -> AxisConvention:
     for given in (text or "").replace(",", " ").lower().replace("_", "-").split():
         word = _SYNONYMS.get(given, given)
         if word not in WORDS:
-            raise InputError(f"axes {given!r}: unknown word; expected some of {', '.join(WORDS)}")
+            raise InputError(
+                f"axes {quoted(given)}: unknown word; expected some of {', '.join(WORDS)}"
+            )
         name, _, where = word.partition("-")
         if name in ("x", "y"):
             if axes.get(name, _DIRECTIONS[where]) != _DIRECTIONS[where]:
-                raise InputError(f"axes {text!r}: {name} points in two directions")
+                raise InputError(f"axes {quoted(text)}: {name} points in two directions")
             axes[name] = _DIRECTIONS[where]
         elif name == "from":
             if zero is not None:
-                raise InputError(f"axes {text!r}: two zeros are given")
+                raise InputError(f"axes {quoted(text)}: two zeros are given")
             zero = LINES[where]
         else:
             if turn is not None:
-                raise InputError(f"axes {text!r}: angles are both clockwise and counter-clockwise")
+                raise InputError(
+                    f"axes {quoted(text)}: angles are both clockwise and counter-clockwise"
+                )
             turn = -1 if word == "clockwise" else 1
     x, y = axes.get("x"), axes.get("y")
     if x is None:
@@ -148,8 +153,8 @@ def parse_axes(text: str | None) -> AxisConvention:
     convention = AxisConvention(x, y, 1, zero or 0.0)
     if convention.handedness == 0:
         raise InputError(
-            f"axes {text!r}: x and y lie on one line; one runs along the sheet (along, back), the "
-            "other across it (right, left)"
+            f"axes {quoted(text)}: x and y lie on one line; one runs along the sheet (along, "
+            "back), the other across it (right, left)"
         )
     return convention._replace(turn=convention.handedness if turn is None else turn)
 

@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 from curlfit.sheet import FOOT
 
 _NAMES = {
@@ -130,7 +131,8 @@ def in_unit(quantity: str, unit: str) -> Column:
     if text not in units:
         known = [name for name in units if name.isascii()]
         raise InputError(
-            f"{quantity} in {unit.strip()!r}: unknown unit; expected one of {', '.join(known)}"
+            f"{quantity} in {quoted(unit.strip())}: unknown unit; expected one of "
+            f"{', '.join(known)}"
         )
     return Column(quantity, unit.strip(), units[text])
 
@@ -154,8 +156,8 @@ def parse_units(text: str | None) -> dict[str, str]:
             quantities = [str(quantity)]
         else:
             raise InputError(
-                f"units {part.strip()!r}: expected QUANTITY=UNIT such as t=ms,x=cm,angle=deg; the "
-                "quantities are t, x, y, length, angle, speed, spin"
+                f"units {quoted(part.strip())}: expected QUANTITY=UNIT such as t=ms,x=cm,angle=deg "
+                "with the quantities t, x, y, length, angle, speed, spin"
             )
         for item in quantities:
             in_unit(item, unit)

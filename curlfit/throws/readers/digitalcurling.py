@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError
+from curlfit.foreign import is_number, quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import Column
 from curlfit.throws.readers.parsed_file import (
@@ -40,7 +41,7 @@ from curlfit.throws.readers.table import defaults_of
 _EXPECTED = (
     'expected a log of a DigitalCurling 3 shot with a "trajectory" (shot_*.json or server.log)'
 )
-_MOST_NUMBERS = 20_000_000
+_MOST_NUMBERS = 2_000_000
 _MOVED = 1e-4  # m; positions are 32-bit numbers
 
 
@@ -158,25 +159,30 @@ def shots_of(path: Path, lines: list[str]) -> list[Shot]:
 
 
 def _shots(path: Path, lines: list[str]) -> Iterator[Shot]:
-    text = "\n".join(line for line in lines if line.lstrip()[:1] != "#").strip()
-    try:
-        values = [(1, json.loads(text))]
-    except (ValueError, RecursionError):
-        values = []
-        for number, line in enumerate(lines, 1):
-            if not line.strip() or line.lstrip().startswith("#"):
-                continue
-            try:
-                values.append((number, json.loads(line)))
-            except (ValueError, RecursionError):
-                raise DataError(
-                    f"not a line of JSON; {_EXPECTED}", file=path, line=number
-                ) from None
-    for number, value in values:
+    for number, value in _values(path, lines):
         for item in value if isinstance(value, list) else [value]:
             found = _trajectory(item)
             if found is not None:
                 yield Shot(number, *found)
+
+
+def _values(path: Path, lines: list[str]) -> Iterator[tuple[int, Any]]:
+    """The JSON values of the file, with their lines."""
+    text = "\n".join(line for line in lines if line.lstrip()[:1] != "#").strip()
+    try:
+        whole = json.loads(text)
+    except (ValueError, RecursionError):
+        for number, line in enumerate(lines, 1):
+            if not line.strip() or line.lstrip().startswith("#"):
+                continue
+            try:
+                yield number, json.loads(line)
+            except (ValueError, RecursionError):
+                raise DataError(
+                    f"not a line of JSON; {_EXPECTED}", file=path, line=number
+                ) from None
+    else:
+        yield 1, whole
 
 
 def _trajectory(item: Any) -> tuple[str, dict[str, Any]] | None:
@@ -210,8 +216,8 @@ def _paths(path: Path, shot: Shot) -> tuple[float, Floats, list[str]]:
         return DataError(f"{shot.name}: {message}", file=path, line=shot.line)
 
     period: Any = shot.trajectory.get("seconds_per_frame")
-    if not _is_number(period) or not 1e-6 <= period <= 60:
-        raise refuse(f"seconds_per_frame = {period!r}; expected a positive number")
+    if not is_number(period) or not 1e-6 <= period <= 60:
+        raise refuse(f"seconds_per_frame = {quoted(period)}; expected a positive number")
     start, frames = shot.trajectory.get("start"), shot.trajectory.get("frames")
     if not isinstance(start, dict) or not isinstance(frames, list):
         raise refuse("a trajectory needs a start and frames")
@@ -237,7 +243,7 @@ def _paths(path: Path, shot: Shot) -> tuple[float, Floats, list[str]]:
                 side = f"team{side}"
             slot = (side, number) if isinstance(side, str) and isinstance(number, int) else None
             if slot not in index:
-                raise refuse(f"frame {count}: no stone {number!r:.20} of team {side!r:.20}")
+                raise refuse(f"frame {count}: no stone {quoted(number)} of team {quoted(side)}")
             now[index[slot]] = _stone(change.get("value"), refuse)
         positions[:, count] = now
     return float(period), positions, [f"{team} stone {k + 1}" for team, k in slots]
@@ -250,15 +256,9 @@ def _stone(value: Any, refuse: Any) -> list[float]:
     numbers = (
         [place.get("x"), place.get("y"), value.get("angle")] if isinstance(place, dict) else []
     )
-    if not numbers or not all(_is_number(item) for item in numbers):
+    if not numbers or not all(is_number(item) for item in numbers):
         raise refuse("a stone needs a position x, y and an angle, all finite numbers")
     return [float(item) for item in numbers]
-
-
-def _is_number(value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) < 1e12  # false for NaN too
 
 
 def _first_change(stone: Floats) -> int:

@@ -19,9 +19,9 @@ from curlfit.throws.readers.text import (
     cells,
     header_cells,
     is_number,
+    lines_of,
     read_rows,
     separator_of,
-    text_of,
 )
 
 _EXPECTED = "expected a header u,v,x,y (pixels, and metres on the sheet) and four points or more"
@@ -89,7 +89,7 @@ def load_homography(file: Path) -> Homography:
     DataError : a column is missing, fewer than four points, collinear points, or points that are
         not consistent with an image of a plane.
     """
-    lines = text_of(file).split("\n")
+    lines = lines_of(file)
     first = next(
         (k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")),
         None,

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import CurlfitError, DataError, InputError
+from curlfit.foreign import quoted
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.axes import parse_axes
@@ -29,7 +30,7 @@ from curlfit.throws.readers.parsed_file import (
 )
 from curlfit.throws.readers.several import selected, throws_in
 from curlfit.throws.readers.table import TABLE
-from curlfit.throws.readers.text import clock_times, text_of
+from curlfit.throws.readers.text import clock_times, lines_of
 from curlfit.throws.readers.timings import TIMINGS, is_table
 from curlfit.throws.readers.tracker import TRACKER
 from curlfit.throws.throw import Throw
@@ -223,7 +224,7 @@ def read(
 
 def _check_format(format: str | None) -> None:
     if format is not None and format not in FORMATS:
-        raise InputError(f"format {format!r}: expected one of {', '.join(FORMATS)}")
+        raise InputError(f"format {quoted(format)}: expected one of {', '.join(FORMATS)}")
 
 
 class _SourceFile(NamedTuple):
@@ -240,7 +241,7 @@ class _SourceFile(NamedTuple):
 def _open(file: str | PathLike[str], format: str | None, options: ReadOptions) -> _SourceFile:
     _check_format(format)
     path = Path(file)
-    lines = text_of(path).split("\n")
+    lines = lines_of(path)
     source = _SourceFile(path, lines, _BY_NAME[format or detect_format(lines)])
     kinds = (("shot", "no shots"), ("stone_index", "one stone"), ("handle", "no objects"))
     for name, what in kinds:
@@ -252,7 +253,7 @@ def _open(file: str | PathLike[str], format: str | None, options: ReadOptions) -
 
 def format_of(file: str | PathLike[str]) -> str:
     """The format of a file. Raises `DataError` if it cannot be read."""
-    return detect_format(text_of(Path(file)).split("\n"))
+    return detect_format(lines_of(Path(file)))
 
 
 def detect_format(lines: list[str]) -> str:

@@ -7,6 +7,7 @@ import re
 from typing import NamedTuple
 
 from curlfit.errors import InputError
+from curlfit.foreign import quoted
 from curlfit.throws.readers.columns import in_unit, units_of
 from curlfit.throws.readers.text import parse_number
 
@@ -85,7 +86,7 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
     said_words = re.findall(r"[^\W\d_]+|\d[\d.,]*", words.lower())
     unknown = [word for word in said_words if word not in WORDS and word not in _FILLING]
     if unknown or (not numbers and not said_words):
-        raise InputError(f"{text.strip()[:40]!r} found, expected a number")
+        raise InputError(f"{quoted(text.strip())} found, expected a number")
     return Quantity(
         sign * value if numbers else math.nan,
         signed,

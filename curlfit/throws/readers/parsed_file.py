@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError, InputError
+from curlfit.foreign import LARGEST, quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.events import Event
 from curlfit.throws.readers.columns import Column, parse_header, with_units
@@ -147,8 +148,8 @@ def columns_of(
             column = Column(column.quantity[:-1] + axis, "px", 1.0)
         if column.quantity in taken:
             raise DataError(
-                f"columns {taken[column.quantity]!r} and {name!r} both mean {column.quantity}; "
-                "rename or remove one",
+                f"columns {quoted(taken[column.quantity])} and {quoted(name)} both mean "
+                f"{column.quantity}; rename or remove one",
                 file=source,
                 line=line,
             )
@@ -206,11 +207,11 @@ def in_si(parsed: ParsedFile, header: str, column: Column, values: Floats) -> Se
     if column.factor != 1:
         with np.errstate(over="ignore", invalid="ignore"):
             scaled = values * column.factor
-    bad = np.abs(scaled) > 1e12
+    bad = np.abs(scaled) > LARGEST
     if bad.any():
         row = int(np.argmax(bad))
         raise DataError(
-            f"{values[row]:g} {column.unit} found, expected at most 1e12",
+            f"{values[row]:g} {column.unit} found, expected at most {LARGEST:g}",
             file=parsed.source,
             line=None if parsed.lines is None else int(parsed.lines[row]),
             column=header,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import tomllib
+from bisect import bisect_left
 from collections.abc import Iterable
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 from curlfit.errors import DataError, InputError
+from curlfit.foreign import quoted
 from curlfit.friction import find_law
 from curlfit.settings.choices import SEED, Modelling, Reading
 from curlfit.stone import Stone
@@ -38,6 +40,7 @@ _SETTINGS = (
     "since", "until", "exclude", "swept", "law", "load", "stone", "sigma", "seed", "reference",
     "axes", "as_given",
 )  # fmt: skip
+_MOST_SETTINGS, _MOST_NOTES = 500, 5
 
 
 _FORMS = {**Modelling.forms(), **Reading.forms(), "seed": SEED}
@@ -132,22 +135,34 @@ def defaults_of(
     ------
     DataError : a setting that cannot be read or used.
     """
-    numbers, bodies, notes = [], [], []
+    numbers: list[int] = []
+    bodies: list[str] = []
+    notes: list[str] = []
+    unknown = 0
     for number, line in comments:
         body = line.lstrip().lstrip("#").strip()
         key = body.split("=", 1)[0].strip().split(".")[0]
         if "=" not in body or not key.isidentifier():
             continue
         if key not in _SETTINGS:
-            notes.append(f"line {number}: setting {key!r} is not known and was ignored")
+            unknown += 1
+            if unknown <= _MOST_NOTES:
+                notes.append(f"line {number}: setting {quoted(key)} is not known and was ignored")
             continue
+        if len(bodies) == _MOST_SETTINGS:
+            raise DataError(
+                f"more than {_MOST_SETTINGS} settings; expected those of one throw",
+                file=path,
+                line=number,
+            )
         numbers.append(number)
         bodies.append(body)
+    if unknown > _MOST_NOTES:
+        notes.append(f"{unknown - _MOST_NOTES} more settings are not known and were ignored")
     try:
         common = _settings(tuple(bodies))
     except (ValueError, RecursionError, InputError):
         _raise_at_fault(path, numbers, bodies)
-        raise
     # A copy: the cached settings are shared by all files with the same comments.
     settings = {k: dict(v) if isinstance(v, dict) else v for k, v in common.items()}
     reference = settings.pop("reference", None)
@@ -168,18 +183,22 @@ def _settings(bodies: tuple[str, ...]) -> dict[str, Any]:
 
 def _raise_at_fault(path: Path, numbers: list[int], bodies: list[str]) -> None:
     """Raise `DataError` with the first line that makes the settings unusable."""
-    for last, (number, body) in enumerate(zip(numbers, bodies, strict=True), 1):
+
+    def fault(count: int) -> str:
+        """What is wrong with the first lines; more lines mend nothing."""
         try:
-            _settings(tuple(bodies[:last]))
+            _settings(tuple(bodies[:count]))
         except InputError as error:
-            raise DataError(str(error), file=path, line=number) from None
+            return str(error)
         except (ValueError, RecursionError):
-            raise DataError(
-                f"cannot read the setting {body!r}; expected key = value as in TOML, "
-                "text in quotes, each key once",
-                file=path,
-                line=number,
-            ) from None
+            return (
+                f"cannot read the setting {quoted(bodies[count - 1])}; expected key = value as in "
+                "TOML, text in quotes, each key once"
+            )
+        return ""
+
+    last = 1 + bisect_left(range(1, len(bodies)), True, key=lambda count: bool(fault(count)))
+    raise DataError(fault(last), file=path, line=numbers[last - 1])
 
 
 def _check(settings: dict[str, Any]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
 import re
 from collections.abc import Iterable, Sequence
 from datetime import date
@@ -13,11 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from curlfit.errors import DataError
+from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
 
 GAPS = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 EXPECTED = "expected a header such as t,x,y,phi (time in s, position in m, angle in rad)"
-_MOST_BYTES = 1_000_000_000
+_MOST_BYTES = 50_000_000
+# Characters of a comment, a header or a setting; of a row; a line of JSON may have any number.
+_MOST_IN_HEAD, _MOST_IN_ROW = 1000, 20_000
+_MOST_LINES = 2_000_000
 _CHUNK = 20_000
 # A line that is blank or may be a comment
 _ODD_LINE = re.compile(r"\n[\s#]")
@@ -25,7 +28,38 @@ _ODD_LINE = re.compile(r"\n[\s#]")
 _UNIT_APART = re.compile(r"[ \t]+([(\[][^()\[\]]*[)\]])")
 
 
-def text_of(path: Path) -> str:
+def lines_of(path: Path, *, most_bytes: int = _MOST_BYTES, settings: bool = False) -> list[str]:
+    """The lines of a file, none of them longer than any throw needs; for a file of `settings`, all
+    are as short as comments.
+
+    Raises
+    ------
+    DataError : as `_text_of`; a line is too long.
+    """
+    text = _text_of(path, most_bytes, "settings" if settings else "throws")
+    if text.count("\n") > _MOST_LINES:
+        raise DataError(f"more than {_MOST_LINES} lines; expected throws", file=path)
+    lines = text.split("\n")
+    if max(map(len, lines)) <= _MOST_IN_HEAD:
+        return lines
+    starts = [line[:_MOST_IN_HEAD].lstrip()[:1] for line in lines]
+    header = next((k for k, start in enumerate(starts) if start not in ("", "#")), -1)
+    json = not settings and starts[header] in ("{", "[")
+    for index, (line, start) in enumerate(zip(lines, starts, strict=True)):
+        short = settings or index == header or start in ("", "#")
+        if json and start not in ("", "#"):
+            continue
+        most = _MOST_IN_HEAD if short else _MOST_IN_ROW
+        if len(line) > most:
+            raise DataError(
+                f"a line of {len(line)} characters; expected at most {most}",
+                file=path,
+                line=index + 1,
+            )
+    return lines
+
+
+def _text_of(path: Path, most_bytes: int, what: str) -> str:
     """The file's text with "\\n" line ends: UTF-8, UTF-16 with byte order mark, or Windows cp1252.
 
     Raises
@@ -34,9 +68,7 @@ def text_of(path: Path) -> str:
     """
     try:
         with path.open("rb") as stream:
-            if os.fstat(stream.fileno()).st_size > _MOST_BYTES:
-                raise DataError("the file is larger than 1 GB; expected one throw", file=path)
-            raw = stream.read()
+            raw = stream.read(most_bytes + 1)
     except FileNotFoundError:
         raise DataError("no such file", file=path) from None
     except IsADirectoryError:
@@ -44,7 +76,9 @@ def text_of(path: Path) -> str:
     except OSError as error:
         raise DataError(f"cannot be read ({error.strerror})", file=path) from None
     except ValueError:
-        raise DataError("this is not a file name", file=repr(str(path))) from None
+        raise DataError("this is not a file name", file=quoted(str(path))) from None
+    if len(raw) > most_bytes:
+        raise DataError(f"larger than {most_bytes // 1000} kB; expected {what}", file=path)
     if raw.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
         raise DataError(
             "this is a spreadsheet or another archive, not a text file; save the sheet as CSV",
@@ -311,14 +345,10 @@ def _read_cells(
             value = parse_number(cell, decimal_comma=decimal_comma)
             if value is None or not math.isfinite(value):
                 raise DataError(
-                    f"{_quote(cell)} found, expected a finite number",
+                    f"{quoted(cell)} found, expected a finite number",
                     file=path,
                     line=index + 1,
                     column=names[column],
                 )
             found[slot, row] = value
     return found
-
-
-def _quote(cell: str) -> str:
-    return repr(cell if len(cell) <= 40 else cell[:37] + "...")

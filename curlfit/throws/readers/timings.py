@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from curlfit.errors import DataError, InputError
+from curlfit.foreign import quoted
 from curlfit.sheet import LINES
 from curlfit.throws.events import SIGMA_TIME, Event
 from curlfit.throws.readers.notation import Quantity, parse_quantity
@@ -55,6 +56,9 @@ _SIDE = (
 )
 _SPLIT = re.compile(r"[\s_\-./()\[\]]+")
 _LINE = re.compile(r"""\s*["']?([^=:;,\t"']*?)["']?\s*[=:;,\t]\s*(\S.*?)\s*[;,]?\s*$""")
+
+
+_MOST_ROWS = 100_000
 
 
 class _Entry(NamedTuple):
@@ -161,6 +165,8 @@ def _rows(path: Path, lines: list[str]) -> list[dict[str, _Entry]]:
     ]
     if not is_table([text for _, text in body]):
         return [_entries(path, body)]
+    if len(body) > _MOST_ROWS:
+        raise DataError(f"more than {_MOST_ROWS} throws", file=path, line=body[_MOST_ROWS][0])
     header = _header(body[0][1])
     separator = separator_of(body[0][1])
     rows = []
@@ -191,7 +197,7 @@ def _entries(path: Path, body: list[tuple[int, str]]) -> dict[str, _Entry]:
         if pair is None:
             if not found and re.fullmatch(r"(?i)(name|key|quantity|what)\W.*", text):
                 continue  # a header
-            raise DataError(f"{text[:40]!r} is not known; {_EXPECTED}", file=path, line=count)
+            raise DataError(f"{quoted(text)} is not known; {_EXPECTED}", file=path, line=count)
         key, unit, value = pair
         if key in found:
             raise DataError(f"{key} is given twice", file=path, line=count)
@@ -265,7 +271,7 @@ class _Record:
             return found
         if math.isnan(value) or found.words - allowed or len(found.words) > 1:
             what = f"a number and {' or '.join(sorted(allowed))}" if allowed else "a number"
-            raise self._error(key, f"{text[:40]!r} found, expected {what}")
+            raise self._error(key, f"{quoted(text)} found, expected {what}")
         positive = kind == "t" or key.startswith("sigma")
         limit = _LIMITS.get(key, 600.0)
         if abs(value) > limit or (positive and value <= 0):
@@ -275,7 +281,7 @@ class _Record:
                 + ("above 0" if value <= 0 else f"up to {limit:g}"),
             )
         if found.signed and found.words:
-            raise self._error(key, f"{text[:40]!r} has a sign and a word; expected one of them")
+            raise self._error(key, f"{quoted(text)} has a sign and a word; expected one of them")
         return found
 
     def _sigma(self, key: str, usual: float) -> float:
@@ -329,7 +335,7 @@ class _Record:
             )
         raise self._error(
             "handle",
-            f"{self.entries['handle'].text[:40]!r} found, expected clockwise, counter-clockwise, "
+            f"{quoted(self.entries['handle'].text)} found, expected clockwise, counter-clockwise, "
             "or in-turn or out-turn with right-handed or left-handed",
         )
 
