@@ -119,7 +119,5 @@ def main() -> None:
     except OSError as error:
         # Unprinted output is dropped; Python would otherwise try to write it again on exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if isinstance(error, BrokenPipeError):
-            sys.exit(1)
         print(f"curlfit: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
         sys.exit(2)
