@@ -91,8 +91,8 @@ def batch(
     dask: Annotated[
         str | None,
         typer.Option(
-            help="Use the workers of a Dask scheduler, which see the same files; `local` starts "
-            "some here. Needs `pip install 'curlfit[dask]'`.",
+            help="Use the workers of a Dask scheduler, which see the same files. Whoever can "
+            "connect to it can run code as its owner. Needs `pip install 'curlfit[dask]'`.",
             metavar="tcp://...",
         ),
     ] = None,
@@ -114,10 +114,18 @@ def batch(
 
     Example: `curlfit batch season/ --stone R=0.054 --out season.csv`
     """
+    from concurrent.futures import BrokenExecutor
+
     from curlfit.batch.settings import BatchSettings, columns, found_files, usual_law
     from curlfit.batch.table import Table, settings_file
+    from curlfit.errors import CurlfitError, InputError
     from curlfit.throws.readers import states_sweeping
 
+    if dask is not None and "://" not in dask:
+        raise InputError(
+            f"--dask {dask}: expected the address of a scheduler, tcp://...; for processes on this "
+            "machine use --workers"
+        )
     files = [str(file) for file in found_files(data, besides=(out, settings_file(out)))]
     wanted: dict[str, Any] = {
         "law": law or usual_law(files[0], format),
@@ -162,24 +170,29 @@ def batch(
 
         if len(table.todo) < len(files):
             console.print(f"{len(files) - len(table.todo)} of {len(files)} files are in {out}.")
-        with (
-            Progress(
-                TextColumn("Fitting"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TextColumn("files"),
-                Left(),
-                TextColumn("(a first run on a machine compiles the model)"),
-                console=console,
-                disable=quiet or not console.is_terminal,
-                transient=True,
-            ) as progress,
-            executor(plan, workers=workers, dask=dask) as fitted,
-        ):
-            task = progress.add_task("", total=len(table.todo))
-            for rows in fitted(table.todo):
-                table.add(rows)
-                progress.advance(task, len({row["file"] for row in rows}))
+        progress = Progress(
+            TextColumn("Fitting"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("files"),
+            Left(),
+            TextColumn("(a first run on a machine compiles the model)"),
+            console=console,
+            disable=quiet or not console.is_terminal,
+            transient=True,
+        )
+        task = progress.add_task("", total=len(files), completed=len(files) - len(table.todo))
+        try:
+            with progress, executor(plan, workers=workers, dask=dask) as fitted:
+                for rows in fitted(table.todo):
+                    table.add(rows)
+                    progress.advance(task, len({row["file"] for row in rows}))
+        except BrokenExecutor:
+            raise CurlfitError(
+                "a process was killed, perhaps for lack of memory; "
+                f"{progress.tasks[task].completed:.0f} of {len(files)} files are in {out}, and the "
+                "same command continues"
+            ) from None
     counts = table.counts
     console.print(
         f"{counts['ok']} ok"
