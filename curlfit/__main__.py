@@ -5,38 +5,89 @@ from __future__ import annotations
 import atexit
 import gc
 import os
+import signal
 import sys
 import threading
+from io import BufferedWriter, FileIO, TextIOWrapper
+from types import FrameType
 
+_terminated: list[int] = []
 _GARBAGE = 300_000  # new objects between searches for garbage; the default, 700, costs time
 
 
 def run() -> None:
     """Run the command and end the process as soon as all work is done.
 
-    Python would tear down JAX, XLA's programs and matplotlib piece by piece, which takes a tenth of
-    the time of a fit.
+    SIGTERM stops the command as Ctrl-C does, with another exit status. Python would tear down JAX,
+    XLA's programs and matplotlib piece by piece, which takes a tenth of the time of a fit.
     """
     # before the imports: of NumPy, whose threads would wait for one another over small matrices,
     # and of objects that live to the end
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(_GARBAGE)
+    _open_streams()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as of Ctrl-C in the background
+            signal.signal(number, _stop)
     from curlfit.cli import main
 
     try:
         main()
         status = 0
-    except SystemExit as stop:
-        if not isinstance(stop.code, int | None):
+    except SystemExit as ended:
+        if not isinstance(ended.code, int | None):
             raise
-        status = stop.code or 0
+        status = ended.code or 0
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if processes := sys.modules.get("curlfit.numerics.processes"):
+        processes.end_workers()
     for thread in threading.enumerate():
         if thread is not threading.current_thread() and not thread.daemon:
             thread.join()  # until the program being compiled is stored
     atexit._run_exitfuncs()
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(status)
+    os._exit(128 + signal.SIGTERM if _terminated else status)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    """Stop as by Ctrl-C; at once while JAX is being loaded, which no exception may leave."""
+    if getattr(getattr(sys.modules.get("jax"), "__spec__", None), "_initializing", False):
+        os.write(2, b"curlfit: stopped\n")
+        os._exit(128 + number)
+    if number == signal.SIGTERM:
+        _terminated.append(number)
+    raise KeyboardInterrupt
+
+
+class _Pipe(FileIO):
+    """An output whose reader may go: what remains is dropped, and the command does its work."""
+
+    def write(self, text: bytes) -> int:  # type: ignore[override]
+        try:
+            return super().write(text)
+        except BrokenPipeError:
+            return len(text)
+
+
+def _open_streams() -> None:
+    """Standard streams to which anything can be written.
+
+    A closed one, as by `>&-`, is the null device: its number must not become that of a file.
+    Characters that the encoding of an output lacks become question marks.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        stream = getattr(sys, name)
+        if stream is None:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+        if number and not (stream and stream.isatty()):
+            raw = _Pipe(number, "w", closefd=False)
+            encoding = stream.encoding if stream else "utf-8"
+            stream = TextIOWrapper(BufferedWriter(raw), encoding, line_buffering=number == 2)
+            setattr(sys, name, stream)
+        if number:
+            stream.reconfigure(errors="replace")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from functools import lru_cache
 from io import StringIO
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 # before NumPy is loaded: threads of its many small matrices would wait for one another
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -86,6 +86,25 @@ def process(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
         cwd=cwd, capture_output=True, text=True, timeout=300, check=False,
         env=os.environ,  # not that of the C library, to which readline adds the width of a terminal
     )  # fmt: skip
+
+
+LAUNCH = """
+import resource, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which a background job ignores
+resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, ROOM))
+from curlfit.__main__ import run
+run()
+"""
+
+
+def started(*words: object, room: int = -1, **how: Any) -> subprocess.Popen[str]:
+    """The command as a running process, in a group of its own; with `room`, no file of it may
+    have more bytes."""
+    return subprocess.Popen(
+        [sys.executable, "-c", LAUNCH.replace("ROOM", str(room)), *map(str, words)],
+        start_new_session=True,
+        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **how},
+    )
 
 
 def command(*words: object, cwd: Path) -> Ran:

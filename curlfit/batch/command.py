@@ -43,8 +43,8 @@ def batch(
         str | None,
         option(
             TEXT,
-            "Use the workers of a Dask scheduler, which see the same files; `local` starts some "
-            "here. Needs `pip install 'curlfit[dask]'`.",
+            "Use the workers of a Dask scheduler, which see the same files. Whoever can connect to "
+            "it can run code as its owner. Needs `pip install 'curlfit[dask]'`.",
             "tcp://...",
         ),
     ] = None,
@@ -66,10 +66,18 @@ def batch(
 
     Example: `curlfit batch season/ --stone R=0.054 --out season.csv`
     """
+    from concurrent.futures import BrokenExecutor
+
     from curlfit.batch.settings import BatchSettings, columns, found_files, usual_law
     from curlfit.batch.table import Table, settings_file
+    from curlfit.errors import CurlfitError, InputError
     from curlfit.throws.readers import states_sweeping
 
+    if dask is not None and "://" not in dask:
+        raise InputError(
+            f"--dask {dask}: expected the address of a scheduler, tcp://...; for processes on this "
+            "machine use --workers"
+        )
     files = [str(file) for file in found_files(data, besides=(out, settings_file(out)))]
     # Invalid settings are refused before anything slow is loaded.
     plan = BatchSettings.of(
@@ -88,22 +96,22 @@ def batch(
 
         if len(table.todo) < len(files):
             console.print(f"{len(files) - len(table.todo)} of {len(files)} files are in {out}.")
-        with (
-            progress_line(
-                console,
-                TextColumn("Fitting"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TextColumn("files"),
-                TimeRemainingColumn(),
-                TextColumn(COMPILES),
-            ) as progress,
-            executor(plan, workers=workers, dask=dask) as fitted,
-        ):
-            task = progress.add_task("", total=len(table.todo))
-            for rows in fitted(table.todo):
-                table.add(rows)
-                progress.advance(task, len({row["file"] for row in rows}))
+        progress = progress_line(
+            console, TextColumn("Fitting"), BarColumn(), MofNCompleteColumn(), TextColumn("files"),
+            TimeRemainingColumn(), TextColumn(COMPILES),
+        )  # fmt: skip
+        task = progress.add_task("", total=len(files), completed=len(files) - len(table.todo))
+        try:
+            with progress, executor(plan, workers=workers, dask=dask) as fitted:
+                for rows in fitted(table.todo):
+                    table.add(rows)
+                    progress.advance(task, len({row["file"] for row in rows}))
+        except BrokenExecutor:
+            raise CurlfitError(
+                "a process was killed, perhaps for lack of memory; "
+                f"{progress.tasks[task].completed:.0f} of {len(files)} files are in {out}, and the "
+                "same command continues"
+            ) from None
     counts = table.counts
     console.print(
         f"{counts['ok']} ok"

@@ -44,49 +44,45 @@ def executor(
     Parameters
     ----------
     workers : processes; by default one for each core.
-    dask : address of a scheduler, or "local".
+    dask : address of a scheduler.
 
     Raises
     ------
     InputError : Dask is not installed, or its scheduler does not answer.
+    BrokenExecutor : a process was killed.
     """
     if dask is not None:
-        with _dask_crew(plan, dask, workers) as fitted:
+        with _dask_crew(plan, dask) as fitted:
             yield fitted
         return
     count = workers or cores()
     if count == 1:
         yield lambda files: (_fit(chunk, plan) for chunk in _chunks(files, plan, 1))
         return
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
+    from curlfit.numerics.processes import end_workers, worker_processes
 
-    with (
-        _settings(_OF_WORKERS),
-        ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool,
-    ):
-        yield lambda files: _in_order(
-            lambda chunk: pool.submit(_fit, chunk, plan),
-            _chunks(files, plan, count),
-            count * _AHEAD,
-        )
+    for name, value in _OF_WORKERS.items():
+        os.environ.setdefault(name, value)
+    with worker_processes(count) as pool:
+        try:
+            yield lambda files: _in_order(
+                lambda chunk: pool.submit(_fit, chunk, plan),
+                _chunks(files, plan, count),
+                count * _AHEAD,
+            )
+        except BaseException:  # Ctrl-C among them: what they are at is not waited for
+            end_workers()
+            raise
 
 
 @contextmanager
-def _dask_crew(plan: BatchSettings, address: str, workers: int | None) -> Iterator[Fitted]:
+def _dask_crew(plan: BatchSettings, address: str) -> Iterator[Fitted]:
     try:
-        from distributed import Client, LocalCluster
+        from distributed import Client
     except ImportError:
         raise InputError("--dask needs Dask: pip install 'curlfit[dask]'") from None
-    cluster = None
     try:
-        with _settings(_OF_WORKERS):
-            if address == "local":
-                count = workers or cores()
-                cluster = LocalCluster(
-                    n_workers=count, threads_per_worker=1, dashboard_address=None
-                )
-            client = Client(cluster or address, timeout="10s")
+        client = Client(address, timeout="10s")
     except (OSError, ValueError) as error:
         raise InputError(f"--dask {address}: no scheduler answers there ({error})") from None
     try:
@@ -99,8 +95,6 @@ def _dask_crew(plan: BatchSettings, address: str, workers: int | None) -> Iterat
         )
     finally:
         client.close()
-        if cluster is not None:
-            cluster.close()
 
 
 def _fit(files: Sequence[str], plan: BatchSettings) -> Rows:
@@ -128,18 +122,3 @@ def _in_order(
             yield waiting.popleft().result()
     while waiting:
         yield waiting.popleft().result()
-
-
-@contextmanager
-def _settings(values: dict[str, str]) -> Iterator[None]:
-    """Environment variables for processes started within the block, unless already set."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update({name: value for name, value in values.items() if name not in os.environ})
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

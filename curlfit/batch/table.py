@@ -9,12 +9,14 @@ from __future__ import annotations
 import csv
 import json
 import os
+import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from itertools import takewhile
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 from curlfit.batch.settings import BatchSettings
 from curlfit.errors import DataError, InputError
@@ -72,17 +74,20 @@ class Table:
         size = 0
         try:
             before = self._settings()
-            if file.exists() and not again:
-                size, done = self._read(head, before, settings, files)
             file.parent.mkdir(parents=True, exist_ok=True)
-            self.stream = file.open("r+b" if size else "wb")
-            self.stream.truncate(size)
-            self.stream.seek(size)
-            if not size:
-                # The table is empty now: a kill cannot leave rows beside other settings.
-                write_json({"made_by": f"{_MAKER} {__version__}", "plan": settings}, self.settings)
-                self.stream.write(head)
-                self._settle()
+            with ExitStack() as opened:
+                self.stream = opened.enter_context(file.open("ab"))
+                _lock(self.stream, file)
+                if not again:
+                    size, done = self._read(head, before, settings, files)
+                self.stream.truncate(size)
+                if not size:
+                    # The table is empty now: a kill cannot leave rows beside other settings.
+                    made_by = f"{_MAKER} {__version__}"
+                    write_json({"made_by": made_by, "plan": settings}, self.settings)
+                    self.stream.write(head)
+                    self._settle()
+                opened.pop_all()
         except OSError as error:
             raise InputError(f"{file}: {error.strerror or error}") from None
         self.todo = [name for name in files if csv_cell(name) not in done]
@@ -182,6 +187,27 @@ class Table:
         trace: TracebackType | None,
     ) -> None:
         self.stream.close()
+
+
+def _lock(stream: BinaryIO, file: Path) -> None:
+    """Lock the table for as long as it is open in this process, where the disk knows locks."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            stream.seek(1 << 40)  # of a byte that nobody reads
+            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        raise InputError(
+            f"{file}: another `{_MAKER}` is writing this table; name another with --out, or wait "
+            "for its end"
+        ) from None
+    except OSError:
+        pass
 
 
 def _shown(value: Any) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Annotated
 
@@ -29,6 +28,7 @@ def example(
     Files that are there already are left as they are.
     """
     from curlfit.errors import InputError
+    from curlfit.output.files import prepare_folder
 
     # a wheel has them in a folder of its own, a clone beside the package
     source = next(
@@ -37,10 +37,8 @@ def example(
     )
     if source is None:
         raise InputError(f"this installation has no examples ({_PACKAGE / 'examples'} is missing)")
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: a file; expected a folder, or a name that is not taken")
     for part, pattern in _PARTS.items():
-        (folder / part).mkdir(parents=True, exist_ok=True)
+        prepare_folder(folder / part)
         for file in sorted((source / part).glob(pattern)):
             target = folder / part / file.name
             if target.exists():

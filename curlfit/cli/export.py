@@ -136,7 +136,9 @@ def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, Callab
         return {f"{kind}.json": _text(json.dumps(json_safe(record), indent=1) + "\n")}
     if form is Form.netcdf:
         data = _inference_data(folder)
-        return {"posterior.nc": lambda file: data.to_netcdf(str(file), engine="h5netcdf")}
+        tree = data.to_datatree() if hasattr(data, "to_datatree") else data  # of ArviZ before 1.0
+        image = tree.to_netcdf(engine="h5netcdf")  # HDF5 does not recover from a full disk
+        return {"posterior.nc": lambda file: file.write_bytes(image)}
     return {}
 
 

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 from curlfit.errors import InputError
 from curlfit.numerics.threads import cores
 
 if TYPE_CHECKING:
-    from multiprocessing.connection import Connection
+    from concurrent.futures import ProcessPoolExecutor
 
     from matplotlib.figure import Figure
 
 FORMATS = ("png", "pdf", "svg")
+_Task = Callable[[], list[Path]]
 
 
 class FigureFiles:
@@ -26,8 +27,8 @@ class FigureFiles:
 
     def __init__(self, formats: tuple[str, ...]) -> None:
         self.formats = formats
-        self._second: Connection | None = None
-        self._tasks: list[_Task] = []
+        self._second: ProcessPoolExecutor | None = None
+        self._tasks: list[tuple[_Task, _Task]] = []
         self._files: list[Path] = []
 
     @classmethod
@@ -54,20 +55,15 @@ class FigureFiles:
         return cls(tuple(dict.fromkeys(names)))
 
     def draw_beside(self) -> None:
-        """From now on, draw in a second process, which loads matplotlib while this one computes.
+        """From now on, draw in a second process, which loads matplotlib while this one loads JAX.
 
-        Figures are drawn here if there is only one core or if JAX is already loaded, whose threads
-        a fork does not copy. The second process ends with this one.
+        Figures are drawn here if there is only one core, or if JAX is loaded already.
         """
-        if self._second is None and self.formats and cores() > 1 and "jax" not in sys.modules:
-            import multiprocessing
+        if self.formats and cores() > 1 and "jax" not in sys.modules:
+            from curlfit.numerics.processes import worker_processes
 
-            context: Any = multiprocessing.get_context(
-                "fork" if sys.platform == "linux" else "spawn"
-            )
-            self._second, other = context.Pipe()
-            context.Process(target=_draw, args=(other,), daemon=True).start()
-            other.close()
+            self._second = worker_processes(1)
+            self._second.submit(_load_matplotlib)
 
     def replace(
         self, folder: Path, names: Sequence[str], draw: Callable[[], Mapping[str, Figure]]
@@ -80,65 +76,42 @@ class FigureFiles:
         names : names of all possible figures.
         draw : a module-level function with its arguments, so that another process can call it.
         """
-        task = _Task(folder, tuple(names), self.formats, draw)
-        if self._second is not None:
-            try:
-                self._second.send_bytes(pickle.dumps(task))
-            except (pickle.PicklingError, AttributeError, TypeError, OSError):
-                pass  # as with a user's own law, or because the process is gone
-            else:
-                self._tasks.append(task)
-                return
-        self._files += task.carried_out()
+        task = partial(_replace, folder, names, self.formats, draw)
+        if self._second is None:
+            self._files += task()
+            return
+        try:
+            drawn = self._second.submit(_unpickled, pickle.dumps(task)).result
+        except Exception:
+            drawn = task
+        self._tasks.append((drawn, task))
 
     def written(self) -> list[Path]:
         """The files of all figures, once they are written; raises what drawing them raised."""
-        for task in self._tasks:
-            assert self._second is not None
+        for drawn, task in self._tasks:
             try:
-                found = self._second.recv()
-            except (EOFError, OSError):  # killed, perhaps for lack of memory
-                found = task.carried_out()
-            if isinstance(found, Exception):
-                raise found
-            self._files += found
+                self._files += drawn()
+            except Exception:  # a law that it does not know, or it was killed; or the same error
+                self._files += task()
         self._tasks = []
         return self._files
 
 
-class _Task(NamedTuple):
-    """Figures to be drawn and written."""
-
-    folder: Path
-    names: tuple[str, ...]
-    formats: tuple[str, ...]
-    draw: Callable[[], Mapping[str, Figure]]
-
-    def carried_out(self) -> list[Path]:
-        """Draw and write; returns the files."""
-        written = write_figures(self.folder, self.draw(), self.formats) if self.formats else []
-        for name in self.names:
-            remove_figure(self.folder, name, keep=written)
-        return written
+def _replace(
+    folder: Path,
+    names: Sequence[str],
+    formats: Sequence[str],
+    draw: Callable[[], Mapping[str, Figure]],
+) -> list[Path]:
+    written = write_figures(folder, draw(), formats) if formats else []
+    for name in names:
+        remove_figure(folder, name, keep=written)
+    return written
 
 
-def _draw(tasks: Connection) -> None:
-    """Main loop of the second process."""
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the first process
-    _load_matplotlib()
-    while True:
-        try:
-            task: _Task = pickle.loads(tasks.recv_bytes())
-        except EOFError:
-            return
-        answer: Any
-        try:
-            answer = task.carried_out()
-        except Exception as error:
-            answer = error
-        tasks.send(answer)
+def _unpickled(task: bytes) -> list[Path]:
+    # here, where an error is the task's, and not in the pool, where it would end the process
+    return pickle.loads(task)()
 
 
 def _load_matplotlib() -> None:
@@ -156,46 +129,14 @@ def write_figures(
     folder: Path, figures: Mapping[str, Figure], formats: Sequence[str]
 ) -> list[Path]:
     """Write figures, by name, in each format; returns the files."""
-    files = {
-        folder / f"{name}.{format}": figure
-        for name, figure in figures.items()
-        for format in formats
-    }
-    saves = list(files.items())
-    if len(saves) > 1 and cores() > 1 and sys.platform == "linux" and "jax" not in sys.modules:
-        _save_side_by_side(saves)
-    else:
-        _save(saves)
-    return list(files)
-
-
-def _save(saves: Sequence[tuple[Path, Figure]]) -> None:
     from curlfit.output.figures import save_figure
 
-    for file, figure in saves:
-        save_figure(figure, file)
-
-
-def _save_side_by_side(saves: Sequence[tuple[Path, Figure]]) -> None:
-    """Save one share here and each of the others in a forked process, or here if that fails."""
-    count = min(cores(), len(saves))
-    own, *others = (saves[start::count] for start in range(count))
-    copies = {}
-    for share in others:
-        process = os.fork()  # JAX is not loaded: no threads and programs to copy
-        if not process:
-            try:
-                _save(share)
-                os._exit(0)
-            finally:
-                os._exit(1)
-        copies[process] = share
-    try:
-        _save(own)
-    finally:
-        failed = [share for process, share in copies.items() if os.waitpid(process, 0)[1]]
-    for share in failed:
-        _save(share)
+    files = []
+    for name, figure in figures.items():
+        for format in formats:
+            files.append(folder / f"{name}.{format}")
+            save_figure(figure, files[-1])
+    return files
 
 
 def remove_figure(folder: Path, name: str, keep: Sequence[Path] = ()) -> None:

@@ -93,7 +93,7 @@ def prepare_folder(folder: Path) -> Path:
 def _remove_stale_files(folder: Path) -> None:
     """Remove temporary files of killed runs; no writing takes as long as a minute."""
     for file in folder.glob(f"{_PREFIX}*"):
-        with suppress(FileNotFoundError):
+        with suppress(OSError):  # a folder, or of another user
             if time.time() - file.stat().st_mtime > 60:
                 file.unlink()
 

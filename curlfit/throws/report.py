@@ -62,7 +62,7 @@ def print_inspection(
         if np.isfinite(values).any():
             span = f"{np.nanmin(values):.4g} .. {np.nanmax(values):.4g}"
             write(f"\n{channel} ({UNITS[channel]}): {span}")
-            for line in braille(throw.t, values):
+            for line in () if console.options.ascii_only else braille(throw.t, values):
                 write(line)
 
 

@@ -9,10 +9,12 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 
 import numpy as np
+import psutil
 import pytest
-from conftest import command, process
+from conftest import command, process, started
 from distributed import Client, LocalCluster
 from sample_files import log, shot, two_masses
 
@@ -325,6 +327,7 @@ def test_the_table_may_lie_among_the_throws(season, tmp_path):
         (["--sigma", "q=1"], "no channel 'q'"),
         (["--axes", "x-up"], "unknown word"),
         (["--units", "x=kg"], "unknown unit"),
+        (["--dask", "local"], "expected the address of a scheduler, tcp://...; for processes"),
         (["--law", "coulomb"], 'made with other settings (law = "front-back", not "coulomb")'),
     ],
 )
@@ -384,10 +387,29 @@ def test_nothing_found_is_said(tmp_path):
     assert "no file that ends in .csv" in done.stderr
 
 
+def test_two_batches_do_not_write_one_table(season, tmp_path):
+    out = tmp_path / "results.csv"
+    words = ("batch", season / "throw0.csv", "--workers", 1, "--quiet")
+    with Table(out, columns(BatchSettings()), BatchSettings().to_json(), []):
+        before = out.read_bytes()
+        for more in ((), ("--again",)):
+            done = command(*words, *more, cwd=tmp_path)
+            said = "results.csv: another `curlfit batch` is writing this table"
+            assert (done.returncode, said in done.stderr) == (2, True)
+            assert out.read_bytes() == before
+    assert command(*words, cwd=tmp_path).returncode == 0
+
+
+@pytest.fixture
+def cluster():
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        yield cluster
+
+
 @pytest.mark.slow
-def test_whoever_does_the_work_the_table_is_the_same(season, tmp_path):
+def test_whoever_does_the_work_the_table_is_the_same(season, tmp_path, cluster):
     texts = []
-    for words in (["--workers", "1"], ["--workers", "2"], ["--dask", "local", "--workers", "2"]):
+    for words in (["--workers", "1"], ["--workers", "2"], ["--dask", cluster.scheduler_address]):
         out = tmp_path / "results.csv"
         done = process("batch", str(season), "--again", "--out", str(out), *words, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
@@ -406,14 +428,43 @@ def many(season, tmp_path):
     return folder
 
 
+@pytest.mark.parametrize(
+    ("blow", "status", "said"),
+    [
+        (signal.SIGINT, 130, "curlfit: stopped\n"),
+        (signal.SIGTERM, 143, "curlfit: stopped\n"),
+        (signal.SIGKILL, -signal.SIGKILL, ""),
+        (None, 1, "curlfit: a process was killed, perhaps for lack of memory; 0 of 400 files are "
+        "in results.csv, and the same command continues\n"),
+    ],
+    ids=["ctrl-c", "terminated", "killed", "a worker killed"],
+)  # fmt: skip
+def test_a_stopped_batch_ends_at_once_with_all_its_processes(many, tmp_path, blow, status, said):
+    run = started("batch", many, "--workers", 2, cwd=tmp_path)
+    workers = []
+    while run.poll() is None and len(workers) < 2:
+        children = psutil.Process(run.pid).children(recursive=True)
+        with suppress(psutil.NoSuchProcess):
+            workers = [child for child in children if "--multiprocessing-fork" in child.cmdline()]
+        time.sleep(0.01)
+    begin = time.monotonic()
+    if blow == signal.SIGINT:
+        os.killpg(run.pid, blow)  # as a terminal does
+    elif blow:
+        run.send_signal(blow)
+    else:
+        workers[0].kill()
+    out, err = run.communicate(timeout=100)
+    assert time.monotonic() - begin < 5
+    assert not psutil.wait_procs(children, timeout=20)[1]
+    assert (run.returncode, out, err) == (status, "", said)
+
+
 @pytest.mark.slow
-def test_a_killed_worker_costs_no_throw(many, tmp_path):
+def test_a_killed_worker_of_dask_costs_no_throw(many, tmp_path, cluster):
     out, alone = tmp_path / "results.csv", tmp_path / "alone.csv"
     words = [sys.executable, "-m", "curlfit", "batch", many]
-    with (
-        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        Client(cluster) as client,
-    ):
+    with Client(cluster) as client:
         run = subprocess.Popen([*words, "--out", out, "--dask", cluster.scheduler_address])
         while run.poll() is None and (not out.exists() or out.stat().st_size < 20_000):
             time.sleep(0.02)

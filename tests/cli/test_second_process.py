@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
-from pathlib import Path
+import time
 
+import psutil
 import pytest
+from conftest import DATA, started
 
+from curlfit import load_fit
 from curlfit.numerics.threads import cores
 from curlfit.options.figures import FigureFiles
 
-CODE = """
-import os, sys
-from functools import partial
+DRAWN = """
+import os
 from pathlib import Path
-from curlfit.options.figures import FigureFiles
 
 def picture(text):
     from curlfit.output.figures import Picture
@@ -26,6 +28,13 @@ def picture(text):
     figure.text(0, 0.5, text)
     Path("pid").write_text(str(os.getpid()))
     return {text: figure}
+"""
+CODE = """
+import os, sys
+from functools import partial
+from pathlib import Path
+from curlfit.options.figures import FigureFiles
+from drawn import picture
 
 folder = Path.cwd()
 files = FigureFiles.of("png,svg")
@@ -36,6 +45,8 @@ files.draw_beside()
 @pytest.fixture
 def run(tmp_path):
     """Run code in a new process in a folder of its own; what it prints."""
+
+    (tmp_path / "drawn.py").write_text(DRAWN)
 
     def run(code):
         done = subprocess.run(
@@ -86,7 +97,7 @@ except ValueError as error:
     assert run(code) == "wrong"
 
 
-@pytest.mark.skipif(cores() < 2 or os.name != "posix", reason="there is no second process")
+@pytest.mark.skipif(cores() < 2, reason="there is no second process")
 def test_figures_are_drawn_though_the_second_process_is_killed(run, tmp_path):
     code = """
 import multiprocessing
@@ -122,8 +133,7 @@ print(Path("pid").read_text() == str(os.getpid()))
         "reproduce",
     ],
 )
-def test_no_verb_loads_jax_before_the_process_is_forked(verb, tmp_path, eq12_fit):
-    data = Path(__file__).parents[2] / "data" / "jensen_shegelski_2004.csv"
+def test_no_verb_loads_jax_before_the_second_process_starts(verb, tmp_path, eq12_fit):
     code = """
 import sys
 from curlfit.cli import main
@@ -137,9 +147,41 @@ FigureFiles.draw_beside = draw_beside
 main()
 """
     eq12_fit.save(tmp_path / "fit.json")
-    words = verb.replace("DATA", str(data)).replace("FIT", str(tmp_path)).split()
+    words = verb.replace("DATA", str(DATA)).replace("FIT", str(tmp_path)).split()
     done = subprocess.run(
         [sys.executable, "-c", code, *words, "--out", str(tmp_path)], check=False,
         capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert (done.stdout.strip(), done.stderr) == ("False", "")
+
+
+@pytest.mark.skipif(cores() < 2, reason="one core draws where it computes")
+@pytest.mark.parametrize("delay", [0.0, 0.2, 0.4])
+def test_ctrl_c_is_answered_while_everything_is_loading(tmp_path, delay):
+    run = started("fit", DATA, "--out", tmp_path)
+    while run.poll() is None and not psutil.Process(run.pid).children():
+        time.sleep(0.01)
+    time.sleep(delay)
+    os.killpg(run.pid, signal.SIGINT)
+    out, err = run.communicate(timeout=100)
+    assert (run.returncode, out, err) == (130, "", "curlfit: stopped\n")
+
+
+@pytest.mark.skipif(cores() < 2, reason="one core draws where it computes")
+@pytest.mark.parametrize("blow", [signal.SIGTERM, signal.SIGKILL])
+def test_no_process_is_left_by_a_stopped_fit(tmp_path, blow):
+    run = started("fit", DATA, "--effective", 10**8, "--max-steps", 10**6, "--out", tmp_path)
+    while run.poll() is None and not (tmp_path / "chain.h5").exists():
+        time.sleep(0.05)
+    time.sleep(0.5)
+    children = psutil.Process(run.pid).children(recursive=True)
+    assert children
+    run.send_signal(blow)
+    _, err = run.communicate(timeout=100)
+    assert not psutil.wait_procs(children, timeout=20)[1]
+    assert run.returncode == (143 if blow == signal.SIGTERM else -blow)
+    if blow == signal.SIGTERM:
+        assert err.count("\n") == 1
+        assert "stopped by the user" in err
+        assert load_fit(tmp_path).posterior.samples > 0
+        assert (tmp_path / "corner.png").exists()

@@ -11,6 +11,7 @@ from io import StringIO
 
 import numpy as np
 import pytest
+from conftest import started
 from scipy import stats
 
 import curlfit
@@ -105,6 +106,23 @@ def test_the_posterior_goes_to_arviz(typed, folder):
         assert {"x", "y", "phi"} & {name.removeprefix("sigma_") for name in data[group].data_vars}
     assert data.attrs["law"] == "front-back"
     data.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "file", "left"),
+    [
+        (("export", "sampled", "--to", "netcdf", "--out", "out"), "out/posterior.nc", []),
+        (("example", "out"), "out/data/jensen_shegelski_2004.csv", ["camera_1.csv"]),
+    ],
+)
+def test_on_a_full_disk_no_half_file_is_left(folder, words, file, left):
+    run = started(*words, cwd=folder, room=6000)
+    _, err = run.communicate(timeout=100)
+    said = f"curlfit: {file}: cannot be written (File too large)\n"
+    assert (run.returncode, err) == (2, said)
+    names = [path.name for path in (folder / file).parent.iterdir()]
+    assert set(names) >= set(left)
+    assert not [name for name in names if name.startswith(".") or name in file]
 
 
 @pytest.mark.numerical

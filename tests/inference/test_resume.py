@@ -5,39 +5,19 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from itertools import count
 
 import numpy as np
 import pytest
-from conftest import DATA, command, invoke
+from conftest import DATA, command, invoke, started
 
 from curlfit import DataError, InputError, load_chain, load_fit, sample
 from curlfit.inference.mcmc import chain, checkpoint
 from curlfit.inference.mcmc import run as sampling
 
 ENDLESS = ("--effective", "100000000", "--max-steps", "1000000")
-
-
-LAUNCH = """
-import resource, signal
-signal.signal(signal.SIGINT, signal.default_int_handler)  # which a background job ignores
-resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, ROOM))
-from curlfit.cli import main
-main()
-"""
-
-
-def started(*words, room=-1):
-    """The command as a process; with `room`, no file of it may have more bytes."""
-    code = LAUNCH.replace("ROOM", str(room))
-    return subprocess.Popen(
-        [sys.executable, "-c", code, *map(str, words)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
 
 
 def finished(process):

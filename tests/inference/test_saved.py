@@ -160,9 +160,12 @@ def test_what_a_killed_run_left_half_written_is_cleared(tmp_path):
     old, new = tmp_path / ".curlfit-abc-chain.h5", tmp_path / ".curlfit-def-chain.h5"
     for file in (old, new):
         file.write_text("half")
-    os.utime(old, (0, 0))
+    folder = tmp_path / ".curlfit-x"  # nobody knows whose
+    folder.mkdir()
+    for path in (old, folder):
+        os.utime(path, (0, 0))
     prepare_folder(tmp_path)
-    assert [file.name for file in tmp_path.iterdir()] == [new.name]
+    assert sorted(tmp_path.iterdir()) == [new, folder]
 
 
 def test_results_are_shown_and_drawn_without_the_data(eq12_posterior, compared, tmp_path):

@@ -3,6 +3,7 @@
 import os
 import pty
 import re
+import shlex
 import subprocess
 import sys
 from io import StringIO
@@ -101,6 +102,37 @@ def test_a_terminal_gets_no_blanks_either(folder):
     shown = re.sub(r"\x1b\[[0-9;]*m", "", written.decode())
     assert "mu1_xi" in shown
     assert not [line for line in shown.splitlines() if line != line.rstrip()]
+
+
+@pytest.mark.parametrize("words", [("show", "saved"), ("check", "a.csv"), ("show", "nothing")])
+@pytest.mark.parametrize("closed", ["unread", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_who_does_not_want_to_read_changes_nothing(folder, words, closed):
+    command, how = [sys.executable, "-m", "curlfit", *words], {}
+    if closed == "unread":
+        unread, how["stdout"] = os.pipe()
+        os.close(unread)
+    else:
+        command = ["sh", "-c", f"{shlex.join(command)} {closed}"]
+    run = subprocess.run(
+        command, cwd=folder, stderr=subprocess.PIPE, text=True, check=False,
+        **{"stdout": subprocess.DEVNULL, **how},
+    )  # fmt: skip
+    failed = "nothing" in words
+    said = "curlfit: nothing: no such file\n" if failed and "2>&-" not in closed else ""
+    assert (run.returncode, run.stderr) == (2 if failed else 0, said)
+
+
+def test_a_plain_terminal_is_given_what_it_can_show(folder):
+    text = (folder / "a.csv").read_text().replace("phi", "\N{GREEK SMALL LETTER PHI}_rad")
+    (folder / "greek.csv").write_text(text, encoding="utf-8")
+    run = subprocess.run(
+        [sys.executable, "-m", "curlfit", "check", "greek.csv"], cwd=folder, capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": "cp1252"}, check=False,
+    )  # fmt: skip
+    assert (run.returncode, run.stderr) == (0, b"")
+    shown = run.stdout.decode("cp1252")
+    assert "?_rad" in shown
+    assert shown.rstrip().splitlines()[-1].startswith("phi (rad): ")
 
 
 def printed(table, width):
