@@ -94,8 +94,6 @@ def main() -> None:
     except OSError as error:
         # Unprinted output is dropped; Python would otherwise try to write it again on exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        status = 1
-        if not isinstance(error, BrokenPipeError):
-            status = 2
-            say(f"curlfit: {error.filename or 'output'}: {error.strerror or error}", error=True)
+        say(f"curlfit: {error.filename or 'output'}: {error.strerror or error}", error=True)
+        status = 2
     sys.exit(status)

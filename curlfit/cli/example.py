@@ -44,6 +44,7 @@ def example(
             if target.exists():
                 say(f"Left as it is: {target}")
             elif file.is_file():
-                shutil.copyfile(file, target)
+                with atomic_write(target) as temporary:
+                    temporary.write_bytes(file.read_bytes())
                 say(f"Written: {target}")
     say(f"\nTry: cd {folder} && curlfit fit {_FIRST}")
