@@ -28,7 +28,7 @@ def example(
     Files that are there already are left as they are.
     """
     from curlfit.errors import InputError
-    from curlfit.output.files import prepare_folder
+    from curlfit.output.files import atomic_write, prepare_folder
 
     # a wheel has them in a folder of its own, a clone beside the package
     source = next(
