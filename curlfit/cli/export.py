@@ -132,10 +132,7 @@ def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, Callab
         made = candidates_table if kind == "compare" else estimates_table
         return {"table.tex": _text(made(result))}
     if form is Form.json:
-        from curlfit.output.files import json_safe
-
-        record = result.summary() if kind == "fit" else result.to_json()
-        return {f"{kind}.json": _text(json.dumps(json_safe(record), indent=1) + "\n")}
+        return {f"{kind}.json": _text(json.dumps(result.summary(), indent=1) + "\n")}
     if form is Form.netcdf:
         data = _inference_data(folder)
         return {"posterior.nc": lambda file: data.to_netcdf(str(file), engine="h5netcdf")}

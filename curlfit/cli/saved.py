@@ -21,21 +21,20 @@ if TYPE_CHECKING:
 
 
 class _Kind(NamedTuple):
-    """Public names of what loads, prints and draws a result, and the method for its record."""
+    """Public names of what loads, prints and draws a result."""
 
     load: str
     print: str
     draw: str
-    record: str
 
 
 _KINDS = {
-    "joint": _Kind("load_joint", "print_joint", "joint_figure", "to_json"),
-    "compare": _Kind("load_comparison", "print_comparison", "comparison_figure", "to_json"),
-    "predict": _Kind("load_prediction", "print_prediction", "prediction_figure", "summary"),
-    "profile": _Kind("load_profile", "print_profile", "profile_figure", "summary"),
-    "design": _Kind("load_design", "print_design", "design_figures", "to_json"),
-    "fit": _Kind("load_fit", "print_fit", "fit_figure", "summary"),
+    "joint": _Kind("load_joint", "print_joint", "joint_figure"),
+    "compare": _Kind("load_comparison", "print_comparison", "comparison_figure"),
+    "predict": _Kind("load_prediction", "print_prediction", "prediction_figure"),
+    "profile": _Kind("load_profile", "print_profile", "profile_figure"),
+    "design": _Kind("load_design", "print_design", "design_figures"),
+    "fit": _Kind("load_fit", "print_fit", "fit_figure"),
 }
 
 
@@ -53,7 +52,6 @@ def show(
     """
     from curlfit.errors import InputError
     from curlfit.output.console import terminal
-    from curlfit.output.files import json_safe
 
     kind = kind_of(folder)
     names = _KINDS[kind]
@@ -70,7 +68,7 @@ def show(
         result = getattr(curlfit, names.load)(folder)
         result = result.with_derived(derive) if derive else result
     if as_json:
-        print(json.dumps(json_safe(getattr(result, names.record)()), indent=1))
+        print(json.dumps(result.summary(), indent=1))
     else:
         getattr(curlfit, names.print)(result, terminal())
 

@@ -33,6 +33,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import options_of, require_known
 from curlfit.inference.priors import Prior
 from curlfit.numerics.threads import in_threads
+from curlfit.records import plain
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw, require_path, require_throw
 
@@ -198,7 +199,7 @@ def _fitted(throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free
                 {"expression": item.expression, "value": item.value, "stderr": item.stderr}
                 for item in result.combinations
             ),
-            noise_model=result.noise.as_dict(),
+            noise_model=plain(result.noise),
             n_parameters=number_of_parameters(result),
             rms=result.rms,
             bulk=None if result.loss == "linear" else sizes(result, residuals_of(result)),

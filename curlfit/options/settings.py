@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from curlfit.errors import DataError, InputError
-from curlfit.output.files import RECORDS
+from curlfit.records import KINDS
 
 if TYPE_CHECKING:
     from curlfit.friction import Law, Load
@@ -467,11 +467,11 @@ def kind_of(folder: Path) -> str:
     ------
     InputError : the folder contains no result.
     """
-    for kind in RECORDS:
+    for kind in KINDS:
         if folder.name == f"{kind}.json" or (folder / f"{kind}.json").is_file():
             return kind
     if folder.is_dir():
-        names = ", ".join(f"{kind}.json" for kind in RECORDS)
+        names = ", ".join(f"{kind}.json" for kind in KINDS)
         raise InputError(f"{folder}: no saved result; expected a folder with one of {names}")
     return "fit"
 
