@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, fields, is_dataclass
 from functools import cache, partial
 from os import PathLike
@@ -60,6 +60,10 @@ def keys(every: bool = True, /, **kinds: Any) -> Any:
 
 
 _Keys = type(keys())
+
+
+class Names(tuple[str, ...]):
+    """The keys that an object has, if it has any, as an annotation."""
 
 
 class Choice(tuple[str, ...]):
@@ -261,6 +265,12 @@ def require(place: str, holds: bool, what: str) -> None:
         raise ValueError(f"{place}: expected {what}")
 
 
+def require_rows(place: str, series: Mapping[str, Sequence[Any] | Floats], rows: int) -> None:
+    """Raise `ValueError` unless all series have as many values."""
+    same = all(len(values) == rows for values in series.values())
+    require(place, same, f"series of {rows} values each")
+
+
 @cache
 def _converter() -> Any:
     """The converter from JSON; imported only where a record is read."""
@@ -287,6 +297,19 @@ def _converter() -> Any:
     made.register_structure_hook_factory(
         partial(holds, _Keys), lambda kind: made.get_structure_hook(get_args(kind)[1])
     )
+
+    @made.register_structure_hook_factory(partial(holds, Names))
+    def of_names(kind: Any) -> Any:
+        usual, names = made.get_structure_hook(get_args(kind)[0]), get_args(kind)[1]
+
+        def hook(value: Any, _: Any) -> Any:
+            found = usual(value, kind)
+            missing = [name for name in names if name not in found]
+            if found and missing:
+                raise ValueError(f"no {missing[0]!r} in it")
+            return found
+
+        return hook
 
     @made.register_structure_hook_factory(partial(is_a, (Union, UnionType)))
     def of_optional(kind: Any) -> Any:

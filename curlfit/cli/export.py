@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import curlfit
+from curlfit.cli.saved import of_record
+from curlfit.options import flags as o
 from curlfit.options import settings as s
 
 if TYPE_CHECKING:
@@ -33,6 +35,7 @@ class Form(StrEnum):
 _GAME = (Form.c, Form.js, Form.table)
 
 
+@of_record
 def export(
     folder: Annotated[
         Path,
@@ -56,6 +59,7 @@ def export(
         Path | None,
         typer.Option(help="Folder for the files. [default: the result's name with -export]"),
     ] = None,
+    law: o.LawOfFit = None,
 ) -> None:
     """Export a saved fit, joint fit or comparison to other programs and papers.
 
@@ -80,6 +84,10 @@ def export(
             such = f", such as {folder}/NAME" if kind == "joint" else ""
             raise InputError(f"--to {form.value}: expected the fit of one throw{such}")
     result = _load(folder, kind)
+    if law is not None:
+        if kind == "compare":
+            raise InputError(f"--law: {folder} is no fit; expected the folder of a fit")
+        result.with_law(law)
     # Everything is made before anything is written.
     made: dict[str, Callable[[Path], Any]] = {}
     game, note = _game(result) if set(forms) & set(_GAME) else ({}, "")

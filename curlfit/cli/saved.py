@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import typer
 
 import curlfit
+from curlfit.errors import CurlfitError, DataError, InputError
 from curlfit.options import flags as o
 from curlfit.options.figures import FigureFiles, write_figures
-from curlfit.options.settings import chain_beside, kind_of
+from curlfit.options.settings import chain_beside, kind_of, load_fit_and_chain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,6 +41,29 @@ _KINDS = {
 }
 
 
+Verb = TypeVar("Verb", bound=Callable[..., Any])
+
+
+def of_record(verb: Verb) -> Verb:
+    """A verb that refuses a record of the right types whose values contradict one another."""
+
+    @wraps(verb)
+    def checked(*given: Any, **options: Any) -> Any:
+        try:
+            return verb(*given, **options)
+        except CurlfitError:
+            raise
+        except (ArithmeticError, LookupError, StopIteration, TypeError, ValueError) as error:
+            raise DataError(
+                f"its values contradict one another ({type(error).__name__}: {error}); if no other "
+                "program changed it, this is an error of curlfit",
+                file=options["folder"] if "folder" in options else given[0],
+            ) from error
+
+    return checked  # type: ignore[return-value]
+
+
+@of_record
 def show(
     folder: Annotated[
         Path,
@@ -50,7 +76,6 @@ def show(
 
     Example: `curlfit show throw-fit --derive "mu2_xi - mu1_xi"`
     """
-    from curlfit.errors import InputError
     from curlfit.output.console import terminal
 
     kind = kind_of(folder)
@@ -58,9 +83,6 @@ def show(
     result: Any
     if kind == "fit":
         result, chain = _load_fit(folder)
-        if derive and chain is None and result.posterior is not None:
-            file = chain_beside(folder)
-            chain = curlfit.load_chain(file) if file.is_file() else None
         result = result.with_derived(derive, chain) if derive else result
     else:
         if derive and kind != "joint":
@@ -73,6 +95,7 @@ def show(
         getattr(curlfit, names.print)(result, terminal())
 
 
+@of_record
 def plot(
     folder: Annotated[Path, typer.Argument(help="Folder of results.", metavar="DIR")],
     out: Annotated[Path | None, typer.Option(help="Folder for the figures. [default: DIR]")] = None,
@@ -90,8 +113,6 @@ def plot(
     figures: dict[str, Figure] = {}
     if kind == "fit":
         result, chain = _load_fit(folder)
-        if chain is None and result.posterior is not None:
-            chain = curlfit.load_chain(chain_beside(folder))
         figures["fit"] = curlfit.fit_figure(result)
         if chain is not None:
             figures["corner"] = curlfit.corner_figure(result, chain)
@@ -113,6 +134,7 @@ def report(
         typer.Option(help="The file. [default: DIR/report.html]", metavar="FILE.html"),
     ] = None,
     show_it: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+    law: o.LawOfFit = None,
 ) -> None:
     """Write a saved result as one HTML file to send: numbers, figures, warnings, animations.
 
@@ -122,7 +144,7 @@ def report(
 
     Example: `curlfit report throw-fit --open`
     """
-    file = write_page(folder, out)
+    file = write_page(folder, out, law)
     typer.echo(f"Written: {file}")
     if show_it:
         import webbrowser
@@ -130,27 +152,29 @@ def report(
         webbrowser.open(file.resolve().as_uri())
 
 
-def write_page(folder: Path, out: Path | None = None) -> Path:
+@of_record
+def write_page(folder: Path, out: Path | None = None, law: str | None = None) -> Path:
     """Write the page of a saved result; returns the file."""
     kind = kind_of(folder)
     result: Any
     chain = None
     if kind == "fit":
-        result, chain = _load_fit(folder)
-        if chain is None and result.posterior is not None and chain_beside(folder).is_file():
-            chain = curlfit.load_chain(chain_beside(folder))
+        result, chain = _load_fit(folder, law)
     else:
         result = getattr(curlfit, _KINDS[kind].load)(folder)
+        if law is not None and kind != "joint":
+            raise InputError(f"--law: {folder} is no fit; expected the folder of a fit")
+        result = result.with_law(law) if kind == "joint" else result
     file = out or (folder if folder.is_dir() else folder.parent) / "report.html"
     curlfit.write_report(result, file, chain=chain)
     return file
 
 
-def _load_fit(folder: Path) -> tuple[FitResult, Chain | None]:
-    """A saved fit, with the chain so far if its sampling was interrupted."""
-    result = curlfit.load_fit(folder)
+def _load_fit(folder: Path, law: str | None = None) -> tuple[FitResult, Chain | None]:
+    """A saved fit and its chain, or the chain so far if its sampling was interrupted."""
+    result, chain = load_fit_and_chain(folder, law)
     if result.sampling == "unfinished":
         from curlfit.inference.mcmc.summary import unfinished_posterior
 
         return unfinished_posterior(result, chain_beside(folder)) or (result, None)
-    return result, None
+    return result, chain

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 from os import PathLike
 from typing import Annotated, Any, ClassVar
 
-from curlfit.inference.fit.result import DataOfFit, FitResult, LossName, Verdict
+from curlfit.inference.fit.result import DataOfFit, FitResult, LossName
+from curlfit.inference.identifiability import Verdict
 from curlfit.output.frames import frame
-from curlfit.records import UNSAVED, Record, keys
+from curlfit.records import UNSAVED, Record, keys, require, require_rows
 from curlfit.stone import Stone
 
 PLACE = ("x", "y", "phi")
@@ -183,6 +184,16 @@ class Comparison(Record):
             if same and noise in (None, item.noise):
                 return item
         raise KeyError(f"{law}, {load}" + (f", {noise}" if noise else ""))
+
+    def require_consistent(self) -> None:
+        """Raise `ValueError` where what was read contradicts itself."""
+        require("candidates", bool(self.candidates), "one or more")
+        require("observed", {"t", *PLACE} <= self.observed.keys(), "t, x, y and phi")
+        require_rows("observed", self.observed, len(self.observed["t"]))
+        for one in self.candidates:
+            if one.fitted is not None:
+                require("candidates", one.fitted.keys() == set(PLACE), "fitted x, y and phi")
+                require_rows("candidates", one.fitted, len(self.observed["t"]))
 
     def to_frame(self) -> Any:
         """The candidates as a pandas DataFrame, one row each, best first; sizes in m and rad.

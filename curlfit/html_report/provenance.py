@@ -134,9 +134,7 @@ def fit_flags(fit: FitResult) -> list[str]:
     usual = _usual(fit)
     assumed = {**fit.throw.assumed} if fit.events else {}
     for name, item in fit.parameters.items():
-        own = usual.get(name)
-        if own is None:
-            continue
+        own = usual.get(name, item)  # of a law that is not at hand, as if usual
         if item.verdict == "fixed":
             default = getattr(own, "default", None) if getattr(own, "optional", False) else None
             unseen = own in START and item.value == 0.0
@@ -161,8 +159,7 @@ def fit_flags(fit: FitResult) -> list[str]:
 
 
 def _usual(fit: FitResult) -> dict[str, Parameter]:
-    """The default parameters of a fit; without coefficients if the file of a user's law no longer
-    exists."""
+    """The default parameters of a fit; without coefficients if a user's law is not at hand."""
     found: tuple[Parameter, ...] = (*CONDITIONS, *START)
     with suppress(CurlfitError):
         found += fit.law_class.coefficients()

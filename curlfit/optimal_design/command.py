@@ -176,8 +176,6 @@ def design(
     from curlfit.output.files import prepare_folder
 
     drawn = FigureFiles.of(figures, none=no_figures)
-    if fit is not None and law is not None:
-        raise InputError("--law and --fit: expected one of them")
     kind = s.kind_of(fit) if fit is not None else "fit"
     if kind != "fit":
         raise InputError(f"{fit}: a result of curlfit {kind}; expected the fit of one throw")
@@ -202,7 +200,7 @@ def design(
     from curlfit.inference.fit.result import load_fit
     from curlfit.stone import Stone
 
-    known = load_fit(fit) if fit is not None else None
+    known = load_fit(fit).with_law(law) if fit is not None else None
 
     from rich.console import Console
 

@@ -32,6 +32,12 @@ Law = Annotated[
         "stopwatch times]"
     ),
 ]
+LawOfFit = Annotated[
+    str | None,
+    typer.Option(
+        "--law", help="The law of the saved fit, if it is one of your own.", metavar="FILE.py:CLASS"
+    ),
+]
 LoadName = Annotated[
     str | None,
     typer.Option(

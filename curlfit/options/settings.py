@@ -481,8 +481,13 @@ def chain_beside(folder: Path) -> Path:
     return (folder if folder.is_dir() else folder.parent) / "chain.h5"
 
 
-def load_fit_and_chain(folder: Path) -> tuple[FitResult, Chain | None]:
-    """A saved fit, and its chain if sampling was completed."""
+def load_fit_and_chain(folder: Path, law: str | None = None) -> tuple[FitResult, Chain | None]:
+    """A saved fit, whose law may be that of a user's file, and its chain if sampling was completed.
+
+    Raises
+    ------
+    InputError : no fit of one throw is there, its chain is of another fit, or its law is another.
+    """
     from curlfit.inference.fit.result import load_fit
 
     kind = kind_of(folder)
@@ -493,14 +498,14 @@ def load_fit_and_chain(folder: Path) -> tuple[FitResult, Chain | None]:
             f"{folder}: {what.get(kind, f'a result of curlfit {kind}')}; expected the fit of one "
             "throw" + (f", such as {throws[0].parent}" if kind == "joint" and throws else "")
         )
-    result = load_fit(folder)
+    result = load_fit(folder).with_law(law)
     file = chain_beside(folder)
     if result.posterior is None or not file.is_file():
         return result, None
 
     from curlfit.inference.mcmc.chain import load_chain
 
-    return result, load_chain(file)
+    return result, load_chain(file, result)
 
 
 def name_of(fit: Path) -> str:

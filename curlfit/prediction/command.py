@@ -120,6 +120,7 @@ def predict(
         Path | None,
         typer.Option(help="Folder for the results. [default: the fit's name with -predict]"),
     ] = None,
+    law: o.LawOfFit = None,
     figures: o.FigureFormats = None,
     no_figures: o.NoFigures = False,
     report: o.Report = False,
@@ -157,7 +158,7 @@ def predict(
     if sum(goals) > 1:
         raise InputError("--to-tee, --weight and --target: expected one of them")
     point = (0.0, 0.0) if to_tee else None if target is None else _point(target)
-    result, chain = s.load_fit_and_chain(fit)
+    result, chain = s.load_fit_and_chain(fit, law)
     throw = None
     if check is not None:
         from curlfit.throws.readers import load_throw

@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from os import PathLike
 from typing import Annotated, Any, ClassVar
 
+from curlfit.inference.derived import LEVELS
 from curlfit.inference.fit.result import Extent, LoadName
+from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
-from curlfit.records import SERIES, Arrays, Choice, Record, keys
+from curlfit.records import SERIES, Arrays, Choice, Names, Record, keys, require, require_rows
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
 
@@ -39,6 +41,15 @@ OUTCOMES = {
 }
 
 
+_ALWAYS = ("rest_x", "rest_y", "curl", "turns", "time")
+_AROUND = [f"_{level}" for level in LEVELS if level != "50"]
+_SERIES = (
+    "t", *PREDICTED, "speed", "omega",
+    *(f"{name}{end}" for name in PREDICTED for end in ("_parameter_sd", "_model_sd", *_AROUND)),
+)  # fmt: skip
+_BAND = ("y", "x", *(f"x{end}" for end in _AROUND))
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A predicted number.
@@ -56,7 +67,7 @@ class Quantity:
     unit: str
     parameter_sd: float
     model_sd: float
-    quantiles: dict[str, float]
+    quantiles: Annotated[dict[str, float], keys(**dict.fromkeys(LEVELS, float))]
     share: float
 
     @property
@@ -150,23 +161,40 @@ class Prediction(Record):
     load: LoadName
     stone: Stone
     fit: Extent
-    start: dict[str, _Start]
+    start: Annotated[dict[str, _Start], Names(item.name for item in START)]
     of: Annotated[str, Choice(("fitted", "new"))]
     line: str
     goal: _Goal | None
     draws: _Draws
     misfit: Discrepancy
-    series: dict[str, Floats] = field(metadata=SERIES)
-    band: dict[str, Floats] = field(metadata=SERIES)
+    series: Annotated[dict[str, Floats], Names(_SERIES)] = field(metadata=SERIES)
+    band: Annotated[dict[str, Floats], Names(_BAND)] = field(metadata=SERIES)
     rest: _Rest
-    quantities: dict[str, Quantity]
-    chances: dict[str, float]
+    quantities: Annotated[dict[Annotated[str, Choice(QUANTITIES)], Quantity], Names(_ALWAYS)]
+    chances: Annotated[dict[str, float], keys(**dict.fromkeys(OUTCOMES, float))]
     sensitivity: dict[str, _Sensitivity]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     check: HeldOut | None = None
     measured: dict[str, Floats] = field(default_factory=dict, metadata=SERIES)
-    sample: Arrays = field(default_factory=dict, metadata=SERIES)
+    sample: Annotated[Arrays, Names(("t", *PREDICTED, "rest"))] = field(
+        default_factory=dict, metadata=SERIES
+    )
+
+    def require_consistent(self) -> None:
+        """Raise `ValueError` where what was read contradicts itself."""
+        for place in ("series", "band", "start", "quantities"):
+            require(place, bool(getattr(self, place)), "no empty object")
+        require_rows("series", self.series, len(self.series["t"]))
+        require_rows("band", self.band, len(self.band["y"]))
+        require("series", len(self.series["t"]) > 1, "two times or more")
+        if self.measured:
+            require("measured", {"t", "x", "y"} <= self.measured.keys(), "t, x and y")
+            require_rows("measured", self.measured, len(self.measured["t"]))
+        if self.sample:
+            shapes = {self.sample[name].shape for name in PREDICTED}
+            shape = (*self.sample["rest"].shape, *self.sample["t"].shape)
+            require("sample", shapes == {shape}, f"arrays of the shape {shape}")
 
     def to_frame(self) -> Any:
         """The path with its bands as a pandas DataFrame, the columns of `series` (SI, rad).

@@ -117,11 +117,11 @@ def profile(
     saved = data.is_dir() or data.name == "fit.json"
     make_fit: Callable[[], tuple[FitResult, Chain | None]]
     if saved:
-        given = [name for name, value in {**flags, "config": config}.items() if value]
+        given = [name for name, value in {**flags, "config": config, "law": None}.items() if value]
         if given:
             option = given[0].replace("_", "-")
             raise InputError(f"--{option}: a saved fit has its own; give the data to fit again")
-        result, chain = s.load_fit_and_chain(data)
+        result, chain = s.load_fit_and_chain(data, law)
         parameters = result.parameter_set
         make_fit = lambda: (result, chain)  # noqa: E731
     else:

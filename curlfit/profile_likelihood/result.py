@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 from curlfit.errors import InputError
+from curlfit.inference.derived import Quantiles
 from curlfit.inference.fit.result import Estimate, Extent, LoadName, LossName
 from curlfit.inference.identifiability import Combination, student_quantile
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
-from curlfit.records import SERIES, Choice, Matrix, Record
+from curlfit.records import SERIES, Choice, Matrix, Record, keys, require, require_rows
 
 _MIN_POINTS, _MAX_POINTS = 5, 2001  # of a parameter
 
@@ -144,8 +145,10 @@ class Profile(Record):
     rise: float
     verdict: Annotated[str, Choice(("limited", "hardly", "flat", "narrow"))]
     combinations: tuple[Combination, ...]
-    posterior: dict[str, Floats] | None = field(metadata=SERIES)
-    quantiles: dict[str, float]
+    posterior: Annotated[dict[str, Floats], keys(at=Floats, height=Floats, error=Floats)] | None = (
+        field(metadata=SERIES)
+    )
+    quantiles: Quantiles
     warnings: tuple[str, ...]
 
     @property
@@ -201,6 +204,17 @@ class Profile(Record):
         Chi squared is proportional to the inverse square of sigma.
         """
         return math.sqrt(rise / self.rise) if self.rise > 0 else math.inf
+
+    def require_consistent(self) -> None:
+        """Raise `ValueError` where what was read contradicts itself."""
+        require("name", self.name in self.parameters, "the name of a parameter")
+        require_rows("others", {"delta": self.delta, **self.others}, len(self.at))
+        require("at", len(self.at) > 1, "two values or more")
+        require("others", self.others.keys() <= self.parameters.keys(), "names of parameters")
+        levels = [one.level for one in self.intervals]
+        require("intervals", levels == ["68 %", "95 %"], "those of 68 % and 95 %")
+        if self.posterior is not None:
+            require_rows("posterior", self.posterior, len(self.posterior["at"]))
 
     @classmethod
     def _from_file(cls, entries: dict[str, Any], folder: Path) -> Any:
@@ -286,6 +300,18 @@ class PairProfile(Record):
     def valley(self) -> Floats:
         """The second parameter along the profile of the first, at `each[0].at`."""
         return self.each[0].others[self.names[1]]
+
+    def require_consistent(self) -> None:
+        """Raise `ValueError` where what was read contradicts itself."""
+        names = [one.name for one in self.each]
+        require("names", [*self.names] == names and names[0] != names[1], "those of the profiles")
+        require("each", self.names[1] in self.each[0].others, "the valley")
+        shapes = {self.first.shape, self.second.shape, self.delta.shape}
+        require("delta", len(shapes) == 1 and self.delta.size > 1, "arrays of one shape")
+        square = self.covariance is None or self.covariance.shape == (2, 2)
+        require("covariance", square, "two rows of two")
+        require("samples", self.samples.shape[1] == 2, "pairs of values")
+        require("extent", self.extent.keys() == {"68 %", "95 %"}, "those of 68 % and 95 %")
 
 
 def load_profile(file: str | PathLike[str]) -> Profile | PairProfile:

@@ -17,8 +17,8 @@ import numpy as np
 from curlfit.errors import InputError, require_kind
 from curlfit.friction import LAWS, Law, Parameter, check_load, find_law
 from curlfit.inference.conditions import CALIBRATION, CONDITIONS
-from curlfit.inference.derived import Derived, FirstOrder, derive
-from curlfit.inference.identifiability import Combination, student_interval
+from curlfit.inference.derived import Derived, FirstOrder, Quantiles, derive
+from curlfit.inference.identifiability import Combination, Verdict, student_interval
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import LOSSES, WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
@@ -26,18 +26,16 @@ from curlfit.inference.priors import parse_priors
 from curlfit.numerics.arrays import Floats
 from curlfit.output.display import Displayed
 from curlfit.output.frames import frame
-from curlfit.records import SERIES, Choice, Record, keys, require
+from curlfit.records import SERIES, Choice, Names, Record, keys, require, require_rows
 from curlfit.stone import Stone
 from curlfit.throws.events import QUANTITIES, Event
-from curlfit.throws.throw import CHANNELS, Reference, Throw
+from curlfit.throws.throw import CHANNELS, Reference, StoneValues, Throw
 
-Verdict = Annotated[
-    str, Choice(("determined", "prior", "weak", "not identifiable", "at bound", "fixed"))
-]
 ChannelName = Annotated[str, Choice(CHANNELS)]
 LoadName = Annotated[str, Choice(("uniform", "consistent"))]
 LossName = Annotated[str, Choice(LOSSES)]
 Pair = tuple[float, float]
+Curves = Annotated[dict[str, Floats], Names(CHANNELS)]
 
 Extent = Annotated[dict[str, Any], keys(file=str, rows=int, **{"from": float}, to=float)]
 """The data of a fit: the name of the file, the number of rows of a path, first and last time."""
@@ -63,7 +61,7 @@ _Outlier = Annotated[
     keys(channel=ChannelName, t=float, line=int | None, off=float, sigmas=float),
 ]
 _Remedy = Annotated[dict[str, Any], keys(parameters=list[str], measure=list[ChannelName], all=bool)]
-_ReferenceFit = Annotated[dict[str, Any], keys(stone=dict[str, float], values=dict[str, float])]
+_ReferenceFit = Annotated[dict[str, Any], keys(stone=StoneValues, values=dict[str, float])]
 
 
 @dataclass(frozen=True)
@@ -142,7 +140,7 @@ class Posterior(Displayed):
     ess: dict[str, float]
     ess_tail: dict[str, float] = field(default_factory=dict, kw_only=True)
     r_hat: dict[str, float]
-    quantiles: dict[str, dict[str, float]]
+    quantiles: dict[str, Quantiles]
     mean: dict[str, float]
     sd: dict[str, float]
     correlation: dict[str, dict[str, float]]
@@ -352,8 +350,10 @@ class FitResult(NamedEstimates):
     sampling: Annotated[str, Choice(("none", "unfinished", "ended"))] = "none"
     posterior: Posterior | None = None
     observed: dict[str, Floats] = field(metadata=SERIES)
-    fitted: dict[ChannelName, Floats] = field(metadata=SERIES)
-    discrepancy: dict[ChannelName, Floats] = field(default_factory=dict, metadata=SERIES)
+    fitted: Annotated[dict[ChannelName, Floats], Names(CHANNELS)] = field(metadata=SERIES)
+    discrepancy: Annotated[dict[ChannelName, Floats], Names(CHANNELS)] = field(
+        default_factory=dict, metadata=SERIES
+    )
 
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""
@@ -367,11 +367,12 @@ class FitResult(NamedEstimates):
             ("posterior", self.posterior.ess if self.posterior else ()),
         ):  # fmt: skip
             require(place, set(names) <= parameters, "names of parameters")
-        for place, series in (
-            ("observed", self.observed), ("fitted", self.fitted), ("discrepancy", self.discrepancy),
-        ):  # fmt: skip
-            same = all(len(values) == rows for values in series.values())
-            require(place, same, f"series of {rows} values, as many as the times")
+        require_rows("observed", self.observed, rows)
+        require_rows("fitted", self.fitted, rows)
+        require_rows("discrepancy", self.discrepancy, rows)
+        for name, shifts in self.systematics.shifts.items():
+            known = shifts.keys() <= self.systematics.widths.keys()
+            require("systematics", known, f"{name}: names of conditions")
         own = {"t", *CHANNELS, *(f"sigma_{name}" for name in CHANNELS)}
         require("observed", {"t", *self.rms} <= self.observed.keys() <= own, "t and channels")
         for place, found in (("covariance", self.covariance), ("information", self.information)):
@@ -415,7 +416,10 @@ class FitResult(NamedEstimates):
         if law is not None:
             found = find_law(law)
             if found.name != self.law:
-                raise InputError(f"--law {law}: {found.name} found, expected {self.law}")
+                raise InputError(
+                    f"--law {law}: {found.name} found, but the saved fit is of the law {self.law}; "
+                    "give the data to fit another"
+                )
             self.law_class  # noqa: B018  (its coefficients are checked)
         return self
 

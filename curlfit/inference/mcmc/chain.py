@@ -66,8 +66,7 @@ class Chain(Displayed):
     values : shape (steps, walkers, parameters). log_posterior : shape (steps, walkers).
     accepted : number of accepted proposals by walker. discarded : number of initial steps left out.
     ensembles : number of ensembles of equally many walkers. seed : of the run.
-    subject : what was sampled, see `subject_of`.
-        state : of the sampler, for resuming.
+    subject : what was sampled, see `subject_of`. state : of the sampler, for resuming.
     fit : the one that was sampled; None where the chain was read from a file.
 
     Examples
@@ -281,7 +280,9 @@ def load_chain(file: str | PathLike[str], fit: FitResult | None = None) -> Chain
     try:
         with h5py.File(path, "r") as stored:
             chain = _read_chain(stored)
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, RecursionError) as error:
+    except (
+        OSError, LookupError, ValueError, TypeError, AttributeError, RuntimeError, OverflowError
+    ) as error:  # fmt: skip
         raise DataError(f"not a chain.h5 of curlfit ({error})", file=path) from None
     try:
         return chain if fit is None else chain.with_fit(fit)
@@ -326,7 +327,7 @@ def _state(stored: Any, walkers: int) -> SamplerState:
         random=(str(random[0]), random[1], int(random[2]), int(random[3]), float(random[4])),
         **{count: kept.attrs[name].item() for name, count in _COUNTS.items()},
     )
-    np.random.RandomState().set_state(state.random)  # noqa: NPY002  (ValueError if it is none)
+    np.random.RandomState().set_state(state.random)
     return state
 
 
