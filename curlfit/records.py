@@ -122,7 +122,8 @@ class Record(Displayed):
         if version != SCHEMA:
             newer = "a newer" if version > SCHEMA else "no"
             raise DataError(
-                f"written by {newer} curlfit: schema {version} found, this version reads {SCHEMA}",
+                f"written by {newer} curlfit: schema {version} found, "
+                f"this version reads up to {SCHEMA}",
                 file=path,
             )
         try:
@@ -343,10 +344,10 @@ def _converter() -> Any:
         hints = get_type_hints(kind, include_extras=True)
         if is_dataclass(kind):
             make: Any = make_dict_structure_fn
-            required = {item.name for item in saved_fields(kind)}
+            required = [item.name for item in saved_fields(kind)]
             known = {name: name in required for name in (item.name for item in fields(kind))}
         else:
-            make, required = of_keys, kind.__required_keys__
+            make, required = of_keys, sorted(kind.__required_keys__)
             known = dict.fromkeys(hints, True)
         usual = make(
             kind,
@@ -390,18 +391,18 @@ def read_json(file: Path, what: str) -> dict[str, Any]:
     DataError : the file does not exist, is too large, or is not such JSON.
     """
     try:
-        if file.stat().st_size > _LARGEST:
-            raise DataError(f"larger than {what} can be", file=file)
-        text = file.read_text(encoding="utf-8")
-        if text.count("[") + text.count("{") > _MOST_PARTS:
-            raise DataError(f"larger than {what} can be", file=file)
-        found = json.loads(text, parse_constant=_refuse)
+        small = file.stat().st_size <= _LARGEST
+        text = file.read_text(encoding="utf-8") if small else ""
+        small = small and text.count("[") + text.count("{") <= _MOST_PARTS
+        found = json.loads(text, parse_constant=_refuse) if small else None
     except FileNotFoundError:
         raise DataError("no such file", file=file) from None
     except OSError as error:
         raise DataError(f"cannot be read ({error.strerror})", file=file) from None
     except (ValueError, RecursionError):
         raise DataError(f"this is not JSON; expected {what}", file=file) from None
+    if not small:
+        raise DataError(f"larger than {what} can be", file=file)
     if type(found) is not dict:
         raise DataError(f"not {what}", file=file)
     return found

@@ -136,7 +136,7 @@ def tally(samples: Path, seed: int, count: int) -> Tally:
         shutil.rmtree(work, ignore_errors=True)
         shutil.copytree(folder, work)
         kind = next(kind for kind in KINDS if (work / f"{kind}.json").exists())
-        if kind == "fit" and chance.random() < 0.3:
+        if (work / "chain.h5").exists() and chance.random() < 0.4:
             damage_chain(chance, work / "chain.h5")
         else:
             file = work / f"{kind}.json"

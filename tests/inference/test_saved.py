@@ -296,7 +296,7 @@ def test_what_is_no_record_is_refused(tmp_path, text):
         assert "this is not JSON; expected a fit.json of curlfit" in str(run.exception)
 
 
-def test_a_record_is_of_limited_size(tmp_path, monkeypatch):
+def test_a_record_is_of_limited_size(tmp_path):
     with (tmp_path / "fit.json").open("wb") as file:
         file.truncate(10**9)
     with pytest.raises(DataError, match=r"larger than a fit\.json of curlfit can be"):

@@ -553,7 +553,6 @@ def test_a_fit_is_what_is_taken_to_be_true(eq12_fit, tmp_path):
             "does not come to rest within 120 s",
         ),
         (["--fit", "nowhere"], "no such file"),
-        (["--fit", "x", "--law", "coulomb"], "expected one of them"),
         (["--v0", ",".join(["2"] * 101)], "expected at most 500"),
     ],
 )
