@@ -153,7 +153,7 @@ def plain(value: Any, *, series: bool = True) -> Any:
         return {key: plain(item, series=series) for key, item in value.items()}
     if isinstance(value, np.ndarray):
         return plain(value.tolist())
-    if isinstance(value, list | tuple | frozenset):
+    if isinstance(value, list | tuple):
         return [plain(item, series=series) for item in value]
     if not is_dataclass(value):
         return value
@@ -347,8 +347,7 @@ def _converter() -> Any:
             required = [item.name for item in saved_fields(kind)]
             known = {name: name in required for name in (item.name for item in fields(kind))}
         else:
-            make, required = of_keys, sorted(kind.__required_keys__)
-            known = dict.fromkeys(hints, True)
+            make, required, known = of_keys, sorted(kind.__required_keys__), hints
         usual = make(
             kind,
             made,

@@ -14,6 +14,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import redirect_stdout, suppress
+from copy import deepcopy
 from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
@@ -85,8 +86,8 @@ def damage(chance: random.Random, text: str) -> str:
         elif kind < 0.5 and type(holder[key]) in (int, float):
             holder[key] *= chance.choice([-1, 0, 1e3, 1e-9, 1e40, 1e-40])
         elif kind < 0.6:
-            _, other = chance.choice(all_), chance.choice(all_)
-            holder[key] = other[0][other[1]]
+            other = chance.choice(all_)
+            holder[key] = deepcopy(other[0][other[1]])
         else:
             holder[key] = chance.choice(_VALUES)
     made = json.dumps(record)

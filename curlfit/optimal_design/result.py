@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any, ClassVar
@@ -158,29 +157,19 @@ class Design(Record):
 
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""
-        names, own, count = self.quantities.keys(), self.coefficients.keys(), len(self.candidates)
-        for place in ("symbols", "units", "typical"):
-            require(place, own <= getattr(self, place).keys(), f"an entry of each of {list(own)}")
+        names = self.quantities.keys()
         for place, all_ in (
             ("candidates", self.candidates), ("scenarios", self.scenarios),
             ("best", self.best.values()),
         ):  # fmt: skip
-            for one in all_:
-                require(place, names <= one.stderr.keys(), f"errors of {list(names)}")
-        require("best", set(self.best) == {"A", "D"}, "A and D")
-        for best in self.best.values():
-            sums = {one.expression for one in best.combinations}
-            require("best", own <= best.verdicts.keys(), "a verdict of each coefficient")
-            require("best", names <= own | sums, "the values of all quantities")
-            require("best", all(0 <= i < count for i in best.throws), "indices of candidates")
-        require("quantities", all(own >= one.keys() for one in self.quantities.values()), "weights")
-        for scenario in self.scenarios:
-            require("scenarios", names <= scenario.shifts.keys(), f"shifts of {list(names)}")
-        for name, curve in self.curves.items():
-            require("curves", {"at", *names} <= curve.keys(), f"{name}: errors of all quantities")
+            known = all(names <= one.stderr.keys() for one in all_)
+            require(place, known, f"the standard errors of {', '.join(names)}")
+        count = len(self.candidates)
+        known = all(0 <= i < count for one in self.best.values() for i in one.throws)
+        require("best", known, "indices of candidates")
+        for curve in self.curves.values():
+            require("curves", {"at", *names} <= curve.keys(), "all standard errors")
             require_rows("curves", curve, len(curve["at"]))
-        if self.separation is not None:
-            self.separation.require_consistent(own, count)
 
 
 def load_design(file: str | PathLike[str]) -> Design:
@@ -306,13 +295,3 @@ class Separation:
     def throws_for_scatter(self, scatter: float, steady: float) -> float:
         """Number of throws, half with each stone, that averages out a scatter of the sum."""
         return (2 * scatter / steady) ** 2
-
-    def require_consistent(self, names: Collection[str], count: int) -> None:
-        """Raise `ValueError` unless it is of these coefficients and of so many candidates."""
-        indices = [self.ordinary, *(i for way in self.ways for i in way.throws or ())]
-        require("separation", all(0 <= i < count for i in indices), "indices of candidates")
-        require("separation", set(self.pair) <= set(names), "names of coefficients")
-        require(
-            "separation", {way.load for way in self.ways} == {"uniform", "consistent"}, "both loads"
-        )
-        require("separation", all(len(way.each) == count for way in self.ways), "all candidates")

@@ -187,7 +187,6 @@ class Prediction(Record):
             require(place, bool(getattr(self, place)), "no empty object")
         require_rows("series", self.series, len(self.series["t"]))
         require_rows("band", self.band, len(self.band["y"]))
-        require("series", len(self.series["t"]) > 1, "two times or more")
         if self.measured:
             require("measured", {"t", "x", "y"} <= self.measured.keys(), "t, x and y")
             require_rows("measured", self.measured, len(self.measured["t"]))

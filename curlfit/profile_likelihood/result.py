@@ -209,10 +209,6 @@ class Profile(Record):
         """Raise `ValueError` where what was read contradicts itself."""
         require("name", self.name in self.parameters, "the name of a parameter")
         require_rows("others", {"delta": self.delta, **self.others}, len(self.at))
-        require("at", len(self.at) > 1, "two values or more")
-        require("others", self.others.keys() <= self.parameters.keys(), "names of parameters")
-        levels = [one.level for one in self.intervals]
-        require("intervals", levels == ["68 %", "95 %"], "those of 68 % and 95 %")
         if self.posterior is not None:
             require_rows("posterior", self.posterior, len(self.posterior["at"]))
 
@@ -308,10 +304,7 @@ class PairProfile(Record):
         require("each", self.names[1] in self.each[0].others, "the valley")
         shapes = {self.first.shape, self.second.shape, self.delta.shape}
         require("delta", len(shapes) == 1 and self.delta.size > 1, "arrays of one shape")
-        square = self.covariance is None or self.covariance.shape == (2, 2)
-        require("covariance", square, "two rows of two")
         require("samples", self.samples.shape[1] == 2, "pairs of values")
-        require("extent", self.extent.keys() == {"68 %", "95 %"}, "those of 68 % and 95 %")
 
 
 def load_profile(file: str | PathLike[str]) -> Profile | PairProfile:
