@@ -44,9 +44,8 @@ _PIECES = [
 ]  # fmt: skip
 
 
-def damaged(chance: random.Random) -> bytes:
-    """A sample with some damage."""
-    text = chance.choice(list(SAMPLES.values()))
+def damaged_text(chance: random.Random, text: str) -> str:
+    """A text with some damage."""
     for _ in range(chance.choice([1, 1, 1, 2, 5])):
         a, b = sorted(chance.randrange(len(text) + 1) for _ in range(2))
         kind = chance.choice([0, 1, 2, 2, 2, 3, 3, 4, 4, 5, 6, 6, 8, 8, 8, 8, 7])
@@ -73,7 +72,13 @@ def damaged(chance: random.Random) -> bytes:
             text = text[:a] + chr(chance.choice([0, 9, 11, 34, 44, 59, 127, 160, 8722])) + text[a:]
         else:
             text = text[a : a + 300] + text[b:]
-        text = text[:200_000] or " "
+        text = text[:1_000_000] or " "
+    return text
+
+
+def damaged(chance: random.Random) -> bytes:
+    """A sample with some damage."""
+    text = damaged_text(chance, chance.choice(list(SAMPLES.values())))
     raw = text.encode(chance.choice(["utf-8"] * 6 + ["utf-8-sig", "utf-16", "utf-16-le"]))
     if chance.random() < 0.2:
         k = chance.randrange(len(raw))

@@ -18,14 +18,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
-from curlfit.batch.settings import BatchSettings
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import csv_cell, csv_lines
-from curlfit.output.files import json_safe, write_json
+from curlfit.records import plain, read_json, write_json
 from curlfit.version import __version__
 
 _MAKER = "curlfit batch"
-_OLD_MARK = b"# curlfit batch "
 _COUNTED = ("status", "warnings")
 _OTHERWISE = "name another table with --out, or write over it with --again"
 
@@ -69,7 +67,7 @@ class Table:
         self.settings = settings_file(file)
         self._place = {name: place for place, name in enumerate(self.columns)}
         head = csv_lines([self.columns]).encode()
-        settings = json.loads(json.dumps(json_safe(dict(plan))))
+        settings = plain(dict(plan))
         done: set[str] = set()
         size = 0
         try:
@@ -94,19 +92,13 @@ class Table:
 
     def _settings(self) -> dict[str, Any] | None:
         """Settings of the existing rows; None if they are not recorded."""
-        try:
-            found = json.loads(self.settings.read_text(encoding="utf-8"))
-        except FileNotFoundError:
+        if not self.settings.exists():
             return None
-        except ValueError:
-            found = None
-        made_by = found.get("made_by") if isinstance(found, dict) else None
-        if not str(made_by).startswith(_MAKER) or not isinstance(found.get("plan"), dict):
-            raise InputError(
-                f"{self.settings}: not the settings of a table of `{_MAKER}`; name another table "
-                "with --out"
-            )
-        plan: dict[str, Any] = found["plan"]
+        what = f"the settings of a table of `{_MAKER}`; {_OTHERWISE}"
+        found = read_json(self.settings, what)
+        plan = found.get("plan")
+        if not str(found.get("made_by")).startswith(_MAKER) or not isinstance(plan, dict):
+            raise DataError(f"not {what}", file=self.settings)
         return plan
 
     def _read(
@@ -121,11 +113,6 @@ class Table:
         whole = self.file.read_bytes()
         if head.startswith(whole):
             return 0, set()  # killed while the header was written
-        if whole.startswith(_OLD_MARK):
-            raise InputError(
-                f"{self.file}, line 1: a table of an earlier curlfit, with its settings in this "
-                f"line; {_OTHERWISE}"
-            )
         if not whole.startswith(b"file,"):
             raise InputError(f"{self.file}, line 1: not a table of `{_MAKER}`; {_OTHERWISE}")
         if before is None:
@@ -133,7 +120,6 @@ class Table:
                 f"{self.file}: the settings of its rows are unknown, because {self.settings} is "
                 f"missing; {_OTHERWISE}"
             )
-        before = dict(json.loads(json.dumps(json_safe(BatchSettings.of().to_json()))), **before)
         for key in settings:
             if before.get(key) != settings[key]:
                 raise InputError(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import curlfit
+from curlfit.cli.saved import of_record
 from curlfit.foreign import say
 from curlfit.options import settings as s
 from curlfit.settings.forms import PATH, option
@@ -35,6 +36,7 @@ class Form(StrEnum):
 _GAME = (Form.c, Form.js, Form.table)
 
 
+@of_record
 def export(
     folder: Annotated[
         Path, Parameter(help="Folder of a fit, a joint fit or a comparison, or the JSON in it.")
@@ -54,6 +56,7 @@ def export(
         Path | None,
         option(PATH, "Folder for the files. [default: the result's name with -export]", "DIR"),
     ] = None,
+    law: s.LawOfFit = None,
 ) -> None:
     """Export a saved fit, joint fit or comparison to other programs and papers.
 
@@ -78,6 +81,10 @@ def export(
             such = f", such as {folder}/NAME" if kind == "joint" else ""
             raise InputError(f"--to {form.value}: expected the fit of one throw{such}")
     result = _load(folder, kind)
+    if law is not None:
+        if kind == "compare":
+            raise InputError(f"--law: {folder} is no fit; expected the folder of a fit")
+        result.with_law(law)
     # Everything is made before anything is written.
     made: dict[str, Callable[[Path], Any]] = {}
     game, note = _game(result) if set(forms) & set(_GAME) else ({}, "")
@@ -130,10 +137,7 @@ def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, Callab
         made = candidates_table if kind == "compare" else estimates_table
         return {"table.tex": _text(made(result))}
     if form is Form.json:
-        from curlfit.output.files import json_safe
-
-        record = result.summary() if kind == "fit" else result.to_json()
-        return {f"{kind}.json": _text(json.dumps(json_safe(record), indent=1) + "\n")}
+        return {f"{kind}.json": _text(json.dumps(result.summary(), indent=1) + "\n")}
     if form is Form.netcdf:
         data = _inference_data(folder)
         tree = data.to_datatree() if hasattr(data, "to_datatree") else data  # of ArviZ before 1.0

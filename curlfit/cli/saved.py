@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 from cyclopts import Parameter
 
 import curlfit
+from curlfit.errors import CurlfitError, DataError, InputError
 from curlfit.foreign import say
 from curlfit.options.figures import FigureFiles, write_figures
-from curlfit.options.settings import chain_beside, kind_of
+from curlfit.options.settings import LawOfFit, chain_beside, kind_of, load_fit_and_chain
 from curlfit.settings.forms import PATH, SWITCH, TEXT, TEXTS, option
 
 if TYPE_CHECKING:
@@ -23,24 +25,46 @@ if TYPE_CHECKING:
 
 
 class _Kind(NamedTuple):
-    """Public names of what loads, prints and draws a result, and the method for its record."""
+    """Public names of what loads, prints and draws a result."""
 
     load: str
     print: str
     draw: str
-    record: str
 
 
 _KINDS = {
-    "joint": _Kind("load_joint", "print_joint", "joint_figure", "to_json"),
-    "compare": _Kind("load_comparison", "print_comparison", "comparison_figure", "to_json"),
-    "predict": _Kind("load_prediction", "print_prediction", "prediction_figure", "summary"),
-    "profile": _Kind("load_profile", "print_profile", "profile_figure", "summary"),
-    "design": _Kind("load_design", "print_design", "design_figures", "to_json"),
-    "fit": _Kind("load_fit", "print_fit", "fit_figure", "summary"),
+    "joint": _Kind("load_joint", "print_joint", "joint_figure"),
+    "compare": _Kind("load_comparison", "print_comparison", "comparison_figure"),
+    "predict": _Kind("load_prediction", "print_prediction", "prediction_figure"),
+    "profile": _Kind("load_profile", "print_profile", "profile_figure"),
+    "design": _Kind("load_design", "print_design", "design_figures"),
+    "fit": _Kind("load_fit", "print_fit", "fit_figure"),
 }
 
 
+Verb = TypeVar("Verb", bound=Callable[..., Any])
+
+
+def of_record(verb: Verb) -> Verb:
+    """A verb that refuses a record of the right types whose values contradict one another."""
+
+    @wraps(verb)
+    def checked(*given: Any, **options: Any) -> Any:
+        try:
+            return verb(*given, **options)
+        except CurlfitError:
+            raise
+        except (ArithmeticError, LookupError, StopIteration, TypeError, ValueError) as error:
+            raise DataError(
+                f"its values contradict one another ({type(error).__name__}: {error}); if no other "
+                "program changed it, this is an error of curlfit",
+                file=options["folder"] if "folder" in options else given[0],
+            ) from error
+
+    return checked  # type: ignore[return-value]
+
+
+@of_record
 def show(
     folder: Annotated[Path, Parameter(help="Folder of results, or the JSON file in it.")],
     /,
@@ -55,18 +79,13 @@ def show(
 
     Example: `curlfit show throw-fit --derive "mu2_xi - mu1_xi"`
     """
-    from curlfit.errors import InputError
     from curlfit.output.console import terminal
-    from curlfit.output.files import json_safe
 
     kind = kind_of(folder)
     names = _KINDS[kind]
     result: Any
     if kind == "fit":
         result, chain = _load_fit(folder)
-        if derive and chain is None and result.posterior is not None:
-            file = chain_beside(folder)
-            chain = curlfit.load_chain(file) if file.is_file() else None
         result = result.with_derived(derive, chain) if derive else result
     else:
         if derive and kind != "joint":
@@ -74,11 +93,12 @@ def show(
         result = getattr(curlfit, names.load)(folder)
         result = result.with_derived(derive) if derive else result
     if as_json:
-        print(json.dumps(json_safe(getattr(result, names.record)()), indent=1))
+        print(json.dumps(result.summary(), indent=1))
     else:
         getattr(curlfit, names.print)(result, terminal())
 
 
+@of_record
 def plot(
     folder: Annotated[Path, Parameter(help="Folder of results, or the JSON file in it.")],
     /,
@@ -102,8 +122,6 @@ def plot(
     figures: dict[str, Figure] = {}
     if kind == "fit":
         result, chain = _load_fit(folder)
-        if chain is None and result.posterior is not None:
-            chain = curlfit.load_chain(chain_beside(folder))
         figures["fit"] = curlfit.fit_figure(result)
         if chain is not None:
             figures["corner"] = curlfit.corner_figure(result, chain)
@@ -124,6 +142,7 @@ def report(
         option(PATH, "The file. [default: report.html among the results]", "FILE.html"),
     ] = None,
     show_it: Annotated[bool, option(SWITCH, "Open it in the browser.", name="--open")] = False,
+    law: LawOfFit = None,
 ) -> None:
     """Write a saved result as one HTML file to send: numbers, figures, warnings, animations.
 
@@ -133,7 +152,7 @@ def report(
 
     Example: `curlfit report throw-fit --open`
     """
-    file = write_page(folder, out)
+    file = write_page(folder, out, law)
     say(f"Written: {file}")
     if show_it:
         import webbrowser
@@ -141,27 +160,29 @@ def report(
         webbrowser.open(file.resolve().as_uri())
 
 
-def write_page(folder: Path, out: Path | None = None) -> Path:
+@of_record
+def write_page(folder: Path, out: Path | None = None, law: Any = None) -> Path:
     """Write the page of a saved result; returns the file."""
     kind = kind_of(folder)
     result: Any
     chain = None
     if kind == "fit":
-        result, chain = _load_fit(folder)
-        if chain is None and result.posterior is not None and chain_beside(folder).is_file():
-            chain = curlfit.load_chain(chain_beside(folder))
+        result, chain = _load_fit(folder, law)
     else:
         result = getattr(curlfit, _KINDS[kind].load)(folder)
+        if law is not None and kind != "joint":
+            raise InputError(f"--law: {folder} is no fit; expected the folder of a fit")
+        result = result.with_law(law) if kind == "joint" else result
     file = out or (folder if folder.is_dir() else folder.parent) / "report.html"
     curlfit.write_report(result, file, chain=chain)
     return file
 
 
-def _load_fit(folder: Path) -> tuple[FitResult, Chain | None]:
-    """A saved fit, with the chain so far if its sampling was interrupted."""
-    result = curlfit.load_fit(folder)
+def _load_fit(folder: Path, law: str | None = None) -> tuple[FitResult, Chain | None]:
+    """A saved fit and its chain, or the chain so far if its sampling was interrupted."""
+    result, chain = load_fit_and_chain(folder, law)
     if result.sampling == "unfinished":
         from curlfit.inference.mcmc.summary import unfinished_posterior
 
         return unfinished_posterior(result, chain_beside(folder)) or (result, None)
-    return result, None
+    return result, chain

@@ -283,11 +283,13 @@ def _fitted_model(folder: Path, given: Simulated) -> _Model:
     """Law, stone, conditions and initial state of a saved fit, except for what is given."""
     from curlfit.environment import Environment
     from curlfit.errors import UnusableFitError
+    from curlfit.friction import find_law
     from curlfit.inference.parameters import START
     from curlfit.inference.system import System
     from curlfit.throws.synthetic import law_with
 
     fit, _ = s.load_fit_and_chain(folder)
+    wanted = None if given.law is None else find_law(given.law)
     if not fit.converged:
         raise UnusableFitError(f"{folder}: nothing can be simulated from this fit: {fit.status}")
     system = System.of(fit.model, [float(value) for value in fit.values], fit.stone, Environment())
@@ -295,13 +297,13 @@ def _fitted_model(folder: Path, given: Simulated) -> _Model:
     begin = fit.data["from"]
     if swept is not None:
         environment = replace(environment, swept_from=swept[0] - begin, swept_to=swept[1] - begin)
-    if given.law is None or given.law == fit.law:
+    if wanted is None or wanted.name == fit.law:
         own = {name: item.value for name, item in fit.coefficients.items()}
         law = fit.fitted_law
         if given.coefficients:
             law = law_with(fit.law_class, given.coefficients, unbounded=given.unbounded, others=own)
     else:
-        law = law_with(given.law, given.coefficients, unbounded=given.unbounded)
+        law = law_with(wanted, given.coefficients, unbounded=given.unbounded)
     return _Model(
         law, system.stone.with_values(dict(given.stone)), fit.load, environment,
         {item.name: fit.parameters[item.name].value for item in START},

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from itertools import product
 
-from curlfit.dynamics.law_structure import law_in_general, sample_points
-
-# isort: split
 import numpy as np
 
+from curlfit.dynamics.law_structure import law_in_general, sample_points
 from curlfit.friction import Law, Load, LocalLaw
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.result import FitResult

@@ -31,6 +31,7 @@ from curlfit.inference.fit.missing_channels import NOISE
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import by_parameter, options_of, require_known
 from curlfit.numerics.threads import in_threads
+from curlfit.records import plain
 from curlfit.settings.choices import Comparing, takes
 from curlfit.throws.throw import Throw, require_path, require_throw
 
@@ -185,7 +186,7 @@ def _fitted(throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free
                 {"expression": item.expression, "value": item.value, "stderr": item.stderr}
                 for item in result.combinations
             ),
-            noise_model=result.noise.as_dict(),
+            noise_model=plain(result.noise),
             n_parameters=number_of_parameters(result),
             rms=result.rms,
             bulk=None if result.loss == "linear" else sizes(result, residuals_of(result)),

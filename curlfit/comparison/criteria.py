@@ -22,15 +22,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
-from curlfit.comparison.evidence import effective_parameters
-from curlfit.comparison.result import Candidate
-from curlfit.inference.likelihood import SIGMA_FLOOR
-
-# isort: split
 import numpy as np
 
+from curlfit.comparison.evidence import effective_parameters
+from curlfit.comparison.result import Candidate
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.losses import likeliest_sigma, log_density
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS

@@ -1,20 +1,31 @@
-"""The record of a comparison, and its versioned JSON form."""
+"""The record of a comparison."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from os import PathLike
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from curlfit.inference.fit.result import FitResult
-from curlfit.output.display import Displayed
-from curlfit.output.files import known_fields, load_record, write_json
+from curlfit.inference.fit.result import DataOfFit, FitResult, LossName
+from curlfit.inference.identifiability import Verdict
 from curlfit.output.frames import frame
+from curlfit.records import UNSAVED, Record, keys, require, require_rows
 from curlfit.stone import Stone
 
-SCHEMA = 1
 PLACE = ("x", "y", "phi")
+
+
+_Coefficient = Annotated[
+    dict[str, Any], keys(value=float, stderr=float | None, verdict=Verdict, unit=str)
+]
+_Sum = Annotated[dict[str, Any], keys(expression=str, value=float, stderr=float | None)]
+_Noise = Annotated[
+    dict[str, Any],
+    keys(
+        False, kind=str, memory=dict[str, float], white=dict[str, float], sizes=dict[str, float],
+        independent=dict[str, float], initial_state=list[list[float]],
+    ),
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -70,8 +81,8 @@ class Candidate:
     signs_free: bool
     status: str
     converged: bool = False
-    coefficients: dict[str, dict[str, Any]] | None = None
-    combinations: tuple[dict[str, Any], ...] = ()
+    coefficients: dict[str, _Coefficient] | None = None
+    combinations: tuple[_Sum, ...] = ()
     n_parameters: float | None = None
     rms: dict[str, float] | None = None
     bulk: dict[str, float] | None = None
@@ -98,7 +109,7 @@ class Candidate:
     warnings: tuple[str, ...] = ()
     fitted: dict[str, list[float]] | None = None
     noise: str = "white"
-    noise_model: dict[str, Any] = field(default_factory=dict)
+    noise_model: _Noise = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -113,8 +124,8 @@ class Candidate:
         return self.bulk or self.rms or {}
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Comparison(Displayed):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Comparison(Record):
     """Candidates, best first: those ranked, then those fitted beyond their bounds, then failures.
 
     `data` describes what was fitted; `curl` is the path's lateral departure from a straight line in
@@ -135,16 +146,18 @@ class Comparison(Displayed):
     _report: ClassVar[str] = "curlfit.comparison.report"
     _printer: ClassVar[str] = "curlfit.print_comparison"
 
-    data: dict[str, Any]
+    kind: ClassVar[str] = "compare"
+
+    data: DataOfFit
     stone: Stone
     curl: float
     side: str | None
-    candidates: tuple[Candidate, ...]
-    observed: dict[str, list[float]]
-    fits: tuple[FitResult | None, ...] = ()
-    loss: str = "linear"
+    loss: LossName = "linear"
     noise: str = "white"
     effective: dict[str, float] = field(default_factory=dict)
+    candidates: tuple[Candidate, ...]
+    observed: dict[str, list[float]]
+    fits: tuple[FitResult | None, ...] = field(default=(), metadata=UNSAVED)
 
     @property
     def best(self) -> Candidate:
@@ -172,6 +185,16 @@ class Comparison(Displayed):
                 return item
         raise KeyError(f"{law}, {load}" + (f", {noise}" if noise else ""))
 
+    def require_consistent(self) -> None:
+        """Raise `ValueError` where what was read contradicts itself."""
+        require("candidates", bool(self.candidates), "one or more")
+        require("observed", {"t", *PLACE} <= self.observed.keys(), "t, x, y and phi")
+        require_rows("observed", self.observed, len(self.observed["t"]))
+        for one in self.candidates:
+            if one.fitted is not None:
+                require("candidates", one.fitted.keys() == set(PLACE), "fitted x, y and phi")
+                require_rows("candidates", one.fitted, len(self.observed["t"]))
+
     def to_frame(self) -> Any:
         """The candidates as a pandas DataFrame, one row each, best first; sizes in m and rad.
 
@@ -188,25 +211,6 @@ class Comparison(Displayed):
             columns[f"rms_{name}"] = [(item.rms or {}).get(name) for item in self.candidates]
         return frame(columns)
 
-    def to_json(self) -> dict[str, Any]:
-        """The record as written to `compare.json`."""
-        return {
-            "schema": SCHEMA,
-            "data": self.data,
-            "stone": self.stone.as_dict(),
-            "curl": self.curl,
-            "side": self.side,
-            "loss": self.loss,
-            "noise": self.noise,
-            "effective": self.effective,
-            "candidates": [asdict(item) for item in self.candidates],
-            "observed": self.observed,
-        }
-
-    def save(self, file: str | PathLike[str]) -> None:
-        """Write the record as JSON, atomically."""
-        write_json(self.to_json(), Path(file))
-
 
 def load_comparison(file: str | PathLike[str]) -> Comparison:
     """Read a saved `compare.json`, or the one in a folder.
@@ -222,25 +226,4 @@ def load_comparison(file: str | PathLike[str]) -> Comparison:
     'front-back'
     """
 
-    def build(found: dict[str, Any], path: Path) -> Comparison:
-        tuples = ("combinations", "sides", "negative", "at_bound", "not_identifiable", "warnings")
-        return Comparison(
-            data=found["data"],
-            stone=Stone(**known_fields(Stone, found["stone"])),
-            curl=found["curl"],
-            side=found["side"],
-            candidates=tuple(
-                Candidate(
-                    **{"noise": found.get("noise", "white")}
-                    | known_fields(Candidate, item)
-                    | {name: tuple(item.get(name, ())) for name in tuples}
-                )
-                for item in found["candidates"]
-            ),
-            observed=found["observed"],
-            loss=found.get("loss", "linear"),
-            noise=found.get("noise", "white"),
-            effective=found.get("effective", {}),
-        )
-
-    return load_record(file, "compare", SCHEMA, build)
+    return Comparison.read(file)

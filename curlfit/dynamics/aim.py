@@ -13,14 +13,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from curlfit.dynamics.trajectory import InitialState, external_forces, ordered_trajectory
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from curlfit.dynamics.trajectory import InitialState, external_forces, ordered_trajectory
 from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, check_load, find_law

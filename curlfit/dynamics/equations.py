@@ -24,14 +24,12 @@ from __future__ import annotations
 from math import factorial
 from typing import Any, NamedTuple
 
-from curlfit.dynamics.contact import Accelerations, accelerations
-from curlfit.dynamics.quadrature import NodeClustering, singularity_distance
-
-# isort: split
 import jax
 import jax.numpy as jnp
 from jax import Array
 
+from curlfit.dynamics.contact import Accelerations, accelerations
+from curlfit.dynamics.quadrature import NodeClustering, singularity_distance
 from curlfit.environment import WEAR_KNOTS
 from curlfit.friction import Law, Load, NetLaw, power
 from curlfit.stone import Stone

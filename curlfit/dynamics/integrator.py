@@ -23,6 +23,13 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.custom_batching import custom_vmap
+from jax.custom_derivatives import SymbolicZero
+
 from curlfit.dynamics.equations import (
     HeadingFrame,
     State,
@@ -37,15 +44,6 @@ from curlfit.dynamics.equations import (
     turning_limit,
 )
 from curlfit.dynamics.quadrature import node_clustering
-
-# isort: split
-import jax
-import jax.numpy as jnp
-import numpy as np
-from jax import Array
-from jax.custom_batching import custom_vmap
-from jax.custom_derivatives import SymbolicZero
-
 from curlfit.friction import Law, Load, NetLaw
 from curlfit.stone import Stone
 

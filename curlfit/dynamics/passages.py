@@ -10,13 +10,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from curlfit.dynamics.trajectory import InitialState, Trajectory, ordered_trajectory
-
-# isort: split
 import jax
 import jax.numpy as jnp
 from jax import Array
 
+from curlfit.dynamics.trajectory import InitialState, Trajectory, ordered_trajectory
 from curlfit.friction import Law, Load
 from curlfit.stone import Stone
 

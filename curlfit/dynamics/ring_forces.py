@@ -9,17 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
-from curlfit.dynamics.law_structure import has_edges
-from curlfit.dynamics.quadrature import NodeClustering
-from curlfit.dynamics.ring_polynomials import has_closed_form
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.custom_batching import custom_vmap
 
+from curlfit.dynamics.law_structure import has_edges
+from curlfit.dynamics.quadrature import NodeClustering
+from curlfit.dynamics.ring_polynomials import has_closed_form
 from curlfit.dynamics.ring_sum import (
     Ring,
     RingForces,

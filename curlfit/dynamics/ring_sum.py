@@ -15,19 +15,17 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from curlfit.dynamics.elliptic import mean_directions, mean_velocities
 from curlfit.dynamics.law_structure import (
     depends_on_load,
     example_law,
     has_edges,
     is_mirror_symmetric,
 )
-
-# isort: split
-import jax
-import jax.numpy as jnp
-from jax import Array
-
-from curlfit.dynamics.elliptic import mean_directions, mean_velocities
 from curlfit.dynamics.quadrature import (
     GAUSS_WEIGHTS,
     NodeClustering,

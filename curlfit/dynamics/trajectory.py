@@ -8,16 +8,14 @@ from functools import partial
 from numbers import Real
 from typing import Any
 
-from curlfit.dynamics.equations import ExternalForces
-from curlfit.dynamics.integrator import integrate
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from curlfit.dynamics.equations import ExternalForces
+from curlfit.dynamics.integrator import integrate
 from curlfit.environment import Environment
 from curlfit.errors import InputError, require_kind
 from curlfit.friction import Law, Load, check_load, find_law

@@ -15,15 +15,13 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
-from curlfit.dynamics.contact import accelerations
-from curlfit.dynamics.law_structure import depends_on_turned_and_time
-from curlfit.dynamics.trajectory import InitialState, simulate
-
-# isort: split
 import jax
 import numpy as np
 from scipy.optimize import brentq
 
+from curlfit.dynamics.contact import accelerations
+from curlfit.dynamics.law_structure import depends_on_turned_and_time
+from curlfit.dynamics.trajectory import InitialState, simulate
 from curlfit.environment import Environment
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, NetLaw, check_load

@@ -18,7 +18,8 @@ from markupsafe import Markup
 from curlfit import sheet
 from curlfit.errors import InputError
 from curlfit.html_report.document import Page, marked
-from curlfit.output.files import atomic_write, json_safe, prepare_folder, require_replaceable
+from curlfit.output.files import atomic_write, prepare_folder, require_replaceable
+from curlfit.records import plain
 from curlfit.version import __version__
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def render(page: Page) -> str:
 
 def _embedded(data: dict[str, Any]) -> str:
     """JSON that cannot close the element around it, whatever names it contains."""
-    text = json.dumps(json_safe(data), allow_nan=False, separators=(",", ":"))
+    text = json.dumps(plain(data), allow_nan=False, separators=(",", ":"))
     for sign in "<>&\u2028\u2029":
         text = text.replace(sign, f"\\u{ord(sign):04x}")
     return text

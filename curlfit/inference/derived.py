@@ -5,20 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.inference.expression import CONSTANTS, parse, samples_of
-from curlfit.inference.identifiability import WEAK_ERROR, Combination, student_interval
+from curlfit.inference.identifiability import WEAK_ERROR, Combination, Verdict, student_interval
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import sided
+from curlfit.records import Names
 from curlfit.stone import UNITS as STONE_UNITS
 
 LEVELS = ("2.5", "16", "50", "84", "97.5")
 """Quantiles in percent."""
+Quantiles = Annotated[dict[str, float], Names(LEVELS)]
 _NO_PART = 1e-3  # share of a gradient along null directions below which it counts as zero
 _TRIES = 4  # further points of the ridge at which the gradient is checked
 
@@ -46,10 +48,10 @@ class Derived:
     expression: str
     value: float
     stderr: float | None
-    verdict: str
+    verdict: Verdict
     systematic: float | None = None
     dof: float | None = None
-    quantiles: dict[str, float] = field(default_factory=dict)
+    quantiles: Quantiles = field(default_factory=dict)
     meaning: str = ""
     unit: str = ""
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from curlfit.dynamics.contact import accelerations
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from curlfit.dynamics.contact import accelerations
 from curlfit.friction import Law, Load
 from curlfit.inference.model import Model
 from curlfit.numerics.arrays import Floats

@@ -13,13 +13,14 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.principal_axes import principal_axes
+from curlfit.records import Choice
 
 _UNSEEN = 1e-3  # known to no better than a thousand typical sizes
 _ROUNDING = 1e-9  # over the largest singular value
@@ -31,6 +32,11 @@ _WEAK = 1.0  # singular value below which a direction is known to no better than
 WEAK_ERROR = 0.5
 """Standard error over typical size, from which an estimate is weakly determined: a 95 % interval
 then reaches a typical size to either side."""
+
+
+Verdict = Annotated[
+    str, Choice(("determined", "prior", "weak", "not identifiable", "at bound", "fixed"))
+]
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,12 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, NamedTuple
 
-from curlfit.inference.forces import POINTS, accelerations_and_slopes
-
-# isort: split
 import jax
 import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebint, chebval, chebvander
 
 from curlfit.friction import Coefficient
+from curlfit.inference.forces import POINTS, accelerations_and_slopes
 from curlfit.inference.identifiability import inverted, r_factor
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import START

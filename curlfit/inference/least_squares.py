@@ -13,9 +13,6 @@ from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
 
-from curlfit.inference.likelihood import linearize, linearize_once
-
-# isort: split
 import jax
 import numpy as np
 from jax import Array
@@ -23,7 +20,7 @@ from numpy.typing import NDArray
 
 from curlfit.inference.identifiability import inverted
 from curlfit.inference.initial_values import SmoothPath, default_guess, start_values_of_sides
-from curlfit.inference.likelihood import weighted_residuals
+from curlfit.inference.likelihood import linearize, linearize_once, weighted_residuals
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.parameters import ParameterSet

@@ -16,15 +16,13 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from curlfit.dynamics.passages import with_passages
-from curlfit.dynamics.trajectory import external_forces, ordered_trajectory, positions
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from curlfit.dynamics.passages import with_passages
+from curlfit.dynamics.trajectory import external_forces, ordered_trajectory, positions
 from curlfit.inference.model import Model
 from curlfit.inference.noise.losses import signed_root
 from curlfit.inference.noise.whitening import whitened

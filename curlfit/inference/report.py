@@ -406,7 +406,7 @@ def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:
         return f"Measuring {also} as well would determine {join_words(names)}."
     text = f"No further measurement along this path would determine {join_words(names)}"
     own = [name for name in names if name in fit.coefficients]
-    if fit.law_class.origin or len(own) != 2:
+    if fit.data["law_file"] or len(own) != 2:
         return text + "."
     return text + f"; `curlfit design --separate {own[0]},{own[1]}` searches for throws that would."
 

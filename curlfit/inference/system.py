@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from curlfit.dynamics.trajectory import InitialState
-
-# isort: split
 import numpy as np
 
+from curlfit.dynamics.trajectory import InitialState
 from curlfit.environment import Environment
 from curlfit.friction import Law
 from curlfit.inference.model import Model

@@ -20,12 +20,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from curlfit.numerics.namespace import namespace
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from curlfit.numerics.namespace import namespace
 
 MOST_EVALUATIONS = 200
 _LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e8  # relative to the squared columns (Marquardt)

@@ -211,8 +211,6 @@ def design(
 
     drawn = output.drawn()
     fit = assumed.fit
-    if fit is not None and assumed.law is not None:
-        raise InputError("--law and --fit: expected one of them")
     kind = s.kind_of(fit) if fit is not None else "fit"
     if kind != "fit":
         raise InputError(f"{fit}: a result of curlfit {kind}; expected the fit of one throw")
@@ -220,7 +218,7 @@ def design(
     from curlfit.inference.fit.result import load_fit
     from curlfit.stone import Stone
 
-    known = load_fit(fit) if fit is not None else None
+    known = load_fit(fit).with_law(assumed.law) if fit is not None else None
 
     from rich.console import Console
 

@@ -12,9 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import Any
 
-from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors
-
-# isort: split
 import numpy as np
 
 from curlfit.errors import InputError
@@ -35,6 +32,7 @@ from curlfit.optimal_design.information import (
     record_information,
     standard_error,
 )
+from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors
 from curlfit.optimal_design.selection import (
     CandidateSet,
     a_criterion,

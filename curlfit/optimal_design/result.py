@@ -1,21 +1,17 @@
-"""The record of a design, and its versioned JSON form."""
+"""The record of a design."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 from typing import Any, ClassVar
 
-from curlfit.inference.identifiability import Combination
-from curlfit.output.display import Displayed
-from curlfit.output.files import known_fields, load_record, write_json
+from curlfit.inference.fit.result import LoadName
+from curlfit.inference.identifiability import Combination, Verdict
 from curlfit.output.frames import frame
+from curlfit.records import Record, require, require_rows
 from curlfit.stone import Stone
-
-SCHEMA = 1
 
 
 @dataclass(frozen=True)
@@ -56,22 +52,11 @@ class ExpectedErrors:
 
     throws: tuple[int, ...]
     stderr: dict[str, float | None]
-    verdicts: dict[str, str]
+    verdicts: dict[str, Verdict]
     combinations: tuple[Combination, ...]
     rank: int
     singular_values: tuple[float, ...]
     null_directions: tuple[dict[str, float], ...]
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> ExpectedErrors:
-        """The record from JSON."""
-        fields = known_fields(cls, data)
-        lists = ("throws", "singular_values", "null_directions")
-        tuples = {key: tuple(fields[key]) for key in lists}
-        combinations = tuple(
-            Combination(**known_fields(Combination, item)) for item in fields["combinations"]
-        )
-        return cls(**fields | tuples | {"combinations": combinations})
 
 
 @dataclass(frozen=True)
@@ -98,7 +83,7 @@ class Scenario:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Design(Displayed):
+class Design(Record):
     """The expected errors of planned throws.
 
     Attributes
@@ -132,8 +117,10 @@ class Design(Displayed):
     _report: ClassVar[str] = "curlfit.optimal_design.report"
     _printer: ClassVar[str] = "curlfit.print_design"
 
+    kind: ClassVar[str] = "design"
+
     law: str
-    load: str
+    load: LoadName
     stone: Stone
     coefficients: dict[str, float]
     symbols: dict[str, str]
@@ -168,35 +155,21 @@ class Design(Displayed):
             columns[f"{name} stderr"] = [math.nan if e is None else e for e in errors]
         return frame(columns)
 
-    def to_json(self) -> dict[str, Any]:
-        """The record as written to `design.json`."""
-        return {"schema": SCHEMA} | asdict(self)
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Design:
-        """The record from the output of `to_json`. Raises KeyError or TypeError for other data."""
-        separation = data["separation"]
-        return cls(
-            **known_fields(cls, data)
-            | {
-                "stone": Stone(**known_fields(Stone, data["stone"])),
-                "candidates": tuple(
-                    Candidate(**known_fields(Candidate, item)) for item in data["candidates"]
-                ),
-                "best": {
-                    name: ExpectedErrors.from_json(item) for name, item in data["best"].items()
-                },
-                "separation": None if separation is None else Separation.from_json(separation),
-                "notes": tuple(data["notes"]),
-                "scenarios": tuple(
-                    Scenario(**known_fields(Scenario, item)) for item in data.get("scenarios", ())
-                ),
-            }
-        )
-
-    def save(self, file: str | PathLike[str]) -> None:
-        """Write the record as JSON, atomically."""
-        write_json(self.to_json(), Path(file))
+    def require_consistent(self) -> None:
+        """Raise `ValueError` where what was read contradicts itself."""
+        names = self.quantities.keys()
+        for place, all_ in (
+            ("candidates", self.candidates), ("scenarios", self.scenarios),
+            ("best", self.best.values()),
+        ):  # fmt: skip
+            known = all(names <= one.stderr.keys() for one in all_)
+            require(place, known, f"the standard errors of {', '.join(names)}")
+        count = len(self.candidates)
+        known = all(0 <= i < count for one in self.best.values() for i in one.throws)
+        require("best", known, "indices of candidates")
+        for curve in self.curves.values():
+            require("curves", {"at", *names} <= curve.keys(), "all standard errors")
+            require_rows("curves", curve, len(curve["at"]))
 
 
 def load_design(file: str | PathLike[str]) -> Design:
@@ -212,7 +185,7 @@ def load_design(file: str | PathLike[str]) -> Design:
     >>> curlfit.load_design("design.json").rank
     3
     """
-    return load_record(file, "design", SCHEMA, lambda entries, _: Design.from_json(entries))
+    return Design.read(file)
 
 
 @dataclass(frozen=True)
@@ -322,30 +295,3 @@ class Separation:
     def throws_for_scatter(self, scatter: float, steady: float) -> float:
         """Number of throws, half with each stone, that averages out a scatter of the sum."""
         return (2 * scatter / steady) ** 2
-
-    def to_json(self) -> dict[str, Any]:
-        """The fields as plain values."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Separation:
-        """The record from the output of `to_json`."""
-
-        def tuples(record: type, item: Mapping[str, Any]) -> dict[str, Any]:
-            return {
-                key: tuple(value) if isinstance(value, list) else value
-                for key, value in known_fields(record, item).items()
-            }
-
-        return cls(
-            pair=(data["pair"][0], data["pair"][1]),
-            size=data["size"],
-            of=data["of"],
-            wanted=data["wanted"],
-            proof=Proof(**tuples(Proof, data["proof"])),
-            ways=tuple(LoadScenario(**tuples(LoadScenario, item)) for item in data["ways"]),
-            ordinary=data["ordinary"],
-            changes=tuple(
-                StoneChange(**known_fields(StoneChange, item)) for item in data["changes"]
-            ),
-        )

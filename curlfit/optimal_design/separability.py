@@ -15,14 +15,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from curlfit.dynamics.contact import accelerations
-from curlfit.optimal_design.result import LoadScenario, Proof, Separation, StoneChange
-
-# isort: split
 import jax
 import numpy as np
 from jax import Array
 
+from curlfit.dynamics.contact import accelerations
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.friction import Law, Load
@@ -36,6 +33,7 @@ from curlfit.optimal_design.information import (
     record_information,
     standard_error,
 )
+from curlfit.optimal_design.result import LoadScenario, Proof, Separation, StoneChange
 from curlfit.optimal_design.selection import CandidateSet, c_criterion, select_design
 from curlfit.stone import GRAVITY, Stone
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar
 
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import quoted, safe_name
-from curlfit.output.files import RECORDS
-from curlfit.settings.choices import FLAGS, SEED, Comparing, Fitting, Modelling, Reading, Rows
+from curlfit.records import KINDS
+from curlfit.settings.choices import FLAGS, LAW, SEED, Comparing, Fitting, Modelling, Reading, Rows
 from curlfit.settings.forms import PATH, option
 
 if TYPE_CHECKING:
@@ -26,6 +26,12 @@ _FORMS = {**Fitting.forms(), **Comparing.forms(), **Reading.forms(), "seed": SEE
 _KEYS = {FLAGS.get(name, name).removeprefix("--"): name for name in _FORMS} | {"swept": "swept"}
 Chosen = TypeVar("Chosen", bound=Rows)
 ModelChoices = TypeVar("ModelChoices", bound=Modelling)
+LawOfFit = Annotated[
+    Any,
+    option(
+        LAW, "The law of the saved fit, if it is one of your own.", "FILE.py:CLASS", name="--law"
+    ),
+]
 Config = Annotated[
     Path | None,
     option(PATH, "TOML file of settings, by the names of flags; flags override it.", "TOML"),
@@ -222,11 +228,11 @@ def kind_of(folder: Path) -> str:
     ------
     InputError : the folder contains no result.
     """
-    for kind in RECORDS:
+    for kind in KINDS:
         if folder.name == f"{kind}.json" or (folder / f"{kind}.json").is_file():
             return kind
     if folder.is_dir():
-        names = ", ".join(f"{kind}.json" for kind in RECORDS)
+        names = ", ".join(f"{kind}.json" for kind in KINDS)
         raise InputError(f"{folder}: no saved result; expected a folder with one of {names}")
     return "fit"
 
@@ -236,8 +242,13 @@ def chain_beside(folder: Path) -> Path:
     return (folder if folder.is_dir() else folder.parent) / "chain.h5"
 
 
-def load_fit_and_chain(folder: Path) -> tuple[FitResult, Chain | None]:
-    """A saved fit, and its chain if sampling was completed."""
+def load_fit_and_chain(folder: Path, law: str | None = None) -> tuple[FitResult, Chain | None]:
+    """A saved fit, whose law may be that of a user's file, and its chain if sampling was completed.
+
+    Raises
+    ------
+    InputError : no fit of one throw is there, its chain is of another fit, or its law is another.
+    """
     from curlfit.inference.fit.result import load_fit
 
     kind = kind_of(folder)
@@ -248,14 +259,14 @@ def load_fit_and_chain(folder: Path) -> tuple[FitResult, Chain | None]:
             f"{folder}: {what.get(kind, f'a result of curlfit {kind}')}; expected the fit of one "
             "throw" + (f", such as {throws[0].parent}" if kind == "joint" and throws else "")
         )
-    result = load_fit(folder)
+    result = load_fit(folder).with_law(law)
     file = chain_beside(folder)
     if result.posterior is None or not file.is_file():
         return result, None
 
     from curlfit.inference.mcmc.chain import load_chain
 
-    return result, load_chain(file)
+    return result, load_chain(file, result)
 
 
 def name_of(fit: Path) -> str:

@@ -10,12 +10,10 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from curlfit.dynamics import law_structure  # noqa: F401  (configures JAX before its first use)
-
-# isort: split
 import jax.numpy as jnp
 import numpy as np
 
+from curlfit.dynamics import law_structure  # noqa: F401  (configures JAX before its first use)
 from curlfit.friction import LAWS, LocalLaw, RingPoint, coefficient
 from curlfit.friction.family import LawFamily, family_of
 from curlfit.friction.isotropic import Coulomb, Power, Stribeck

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from curlfit.dynamics.contact import accelerations, contact_of
-from curlfit.dynamics.quadrature import panels
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from curlfit.dynamics.contact import accelerations, contact_of
+from curlfit.dynamics.quadrature import panels
 from curlfit.friction import Load, LocalLaw
 from curlfit.friction.anisotropic import Radial
 from curlfit.friction.front_back import FrontBack, FrontBackFirstOrder

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from curlfit.dynamics.contact import accelerations_under, contact_of
-from curlfit.dynamics.quadrature import panels
-from curlfit.dynamics.ring_forces import ring_forces
-from curlfit.dynamics.ring_sum import balanced_tilt
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from curlfit.dynamics.contact import accelerations_under, contact_of
+from curlfit.dynamics.quadrature import panels
+from curlfit.dynamics.ring_forces import ring_forces
+from curlfit.dynamics.ring_sum import balanced_tilt
 from curlfit.friction import Law, LocalLaw
 from curlfit.friction.family import LawFamily
 from curlfit.inference.model import Model

@@ -88,6 +88,7 @@ def predict(
         int, option(COUNT, "Number of draws from the posterior. [default: 1000]", "N")
     ] = 1000,
     seed: Annotated[int, option(SEED, "Seed of the draws. [default: 0]", "N")] = 0,
+    law: s.LawOfFit = None,
     output: Output = Output(),
 ) -> Saved:
     """Predict a throw: path and resting position, with their uncertainties.
@@ -112,7 +113,7 @@ def predict(
     drawn = output.drawn()
     if goal.to_tee + (goal.weight is not None) + (goal.target is not None) > 1:
         raise InputError("--to-tee, --weight and --target: expected one of them")
-    result, chain = s.load_fit_and_chain(fit)
+    result, chain = s.load_fit_and_chain(fit, law)
     throw = None
     if check is not None:
         from curlfit.throws.readers import load_throw

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from typing import Any, cast
 
-from curlfit.dynamics.trajectory import simulate
-
-# isort: split
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
+from curlfit.dynamics.trajectory import simulate
 from curlfit.environment import Environment
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.model import Model

@@ -1,25 +1,21 @@
-"""Predictions as frozen records, in JSON and CSV."""
+"""Predictions as frozen records, in JSON, and as CSV."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from os import PathLike
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-import numpy as np
-
+from curlfit.inference.derived import LEVELS
+from curlfit.inference.fit.result import Extent, LoadName
+from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
-from curlfit.output.display import Displayed
-from curlfit.output.files import json_safe, known_fields, load_record, write_json
 from curlfit.output.frames import frame
+from curlfit.records import SERIES, Arrays, Choice, Names, Record, keys, require, require_rows
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
 
-SCHEMA = 1
-_SERIES = ("series", "band", "measured", "sample")
 PREDICTED = ("x", "y", "phi")
 """Predicted channels."""
 QUANTITIES = {
@@ -45,6 +41,15 @@ OUTCOMES = {
 }
 
 
+_ALWAYS = ("rest_x", "rest_y", "curl", "turns", "time")
+_AROUND = [f"_{level}" for level in LEVELS if level != "50"]
+_SERIES = (
+    "t", *PREDICTED, "speed", "omega",
+    *(f"{name}{end}" for name in PREDICTED for end in ("_parameter_sd", "_model_sd", *_AROUND)),
+)  # fmt: skip
+_BAND = ("y", "x", *(f"x{end}" for end in _AROUND))
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A predicted number.
@@ -62,7 +67,7 @@ class Quantity:
     unit: str
     parameter_sd: float
     model_sd: float
-    quantiles: dict[str, float]
+    quantiles: Annotated[dict[str, float], keys(**dict.fromkeys(LEVELS, float))]
     share: float
 
     @property
@@ -88,11 +93,23 @@ class HeldOut:
     first: float
     last: float
     channels: dict[str, dict[str, float]]
-    observed: dict[str, Floats]
+    observed: dict[str, Floats] = field(metadata=SERIES)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Prediction(Displayed):
+_Origin = Annotated[str, Choice(("given", "fitted", "default", "found"))]
+_Start = Annotated[dict[str, Any], keys(value=float, unit=str, origin=_Origin)]
+_Goal = Annotated[dict[str, Any], keys(words=str, x=float | None, y=float, speed=float)]
+_Draws = Annotated[dict[str, Any], keys(number=int, used=int, source=str, seed=int)]
+_Covariance = tuple[tuple[float, float], tuple[float, float]]
+_Rest = Annotated[
+    dict[str, Any],
+    keys(mean=tuple[float, float], parameter=_Covariance, model=_Covariance, both=_Covariance),
+]
+_Sensitivity = Annotated[dict[str, Any], keys(by=float, right=float, along=float)]
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Prediction(Record):
     """A predicted throw. `save` writes it, `load_prediction` reads it.
 
     Attributes
@@ -122,7 +139,7 @@ class Prediction(Displayed):
         a new throw translated and rotated to its initial state.
     sample : the first draws, both errors included: "t" (s since the start, shape (times,)), "x",
         "y", "phi" (shape (draws, times)), constant after rest, and "rest", the time of rest, shape
-        (draws,); empty in records of earlier versions.
+        (draws,).
 
     Examples
     --------
@@ -138,91 +155,45 @@ class Prediction(Displayed):
     _report: ClassVar[str] = "curlfit.prediction.report"
     _printer: ClassVar[str] = "curlfit.print_prediction"
 
+    kind: ClassVar[str] = "predict"
+
     law: str
-    load: str
+    load: LoadName
     stone: Stone
-    fit: dict[str, Any]
-    start: dict[str, dict[str, Any]]
-    of: str
+    fit: Extent
+    start: Annotated[dict[str, _Start], Names(item.name for item in START)]
+    of: Annotated[str, Choice(("fitted", "new"))]
     line: str
-    goal: dict[str, Any] | None
-    draws: dict[str, Any]
+    goal: _Goal | None
+    draws: _Draws
     misfit: Discrepancy
-    series: dict[str, Floats]
-    band: dict[str, Floats]
-    rest: dict[str, Any]
-    quantities: dict[str, Quantity]
-    chances: dict[str, float]
-    sensitivity: dict[str, dict[str, Any]]
+    series: Annotated[dict[str, Floats], Names(_SERIES)] = field(metadata=SERIES)
+    band: Annotated[dict[str, Floats], Names(_BAND)] = field(metadata=SERIES)
+    rest: _Rest
+    quantities: Annotated[dict[Annotated[str, Choice(QUANTITIES)], Quantity], Names(_ALWAYS)]
+    chances: Annotated[dict[str, float], keys(**dict.fromkeys(OUTCOMES, float))]
+    sensitivity: dict[str, _Sensitivity]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     check: HeldOut | None = None
-    measured: dict[str, Floats] = field(default_factory=dict)
-    sample: dict[str, Floats] = field(default_factory=dict)
+    measured: dict[str, Floats] = field(default_factory=dict, metadata=SERIES)
+    sample: Annotated[Arrays, Names(("t", *PREDICTED, "rest"))] = field(
+        default_factory=dict, metadata=SERIES
+    )
 
-    def to_json(self) -> dict[str, Any]:
-        """The record as written to `predict.json`: the attributes, by name."""
-        found = {item.name: getattr(self, item.name) for item in fields(self)}
-        listed = {name: values.tolist() for name, values in self.series.items()}
-        check = None
-        if self.check is not None:
-            observed = {name: values.tolist() for name, values in self.check.observed.items()}
-            check = asdict(self.check) | {"observed": observed}
-        return {"schema": SCHEMA} | found | {
-            "stone": self.stone.as_dict(),
-            "misfit": asdict(self.misfit),
-            "quantities": {name: asdict(item) for name, item in self.quantities.items()},
-            "warnings": list(self.warnings),
-            "notes": list(self.notes),
-            "check": check,
-            "series": listed,
-            "band": {name: values.tolist() for name, values in self.band.items()},
-            "measured": {name: values.tolist() for name, values in self.measured.items()},
-            "sample": {name: values.tolist() for name, values in self.sample.items()},
-        }  # fmt: skip
-
-    def summary(self) -> dict[str, Any]:
-        """The JSON record without the series."""
-        record = json_safe(self.to_json())
-        if record["check"] is not None:
-            record["check"].pop("observed")
-        return {key: value for key, value in record.items() if key not in _SERIES}
-
-    @classmethod
-    def from_json(cls, found: dict[str, Any]) -> Prediction:
-        """The record from the output of `to_json`. Raises KeyError or TypeError for other data."""
-        check = found["check"]
-        return cls(
-            **known_fields(cls, found)
-            | {
-                "stone": Stone(**known_fields(Stone, found["stone"])),
-                "misfit": Discrepancy(**known_fields(Discrepancy, found["misfit"])),
-                "series": _arrays(found["series"]),
-                "band": _arrays(found["band"]),
-                "measured": _arrays(found.get("measured", {})),
-                "sample": {
-                    name: np.array(values, float)
-                    for name, values in found.get("sample", {}).items()
-                },
-                "quantities": {
-                    name: Quantity(
-                        **known_fields(Quantity, item) | {"value": _number(item["value"])}
-                    )
-                    for name, item in found["quantities"].items()
-                },
-                "warnings": tuple(found["warnings"]),
-                "notes": tuple(found["notes"]),
-                "check": None
-                if check is None
-                else HeldOut(
-                    **known_fields(HeldOut, check) | {"observed": _arrays(check["observed"])}
-                ),
-            }
-        )
-
-    def save(self, file: str | PathLike[str]) -> None:
-        """Write the record as JSON, atomically."""
-        write_json(self.to_json(), Path(file))
+    def require_consistent(self) -> None:
+        """Raise `ValueError` where what was read contradicts itself."""
+        for place in ("series", "band", "start", "quantities"):
+            require(place, bool(getattr(self, place)), "no empty object")
+        require_rows("series", self.series, len(self.series["t"]))
+        require_rows("band", self.band, len(self.band["y"]))
+        if self.measured:
+            require("measured", {"t", "x", "y"} <= self.measured.keys(), "t, x and y")
+            require_rows("measured", self.measured, len(self.measured["t"]))
+        if self.sample:
+            shapes = {self.sample[name].shape for name in PREDICTED}
+            shape = (*self.sample["rest"].shape, *self.sample["t"].shape)
+            require("sample", shapes == {shape}, f"arrays of the shape {shape}")
 
     def to_frame(self) -> Any:
         """The path with its bands as a pandas DataFrame, the columns of `series` (SI, rad).
@@ -263,15 +234,7 @@ def load_prediction(file: str | PathLike[str]) -> Prediction:
     >>> curlfit.load_prediction("predict.json").law
     'front-back'
     """
-    return load_record(file, "predict", SCHEMA, lambda entries, _: Prediction.from_json(entries))
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)
-
-
-def _arrays(found: Mapping[str, list[float | None]]) -> dict[str, Floats]:
-    return {name: np.array([_number(value) for value in values]) for name, values in found.items()}
+    return Prediction.read(file)
 
 
 COMPONENT_LABELS = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -83,11 +84,15 @@ def profile(
     saved = data.is_dir() or data.name == "fit.json"
     make_fit: Callable[[], tuple[FitResult, Chain | None]]
     if saved:
-        words = [*flags.words(), *reading.words(), *(["--config"] if config else [])]
+        words = [
+            *replace(flags, law=None).words(),
+            *reading.words(),
+            *(["--config"] if config else []),
+        ]
         if words:
             option_of = words[0].partition("=")[0]
             raise InputError(f"{option_of}: a saved fit has its own; give the data to fit again")
-        result, chain = s.load_fit_and_chain(data)
+        result, chain = s.load_fit_and_chain(data, flags.law)
         parameters = result.parameter_set
         make_fit = lambda: (result, chain)  # noqa: E731
     else:

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from curlfit.errors import UnusableFitError
@@ -22,9 +23,6 @@ from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import unstacked
 from curlfit.profile_likelihood.result import levels_for
-
-# isort: split
-import jax
 
 Progress = Callable[[int], None]
 Point = tuple[float, ...]

@@ -1,26 +1,22 @@
-"""Profile likelihoods as frozen records, in JSON."""
+"""Profile likelihoods as frozen records."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
-
-import numpy as np
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 from curlfit.errors import InputError
-from curlfit.inference.fit.result import Estimate
+from curlfit.inference.derived import Quantiles
+from curlfit.inference.fit.result import Estimate, Extent, LoadName, LossName
 from curlfit.inference.identifiability import Combination, student_quantile
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
-from curlfit.output.display import Displayed
-from curlfit.output.files import json_safe, known_fields, load_record, write_json
 from curlfit.output.frames import frame
-
-SCHEMA = 1
+from curlfit.records import SERIES, Choice, Matrix, Record, keys, require, require_rows
 
 _MIN_POINTS, _MAX_POINTS = 5, 2001  # of a parameter
 
@@ -65,6 +61,9 @@ def levels_for(names: Sequence[str], parameters: Mapping[str, Estimate]) -> tupl
     return levels_of(min(known, default=None))
 
 
+Limit = Annotated[str, Choice(("data", "others", "bound", "range"))]
+
+
 @dataclass(frozen=True)
 class Interval:
     """A confidence interval of a parameter.
@@ -78,15 +77,15 @@ class Interval:
         up to the end of the range).
     """
 
-    level: str
+    level: Annotated[str, Choice(("68 %", "95 %"))]
     low: float
     high: float
-    low_by: str
-    high_by: str
+    low_by: Limit
+    high_by: Limit
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Profile(Displayed):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Profile(Record):
     """The minimum of chi squared at fixed values of one parameter, all others fitted again.
 
     Attributes
@@ -125,26 +124,31 @@ class Profile(Displayed):
     _report: ClassVar[str] = "curlfit.profile_likelihood.report"
     _printer: ClassVar[str] = "curlfit.print_profile"
 
+    kind: ClassVar[str] = "profile"
+    marks: ClassVar[dict[str, str]] = {"kind": "one"}
+
     name: str
     best: float
     law: str
-    load: str
-    loss: str
-    data: dict[str, Any]
+    load: LoadName
+    loss: LossName
+    data: Extent
     parameters: dict[str, Estimate]
     chi_squared: float
     n_observations: int
-    at: Floats
-    delta: Floats
-    others: dict[str, Floats]
+    at: Floats = field(metadata=SERIES)
+    delta: Floats = field(metadata=SERIES)
+    others: dict[str, Floats] = field(metadata=SERIES)
     intervals: tuple[Interval, ...]
     free: tuple[float, float]
     stops: tuple[tuple[str, ...], tuple[str, ...]]
     rise: float
-    verdict: str
+    verdict: Annotated[str, Choice(("limited", "hardly", "flat", "narrow"))]
     combinations: tuple[Combination, ...]
-    posterior: dict[str, Floats] | None
-    quantiles: dict[str, float]
+    posterior: Annotated[dict[str, Floats], keys(at=Floats, height=Floats, error=Floats)] | None = (
+        field(metadata=SERIES)
+    )
+    quantiles: Quantiles
     warnings: tuple[str, ...]
 
     @property
@@ -201,41 +205,21 @@ class Profile(Displayed):
         """
         return math.sqrt(rise / self.rise) if self.rise > 0 else math.inf
 
-    def to_json(self) -> dict[str, Any]:
-        """The record as written to `profile.json`."""
-        return {"schema": SCHEMA, "kind": "one"} | _as_dict(self)
-
-    def summary(self) -> dict[str, Any]:
-        """The JSON record without the series."""
-        return _without(json_safe(self.to_json()), "at", "delta", "others", "posterior")
+    def require_consistent(self) -> None:
+        """Raise `ValueError` where what was read contradicts itself."""
+        require("name", self.name in self.parameters, "the name of a parameter")
+        require_rows("others", {"delta": self.delta, **self.others}, len(self.at))
+        if self.posterior is not None:
+            require_rows("posterior", self.posterior, len(self.posterior["at"]))
 
     @classmethod
-    def from_json(cls, found: dict[str, Any]) -> Profile:
-        """The record from the output of `to_json`. Raises KeyError or TypeError if invalid."""
-        posterior = found["posterior"]
-        return cls(
-            **known_fields(cls, found)
-            | _common_fields(found)
-            | {
-                "at": array(found["at"]),
-                "delta": array(found["delta"]),
-                "others": arrays(found["others"]),
-                "intervals": tuple(
-                    Interval(**known_fields(Interval, item)) for item in found["intervals"]
-                ),
-                "free": tuple(found["free"]),
-                "stops": tuple(tuple(names) for names in found["stops"]),
-                "posterior": None if posterior is None else arrays(posterior),
-            }
-        )
-
-    def save(self, file: str | PathLike[str]) -> None:
-        """Write the record as JSON, atomically."""
-        write_json(self.to_json(), Path(file))
+    def _from_file(cls, entries: dict[str, Any], folder: Path) -> Any:
+        pair = entries.get("kind") == PairProfile.marks["kind"]
+        return (PairProfile if pair else Profile).from_json(entries)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class PairProfile(Displayed):
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class PairProfile(Record):
     """The minimum of chi squared at fixed values of two parameters, all others fitted again.
 
     The points follow the valley: in each row the first parameter is fixed, and the second varies
@@ -267,16 +251,19 @@ class PairProfile(Displayed):
     _report: ClassVar[str] = "curlfit.profile_likelihood.report"
     _printer: ClassVar[str] = "curlfit.print_profile"
 
+    kind: ClassVar[str] = "profile"
+    marks: ClassVar[dict[str, str]] = {"kind": "two"}
+
     names: tuple[str, str]
     each: tuple[Profile, Profile]
-    first: Floats
-    second: Floats
-    delta: Floats
+    first: Matrix = field(metadata=SERIES)
+    second: Matrix = field(metadata=SERIES)
+    delta: Matrix = field(metadata=SERIES)
     across: float | None
     extent: dict[str, tuple[Interval, Interval]]
-    covariance: Floats | None
+    covariance: Matrix | None
     ellipse: float | None
-    samples: Floats
+    samples: Matrix = field(metadata=SERIES)
     warnings: tuple[str, ...]
 
     @property
@@ -310,40 +297,14 @@ class PairProfile(Displayed):
         """The second parameter along the profile of the first, at `each[0].at`."""
         return self.each[0].others[self.names[1]]
 
-    def to_json(self) -> dict[str, Any]:
-        """The record as written to `profile.json`."""
-        each = [profile.to_json() for profile in self.each]
-        return {"schema": SCHEMA, "kind": "two"} | _as_dict(self) | {"each": each}
-
-    def summary(self) -> dict[str, Any]:
-        """The JSON record without the series."""
-        found = _without(json_safe(self.to_json()), "first", "second", "delta", "samples")
-        return found | {"each": [profile.summary() for profile in self.each]}
-
-    @classmethod
-    def from_json(cls, found: dict[str, Any]) -> PairProfile:
-        """The record from the output of `to_json`. Raises KeyError or TypeError if invalid."""
-        covariance = found["covariance"]
-        extent = {
-            level: tuple(Interval(**known_fields(Interval, item)) for item in items)
-            for level, items in found["extent"].items()
-        }
-        return cls(
-            **known_fields(cls, found)
-            | {name: array(found[name]) for name in ("first", "second", "delta")}
-            | {
-                "names": tuple(found["names"]),
-                "each": tuple(Profile.from_json(item) for item in found["each"]),
-                "extent": extent,
-                "covariance": None if covariance is None else array(covariance),
-                "samples": array(found["samples"]).reshape(-1, 2),
-                "warnings": tuple(found["warnings"]),
-            }
-        )
-
-    def save(self, file: str | PathLike[str]) -> None:
-        """Write the record as JSON, atomically."""
-        write_json(self.to_json(), Path(file))
+    def require_consistent(self) -> None:
+        """Raise `ValueError` where what was read contradicts itself."""
+        names = [one.name for one in self.each]
+        require("names", [*self.names] == names and names[0] != names[1], "those of the profiles")
+        require("each", self.names[1] in self.each[0].others, "the valley")
+        shapes = {self.first.shape, self.second.shape, self.delta.shape}
+        require("delta", len(shapes) == 1 and self.delta.size > 1, "arrays of one shape")
+        require("samples", self.samples.shape[1] == 2, "pairs of values")
 
 
 def load_profile(file: str | PathLike[str]) -> Profile | PairProfile:
@@ -360,10 +321,8 @@ def load_profile(file: str | PathLike[str]) -> Profile | PairProfile:
     'limited'
     """
 
-    def build(entries: dict[str, Any], _: Path) -> Profile | PairProfile:
-        return (PairProfile if entries["kind"] == "two" else Profile).from_json(entries)
-
-    return load_record(file, "profile", SCHEMA, build)
+    found: Profile | PairProfile = Profile.read(file)
+    return found
 
 
 def require_usable(
@@ -407,45 +366,3 @@ def require_usable(
             raise InputError(
                 f"--range {low:g},{high:g} of {name} excludes the best estimate, {best[name]:.6g}"
             )
-
-
-def array(found: Any) -> Floats:
-    """Numbers from JSON, in which NaN is null and infinities are text, as an array."""
-    return np.array(found, dtype=object).astype(float)
-
-
-def arrays(found: Mapping[str, Any]) -> dict[str, Floats]:
-    """The same for several series."""
-    return {name: array(values) for name, values in found.items()}
-
-
-def _common_fields(found: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "parameters": {
-            name: Estimate.from_json(item) for name, item in found["parameters"].items()
-        },
-        "combinations": tuple(
-            Combination(**known_fields(Combination, item)) for item in found["combinations"]
-        ),
-        "warnings": tuple(found["warnings"]),
-    }
-
-
-def _as_dict(record: Any) -> dict[str, Any]:
-    """The fields of a record with arrays as lists."""
-    found = {item.name: getattr(record, item.name) for item in fields(record)}
-    return {name: _as_list(value) for name, value in found.items()}
-
-
-def _as_list(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, dict):
-        return {name: _as_list(item) for name, item in value.items()}
-    if isinstance(value, tuple):
-        return [_as_list(item) for item in value]
-    return asdict(value) if isinstance(value, Estimate | Combination | Interval) else value
-
-
-def _without(record: dict[str, Any], *names: str) -> dict[str, Any]:
-    return {key: value for key, value in record.items() if key not in names}

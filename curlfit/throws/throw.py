@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,8 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.output.display import Displayed, Overview
 from curlfit.output.frames import frame
 from curlfit.output.text import plain_table
+from curlfit.records import Choice
+from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.events import Event, sketch
 
 CHANNELS = ("x", "y", "phi", "speed", "omega")
@@ -26,6 +28,9 @@ _REST_ROWS = 200  # rows of a condensed throw after the stone has come to rest
 _MIN_ROWS = 10  # needed to estimate the scatter of a series
 _REST_DISTANCE = 0.003  # m; this close to its last position a stone is at rest
 UNITS = {"t": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
+
+
+StoneValues = dict[Annotated[str, Choice(STONE_UNITS)], float]
 
 
 @dataclass(frozen=True)
@@ -45,8 +50,8 @@ class Reference:
     source: str
     law: str
     values: dict[str, float]
-    stone: dict[str, float] = field(default_factory=dict)
-    rounding: dict[str, float] = field(default_factory=dict)
+    stone: StoneValues = field(default_factory=dict)
+    rounding: StoneValues = field(default_factory=dict)
     note: str = ""
 
     def of(self, expression: str, weights: dict[str, float]) -> float | None:

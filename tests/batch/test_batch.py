@@ -349,11 +349,9 @@ def test_what_cannot_be_done_is_one_sentence(season, tmp_path, words, said):
     ("files", "said"),
     [
         ({"r.csv": "my own notes\n"}, "r.csv, line 1: not a table of `curlfit batch`"),
-        ({"r.csv": '# curlfit batch {"law": "coulomb"}\nfile,status\n'},
-         "r.csv, line 1: a table of an earlier curlfit, with its settings in this line"),
         ({"r.csv": "file,shot,status\na.csv,,ok\n"}, "r.settings.json is missing"),
         ({"r.settings.json": '{"mine": 1}'}, "r.settings.json: not the settings of a table"),
-        ({"r.settings.json": "{"}, "r.settings.json: not the settings of a table"),
+        ({"r.settings.json": "{"}, "r.settings.json: this is not JSON; expected the sett"),
     ],
 )  # fmt: skip
 def test_what_is_not_a_table_of_batch_is_left_alone(season, tmp_path, files, said):

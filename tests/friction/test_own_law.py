@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from conftest import command as curlfit
 
-from curlfit import LAWS, find_law, load_fit, sample
+from curlfit import LAWS, find_law
 from curlfit.errors import DataError, InputError
 from curlfit.friction.base import START_NAMES
 from curlfit.friction.checks import Check
@@ -30,6 +30,10 @@ def folder(tmp_path_factory):
         "--noise-phi", "0.01", "--out", "throw.csv", cwd=folder,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
+    run = curlfit(
+        "fit", "throw.csv", "--law", "my_law.py:WetSide", "--no-sample", "--out", "fit", cwd=folder
+    )
+    assert run.returncode == 0, run.stderr
     return folder
 
 
@@ -40,10 +44,6 @@ def test_the_law_of_the_book_is_under_fifteen_lines():
 def test_it_is_listed_fitted_shown_drawn_and_compared(folder):
     listed = curlfit("laws", "my_law.py:WetSide", cwd=folder)
     assert "excess on the right; within -1 .. 1, default 0.2" in listed.stdout
-    fitted = curlfit(
-        "fit", "throw.csv", "--law", "my_law.py:WetSide", "--no-sample", "--out", "fit", cwd=folder
-    )
-    assert fitted.returncode == 0, fitted.stderr
     record = json.loads((folder / "fit" / "fit.json").read_text())
     lean = record["parameters"]["lean"]
     assert abs(lean["value"] - 0.4) < 4 * lean["stderr"]
@@ -58,15 +58,54 @@ def test_it_is_listed_fitted_shown_drawn_and_compared(folder):
     assert (folder / "all" / "compare.png").stat().st_size > 10_000
 
 
-def test_a_saved_fit_finds_its_law_again(folder):
-    # in a process that has not read the law's file before
-    code = "import curlfit; print(curlfit.load_fit('fit').law_class.__name__)"
+NAMED = "WetSide is not a law of curlfit, and a saved result does not run the file of its law"
+
+
+def test_a_saved_fit_never_runs_the_file_of_its_law(folder, monkeypatch):
+    monkeypatch.delitem(LAWS, "WetSide")  # as in another process
+    ran = folder / "ran"
+    (folder / "sly.py").write_text(f"open({str(ran)!r}, 'w')\n{LAW}")
+    record = json.loads((folder / "fit" / "fit.json").read_text())
+    record["data"]["law_file"] = str(folder / "sly.py:WetSide")
+    (folder / "sent").mkdir()
+    (folder / "sent" / "fit.json").write_text(json.dumps(record))
+    for words in (
+        ("show", "sent"), ("show", "sent", "--json"), ("plot", "sent"), ("report", "sent"),
+        ("export", "sent", "--to", "csv", "--to", "latex"),
+    ):  # fmt: skip
+        run = curlfit(*words, cwd=folder)
+        assert (run.returncode, run.stderr) == (0, "")
+    assert (folder / "sent" / "fit.png").stat().st_size > 10_000
+    assert "--law=" in (folder / "sent" / "report.html").read_text()
+    for words in (
+        ("predict", "sent"), ("profile", "sent", "--param", "lean"), ("design", "--fit", "sent"),
+        ("export", "sent", "--to", "game"), ("simulate", "--fit", "sent", "--out", "a.csv"),
+    ):  # fmt: skip
+        run = curlfit(*words, cwd=folder)
+        assert run.returncode == 2
+        assert run.stderr.startswith(f"curlfit: {NAMED}; name it with --law FILE.py:CLASS")
+        assert len(run.stderr.splitlines()) == 1
+    assert not ran.exists()
+
+
+def test_a_law_that_the_user_names_is_that_of_the_saved_fit(folder):
+    words = ["predict", "fit", "--draws=100", "--no-figures", "--law=my_law.py:WetSide"]
     run = subprocess.run(
-        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False
-    )
-    assert run.stdout.strip() == "WetSide", run.stderr
-    _, chain = sample(load_fit(folder / "fit"), effective=100, most_steps=100)
-    assert chain.flat.shape[1] == 8
+        [sys.executable, "-m", "curlfit", *words],
+        cwd=folder, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (run.returncode, run.stderr) == (0, "")
+    other = LAW.replace("lean", "tilt")
+    assert other != LAW
+    (folder / "other.py").write_text(other)
+    for law, said in (
+        ("coulomb", "--law coulomb: coulomb found, but the saved fit is of the law WetSide"),
+        ("other.py", "the law WetSide has the coefficients"),
+        ("none.py", "none.py: no such file"),
+    ):
+        run = curlfit("predict", "fit", "--law", law, cwd=folder)
+        assert (run.returncode, len(run.stderr.splitlines())) == (2, 1)
+        assert run.stderr.startswith(f"curlfit: {said}")
 
 
 def test_reading_data_runs_no_program(folder):

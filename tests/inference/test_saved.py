@@ -11,13 +11,14 @@ import tempfile
 from contextlib import contextmanager
 from dataclasses import replace
 
+import damaged_records
+import h5py
 import pytest
 from conftest import DATA, command, invoke
 from matplotlib.figure import Figure
 
 import curlfit
 from curlfit import DataError, InputError, load_comparison, load_fit
-from curlfit.inference.report import about_posterior
 from curlfit.output.figures import save_figure
 from curlfit.paper import printed as paper
 from curlfit.throws.synthetic import SIMULATED
@@ -200,36 +201,6 @@ def record_of(result, folder, change):
     return folder / "record.json"
 
 
-def test_records_of_schema_1_that_lack_what_was_added_since(eq12_posterior, compared, tmp_path):
-    fit = eq12_posterior[0]
-
-    def earlier(record):
-        del record["sampling"], record["lag1"], record["reference"]
-        del record["data"]["law_file"], record["posterior"]["ess_tail"]
-        record["posterior"]["autocorrelation_time"] = {"mu1_xi": 1.8}
-
-    again = load_fit(record_of(fit, tmp_path, earlier))
-    assert again.sampling == "ended"
-    assert again.data == fit.data
-    assert again.posterior == replace(fit.posterior, ess_tail={})
-    assert "in the tail" not in about_posterior(again.posterior).plain
-    assert (again.lag1, again.reference) == ({}, None)
-    assert again.law_class is fit.law_class
-
-    def unsampled(record):
-        del record["sampling"], record["posterior"]
-
-    assert load_fit(record_of(fit, tmp_path, unsampled)).sampling == "none"
-
-    def plain(record):
-        for item in record["candidates"]:
-            del item["sides"], item["negative"], item["curl_explained"]
-
-    plain_again = load_comparison(record_of(compared, tmp_path, plain))
-    assert plain_again.best.sides == plain_again.best.negative == ()
-    assert plain_again.best.bic == compared.best.bic
-
-
 def test_records_that_have_more_than_this_version_knows(eq12_posterior, compared, tmp_path):
     def later(record):
         record["new"] = 1
@@ -254,9 +225,9 @@ def test_records_that_have_more_than_this_version_knows(eq12_posterior, compared
     ("change", "said"),
     [
         ({"schema": 2}, "written by a newer curlfit: schema 2 found, this version reads up to 1"),
-        ({"schema": 0}, "schema 0 found, which was never written"),
+        ({"schema": 0}, "schema 0 found"),
         ({"schema": "1"}, "names no schema"),
-        ({"stone": None}, "not a complete"),
+        ({"stone": None}, "stone: null found, expected an object"),
     ],
 )
 def test_what_cannot_be_read_is_refused(eq12_fit, compared, tmp_path, change, said):
@@ -268,3 +239,129 @@ def test_what_cannot_be_read_is_refused(eq12_fit, compared, tmp_path, change, sa
         file.write_text("not json")
         with pytest.raises(DataError, match="this is not JSON"):
             load(file)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "said"),
+    [
+        ("stone", 1, "stone: 1 found, expected an object"),
+        ("stone.R", "x", "stone.R: 'x' found, expected a number"),
+        ("stone.R", -1.0, "stone: stone.R = -1.0 m: expected a positive"),
+        ("parameters.mu1_xi.value", [1], "parameters.mu1_xi.value: a list found, expected a num"),
+        ("parameters.mu1_xi.verdict", "sure", "parameters.mu1_xi.verdict: 'sure' found, expected"),
+        ("parameters.mu1_xi.unit", None, "parameters.mu1_xi.unit: null found, expected text"),
+        ("parameters.v0", "gone", "parameters.v0: 'gone' found, expected an object"),
+        ("converged", 1, "converged: 1 found, expected true or false"),
+        ("n_observations", 1.5, "n_observations: 1.5 found, expected a whole number"),
+        ("warnings", "abc", "warnings: 'abc' found, expected a list"),
+        ("identifiability.rank", [], "identifiability.rank: a list found, expected a whole number"),
+        ("observed.x", [1.0, 2.0], "observed: expected series of 201 values"),
+        ("observed.x", [[1.0]], "observed.x: a list found, expected a number"),
+        ("covariance.matrix", [[1.0]], "covariance: expected a square matrix"),
+        ("combinations", [{"expression": "a"}], "combinations.0: no 'weights' in it"),
+        ("null_directions", 3, None),
+    ],
+)
+def test_what_is_of_another_type_is_refused_with_its_key(eq12_fit, tmp_path, place, value, said):
+    *way, last = place.split(".")
+
+    def change(record):
+        for key in way:
+            record = record[key]
+        record[last] = value
+
+    file = record_of(eq12_fit, tmp_path, change)
+    if said is None:  # nothing is read from there
+        assert load_fit(file).null_directions == eq12_fit.null_directions
+        return
+    with pytest.raises(DataError) as caught:
+        load_fit(file)
+    assert str(caught.value).startswith(f"{file}: {said}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("key", ["sampling", "lag1", "reference", "data"])
+def test_a_record_of_an_earlier_version_is_to_be_fitted_again(eq12_fit, tmp_path, key):
+    file = record_of(eq12_fit, tmp_path, lambda record: record.pop(key))
+    with pytest.raises(DataError, match=f"no '{key}' in it; .* an earlier version: fit again"):
+        load_fit(file)
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, '{"schema": 1, "a": ' * 100_000, '{"schema": 1, "a": NaN}', "9" * 5000]
+)
+def test_what_is_no_record_is_refused(tmp_path, text):
+    (tmp_path / "fit.json").write_text(text)
+    for words in (["show"], ["plot"], ["report"], ["predict"], ["export", "--to", "csv"]):
+        run = invoke([words[0], str(tmp_path), *words[1:]])
+        assert isinstance(run.exception, DataError), run.exception
+        assert "this is not JSON; expected a fit.json of curlfit" in str(run.exception)
+
+
+def test_a_record_is_of_limited_size(tmp_path):
+    with (tmp_path / "fit.json").open("wb") as file:
+        file.truncate(10**9)
+    with pytest.raises(DataError, match=r"larger than a fit\.json of curlfit can be"):
+        load_fit(tmp_path)
+    (tmp_path / "fit.json").write_text('{"a": [' + "[]," * 1_000_000 + "0]}")
+    with pytest.raises(DataError, match=r"larger than a fit\.json of curlfit can be"):
+        load_fit(tmp_path)
+
+
+def test_a_chain_is_of_its_fit_wherever_it_is_read(eq12_posterior, tmp_path):
+    fit, chain = eq12_posterior
+    other = replace(chain, subject=chain.subject | {"data": "#1234"})
+    fit.save(tmp_path / "fit.json")
+    other.save(tmp_path / "chain.h5")
+    for words in (
+        ["show"], ["plot"], ["report"], ["predict"], ["export", "--to", "netcdf"],
+        ["profile", "--param", "mu1_xi"],
+    ):  # fmt: skip
+        run = invoke([words[0], str(tmp_path), *words[1:]])
+        assert str(run.exception) == (
+            f"{tmp_path / 'chain.h5'}: the chain is of another fit: not the same data; sample this "
+            "one again"
+        )
+    assert {file.name for file in tmp_path.iterdir()} == {"fit.json", "chain.h5"}
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "said"),
+    [
+        ("mcmc/chain", (10**7, 128, 10), "its numbers are not in the file"),
+        ("mcmc/chain", (10**7,), "not enough values"),
+        ("mcmc/log_prob", (10**7, 128), "found, expected"),
+        ("mcmc/accepted", (10**9,), "found, expected"),
+        ("sampler/coords", (10**9, 9), "found, expected"),
+    ],
+)
+def test_a_chain_is_as_large_as_its_file(eq12_posterior, tmp_path, name, shape, said):
+    eq12_posterior[1].save(tmp_path / "chain.h5")
+    with h5py.File(tmp_path / "chain.h5", "r+") as out:
+        del out[name]
+        out.create_dataset(name, shape, "f8", chunks=True, compression="gzip")
+        if len(shape) == 3:
+            out.attrs["discarded"] = 0
+    with pytest.raises(DataError, match=rf"chain\.h5: not a chain\.h5 of curlfit \(.*{said}"):
+        curlfit.load_chain(tmp_path / "chain.h5")
+
+
+def test_damaged_records_are_read_or_refused(eq12_posterior, compared, tmp_path):
+    fit, chain = eq12_posterior
+    profile = curlfit.profile(fit, "mu1_xi", points=5)
+    pair = curlfit.profile(fit, ["mu1_xi", "mu2_xi"], points=5)
+    results = {"fit": fit, "compare": compared, "profile": profile, "pair": pair}
+    for name, result in results.items():
+        (tmp_path / name).mkdir()
+        result.save(tmp_path / name / f"{result.kind}.json")
+    chain.save(tmp_path / "fit" / "chain.h5")
+    run = subprocess.run(
+        [sys.executable, "-W", "error", damaged_records.__file__, tmp_path, "1", "60"],
+        capture_output=True, text=True, check=False,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    found = json.loads(run.stdout)
+    assert found["faults"] == []
+    assert found["statuses"]["0"] > 5
+    assert found["statuses"]["2"] > 20

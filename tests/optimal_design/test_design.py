@@ -483,7 +483,7 @@ def test_a_saved_design_is_the_same(plain, tmp_path):
     assert again.to_json() == plain.to_json()
     assert json.loads((tmp_path / "design.json").read_text())["schema"] == 1
     (tmp_path / "design.json").write_text('{"schema": 1}')
-    with pytest.raises(curlfit.DataError, match=r"not a complete design\.json"):
+    with pytest.raises(curlfit.DataError, match="an earlier version"):
         curlfit.load_design(tmp_path)
 
 
@@ -551,7 +551,6 @@ def test_a_fit_is_what_is_taken_to_be_true(eq12_fit, tmp_path):
             "does not come to rest within 120 s",
         ),
         (["--fit", "nowhere"], "no such file"),
-        (["--fit", "x", "--law", "coulomb"], "expected one of them"),
         (["--v0", ",".join(["2"] * 101)], "expected at most 500"),
     ],
 )

@@ -18,13 +18,11 @@ import math
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
-from curlfit.inference.fit.summary import LeastSquaresFit
-from curlfit.inference.likelihood import predict_channels
-
-# isort: split
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
+from curlfit.inference.fit.summary import LeastSquaresFit
+from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.noise.models import time_of_motion
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats

@@ -8,15 +8,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from curlfit.inference.likelihood import predict_channels
-
-# isort: split
 import numpy as np
 
 from curlfit.inference.derived import Derived, with_quantiles
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import with_condition_off
+from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.sheet import HOUSE, LINES, TEE

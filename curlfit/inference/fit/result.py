@@ -1,4 +1,4 @@
-"""Results as frozen records, and their versioned JSON form.
+"""Results of a fit as frozen records.
 
 All figures and reports are made from these alone, so a saved `fit.json` can be printed, drawn and
 sampled again without the data file and without fitting.
@@ -8,37 +8,60 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from os import PathLike
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from curlfit.errors import InputError, require_kind
 from curlfit.friction import LAWS, Law, Parameter, check_load, find_law
 from curlfit.inference.conditions import CALIBRATION, CONDITIONS
-from curlfit.inference.derived import Derived, FirstOrder, derive
-from curlfit.inference.identifiability import Combination, student_interval
+from curlfit.inference.derived import Derived, FirstOrder, Quantiles, derive
+from curlfit.inference.identifiability import Combination, Verdict, student_interval
 from curlfit.inference.model import Model
-from curlfit.inference.noise.models import WHITE, Independence, Noise
+from curlfit.inference.noise.models import LOSSES, WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.priors import parse_priors
 from curlfit.numerics.arrays import Floats
 from curlfit.output.display import Displayed
-from curlfit.output.files import json_safe, known_fields, load_record, write_json
 from curlfit.output.frames import frame
+from curlfit.records import SERIES, Choice, Names, Record, keys, require, require_rows
 from curlfit.stone import Stone
-from curlfit.throws.events import Event
-from curlfit.throws.throw import CHANNELS, Reference, Throw
+from curlfit.throws.events import QUANTITIES, Event
+from curlfit.throws.throw import CHANNELS, Reference, StoneValues, Throw
 
-SCHEMA = 1
-_SERIES = ("observed", "fitted", "discrepancy")
-_LATER = (
-    "law_file",
-    "since",
-    "exclude",
-)  # entries of `data` that the first records of schema 1 lack
+ChannelName = Annotated[str, Choice(CHANNELS)]
+LoadName = Annotated[str, Choice(("uniform", "consistent"))]
+LossName = Annotated[str, Choice(LOSSES)]
+Pair = tuple[float, float]
+Curves = Annotated[dict[str, Floats], Names(CHANNELS)]
+
+Extent = Annotated[dict[str, Any], keys(file=str, rows=int, **{"from": float}, to=float)]
+"""The data of a fit: the name of the file, the number of rows of a path, first and last time."""
+DataOfFit = Annotated[
+    dict[str, Any],
+    keys(
+        file=str, rows=int, **{"from": float}, to=float,
+        law_file=str | None, since=float | None, until=float | None, exclude=list[Pair],
+        swept=Pair | None, sigma=dict[ChannelName, str], notes=list[str],
+    ),
+]  # fmt: skip
+"""The same, and how they were chosen."""
+_Matrix = {"names": list[str], "matrix": list[list[float]]}
+_Event = Annotated[
+    dict[str, Any],
+    keys(
+        name=str, quantity=Annotated[str, Choice(QUANTITIES)], value=float, sigma=float,
+        at=float | None, since=float | None, fitted=float,
+    ),
+]  # fmt: skip
+_Outlier = Annotated[
+    dict[str, Any],
+    keys(channel=ChannelName, t=float, line=int | None, off=float, sigmas=float),
+]
+_Remedy = Annotated[dict[str, Any], keys(parameters=list[str], measure=list[ChannelName], all=bool)]
+_ReferenceFit = Annotated[dict[str, Any], keys(stone=StoneValues, values=dict[str, float])]
 
 
 @dataclass(frozen=True)
@@ -61,7 +84,7 @@ class Estimate:
 
     value: float
     stderr: float | None
-    verdict: str
+    verdict: Verdict
     unit: str
     symbol: str = field(repr=False)
     meaning: str = field(repr=False)
@@ -78,12 +101,6 @@ class Estimate:
         found = student_interval(self.value, self.stderr, self.dof, level)
         return found and (max(found[0], self.lower), min(found[1], self.upper))
 
-    @classmethod
-    def from_json(cls, found: dict[str, Any]) -> Estimate:
-        """The record from JSON, in which infinite bounds are text."""
-        bounds = {key: float(found[key]) for key in ("lower", "upper")}
-        return cls(**known_fields(cls, found) | bounds)
-
 
 @dataclass(frozen=True, repr=False)
 class Posterior(Displayed):
@@ -94,7 +111,7 @@ class Posterior(Displayed):
     samples : number kept, over all walkers, after the first `discarded` steps.
     steps, walkers, ensembles : of the run; the walkers are divided among the ensembles.
     ess, ess_tail : bulk and tail effective sample sizes by parameter; the latter is the smaller of
-        those of the quantiles 5 % and 95 %, and empty in records of earlier versions.
+        those of the quantiles 5 % and 95 %.
     r_hat : rank-normalised, by parameter: the larger of that of the halves of the ensembles and
         that of their distances from the median (Vehtari et al. 2021).
     acceptance : fraction of proposals accepted.
@@ -123,7 +140,7 @@ class Posterior(Displayed):
     ess: dict[str, float]
     ess_tail: dict[str, float] = field(default_factory=dict, kw_only=True)
     r_hat: dict[str, float]
-    quantiles: dict[str, dict[str, float]]
+    quantiles: dict[str, Quantiles]
     mean: dict[str, float]
     sd: dict[str, float]
     correlation: dict[str, dict[str, float]]
@@ -169,7 +186,7 @@ class Systematics:
         }
 
 
-class NamedEstimates(Displayed):
+class NamedEstimates(Record):
     """A result whose estimates are items by name, and rows of a table."""
 
     combinations: tuple[Combination, ...]
@@ -229,7 +246,7 @@ class NamedEstimates(Displayed):
         return frame(dict(zip(heads, zip(*rows, strict=True), strict=True)), list(self._items()))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class FitResult(NamedEstimates):
     """A fitted throw. `save` writes it, `load_fit` reads it.
 
@@ -260,7 +277,7 @@ class FitResult(NamedEstimates):
     posterior : None until sampled.
     discrepancy : of a fit with the noise "discrepancy", the mean of the model discrepancy given
         the residuals: x, y, phi, speed, omega at the times of the rows, to be added to `fitted`.
-        Empty without such noise, and in records of earlier versions.
+        Empty without such noise.
     loss : how much large residuals count, see `curlfit.inference.noise.losses`.
     noise : how noise is correlated from row to row, see `curlfit.inference.noise.models`.
     outliers : values far from the fit: {"channel", "t", "line" (of the file, or None), "off" (SI),
@@ -294,10 +311,15 @@ class FitResult(NamedEstimates):
     _report: ClassVar[str] = "curlfit.inference.overview"
     _printer: ClassVar[str] = "curlfit.print_fit"
 
+    kind: ClassVar[str] = "fit"
+    groups: ClassVar[dict[str, tuple[str, ...]]] = {
+        "identifiability": ("rank", "singular_values", "null_directions")
+    }
+
     law: str
-    load: str
+    load: LoadName
     stone: Stone
-    data: dict[str, Any]
+    data: DataOfFit
     converged: bool
     status: str
     warnings: tuple[str, ...]
@@ -305,36 +327,101 @@ class FitResult(NamedEstimates):
     rms: dict[str, float]
     sigma: dict[str, float]
     lag1: dict[str, float]
+    loss: LossName = "linear"
+    noise: Noise = WHITE
+    independence: dict[ChannelName, Independence] = field(default_factory=dict)
+    outliers: tuple[_Outlier, ...] = ()
+    events: tuple[_Event, ...] = ()
+    remedies: tuple[_Remedy, ...] = ()
     parameters: dict[str, Estimate]
     combinations: tuple[Combination, ...]
     rank: int
     singular_values: tuple[float, ...]
     null_directions: tuple[dict[str, float], ...]
-    covariance: dict[str, Any]
-    information: dict[str, Any]
+    covariance: Annotated[dict[str, Any], keys(**_Matrix)]
+    information: Annotated[dict[str, Any], keys(**_Matrix, gradient=list[float])]
     reference: Reference | None
-    observed: dict[str, Floats]
-    fitted: dict[str, Floats]
-    posterior: Posterior | None = None
-    loss: str = "linear"
-    noise: Noise = WHITE
-    independence: dict[str, Independence] = field(default_factory=dict)
-    outliers: tuple[dict[str, Any], ...] = ()
-    remedies: tuple[dict[str, Any], ...] = ()
-    sampling: str = "none"
-    reference_fits: tuple[dict[str, Any], ...] = ()
+    reference_fits: tuple[_ReferenceFit, ...] = ()
     systematics: Systematics = field(default_factory=Systematics)
     chi_squared: float = math.nan
     prior_chi_squared: float = 0.0
-    events: tuple[dict[str, Any], ...] = ()
     derived: tuple[Derived, ...] = ()
     quantities: dict[str, Derived] = field(default_factory=dict)
-    discrepancy: dict[str, Floats] = field(default_factory=dict)
+    sampling: Annotated[str, Choice(("none", "unfinished", "ended"))] = "none"
+    posterior: Posterior | None = None
+    observed: dict[str, Floats] = field(metadata=SERIES)
+    fitted: Annotated[dict[ChannelName, Floats], Names(CHANNELS)] = field(metadata=SERIES)
+    discrepancy: Annotated[dict[ChannelName, Floats], Names(CHANNELS)] = field(
+        default_factory=dict, metadata=SERIES
+    )
+
+    def require_consistent(self) -> None:
+        """Raise `ValueError` where what was read contradicts itself."""
+        parameters = self.parameters.keys()
+        rows = len(self.observed.get("t", ()))
+        for place, names in (
+            ("parameters", [item.name for item in START]),
+            ("covariance", self.covariance["names"]), ("information", self.information["names"]),
+            ("null_directions", [name for one in self.null_directions for name in one]),
+            ("combinations", [name for one in self.combinations for name in one.weights]),
+            ("posterior", self.posterior.ess if self.posterior else ()),
+        ):  # fmt: skip
+            require(place, set(names) <= parameters, "names of parameters")
+        require_rows("observed", self.observed, rows)
+        require_rows("fitted", self.fitted, rows)
+        require_rows("discrepancy", self.discrepancy, rows)
+        for name, shifts in self.systematics.shifts.items():
+            known = shifts.keys() <= self.systematics.widths.keys()
+            require("systematics", known, f"{name}: names of conditions")
+        own = {"t", *CHANNELS, *(f"sigma_{name}" for name in CHANNELS)}
+        require("observed", {"t", *self.rms} <= self.observed.keys() <= own, "t and channels")
+        for place, found in (("covariance", self.covariance), ("information", self.information)):
+            sizes = {len(found["names"]), *map(len, (found["matrix"], *found["matrix"]))}
+            require(place, len(sizes) == 1, "a square matrix")
+        gradient = self.information["gradient"]
+        require("information", len(gradient) == len(self.information["names"]), "a gradient")
 
     @property
     def law_class(self) -> type[Law]:
-        """The class of the law; a user's own is read again from its file."""
-        return find_law(self.law if self.law in LAWS else self.data.get("law_file") or self.law)
+        """The class of the law.
+
+        A record runs no code: a law that is not one of curlfit's must be known already, because it
+        is defined in this session or was read from a file that the user named.
+
+        Raises
+        ------
+        InputError : it is not known, or has other coefficients.
+        """
+        if self.law not in LAWS:
+            raise InputError(
+                f"{self.law} is not a law of curlfit, and a saved result does not run the file of "
+                f"its law; name it with --law FILE.py:CLASS (`find_law` in Python)"
+            )
+        found = find_law(self.law)
+        own = tuple(item.name for item in found.coefficients())
+        if own != tuple(self.coefficients):
+            raise InputError(
+                f"the law {self.law} has the coefficients {', '.join(own)}, the saved result "
+                f"{', '.join(self.coefficients)}; expected the law that was fitted"
+            )
+        return found
+
+    def with_law(self, law: str | type[Law] | None) -> FitResult:
+        """The result, whose law is that of a user's file.
+
+        Raises
+        ------
+        InputError : it is another law.
+        """
+        if law is not None:
+            found = find_law(law)
+            if found.name != self.law:
+                raise InputError(
+                    f"--law {law}: {found.name} found, but the saved fit is of the law {self.law}; "
+                    "give the data to fit another"
+                )
+            self.law_class  # noqa: B018  (its coefficients are checked)
+        return self
 
     @property
     def model(self) -> Model:
@@ -383,7 +470,10 @@ class FitResult(NamedEstimates):
             relative_sigma={name: by_row for name, by_row in sigma.items() if name in self.sigma},
             name=self.data["file"],
             reference=self.reference,
-            events=tuple(Event(**known_fields(Event, item)) for item in self.events),
+            events=tuple(
+                Event(**{name: value for name, value in item.items() if name != "fitted"})
+                for item in self.events
+            ),
             assumed={
                 item.name: self.parameters[item.name].value
                 for item in START
@@ -477,112 +567,6 @@ class FitResult(NamedEstimates):
         """The result as it is kept on disk while the posterior is being sampled."""
         return replace(self, posterior=None, sampling="unfinished")
 
-    def to_json(self) -> dict[str, Any]:
-        """The record as written to `fit.json`; `notebooks/book/files.md` lists its fields."""
-        return {
-            "schema": SCHEMA,
-            "law": self.law,
-            "load": self.load,
-            "stone": self.stone.as_dict(),
-            "data": self.data,
-            "converged": self.converged,
-            "status": self.status,
-            "warnings": list(self.warnings),
-            "n_observations": self.n_observations,
-            "rms": self.rms,
-            "sigma": self.sigma,
-            "lag1": self.lag1,
-            "loss": self.loss,
-            "noise": self.noise.as_dict(),
-            "independence": {name: asdict(item) for name, item in self.independence.items()},
-            "outliers": list(self.outliers),
-            "events": list(self.events),
-            "remedies": list(self.remedies),
-            "parameters": {name: asdict(item) for name, item in self.parameters.items()},
-            "combinations": [asdict(item) for item in self.combinations],
-            "identifiability": {
-                "rank": self.rank,
-                "singular_values": list(self.singular_values),
-                "null_directions": list(self.null_directions),
-            },
-            "covariance": self.covariance,
-            "information": self.information,
-            "reference": None if self.reference is None else asdict(self.reference),
-            "reference_fits": list(self.reference_fits),
-            "systematics": asdict(self.systematics),
-            "chi_squared": self.chi_squared,
-            "prior_chi_squared": self.prior_chi_squared,
-            "derived": [asdict(item) for item in self.derived],
-            "quantities": {name: asdict(item) for name, item in self.quantities.items()},
-            "sampling": self.sampling,
-            "posterior": None if self.posterior is None else asdict(self.posterior),
-            "observed": {name: series.tolist() for name, series in self.observed.items()},
-            "fitted": {name: series.tolist() for name, series in self.fitted.items()},
-            "discrepancy": {name: series.tolist() for name, series in self.discrepancy.items()},
-        }
-
-    def summary(self) -> dict[str, Any]:
-        """The JSON record without the series of data and fit."""
-        record = json_safe(self.to_json())
-        return {key: value for key, value in record.items() if key not in _SERIES}
-
-    @classmethod
-    def from_json(cls, found: dict[str, Any]) -> FitResult:
-        """The record from the output of `to_json`. Raises KeyError or TypeError if invalid."""
-        seen = found["identifiability"]
-        reference, posterior = found.get("reference"), found.get("posterior")
-        same = ("law", "load", "converged", "status", "n_observations", "rms", "sigma")
-        return cls(
-            **{name: found[name] for name in (*same, "covariance", "information")},
-            data=found["data"] | {key: None for key in _LATER if key not in found["data"]},
-            lag1=found.get("lag1", {}),
-            stone=Stone(**known_fields(Stone, found["stone"])),
-            warnings=tuple(found.get("warnings", ())),
-            parameters={
-                name: Estimate.from_json(item) for name, item in found["parameters"].items()
-            },
-            combinations=tuple(
-                Combination(**known_fields(Combination, item)) for item in found["combinations"]
-            ),
-            rank=seen["rank"],
-            singular_values=tuple(seen["singular_values"]),
-            null_directions=tuple(seen["null_directions"]),
-            reference=None
-            if reference is None
-            else Reference(**known_fields(Reference, reference)),
-            observed=_series(found["observed"]),
-            fitted=_series(found["fitted"]),
-            discrepancy=_series(found.get("discrepancy", {})),
-            posterior=None
-            if posterior is None
-            else Posterior(**known_fields(Posterior, posterior)),
-            sampling=found.get("sampling", "none" if posterior is None else "ended"),
-            loss=found.get("loss", "linear"),
-            noise=Noise(**known_fields(Noise, found.get("noise", {}))),
-            independence={
-                name: Independence(**known_fields(Independence, item))
-                for name, item in found.get("independence", {}).items()
-            },
-            outliers=tuple(found.get("outliers", ())),
-            events=tuple(found.get("events", ())),
-            remedies=tuple(found.get("remedies", ())),
-            reference_fits=tuple(found.get("reference_fits", ())),
-            systematics=Systematics(**known_fields(Systematics, found.get("systematics", {}))),
-            chi_squared=_finite(found.get("chi_squared")),
-            prior_chi_squared=_finite(found.get("prior_chi_squared", 0.0)),
-            derived=tuple(
-                Derived(**known_fields(Derived, item)) for item in found.get("derived", ())
-            ),
-            quantities={
-                name: Derived(**known_fields(Derived, item))
-                for name, item in found.get("quantities", {}).items()
-            },
-        )
-
-    def save(self, file: str | PathLike[str]) -> None:
-        """Write the record as JSON, atomically."""
-        write_json(self.to_json(), Path(file))
-
 
 def require_fit(fit: object) -> None:
     """Raise `InputError` for what is not the fit of one throw."""
@@ -602,15 +586,4 @@ def load_fit(file: str | PathLike[str]) -> FitResult:
     >>> curlfit.load_fit("fit.json")["mu2_xi"] == fit["mu2_xi"]
     True
     """
-    return load_record(file, "fit", SCHEMA, lambda entries, _: FitResult.from_json(entries))
-
-
-def _finite(value: float | None) -> float:
-    return math.nan if value is None else value
-
-
-def _series(found: dict[str, list[float | None]]) -> dict[str, Floats]:
-    return {
-        name: np.array([math.nan if value is None else value for value in values], float)
-        for name, values in found.items()
-    }
+    return FitResult.read(file)

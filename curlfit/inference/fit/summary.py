@@ -7,10 +7,6 @@ from dataclasses import asdict, replace
 from functools import partial
 from typing import Any, NamedTuple
 
-from curlfit.inference.likelihood import chi_squared_of_many, predict_many
-from curlfit.numerics.batches import BATCH, stacked
-
-# isort: split
 import jax
 import numpy as np
 
@@ -44,6 +40,7 @@ from curlfit.inference.fit.systematics import (
 )
 from curlfit.inference.identifiability import Bounded
 from curlfit.inference.least_squares import Solution
+from curlfit.inference.likelihood import chi_squared_of_many, predict_many
 from curlfit.inference.linearized_problem import classify
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import Noise, time_of_motion
@@ -52,6 +49,7 @@ from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.batches import BATCH, stacked
 from curlfit.throws.plausibility import Finding, examine_fit
 from curlfit.throws.throw import CHANNELS, Throw
 

@@ -11,14 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from curlfit.inference.likelihood import predict_many
-
-# isort: split
 import numpy as np
 
 from curlfit.inference.conditions import ALL, CALIBRATION, WIDTHS, check_systematics
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.identifiability import Identifiability, inverted, visible
+from curlfit.inference.likelihood import predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.losses import root_slope
 from curlfit.inference.noise.whitening import whitened

@@ -7,11 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from curlfit.inference.joint.solver import JointSolution, Layout
-from curlfit.inference.likelihood import predict_many
-from curlfit.numerics.arrays import Booleans, Floats
-
-# isort: split
 import numpy as np
 
 from curlfit.inference.fit.covariance import (
@@ -37,8 +32,11 @@ from curlfit.inference.identifiability import (
     confined,
     visible,
 )
+from curlfit.inference.joint.solver import JointSolution, Layout
 from curlfit.inference.least_squares import Indices
+from curlfit.inference.likelihood import predict_many
 from curlfit.inference.linearized_problem import LinearizedProblem, classify
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import unstacked
 
 

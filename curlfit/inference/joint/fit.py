@@ -6,12 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from curlfit.inference.joint.analysis import JointAnalysis
-from curlfit.inference.joint.solver import Layout, Progress, minimize_jointly
-from curlfit.numerics.arrays import Booleans
-from curlfit.numerics.batches import stacked, unstacked
-
-# isort: split
 import numpy as np
 
 from curlfit.errors import InputError, UnusableFitError, require_kind
@@ -27,10 +21,14 @@ from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many
 from curlfit.inference.fit.systematics import calibrations_of, widths_of
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.initial_values import smooth, start_values_of_sides
+from curlfit.inference.joint.analysis import JointAnalysis
 from curlfit.inference.joint.heterogeneity import differences_of
 from curlfit.inference.joint.result import Difference, JointResult
+from curlfit.inference.joint.solver import Layout, Progress, minimize_jointly
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
+from curlfit.numerics.arrays import Booleans
+from curlfit.numerics.batches import stacked, unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Throw, require_throw
 

@@ -4,27 +4,27 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from curlfit.foreign import safe_name
+from curlfit.friction import Law
 from curlfit.inference.derived import Derived, derive
 from curlfit.inference.fit.result import (
     Estimate,
     FitResult,
+    LoadName,
     NamedEstimates,
     Systematics,
     load_fit,
 )
 from curlfit.inference.identifiability import Combination
-from curlfit.output.files import known_fields, load_record, write_json
 from curlfit.output.text import p_text
-
-SCHEMA = 1
+from curlfit.records import UNSAVED, keys, plain, require, structured
 
 _SIGNIFICANT = 0.01
 
@@ -40,7 +40,7 @@ class Difference:
     p_value : probability of differences at least as large if the throws agree (chi squared).
     spread : standard deviation between throws beyond what the errors explain.
     mean, stderr : mean over such throws and its standard error, including the spread between them.
-    shared_stderr : standard error of the shared estimate as one of this mean; None in old records.
+    shared_stderr : standard error of the shared estimate as one of this mean.
     significant : p_value below 0.01.
     """
 
@@ -51,6 +51,7 @@ class Difference:
     mean: float
     stderr: float
     shared_stderr: float | None = None
+    written: ClassVar[tuple[str, ...]] = ("significant",)
 
     @property
     def significant(self) -> bool:
@@ -95,8 +96,11 @@ class JointResult(NamedEstimates):
     _report: ClassVar[str] = "curlfit.inference.overview"
     _printer: ClassVar[str] = "curlfit.print_joint"
 
+    kind: ClassVar[str] = "joint"
+    groups: ClassVar[dict[str, tuple[str, ...]]] = {"identifiability": ("rank", "parameters")}
+
     law: str
-    load: str
+    load: LoadName
     share: tuple[str, ...]
     converged: bool
     status: str
@@ -106,7 +110,7 @@ class JointResult(NamedEstimates):
     rank: int
     parameters: int
     differences: tuple[Difference, ...]
-    throws: tuple[FitResult, ...]
+    throws: tuple[FitResult, ...] = field(default=(), metadata=UNSAVED)
     systematics: Systematics = field(default_factory=Systematics)
     derived: tuple[Derived, ...] = ()
 
@@ -145,38 +149,39 @@ class JointResult(NamedEstimates):
         return replace(self, derived=tuple(map(self.derive, expressions)))
 
     def to_json(self) -> dict[str, Any]:
-        """The record as written to `joint.json`, without the single throws."""
-        return {
-            "schema": SCHEMA,
-            "law": self.law,
-            "load": self.load,
-            "share": list(self.share),
-            "converged": self.converged,
-            "status": self.status,
-            "warnings": list(self.warnings),
-            "coefficients": {name: asdict(item) for name, item in self.coefficients.items()},
-            "combinations": [asdict(item) for item in self.combinations],
-            "identifiability": {"rank": self.rank, "parameters": self.parameters},
-            "differences": [
-                asdict(item) | {"significant": item.significant} for item in self.differences
-            ],
-            "systematics": asdict(self.systematics),
-            "derived": [asdict(item) for item in self.derived],
+        """The record as written to `joint.json`, with the single throws in brief."""
+        names = ("rms", "sigma", "parameters")
+        return super().to_json() | {
             "throws": [
-                {
-                    "file": item.data["file"],
-                    "rows": item.data["rows"],
-                    "rms": item.rms,
-                    "sigma": item.sigma,
-                    "parameters": {name: asdict(one) for name, one in item.parameters.items()},
-                }
-                for item in self.throws
-            ],
+                {name: one.data[name] for name in ("file", "rows")}
+                | {name: plain(getattr(one, name)) for name in names}
+                for one in self.throws
+            ]
         }
 
-    def save(self, file: str | PathLike[str]) -> None:
-        """Write the record as JSON, whole or not at all."""
-        write_json(self.to_json(), Path(file))
+    def summary(self) -> dict[str, Any]:
+        """The same, since it has no series."""
+        return self.to_json()
+
+    @classmethod
+    def _from_file(cls, entries: dict[str, Any], folder: Path) -> JointResult:
+        found = super()._from_file(entries, folder)
+        files = structured(entries, _Throws)["throws"]
+        throws = tuple(load_fit(folder / folder_name(one["file"])) for one in files)
+        return replace(found, throws=throws)
+
+    def require_consistent(self) -> None:
+        """Raise `ValueError` where what was read contradicts itself."""
+        require("share", set(self.share) <= self.coefficients.keys(), "names of coefficients")
+        for one in self.differences:
+            require("differences", len(one.each) == len(self.differences[0].each), "equal lengths")
+
+    def with_law(self, law: str | type[Law] | None) -> JointResult:
+        """The result, whose law is that of a user's file; see `FitResult.with_law`."""
+        return replace(self, throws=tuple(one.with_law(law) for one in self.throws))
+
+
+_Throws = keys(throws=list[Annotated[dict[str, Any], keys(file=str)]])
 
 
 def folder_name(throw: str) -> str:
@@ -198,36 +203,4 @@ def load_joint(file: str | PathLike[str]) -> JointResult:
     True
     """
 
-    def build(found: dict[str, Any], path: Path) -> JointResult:
-        return JointResult(
-            law=found["law"],
-            load=found["load"],
-            share=tuple(found["share"]),
-            converged=found["converged"],
-            status=found["status"],
-            warnings=tuple(found["warnings"]),
-            coefficients={
-                name: Estimate.from_json(item) for name, item in found["coefficients"].items()
-            },
-            combinations=tuple(
-                Combination(**known_fields(Combination, item)) for item in found["combinations"]
-            ),
-            rank=found["identifiability"]["rank"],
-            parameters=found["identifiability"]["parameters"],
-            differences=tuple(
-                Difference(
-                    **known_fields(Difference, item)
-                    | {"each": tuple(None if one is None else tuple(one) for one in item["each"])}
-                )
-                for item in found["differences"]
-            ),
-            throws=tuple(
-                load_fit(path.parent / folder_name(item["file"])) for item in found["throws"]
-            ),
-            systematics=Systematics(**known_fields(Systematics, found.get("systematics", {}))),
-            derived=tuple(
-                Derived(**known_fields(Derived, item)) for item in found.get("derived", ())
-            ),
-        )
-
-    return load_record(file, "joint", SCHEMA, build)
+    return JointResult.read(file)

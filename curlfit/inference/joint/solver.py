@@ -12,13 +12,11 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from curlfit.inference.likelihood import linearize
-
-# isort: split
 import numpy as np
 
 from curlfit.inference.identifiability import r_factors
 from curlfit.inference.least_squares import Solution
+from curlfit.inference.likelihood import linearize
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.errors import DataError, InputError
-from curlfit.friction import Law
+from curlfit.friction import LAWS, Law
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
@@ -24,11 +24,12 @@ from curlfit.output.display import Displayed, Overview
 from curlfit.output.files import atomic_write
 from curlfit.output.frames import frame, optional
 from curlfit.output.text import from_to, plain_table
+from curlfit.records import structured
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
 from curlfit.version import __version__
 
-_BEFORE = {"noise": "white"}  # values for chains that do not record them
+_COMPRESSED = 200  # times as large as in its file, more than a chain can be
 _SHOWN = 4  # parameters in a line
 _LEVELS = (0.025, 0.16, 0.84, 0.975)
 _DIGEST = "#"  # first character of a digest of numbers too many to be shown
@@ -65,8 +66,7 @@ class Chain(Displayed):
     values : shape (steps, walkers, parameters). log_posterior : shape (steps, walkers).
     accepted : number of accepted proposals by walker. discarded : number of initial steps left out.
     ensembles : number of ensembles of equally many walkers. seed : of the run.
-    subject : what was sampled, see `subject_of`. state : of the sampler, for resuming; None in a
-        file of an earlier version.
+    subject : what was sampled, see `subject_of`. state : of the sampler, for resuming.
     fit : the one that was sampled; None where the chain was read from a file.
 
     Examples
@@ -166,12 +166,13 @@ class Chain(Displayed):
         ------
         InputError : the chain is of another fit.
         """
-        now = subject_of(fit, self.seed)
+        now = subject_of(fit, self.seed) | {"parameters": ", ".join(fit.parameters)}
+        own = self.subject | {"parameters": ", ".join(self.names)}
         for name, value in now.items():
-            if not name.startswith("version") and self.subject.get(name, value) != value:
-                raise InputError(f"the chain is of another fit: not the same {name}")
-        if self.names != fit.parameter_set.names:
-            raise InputError("the chain is of another fit: not the same parameters")
+            if not name.startswith("version") and own.get(name) != value:
+                raise InputError(
+                    f"the chain is of another fit: not the same {name}; sample this one again"
+                )
         return replace(self, fit=fit)
 
     def to_arviz(self, fit: FitResult | None = None, *, draws: int = 4000, seed: int = 0) -> Any:
@@ -254,13 +255,21 @@ _COUNTS = {"left": "left", "bold": "mostly_ridge", "tried": "proposed", "taken":
 """Attributes of `chain.h5` and the fields of the state that they hold."""
 
 
-def load_chain(file: str | PathLike[str]) -> Chain:
-    """Read a `chain.h5`. Raises `DataError` if it is missing or not valid.
+def load_chain(file: str | PathLike[str], fit: FitResult | None = None) -> Chain:
+    """Read a `chain.h5`.
+
+    Parameters
+    ----------
+    fit : the one that was sampled, if the chain is to belong to it.
+
+    Raises
+    ------
+    DataError : the file is missing or not valid, or the chain is of another fit.
 
     Examples
     --------
     >>> chain.save("chain.h5")
-    >>> curlfit.load_chain("chain.h5").with_fit(fit).names == chain.names
+    >>> curlfit.load_chain("chain.h5", fit).names == chain.names
     True
     """
     path = Path(file)
@@ -270,34 +279,61 @@ def load_chain(file: str | PathLike[str]) -> Chain:
 
     try:
         with h5py.File(path, "r") as stored:
-            return Chain(
-                names=tuple(str(name) for name in stored.attrs["names"]),
-                values=stored["mcmc/chain"][:],
-                log_posterior=stored["mcmc/log_prob"][:],
-                accepted=stored["mcmc/accepted"][:],
-                discarded=int(stored.attrs["discarded"]),
-                ensembles=int(stored.attrs["ensembles"]),
-                seed=int(stored.attrs["seed"]),
-                subject=json.loads(stored.attrs.get("subject", "{}")),
-                state=_state(stored) if "sampler" in stored else None,
-            )
-    except (OSError, KeyError, ValueError, RuntimeError) as error:
+            chain = _read_chain(stored)
+    except (
+        OSError, LookupError, ValueError, TypeError, AttributeError, RuntimeError, OverflowError
+    ) as error:  # fmt: skip
         raise DataError(f"not a chain.h5 of curlfit ({error})", file=path) from None
+    try:
+        return chain if fit is None else chain.with_fit(fit)
+    except InputError as error:
+        raise DataError(str(error), file=path) from None
 
 
-def _state(stored: Any) -> SamplerState:
+def _read_chain(stored: Any) -> Chain:
+    attrs, names = stored.attrs, tuple(map(str, stored.attrs["names"]))
+    steps, walkers, _ = stored["mcmc/chain"].shape
+    discarded, ensembles, seed = (int(attrs[name]) for name in ("discarded", "ensembles", "seed"))
+    if not (0 <= discarded <= steps and ensembles > 0 and walkers and walkers % ensembles == 0):
+        raise ValueError(f"{walkers} walkers of {steps} steps in {ensembles} ensembles")
+    return Chain(
+        names=names,
+        values=_numbers(stored, "mcmc/chain", (steps, walkers, len(names))),
+        log_posterior=_numbers(stored, "mcmc/log_prob", (steps, walkers)),
+        accepted=_numbers(stored, "mcmc/accepted", (walkers,), "i"),
+        discarded=discarded,
+        ensembles=ensembles,
+        seed=seed,
+        subject=structured(json.loads(attrs["subject"]), dict[str, str]),
+        state=_state(stored, walkers) if "sampler" in stored else None,
+    )
+
+
+def _numbers(stored: Any, name: str, shape: tuple[int, ...], kind: str = "f") -> Any:
+    """The numbers of a dataset, checked before memory is taken for them."""
+    data = stored[name]
+    if data.shape != shape or data.dtype.kind != kind:
+        raise ValueError(f"{name}: {data.dtype} {data.shape} found, expected {shape}")
+    if data.is_virtual or data.external or data.nbytes > _COMPRESSED * data.id.get_storage_size():
+        raise ValueError(f"{name}: its numbers are not in the file")
+    return data[:]
+
+
+def _state(stored: Any, walkers: int) -> SamplerState:
     random = [stored["mcmc"].attrs[f"random_state_{place}"] for place in range(5)]
     kept = stored["sampler"]
-    return SamplerState(
-        coords=kept["coords"][:],
+    state = SamplerState(
+        coords=_numbers(stored, "sampler/coords", (walkers, kept["coords"].shape[1])),
         random=(str(random[0]), random[1], int(random[2]), int(random[3]), float(random[4])),
         **{count: kept.attrs[name].item() for name, count in _COUNTS.items()},
     )
+    np.random.RandomState().set_state(state.random)
+    return state
 
 
 def subject_of_fit(
     throw: Throw,
-    law: type[Law],
+    law: type[Law] | str,
     load: str,
     stone: Stone,
     parameters: ParameterSet,
@@ -309,8 +345,7 @@ def subject_of_fit(
     text = ",".join(sorted(throw.sigma)) + "".join(map(repr, throw.events))
     return {
         "data": _digest(throw.t, throw.observed, *sigma, text=text),
-        "law": law.name,
-        "law's file": _digest(text=_source(law)),
+        **({"law": law} if isinstance(law, str) else _law(law)),
         "load": load,
         "loss": loss,
         "noise": noise,
@@ -323,10 +358,11 @@ def subject_of_fit(
 
 
 def subject_of_saved(fit: FitResult) -> dict[str, str]:
-    """The same for a fit result."""
+    """The same for a fit result; without the law's file where the law is not at hand."""
     return subject_of_fit(
-        fit.throw, fit.law_class, fit.load, fit.stone, fit.parameter_set, fit.loss, fit.noise.kind
-    )
+        fit.throw, fit.law if fit.law not in LAWS else fit.law_class,
+        fit.load, fit.stone, fit.parameter_set, fit.loss, fit.noise.kind,
+    )  # fmt: skip
 
 
 def subject_of(fit: FitResult, seed: int) -> dict[str, str]:
@@ -346,7 +382,7 @@ def subject_of(fit: FitResult, seed: int) -> dict[str, str]:
 def require_same(stored: Mapping[str, str], now: Mapping[str, str], file: Path) -> None:
     """Raise `DataError` if two subjects differ, and say in what."""
     for name, value in now.items():
-        was = stored.get(name, _BEFORE.get(name, ""))
+        was = stored.get(name, "")
         if was == value:
             continue
         if value.startswith(_DIGEST):
@@ -363,9 +399,10 @@ def _first_difference(now: str, before: str) -> tuple[str, str]:
     return next((pair for pair in pairs if pair[0] != pair[1]), (now, before))
 
 
-def _source(law: type[Law]) -> str:
-    """Source text of a user's own law."""
-    return Path(law.origin.rpartition(":")[0]).read_text() if law.origin else ""
+def _law(law: type[Law]) -> dict[str, str]:
+    """A law by its name and, where it is a user's own, its source text."""
+    source = Path(law.origin.rpartition(":")[0]).read_text() if law.origin else ""
+    return {"law": law.name, "law's file": _digest(text=source)}
 
 
 def _digest(*arrays: Floats, text: str = "") -> str:

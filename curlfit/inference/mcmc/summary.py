@@ -11,7 +11,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.inference.derived import quantiles_of
 from curlfit.inference.fit.result import FitResult, Posterior
-from curlfit.inference.mcmc.chain import Chain, load_chain, subject_of
+from curlfit.inference.mcmc.chain import Chain, load_chain
 from curlfit.inference.mcmc.convergence import Diagnosis
 
 
@@ -19,15 +19,15 @@ def unfinished_posterior(
     fit: FitResult, file: str | PathLike[str]
 ) -> tuple[FitResult, Chain] | None:
     """An unfinished sample left on disk: the fit with a posterior marked as unfinished, and the
-    chain. None where `file` is missing, too short to be judged, or of another fit or version."""
+    chain. None where `file` is missing, too short to be judged, or of another fit."""
     if not Path(file).is_file():
         return None
     chain = load_chain(file)
     try:
-        same = chain.subject == subject_of(fit, chain.seed)
-    except InputError:  # the file of a user's own law is gone
+        chain = chain.with_fit(fit)
+    except InputError:  # of the fit before this one
         return None
-    if not same or len(chain.values) < 4:
+    if len(chain.values) < 4:
         return None
     return replace(summarised(fit, chain, "not finished"), sampling="unfinished"), chain
 

@@ -16,8 +16,7 @@ The models:
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,10 +67,6 @@ class Noise:
     def all_sizes(self) -> Floats:
         """The sizes as an array, shape (3,)."""
         return np.array(list(self.sizes.values()))
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
 
 
 WHITE = Noise()

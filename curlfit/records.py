@@ -1,0 +1,428 @@
+"""Results as records: frozen dataclasses in JSON, written and read by one rule.
+
+What is written follows from the fields of a record, and what is read is checked against their
+types: a file that somebody else made is a record of these types, or is refused.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import Field, fields, is_dataclass
+from functools import cache, partial
+from os import PathLike
+from pathlib import Path
+from types import UnionType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Self,
+    TypedDict,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+    is_typeddict,
+)
+
+import numpy as np
+
+from curlfit.errors import DataError
+from curlfit.numerics.arrays import Floats
+from curlfit.output.display import Displayed
+from curlfit.output.files import atomic_write
+
+SCHEMA = 1
+"""The version mark of records."""
+KINDS = ("fit", "compare", "joint", "predict", "profile", "design")
+"""Kinds of saved results; a folder's kind is the name of its JSON file."""
+_LARGEST, _MOST_PARTS = 32_000_000, 1_000_000  # bytes; lists and objects
+
+AGAIN = "fit again"
+"""What to do about a record that cannot be used."""
+
+UNSAVED = {"saved": False}
+"""Metadata of a field that is not in the file."""
+SERIES = {"series": True}
+"""Metadata of a field that a summary leaves out."""
+
+
+class Axes(int):
+    """The number of axes of an array, as an annotation; 0 for one or two."""
+
+
+def keys(every: bool = True, /, **kinds: Any) -> Any:
+    """The keys of an object and their types, as an annotation; `every` one is needed."""
+    return TypedDict("keys", kinds, total=every)  # type: ignore[operator]
+
+
+_Keys = type(keys())
+
+
+class Names(tuple[str, ...]):
+    """The keys that an object has, if it has any, as an annotation."""
+
+
+class Choice(tuple[str, ...]):
+    """The admissible values of a text, as an annotation."""
+
+
+Matrix = Annotated[Floats, Axes(2)]
+Arrays = dict[str, Annotated[Floats, Axes(0)]]
+
+
+class Record(Displayed):
+    """Base of all results: `save` writes one as JSON, `read` reads it.
+
+    Class attributes: `kind`, the name of its file; `marks`, entries that tell it from others of
+    this kind; `groups`, fields that are written together, as an object of this name.
+    """
+
+    kind: ClassVar[str] = ""
+    marks: ClassVar[dict[str, str]] = {}
+    groups: ClassVar[dict[str, tuple[str, ...]]] = {}
+
+    def to_json(self) -> dict[str, Any]:
+        """The record as it is written; NaN is null, and infinities are text."""
+        found: dict[str, Any] = plain(self)
+        return found
+
+    def summary(self) -> dict[str, Any]:
+        """The same without its series."""
+        found: dict[str, Any] = plain(self, series=False)
+        return found
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write the record as JSON, whole or not at all."""
+        write_json(self.to_json(), Path(file))
+
+    @classmethod
+    def from_json(cls, entries: Mapping[str, Any]) -> Self:
+        """The record from the output of `to_json`. Raises `DataError` for anything else."""
+        return structured(entries, cls)
+
+    @classmethod
+    def read(cls, file: str | PathLike[str]) -> Self:
+        """Read a saved record, or the one in a folder.
+
+        Raises
+        ------
+        DataError : missing, too large, not a record of this kind, or of another version.
+        """
+        path = Path(file)
+        if path.is_dir():
+            path = path / f"{cls.kind}.json"
+        entries = read_json(path, f"a {cls.kind}.json of curlfit")
+        version = entries.get("schema")
+        if type(version) is not int:
+            raise DataError(f"not a {cls.kind}.json of curlfit: it names no schema", file=path)
+        if version != SCHEMA:
+            newer = "a newer" if version > SCHEMA else "no"
+            raise DataError(
+                f"written by {newer} curlfit: schema {version} found, "
+                f"this version reads up to {SCHEMA}",
+                file=path,
+            )
+        try:
+            return cls._from_file(entries, path.parent)
+        except DataError as error:
+            if error.file is not None:  # another one
+                raise
+            raise DataError(str(error), file=path) from None
+
+    @classmethod
+    def _from_file(cls, entries: dict[str, Any], folder: Path) -> Self:
+        """The record of a file in a folder."""
+        return cls.from_json(entries)
+
+    def require_consistent(self) -> None:
+        """Raise `ValueError` where fields of a record that was read contradict one another."""
+
+
+def plain(value: Any, *, series: bool = True) -> Any:
+    """A value as JSON has it: records as objects, arrays as lists, NaN as null, infinities as text.
+
+    `series` is False for records without their series.
+    """
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else str(float(value))
+    if isinstance(value, Mapping):
+        return {key: plain(item, series=series) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item, series=series) for item in value]
+    if not is_dataclass(value):
+        return value
+    names = [
+        item.name for item in saved_fields(type(value)) if series or "series" not in item.metadata
+    ]
+    names += getattr(value, "written", ())
+    found = {name: plain(getattr(value, name), series=series) for name in names}
+    if isinstance(value, Record):
+        group_of = {name: group for group, inside in value.groups.items() for name in inside}
+        whole: dict[str, Any] = {"schema": SCHEMA, **value.marks}
+        for name, item in found.items():
+            (whole.setdefault(group_of[name], {}) if name in group_of else whole)[name] = item
+        return whole
+    return found
+
+
+def saved_fields(kind: Any) -> list[Field[Any]]:
+    """The fields of a dataclass that are in its file."""
+    return [item for item in fields(kind) if item.metadata.get("saved", True)]
+
+
+def structured(value: Any, kind: Any) -> Any:
+    """A value of JSON as a type: a dataclass, a TypedDict, or lists and dictionaries of them.
+
+    Raises
+    ------
+    DataError : it is not of this type; the message begins with its place, such as
+        "parameters.mu1_xi.value".
+    """
+    try:
+        return _converter().structure(value, kind)
+    except (BaseExceptionGroup, ValueError) as error:
+        *place, because = _first(error)
+        groups = getattr(kind, "groups", {})
+        place[:0] = [group for group, inside in groups.items() if place and place[0] in inside]
+        where = f"{'.'.join(place)}: " if place else ""
+        raise DataError(
+            f"{where}{because}; damaged, or written by an earlier version: {AGAIN}"
+        ) from None
+
+
+def _first(error: BaseException) -> list[str]:
+    """The keys that lead to the first error, and what it is."""
+    if not isinstance(error, BaseExceptionGroup):
+        return [str(error)]
+    first = error.exceptions[0]
+    notes = getattr(first, "__notes__", ())
+    keys = [getattr(note, "name", getattr(note, "index", None)) for note in notes]
+    return [*(_short(str(key)) for key in keys if key is not None), *_first(first)]
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def unexpected(value: Any, what: str) -> ValueError:
+    """The error for a value that is something else than `what`."""
+    kinds = {dict: "an object", list: "a list", type(None): "null", bool: str(value).lower()}
+    return ValueError(f"{kinds.get(type(value)) or _short(repr(value))} found, expected {what}")
+
+
+def _exactly(kind: Any, what: str) -> Callable[[Any, Any], Any]:
+    def hook(value: Any, _: Any) -> Any:
+        if type(value) is not kind or (kind is int and abs(value) > _HUGE):
+            raise unexpected(value, what)
+        return value
+
+    return hook
+
+
+def _number(value: Any, _: Any = None) -> float:
+    if value is None:
+        return math.nan
+    if isinstance(value, str) and value in ("inf", "-inf"):
+        return float(value)
+    if type(value) not in (int, float) or not abs(value) < _HUGE:
+        raise unexpected(value, "a number")
+    return float(value)
+
+
+def _array(value: Any, kind: Any) -> Floats:
+    axes = next((int(item) for item in get_args(kind) if isinstance(item, Axes)), 1)
+
+    def numbers(items: Any, axes: int) -> Any:
+        if type(items) is not list:
+            raise unexpected(items, "a list of numbers")
+        deeper = axes > 1 or (axes == 0 and items and isinstance(items[0], list))
+        return [
+            numbers(item, axes - 1 if axes else 1) if deeper else _number(item) for item in items
+        ]
+
+    lists = numbers(value, axes)
+    if len({len(row) if isinstance(row, list) else 0 for row in lists}) > 1:
+        raise ValueError("lists of unequal length found, expected a table of numbers")
+    found = np.array(lists, float)
+    return found if axes != 2 or lists else found.reshape(0, 2)
+
+
+def _chosen(value: Any, kind: Any) -> Any:
+    choices: tuple[str, ...] = next(item for item in get_args(kind) if isinstance(item, Choice))
+    if not isinstance(value, str) or value not in choices:
+        raise unexpected(value, f"one of {', '.join(choices)}")
+    return value
+
+
+def require(place: str, holds: bool, what: str) -> None:
+    """Raise `ValueError` unless fields of a record agree."""
+    if not holds:
+        raise ValueError(f"{place}: expected {what}")
+
+
+def require_rows(place: str, series: Mapping[str, Sequence[Any] | Floats], rows: int) -> None:
+    """Raise `ValueError` unless all series have as many values."""
+    same = all(len(values) == rows for values in series.values())
+    require(place, same, f"series of {rows} values each")
+
+
+@cache
+def _converter() -> Any:
+    """The converter from JSON; imported only where a record is read."""
+    from cattrs import Converter
+    from cattrs.gen import make_dict_structure_fn, override
+    from cattrs.gen.typeddicts import make_dict_structure_fn as of_keys
+
+    made = Converter()
+    made.register_structure_hook(float, _number)
+    for kind, what in ((int, "a whole number"), (bool, "true or false"), (str, "text")):
+        made.register_structure_hook(kind, _exactly(kind, what))
+
+    def is_a(origins: tuple[Any, ...], kind: Any) -> bool:
+        return get_origin(kind) in origins
+
+    def holds(annotation: type, kind: Any) -> bool:
+        return any(isinstance(item, annotation) for item in get_args(kind))
+
+    for annotation, read in ((Choice, _chosen), (Axes, _array)):
+        made.register_structure_hook_factory(
+            partial(holds, annotation), lambda kind, read=read: lambda value, _: read(value, kind)
+        )
+    made.register_structure_hook_func(partial(is_a, (np.ndarray,)), _array)
+    made.register_structure_hook_factory(
+        partial(holds, _Keys), lambda kind: made.get_structure_hook(get_args(kind)[1])
+    )
+
+    @made.register_structure_hook_factory(partial(holds, Names))
+    def of_names(kind: Any) -> Any:
+        usual, names = made.get_structure_hook(get_args(kind)[0]), get_args(kind)[1]
+
+        def hook(value: Any, _: Any) -> Any:
+            found = usual(value, kind)
+            missing = [name for name in names if name not in found]
+            if found and missing:
+                raise ValueError(f"no {missing[0]!r} in it")
+            return found
+
+        return hook
+
+    @made.register_structure_hook_factory(partial(is_a, (Union, UnionType)))
+    def of_optional(kind: Any) -> Any:
+        (other,) = set(get_args(kind)) - {type(None)}
+        usual = made.get_structure_hook(other)
+        return lambda value, _: None if value is None else usual(value, other)
+
+    # cattrs takes whatever can be iterated over, ...
+    inside: list[Any] = []
+
+    def is_list(kind: Any) -> bool:
+        return is_a((list, tuple, dict), kind) and kind not in inside
+
+    @made.register_structure_hook_factory(is_list)
+    def of_list(kind: Any) -> Any:
+        inside.append(kind)
+        usual = made.get_structure_hook(kind, cache_result=False)
+        inside.remove(kind)
+        wanted, what = (dict, "an object") if get_origin(kind) is dict else (list, "a list")
+
+        def hook(value: Any, _: Any) -> Any:
+            if type(value) is not wanted:
+                raise unexpected(value, what)
+            return usual(value, kind)
+
+        return hook
+
+    # ... defaults for what is missing, and no annotations of fields.
+    @made.register_structure_hook_factory(lambda kind: is_dataclass(kind) or is_typeddict(kind))
+    def of_object(kind: Any) -> Any:
+        hints = get_type_hints(kind, include_extras=True)
+        if is_dataclass(kind):
+            make: Any = make_dict_structure_fn
+            required = [item.name for item in saved_fields(kind)]
+            known = {name: name in required for name in (item.name for item in fields(kind))}
+        else:
+            make, required, known = of_keys, sorted(kind.__required_keys__), hints
+        usual = make(
+            kind,
+            made,
+            **{
+                name: override(struct_hook=made.get_structure_hook(hints[name]), omit=not read)
+                for name, read in known.items()
+            },
+        )
+        groups = getattr(kind, "groups", {})
+
+        def hook(value: Any, _: Any) -> Any:
+            if type(value) is not dict:
+                raise unexpected(value, "an object")
+            for name in groups:
+                if type(value.get(name)) is not dict:
+                    raise ValueError(f"no object {name!r} in it")
+                value = value | value[name]
+            missing = [name for name in required if name not in value]
+            if missing:
+                raise ValueError(f"no {missing[0]!r} in it")
+            found = usual(value, kind)
+            if isinstance(found, Record):
+                found.require_consistent()
+            return found
+
+        return hook
+
+    return made
+
+
+_HUGE = 1e100
+"""No quantity of curling is larger; the squares of smaller ones are finite."""
+
+
+def read_json(file: Path, what: str) -> dict[str, Any]:
+    """The JSON object in a file, of at most as many bytes as a record can have.
+
+    Raises
+    ------
+    DataError : the file does not exist, is too large, or is not such JSON.
+    """
+    try:
+        small = file.stat().st_size <= _LARGEST
+        text = file.read_text(encoding="utf-8") if small else ""
+        small = small and text.count("[") + text.count("{") <= _MOST_PARTS
+        found = json.loads(text, parse_constant=_refuse) if small else None
+    except FileNotFoundError:
+        raise DataError("no such file", file=file) from None
+    except OSError as error:
+        raise DataError(f"cannot be read ({error.strerror})", file=file) from None
+    except (ValueError, RecursionError):
+        raise DataError(f"this is not JSON; expected {what}", file=file) from None
+    if not small:
+        raise DataError(f"larger than {what} can be", file=file)
+    if type(found) is not dict:
+        raise DataError(f"not {what}", file=file)
+    return found
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(constant)
+
+
+def write_json(record: dict[str, Any], file: Path) -> None:
+    """Write plain values atomically, as JSON that any program can read."""
+    text = json.dumps(record, indent=1, allow_nan=False)
+    with atomic_write(file) as temporary:
+        temporary.write_text(_compact_series(text) + "\n", encoding="utf-8")
+
+
+def _compact_series(text: str) -> str:
+    """JSON with each list of numbers on one line, which keeps the rest readable."""
+    number = r"(?:-?\d[-+.eE\d]*|null)"
+    return re.sub(
+        rf"\[\s+({number}(?:,\s+{number})*)\s+\]",
+        lambda match: "[" + re.sub(r",\s+", ", ", match[1]) + "]",
+        text,
+    )
