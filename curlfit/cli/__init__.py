@@ -17,7 +17,7 @@ from curlfit.cli.laws import laws
 from curlfit.cli.saved import plot, report, show, write_page
 from curlfit.cli.throws import check, simulate
 from curlfit.comparison.command import compare
-from curlfit.errors import CurlfitError
+from curlfit.errors import CurlfitError, InputError
 from curlfit.foreign import say
 from curlfit.optimal_design.command import design
 from curlfit.options.output import Saved
@@ -62,7 +62,14 @@ for _verb in (
 
 def run(words: Sequence[str]) -> int:
     """Carry out a command; returns its exit status."""
-    saved = app(words)
+    if [*words] == ["--version"]:
+        print(_versions())
+        return 0
+    try:
+        saved = app(words)
+    except CycloptsError as error:
+        cause = error.__cause__  # of a value that cannot be used
+        raise cause if isinstance(cause, CurlfitError) else InputError(str(error)) from None
     if not isinstance(saved, Saved):
         return 0
     if saved.page is not None:
@@ -84,10 +91,6 @@ def main() -> None:
     except CurlfitError as error:
         say(f"curlfit: {error}", error=True)
         status = error.exit_status
-    except CycloptsError as error:
-        cause = error.__cause__  # of a value that cannot be used
-        say(f"curlfit: {cause if isinstance(cause, CurlfitError) else error}", error=True)
-        status = 2
     except KeyboardInterrupt:
         say("curlfit: stopped", error=True)
         status = _INTERRUPTED

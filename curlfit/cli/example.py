@@ -37,6 +37,8 @@ def example(
     )
     if source is None:
         raise InputError(f"this installation has no examples ({_PACKAGE / 'examples'} is missing)")
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: a file; expected a folder, or a name that is not taken")
     for part, pattern in _PARTS.items():
         prepare_folder(folder / part)
         for file in sorted((source / part).glob(pattern)):

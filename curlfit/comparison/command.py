@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from curlfit.options import settings as s
 from curlfit.options.output import Output, Saved, progress_line
-from curlfit.settings.choices import Comparing, Reading
+from curlfit.settings.choices import FLAGS, Comparing, Reading
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,7 +51,7 @@ def compare(
     unusual = require_plausible(cut)
     laws = [find_law(name) for name in chosen.laws] or list(LAWS.values())
     options = by_parameter(chosen)
-    require_known(laws, {f"--{name}": values for name, values in options.items()})
+    require_known(laws, {FLAGS.get(name, f"--{name}"): values for name, values in options.items()})
     for law in laws:
         own = options_of(law, options)
         del own["start"]

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar
 
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import quoted, safe_name
-from curlfit.records import KINDS
 from curlfit.settings.choices import FLAGS, LAW, SEED, Comparing, Fitting, Modelling, Reading, Rows
 from curlfit.settings.forms import PATH, option
 
@@ -228,6 +227,8 @@ def kind_of(folder: Path) -> str:
     ------
     InputError : the folder contains no result.
     """
+    from curlfit.records import KINDS
+
     for kind in KINDS:
         if folder.name == f"{kind}.json" or (folder / f"{kind}.json").is_file():
             return kind

@@ -41,7 +41,7 @@ class Form:
         try:
             return self._check(value)
         except (TypeError, ValueError, OverflowError, AttributeError):
-            raise InputError(f"{name} = {quoted(value)}: expected {self.expected}") from None
+            raise InputError(f"{name} = {quoted(value)}; expected {self.expected}") from None
 
     def __call__(self, _: Any, tokens: Sequence[Any]) -> Any:
         """The value of the words after a flag, as cyclopts passes them."""
@@ -73,7 +73,9 @@ class Table(Form):
         """The same for each value."""
         value = value.as_dict() if hasattr(value, "as_dict") else value
         if not isinstance(value, Mapping):
-            raise InputError(f"{name} = {quoted(value)}: expected {self.expected}")
+            raise InputError(
+                f"{name} = {quoted(value)}; expected {name}.NAME = {self.value.expected}"
+            )
         return {str(key): self.value.checked(f"{name}.{key}", one) for key, one in value.items()}
 
     def __call__(self, _: Any, tokens: Sequence[Any]) -> dict[str, Any]:
@@ -110,13 +112,13 @@ class Several(Form):
             each = value.split(",") if isinstance(value, str) else [value]
             value = [one.strip() if isinstance(one, str) else one for one in each]
         if isinstance(value, str | Mapping) or not hasattr(value, "__iter__"):
-            raise InputError(f"{name} = {quoted(value)}: expected {self.expected}")
+            raise InputError(f"{name} = {quoted(value)}; expected {self.expected}")
         try:
             return tuple(dict.fromkeys(self.value.checked(name, one) for one in value))
         except InputError as error:
             if isinstance(self.value, OneOf):
                 raise
-            raise InputError(f"{name} = {quoted(value)}: expected {self.expected}") from error
+            raise InputError(f"{name} = {quoted(value)}; expected {self.expected}") from error
 
     def __call__(self, _: Any, tokens: Sequence[Any]) -> tuple[Any, ...]:
         """All words together."""
@@ -189,7 +191,7 @@ def _truth(value: Any) -> bool:
     return value
 
 
-def whole(low: int, high: float = math.inf) -> Form:
+def whole(low: int, high: int = 10**9) -> Form:
     """A whole number within limits."""
 
     def check(value: Any) -> int:
@@ -199,8 +201,7 @@ def whole(low: int, high: float = math.inf) -> Form:
             raise ValueError
         return number
 
-    upper = f" to {high}" if math.isfinite(high) else ""
-    return Form(f"a whole number from {low}{upper}", check, int)
+    return Form(f"a whole number from {low} to {high}", check, int)
 
 
 class OneOf(Form):

@@ -388,7 +388,7 @@ def test_nothing_found_is_said(tmp_path):
 def test_two_batches_do_not_write_one_table(season, tmp_path):
     out = tmp_path / "results.csv"
     words = ("batch", season / "throw0.csv", "--workers", 1, "--quiet")
-    with Table(out, columns(BatchSettings()), BatchSettings().to_json(), []):
+    with Table(out, columns(BatchSettings.of()), BatchSettings.of().to_json(), []):
         before = out.read_bytes()
         for more in ((), ("--again",)):
             done = command(*words, *more, cwd=tmp_path)

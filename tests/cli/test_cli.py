@@ -130,7 +130,7 @@ def test_flags_override_the_configuration_and_that_the_file(tmp_path):
         (["fit", DATA, "--load", "heavy"], "expected uniform or consistent"),
         (["fit", DATA, "--fix", "mu=1"], "no parameter 'mu'"),
         (["fit", DATA, "--fix", "mu1_xi"], "expected NAME=VALUE"),
-        (["fit", DATA, "--fix", "mu1_xi=a"], "--fix mu1_xi=a: expected a finite number"),
+        (["fit", DATA, "--fix", "mu1_xi=a"], "--fix mu1_xi=a: expected a number"),
         (["fit", DATA, "--bound", "mu1_xi=1:0"], "is empty"),
         (["fit", DATA, "--bound", "mu1_xi=1"], "--bound mu1_xi=1: expected LOW:HIGH"),
         (["fit", DATA, "--start", "q=1"], "no parameter 'q'"),

@@ -15,6 +15,7 @@ from curlfit.export.latex import estimates_table
 from curlfit.html_report.page import page_of, render
 from curlfit.inference.joint.result import folder_name
 from curlfit.options.settings import result_folder
+from curlfit.settings.choices import Reading
 
 ROWS = "t,x,y\n0,0,0\n"
 
@@ -152,7 +153,7 @@ def test_a_name_is_no_formula_in_a_table_and_its_row_is_found_again(tmp_path):
 )  # fmt: skip
 def test_folders_of_results_have_safe_names(name, folder):
     assert folder_name(name) == folder
-    assert str(result_folder(Path("in") / name, "fit", None, None)) == f"{folder}-fit"
+    assert str(result_folder(Path("in") / name, "fit", Reading())) == f"{folder}-fit"
 
 
 def test_folders_of_long_names_are_told_apart():

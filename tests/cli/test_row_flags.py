@@ -44,7 +44,7 @@ def test_the_rows_of_a_fit_and_sweeping_are_chosen_by_flags_and_in_the_file(type
     fit = load_fit(folder / "a-fit")
     item = fit.parameters["sweep"]
     assert abs(item.value - 0.8) < 4 * item.stderr < 0.05
-    assert fit.data["swept"] == [6.0, 11.0]
+    assert fit.data["swept"] == (6.0, 11.0)
     typed("fit", "own.csv", *COULOMB, *QUICK)
     own = load_fit(folder / "own-fit")
     assert own.data["rows"] == KEPT
@@ -76,7 +76,7 @@ def test_in_a_joint_fit_each_throw_keeps_what_its_file_states(typed, folder):
     quick = (*COULOMB, "--no-figures")
     typed("fit", "own.csv", "unswept.csv", *quick, "--out", "joint")
     swept, unswept = (load_fit(folder / "joint" / name) for name in ("own", "unswept"))
-    assert swept.data["swept"] == [6.0, 11.0]
+    assert swept.data["swept"] == (6.0, 11.0)
     assert unswept.data["swept"] is None
     assert abs(swept["sweep"].value - 0.8) < 4 * swept["sweep"].stderr < 0.05
     assert unswept.data["since"] == 2.0
@@ -115,7 +115,7 @@ def test_other_verbs_take_them(typed, folder):
         (["--exclude", "4:3"], "A before B"),
         (["--exclude", "0:40"], "the excluded intervals leave no row"),
         (["--sweep", "5"], "--sweep 5: expected A:B"),
-        (["--sweep", "5:6,7:8"], "expected one interval"),
+        (["--sweep", "5:6,7:8"], "expected A:B, times in s with A before B"),
         (["--free", "sweep"], "a parameter only of a swept stone"),
     ],
 )

@@ -100,7 +100,7 @@ def test_flags_go_before_the_fit(typed):
         ("--line hog --y0 2", "--line and --y0: expected one of them"),
         ("--sweep 3:5", "--sweep 3:5: expected A:B=V"),
         ("--sweep 5:3=1", "with A before B"),
-        ("--sweep 3:5=-1", "a ratio of friction of 0 or more"),
+        ("--sweep 3:5=-1", "the ratio of friction, of 0 or more"),
         ("--slope-x nan", "--slope-x nan: expected a number"),
         ("--fit nowhere", "nowhere"),
     ],

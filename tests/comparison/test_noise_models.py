@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from io import StringIO
 
 import numpy as np
@@ -100,12 +99,6 @@ def test_report_and_record_name_the_noise_of_each_fit(found, tmp_path):
         found.of("coulomb", noise="discrepancy")
     legend = curlfit.comparison_figure(found).axes[0].get_legend_handles_labels()[1]
     assert legend[1] == "1. coulomb, uniform load, ar1 noise\n2. coulomb, uniform load (same path)"
-    # a record of one noise model, of a version that did not name it for each fit
-    record = json.loads((tmp_path / "compare.json").read_text()) | {"noise": "ar1"}
-    for item in record["candidates"]:
-        del item["noise"], item["noise_model"]
-    (tmp_path / "compare.json").write_text(json.dumps(record))
-    assert load_comparison(tmp_path).best.noise == "ar1"
 
 
 def test_noise_models_by_flag_and_in_a_configuration(typed, folder, capsys, monkeypatch):

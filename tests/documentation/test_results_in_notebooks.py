@@ -538,10 +538,10 @@ def test_the_name_of_a_file_is_no_throw(takes):
     ("takes", "said"),
     [
         (lambda throw: curlfit.fit(throw, 3), "law: int '3' found, expected the name of a law"),
-        (lambda throw: curlfit.fit(throw, stone=7), "stone: int '7' found, expected a Stone"),
+        (lambda throw: curlfit.fit(throw, stone=7), "stone = 7; expected stone.NAME = a number"),
         (lambda throw: curlfit.fit(throw, stone={"r": 1}), "the stone has no property 'r'"),
-        (lambda throw: curlfit.fit(throw, fix="mu1_xi=1"), "fix: str 'mu1_xi=1' found"),
-        (lambda throw: curlfit.fit(throw, bounds={"mu1_xi": 3}), "bounds of mu1_xi: 3 found"),
+        (lambda throw: curlfit.fit(throw, fix="mu1_xi=1"), "fix = 'mu1_xi=1'; expected fix.NAME"),
+        (lambda throw: curlfit.fit(throw, bounds={"mu1_xi": 3}), "bounds.mu1_xi = 3; expected"),
         (lambda throw: curlfit.Throw.from_arrays([0, 1], sigma=1), "sigma: int '1' found"),
         (curlfit.predict, "fit: Throw .* found, expected a fit of one throw"),
         (curlfit.sample, "fit: Throw .* found, expected a fit of one throw"),

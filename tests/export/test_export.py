@@ -162,7 +162,7 @@ def test_priors_and_likelihood_are_those_of_the_chain(eq12):
         ("plain --to netcdf", "has no sampled posterior; `curlfit fit ... --resume` samples it"),
         ("joint --to netcdf", "expected the fit of one throw, such as joint/NAME"),
         ("joint --to game", "--to game: expected the fit of one throw, such as joint/NAME"),
-        ("plain --to excel", "'excel' is not one of 'csv', 'netcdf', 'json', 'latex'"),
+        ("plain --to excel", 'Choose from: "csv", "netcdf", "json", "latex"'),
     ],
 )
 def test_what_cannot_be_exported_is_refused(capsys, monkeypatch, folder, words, said):
@@ -284,7 +284,10 @@ def test_a_comparison(eq12_fit):
         bic=3.0, delta_bic=0.0, delta_aicc=-1.5, rank=1,
     )  # fmt: skip
     failed = Candidate("radial", "-", False, True, "no motion", follows=None)
-    found = Comparison({"file": "a_b.csv"}, eq12_fit.stone, 0.1, "left", (fitted, failed), {})
+    found = Comparison(
+        data={"file": "a_b.csv"}, stone=eq12_fit.stone, curl=0.1, side="left",
+        candidates=(fitted, failed), observed={},
+    )  # fmt: skip
     _, first, second = cells(candidates_table(found))
     assert first[:5] == ["front-back", "uniform", "11", "$0.0$", "$-1.5$"]
     assert first[5:] == ["$1$", "$20$", "$3$", "yes"]

@@ -761,7 +761,7 @@ def test_the_same_seed_gives_the_same_prediction(fit, carried):
     [
         (["nothing-fit"], "nothing-fit: no such file"),
         (["a-fit", "--target", "1"], "--target 1: expected X,Y in m from the tee"),
-        (["a-fit", "--target", "a,1"], "--target X=a: expected a number"),
+        (["a-fit", "--target", "a,1"], "--target a,1: expected X,Y in m"),
         (["a-fit", "--to-tee", "--weight", "draw"], "expected one of them"),
         (["a-fit", "--weight", "heavy"], "weight 'heavy': expected draw, guard, takeout"),
         (["a-fit", "--target", "0,300"], "no throw reaches it"),
