@@ -109,7 +109,7 @@ def apply_settings(
 def result_folder(data: Path, kind: str, reading: Reading) -> Path:
     """Default folder for the results of a data file, or of the throw that is chosen from it."""
     chosen = [str(number) for number in (reading.shot, reading.stone_index) if number is not None]
-    return Path("-".join([data.stem, *chosen, kind]))
+    return Path("-".join([safe_name(data.stem), *chosen, kind]))
 
 
 def prepare_all(

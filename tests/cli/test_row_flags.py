@@ -85,7 +85,7 @@ def test_in_a_joint_fit_each_throw_keeps_what_its_file_states(typed, folder):
     typed("fit", "own.csv", "own2.csv", *quick, *flags, "--out", "flags")
     for name in ("own", "own2"):
         fit = load_fit(folder / "flags" / name)
-        assert fit.data["swept"] == [6.0, 10.9]
+        assert fit.data["swept"] == (6.0, 10.9)
         assert fit.data["from"] == fit.data["since"] == 0.5
 
 
