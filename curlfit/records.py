@@ -276,8 +276,6 @@ def require_rows(place: str, series: Mapping[str, Sequence[Any] | Floats], rows:
 def _converter() -> Any:
     """The converter from JSON; imported only where a record is read."""
     from cattrs import Converter
-    from cattrs.gen import make_dict_structure_fn, override
-    from cattrs.gen.typeddicts import make_dict_structure_fn as of_keys
 
     made = Converter()
     made.register_structure_hook(float, _number)
@@ -299,18 +297,7 @@ def _converter() -> Any:
         partial(holds, _Keys), lambda kind: made.get_structure_hook(get_args(kind)[1])
     )
 
-    @made.register_structure_hook_factory(partial(holds, Names))
-    def of_names(kind: Any) -> Any:
-        usual, names = made.get_structure_hook(get_args(kind)[0]), get_args(kind)[1]
-
-        def hook(value: Any, _: Any) -> Any:
-            found = usual(value, kind)
-            missing = [name for name in names if name not in found]
-            if found and missing:
-                raise ValueError(f"no {missing[0]!r} in it")
-            return found
-
-        return hook
+    made.register_structure_hook_factory(partial(holds, Names), partial(_of_names, made))
 
     @made.register_structure_hook_factory(partial(is_a, (Union, UnionType)))
     def of_optional(kind: Any) -> Any:
@@ -318,7 +305,7 @@ def _converter() -> Any:
         usual = made.get_structure_hook(other)
         return lambda value, _: None if value is None else usual(value, other)
 
-    # cattrs takes whatever can be iterated over, ...
+    # cattrs takes whatever can be iterated over, defaults for what is missing, and no annotations.
     inside: list[Any] = []
 
     def is_list(kind: Any) -> bool:
@@ -338,44 +325,60 @@ def _converter() -> Any:
 
         return hook
 
-    # ... defaults for what is missing, and no annotations of fields.
-    @made.register_structure_hook_factory(lambda kind: is_dataclass(kind) or is_typeddict(kind))
-    def of_object(kind: Any) -> Any:
-        hints = get_type_hints(kind, include_extras=True)
-        if is_dataclass(kind):
-            make: Any = make_dict_structure_fn
-            required = [item.name for item in saved_fields(kind)]
-            known = {name: name in required for name in (item.name for item in fields(kind))}
-        else:
-            make, required, known = of_keys, sorted(kind.__required_keys__), hints
-        usual = make(
-            kind,
-            made,
-            **{
-                name: override(struct_hook=made.get_structure_hook(hints[name]), omit=not read)
-                for name, read in known.items()
-            },
-        )
-        groups = getattr(kind, "groups", {})
-
-        def hook(value: Any, _: Any) -> Any:
-            if type(value) is not dict:
-                raise unexpected(value, "an object")
-            for name in groups:
-                if type(value.get(name)) is not dict:
-                    raise ValueError(f"no object {name!r} in it")
-                value = value | value[name]
-            missing = [name for name in required if name not in value]
-            if missing:
-                raise ValueError(f"no {missing[0]!r} in it")
-            found = usual(value, kind)
-            if isinstance(found, Record):
-                found.require_consistent()
-            return found
-
-        return hook
-
+    made.register_structure_hook_factory(
+        lambda kind: is_dataclass(kind) or is_typeddict(kind), partial(_of_object, made)
+    )
     return made
+
+
+def _of_names(made: Any, kind: Any) -> Any:
+    """The hook of an object with all of its names, or with none."""
+    usual, names = (made.get_structure_hook(get_args(kind)[0]), get_args(kind)[1])
+
+    def hook(value: Any, _: Any) -> Any:
+        found = usual(value, kind)
+        missing = [name for name in names if name not in found]
+        if found and missing:
+            raise ValueError(f"no {missing[0]!r} in it")
+        return found
+
+    return hook
+
+
+def _of_object(made: Any, kind: Any) -> Any:
+    """The hook of a dataclass or a TypedDict."""
+    from cattrs.gen import make_dict_structure_fn, override
+    from cattrs.gen.typeddicts import make_dict_structure_fn as of_keys
+
+    hints = get_type_hints(kind, include_extras=True)
+    make: Any = make_dict_structure_fn
+    if is_dataclass(kind):
+        required = [item.name for item in saved_fields(kind)]
+        known = {item.name: item.name in required for item in fields(kind)}
+    else:
+        make, required, known = of_keys, sorted(kind.__required_keys__), dict.fromkeys(hints, True)
+    overrides = {
+        name: override(struct_hook=made.get_structure_hook(hints[name]), omit=not read)
+        for name, read in known.items()
+    }
+    usual, groups = make(kind, made, **overrides), getattr(kind, "groups", {})
+
+    def hook(value: Any, _: Any) -> Any:
+        if type(value) is not dict:
+            raise unexpected(value, "an object")
+        for name in groups:
+            if type(value.get(name)) is not dict:
+                raise ValueError(f"no object {name!r} in it")
+            value = value | value[name]
+        missing = [name for name in required if name not in value]
+        if missing:
+            raise ValueError(f"no {missing[0]!r} in it")
+        found = usual(value, kind)
+        if isinstance(found, Record):
+            found.require_consistent()
+        return found
+
+    return hook
 
 
 _HUGE = 1e100

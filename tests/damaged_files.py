@@ -30,7 +30,7 @@ from curlfit.throws.readers import FORMATS
 
 MOST_MB = 500
 _SECONDS = 10  # of a processor that a file may take
-_FIT_SECONDS = 120  # and a fit of one, where the model must be compiled
+_FIT_SECONDS = 120  # and a fit of one or a page, where the model must be compiled
 _WAIT = 10  # times as long by the clock, on a busy machine
 
 _PIECES = [
@@ -203,7 +203,7 @@ def forked(words: list[str], errors: Path) -> Outcome:
         try:
             for name, stream in ((os.devnull, 1), (str(errors), 2)):
                 os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), stream)
-            limit = _FIT_SECONDS if words[0] == "fit" else _SECONDS
+            limit = _FIT_SECONDS if words[0] in ("fit", "report") else _SECONDS
             resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 1))
             signal.alarm(_WAIT * limit)
             sys.argv[1:] = words
@@ -229,7 +229,7 @@ def started(words: list[str], errors: Path) -> Outcome:
             (os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0o600),
             (os.POSIX_SPAWN_OPEN, 2, str(errors), os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600),
         ]
-        limit = _FIT_SECONDS if words[0] == "fit" else _SECONDS
+        limit = _FIT_SECONDS if words[0] in ("fit", "report") else _SECONDS
         line = f'ulimit -t {limit}; exec timeout {_WAIT * limit} "$@"'
         run = ["sh", "-c", line, "sh", sys.executable, "-m", "curlfit", *words]
         return os.posix_spawnp(run[0], run, os.environ, file_actions=streams)

@@ -167,9 +167,14 @@ if __name__ == "__main__":
     folder.mkdir(exist_ok=True)
     if not (folder / "fit").exists():
         save_all(folder)
-    for words in (["show", f"{folder / 'fit'}"], ["plot", f"{folder / 'fit'}"]):
-        with redirect_stdout(StringIO()), suppress(SystemExit):
-            sys.argv[1:] = words
-            main()
+    # What the copies of this process would otherwise import, each for itself; a page may load JAX,
+    # whose threads a copy lacks.
+    warm = folder.with_name("warm")
+    for one in sorted(folder.iterdir()):
+        for words in (["show", f"{one}"], ["plot", f"{one}", f"--out={warm}"]):
+            with redirect_stdout(StringIO()), suppress(SystemExit):
+                sys.argv[1:] = words
+                main()
+    shutil.rmtree(warm)
     gc.freeze()  # pages that copies need not write to
     print(json.dumps(asdict(tally(folder, seed, count))))

@@ -433,7 +433,7 @@ def test_a_saved_fit_takes_no_options_of_a_fit(fit, tmp_path, monkeypatch):
     (tmp_path / "a-fit").mkdir()
     fit.save(tmp_path / "a-fit" / "fit.json")
     for words, message in (
-        (["--law", "coulomb"], "--law: a saved fit has its own"),
+        (["--law", "coulomb"], "but the saved fit is of the law front-back; give the data to fit"),
         (["--stone-index", "2"], "--stone-index: a saved fit has its own"),
         (["--range", "5,6"], "excludes the best estimate"),
     ):
