@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from curlfit.errors import DataError, InputError
-from curlfit.foreign import LARGEST, cut, is_number, is_size, quoted, safe_name
+from curlfit.foreign import LARGEST, cut, is_size, quoted, safe_name
 from curlfit.output.files import RECORDS
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def number(option: str, name: str, text: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not is_number(value):
+    if not is_size(value):
         raise InputError(f"{option} {cut(f'{name}={text.strip()}')}: expected a number after '='")
     return value
 
