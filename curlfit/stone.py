@@ -10,8 +10,9 @@ from curlfit.errors import InputError
 from curlfit.foreign import quoted
 
 GRAVITY = 9.81  # m/s^2
-LARGEST = 0.5
-"""Upper limit of R, rho and h in m; stones are at most 0.29 m across (World Curling, rule R2)."""
+SMALLEST, LARGEST = 1e-6, 0.5
+"""Lower limit of all constants, in m and kg; upper limit of R, rho and h in m: stones are at most
+0.29 m across (World Curling, rule R2)."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +50,10 @@ class Stone:
                     f"stone.{name} = {quoted(value)}: expected a number in {UNITS[name]}"
                 )
             if isinstance(value, (int, float)) and not isinstance(value, bool):  # a mask of JAX's
-                if not (math.isfinite(value) and value > 0):
+                if not (math.isfinite(value) and value >= SMALLEST):
                     raise InputError(
-                        f"stone.{name} = {value} {UNITS[name]}: expected a positive, finite number"
+                        f"stone.{name} = {value} {UNITS[name]}: expected a positive, finite "
+                        f"number, at least {SMALLEST:g}"
                     )
                 if name != "m" and value > LARGEST:
                     raise InputError(

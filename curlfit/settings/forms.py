@@ -168,13 +168,7 @@ def _real(value: Any) -> Any:
 
 
 def _finite(value: Any) -> float:
-    if not is_number(number := float(_real(value))):
-        raise ValueError
-    return number
-
-
-def _size(word: str) -> float:
-    if not is_size(number := float(word)):
+    if not is_size(number := float(_real(value))):
         raise ValueError
     return number
 
@@ -237,12 +231,12 @@ def numbers(count: int, written: str) -> Form:
             raise ValueError
         return found
 
-    return Form(f"{count} numbers", check, lambda word: map(_size, word.split(",")), written)
+    return Form(f"{count} numbers", check, lambda word: map(float, word.split(",")), written)
 
 
 PATH = Form("a name of a file or folder", lambda one: Path(one), Path, "a file or folder")
-NUMBER = Form("a number, at most 1e12", _finite, _size)
-TIME = Form("a time in s", _finite, _size)
+NUMBER = Form("a number, at most 1e12", _finite, float)
+TIME = Form("a time in s", _finite, float)
 SWITCH = Form("true or false", _truth)
 VALUES = Table(NUMBER, "NAME=VALUE", many=True)
 LIMITS = Table(Interval("[low, high]", "LOW:HIGH", open_ended=True), "NAME=LOW:HIGH")

@@ -90,11 +90,13 @@ def test_settings_of_wrong_types_are_refused(text, said, tmp_path):
         ("simulate", "--dt=1e-308"), ("simulate", "--until=1e308"), ("simulate", "--noise-xy=nan"),
         ("simulate", "--v0=inf"), ("check", DATA, "--since=nan"),
         ("check", DATA, f"--shot={10**30}"), ("fit", DATA, f"--fix=v0={'9' * 400}"),
+        ("fit", DATA, "--fix=v0=1e-308"), ("fit", DATA, "--stone=m=1e-308"),
+        ("fit", DATA, "--prior=drag=half-normal:1e-308"),
     ],
 )  # fmt: skip
 def test_numbers_beyond_any_throw_are_refused(words, tmp_path):
     found = refusal(command(*words, cwd=tmp_path))
-    option = words[-1].split("=")[0]
+    option = words[-1].split("=")[0].strip("-")
     assert option in found
     assert "expected" in found
 
