@@ -257,8 +257,7 @@ def option(form: Form, help: str, metavar: str = "", **others: Any) -> Parameter
     """A flag whose value is of a form; `others` as for `cyclopts.Parameter`."""
     if form is SWITCH:
         return Parameter(help=help, **others)
-    repeated = isinstance(form, Table | Several)
     return Parameter(
         help=help, metavar=metavar or None, converter=form, n_tokens=1, accepts_keys=False,
-        allow_repeating=repeated, **others,
+        allow_repeating=True, **others,
     )  # fmt: skip

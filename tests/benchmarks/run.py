@@ -265,6 +265,7 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     from curlfit.inference.likelihood import log_posterior
     from curlfit.inference.model import Model
     from curlfit.inference.problem import build_problem
+    from curlfit.settings.choices import Modelling
 
     result = fit(throw)
     sample(result, effective=500)
@@ -276,7 +277,7 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     ours = effective / taken
 
     law = result.law_class
-    ready = PreparedThrow.of(throw, law)
+    ready = PreparedThrow.of(throw, Modelling.of(law=law))
     local, offset = ready.local_parameters, ready.offset
     problem = build_problem(ready.throw, ready.stone, ready.origin, result.sigma)
     walkers, steps = 64, 8000

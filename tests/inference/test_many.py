@@ -15,6 +15,7 @@ from curlfit.inference.likelihood import linearize, predict_channels
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, build_problem
 from curlfit.numerics.batches import BATCH, stacked
+from curlfit.settings.choices import Modelling
 
 LAW = LAWS["front-back"](mu1_xi=0.005, mu2_xi=0.05, mu1_eta=0.009, mu2_eta=0.009)
 
@@ -66,7 +67,9 @@ def test_a_batch_has_the_answers_of_single_fits(throws, choices):
 def test_throws_at_different_rounds_go_through_one_each(throws):
     law = LAWS["front-back"]
     rounds = Rounds(
-        Model(law, "uniform"), [PreparedThrow.of(throw, law) for throw in throws], noise="ar1"
+        Model(law, "uniform"),
+        [PreparedThrow.of(throw, Modelling.of(law=law)) for throw in throws],
+        noise="ar1",
     )
     called = []
     rounds._rounds = [

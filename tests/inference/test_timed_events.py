@@ -22,6 +22,7 @@ from curlfit.inference.problem import Origin, build_problem
 from curlfit.numerics.batches import in_batches, stacked
 from curlfit.options.settings import prepare_all
 from curlfit.prediction.report import describe_rest
+from curlfit.settings.choices import Fitting, Reading
 from curlfit.throws.events import MOST_EVENTS, Event, even_motion
 from curlfit.throws.throw import Throw
 
@@ -279,7 +280,7 @@ def test_draws_that_differ_are_fitted_together_and_stay_usable():
 def test_a_saved_evening_is_read_again(tmp_path):
     file = tmp_path / "evening.csv"
     file.write_text("h2h;rest\n14,2;0,4\n14,5;-0,3\n")
-    named = prepare_all([file], None, {})
+    named = prepare_all([file], None, Reading(), Fitting())
     assert list(named) == ["evening-1", "evening-2"]
     joint = fit_together([job.throw for job in named.values()])
     joint.save(tmp_path / "joint.json")
