@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperCommand
 
 from curlfit.errors import InputError
-from curlfit.foreign import LARGEST, cut, is_size
+from curlfit.foreign import SIZES, cut, is_size
 
 
 class Verb(TyperCommand):
@@ -20,9 +20,7 @@ class Verb(TyperCommand):
         for option in self.params:
             value = ctx.params.get(option.name or "")
             if isinstance(value, int | float) and not is_size(value):
-                raise InputError(
-                    f"{option.opts[0]} {cut(str(value))}: expected a number, at most {LARGEST:g}"
-                )
+                raise InputError(f"{option.opts[0]} {cut(str(value))}: expected a number, {SIZES}")
         return super().invoke(ctx)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from curlfit.errors import DataError, InputError
-from curlfit.foreign import LARGEST, cut, is_size, quoted, safe_name
+from curlfit.foreign import SIZES, cut, is_size, quoted, safe_name
 from curlfit.output.files import RECORDS
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ def with_unit(option: str, quantity: str, text: str) -> float:
     except InputError as error:
         raise InputError(f"{option} {cut(text.strip())}: {error}") from None
     if not is_size(value):
-        raise InputError(f"{option} {cut(text.strip())}: expected at most {LARGEST:g}")
+        raise InputError(f"{option} {cut(text.strip())}: expected {SIZES}")
     return value
 
 
@@ -149,7 +149,9 @@ def number(option: str, name: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not is_size(value):
-        raise InputError(f"{option} {cut(f'{name}={text.strip()}')}: expected a number after '='")
+        raise InputError(
+            f"{option} {cut(f'{name}={text.strip()}')}: expected a number after '=', {SIZES}"
+        )
     return value
 
 

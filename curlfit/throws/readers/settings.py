@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple
 
 from curlfit.errors import InputError
-from curlfit.foreign import is_number, is_size, quoted
+from curlfit.foreign import SIZES, is_number, is_size, quoted
 
 
 def _is_text(value: object) -> bool:
@@ -38,7 +38,7 @@ _TIME = _Kind(is_number, "a time in s")
 _COUNT = _Kind(lambda value: _is_whole(value, 1, 10**9), "a whole number from 1")
 _SWITCH = _Kind(lambda value: isinstance(value, bool), "true or false")
 _NUMBERS = _Kind(
-    lambda value: is_number(value) and is_size(value), "a number, at most 1e12", entries=True
+    lambda value: is_number(value) and is_size(value), f"a number, {SIZES}", entries=True
 )
 
 
