@@ -16,6 +16,7 @@ from typing import Any
 LARGEST = 1e12
 """No measurement or setting, in SI, is larger; times since 1970 are smaller."""
 _SMALLEST = 1e-30  # of a setting other than 0
+SIZES = "0, or 1e-30 to 1e12 in size"
 _LONGEST_QUOTE = 60
 _LONGEST_MESSAGE = 1000
 _LONGEST_NAME = 150  # bytes; a file's name may have 255, and suffixes are added

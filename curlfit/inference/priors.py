@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.foreign import LARGEST, is_size, quoted
+from curlfit.foreign import SIZES, is_size, quoted
 from curlfit.friction import Parameter
 from curlfit.numerics.arrays import Floats
 
@@ -56,7 +56,7 @@ class Prior:
     def _check(self, name: str) -> None:
         fault = None
         if not all(map(is_size, self.values)):
-            fault = f"expected finite numbers, at most {LARGEST:g}"
+            fault = f"expected finite numbers, {SIZES}"
         elif self.kind == "uniform" and not self.values[0] < self.values[1]:
             fault = "is empty; expected LOW below HIGH"
         elif self.kind != "uniform" and not self.values[-1] > 0:
