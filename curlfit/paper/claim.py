@@ -104,6 +104,9 @@ def page(found: Any, format: str = "png") -> str:
         keep_trailing_newline=True,
     )  # fmt: skip
     pages.filters["as"] = lambda value, form: f"{value:{form}}"
+    pages.filters["each"] = lambda values, form, between=" | ": between.join(
+        f"{value:{form}}" for value in values
+    )
     pages.filters["cell"] = lambda text: text.replace("|", r"\|")
     return pages.get_template("claims.md.j2").render(
         vars(found), verdicts=verdicts(found.claims), format=format
