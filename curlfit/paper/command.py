@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +15,9 @@ from curlfit.settings.forms import PATH, SWITCH, TEXT, option
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.console import Console
+
+    from curlfit.paper.reproduce import Reproduction
 
 _FIGURES = {
     "path": ("eq14", "prop5"), "isotropic": ("isotropic",), "eq28": ("eq28",),
@@ -57,8 +61,6 @@ def reproduce(
     drawn = FigureFiles.of(figures)
     folder = prepare_folder(out)
 
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-
     from curlfit.output.console import terminal
 
     console = terminal(quiet=quiet or as_json)
@@ -68,16 +70,7 @@ def reproduce(
         for name in _FIGURES[study]:
             drawn.replace(folder, [name], partial(_figure, name, found))
 
-    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
-    with progress_line(console, *columns) as line:
-        task = line.add_task("compiling", total=None)
-
-        def progress(part: str, done: int, total: int) -> None:
-            line.update(task, description=part, completed=done, total=total)
-
-        from curlfit.paper import reproduce as reproduction
-
-        result = reproduction.reproduce(progress, draw)
+    result = _computed(console, draw)
 
     from curlfit.paper.claim import claims_table, page, verdicts
 
@@ -98,3 +91,18 @@ def _figure(name: str, found: Any) -> dict[str, Figure]:
     from curlfit.paper.figures import FIGURES
 
     return {name: FIGURES[name](found)}
+
+
+def _computed(console: Console, arrived: Callable[[str, Any], None]) -> Reproduction:
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+
+    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+    with progress_line(console, *columns) as line:
+        task = line.add_task("compiling", total=None)
+
+        def progress(part: str, done: int, total: int) -> None:
+            line.update(task, description=part, completed=done, total=total)
+
+        from curlfit.paper.reproduce import reproduce
+
+        return reproduce(progress, arrived)
