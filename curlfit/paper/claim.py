@@ -1,11 +1,16 @@
-"""A recomputed claim."""
+"""A recomputed claim, and how the claims are shown: table, verdicts and page."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict, dataclass
-from typing import Literal
+from typing import Any, Literal
+
+from curlfit.output.display import Overview
 
 Verdict = Literal["holds", "holds with a correction", "does not hold"]
+
+_STYLE = {"holds": "green", "holds with a correction": "yellow", "does not hold": "bold red"}
 
 
 @dataclass(frozen=True)
@@ -37,3 +42,72 @@ class Claim:
     def as_dict(self) -> dict[str, str]:
         """The fields by name."""
         return asdict(self)
+
+
+def verdict(holds: Any, *, corrected: Any = False) -> Verdict:
+    """The verdict on a claim that holds or not, as printed or with a correction."""
+    if not holds:
+        return "does not hold"
+    return "holds with a correction" if corrected else "holds"
+
+
+def claims_table(claims: tuple[Claim, ...]) -> Any:
+    """The claims as a table, readable at 80 columns or more."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(
+        box=box.SIMPLE_HEAD, show_lines=False, pad_edge=False, padding=(0, 1, 1, 0), expand=True
+    )
+    table.add_column("", no_wrap=True, style="bold")
+    for name, ratio in (("claim, and why", 33), ("printed", 27), ("computed", 30)):
+        table.add_column(name, ratio=ratio, overflow="fold")
+    table.add_column("verdict", width=12)
+    for one in claims:
+        what = Text(one.claim + "\n", style="bold").append(one.why, style="not bold dim")
+        judged = Text(one.verdict, style=_STYLE[one.verdict])
+        table.add_row(one.id, what, Text(one.printed), Text(one.computed), judged)
+    return table
+
+
+def verdicts(claims: tuple[Claim, ...]) -> str:
+    """Number of claims by verdict, as a sentence."""
+    count = Counter(claim.verdict for claim in claims)
+    failed = count["does not hold"]
+    return (
+        f"Of {len(claims)} claims {count['holds']} hold, {count['holds with a correction']} hold "
+        f"with a correction, {failed} {'does' if failed == 1 else 'do'} not hold."
+    )
+
+
+def overview(found: Any) -> Overview:
+    """The verdicts and the table of claims of a `Reproduction`."""
+    by_verdict: dict[str, list[str]] = {}
+    for one in found.claims:
+        by_verdict.setdefault(one.verdict, []).append(one.id)
+    return Overview(
+        "o" + verdicts(found.claims)[1:].rstrip("."),
+        "claims of Ivanov and Shuvalov (2012), recomputed",
+        [f"{name}: {', '.join(ids)}" for name, ids in by_verdict.items()],
+        [claims_table(found.claims)],
+    )
+
+
+def page(found: Any, format: str = "png") -> str:
+    """`claims.md`: the claims of a `Reproduction`, and what is behind them, with figures of a
+    format."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    pages = Environment(
+        loader=PackageLoader("curlfit.paper", ""), undefined=StrictUndefined, trim_blocks=True,
+        keep_trailing_newline=True,
+    )  # fmt: skip
+    pages.filters["as"] = lambda value, form: f"{value:{form}}"
+    pages.filters["each"] = lambda values, form, between=" | ": between.join(
+        f"{value:{form}}" for value in values
+    )
+    pages.filters["cell"] = lambda text: text.replace("|", r"\|")
+    return pages.get_template("claims.md.j2").render(
+        vars(found), verdicts=verdicts(found.claims), format=format
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,6 +18,12 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from curlfit.paper.reproduce import Reproduction
+
+_FIGURES = {
+    "path": ("eq14", "prop5"), "isotropic": ("isotropic",), "eq28": ("eq28",),
+    "ring": ("eq24", "split"),
+}  # fmt: skip
+"""Figures, by the last study that each shows."""
 
 
 def reproduce(
@@ -59,9 +65,14 @@ def reproduce(
 
     console = terminal(quiet=quiet or as_json)
     drawn.draw_beside()
-    result = _computed(console, _Figures(folder, drawn).draw)
 
-    from curlfit.paper.page import claims_table, page, verdicts
+    def draw(study: str, found: Any) -> None:
+        for name in _FIGURES[study]:
+            drawn.replace(folder, [name], partial(_figure, name, found))
+
+    result = _computed(console, draw)
+
+    from curlfit.paper.claim import claims_table, page, verdicts
 
     claims = json.dumps([claim.as_dict() for claim in result.claims], indent=1)
     written = [folder / "claims.json", folder / "claims.md"]
@@ -76,43 +87,22 @@ def reproduce(
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
 
 
-class _Figures:
-    """The figures, each drawn as soon as the findings that it shows are known."""
-
-    def __init__(self, folder: Path, files: FigureFiles) -> None:
-        self.folder, self.files = folder, files
-        self.found: dict[str, Any] = {}
-
-    def draw(self, study: str, findings: Any) -> None:
-        """Draw what the findings of one more study allow."""
-        from curlfit.paper.findings import SHOWN
-
-        self.found[study] = findings
-        for name, studies in SHOWN.items():
-            if study in studies and self.found.keys() >= set(studies):
-                shown = [self.found[one] for one in studies]
-                self.files.replace(self.folder, [name], partial(_figure, name, shown))
-
-
-def _figure(name: str, findings: Sequence[Any]) -> dict[str, Figure]:
+def _figure(name: str, found: Any) -> dict[str, Figure]:
     from curlfit.paper.figures import FIGURES
 
-    return {name: FIGURES[name].draw(*findings)}
+    return {name: FIGURES[name](found)}
 
 
 def _computed(console: Console, arrived: Callable[[str, Any], None]) -> Reproduction:
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 
-    with progress_line(
-        console, TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
-    ) as progress:
-        task = progress.add_task("compiling", total=None)
+    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+    with progress_line(console, *columns) as line:
+        task = line.add_task("compiling", total=None)
 
-        def update(part: str, done: int, total: int) -> None:
-            progress.update(task, description=part, completed=done, total=total)
-
-        report: Callable[[str, int, int], None] = update
+        def progress(part: str, done: int, total: int) -> None:
+            line.update(task, description=part, completed=done, total=total)
 
         from curlfit.paper.reproduce import reproduce
 
-        return reproduce(progress=report, arrived=arrived)
+        return reproduce(progress, arrived)

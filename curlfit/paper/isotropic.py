@@ -1,26 +1,238 @@
-"""Claims about isotropic friction and the load that it causes: Prop. 1-4.
+"""The trajectory of eq. 12, and isotropic friction with the load that it causes: eq. 13-17,
+Prop. 1-5.
 
-Each is tested on a grid of speeds, spins of both senses and coefficients, under the dynamically
-consistent load. States where no load with n >= 0 balances the friction (the stone would tip) are
-excluded.
+Prop. 1-4 are tested on a grid of speeds, spins of both senses and coefficients, under the
+dynamically consistent load. States where no load with n >= 0 balances the friction (the stone would
+tip) are excluded.
 """
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any
+from collections.abc import Callable, Sequence
+from functools import cache, partial
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
-from curlfit.dynamics import law_structure  # noqa: F401  (configures JAX before its first use)
-from curlfit.friction import LAWS, LocalLaw, RingPoint, coefficient
-from curlfit.friction.family import LawFamily, family_of
+from curlfit.dynamics.contact import accelerations_under, contact_of
+from curlfit.dynamics.quadrature import panels
+from curlfit.dynamics.ring_forces import ring_forces
+from curlfit.dynamics.ring_sum import balanced_tilt
+from curlfit.friction import LAWS, Law, LocalLaw, RingPoint, coefficient
+from curlfit.friction.family import family_of
 from curlfit.friction.isotropic import Coulomb, Power, Stribeck
+from curlfit.inference.model import Model
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.paper.claim import Claim
-from curlfit.paper.findings import Curve, DeviationCounts, Example, IsotropicFindings
-from curlfit.paper.ring_states import BATCH, STONE, RingStates, grid_states, ring_states
+from curlfit.numerics.batches import in_batches
+from curlfit.numerics.compiled import compiled
+from curlfit.paper.claim import Claim, verdict
+from curlfit.paper.printed import RADIUS, Configuration, eq_12
+from curlfit.stone import GRAVITY, Stone
+
+TIMES = np.arange(201) / 10
+_SAMPLES = (20, 110)
+"""Two of the times, from which coefficients and exponents are computed."""
+
+STONE = Stone(R=RADIUS, h=0.057)
+BATCH = 4096
+"""States in one call of the compiled program."""
+SPEEDS = np.geomspace(0.05, 4.0, 16)
+"""m/s"""
+SPINS = np.concatenate([-np.geomspace(0.02, 200.0, 28)[::-1], np.geomspace(0.02, 200.0, 28)])
+"""1/s"""
+EXPONENTS = (-3.0, -2.0, -1.5, -1.1, -0.9, -0.5, -0.25, 0.5, 1.0, 2.0)
+CASES = {
+    "i": [(a, b) for a in (0.002, 0.01, 0.03) for b in (0.0005, 0.002, 0.01)],
+    "ii": [(a, -b) for a in (0.005, 0.01, 0.02, 0.05) for b in (0.0002, 0.001, 0.004)],
+    "iii": [(-a, b) for a in (0.001, 0.005, 0.01) for b in (0.002, 0.01, 0.03)],
+}
+"""(mu0, mu1) of the cases of Prop. 4, mu1 in s/m."""
+CURVES: list[tuple[str, type[LocalLaw], tuple[float, ...]]] = [
+    (r"$\mu = 0.01$", Coulomb, (0.01,)),
+    (r"$\mu = 0.008\,|v|^{-0.5}$ (Penner)", Power, (0.008, -0.5)),
+    (r"$\mu = 0.008\,|v|^{-1.5}$", Power, (0.008, -1.5)),
+    (r"(i) $\mu = 0.01 + 0.002\,|v|\,n_0/n$", Stribeck, (0.01, 0.002)),
+    (r"(ii) $\mu = 0.02 - 0.004\,|v|\,n_0/n$", Stribeck, (0.02, -0.004)),
+    (r"(iii) $\mu = -0.01 + 0.01\,|v|\,n_0/n$", Stribeck, (-0.01, 0.01)),
+]
+
+
+class Motion(NamedTuple):
+    """Motion by eq. 12 at times of shape (n,)."""
+
+    t: Floats
+    curvature: Floats
+    """omega/v in 1/m: eps is R times it"""
+    xi: Floats
+    """acceleration to the right of the motion, m/s^2 (a left side of eq. 24)"""
+    eta: Floats
+    """acceleration along the motion, m/s^2"""
+    angular: Floats
+    """rad/s^2"""
+
+
+@compiled()
+def _derivatives(t: Array) -> list[Configuration]:
+    def derivative(of: Callable[[Array], Configuration]) -> Callable[[Array], Configuration]:
+        return lambda t: jax.jvp(of, (t,), (jnp.ones_like(t),))[1]
+
+    first = derivative(eq_12)
+    second = derivative(first)
+    return [first(t), second(t), derivative(second)(t)]
+
+
+@cache
+def derivatives() -> list[Configuration]:
+    """Of eq. 12 with respect to time, of order 1 to 3, every 0.1 s on 0..20 s, by JAX."""
+    return jax.tree.map(np.asarray, _derivatives(TIMES))
+
+
+def as_printed(t: Floats) -> tuple[Floats, Floats]:
+    """Eq. 14 as printed: d2x/dt2 and d2y/dt2 in m/s^2, at times in s."""
+    rest = 1 - t / 23
+    return -(0.008 + 0.0035 * rest**-0.57), -0.08 * rest**-0.013
+
+
+def motion(until: float = 20.0, *, printed: str = "") -> Motion:
+    """Motion by eq. 12; the accelerations named in `printed` are those of eq. 14.
+
+    `printed` is "", "x" (the wrong sign) or "xy" (also the wrong exponent).
+    """
+    first, second, _ = derivatives()
+    ax, ay = (
+        of_print if name in printed else right
+        for name, of_print, right in zip("xy", as_printed(TIMES), second, strict=False)
+    )
+    beta = np.arctan2(first.x, first.y)
+    xi, eta = ax * np.cos(beta) - ay * np.sin(beta), ax * np.sin(beta) + ay * np.cos(beta)
+    rows = slice(round(10 * until) + 1)
+    found = TIMES, first.phi / np.hypot(first.x, first.y), xi, eta, second.phi
+    return Motion(*(values[rows] for values in found))
+
+
+def _exponent(values: Floats, scale: float) -> float:
+    """Exponent p of values that go as (1 - t/scale)^p."""
+    rest, some = 1 - TIMES[[*_SAMPLES]] / scale, values[[*_SAMPLES]]
+    return float(np.log(some[1] / some[0]) / np.log(rest[1] / rest[0]))
+
+
+def study_path() -> SimpleNamespace:
+    """Derivatives of eq. 12, beside those printed and by hand, and the direction of the force."""
+    t, now, (_, second, third) = TIMES, motion(), derivatives()
+    rest, left, k = 1 - t / 23, 1 - t / 24, _SAMPLES[0]
+    by_hand = (
+        -(0.008 - 2.98 * 1.43 * 0.43 / 23**2 * rest**-0.57),
+        -25 * 1.897 * 0.897 / 23**2 * rest**-0.103,
+        -16.58 * 1.455 * 0.455 / 24**2 * left**-0.545,
+    )
+    errors = (
+        np.abs(one - by_jax).max() / np.abs(one).max()
+        for one, by_jax in zip(by_hand, second, strict=True)
+    )
+    # d2x/dt2 = -(c + k (1 - t/23)^p), whose derivative is a pure power; d2y/dt2 is one itself.
+    px, py = _exponent(third.x, 23) + 1, _exponent(second.y, 23)
+    kx = 23 * third.x[k] / (px * rest[k] ** (px - 1))
+    c = -second.x[k] - kx * rest[k] ** px
+    ax_printed, ay_printed = as_printed(t)
+    epsilon = RADIUS * now.curvature
+    return SimpleNamespace(
+        t=t, ax=second.x, ay=second.y, ax_printed=ax_printed, ay_printed=ay_printed,
+        by_hand=max(errors), x_form=(c, kx, px), y_form=(-second.y[k] / rest[k] ** py, py),
+        sign_change=23 * (1 - (-c / kx) ** (1 / px)), ratio=now.xi / now.eta,
+        limit=epsilon / np.sqrt(1 - epsilon**2),
+    )  # fmt: skip
+
+
+def eq_13(_found: Any) -> Claim:
+    """Start and end of eq. 12."""
+    dx, dy, omega = (float(part[0]) for part in derivatives()[0])
+    x, y, phi = eq_12(23.0)
+    turns, surplus = phi / (2 * np.pi), dy / 2 - 1
+    start = (round(dx, 1), round(dy), round(omega)) == (0, 2, 1)
+    return Claim(
+        "eq13",
+        "start and end of eq. 12",
+        "dx/dt = 0, dy/dt = 2 m/s, omega = 1 1/s at t = 0; 25 m forward, 0.84 m to the left, "
+        "2.6 turns at t = 23 s",
+        f"{dx:.5f} m/s, {dy:.3f} m/s, {omega:.4f} 1/s; {y:.1f} m, {-x:.3f} m, {turns:.2f} turns",
+        verdict(start and (round(-x, 2), round(turns, 1)) == (0.84, 2.6), corrected=surplus > 0.01),
+        f"The printed speed is rounded to one figure: dy/dt is {dy:.3f} m/s, "
+        f"{100 * surplus:.0f} % more, and eq. 28 does not come out of 2 m/s; the others agree.",
+    )
+
+
+def eq_14_x(found: Any) -> Claim:
+    """The acceleration across the sheet."""
+    (c, k, p), zero = found.path.x_form, found.path.sign_change
+    return Claim(
+        "eq14x",
+        "d2x/dt2 from eq. 12",
+        "-(0.008 + 0.0035 (1-t/23)^-0.57) m/s^2",
+        f"-({c:.3f} {'-' if k < 0 else '+'} {abs(k):.5f} (1-t/23)^{p:.2f}) m/s^2, zero at "
+        f"t = {zero:.1f} s",
+        verdict(abs(k + 0.0035) < 1e-4 and abs(c - 0.008) < 1e-6, corrected=True),
+        "The sign before the power is printed wrongly: the acceleration to the left decreases "
+        f"and reverses at {zero:.1f} s; as printed it would increase.",
+    )
+
+
+def eq_14_y(found: Any) -> Claim:
+    """The acceleration along the sheet."""
+    (k, p), path = found.path.y_form, found.path
+    return Claim(
+        "eq14y",
+        "d2y/dt2 from eq. 12",
+        "-0.08 (1-t/23)^-0.013 m/s^2",
+        f"-{k:.4f} (1-t/23)^{p:.3f} m/s^2",
+        verdict(round(k, 2) == 0.08 and round(p, 3) == -0.103, corrected=True),
+        f"The exponent is {p:.3f}, two digits of it change places in print; at t = 20 s the "
+        f"two forms differ by {100 * abs(path.ay[-1] / path.ay_printed[-1] - 1):.0f} %.",
+    )
+
+
+def prop_5(found: Any) -> Claim:
+    """No isotropic law causes eq. 12."""
+    path = found.path
+    ratio, limit, ice = path.ratio, path.limit, path.ax / path.ay
+    least = (path.ax_printed / path.ay_printed).min()
+    return Claim(
+        "prop5",
+        "no isotropic law causes eq. 12",
+        "T_x >= 0.1 T_y at all t, more than isotropic friction can give",
+        f"a_xi/a_eta = {ratio[0]:.4f} .. {ratio[-1]:.3f} beside at most {limit[0]:.4f} .. "
+        f"{limit[-1]:.4f} on t <= 20 s; T_x/T_y = {ice[0]:.3f} at t = 0, {ice[-1]:.3f} at 20 s",
+        verdict((ratio > limit).all(), corrected=True),
+        "The conclusion stands in the moving frame, where friction would have to point further "
+        "aside than any ring point slides, at every t <= 20 s; the proof's T_x >= 0.1 T_y "
+        f"holds only with the wrong sign of eq. 14 (then {least:.2f} at least).",
+    )
+
+
+def eq_15_to_17(_found: Any) -> Claim:
+    """Sliding directions on the ring, in the ice frame (dx(A)/dy(A)) and in the moving frame."""
+    first, angle = derivatives()[0], np.linspace(-np.pi, np.pi, 721)
+    spin, epsilon = RADIUS * first.phi[:, None], RADIUS * motion().curvature[:, None]
+    ice = (first.x[:, None] - spin * np.sin(angle)) / (first.y[:, None] + spin * np.cos(angle))
+    moving = (-epsilon * np.sin(angle) / (1 + epsilon * np.cos(angle))).max(1)
+    size = spin[0, 0] / first.y[0]
+    by_spin, by_speed = _exponent(first.phi, 24), -_exponent(first.y, 23)
+    bound = size * (1 - TIMES / 24) ** by_spin * (1 - TIMES / 23) ** by_speed
+    holds = (ice.max(1) <= bound).all() and bound.max() <= 0.09 and moving.min() > 0.01
+    return Claim(
+        "eq15-17",
+        "sliding directions on the ring",
+        "dx(A)/dy(A) >= 0.01 somewhere, but <= 0.032 (1-t/24)^0.455 (1-t/23)^-0.897 <= 0.09",
+        f"{size:.4f} (1-t/24)^{by_spin:.3f} (1-t/23)^{by_speed:.3f}, {bound[-1]:.4f} at "
+        f"t = 20 s; largest on the ring {moving[0]:.4f} (t = 0) .. {moving[-1]:.4f} "
+        "in the moving frame",
+        verdict(holds, corrected=True),
+        "Eq. 17 is right; in eq. 15 the 0.01 must be the 0.1 of the sentence before it: the "
+        f"ring does reach {moving.min():.3f}, which satisfies 0.01 and contradicts nothing.",
+    )
 
 
 class SpeedMixture(LocalLaw):
@@ -43,75 +255,87 @@ class SpeedMixture(LocalLaw):
         return -mu * point.e_xi, -mu * point.e_eta
 
 
-Family = type[LawFamily] | None
-
-SPEEDS = np.geomspace(0.05, 4.0, 16)
-"""m/s"""
-SPINS = np.concatenate([-np.geomspace(0.02, 200.0, 28)[::-1], np.geomspace(0.02, 200.0, 28)])
-"""1/s"""
-EXPONENTS = (-3.0, -2.0, -1.5, -1.1, -0.9, -0.5, -0.25, 0.5, 1.0, 2.0)
-CASES = {
-    "i": [(a, b) for a in (0.002, 0.01, 0.03) for b in (0.0005, 0.002, 0.01)],
-    "ii": [(a, -b) for a in (0.005, 0.01, 0.02, 0.05) for b in (0.0002, 0.001, 0.004)],
-    "iii": [(-a, b) for a in (0.001, 0.005, 0.01) for b in (0.002, 0.01, 0.03)],
-}
-"""(mu0, mu1) of the cases of Prop. 4, mu1 in s/m."""
+_LOCAL = [law for law in LAWS.values() if issubclass(law, LocalLaw) and law.shipped()]
+_FAMILY = family_of([*_LOCAL, SpeedMixture])  # one compiled program serves them all
 
 
-def study_isotropic() -> IsotropicFindings:
-    """Test Prop. 1-4 on their grids."""
-    laws = [law for law in LAWS.values() if issubclass(law, LocalLaw) and law.shipped()]
-    family = family_of([*laws, SpeedMixture])
-    states_of = partial(grid_states, v=SPEEDS, omega=SPINS, family=family)
-    triples = []
-    for law in laws:
-        defaults = tuple(item.default for item in law.coefficients())
-        triples.append(states_of(law, [defaults])[0])
-    cosine, handedness, arm = zip(*map(_triple_errors, triples), strict=True)
+class RingStates(NamedTuple):
+    """The ring under consistent load, by state of motion; NaN where no such load exists."""
 
-    coulomb, _ = states_of(Coulomb, [(mu,) for mu in (0.002, 0.01, 0.05, 0.2)])
-    powers = {k: states_of(Power, [(mu, k) for mu in (0.002, 0.01, 0.03)]) for k in EXPONENTS}
-    largest_exponent = max(k for k, (states, _) in powers.items() if (states.right < 0).any())
-    mixture, mixture_values = _random_mixtures(2 * BATCH, family)
-    cases = {name: states_of(Stribeck, sets) for name, sets in CASES.items()}
-    positive = {name: states.least > 0 for name, (states, _) in cases.items()}
-    return IsotropicFindings(
-        laws=len(laws),
-        triple_states=sum(int(states.exists.sum()) for states in triples),
-        orthogonality=max(cosine),
-        handedness=min(handedness),
-        arm=max(arm),
-        coulomb=DeviationCounts.of(coulomb),
-        power={k: DeviationCounts.of(states) for k, (states, _) in powers.items()},
-        power_example=_leftmost(Power, *powers[largest_exponent]),
-        mixture=DeviationCounts.of(mixture),
-        mixture_example=_leftmost(SpeedMixture, mixture, mixture_values),
-        stribeck={
-            name: DeviationCounts.of(states, positive[name]) for name, (states, _) in cases.items()
-        },
-        negative={
-            name: DeviationCounts.of(states, ~positive[name])
-            for name, (states, _) in cases.items()
-            if (states.exists & ~positive[name]).any()
-        },
-        stribeck_example=_leftmost(Stribeck, *cases["ii"], where=positive["ii"]),
-        curves=_curves(family),
+    v: Any
+    """speed of the centre, m/s"""
+    omega: Any
+    """spin, 1/s"""
+    t_xi: Any
+    """force to the right over the weight"""
+    t_eta: Any
+    """force along the motion over the weight"""
+    spin_up: Any
+    """angular acceleration, rad/s^2"""
+    n1: Any
+    """load slope to the right times R over n0 (eq. 9)"""
+    n2: Any
+    """load slope forward times R over n0"""
+    least: Any
+    """smallest coefficient of friction on the ring"""
+
+    @property
+    def exists(self) -> Booleans:
+        """Where a consistent load exists."""
+        return np.isfinite(self.t_xi)
+
+    @property
+    def right(self) -> Floats:
+        """Force to the right of a counter-clockwise stone; mirrored for a clockwise one."""
+        return self.t_xi * np.sign(self.omega)
+
+
+@compiled("law")
+def _ring(law: type[Law], values: Array, v: Array, omega: Array) -> RingStates:
+    def state(values: Array, v: Array, omega: Array) -> RingStates:
+        contact = contact_of(law.from_vector(values), STONE, "consistent", v, omega)
+        forces = ring_forces(contact)
+        motion = accelerations_under(forces, STONE)
+        n1, n2 = balanced_tilt(forces, contact.lever)
+
+        def least_friction(law: type[LocalLaw], own: tuple[Array, ...]) -> Array:
+            one, least = law.from_vector(own), jnp.asarray(jnp.inf)
+            for points, _ in panels(one, *contact.motion, contact.clustering):
+                load = 1 + n1 * points.xi + n2 * points.eta
+                along_xi, along_eta = one.traction(points._replace(load=load))
+                mu = -(along_xi * points.e_xi + along_eta * points.e_eta)
+                least = jnp.minimum(least, mu.min())
+            return least
+
+        force = motion.xi / GRAVITY, motion.eta / GRAVITY
+        return RingStates(v, omega, *force, motion.angular, n1, n2, contact.of_law(least_friction))
+
+    return jax.vmap(state)(values, v, omega)
+
+
+def ring_states(law: type[LocalLaw], values: Floats, v: Floats, omega: Floats) -> RingStates:
+    """The ring in each of n states: a local law with coefficients of shape (n, coefficients), speed
+    (m/s) and spin (1/s) of shape (n,)."""
+    model = Model(law, "consistent").within(_FAMILY)
+    program = partial(_ring, model.of_program.law)
+    return in_batches(program, (model.vector(values), v, omega), BATCH)
+
+
+def grid_states(
+    law: type[LocalLaw],
+    coefficients: Sequence[Sequence[float]],
+    v: Floats = SPEEDS,
+    omega: Floats = SPINS,
+) -> tuple[RingStates, Floats]:
+    """RingStates for every set of coefficients, speed and spin, and the coefficients of each."""
+    sets, speeds, spins = (
+        grid.ravel() for grid in np.meshgrid(range(len(coefficients)), v, omega, indexing="ij")
     )
+    values = np.array(coefficients, float)[sets]
+    return ring_states(law, values, speeds, spins), values
 
 
-def _triple_errors(states: RingStates) -> tuple[float, float, float]:
-    """Largest |cos(T, M_N)|, smallest sine of the angle from T to M_N, error of |M_N| = h |T|."""
-    use = states.exists
-    t = np.stack([states.t_xi, states.t_eta])[:, use]
-    m = np.stack([states.m_xi, states.m_eta])[:, use]
-    size, moment = np.hypot(*t), np.hypot(*m)
-    cosine = np.abs((t * m).sum(0)) / (size * moment)
-    turn = (t[0] * m[1] - t[1] * m[0]) / (size * moment)
-    arm = np.abs(moment / (STONE.h * size) - 1)
-    return float(cosine.max()), float(turn.min()), float(arm.max())
-
-
-def _random_mixtures(n: int, family: Family) -> tuple[RingStates, Floats]:
+def _random_mixtures(n: int) -> tuple[RingStates, Floats]:
     """Random functions of the speed at random speeds and spins of both senses."""
     random = np.random.default_rng(1)
     level = 10 ** random.uniform(-4, -2, n)
@@ -119,137 +343,173 @@ def _random_mixtures(n: int, family: Family) -> tuple[RingStates, Floats]:
     values = np.stack([level, *others, 10 ** random.uniform(-1, 0.5, n)], 1)
     v = 10 ** random.uniform(-1, 0.6, n)
     omega = 10 ** random.uniform(-1, 2.3, n) * random.choice([-1.0, 1.0], n)
-    return ring_states(SpeedMixture, values, v, omega, family), values
+    return ring_states(SpeedMixture, values, v, omega), values
+
+
+def _counts(states: RingStates, where: Any = True) -> SimpleNamespace:
+    """Numbers of existing states: all, deviating to the left (for counter-clockwise spin), slow
+    (|eps| < 1, the instant centre of velocities outside the base), speeding up, and as the remark
+    on Prop. 3 says."""
+    sense = np.sign(states.omega)
+    every = states.exists & where
+    left, speeds_up = every & (states.right < 0), every & (states.t_eta > 0)
+    slow = every & (STONE.R * np.abs(states.omega) / states.v < 1)
+    tilted = (states.n1 * sense > 0) & (states.n2 < 0) & (states.spin_up * sense < 0)
+    rows = {
+        "states": every, "left": left, "slow": slow, "slow_left": slow & left,
+        "speeds_up": speeds_up, "remark": left & speeds_up & tilted,
+    }  # fmt: skip
+    return SimpleNamespace(**{name: int(chosen.sum()) for name, chosen in rows.items()})
 
 
 def _leftmost(
-    law: type[LocalLaw],
-    states: RingStates,
-    values: Floats,
-    where: Booleans | None = None,
-) -> Example:
+    law: type[LocalLaw], states: RingStates, values: Floats, where: Any = True
+) -> SimpleNamespace:
     """The state of a counter-clockwise stone with the largest force to the left."""
-    use = states.exists & (states.omega > 0) if where is None else states.exists & where
-    row = int(np.argmin(np.where(use & (states.omega > 0), states.t_xi, np.inf)))
+    use = states.exists & where & (states.omega > 0)
+    row = int(np.argmin(np.where(use, states.t_xi, np.inf)))
     names = [item.name for item in law.coefficients()]
-    return Example(
-        dict(zip(names, map(float, values[row]), strict=True)),
-        *(
-            float(item[row])
-            for item in (states.v, states.omega, states.t_xi, states.t_eta, states.least)
-        ),
+    return SimpleNamespace(
+        coefficients=dict(zip(names, map(float, values[row]), strict=True)),
+        **{name: float(series[row]) for name, series in states._asdict().items()},
     )
 
 
-def _curves(family: Family) -> tuple[Curve, ...]:
-    sign_changes = np.linspace(29, 50, 211)
-    omega = np.union1d(np.geomspace(0.3, 200, 120), [1.0, 10.0, *sign_changes, 100.0])
-    selected: list[tuple[str, type[LocalLaw], tuple[float, ...]]] = [
-        ("mu = 0.01", Coulomb, (0.01,)),
-        ("mu = 0.008 |v|^{-0.5} (Penner)", Power, (0.008, -0.5)),
-        ("mu = 0.008 |v|^{-1.5}", Power, (0.008, -1.5)),
-        ("(i) mu = 0.01 + 0.002 |v| n0/n", Stribeck, (0.01, 0.002)),
-        ("(ii) mu = 0.02 - 0.004 |v| n0/n", Stribeck, (0.02, -0.004)),
-        ("(iii) mu = -0.01 + 0.01 |v| n0/n", Stribeck, (-0.01, 0.01)),
-    ]
+def study_isotropic() -> SimpleNamespace:
+    """Test Prop. 2-4 on their grids, with curves of the force against the spin at 2 m/s."""
+    coulomb, _ = grid_states(Coulomb, [(mu,) for mu in (0.002, 0.01, 0.05, 0.2)])
+    powers = {k: grid_states(Power, [(mu, k) for mu in (0.002, 0.01, 0.03)]) for k in EXPONENTS}
+    power = {k: _counts(states) for k, (states, _) in powers.items()}
+    left = [k for k, counts in power.items() if counts.left]
+    mixture, mixture_values = _random_mixtures(2 * BATCH)
+    cases = {name: grid_states(Stribeck, sets) for name, sets in CASES.items()}
+    omega = np.union1d(np.geomspace(0.3, 200, 120), [1.0, 10.0, *np.linspace(29, 50, 211), 100.0])
     curves = []
-    for label, law, values in selected:
-        states, _ = grid_states(law, [values], np.array([2.0]), omega, family)
-        curves.append(Curve(label, omega, states.t_xi, states.t_eta, states.least))
-    return tuple(curves)
+    for label, law, values in CURVES:
+        states, _ = grid_states(law, [values], np.array([2.0]), omega)
+        curves.append((label, omega, states.t_xi, states.t_eta, states.least))
+    right = coulomb.right[coulomb.exists]
+    return SimpleNamespace(
+        speeds=SPEEDS, spins=SPINS, cases=CASES, curves=curves, coulomb=_counts(coulomb),
+        coulomb_range=(right.min(), right.max()), power=power, left_powers=left,
+        right_powers=[k for k in EXPONENTS if k not in left], mixture=_counts(mixture),
+        stribeck={name: _counts(states, states.least > 0) for name, (states, _) in cases.items()},
+        negative={name: _counts(states, states.least <= 0) for name, (states, _) in cases.items()},
+        power_example=_leftmost(Power, *powers[max(left)]),
+        mixture_example=_leftmost(SpeedMixture, mixture, mixture_values),
+        stribeck_example=_leftmost(Stribeck, *cases["ii"], where=cases["ii"][0].least > 0),
+    )  # fmt: skip
 
 
-def isotropic_claims(found: IsotropicFindings) -> dict[str, Claim]:
-    """Prop. 1-4 and the remark on the last, by id."""
-    prop1_holds = found.orthogonality < 1e-8 and found.handedness > 1 - 1e-8 and found.arm < 1e-8
-    c = found.coulomb
-    n_power, n_slow, n_left = found.power_total
-    left_exponents = [k for k, counts in found.power.items() if counts.left]
-    right_exponents = [k for k, counts in found.power.items() if not counts.left]
-    mixed = found.mixture
-    slow_left = sum(counts.slow_left for counts in found.power.values()) + mixed.slow_left
-    remark = sum(counts.remark for counts in found.power.values()) + mixed.remark
-    left = n_left + mixed.left
-    example, other = found.power_example, found.stribeck_example
-    one, two, three = (found.stribeck[name] for name in ("i", "ii", "iii"))
-    below = found.negative["iii"]
+def prop_1(_found: Any) -> Claim:
+    """The force T and the moment M_N of the load, for every law that acts on the ring."""
+    triples = []
+    for law in _LOCAL:
+        states, _ = grid_states(law, [[item.default for item in law.coefficients()]])
+        triples.append(np.stack(states)[:, states.exists])
+    n0_xi, n0_eta, n1, n2 = np.concatenate(triples, axis=1)[[2, 3, 5, 6]]
+    angle = 2 * np.pi * np.arange(16)[:, None] / 16  # rad; the sum of a linear load is exact
+    load = 1 + n1 * np.cos(angle) + n2 * np.sin(angle)
+    # eq. 2: r x k n, over the weight
+    moment = STONE.R * np.stack([load * np.sin(angle), -load * np.cos(angle)]).mean(1)
+    force = np.stack([n0_xi, n0_eta])
+    size, arm = np.hypot(*force), np.hypot(*moment)
+    cosine = (np.abs((force * moment).sum(0)) / (size * arm)).max()
+    turn = ((force[0] * moment[1] - force[1] * moment[0]) / (size * arm)).min()
+    error = np.abs(arm / (STONE.h * size) - 1).max()
+    return Claim(
+        "prop1",
+        "T, M_N, k are a right triple; |M_N| = h |T|",
+        "for any friction law",
+        f"|cos(T, M_N)| <= {cosine:.0e}, right-handed in all of {len(n1)} states of "
+        f"{len(_LOCAL)} laws; |M_N|/(h |T|) = 1 within {error:.0e}",
+        verdict(cosine < 1e-8 and turn > 1 - 1e-8 and error < 1e-8),
+        "The balance of moments (eq. 8) determines the load; the remainder is the precision of "
+        "the solution.",
+    )
+
+
+def prop_2(found: Any) -> Claim:
+    """Constant mu."""
+    c, (least, most) = found.isotropic.coulomb, found.isotropic.coulomb_range
+    return Claim(
+        "prop2",
+        "constant mu",
+        "deviates to the right",
+        f"right in {c.states - c.left} of {c.states} states, T_xi = {least:.1e} .. {most:.1e} of "
+        "the weight",
+        verdict(c.left == 0 and least > 0),
+        "Friction loads the front more (n2 > 0), where a counter-clockwise ring slides to "
+        "the left and is pushed right; mu from 0.002 to 0.2, spins to 200 1/s of both senses.",
+    )
+
+
+def prop_3(found: Any) -> Claim:
+    """Any function of the sliding speed: powers, and random mixtures."""
+    all_counts = [*found.isotropic.power.values(), found.isotropic.mixture]
+    states, slow, left, slow_left, remark = (
+        sum(getattr(counts, name) for counts in all_counts)
+        for name in ("states", "slow", "left", "slow_left", "remark")
+    )
+    example = found.isotropic.power_example
+    to_left, to_right = (
+        ", ".join(f"{k:g}" for k in exponents)
+        for exponents in (found.isotropic.left_powers, found.isotropic.right_powers)
+    )
+    return Claim(
+        "prop3",
+        "mu any function of v(A)",
+        "right while |eps| < 1; left possible for fast spin, then n1 > 0, n2 < 0, sliding "
+        "speeds up",
+        f"right in all {slow} states with |eps| < 1; of {states - slow} faster ones {left} left, "
+        "all with n1 > 0, n2 < 0, speeding up",
+        verdict(slow_left == 0 and 0 < left == remark),
+        f"Among powers of v, exponents {to_left} deviate to the left beyond |eps| = 1 and "
+        f"{to_right} never do; so at v^{example.coefficients['k']:g}, v = {example.v:.2g} m/s, "
+        f"omega = {example.omega:.2g} 1/s: T_xi = {example.t_xi:.1e}, "
+        f"T_eta = {example.t_eta:+.1e} of the weight.",
+    )
+
+
+def _prop_4_holds(one: Any, two: Any, three: Any) -> bool:
+    left = one.left == two.slow_left == 0 < two.left == two.remark == two.speeds_up
+    return bool(left and three.left == three.states and three.speeds_up == 0)
+
+
+def prop_4(found: Any) -> Claim:
+    """The cases of eq. 11."""
+    one, two, three = found.isotropic.stribeck.values()
+    below, other = found.isotropic.negative["iii"], found.isotropic.stribeck_example
+    return Claim(
+        "prop4",
+        "mu = mu0 + mu1 v/n, eq. 11",
+        "(i) right; (ii) right, or left with speeding up if fast; (iii) left, slowing down",
+        f"(i) right in {one.states - one.left} of {one.states}; (ii) right in "
+        f"{two.slow - two.slow_left} of {two.slow} with |eps| < 1, left in {two.left} faster "
+        f"ones, {two.speeds_up} speed up; (iii) left and slowing in {three.left} of {three.states}",
+        verdict(_prop_4_holds(one, two, three)),
+        "It needs mu > 0 on the whole ring, as in the states counted; where (iii) makes mu "
+        f"negative somewhere, {below.states - below.left} of {below.states} states deviate to "
+        f"the right; a case of (ii): mu0 = {other.coefficients['mu0']:g}, "
+        f"mu1 = {other.coefficients['mu1']:g} s/m, v = {other.v:.2g} m/s, "
+        f"omega = {other.omega:.0f} 1/s.",
+    )
+
+
+def stribeck(found: Any) -> Claim:
+    """The remark on Prop. 4."""
+    one, two, three = found.isotropic.stribeck.values()
     # the line of eq. 11 meets mu = 0 at v/n = -mu0/mu1
     crossing = {name for name, sets in CASES.items() if all(-a / b > 0 for a, b in sets)}
-    prop4_holds = (
-        one.left == 0
-        and two.slow_left == 0
-        and 0 < two.left == two.remark == two.speeds_up
-        and three.left == three.states
-        and three.speeds_up == 0
+    return Claim(
+        "stribeck",
+        "regions of the Stribeck curve, remark on Prop. 4",
+        "boundary and EHD friction are cases (i) or (iii), mixed friction (ii); left if the "
+        "line of eq. 11 meets mu = 0 at v/n > 0",
+        f"lines that meet mu = 0 at v/n > 0: (iii), left in {three.left} of {three.states}, "
+        f"but also (ii), right in {two.slow - two.slow_left} of {two.slow} with |eps| < 1",
+        verdict(_prop_4_holds(one, two, three) and crossing == {"ii", "iii"}, corrected=True),
+        "The line must also rise: that of mixed friction falls and meets mu = 0 at v/n > 0 as "
+        "well. Boundary friction, positive down to v/n = 0, has mu0 > 0 and is case (i); only "
+        "EHD friction can be case (iii).",
     )
-    claims = [
-        Claim(
-            "prop1",
-            "T, M_N, k are a right triple; |M_N| = h |T|",
-            "for any friction law",
-            f"|cos(T, M_N)| <= {found.orthogonality:.0e}, right-handed in all of "
-            f"{found.triple_states} states of {found.laws} laws; |M_N|/(h |T|) = 1 within "
-            f"{found.arm:.0e}",
-            "holds" if prop1_holds else "does not hold",
-            "The balance of moments (eq. 8) determines the load; the remainder is the precision of "
-            "the solution.",
-        ),
-        Claim(
-            "prop2",
-            "constant mu",
-            "deviates to the right",
-            f"right in {c.states - c.left} of {c.states} states, T_xi = {c.range[0]:.1e} .. "
-            f"{c.range[1]:.1e} of the weight",
-            "holds" if c.left == 0 and c.range[0] > 0 else "does not hold",
-            "Friction loads the front more (n2 > 0), where a counter-clockwise ring slides to "
-            "the left and is pushed right; mu from 0.002 to 0.2, spins to 200 1/s of both senses.",
-        ),
-        Claim(
-            "prop3",
-            "mu any function of v(A)",
-            "right while |eps| < 1; left possible for fast spin, then n1 > 0, n2 < 0, sliding "
-            "speeds up",
-            f"right in all {n_slow + mixed.slow} states with |eps| < 1; of "
-            f"{n_power + mixed.states - n_slow - mixed.slow} faster ones {left} left, all with "
-            "n1 > 0, n2 < 0, speeding up",
-            "holds" if slow_left == 0 and 0 < left == remark else "does not hold",
-            f"Among powers of v, exponents {_comma_separated(left_exponents)} deviate to the left "
-            f"beyond |eps| = 1 and {_comma_separated(right_exponents)} never do; so at "
-            f"v^{example.coefficients['k']:g}, v = {example.v:.2g} m/s, "
-            f"omega = {example.omega:.2g} 1/s: T_xi = {example.t_xi:.1e}, "
-            f"T_eta = {example.t_eta:+.1e} of the weight.",
-        ),
-        Claim(
-            "prop4",
-            "mu = mu0 + mu1 v/n, eq. 11",
-            "(i) right; (ii) right, or left with speeding up if fast; (iii) left, slowing down",
-            f"(i) right in {one.states - one.left} of {one.states}; (ii) right in "
-            f"{two.slow - two.slow_left} of {two.slow} with |eps| < 1, left in {two.left} faster "
-            f"ones, {two.speeds_up} speed up; (iii) left and slowing in {three.left} of "
-            f"{three.states}",
-            "holds" if prop4_holds else "does not hold",
-            "It needs mu > 0 on the whole ring, as in the states counted; where (iii) makes mu "
-            f"negative somewhere, {below.states - below.left} of {below.states} states deviate to "
-            f"the right; a case of (ii): mu0 = {other.coefficients['mu0']:g}, "
-            f"mu1 = {other.coefficients['mu1']:g} s/m, v = {other.v:.2g} m/s, "
-            f"omega = {other.omega:.0f} 1/s.",
-        ),
-        Claim(
-            "stribeck",
-            "regions of the Stribeck curve, remark on Prop. 4",
-            "boundary and EHD friction are cases (i) or (iii), mixed friction (ii); left if the "
-            "line of eq. 11 meets mu = 0 at v/n > 0",
-            f"lines that meet mu = 0 at v/n > 0: (iii), left in {three.left} of {three.states}, "
-            f"but also (ii), right in {two.slow - two.slow_left} of {two.slow} with |eps| < 1",
-            "holds with a correction" if prop4_holds and crossing == {"ii", "iii"}
-            else "does not hold",
-            "The line must also rise: that of mixed friction falls and meets mu = 0 at v/n > 0 as "
-            "well. Boundary friction, positive down to v/n = 0, has mu0 > 0 and is case (i); only "
-            "EHD friction can be case (iii).",
-        ),
-    ]  # fmt: skip
-    return {claim.id: claim for claim in claims}
-
-
-def _comma_separated(numbers: list[float]) -> str:
-    return ", ".join(f"{number:g}" for number in numbers)

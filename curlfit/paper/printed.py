@@ -30,6 +30,29 @@ SOLID_RHO = 0.1025
 EQ_28_UNTIL = 20.0
 """End of the time window of eq. 12 in the paper, s."""
 
+RADIUS = 0.065
+"""Ring radius of sect. 4, m; the 0.032 of eq. 17 corresponds to it."""
+
+RHO = 0.1
+"""Radius of gyration of sect. 4, m."""
+
+PRINTED: Floats = np.array([*EQ_28.values()])
+"""The coefficients of eq. 28, as those of a `Row`."""
+
+HALF_DIGIT: Floats = np.array([0.00005, 0.0005, 0.0005])
+"""Half a unit of the last printed digit of each."""
+
+
+class Row(NamedTuple):
+    """Eq. 28 computed by one method from the times up to `window`."""
+
+    method: str
+    radius: float
+    rho: float
+    window: float
+    mu: Floats
+    """mu1_xi, mu2_xi, mu1_eta + mu2_eta"""
+
 
 class Configuration(NamedTuple):
     """Position and angle as functions of time: x, y in m, phi in rad."""

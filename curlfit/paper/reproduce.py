@@ -1,27 +1,33 @@
-"""All claims in order, with the results behind them."""
+"""The table of claims, and the studies behind them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 from curlfit.numerics.threads import in_threads
 from curlfit.output.display import Displayed
+from curlfit.paper import anisotropic as ring
+from curlfit.paper import isotropic as path
 from curlfit.paper.claim import Claim
-from curlfit.paper.eq28 import eq_28_claims, study_eq_28
-from curlfit.paper.findings import Eq28Findings, IsotropicFindings, PathFindings, RingFindings
-from curlfit.paper.isotropic import isotropic_claims, study_isotropic
-from curlfit.paper.kinematics import path_claims, study_path
-from curlfit.paper.ring import ring_claims, study_ring
 
-ORDER = (
-    "eq13", "eq14x", "eq14y", "prop1", "prop2", "prop3", "prop4", "stribeck", "prop5",
-    "eq15-17", "load", "eq22", "eq23", "eq24-l1", "eq24-l2", "eq24-l3", "eq27", "eq28", "ratio",
-    "split",
+STUDIES: dict[str, tuple[str, Callable[[], SimpleNamespace]]] = {
+    "path": ("eq. 12 and its derivatives", path.study_path),
+    "isotropic": ("isotropic friction (Prop. 1-4)", path.study_isotropic),
+    "eq28": ("eq. 28", ring.study_eq_28),
+    "ring": ("anisotropic friction (eq. 23-27)", ring.study_ring),
+}
+"""What each study is about, and its function."""
+
+CLAIMS: tuple[Callable[[Any], Claim], ...] = (
+    path.eq_13, path.eq_14_x, path.eq_14_y, path.prop_1, path.prop_2, path.prop_3, path.prop_4,
+    path.stribeck, path.prop_5, path.eq_15_to_17,
+    ring.uniform_load, ring.eq_22, ring.eq_23, ring.eq_24_l1, ring.eq_24_l2, ring.eq_24_l3,
+    ring.eq_27, ring.eq_28, ring.ratio, ring.split,
 )  # fmt: skip
-"""Ids of the claims, in the order of the table."""
+"""A function of all studies for each claim, in the order of the table."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -34,13 +40,13 @@ class Reproduction(Displayed):
     'holds'
     """
 
-    _report: ClassVar[str] = "curlfit.paper.page"
+    _report: ClassVar[str] = "curlfit.paper.claim"
 
     claims: tuple[Claim, ...]
-    path: PathFindings
-    isotropic: IsotropicFindings
-    ring: RingFindings
-    eq28: Eq28Findings
+    path: Any
+    isotropic: Any
+    eq28: Any
+    ring: Any
 
     def claim(self, name: str) -> Claim:
         """The claim with that id."""
@@ -56,8 +62,8 @@ def reproduce(
     Parameters
     ----------
     progress : called before each part with its name, the number of parts done and the total.
-    arrived : called with the findings of each study as soon as they are known, after the name of
-        their attribute in the result.
+    arrived : called with the name of each study as soon as it is known, and an object that has it
+        and those before it as attributes, named as in the result.
 
     Examples
     --------
@@ -65,35 +71,14 @@ def reproduce(
     >>> len(reproduction.claims)
     20
     """
-    found: dict[str, Any] = {}
-
-    def begin(part: str) -> None:
-        if progress is not None:
-            progress(part, len(found), 4)
-
-    def keep(name: str, findings: Any) -> None:
-        found[name] = findings
-        if arrived is not None:
-            arrived(name, findings)
-
-    begin("eq. 12 and its derivatives")
-    path = study_path()
-    keep("path", path)
-    studies: list[tuple[Callable[[], Any]]] = [
-        (study_isotropic,), (partial(study_eq_28, path),), (partial(study_ring, path.motion),),
-    ]  # fmt: skip
-    with in_threads(lambda study: study(), studies) as results:
-        begin("isotropic friction (Prop. 1-4)")
-        keep("isotropic", next(results))
-        begin("eq. 28")
-        keep("eq28", next(results))
-        begin("anisotropic friction (eq. 23-27)")
-        keep("ring", next(results))
-    begin("done")
-    claims = (
-        path_claims(path)
-        | isotropic_claims(found["isotropic"])
-        | ring_claims(found["ring"])
-        | eq_28_claims(found["eq28"], found["ring"])
-    )
-    return Reproduction(tuple(claims[name] for name in ORDER), **found)
+    progress = progress or (lambda part, done, total: None)
+    found = SimpleNamespace()
+    with in_threads(lambda study: study(), [(study,) for _, study in STUDIES.values()]) as results:
+        for done, (name, (part, _)) in enumerate(STUDIES.items()):
+            progress(part, done, len(STUDIES))
+            setattr(found, name, next(results))
+            if arrived is not None:
+                arrived(name, found)
+    progress("done", len(STUDIES), len(STUDIES))
+    with in_threads(lambda claim: claim(found), [(claim,) for claim in CLAIMS]) as claims:
+        return Reproduction(tuple(claims), **vars(found))

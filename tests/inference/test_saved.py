@@ -67,9 +67,8 @@ def writers(fit, chain, compared, folder):
         with pytest.MonkeyPatch.context() as patch:
             # the page and its figures are not made where the first file cannot be written
             found = type("Found", (), {"claims": ()})
-            patch.setattr("curlfit.paper.reproduce.reproduce", lambda **_: found)
-            patch.setattr("curlfit.paper.page.page", lambda found, format: "claims")
-            patch.setattr("curlfit.paper.figures.FIGURES", {"eq14": lambda found: figure})
+            patch.setattr("curlfit.paper.reproduce.reproduce", lambda *_: found)
+            patch.setattr("curlfit.paper.claim.page", lambda found, format: "claims")
             run("reproduce", "--out", folder)
 
     fit.save(folder / "saved" / "fit.json")

@@ -16,8 +16,7 @@ from rich.text import Text
 import curlfit
 from curlfit.output.console import PlainTable, terminal
 from curlfit.output.text import compact, format_estimate, p_text, sided
-from curlfit.paper.claim import Claim
-from curlfit.paper.page import claims_table
+from curlfit.paper.claim import Claim, claims_table
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
 
