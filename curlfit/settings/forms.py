@@ -11,7 +11,7 @@ from typing import Any
 from cyclopts import Parameter
 
 from curlfit.errors import InputError
-from curlfit.foreign import cut, is_number, is_size, quoted
+from curlfit.foreign import SIZES, cut, is_number, is_size, quoted
 
 
 class Form:
@@ -235,7 +235,7 @@ def numbers(count: int, written: str) -> Form:
 
 
 PATH = Form("a name of a file or folder", lambda one: Path(one), Path, "a file or folder")
-NUMBER = Form("a number, at most 1e12", _finite, float)
+NUMBER = Form(f"a number, {SIZES}", _finite, float)
 TIME = Form("a time in s", _finite, float)
 SWITCH = Form("true or false", _truth)
 VALUES = Table(NUMBER, "NAME=VALUE", many=True)
