@@ -125,7 +125,7 @@ def fit(
     if saved is None:
         with status_line(console, f"Fitting {COMPILES}"):
             if not no_sample:
-                from curlfit.inference.mcmc.run import prepare_sampling
+                from curlfit.inference.mcmc.sampler import prepare_sampling
 
                 prepare_sampling(*request.problem())
             result = request.fit()

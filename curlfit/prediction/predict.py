@@ -31,7 +31,7 @@ from curlfit.inference.fit.measured_curl import curl_warnings
 from curlfit.inference.fit.prepared import prepare_linearized
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain
-from curlfit.inference.mcmc.ridge import ridge_move
+from curlfit.inference.mcmc.ridge import ridge_proposal
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction.diagnostics import (
@@ -292,16 +292,16 @@ def _drawn_values(
         return flat[random.choice(len(flat), draws, replace=len(flat) < draws)], "chain"
     parameters = fit.parameter_set
     free = parameters.free
-    move = ridge_move(fit, np.zeros(len(parameters)))
+    proposal = ridge_proposal(fit)
     lower, upper = parameters.lower[free], parameters.upper[free]
     accepted: list[Floats] = []
     for _ in range(200):
-        proposed = move.draw(draws, random, gaussian=True)
+        proposed = proposal.draw(draws, random, gaussian=True)
         accepted.extend(proposed[((proposed >= lower) & (proposed <= upper)).all(1)])
         if len(accepted) >= draws:
             break
     else:
-        accepted += list(np.clip(move.draw(draws, random, gaussian=True), lower, upper))
+        accepted += list(np.clip(proposal.draw(draws, random, gaussian=True), lower, upper))
     values = np.tile(fit.values, (draws, 1))
     values[:, free] = accepted[:draws]
     return values, "covariance"

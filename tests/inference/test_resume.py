@@ -14,8 +14,8 @@ import pytest
 from conftest import DATA, command, invoke, started
 
 from curlfit import DataError, InputError, load_chain, load_fit, sample
-from curlfit.inference.mcmc import chain, checkpoint
-from curlfit.inference.mcmc import run as sampling
+from curlfit.inference.mcmc import chain
+from curlfit.inference.mcmc import sampler as sampling
 
 ENDLESS = ("--effective", "100000000", "--max-steps", "1000000")
 
@@ -29,10 +29,9 @@ def assert_same(one, other):
     for name in ("values", "log_posterior", "accepted"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert one.subject == other.subject
-    assert (one.discarded, one.state.left) == (other.discarded, other.state.left)
-    for mine, its in zip(one.state.random, other.state.random, strict=True):
+    assert (one.discarded, one.mostly_ridge) == (other.discarded, other.mostly_ridge)
+    for mine, its in zip(one.random_state, other.random_state, strict=True):
         np.testing.assert_array_equal(mine, its)
-    np.testing.assert_array_equal(one.state.coords, other.state.coords)
 
 
 def snapshot(folder):
@@ -139,20 +138,20 @@ def test_the_change_of_moves_is_resumed_too(eq12_fit, tmp_path, monkeypatch, ste
     assert "most proposals were ensemble moves" in result.posterior.status
     file = tmp_path / "chain.h5"
     done = []
-    real = checkpoint.CheckpointWriter.write_if_due
+    real = sampling._Run.write_if_due
 
-    def crash(writer, run):
-        writer._next = 0
-        real(writer, run)
+    def crash(run, file):
+        run._next_write = 0
+        real(run, file)
         done.append(run)
         if len(done) == steps:
             raise MemoryError
 
     with monkeypatch.context() as patch:
-        patch.setattr(checkpoint.CheckpointWriter, "write_if_due", crash)
+        patch.setattr(sampling._Run, "write_if_due", crash)
         with pytest.raises(MemoryError):
             sample(eq12_fit, **choices, checkpoint=file)
-    assert load_chain(file).state.mostly_ridge == (steps < 20)
+    assert load_chain(file).mostly_ridge == (steps < 20)
     again, resumed = sample(eq12_fit, **choices, checkpoint=file, resume=True)
     assert_same(resumed, whole)
     assert again.posterior == result.posterior
@@ -181,9 +180,9 @@ def test_resuming_nothing_is_a_first_run(eq12_fit, short, tmp_path):
 
 
 def test_checkpoints_are_written_from_the_first_step_on(eq12_fit, tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint, "_EVERY", 0.0)
+    monkeypatch.setattr(sampling, "_EVERY", 0.0)
     clock = (0.001 * tick for tick in count())  # a write takes 1 ms; the steps are still quicker
-    monkeypatch.setattr(checkpoint, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(sampling, "monotonic", lambda: next(clock))
     kept = []
     real = chain.Chain.save
 
@@ -250,9 +249,9 @@ def test_a_chain_of_another_version_or_fit_is_refused(saved, monkeypatch):
     replace(fit, parameters=moved).save(saved / "fit.json")
     assert "not the same least-squares result" in refused(saved)
     fit.save(saved / "fit.json")
-    replace(stored, subject={}, state=None).save(saved / "chain.h5")
+    replace(stored, subject={}, random_state=None).save(saved / "chain.h5")
     assert "not the same data" in refused(saved)
-    replace(stored, state=None).save(saved / "chain.h5")
+    replace(stored, random_state=None).save(saved / "chain.h5")
     with pytest.raises(DataError, match="the sampler's state is not in it"):
         sample(fit, seed=2, checkpoint=saved / "chain.h5", resume=True)
     (saved / "chain.h5").write_bytes(b"half a file")

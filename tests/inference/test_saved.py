@@ -327,11 +327,10 @@ def test_a_chain_is_of_its_fit_wherever_it_is_read(eq12_posterior, tmp_path):
 @pytest.mark.parametrize(
     ("name", "shape", "said"),
     [
-        ("mcmc/chain", (10**7, 128, 10), "its numbers are not in the file"),
-        ("mcmc/chain", (10**7,), "not enough values"),
-        ("mcmc/log_prob", (10**7, 128), "found, expected"),
-        ("mcmc/accepted", (10**9,), "found, expected"),
-        ("sampler/coords", (10**9, 9), "found, expected"),
+        ("ensemble-0/chain", (10**7, 32, 10), "its numbers are not in the file"),
+        ("ensemble-0/chain", (10**7,), "not enough values"),
+        ("ensemble-1/log_prob", (10**7, 32), "found, expected"),
+        ("ensemble-3/accepted", (10**9,), "found, expected"),
     ],
 )
 def test_a_chain_is_as_large_as_its_file(eq12_posterior, tmp_path, name, shape, said):

@@ -35,27 +35,6 @@ _LEVELS = (0.025, 0.16, 0.84, 0.975)
 _DIGEST = "#"  # first character of a digest of numbers too many to be shown
 
 
-@dataclass(frozen=True)
-class SamplerState:
-    """State of the sampler after the last step of a chain: all that later steps depend on.
-
-    Attributes
-    ----------
-    coords : of the walkers in the sampler's coordinates, shape (walkers, free parameters).
-    random : the state of numpy's `RandomState`, as its `get_state` gives it.
-    left : steps left in the current block; convergence is tested after each block.
-    mostly_ridge : whether most proposals are made along the ridge.
-    proposed, accepted : ridge proposals made and accepted.
-    """
-
-    coords: Floats
-    random: tuple[Any, ...]
-    left: int
-    mostly_ridge: bool
-    proposed: int
-    accepted: int
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Chain(Displayed):
     """A posterior sample.
@@ -66,7 +45,9 @@ class Chain(Displayed):
     values : shape (steps, walkers, parameters). log_posterior : shape (steps, walkers).
     accepted : number of accepted proposals by walker. discarded : number of initial steps left out.
     ensembles : number of ensembles of equally many walkers. seed : of the run.
-    subject : what was sampled, see `subject_of`. state : of the sampler, for resuming.
+    subject : what was sampled, see `subject_of`.
+    random_state : of numpy's `RandomState` after the last step, for resuming; None where unknown.
+    mostly_ridge : whether most proposals are made along the ridge.
     fit : the one that was sampled; None where the chain was read from a file.
 
     Examples
@@ -88,13 +69,19 @@ class Chain(Displayed):
     ensembles: int
     seed: int
     subject: dict[str, str] = field(default_factory=dict)
-    state: SamplerState | None = None
+    random_state: tuple[Any, ...] | None = None
+    mostly_ridge: bool = True
     fit: FitResult | None = field(default=None, compare=False)
 
     @property
     def flat(self) -> Floats:
         """The kept samples, shape (samples, parameters)."""
         return self.values[self.discarded :].reshape(-1, len(self.names))
+
+    @property
+    def acceptance(self) -> float:
+        """Fraction of proposals accepted."""
+        return float(self.accepted.mean() / max(len(self.values) - 1, 1))
 
     def of(self, weights: dict[str, float]) -> Floats:
         """Samples of a combination of parameters."""
@@ -211,8 +198,9 @@ class Chain(Displayed):
         return inference_data(chain.fit, self.kept, lp, draws=draws, seed=seed)
 
     def save(self, file: str | PathLike[str], *, compressed: bool = True) -> None:
-        """Write `chain.h5` atomically: the layout of emcee's HDF backend, with curlfit's own
-        attributes. Without compression it takes a tenth of the time and twice the space."""
+        """Write `chain.h5` atomically: a group for each ensemble, which emcee's `HDFBackend` opens,
+        and curlfit's own attributes. Without compression it takes a tenth of the time and twice the
+        space."""
         import h5py
 
         # Made in memory: HDF5 does not recover from a full disk.
@@ -223,36 +211,28 @@ class Chain(Displayed):
             temporary.write_bytes(image.getvalue())
 
     def _write(self, out: Any, how: dict[str, Any]) -> None:
-        group = out.create_group("mcmc")
-        steps, walkers, dimension = self.values.shape
-        group.attrs.update(
-            version=version_of("emcee"),
-            nwalkers=walkers,
-            ndim=dimension,
-            has_blobs=False,
-            iteration=steps,
-        )
-        group.create_dataset("chain", data=self.values, **how)
-        group.create_dataset("log_prob", data=self.log_posterior)
-        group.create_dataset("accepted", data=self.accepted)
         out.attrs.update(
             curlfit=__version__,
             names=list(self.names),
             discarded=self.discarded,
-            ensembles=self.ensembles,
             seed=self.seed,
             subject=json.dumps(self.subject),
+            mostly_ridge=self.mostly_ridge,
         )
-        if self.state is not None:
-            for place, item in enumerate(self.state.random):
+        series = self.values, self.log_posterior, self.accepted[None]
+        split = [np.split(each, self.ensembles, axis=1) for each in series]
+        for number, (values, log_posterior, accepted) in enumerate(zip(*split, strict=True)):
+            group = out.create_group(f"ensemble-{number}")
+            steps, walkers, dimension = values.shape
+            group.attrs.update(
+                version=version_of("emcee"), iteration=steps, nwalkers=walkers, ndim=dimension,
+                has_blobs=False,
+            )  # fmt: skip
+            group.create_dataset("chain", data=values, **how)
+            group.create_dataset("log_prob", data=log_posterior)
+            group.create_dataset("accepted", data=accepted[0])
+            for place, item in enumerate(self.random_state or ()):
                 group.attrs[f"random_state_{place}"] = item
-            kept = out.create_group("sampler")
-            kept.create_dataset("coords", data=self.state.coords)
-            kept.attrs.update({name: getattr(self.state, count) for name, count in _COUNTS.items()})
-
-
-_COUNTS = {"left": "left", "bold": "mostly_ridge", "tried": "proposed", "taken": "accepted"}
-"""Attributes of `chain.h5` and the fields of the state that they hold."""
 
 
 def load_chain(file: str | PathLike[str], fit: FitResult | None = None) -> Chain:
@@ -264,7 +244,8 @@ def load_chain(file: str | PathLike[str], fit: FitResult | None = None) -> Chain
 
     Raises
     ------
-    DataError : the file is missing or not valid, or the chain is of another fit.
+    DataError : the file is missing, not valid or of an earlier version, or the chain is of another
+        fit.
 
     Examples
     --------
@@ -277,13 +258,21 @@ def load_chain(file: str | PathLike[str], fit: FitResult | None = None) -> Chain
         raise DataError("no such file", file=path)
     import h5py
 
+    chain = None
     try:
         with h5py.File(path, "r") as stored:
-            chain = _read_chain(stored)
+            if "mcmc" not in stored:
+                chain = _read_chain(stored)
     except (
         OSError, LookupError, ValueError, TypeError, AttributeError, RuntimeError, OverflowError
     ) as error:  # fmt: skip
         raise DataError(f"not a chain.h5 of curlfit ({error})", file=path) from None
+    if chain is None:
+        raise DataError(
+            "written by an earlier version of curlfit; sample again with `curlfit fit FILE`, "
+            "without --resume",
+            file=path,
+        )
     try:
         return chain if fit is None else chain.with_fit(fit)
     except InputError as error:
@@ -292,26 +281,33 @@ def load_chain(file: str | PathLike[str], fit: FitResult | None = None) -> Chain
 
 def _read_chain(stored: Any) -> Chain:
     attrs, names = stored.attrs, tuple(map(str, stored.attrs["names"]))
-    steps, walkers, _ = stored["mcmc/chain"].shape
-    discarded, ensembles, seed = (int(attrs[name]) for name in ("discarded", "ensembles", "seed"))
-    if not (0 <= discarded <= steps and ensembles > 0 and walkers and walkers % ensembles == 0):
-        raise ValueError(f"{walkers} walkers of {steps} steps in {ensembles} ensembles")
+    groups = [stored[f"ensemble-{number}"] for number in range(len(stored))]
+    steps, walkers, dimension = groups[0]["chain"].shape
+    if not (0 <= int(attrs["discarded"]) <= steps and walkers and dimension == len(names)):
+        raise ValueError(f"{walkers} walkers of {steps} steps, {attrs['discarded']} discarded")
+
+    def joined(name: str, *shape: int, kind: str = "f") -> Any:
+        return np.concatenate([_numbers(group, name, shape, kind) for group in groups], -1)
+
     return Chain(
         names=names,
-        values=_numbers(stored, "mcmc/chain", (steps, walkers, len(names))),
-        log_posterior=_numbers(stored, "mcmc/log_prob", (steps, walkers)),
-        accepted=_numbers(stored, "mcmc/accepted", (walkers,), "i"),
-        discarded=discarded,
-        ensembles=ensembles,
-        seed=seed,
+        values=np.concatenate(
+            [_numbers(group, "chain", (steps, walkers, dimension)) for group in groups], 1
+        ),
+        log_posterior=joined("log_prob", steps, walkers),
+        accepted=joined("accepted", walkers, kind="i"),
+        discarded=int(attrs["discarded"]),
+        ensembles=len(groups),
+        seed=int(attrs["seed"]),
         subject=structured(json.loads(attrs["subject"]), dict[str, str]),
-        state=_state(stored, walkers) if "sampler" in stored else None,
+        random_state=_random_state(groups[0].attrs),
+        mostly_ridge=attrs["mostly_ridge"].item(),
     )
 
 
-def _numbers(stored: Any, name: str, shape: tuple[int, ...], kind: str = "f") -> Any:
+def _numbers(group: Any, name: str, shape: tuple[int, ...], kind: str = "f") -> Any:
     """The numbers of a dataset, checked before memory is taken for them."""
-    data = stored[name]
+    data = group[name]
     if data.shape != shape or data.dtype.kind != kind:
         raise ValueError(f"{name}: {data.dtype} {data.shape} found, expected {shape}")
     if data.is_virtual or data.external or data.nbytes > _COMPRESSED * data.id.get_storage_size():
@@ -319,15 +315,12 @@ def _numbers(stored: Any, name: str, shape: tuple[int, ...], kind: str = "f") ->
     return data[:]
 
 
-def _state(stored: Any, walkers: int) -> SamplerState:
-    random = [stored["mcmc"].attrs[f"random_state_{place}"] for place in range(5)]
-    kept = stored["sampler"]
-    state = SamplerState(
-        coords=_numbers(stored, "sampler/coords", (walkers, kept["coords"].shape[1])),
-        random=(str(random[0]), random[1], int(random[2]), int(random[3]), float(random[4])),
-        **{count: kept.attrs[name].item() for name, count in _COUNTS.items()},
-    )
-    np.random.RandomState().set_state(state.random)
+def _random_state(attrs: Any) -> tuple[Any, ...] | None:
+    if "random_state_0" not in attrs:
+        return None
+    name, key, *rest = (attrs[f"random_state_{place}"] for place in range(5))
+    state = (str(name), key, *(item.item() for item in rest))
+    np.random.RandomState().set_state(state)  # raises an error where it is none
     return state
 
 

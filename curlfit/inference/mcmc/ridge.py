@@ -1,30 +1,103 @@
-"""Proposals and initial positions of walkers along the ridge of a fit's optimum."""
+"""Independent proposals along the ridge of a fit's optimum.
+
+Along a null direction the posterior is as wide as the prior, and a random walk takes very long from
+one end to the other. These proposals need no walk: from a Student distribution about the optimum
+along the determined directions, and uniform over the prior along the null directions.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from curlfit.errors import UnusableFitError
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import directions
-from curlfit.inference.mcmc.proposals import Indices, RidgeMove
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import join_words
 
+Indices = NDArray[np.int64]
+
 _MARGIN = 4.0  # standard errors by which the proposal extends beyond the ridge's ends
+_DEGREES = 8.0  # of freedom of the Student distribution: heavier tails than any Gaussian posterior
 
 
-def ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
+@dataclass(frozen=True)
+class RidgeProposal:
+    """Student along determined directions, uniform along null directions, exponential away from the
+    bounds that parameters are pushed against.
+
+    Coordinates are linear in `z = (values - centre)/typical`: determined combinations of it, for
+    each null direction one parameter that takes part in it (a pivot), and each pushed parameter.
+
+    Attributes
+    ----------
+    centre, typical : of the parameters, shape (p,).
+    seen : rows of determined combinations, shape (r, p). spread : their standard deviations.
+    pivots : indices of the pivots. low, high : their intervals, in `z`.
+    pushed : indices of the pushed parameters. scale : mean distance from the bound in `z`, signed.
+    """
+
+    centre: Floats
+    typical: Floats
+    seen: Floats
+    spread: Floats
+    pivots: Indices
+    low: Floats
+    high: Floats
+    pushed: Indices
+    scale: Floats
+
+    @cached_property
+    def _inverse(self) -> Floats:
+        unit = np.eye(len(self.centre))
+        return np.linalg.inv(np.concatenate([self.seen, unit[self.pivots], unit[self.pushed]]))
+
+    def draw(self, n: int, random: Any, *, gaussian: bool = False) -> Floats:
+        """n parameter vectors, shape (n, p); Student or `gaussian` along determined directions."""
+        along = self.spread * random.standard_normal((n, len(self.seen)))
+        if not gaussian:
+            along *= np.sqrt(_DEGREES / random.chisquare(_DEGREES, (n, 1)))
+        across = self.low + (self.high - self.low) * random.uniform(size=(n, len(self.pivots)))
+        off = self.scale * random.standard_exponential((n, len(self.pushed)))
+        z = np.concatenate([along, across, off], 1) @ self._inverse.T
+        draws: Floats = self.centre + self.typical * z
+        return draws
+
+    def log_density(self, values: Floats) -> Floats:
+        """Log-density of the proposal up to a constant, shape (n,)."""
+        z = (values - self.centre) / self.typical
+        along = z @ self.seen.T / self.spread
+        rank = len(self.seen)
+        value = -(_DEGREES + rank) / 2 * np.log1p((along**2).sum(1) / _DEGREES)
+        across, off = z[:, self.pivots], z[:, self.pushed] / self.scale
+        within = ((across >= self.low) & (across <= self.high)).all(1) & (off >= 0).all(1)
+        return np.where(within, value - off.sum(1), -np.inf)
+
+    def propose(self, coords: Floats, random: Any) -> tuple[Floats, Floats]:
+        """Proposals for emcee's Metropolis-Hastings move, and the log of their factors in its
+        ratio."""
+        new, back = self.draw(len(coords), random), self.log_density(coords)
+        # A walker outside the support of the proposal can only be moved by the other moves.
+        reachable = np.isfinite(back)
+        return new, np.where(
+            reachable, np.where(reachable, back, 0) - self.log_density(new), -np.inf
+        )
+
+
+def ridge_proposal(fit: FitResult) -> RidgeProposal:
     """The proposal from the estimates and information matrix of a fit."""
     parameters = fit.parameter_set
     free = parameters.free
     typical = parameters.typical[free]
-    centre = (fit.values - offset)[free]
-    lower = ((parameters.lower - offset)[free] - centre) / typical
-    upper = ((parameters.upper - offset)[free] - centre) / typical
+    centre = fit.values[free]
+    lower = (parameters.lower[free] - centre) / typical
+    upper = (parameters.upper[free] - centre) / typical
     information = typical[:, None] * np.array(fit.information["matrix"]) * typical
     gradient = np.array(fit.information["gradient"]) * typical
     verdicts = [fit.parameters[name].verdict for name in fit.information["names"]]
@@ -48,7 +121,7 @@ def ridge_move(fit: FitResult, offset: Floats) -> RidgeMove:
     curvature = np.diag(information)[pushed] - ((rows[:, pushed] * singular[:, None]) ** 2).sum(0)
     push = np.abs(gradient[pushed]) + np.sqrt(np.maximum(curvature, 0.0))
     off = -np.sign(gradient[pushed]) / push
-    return RidgeMove(centre, typical, rows, spread, pivots, low, high, pushed, off)
+    return RidgeProposal(centre, typical, rows, spread, pivots, low, high, pushed, off)
 
 
 def _pivots(
@@ -81,11 +154,6 @@ def _pivots(
 
 def _extent(along: Floats, walls: Floats, room: Floats) -> tuple[float, float]:
     """Least and greatest `along @ z` of all z with `walls @ z <= room`."""
-    if len(along) == 1:  # by far the most common, and scipy's optimizers are slow to load
-        slope, product = walls[:, 0], along[0] * walls[:, 0]
-        limits = along[0] * room[product != 0] / slope[product != 0]
-        product = product[product != 0]
-        return float(limits[product < 0].max()), float(limits[product > 0].min())
     from scipy.optimize import linprog
 
     least, greatest = (
@@ -95,7 +163,7 @@ def _extent(along: Floats, walls: Floats, room: Floats) -> tuple[float, float]:
 
 
 def first_walkers(
-    move: RidgeMove,
+    proposal: RidgeProposal,
     log_prob: Callable[[Floats], Floats],
     walkers: int,
     lower: Floats,
@@ -105,7 +173,7 @@ def first_walkers(
     """Initial positions of walkers drawn from the proposal, with finite posterior."""
     found: list[Floats] = []
     for _ in range(50):
-        coords = move.draw(walkers, random)
+        coords = proposal.draw(walkers, random)
         # Near a bound a proposal falls outside half the time; reflect it back.
         folded = np.where(coords < lower, 2 * lower - coords, coords)
         folded = np.where(folded > upper, 2 * upper - folded, folded)

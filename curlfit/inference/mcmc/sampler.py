@@ -6,14 +6,187 @@ from collections.abc import Callable
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
+from time import monotonic
+from typing import Any
 
-from curlfit.errors import InputError
+import emcee
+import numpy as np
+from emcee.moves import DEMove, MHMove, RedBlueMove, StretchMove
+
+from curlfit.errors import DataError, InputError
+from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult, require_fit
-from curlfit.inference.mcmc.chain import Chain, load_chain
-from curlfit.inference.mcmc.checkpoint import CheckpointWriter
-from curlfit.inference.mcmc.run import Run
-from curlfit.inference.mcmc.summary import summarised
+from curlfit.inference.likelihood import log_posterior
+from curlfit.inference.mcmc.chain import Chain, load_chain, require_same, subject_of
+from curlfit.inference.mcmc.ridge import first_walkers, ridge_proposal
+from curlfit.inference.mcmc.summary import (
+    diagnosis_of,
+    is_test_due,
+    steps_to_discard,
+    summarised,
+)
+from curlfit.inference.model import Model
+from curlfit.inference.parameters import ParameterSet
+from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Floats
+from curlfit.numerics.batches import in_batches
+
+ENSEMBLES = 4
+_MOSTLY_RIDGE = (0.8, 0.1, 0.1)  # shares: ridge, stretch, differential evolution
+_MOSTLY_ENSEMBLE = (0.2, 0.4, 0.4)  # the same where few ridge proposals are accepted
+_LEAST_ACCEPTANCE = 0.25  # of all proposals, where fewer than a fifth along the ridge are accepted
+_JITTER = 0.1  # relative standard deviation of the steps of differential evolution
+_EVERY = 2.0  # least time between two checkpoints, s
+_SHARE = 50  # of the time, in which checkpoints are written once
+
+
+class SideBySide(RedBlueMove):
+    """A move of emcee in several independent ensembles, evaluated in one call."""
+
+    def __init__(self, move: Any) -> None:
+        super().__init__(randomize_split=False)  # halves of each ensemble
+        self.move, self.setup = move, move.setup
+
+    def get_proposal(self, s: Floats, c: list[Floats], random: Any) -> tuple[Floats, Floats]:
+        """Proposals for one half of each ensemble along lines through its other half."""
+        halves = zip(np.split(s, ENSEMBLES), np.split(c[0], ENSEMBLES), strict=True)
+        each = [self.move.get_proposal(moving, [other], random) for moving, other in halves]
+        coords, factors = zip(*each, strict=True)
+        return np.concatenate(coords), np.concatenate(factors)
+
+
+def prepare_sampling(model: Model, parameters: ParameterSet, problem: Problem) -> None:
+    """Start to compile what sampling of a problem needs."""
+    log_posterior.prepare(
+        model, np.zeros((_walkers(parameters) // 2, len(parameters))), parameters.lower,
+        parameters.upper, problem, parameters.penalty,
+    )  # fmt: skip
+
+
+def _walkers(parameters: ParameterSet) -> int:
+    return ENSEMBLES * max(32, 4 * ((2 * int(parameters.free.sum()) + 3) // 4))
+
+
+class _Run:
+    """An unfinished chain. It may be interrupted at any point: completed steps are kept."""
+
+    def __init__(self, fit: FitResult, seed: int) -> None:
+        self.seed, self.subject = seed, subject_of(fit, seed)
+        parameters = self._parameters = fit.parameter_set
+        self._values, self._model, self.free = fit.values, fit.model, parameters.free
+        self._problem, origin = problem_of(fit)
+        self._offset = origin.offset(len(parameters))
+        local = parameters.shifted(-self._offset)
+        self._posterior = local.lower, local.upper, self._problem, local.penalty
+        self._proposal = ridge_proposal(fit)
+        self._walkers = _walkers(parameters)
+        self._interrupted = False
+        self._first: Any = None
+        self._steps: list[Any] = []
+        self._next_write = -np.inf
+        self.choose_moves(mostly_ridge=True)
+
+    def choose_moves(self, *, mostly_ridge: bool) -> None:
+        """Rely on proposals along the ridge, or on the ensemble moves."""
+        self.mostly_ridge = mostly_ridge
+        ridge = MHMove(self._proposal.propose)
+        others = SideBySide(StretchMove()), SideBySide(DEMove(sigma=_JITTER))
+        shares = _MOSTLY_RIDGE if mostly_ridge else _MOSTLY_ENSEMBLE
+        self._sampler = emcee.EnsembleSampler(
+            self._walkers,
+            int(self.free.sum()),
+            self._log_prob,
+            vectorize=True,
+            moves=list(zip((ridge, *others), shares, strict=True)),
+        )
+
+    @property
+    def steps(self) -> int:
+        """Number of steps done."""
+        return len(self._steps)
+
+    def resume(self, file: Path) -> None:
+        """Resume where a stored chain ended. Raises `DataError` if that is not possible."""
+        chain = load_chain(file)
+        require_same(chain.subject, self.subject, file)
+        if chain.random_state is None or not len(chain.values):
+            raise DataError("cannot be resumed: the sampler's state is not in it", file=file)
+        self.choose_moves(mostly_ridge=chain.mostly_ridge)
+        self._steps = list(map(emcee.State, chain.values[..., self.free], chain.log_posterior))
+        self._steps[-1].random_state = chain.random_state
+
+    def begin(self) -> None:
+        """Find initial positions of the walkers, unless a chain is resumed."""
+        if self._steps:
+            return
+        random = np.random.RandomState(self.seed)  # emcee accepts no other
+        ends = self._parameters.lower[self.free], self._parameters.upper[self.free]
+        coords = first_walkers(self._proposal, self._log_prob, self._walkers, *ends, random)
+        log_prob, state = self._log_prob(coords), random.get_state()
+        self._first = emcee.State(coords, log_prob=log_prob, random_state=state)
+        self._raise_if_interrupted()
+
+    def start_over(self) -> None:
+        """Discard the steps so far as burn-in, and rely on the ensemble moves."""
+        self._first = self._steps[-1]
+        self._steps = []
+        self.choose_moves(mostly_ridge=False)
+
+    def step(self) -> None:
+        """Do one step of all walkers."""
+        last = self._steps[-1] if self._steps else self._first
+        state = self._sampler.run_mcmc(last, 1, store=False, skip_initial_state_check=True)
+        self._raise_if_interrupted()
+        self._steps.append(state)  # atomic: an interrupt leaves a valid chain
+        last.random_state = None  # only the last is needed
+
+    def chain(self) -> Chain:
+        """The chain of the steps so far."""
+        values = self._whole(np.stack([state.coords for state in self._steps]))
+        return Chain(
+            names=self._parameters.names,
+            values=values,
+            log_posterior=np.stack([state.log_prob for state in self._steps]),
+            accepted=np.any(np.diff(values, axis=0) != 0, axis=2).sum(0),
+            discarded=steps_to_discard(len(values)),
+            ensembles=ENSEMBLES,
+            seed=self.seed,
+            subject=self.subject,
+            random_state=self._steps[-1].random_state,
+            mostly_ridge=self.mostly_ridge,
+        )
+
+    def write_if_due(self, file: Path | None) -> None:
+        """Write a checkpoint if one is due."""
+        now = monotonic()
+        if file is None or now < self._next_write:
+            return
+        self.chain().save(file, compressed=False)
+        after = monotonic()
+        self._next_write = after + max(_EVERY, _SHARE * (after - now))
+
+    def _whole(self, free_values: Floats) -> Floats:
+        values = np.tile(self._values, (*free_values.shape[:-1], 1))
+        values[..., self.free] = free_values
+        return values
+
+    def _log_posterior(self, values: Floats) -> Any:
+        return log_posterior(self._model, values, *self._posterior)
+
+    def _log_prob(self, free_values: Floats) -> Floats:
+        values = self._whole(free_values) - self._offset
+        try:
+            # Half of the walkers at a time, as ensemble moves need them.
+            return np.asarray(in_batches(self._log_posterior, (values,), self._walkers // 2))
+        except KeyboardInterrupt:
+            # emcee would print its own error message; this step is discarded.
+            self._interrupted = True
+            return np.full(len(values), -np.inf)
+
+    def _raise_if_interrupted(self) -> None:
+        if self._interrupted:
+            raise KeyboardInterrupt
 
 
 def sample(
@@ -62,23 +235,23 @@ def sample(
     True
     """
     require_fit(fit)
-    run = Run(fit, seed)
+    run = _Run(fit, seed)
     file = None if checkpoint is None else Path(checkpoint)
     if resume:
         if file is None:
             raise InputError("resume: expected a checkpoint to resume from")
         if file.exists():
-            run.resume(load_chain(file), file)
-    checkpoints = CheckpointWriter(file)
+            run.resume(file)
     ended, diagnosis = "stopped by the user", None
     try:
         run.begin()
         while True:
-            if run.block_is_over:
-                if run.ridge_proposals_fail:
+            if is_test_due(run.steps):
+                chain = run.chain()
+                if run.mostly_ridge and chain.acceptance < _LEAST_ACCEPTANCE:
                     run.start_over()
                     continue
-                diagnosis = run.diagnosis()
+                diagnosis = diagnosis_of(chain, run.free)
                 if progress is not None:
                     progress(diagnosis.least_effective, run.steps, diagnosis.worst_r_hat)
                 if diagnosis.good(effective):
@@ -87,8 +260,8 @@ def sample(
                 if run.steps >= most_steps:
                     ended = f"not converged after {run.steps} steps"
                     break
-            for _ in run.block():
-                checkpoints.write_if_due(run)
+            run.step()
+            run.write_if_due(file)
     except KeyboardInterrupt:
         if run.steps < 4:
             raise
