@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from curlfit.numerics.arrays import Floats
+from curlfit.throws.channels import scatter
 from curlfit.throws.readers.axes import AmbiguousTurnError, unwrap
 from curlfit.throws.readers.parsed_file import ParsedFile
-from curlfit.throws.throw import scatter
 
 _FARTHEST = 0.3  # m; the stone's diameter is 0.29 m
 
@@ -17,7 +17,6 @@ def add_angle_of_mark(
     t: Floats,
     columns: dict[str, Floats],
     mark: tuple[Floats, Floats],
-    notes: list[str],
 ) -> None:
     """Add phi and sigma_phi from the direction from the stone's position to the mark.
 
@@ -71,7 +70,7 @@ def add_angle_of_mark(
         if noise > 0:
             columns["sigma_phi"] = np.full(len(t), noise / typical)
         how = f"from the scatter of that length, {1000 * noise:.2g} mm"
-    notes.append(
+    parsed.notes.append(
         f"phi is the direction of the mark, {1000 * typical:.3g} mm from the stone's position"
         + (
             f"; its sigma, {float(np.nanmedian(columns['sigma_phi'])):.2g} rad, {how}"
