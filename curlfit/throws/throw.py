@@ -112,19 +112,13 @@ class Throw(Displayed):
             bad = ~(np.isfinite(values) & (values > 0)) & np.isfinite(getattr(self, name))
             if bad.any():
                 row = int(np.argmax(bad))
-                raise self._error(
-                    f"{values[row]} found, expected a positive standard deviation",
-                    row,
-                    f"sigma_{name}",
-                )
+                fault = f"{values[row]} found, expected a positive standard deviation"
+                raise self._error(fault, row, f"sigma_{name}")
         late = self.t[1:] <= self.t[:-1]
         if late.any():
             row = int(np.argmax(late)) + 1
-            fault = (
-                "is repeated"
-                if self.t[row] == self.t[row - 1]
-                else f"follows {self.t[row - 1]:g} s"
-            )
+            before = self.t[row - 1]
+            fault = "is repeated" if self.t[row] == before else f"follows {before:g} s"
             raise self._error(
                 f"time {self.t[row]:g} s {fault}; times must increase from row to row "
                 "(`Throw.from_frame` sorts rows)",
@@ -163,26 +157,25 @@ class Throw(Displayed):
         """
         require_kind(sigma or {}, Mapping, "sigma", "a mapping by channel, such as {'x': 0.005}")
         t = np.asarray(t, float)
-        if units or axes:
-            given_columns = {"t": t, "x": x, "y": y, "phi": phi, "speed": speed, "omega": omega}
-            given_columns |= {f"sigma_{name}": v for name, v in (sigma or {}).items()}
-            filled = {
-                name: np.broadcast_to(np.asarray(values, float), t.shape)
-                for name, values in given_columns.items()
-                if values is not None
-            }
-            own = {"name": more["name"]} if "name" in more else {}
-            return replace(cls.from_frame(filled, units=units, axes=axes, **own), **more)
-        given = {
-            channel: np.broadcast_to(np.asarray(values, float), t.shape)
-            for channel, values in (sigma or {}).items()
-        }
         channels = {"x": x, "y": y, "phi": phi, "speed": speed, "omega": omega}
         arrays: dict[str, Any] = {
-            name: np.full_like(t, np.nan) if values is None else np.asarray(values, float)
+            name: np.asarray(values, float)
             for name, values in channels.items()
+            if values is not None
         }
-        return cls(t=t, **arrays, sigma=given, **more)
+        given = {
+            name: np.broadcast_to(np.asarray(values, float), t.shape)
+            for name, values in (sigma or {}).items()
+        }
+        if units or axes:
+            columns = {name: np.broadcast_to(values, t.shape) for name, values in arrays.items()}
+            columns |= {f"sigma_{name}": values for name, values in given.items()}
+            own = {"name": more["name"]} if "name" in more else {}
+            return replace(
+                cls.from_frame({"t": t, **columns}, units=units, axes=axes, **own), **more
+            )
+        blank = {name: np.full_like(t, np.nan) for name in CHANNELS}
+        return cls(t=t, **blank | arrays, sigma=given, **more)
 
     @classmethod
     def from_events(
@@ -348,10 +341,7 @@ class Throw(Displayed):
         rest_block = max(block, -(-(n - rest) // _REST_ROWS))  # not noisier than the others
         pieces = [(0, rest, -(-rest // block)), (rest, n, -(-(n - rest) // rest_block))]
         starts = np.concatenate(
-            [
-                np.linspace(low, high, count, endpoint=False).astype(int)
-                for low, high, count in pieces
-            ]
+            [np.linspace(*piece, endpoint=False).astype(int) for piece in pieces]
         )
 
         def mean(values: Floats) -> Floats:
@@ -380,14 +370,10 @@ class Throw(Displayed):
         # A deceleration a = 0.2 m/s^2, twice the usual, displaces a mean over T by a T^2/24.
         bend = 0.2 * (block * step) ** 2 / 24
         note += f"; means of moving rows lie off the path by some {bend:.1g} m, which is negligible"
+        means: dict[str, Any] = {name: mean(getattr(self, name)) for name in ("t", *CHANNELS)}
         return replace(
             self,
-            t=mean(self.t),
-            x=mean(self.x),
-            y=mean(self.y),
-            phi=mean(self.phi),
-            speed=mean(self.speed),
-            omega=mean(self.omega),
+            **means,
             sigma=of_means(self.sigma),
             relative_sigma=of_means(self.relative_sigma),
             lines=None if self.lines is None else self.lines[starts],
@@ -452,11 +438,9 @@ class Throw(Displayed):
         if not sigma:
             return self
         filled = {name: np.full_like(self.t, sigma[name]) for name in CHANNELS if name in sigma}
+        timed: dict[str, Any] = {"sigma": sigma["time"]} if "time" in sigma else {}
         events = tuple(
-            replace(event, sigma=sigma["time"])
-            if event.quantity == "time" and "time" in sigma
-            else event
-            for event in self.events
+            replace(event, **timed) if event.quantity == "time" else event for event in self.events
         )
         return replace(self, sigma={**self.sigma, **filled}, events=events)
 

@@ -254,6 +254,10 @@ def test_a_mapping_and_what_is_no_table():
         Throw.from_frame(3)
     with pytest.raises(DataError, match="different lengths"):
         Throw.from_frame({"t": T, "x": X[:-1], "y": Y})
+    with pytest.raises(InputError, match="--shot: table is a table file and holds no shots"):
+        Throw.from_frame({"t": T, "x": X, "y": Y}, shot=2)
+    with pytest.raises(InputError, match="reference = 3: expected a name of a file"):
+        Throw.from_frame({"t": T, "x": X, "y": Y}, reference=3)
 
 
 # Axes

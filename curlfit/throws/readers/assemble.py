@@ -67,7 +67,7 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
         parsed.notes.append("y from the hack")
     relative = {name: columns.pop(f"sigma_{name}") for name in unknown}
     if len(mark) == 2:
-        add_angle_of_mark(parsed, columns["t"], columns, convention.to_sheet(mark[0], mark[1]))
+        add_angle_of_mark(parsed, columns, convention.to_sheet(mark[0], mark[1]))
     return common | {
         **{name: columns.get(name) for name in ("t", *CHANNELS)},
         "sigma": {c: columns[f"sigma_{c}"] for c in CHANNELS if f"sigma_{c}" in columns},
@@ -246,7 +246,7 @@ def _in_metres(
 ) -> tuple[Floats | None, tuple[str, ...]]:
     """Positions in pixels as metres; returns as `pixels_to_metres`."""
     if {"u", "v"} & columns.keys():
-        return pixels_to_metres(parsed, columns["t"], columns, reference, convention)
+        return pixels_to_metres(parsed, columns, reference, convention)
     if reference is not None:
         raise InputError(
             f"--reference {reference}: {parsed.source} has no positions in pixels (columns u, v "

@@ -16,7 +16,6 @@ _BLOCK, _MOST_BLOCKS = 10, 50  # rows of a block, at least, and blocks
 
 def pixels_to_metres(
     parsed: ParsedFile,
-    t: Floats,
     columns: dict[str, Floats],
     reference: str | None,
     convention: AxisConvention,
@@ -53,7 +52,7 @@ def pixels_to_metres(
     columns["x"], columns["y"] = x, y
     if "x_mark" in columns:
         columns["x_mark"], columns["y_mark"] = plane(columns["x_mark"], columns["y_mark"])
-    sizes = plane.jacobian(*_smooth(t, u, v))
+    sizes = plane.jacobian(*_smooth(columns["t"], u, v))
     sizes = np.where(np.isfinite(sizes), sizes, plane.jacobian(u, v))
     unknown = not {"sigma_u", "sigma_v"} <= columns.keys()
     noise = [columns.pop(f"sigma_{axis}", np.ones_like(u)) for axis in ("u", "v")]
