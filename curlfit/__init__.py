@@ -72,7 +72,7 @@ if TYPE_CHECKING:
     from curlfit.profile_likelihood.report import print_profile
     from curlfit.profile_likelihood.result import PairProfile, Profile, load_profile
     from curlfit.stone import Stone
-    from curlfit.throws.readers import load_throw
+    from curlfit.throws.load import load_throw
     from curlfit.throws.synthetic import law_with, synthetic_throw
     from curlfit.throws.throw import Throw
 
@@ -113,7 +113,7 @@ _HOMES = {
     "prediction.result": ("Prediction", "load_prediction"),
     "profile_likelihood.result": ("PairProfile", "Profile", "load_profile"),
     "profile_likelihood.profile": ("profile",),
-    "throws.readers": ("load_throw",),
+    "throws.load": ("load_throw",),
     "inference.report": ("print_fit",),
     "comparison.report": ("print_comparison",),
     "optimal_design.report": ("print_design",),

@@ -26,7 +26,7 @@ from typing import NamedTuple
 from sample_files import SAMPLES, known_points
 
 from curlfit.cli import main
-from curlfit.throws.readers import FORMATS
+from curlfit.throws.load import FORMATS
 
 MOST_MB = 500
 _SECONDS = 10  # of a processor that a file may take

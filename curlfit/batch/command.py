@@ -71,7 +71,7 @@ def batch(
     from curlfit.batch.settings import BatchSettings, columns, found_files, usual_law
     from curlfit.batch.table import Table, settings_file
     from curlfit.errors import CurlfitError, InputError
-    from curlfit.throws.readers import states_sweeping
+    from curlfit.throws.load import states_sweeping
 
     if dask is not None and "://" not in dask:
         raise InputError(

@@ -10,7 +10,7 @@ from curlfit.batch.settings import QUANTILES, BatchSettings, columns
 from curlfit.errors import CurlfitError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
-from curlfit.throws.readers import Part, load_throws
+from curlfit.throws.load import Part, parts_of
 from curlfit.throws.throw import Throw
 
 
@@ -52,7 +52,7 @@ def _read(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list[tup
     found = []
     for file in map(str, files):
         try:
-            parts = load_throws(file, **plan.reading)
+            parts = parts_of(file, plan)
         except CurlfitError as error:
             parts = [Part(None, None, error)]
         found += [(file, part) for part in parts]

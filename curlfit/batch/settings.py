@@ -16,8 +16,7 @@ from curlfit.inference.parameters import ParameterSet
 from curlfit.settings.choices import SEED, Fitting, Reading
 from curlfit.settings.forms import SWITCH, option
 from curlfit.stone import Stone
-from curlfit.throws.readers import check_reader_options, format_of
-from curlfit.throws.readers.text import lines_of
+from curlfit.throws.load import check_reading, format_of
 from curlfit.throws.readers.timings import usual_law as law_of_timings
 from curlfit.throws.throw import check_sigma
 
@@ -48,17 +47,12 @@ class BatchSettings(Fitting, Reading):
         law = find_law(self.law)
         Stone().with_values(dict(self.stone))
         check_sigma(self.sigma)
-        check_reader_options(**self.reading)
+        check_reading(self)
         check_systematics(self.systematics)
         parameters = self.parameter_set()
         parameters.require("--start", self.start)
         check_derived(self.derive, parameters.names)
         return law
-
-    @property
-    def reading(self) -> dict[str, Any]:
-        """How files are read, as arguments of `load_throws`."""
-        return {name: getattr(self, name) for name in Reading.forms()}
 
     @property
     def fitting(self) -> dict[str, Any]:
@@ -104,7 +98,7 @@ def usual_law(file: str, format: str | None) -> str:
     """The law if none is given: for a stopwatch record, the one that its values determine."""
     try:
         if (format or format_of(file)) == "timings":
-            return law_of_timings(Path(file), lines_of(Path(file)))
+            return law_of_timings(Path(file))
     except CurlfitError:
         pass  # reported with the file
     return "front-back"

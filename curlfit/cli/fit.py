@@ -95,7 +95,7 @@ def fit(
         raise InputError("--resume continues sampling, and --no-sample skips it; give one of them")
     several = len(data) > 1
     if not several and reading.shot is None:
-        from curlfit.throws.readers import holds_timed_rows
+        from curlfit.throws.load import holds_timed_rows
 
         several = holds_timed_rows(data[0], reading.format)
     jobs = s.prepare_all(data, config, reading, flags) if several else {}

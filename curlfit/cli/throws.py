@@ -50,9 +50,8 @@ def check(
     """
     from curlfit.inference.parameters import FEWEST_ROWS
     from curlfit.throws.inspection import inspect_throw
+    from curlfit.throws.load import read, throw_of
     from curlfit.throws.plausibility import examine, require_plausible
-    from curlfit.throws.readers import read
-    from curlfit.throws.readers.assemble import assemble
 
     if out is not None:
         if out.suffix.lower() not in (".png", ".pdf", ".svg"):
@@ -60,11 +59,10 @@ def check(
         if not out.absolute().parent.is_dir():
             raise InputError(f"--out {out}: the folder {out.parent} does not exist")
     configured = s.read_config(config)
-    options = vars(Reading.of(configured, vars(reading))).copy()
-    axes, points, as_given = (options.pop(name) for name in ("axes", "reference", "as_given"))
-    parsed = read(data, **options, pixels=points is not None)
-    throw = assemble(parsed, axes=axes, reference=points and Path(points), as_given=as_given)
-    throw, chosen, _ = job = s.apply_settings(throw, configured, Modelling(**vars(rows)))
+    reading = Reading.of(configured, vars(reading))
+    parsed = read(data, reading)
+    job = s.apply_settings(throw_of(parsed, reading), configured, Modelling(**vars(rows)))
+    throw, chosen, _ = job
     cut = job.cut
     cut.require_motion()
     if out is not None and not throw.has_path:

@@ -84,7 +84,7 @@ def prepare(
     ------
     InputError : the data, a setting or a value cannot be used.
     """
-    from curlfit.throws.readers import load_throw
+    from curlfit.throws.load import load_throw
 
     configured = read_config(config)
     throw = load_throw(data, **vars(Reading.of(configured, vars(reading))))
@@ -124,7 +124,7 @@ def prepare_all(
     """
     from curlfit.errors import CurlfitError
     from curlfit.inference.joint.result import folder_name
-    from curlfit.throws.readers import holds_timed_rows, load_throws
+    from curlfit.throws.load import holds_timed_rows, parts_of
 
     names = [folder_name(file.name) for file in files]
     if len(set(names)) < len(names):
@@ -137,12 +137,12 @@ def prepare_all(
             )
     found = {}
     configured = read_config(config)
-    options = vars(Reading.of(configured, vars(reading)))
+    chosen = Reading.of(configured, vars(reading))
     for file, name in zip(files, names, strict=True):
         if not holds_timed_rows(file, reading.format):
             found[name] = prepare(file, config, reading, flags)
             continue
-        for part in load_throws(file, **options):
+        for part in parts_of(file, chosen):
             if isinstance(part.throw, CurlfitError):
                 raise part.throw
             found[folder_name(part.throw.name)] = apply_settings(part.throw, configured, flags)

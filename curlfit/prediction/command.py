@@ -116,7 +116,7 @@ def predict(
     result, chain = s.load_fit_and_chain(fit, law)
     throw = None
     if check is not None:
-        from curlfit.throws.readers import load_throw
+        from curlfit.throws.load import load_throw
 
         throw = load_throw(check, **vars(reading))
     console = output.console()

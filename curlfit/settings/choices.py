@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, fields
 from functools import cache
 from inspect import Parameter as Sign
 from inspect import signature
+from os import fspath
 from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar, get_type_hints
 
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
 else:  # values by name; cyclopts passes several words only to what is declared a collection
     Named = Collection[str]
 COUNT = whole(1)
+FILE = Form("a name of a file", lambda file: TEXT.checked("", fspath(file)), written="a word")
 LOAD = OneOf("load", ("uniform", "consistent"))
 LOSS = OneOf("loss", ("linear", "huber", "soft-l1", "cauchy", "student"))
 NOISE = OneOf("noise", ("white", "ar1", "discrepancy"), **{"ar1+discrepancy": "discrepancy"})
@@ -209,7 +211,7 @@ class Reading(Choices):
     reference: Annotated[
         str | None,
         option(
-            TEXT,
+            FILE,
             "Positions are in pixels: table of four or more known points u,v (pixels), x,y (m).",
             "POINTS.csv",
         ),
@@ -240,10 +242,6 @@ class Reading(Choices):
         bool,
         option(SWITCH, "Accept data that are implausible for a curling stone, with a warning."),
     ] = False
-
-    def arguments(self) -> dict[str, Any]:
-        """Arguments of `load_throw`."""
-        return dict(self)
 
 
 @Parameter(name="*")

@@ -110,21 +110,11 @@ def synthetic_throw(
     >>> len(made), made.reference.values["mu2_xi"]
     (5, 0.055)
     """
-    for name, value, least in (
-        ("v0", v0, 0.0), ("until", until, None), ("dt", dt, None),
-        ("noise-xy", noise_xy, 0.0), ("noise-phi", noise_phi, 0.0),
-    ):  # fmt: skip
-        if not math.isfinite(value) or (value <= 0 if least is None else value < least):
-            raise InputError(
-                f"{name} = {value:g}: expected a {'positive' if least is None else 'non-negative'} "
-                "number"
-            )
-    for name, value in (
-        ("omega0", omega0), ("heading", heading), ("x0", x0), ("y0", y0), ("phi0", phi0),
-        *(item for item in _conditions(environment).items()),
-    ):  # fmt: skip
-        if not math.isfinite(value):
-            raise InputError(f"{name} = {value}: expected a finite number")
+    _require_numbers(
+        {"until": until, "dt": dt}, {"v0": v0, "noise-xy": noise_xy, "noise-phi": noise_phi},
+        {"omega0": omega0, "heading": heading, "x0": x0, "y0": y0, "phi0": phi0}
+        | _conditions(environment),
+    )  # fmt: skip
     rows = math.floor(until / dt + 1e-9) + 1
     if not 2 <= rows <= _MOST_ROWS:
         raise InputError(f"until = {until:g} s in steps of {dt:g} s makes {rows} rows")
@@ -140,18 +130,9 @@ def synthetic_throw(
             f"law {law.name} with {load} load admits no motion from this start"
             + no_motion_because(load)
         )
-    energy = path.vx**2 + path.vy**2 + (stone.rho * path.omega) ** 2
-    if environment is None or not (environment.slope_x or environment.slope_y):
-        gains = np.flatnonzero(np.diff(energy) > _ENERGY_GAIN * energy[:-1])
-    else:  # gravity may add energy
-        gains = np.zeros(0, int)
     notes: tuple[str, ...] = ()
-    if len(gains):
-        first, most = t[gains[0]], t[int(np.argmax(energy))]
-        notes = (
-            f"friction drives the stone: its energy grows from t = {first:g} s on, at t = {most:g} "
-            f"s to {energy.max() / energy[0]:.3g} times its initial value, which is unphysical",
-        )
+    if environment is None or not (environment.slope_x or environment.slope_y):
+        notes = _of_energy(t, np.asarray(path.vx**2 + path.vy**2 + (stone.rho * path.omega) ** 2))
     random = np.random.default_rng(seed)
     names = [item.name for item in law.coefficients()]
     return Throw(
@@ -168,6 +149,31 @@ def synthetic_throw(
         ),
         defaults={"stone": stone.as_dict(), "load": checked}
         | ({} if law.origin else {"law": law.name}),
+    )
+
+
+def _require_numbers(
+    positive: Mapping[str, float], not_negative: Mapping[str, float], finite: Mapping[str, float]
+) -> None:
+    """Raise `InputError` for an impossible number."""
+    for name, value in {**positive, **not_negative}.items():
+        if not math.isfinite(value) or value < 0 or (name in positive and value == 0):
+            what = "positive" if name in positive else "non-negative"
+            raise InputError(f"{name} = {value:g}: expected a {what} number")
+    for name, value in finite.items():
+        if not math.isfinite(value):
+            raise InputError(f"{name} = {value}: expected a finite number")
+
+
+def _of_energy(t: Floats, energy: Floats) -> tuple[str, ...]:
+    """A note where a stone gains energy on level ice; none otherwise."""
+    gains = np.flatnonzero(np.diff(energy) > _ENERGY_GAIN * energy[:-1])
+    if not len(gains):
+        return ()
+    first, most = t[gains[0]], t[int(np.argmax(energy))]
+    return (
+        f"friction drives the stone: its energy grows from t = {first:g} s on, at t = {most:g} s "
+        f"to {energy.max() / energy[0]:.3g} times its initial value, which is unphysical",
     )
 
 

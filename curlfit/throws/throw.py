@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,64 +17,19 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.output.display import Displayed, Overview
 from curlfit.output.frames import frame
 from curlfit.output.text import plain_table
-from curlfit.records import Choice
-from curlfit.stone import UNITS as STONE_UNITS
+from curlfit.settings.choices import Reading, takes
+from curlfit.throws.channels import CHANNELS, UNITS, last_motion, scatter
 from curlfit.throws.events import Event, sketch
+from curlfit.throws.reference import Conventions, Reference, StoneValues
 
-CHANNELS = ("x", "y", "phi", "speed", "omega")
+__all__ = [
+    "CHANNELS", "MOST_ROWS", "UNITS", "Conventions", "Reference", "StoneValues", "Throw",
+    "check_sigma", "last_motion", "require_path", "require_throw", "scatter",
+]  # fmt: skip
+
 MOST_ROWS = 6000
 """Number of rows above which a fit condenses its data."""
 _REST_ROWS = 200  # rows of a condensed throw after the stone has come to rest
-_MIN_ROWS = 10  # needed to estimate the scatter of a series
-_REST_DISTANCE = 0.003  # m; this close to its last position a stone is at rest
-UNITS = {"t": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
-
-
-StoneValues = dict[Annotated[str, Choice(STONE_UNITS)], float]
-
-
-@dataclass(frozen=True)
-class Reference:
-    """Published or true values of one law, shown beside a fit.
-
-    Attributes
-    ----------
-    source : name of the source, such as "eq. 28". law : the law of the coefficients.
-    values : values by name, or by expression such as "mu1_eta + mu2_eta".
-    stone : constants of the stone (R, rho, h in m, m in kg) on which the values are based, where
-        these differ from the constants printed beside them.
-    rounding : rounding error (half a unit) of the printed constants, in the same units.
-    note : reason for the difference, as a clause.
-    """
-
-    source: str
-    law: str
-    values: dict[str, float]
-    stone: StoneValues = field(default_factory=dict)
-    rounding: StoneValues = field(default_factory=dict)
-    note: str = ""
-
-    def of(self, expression: str, weights: dict[str, float]) -> float | None:
-        """Value of a weighted sum, as given or from its terms; None if unknown."""
-        if expression in self.values:
-            return self.values[expression]
-        if not weights.keys() <= self.values.keys():
-            return None
-        return sum(weight * self.values[name] for name, weight in weights.items())
-
-
-@dataclass(frozen=True)
-class Conventions:
-    """How the columns of a file were interpreted.
-
-    Attributes
-    ----------
-    units : by quantity ("t", "x", ...), as written. axes : words as for `--axes`; empty for
-        curlfit's own.
-    """
-
-    units: Mapping[str, str] = field(default_factory=dict)
-    axes: str = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -157,19 +112,13 @@ class Throw(Displayed):
             bad = ~(np.isfinite(values) & (values > 0)) & np.isfinite(getattr(self, name))
             if bad.any():
                 row = int(np.argmax(bad))
-                raise self._error(
-                    f"{values[row]} found, expected a positive standard deviation",
-                    row,
-                    f"sigma_{name}",
-                )
+                fault = f"{values[row]} found, expected a positive standard deviation"
+                raise self._error(fault, row, f"sigma_{name}")
         late = self.t[1:] <= self.t[:-1]
         if late.any():
             row = int(np.argmax(late)) + 1
-            fault = (
-                "is repeated"
-                if self.t[row] == self.t[row - 1]
-                else f"follows {self.t[row - 1]:g} s"
-            )
+            before = self.t[row - 1]
+            fault = "is repeated" if self.t[row] == before else f"follows {before:g} s"
             raise self._error(
                 f"time {self.t[row]:g} s {fault}; times must increase from row to row "
                 "(`Throw.from_frame` sorts rows)",
@@ -208,26 +157,25 @@ class Throw(Displayed):
         """
         require_kind(sigma or {}, Mapping, "sigma", "a mapping by channel, such as {'x': 0.005}")
         t = np.asarray(t, float)
-        if units or axes:
-            given_columns = {"t": t, "x": x, "y": y, "phi": phi, "speed": speed, "omega": omega}
-            given_columns |= {f"sigma_{name}": v for name, v in (sigma or {}).items()}
-            filled = {
-                name: np.broadcast_to(np.asarray(values, float), t.shape)
-                for name, values in given_columns.items()
-                if values is not None
-            }
-            own = {"name": more["name"]} if "name" in more else {}
-            return replace(cls.from_frame(filled, units=units, axes=axes, **own), **more)
-        given = {
-            channel: np.broadcast_to(np.asarray(values, float), t.shape)
-            for channel, values in (sigma or {}).items()
-        }
         channels = {"x": x, "y": y, "phi": phi, "speed": speed, "omega": omega}
         arrays: dict[str, Any] = {
-            name: np.full_like(t, np.nan) if values is None else np.asarray(values, float)
+            name: np.asarray(values, float)
             for name, values in channels.items()
+            if values is not None
         }
-        return cls(t=t, **arrays, sigma=given, **more)
+        given = {
+            name: np.broadcast_to(np.asarray(values, float), t.shape)
+            for name, values in (sigma or {}).items()
+        }
+        if units or axes:
+            columns = {name: np.broadcast_to(values, t.shape) for name, values in arrays.items()}
+            columns |= {f"sigma_{name}": values for name, values in given.items()}
+            own = {"name": more["name"]} if "name" in more else {}
+            return replace(
+                cls.from_frame({"t": t, **columns}, units=units, axes=axes, **own), **more
+            )
+        blank = {name: np.full_like(t, np.nan) for name in CHANNELS}
+        return cls(t=t, **blank | arrays, sigma=given, **more)
 
     @classmethod
     def from_events(
@@ -254,16 +202,27 @@ class Throw(Displayed):
         return cls.from_arrays(t, events=tuple(events), assumed=known, **more)
 
     @classmethod
-    def from_frame(cls, table: Any, **options: Any) -> Throw:
+    @takes(Reading, "format", "shot", "handle")
+    def from_frame(cls, table: Any, name: str = "table", **choices: Any) -> Throw:
         """A throw from a pandas or polars DataFrame, an xarray Dataset or a mapping of arrays.
 
-        Columns are named as in files (`t`, `y_ft`, `angle_deg` ...); an index named `time` is
-        taken as `t`. `options` are `axes`, `units`, `reference` and `name`, as for
-        `curlfit.throws.readers.from_table`.
-        """
-        from curlfit.throws.readers import from_table
+        Columns are named as in files (`t`, `y_ft`, `angle_deg` ...), with units in the names; the
+        `attrs["units"]` of a variable take precedence. An index that is named `time` or has dates,
+        or the coordinate of a dataset, is taken as `t` where no column is. Times may be dates or
+        durations.
 
-        return from_table(table, **options)
+        Parameters
+        ----------
+        name : name of the throw.
+        {choices}
+
+        Raises
+        ------
+        DataError, InputError : not a table, a column that is missing or not numeric.
+        """
+        from curlfit.throws.readers.frames import values_of
+
+        return cls.from_arrays(**values_of(table, Reading.of(**choices), name))
 
     def to_frame(self) -> Any:
         """The rows as a pandas DataFrame that `from_frame` reads: `t`, the measured channels and,
@@ -382,10 +341,7 @@ class Throw(Displayed):
         rest_block = max(block, -(-(n - rest) // _REST_ROWS))  # not noisier than the others
         pieces = [(0, rest, -(-rest // block)), (rest, n, -(-(n - rest) // rest_block))]
         starts = np.concatenate(
-            [
-                np.linspace(low, high, count, endpoint=False).astype(int)
-                for low, high, count in pieces
-            ]
+            [np.linspace(*piece, endpoint=False).astype(int) for piece in pieces]
         )
 
         def mean(values: Floats) -> Floats:
@@ -414,14 +370,10 @@ class Throw(Displayed):
         # A deceleration a = 0.2 m/s^2, twice the usual, displaces a mean over T by a T^2/24.
         bend = 0.2 * (block * step) ** 2 / 24
         note += f"; means of moving rows lie off the path by some {bend:.1g} m, which is negligible"
+        means: dict[str, Any] = {name: mean(getattr(self, name)) for name in ("t", *CHANNELS)}
         return replace(
             self,
-            t=mean(self.t),
-            x=mean(self.x),
-            y=mean(self.y),
-            phi=mean(self.phi),
-            speed=mean(self.speed),
-            omega=mean(self.omega),
+            **means,
             sigma=of_means(self.sigma),
             relative_sigma=of_means(self.relative_sigma),
             lines=None if self.lines is None else self.lines[starts],
@@ -486,11 +438,9 @@ class Throw(Displayed):
         if not sigma:
             return self
         filled = {name: np.full_like(self.t, sigma[name]) for name in CHANNELS if name in sigma}
+        timed: dict[str, Any] = {"sigma": sigma["time"]} if "time" in sigma else {}
         events = tuple(
-            replace(event, sigma=sigma["time"])
-            if event.quantity == "time" and "time" in sigma
-            else event
-            for event in self.events
+            replace(event, **timed) if event.quantity == "time" else event for event in self.events
         )
         return replace(self, sigma={**self.sigma, **filled}, events=events)
 
@@ -540,34 +490,3 @@ def _first(bad: Booleans) -> list[tuple[str, int]]:
         return []
     channel, row = np.argwhere(np.atleast_2d(bad))[0]
     return [("t" if bad.ndim == 1 else CHANNELS[channel], int(row))]
-
-
-def scatter(values: Floats) -> Any:
-    """Standard deviation of the noise on smooth series along the last axis, from third differences.
-
-    Second differences would count the curvature of the path as noise. 0 where there are too few
-    rows.
-    """
-    if values.shape[-1] < _MIN_ROWS:
-        return np.zeros(values.shape[:-1])[()]
-    bend = values[..., 3:] - values[..., :-3] + 3 * (values[..., 1:-2] - values[..., 2:-1])
-    return _median(np.abs(bend)) / (0.6745 * math.sqrt(20))
-
-
-def _median(values: Floats) -> Any:
-    """Median along the last axis; several times faster than NumPy's for a few hundred values."""
-    ordered, n = np.sort(values, -1), values.shape[-1]
-    return (ordered[..., (n - 1) // 2] + ordered[..., n // 2]) / 2
-
-
-def last_motion(t: Floats, x: Floats, y: Floats) -> float:
-    """Time of the last row in which the stone moves; the last time if unknown."""
-    complete = np.isfinite(x) & np.isfinite(y)
-    if complete.sum() <= 8:
-        return float(t[-1])
-    positions, t = np.stack([x, y])[:, complete], t[complete]
-    tail = slice(-max(3, len(t) // 50), None)
-    distance = np.hypot(*(positions - _median(positions[:, tail])[:, None]))
-    near = max(_REST_DISTANCE, 5 * math.hypot(*scatter(positions)))
-    moving = np.flatnonzero(distance > near)
-    return float(t[moving[-1]]) if len(moving) else float(t[-1])

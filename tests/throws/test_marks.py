@@ -7,7 +7,7 @@ import pytest
 from sample_files import PHI, T, X, Y, known_points, project, table
 
 from curlfit import DataError, InputError, load_throw
-from curlfit.throws.readers import load_throws
+from curlfit.throws.load import load_throws
 
 ARM, NOISE = 0.12, 0.002  # m
 FINE = np.arange(0, 14.75, 0.05)

@@ -32,10 +32,10 @@ from sample_files import (
 
 import curlfit
 from curlfit import DataError, InputError, Throw, load_throw
+from curlfit.throws.load import detect_format
 from curlfit.throws.readers.axes import LINES, AmbiguousTurnError, parse_axes, unwrap
 from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.homography import homography
-from curlfit.throws.readers.load import detect_format
 
 
 @pytest.fixture
@@ -170,7 +170,7 @@ def test_the_stone_that_was_hit(write):
 
 def test_a_log_of_several_shots(write):
     file = write(log(2), "server.log")
-    with pytest.raises(DataError, match="2 shots; choose one with --shot: 1 end 0 shot 0; 2"):
+    with pytest.raises(DataError, match="2 shots; choose one with `--shot N`: 1 end 0 shot 0; 2"):
         load_throw(file)
     assert said(load_throw(file, shot=2), "end 0 shot 1")
     with pytest.raises(InputError, match="--shot 3: there is no such shot"):
@@ -254,6 +254,10 @@ def test_a_mapping_and_what_is_no_table():
         Throw.from_frame(3)
     with pytest.raises(DataError, match="different lengths"):
         Throw.from_frame({"t": T, "x": X[:-1], "y": Y})
+    with pytest.raises(InputError, match="--shot: table is a table file and holds no shots"):
+        Throw.from_frame({"t": T, "x": X, "y": Y}, shot=2)
+    with pytest.raises(InputError, match="reference = 3: expected a name of a file"):
+        Throw.from_frame({"t": T, "x": X, "y": Y}, reference=3)
 
 
 # Axes
@@ -405,7 +409,7 @@ def test_the_residual_of_known_points(write):
         ("u,v,x,y\n0,0,0,0\n9,0,1,0\n9,9,0,1\n0,9,1,1\n", "in this order"),
         ("u,v,x\n0,0,0\n", "no column for y"),
         ("u,v,x,y\n0,0,0,\n", "each point needs four finite numbers"),
-        ("1,2,3,4\n", "begins with numbers"), ("", "no points"),
+        ("1,2,3,4\n", "begins with numbers"), ("", "the file is empty; expected a header u,v"),
     ],
 )  # fmt: skip
 def test_known_points_that_will_not_do(write, points, words):

@@ -7,7 +7,7 @@ import pytest
 from sample_files import PHI, N, T, X, Y, table
 
 from curlfit import DataError, InputError, Throw, load_throw
-from curlfit.throws.readers import load_throws
+from curlfit.throws.load import load_throws
 
 COLUMNS = {"t": T, "x": X, "y": Y, "phi": PHI}
 

@@ -11,7 +11,7 @@ from sample_files import TIMINGS
 
 from curlfit.batch.settings import usual_law
 from curlfit.errors import DataError, InputError
-from curlfit.throws.readers import load_throw, load_throws
+from curlfit.throws.load import load_throw, load_throws
 from curlfit.throws.readers.notation import parse_quantity
 
 FOOT = 0.3048

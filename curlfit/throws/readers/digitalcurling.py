@@ -18,8 +18,6 @@ import json
 import math
 import re
 from collections.abc import Iterator
-from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,21 +25,17 @@ import numpy as np
 from curlfit.errors import DataError
 from curlfit.foreign import is_number, quoted
 from curlfit.numerics.arrays import Floats
+from curlfit.settings.choices import Reading
 from curlfit.throws.readers.columns import Column
-from curlfit.throws.readers.parsed_file import (
-    FilePart,
-    Format,
-    ParsedFile,
-    ReadOptions,
-    choose,
-    in_si,
-)
-from curlfit.throws.readers.table import defaults_of
+from curlfit.throws.readers.defaults import begun
+from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile, choose
+from curlfit.throws.readers.text import TextFile, is_aside
 
 _EXPECTED = (
     'expected a log of a DigitalCurling 3 shot with a "trajectory" (shot_*.json or server.log)'
 )
 _MOST_NUMBERS = 2_000_000
+_HEAD = 200  # lines whose comments are settings
 _MOVED = 1e-4  # m; positions are 32-bit numbers
 
 
@@ -53,79 +47,54 @@ class Shot(NamedTuple):
     trajectory: dict[str, Any]
 
 
-def read_digitalcurling(path: Path, lines: list[str], options: ReadOptions) -> ParsedFile:
-    """The path of one stone of one shot, by default of the stone thrown.
-
-    Raises
-    ------
-    DataError : the file is not a log of a shot, or has several and `options.shot` is not given.
-    InputError : there is no such shot or stone.
-    """
-    shot = options.shot
-    shots = shots_of(path, lines)
-    if len(shots) > 1 and shot is None:
-        listed = "; ".join(f"{k} {item.name}" for k, item in enumerate(shots[:20], 1))
-        more = f"; and {len(shots) - 20} more" if len(shots) > 20 else ""
-        raise DataError(f"{len(shots)} shots; choose one with --shot: {listed}{more}", file=path)
-    taken = shots[choose("shot", "--shot", shot, [item.name for item in shots], 0)]
-    return _read_shot(path, lines, taken, options.stone_index)
-
-
 def _recognizes(head: list[str]) -> bool:
     first = head[0].lstrip()
     return first.startswith("{") or bool(re.match(r"\[\s*([{\[]|$)", first))
 
 
-def _parts(path: Path, lines: list[str], options: ReadOptions) -> list[FilePart]:
-    """Every shot."""
-    shots = shots_of(path, lines) if options.shot is None else []
-    index = options.stone_index
-    if len(shots) < 2:
-        whole = partial(read_digitalcurling, path, lines, options)
-        return [FilePart(options.shot, index, whole)]
-    return [
-        FilePart(number, index, partial(_read_shot, path, lines, shot, index))
-        for number, shot in enumerate(shots, 1)
-    ]
+def _contents(file: TextFile, reading: Reading) -> Contents:
+    """The shots of a log; of each the path of one stone, by default of the stone thrown.
+
+    Raises
+    ------
+    DataError : the file is not a log of a shot. InputError : there is no such stone.
+    """
+    shots = shots_of(file)
+    return Contents(
+        [shot.name for shot in shots],
+        lambda index: _read_shot(file, shots[index], reading.stone_index),
+    )
 
 
 DIGITALCURLING = Format(
-    "digitalcurling", _recognizes, read_digitalcurling, _parts, ("shot", "stone_index")
+    "digitalcurling", _recognizes, _contents, "shot", "shot", None, ("shot", "stone_index")
 )
 
 
-def _read_shot(path: Path, lines: list[str], chosen: Shot, stone_index: int | None) -> ParsedFile:
-    comments = [(k, line) for k, line in enumerate(lines[:200], 1) if line.lstrip()[:1] == "#"]
-    settings, reference, notes = defaults_of(path, comments)
-    period, positions, names = _paths(path, chosen)
-
+def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedFile:
+    parsed = begun(file, "digitalcurling", _HEAD)
+    notes = parsed.notes
+    period, positions, names = _paths(file, chosen)
     xy = positions[:, :, :2]
     far = np.hypot(*(np.fmax.reduce(xy, axis=1) - np.fmin.reduce(xy, axis=1)).T)
-    moved = np.flatnonzero(far > _MOVED)
-    if not len(moved):
-        raise DataError(f"no stone moves in {chosen.name}", file=path, line=chosen.line)
-    began = {int(k): _first_change(positions[k]) for k in moved}
+    began = {int(k): _first_change(positions[k]) for k in np.flatnonzero(far > _MOVED)}
+    if not began:
+        raise file.error(f"no stone moves in {chosen.name}", chosen.line - 1)
     first = min(began.values())
     thrown = max((k for k in began if began[k] == first), key=lambda k: far[k])
     stone = choose("stone", "--stone-index", stone_index, names, thrown)
     if stone not in began:
         movers = ", ".join(f"{k + 1} ({names[k]})" for k in began)
-        raise DataError(
-            f"stone {stone + 1} ({names[stone]}) does not move; those that do are {movers}",
-            file=path,
-            line=chosen.line,
-        )
+        fault = f"stone {stone + 1} ({names[stone]}) does not move; those that do are {movers}"
+        raise file.error(fault, chosen.line - 1)
     # A free throw: from its first motion until another stone moves.
-    seen = np.isfinite(positions[stone, :, 0])
-    others = [row for k, row in began.items() if k != stone and row > began[stone]]
     time = period * np.arange(positions.shape[1])
-    from_row = max(began[stone] - 1, 0)
-    keep = seen & (np.arange(len(time)) >= from_row)
+    others = [row for k, row in began.items() if k != stone and row > began[stone]]
     if others:
-        settings.setdefault("until", float(time[min(others) - 1]))
-        notes.append(
-            f"another stone moves after t = {time[min(others) - 1]:g} s; until is set to that"
-        )
+        end = float(time[min(others) - 1])
+        parsed.settings.setdefault("until", end)
+        notes.append(f"another stone moves after t = {end:g} s; until is set to that")
+    keep = np.isfinite(positions[stone, :, 0]) & (np.arange(len(time)) >= began[stone] - 1)
     notes.insert(
         0,
         f"{chosen.name}: stone {stone + 1} of {len(names)} ({names[stone]}"
@@ -133,54 +102,45 @@ def _read_shot(path: Path, lines: list[str], chosen: Shot, stone_index: int | No
         + f", {int(keep.sum())} frames of {period:g} s",
     )
     notes.append("a simulated throw: positions are exact to the 32 bits of the log")
-    parsed = ParsedFile(path, "digitalcurling", [], [], settings, reference, notes=notes)
     parsed.lines = np.full(int(keep.sum()), chosen.line, np.int64)
-    for header, column, values in (
-        ("seconds_per_frame", Column("t", "s", 1.0), time),
-        ("position.x", Column("x", "m", 1.0), positions[stone, :, 0]),
-        ("position.y", Column("y", "m", 1.0), positions[stone, :, 1]),
-        ("angle", Column("phi", "rad", 1.0), positions[stone, :, 2]),
+    parsed.add("seconds_per_frame", Column("t", "s", 1.0), np.asarray(time[keep]))
+    for k, (header, quantity, unit) in enumerate(
+        (("position.x", "x", "m"), ("position.y", "y", "m"), ("angle", "phi", "rad"))
     ):
-        parsed.series.append(in_si(parsed, header, column, np.asarray(values[keep])))
+        parsed.add(header, Column(quantity, unit, 1.0), np.asarray(positions[stone, keep, k]))
     return parsed
 
 
-def shots_of(path: Path, lines: list[str]) -> list[Shot]:
+def shots_of(file: TextFile) -> list[Shot]:
     """Every shot in the file: one JSON value, or one per line.
 
     Raises
     ------
     DataError : the file is not a log, or contains no shot.
     """
-    shots = list(_shots(path, lines))
+    shots = [
+        Shot(number, *found)
+        for number, value in _values(file)
+        for item in (value if isinstance(value, list) else [value])
+        if (found := _trajectory(item)) is not None
+    ]
     if not shots:
-        raise DataError(f"no trajectory found; {_EXPECTED}", file=path)
+        raise file.error(f"no trajectory found; {_EXPECTED}")
     return shots
 
 
-def _shots(path: Path, lines: list[str]) -> Iterator[Shot]:
-    for number, value in _values(path, lines):
-        for item in value if isinstance(value, list) else [value]:
-            found = _trajectory(item)
-            if found is not None:
-                yield Shot(number, *found)
-
-
-def _values(path: Path, lines: list[str]) -> Iterator[tuple[int, Any]]:
+def _values(file: TextFile) -> Iterator[tuple[int, Any]]:
     """The JSON values of the file, with their lines."""
-    text = "\n".join(line for line in lines if line.lstrip()[:1] != "#").strip()
+    rows = [(k, line) for k, line in enumerate(file.lines) if not is_aside(line)]
+    text = "\n".join(line for _, line in rows)
     try:
         whole = json.loads(text)
     except (ValueError, RecursionError):
-        for number, line in enumerate(lines, 1):
-            if not line.strip() or line.lstrip().startswith("#"):
-                continue
+        for index, line in rows:
             try:
-                yield number, json.loads(line)
+                yield index + 1, json.loads(line)
             except (ValueError, RecursionError):
-                raise DataError(
-                    f"not a line of JSON; {_EXPECTED}", file=path, line=number
-                ) from None
+                raise file.error(f"not a line of JSON; {_EXPECTED}", index) from None
     else:
         yield 1, whole
 
@@ -209,11 +169,11 @@ def _trajectory(item: Any) -> tuple[str, dict[str, Any]] | None:
     return " ".join(parts) or "shot", item
 
 
-def _paths(path: Path, shot: Shot) -> tuple[float, Floats, list[str]]:
+def _paths(file: TextFile, shot: Shot) -> tuple[float, Floats, list[str]]:
     """Frame interval in s; x, y, angle by stone and frame, shape (stones, n, 3); names."""
 
     def refuse(message: str) -> DataError:
-        return DataError(f"{shot.name}: {message}", file=path, line=shot.line)
+        return file.error(f"{shot.name}: {message}", shot.line - 1)
 
     period: Any = shot.trajectory.get("seconds_per_frame")
     if not is_number(period) or not 1e-6 <= period <= 60:

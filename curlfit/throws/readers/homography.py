@@ -15,14 +15,7 @@ import numpy as np
 from curlfit.errors import DataError
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import parse_header
-from curlfit.throws.readers.text import (
-    cells,
-    header_cells,
-    is_number,
-    lines_of,
-    read_rows,
-    separator_of,
-)
+from curlfit.throws.readers.text import TextFile, TextTable, lines_of
 
 _EXPECTED = "expected a header u,v,x,y (pixels, and metres on the sheet) and four points or more"
 _MOST_STEPS, _STEP_DONE = 50, 1e-10  # of the least squares, in normalised coordinates
@@ -89,40 +82,25 @@ def load_homography(file: Path) -> Homography:
     DataError : a column is missing, fewer than four points, collinear points, or points that are
         not consistent with an image of a plane.
     """
-    lines = lines_of(file)
-    first = next(
-        (k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")),
-        None,
-    )
-    if first is None:
-        raise DataError(f"no points; {_EXPECTED}", file=file)
-    separator = separator_of(lines[first])
-    names = header_cells(lines[first], separator)
-    if all(is_number(cell) for cell in cells(lines[first], separator)):
-        raise DataError(f"the table begins with numbers; {_EXPECTED}", file=file, line=first + 1)
+    table = TextTable.of(TextFile(file, lines_of(file)), _EXPECTED)
     columns: dict[str, int] = {}
-    factors: dict[str, float] = {}
-    for index, name in enumerate(names):
+    factors: list[float] = []
+    for index, name in enumerate(table.names):
         column = parse_header(name)
         quantity = "v" if name.strip().lower() == "v" else column and column.quantity
         if quantity in ("u", "v", "x", "y") and quantity not in columns:
             columns[quantity] = index
-            factors[quantity] = column.factor if column and quantity in "xy" else 1.0
-    missing = [name for name in ("u", "v", "x", "y") if name not in columns]
+            factors.append(column.factor if column and quantity in "xy" else 1.0)
+    missing = [name for name in "uvxy" if name not in columns]
     if missing:
-        raise DataError(
-            f"no column for {' and '.join(missing)}; {_EXPECTED}", file=file, line=first + 1
-        )
-    numbers, found = read_rows(file, lines, first + 1, names, list(columns.values()), separator)
-    values = {name: found[k] * factors[name] for k, name in enumerate(columns)}
-    stacked = np.stack([values[name] for name in ("u", "v", "x", "y")])
+        raise table.error(f"no column for {' and '.join(missing)}; {_EXPECTED}")
+    numbers, found = table.numbers(list(columns.values()))
+    values = dict(zip(columns, found * np.array(factors)[:, None], strict=True))
+    stacked = np.stack([values[name] for name in "uvxy"])
     bad = ~np.isfinite(stacked).all(axis=0) | (np.abs(np.nan_to_num(stacked)) > 1e7).any(axis=0)
     if bad.any():
-        raise DataError(
-            "each point needs four finite numbers u, v, x, y",
-            file=file,
-            line=int(numbers[np.argmax(bad)]),
-        )
+        line = int(numbers[np.argmax(bad)])
+        raise table.file.error("each point needs four finite numbers u, v, x, y", line - 1)
     return homography(stacked[:2], stacked[2:], file)
 
 
@@ -139,38 +117,33 @@ def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -
     ------
     DataError : as for `load_homography`.
     """
-    n = pixels.shape[1]
-    if n < 4:
-        raise DataError(f"{n} points; a homography needs four or more", file=file)
+    n, area = pixels.shape[1], "take four corners of an area"
+
+    def require(sound: bool, fault: str) -> None:
+        if not sound:
+            raise DataError(fault, file=file)
+
+    require(n >= 4, f"{n} points; a homography needs four or more")
     for what, points in (("in the image", pixels), ("on the sheet", metres)):
         spread = np.linalg.svd(points - points.mean(axis=1, keepdims=True), compute_uv=False)
-        if spread[1] <= 1e-3 * spread[0]:
-            raise DataError(
-                f"the points are collinear {what}; take four corners of an area", file=file
-            )
+        require(bool(spread[1] > 1e-3 * spread[0]), f"the points are collinear {what}; {area}")
     (a, T), (b, U) = _normalise(pixels), _normalise(metres)
-    inner = _direct_linear_transform(a, b)
-    if inner is None:
-        raise DataError(
-            "three of the points are collinear, or two coincide; take four corners of an area",
-            file=file,
-        )
+    inner, determined = _direct_linear_transform(a, b)
+    require(determined, f"three of the points are collinear, or two coincide; {area}")
     depth = inner[2] @ np.stack([*a, np.ones(n)])
-    if not ((depth > 0).all() or (depth < 0).all()):
-        raise DataError(
-            "no image of a plane has the points in this order; two of them may be interchanged",
-            file=file,
-        )
+    require(
+        bool((depth > 0).all() or (depth < 0).all()),
+        "no image of a plane has the points in this order; two of them may be interchanged",
+    )
     camera, off, slope = _least_squares(np.linalg.inv(inner * np.sign(depth[0])), a, b)
     matrix = np.linalg.inv(U) @ np.linalg.inv(camera) @ T
     fitted = Homography(matrix / np.abs(matrix).max(), n, 0.0, 0.0)
     rms_m, rms_px = _rms(np.stack(fitted(*pixels)) - metres), _rms(off) / T[0, 0]
-    if not (np.isfinite(rms_m) and _rms(off) <= 0.1):
-        raise DataError(
-            f"the points do not fit an image of a plane: rms {rms_px:.3g} pixels "
-            f"({rms_m:.3g} m); two of them may be interchanged",
-            file=file,
-        )
+    require(
+        bool(np.isfinite(rms_m)) and _rms(off) <= 0.1,
+        f"the points do not fit an image of a plane: rms {rms_px:.3g} pixels ({rms_m:.3g} m); two "
+        "of them may be interchanged",
+    )
     errors = None
     if n > 4:
         # covariance s^2 (J^T J)^-1 = root root^T, with s^2 = rss/(2 n - 8)
@@ -180,18 +153,16 @@ def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -
     return fitted._replace(rms_m=rms_m, rms_px=rms_px, errors=errors)
 
 
-def _direct_linear_transform(image: Floats, sheet: Floats) -> Floats | None:
-    """A map from normalised image to normalised sheet, up to its sign; None where the points do not
-    determine one."""
+def _direct_linear_transform(image: Floats, sheet: Floats) -> tuple[Floats, bool]:
+    """A map from normalised image to normalised sheet, up to its sign, and whether the points
+    determine it."""
     rows = []
     for (u, v), (x, y) in zip(image.T, sheet.T, strict=True):
         rows.append([u, v, 1, 0, 0, 0, -x * u, -x * v, -x])
         rows.append([0, 0, 0, u, v, 1, -y * u, -y * v, -y])
     _, sizes, directions = np.linalg.svd(np.array(rows, float))
     found: Floats = directions[-1].reshape(3, 3)
-    if sizes[7] < 1e-4 * sizes[0] or abs(np.linalg.det(found)) < 1e-6:
-        return None
-    return found
+    return found, bool(sizes[7] >= 1e-4 * sizes[0] and abs(np.linalg.det(found)) >= 1e-6)
 
 
 def _least_squares(camera: Floats, image: Floats, sheet: Floats) -> tuple[Floats, Floats, Floats]:

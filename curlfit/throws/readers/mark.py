@@ -5,19 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from curlfit.numerics.arrays import Floats
+from curlfit.throws.channels import scatter
 from curlfit.throws.readers.axes import AmbiguousTurnError, unwrap
 from curlfit.throws.readers.parsed_file import ParsedFile
-from curlfit.throws.throw import scatter
 
 _FARTHEST = 0.3  # m; the stone's diameter is 0.29 m
 
 
 def add_angle_of_mark(
-    parsed: ParsedFile,
-    t: Floats,
-    columns: dict[str, Floats],
-    mark: tuple[Floats, Floats],
-    notes: list[str],
+    parsed: ParsedFile, columns: dict[str, Floats], mark: tuple[Floats, Floats]
 ) -> None:
     """Add phi and sigma_phi from the direction from the stone's position to the mark.
 
@@ -54,28 +50,22 @@ def add_angle_of_mark(
         )
     phi = np.arctan2(dy, dx)
     try:
-        columns["phi"], _, _ = unwrap(t, phi)
+        columns["phi"], _, _ = unwrap(columns["t"], phi)
     except AmbiguousTurnError as error:
         raise parsed.error(
             "the mark turns so far from row to row that the sense is ambiguous; expected rows "
             "closer in time",
             error.row,
         ) from None
+    note = f"phi is the direction of the mark, {1000 * typical:.3g} mm from the stone's position"
     if {"sigma_x", "sigma_y"} <= columns.keys():
         across = columns["sigma_x"] ** 2 * np.sin(phi) ** 2
         across += columns["sigma_y"] ** 2 * np.cos(phi) ** 2
         columns["sigma_phi"] = np.sqrt(2 * across) / typical
         how = "from sigma_x and sigma_y"
-    else:
-        noise = float(scatter(length[seen]))
-        if noise > 0:
-            columns["sigma_phi"] = np.full(len(t), noise / typical)
+    elif (noise := float(scatter(length[seen]))) > 0:
+        columns["sigma_phi"] = np.full(len(phi), noise / typical)
         how = f"from the scatter of that length, {1000 * noise:.2g} mm"
-    notes.append(
-        f"phi is the direction of the mark, {1000 * typical:.3g} mm from the stone's position"
-        + (
-            f"; its sigma, {float(np.nanmedian(columns['sigma_phi'])):.2g} rad, {how}"
-            if "sigma_phi" in columns
-            else ""
-        )
-    )
+    if "sigma_phi" in columns:
+        note += f"; its sigma, {float(np.nanmedian(columns['sigma_phi'])):.2g} rad, {how}"
+    parsed.notes.append(note)

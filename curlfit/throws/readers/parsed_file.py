@@ -12,10 +12,11 @@ import numpy as np
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import LARGEST, quoted
 from curlfit.numerics.arrays import Floats
+from curlfit.settings.choices import Reading
 from curlfit.throws.events import Event
-from curlfit.throws.readers.columns import Column, parse_header, with_units
-from curlfit.throws.readers.text import EXPECTED
-from curlfit.throws.throw import Reference
+from curlfit.throws.readers.columns import Column, parse_header, parse_units, with_units
+from curlfit.throws.readers.text import EXPECTED, TextFile
+from curlfit.throws.reference import Reference
 
 
 class Series(NamedTuple):
@@ -42,7 +43,7 @@ class ParsedFile:
 
     source: Path | str
     format: str
-    series: list[Series]
+    series: list[Series] = field(default_factory=list)
     ignored: list[str] = field(default_factory=list)
     settings: dict[str, Any] = field(default_factory=dict)
     reference: Reference | None = None
@@ -59,26 +60,35 @@ class ParsedFile:
             message = f"row {row}: {message}"
         return DataError(message, file=self.source, line=line, column=header)
 
+    def add(self, header: str, column: Column, values: Floats) -> None:
+        """Add a column of values in its unit; refuses values beyond 1e12 in SI."""
+        scaled = values
+        if column.factor != 1:
+            with np.errstate(over="ignore", invalid="ignore"):
+                scaled = values * column.factor
+        bad = np.abs(scaled) > LARGEST
+        if bad.any():
+            row = int(np.argmax(bad))
+            fault = f"{values[row]:g} {column.unit} found, expected at most {LARGEST:g}"
+            raise self.error(fault, row, header)
+        self.series.append(Series(header, column, scaled))
 
-class ReadOptions(NamedTuple):
-    """How to read a file: units by column, whether positions are pixels, and which throw of it.
 
-    `handle` is the object that marks another point of the stone.
+class Contents(NamedTuple):
+    """The throws in a file.
+
+    Attributes
+    ----------
+    labels : their names; one name without meaning where the file has only one.
+    parse : reads the one of an index.
+    among : indices of those that are throws by themselves; all, if None.
+    note : on the choice, with places for the number of throws and of the one taken.
     """
 
-    units: Mapping[str, str]
-    pixels: bool = False
-    stone_index: int | None = None
-    shot: int | None = None
-    handle: int | None = None
-
-
-class FilePart(NamedTuple):
-    """One throw of a file: the options that select it, and a function that reads it."""
-
-    shot: int | None
-    stone_index: int | None
-    parse: Callable[[], ParsedFile]
+    labels: Sequence[str]
+    parse: Callable[[int], ParsedFile]
+    among: Sequence[int] | None = None
+    note: str = ""
 
 
 class Format(NamedTuple):
@@ -88,39 +98,75 @@ class Format(NamedTuple):
     ----------
     name : as in `--format`.
     recognizes : whether a file is of this format, from its first lines without comments and blanks.
-    parse : reads one throw.
-    parts : every throw of a file; None if there can only be one.
-    selections : the options that select one of several throws.
+    contents : the throws in a file.
+    what, selected_by : what a throw is called there, and the choice that selects it.
+    usual : index of the one taken if none is selected; None if one must be selected.
+    selections : all choices that select something in such a file.
     """
 
     name: str
     recognizes: Callable[[list[str]], bool]
-    parse: Callable[[Path, list[str], ReadOptions], ParsedFile]
-    parts: Callable[[Path, list[str], ReadOptions], list[FilePart]] | None = None
-    selections: tuple[str, ...] = ()
+    contents: Callable[[TextFile, Reading], Contents]
+    what: str
+    selected_by: str
+    usual: int | None
+    selections: tuple[str, ...]
+
+    def check(self, source: Path | str, reading: Reading) -> None:
+        """Raise `InputError` for a choice of something that such files do not hold."""
+        nothing = {"shot": "no shots", "stone_index": "one stone", "handle": "no objects"}
+        for name, what in nothing.items():
+            if getattr(reading, name) is not None and name not in self.selections:
+                flag = name.replace("_", "-")
+                raise InputError(f"--{flag}: {source} is a {self.name} file and holds {what}")
+
+    def selected(
+        self, source: Path | str, contents: Contents, number: int | None, flag: str = ""
+    ) -> ParsedFile:
+        """The throw of a number, counting from 1, or the usual one.
+
+        Raises
+        ------
+        DataError : several throws, of which one must be selected. InputError : no such throw.
+        """
+        labels, count = contents.labels, len(contents.labels)
+        flag = flag or f"--{self.selected_by.replace('_', '-')}"
+        if list(labels) == [""] and number is not None:
+            flag = flag.rstrip(" =")
+            raise InputError(f"{flag}: {source} is a {self.name} file and holds one stone")
+        usual = 0 if count == 1 else self.usual
+        if number is None and usual is None:
+            listed = "; ".join(f"{k} {label}" for k, label in enumerate(labels[:_MOST_LISTED], 1))
+            more = f"; and {count - _MOST_LISTED} more" if count > _MOST_LISTED else ""
+            fault = f"{count} {self.what}s; choose one with `{flag} N`: {listed}{more}"
+            raise DataError(fault, file=source)
+        index = choose(self.what, flag, number, labels, usual or 0)
+        parsed = contents.parse(index)
+        if count > 1 and contents.note:
+            parsed.notes.insert(0, contents.note.format(count, index + 1))
+        return parsed
 
 
 _FRAME_NUMBERS = ("frame", "frames", "frame number", "frame_number", "frame no", "frame_no")
+_MOST_LISTED = 20
 
 
 def columns_of(
-    source: Path | str,
     names: Sequence[str],
-    units: Mapping[str, str],
-    *,
-    line: int | None = None,
-    pixels: bool = False,
+    reading: Reading,
+    error: Callable[[str], DataError],
 ) -> tuple[dict[int, Column], list[str]]:
     """Columns to read, by index, and the names of the others.
 
-    With `pixels`, positions are in pixels: x and y without a unit are then in pixels, and v is not
-    a speed. With a unit of t such as 25fps, a column of frame numbers is the time if there is no
-    other.
+    With a reference, positions are in pixels: x and y without a unit are then in pixels, and v is
+    not a speed. With a unit of t such as 25fps, a column of frame numbers is the time if there is
+    no other.
 
     Raises
     ------
     DataError : two columns have the same meaning, or a required one is missing.
     """
+    units, pixels = parse_units(reading.units), reading.reference is not None
     columns: dict[int, Column] = {}
     ignored: list[str] = []
     taken: dict[str, str] = {}
@@ -128,59 +174,51 @@ def columns_of(
     meant = {column.quantity for name in names if (column := parse_header(name)) is not None}
     velocities = not pixels and {"x", "y"} <= meant and "u" in bare
     pixels = pixels or ("u" in bare and "v" in bare and not velocities)
-    for index, name in enumerate(names):
+    counted = "t" not in meant and bool(set(bare) & set(_FRAME_NUMBERS))
+    for index, (name, word) in enumerate(zip(names, bare, strict=True)):
         column = parse_header(name)
-        if (
-            bare[index] in _FRAME_NUMBERS
-            and "t" not in meant
-            and units.get("t", "").endswith("fps")
-        ):
+        if counted and word in _FRAME_NUMBERS and units.get("t", "").endswith("fps"):
             column = Column("t", "s", 1.0, stated=False)
-        if column is None or (velocities and bare[index] in ("u", "v")):
-            if name:
-                ignored.append(name)
+        if column is None or (velocities and word in ("u", "v")):
+            ignored += [name] if name else []
             continue
-        if pixels and bare[index] in ("v", "sigma_v"):
-            column = Column(bare[index], "px", 1.0)
-        column = with_units(column, units)
-        if pixels and not column.stated and column.quantity.removeprefix("sigma_") in ("x", "y"):
-            axis = "u" if column.quantity.endswith("x") else "v"
-            column = Column(column.quantity[:-1] + axis, "px", 1.0)
-        if column.quantity in taken:
-            raise DataError(
-                f"columns {quoted(taken[column.quantity])} and {quoted(name)} both mean "
-                f"{column.quantity}; rename or remove one",
-                file=source,
-                line=line,
+        column = _in_pixels(column, word, units) if pixels else with_units(column, units)
+        quantity = column.quantity
+        if quantity in taken:
+            raise error(
+                f"columns {quoted(taken[quantity])} and {quoted(name)} both mean {quantity}; "
+                "rename or remove one"
             )
-        taken[column.quantity] = name
+        taken[quantity] = name
         columns[index] = column
-    missing = missing_columns(taken)
-    if missing:
-        counted = "t" in missing and set(bare) & set(_FRAME_NUMBERS)
-        remedy = (
-            "; `--units t=30fps`, with the camera's rate, makes frames times" if counted else ""
-        )
-        raise DataError(
-            f"no column for {' and '.join(missing)} among {_list_names(names)}; {EXPECTED}{remedy}",
-            file=source,
-            line=line,
+    if missing := missing_columns(taken):
+        remedy = "; `--units t=30fps`, with the camera's rate, makes frames times"
+        raise error(
+            f"no column for {' and '.join(missing)} among {_list_names(names)}; {EXPECTED}"
+            + (remedy if counted and "t" in missing else "")
         )
     return columns, ignored
+
+
+def _in_pixels(column: Column, word: str, units: Mapping[str, str]) -> Column:
+    """A column of a file of pixels; `word` is its header."""
+    if word in ("v", "sigma_v"):
+        column = Column(word, "px", 1.0)
+    column = with_units(column, units)
+    if not column.stated and column.quantity.removeprefix("sigma_") in ("x", "y"):
+        axis = "u" if column.quantity.endswith("x") else "v"
+        column = Column(column.quantity[:-1] + axis, "px", 1.0)
+    return column
 
 
 def missing_columns(quantities: Any) -> list[str]:
     """Quantities required for a throw that the columns lack."""
     found = set(quantities)
-    if {"u", "v"} & found:
-        missing = [axis for axis in ("u", "v") if axis not in found]
-        need = {"u", "v"}
-    else:
-        missing = [axis for axis in ("x", "y") if axis not in found]
-        if missing == ["x", "y"] and found & {"phi", "speed", "omega"}:
-            missing = []  # a gyroscope or a radar alone
-        need = {"x", "y"}
-    need = (need | {"phi", "speed", "omega"}) & found
+    axes, others = ("u", "v") if {"u", "v"} & found else ("x", "y"), {"phi", "speed", "omega"}
+    missing = [axis for axis in axes if axis not in found]
+    if missing == ["x", "y"] and found & others:
+        missing = []  # a gyroscope or a radar alone
+    need = {*axes, *others} & found
     if "t" not in found and (
         not need or any(clock_of(quantity, found) == "t" for quantity in need)
     ):
@@ -194,29 +232,8 @@ def clock_of(quantity: str, quantities: Any) -> str:
     clock = {"u": "t_x", "v": "t_y"}.get(base, f"t_{base}")
     if clock in quantities:
         return clock
-    return (
-        "t_xy"
-        if base.removesuffix("_mark") in ("x", "y", "u", "v") and "t_xy" in quantities
-        else "t"
-    )
-
-
-def in_si(parsed: ParsedFile, header: str, column: Column, values: Floats) -> Series:
-    """A column with its values in SI; refuses values beyond 1e12."""
-    scaled = values
-    if column.factor != 1:
-        with np.errstate(over="ignore", invalid="ignore"):
-            scaled = values * column.factor
-    bad = np.abs(scaled) > LARGEST
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise DataError(
-            f"{values[row]:g} {column.unit} found, expected at most {LARGEST:g}",
-            file=parsed.source,
-            line=None if parsed.lines is None else int(parsed.lines[row]),
-            column=header,
-        )
-    return Series(header, column, scaled)
+    of_place = base.removesuffix("_mark") in ("x", "y", "u", "v")
+    return "t_xy" if of_place and "t_xy" in quantities else "t"
 
 
 def choose(what: str, flag: str, number: int | None, options: Sequence[str], default: int) -> int:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from curlfit.errors import DataError
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.axes import AxisConvention
 from curlfit.throws.readers.homography import Homography, displacements, load_homography
@@ -17,11 +16,9 @@ _BLOCK, _MOST_BLOCKS = 10, 50  # rows of a block, at least, and blocks
 
 def pixels_to_metres(
     parsed: ParsedFile,
-    t: Floats,
     columns: dict[str, Floats],
-    reference: Path | None,
+    reference: str | None,
     convention: AxisConvention,
-    notes: list[str],
 ) -> tuple[Floats | None, tuple[str, ...]]:
     """Put x and y with their sigma in place of u and v.
 
@@ -35,13 +32,12 @@ def pixels_to_metres(
     DataError : there are no known points, they determine no map, or a pixel shows no ice.
     """
     if reference is None:
-        raise DataError(
+        raise parsed.error(
             "positions are in pixels; give four or more known points with --reference FILE "
-            "(columns u,v,x,y)",
-            file=parsed.source,
+            "(columns u,v,x,y)"
         )
     if {"x", "y"} & columns.keys():
-        raise DataError("positions in pixels and in metres; remove one pair", file=parsed.source)
+        raise parsed.error("positions in pixels and in metres; remove one pair")
     plane = load_homography(Path(reference))
     u, v = columns.pop("u"), columns.pop("v")
     x, y = plane(u, v)
@@ -56,16 +52,18 @@ def pixels_to_metres(
     columns["x"], columns["y"] = x, y
     if "x_mark" in columns:
         columns["x_mark"], columns["y_mark"] = plane(columns["x_mark"], columns["y_mark"])
-    sizes = plane.jacobian(*_smooth(t, u, v))
+    sizes = plane.jacobian(*_smooth(columns["t"], u, v))
     sizes = np.where(np.isfinite(sizes), sizes, plane.jacobian(u, v))
     unknown = not {"sigma_u", "sigma_v"} <= columns.keys()
     noise = [columns.pop(f"sigma_{axis}", np.ones_like(u)) for axis in ("u", "v")]
     across, along = sizes * (1.0 if unknown else np.stack(noise))
     columns["sigma_x"], columns["sigma_y"] = np.hypot(*across), np.hypot(*along)
     if seen.any():
-        notes += _of_pixels(plane, reference, np.stack([x, y])[:, seen], sizes[..., seen], unknown)
+        parsed.notes += _of_pixels(
+            plane, reference, np.stack([x, y])[:, seen], sizes[..., seen], unknown
+        )
     if "phi" in columns:
-        notes.append(
+        parsed.notes.append(
             "angles are taken as angles on the ice, seen from above; an oblique camera distorts "
             "them"
         )
@@ -89,7 +87,7 @@ def _smooth(t: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats]:
 
 
 def _of_pixels(
-    plane: Homography, reference: Path, places: Floats, sizes: Floats, unknown: bool
+    plane: Homography, reference: str, places: Floats, sizes: Floats, unknown: bool
 ) -> list[str]:
     """Notes on the map from pixels to metres.
 

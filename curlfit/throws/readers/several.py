@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.errors import DataError, InputError
-from curlfit.throws.readers.parsed_file import ParsedFile, choose
+from curlfit.throws.readers.parsed_file import Contents, ParsedFile
 
 _NAMES = {
     "stone", "throw", "shot", "track", "trial", "run", "object", "id", "label", "name", "colour",
@@ -19,7 +18,6 @@ _NAMES = {
 }  # fmt: skip
 _WORDS = re.compile(r"[a-z]+")
 _FEWEST = 5  # rows of a throw
-_MOST_LISTED = 20
 
 
 def may_name_throws(header: str) -> bool:
@@ -28,17 +26,15 @@ def may_name_throws(header: str) -> bool:
     return bool(parts & _NAMES) and parts <= _NAMES | {"nr", "no", "number", "index"}
 
 
-def throws_in(
-    parsed: ParsedFile, words: Mapping[str, Sequence[Any]]
-) -> list[tuple[str, ParsedFile]]:
-    """The throws in a table with their names; a single throw has an empty name.
+def contents_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Contents:
+    """The throws in a table.
+
+    A column such as `stone`, `throw_id` or `track` names them. Without one, a new throw begins
+    where the times start again.
 
     Parameters
     ----------
     words : cells, by header, of the columns that are not data of a throw.
-
-    A column such as `stone`, `throw_id` or `track` names them. Without one, a new throw begins
-    where the times start again.
     """
     header, groups = _by_column(words, len(parsed.series[0].values))
     if header:
@@ -46,35 +42,16 @@ def throws_in(
     else:
         groups = _by_restart(parsed)
     if len(groups) < 2:
-        return [("", parsed)]
-    return [(name, _rows(parsed, rows)) for name, rows in groups.items()]
+        return Contents([""], lambda _: parsed)
+    throws = list(groups.items())
 
+    def parse(index: int) -> ParsedFile:
+        name, rows = throws[index]
+        found = _rows(parsed, rows)
+        found.notes.append(f"{len(throws)} throws; taken: {index + 1} {name}")
+        return found
 
-def selected(throws: list[tuple[str, ParsedFile]], number: int | None, flag: str) -> ParsedFile:
-    """One of the throws, counting from 1.
-
-    Raises
-    ------
-    DataError : there are several and no number is given. InputError : there is no such throw.
-    """
-    source = throws[0][1].source
-    if len(throws) == 1:
-        if number is not None:
-            raise InputError(f"{flag.rstrip(' =')}: {source} is a table file and holds one stone")
-        return throws[0][1]
-    listed = [name for name, _ in throws]
-    if number is None:
-        shown = "; ".join(
-            f"{k} {name} ({len(one.series[0].values)} rows)"
-            for k, (name, one) in enumerate(throws[:_MOST_LISTED], 1)
-        )
-        more = f"; and {len(throws) - _MOST_LISTED} more" if len(throws) > _MOST_LISTED else ""
-        raise DataError(
-            f"{len(throws)} throws; choose one with `{flag} N`: {shown}{more}", file=source
-        )
-    parsed = throws[choose("throw", flag, number, listed, 0)][1]
-    parsed.notes.append(f"{len(throws)} throws; taken: {number} {listed[number - 1]}")
-    return parsed
+    return Contents([f"{name} ({len(rows)} rows)" for name, rows in throws], parse)
 
 
 def _by_column(words: Mapping[str, Sequence[Any]], n: int) -> tuple[str, dict[str, np.ndarray]]:

@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable, Sequence
 from datetime import date
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,25 +38,20 @@ def lines_of(path: Path, *, most_bytes: int = _MOST_BYTES, settings: bool = Fals
     DataError : as `_text_of`; a line is too long.
     """
     text = _text_of(path, most_bytes, "settings" if settings else "throws")
-    if text.count("\n") > _MOST_LINES:
-        raise DataError(f"more than {_MOST_LINES} lines; expected throws", file=path)
     lines = text.split("\n")
+    if len(lines) > _MOST_LINES + 1:
+        raise DataError(f"more than {_MOST_LINES} lines; expected throws", file=path)
     if max(map(len, lines)) <= _MOST_IN_HEAD:
         return lines
     starts = [line[:_MOST_IN_HEAD].lstrip()[:1] for line in lines]
     header = next((k for k, start in enumerate(starts) if start not in ("", "#")), -1)
     json = not settings and starts[header] in ("{", "[")
     for index, (line, start) in enumerate(zip(lines, starts, strict=True)):
-        short = settings or index == header or start in ("", "#")
-        if json and start not in ("", "#"):
-            continue
-        most = _MOST_IN_HEAD if short else _MOST_IN_ROW
-        if len(line) > most:
-            raise DataError(
-                f"a line of {len(line)} characters; expected at most {most}",
-                file=path,
-                line=index + 1,
-            )
+        comment = start in ("", "#")
+        most = _MOST_IN_HEAD if settings or index == header or comment else _MOST_IN_ROW
+        if len(line) > most and (comment or not json):
+            fault = f"a line of {len(line)} characters; expected at most {most}"
+            raise DataError(fault, file=path, line=index + 1)
     return lines
 
 
@@ -95,6 +91,45 @@ def _text_of(path: Path, most_bytes: int, what: str) -> str:
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
     return text
+
+
+class TextFile(NamedTuple):
+    """A file and its lines."""
+
+    path: Path
+    lines: list[str]
+
+    def error(self, message: str, index: int | None = None, column: str | None = None) -> DataError:
+        """An error at the line of this index."""
+        line = None if index is None else index + 1
+        return DataError(message, file=self.path, line=line, column=column)
+
+    def head(self, expected: str = EXPECTED) -> int:
+        """Index of the first line that is not a comment.
+
+        Raises
+        ------
+        DataError : the file is empty or contains only comments.
+        """
+        index = next((k for k, line in enumerate(self.lines) if not is_aside(line)), None)
+        if index is None:
+            blank = all(not line or line.isspace() for line in self.lines)
+            what = "the file is empty" if blank else "the file holds comments only"
+            raise self.error(f"{what}; {expected}")
+        return index
+
+    def comments(self, until: int | None = None) -> list[tuple[int, str]]:
+        """The comments before the line of an index, with their line numbers."""
+        return [
+            (number, line)
+            for number, line in enumerate(self.lines[:until], 1)
+            if line.lstrip()[:1] == "#"
+        ]
+
+
+def is_aside(line: str) -> bool:
+    """Whether a line is blank or a comment."""
+    return not line or line.isspace() or line.lstrip()[0] == "#"
 
 
 def separator_of(line: str) -> str | None:
@@ -191,164 +226,148 @@ def _seconds(match: re.Match[str]) -> float | None:
     return 86400.0 * day + 3600 * hours + 60 * minutes + seconds - ahead
 
 
-def clocks_as_seconds(
-    lines: Sequence[str], first: int, columns: Iterable[int], separator: str | None
-) -> tuple[Sequence[str], dict[int, str]]:
-    """The lines of a table with clock times as seconds, and the first clock time by column.
+class TextTable(NamedTuple):
+    """A table of a file: the index of its header, its separator and the cells of the header."""
 
-    Cells of such a column that are not clock times are left as they are.
+    file: TextFile
+    header: int
+    separator: str | None
+    names: list[str]
 
-    Parameters
-    ----------
-    first : index of the first line below the header. columns : indices that may contain times.
-    """
-    rows = [k for k in range(first, len(lines)) if lines[k].strip() and lines[k].lstrip()[0] != "#"]
-    if not rows or ":" not in lines[rows[0]]:
-        return lines, {}
-    split = [cells(lines[k], separator) for k in rows]
-    begin: dict[int, str] = {}
-    for column in columns:
-        found = [row[column] if column < len(row) else None for row in split]
-        seconds, bad = clock_times(found)
-        known = np.flatnonzero(np.isfinite(seconds))
-        if not len(known):
-            continue
-        begin[column] = str(found[known[0]])
-        for k in set(range(len(rows))) - set(bad):
-            if found[k] is not None:
-                split[k][column] = "" if math.isnan(seconds[k]) else repr(float(seconds[k]))
-    if not begin:
-        return lines, {}
-    changed = list(lines)
-    for k, row in zip(rows, split, strict=True):
-        changed[k] = (
-            " ".join(cell or "nan" for cell in row)
-            if separator is None
-            else separator.join(f'"{cell}"' if separator in cell else cell for cell in row)
-        )
-    return changed, begin
+    @classmethod
+    def at(cls, file: TextFile, header: int) -> TextTable:
+        """The table with this header."""
+        separator = separator_of(file.lines[header])
+        return cls(file, header, separator, header_cells(file.lines[header], separator))
 
+    @classmethod
+    def of(cls, file: TextFile, expected: str = EXPECTED) -> TextTable:
+        """The table with the first line as its header. Raises `DataError` if that is a row."""
+        table = cls.at(file, file.head(expected))
+        if all(map(is_number, cells(file.lines[table.header], table.separator))):
+            raise table.error(f"the table begins with numbers; {expected}")
+        return table
 
-def read_rows(
-    path: Path,
-    lines: Sequence[str],
-    first: int,
-    names: Sequence[str],
-    columns: Sequence[int],
-    separator: str | None,
-) -> tuple[np.ndarray, list[Floats]]:
-    """Numbers in some columns of a table's rows, as written; gaps are NaN.
+    def error(self, message: str) -> DataError:
+        """An error at the header."""
+        return self.file.error(message, self.header)
 
-    Parameters
-    ----------
-    lines : all lines of the file. first : index of the first line below the header; blank lines
-        and comments there are skipped.
-    names : all cells of the header. columns : indices of those to read.
+    def cells_of(self, indices: Iterable[int]) -> list[list[str]]:
+        """The cells of the lines of these indices."""
+        return [cells(self.file.lines[index], self.separator) for index in indices]
 
-    Returns
-    -------
-    Line numbers, shape (n,), and an array of shape (n,) for each column.
+    def with_seconds(self, columns: Iterable[int]) -> tuple[TextTable, dict[int, str]]:
+        """The table with clock times as seconds, and the first clock time by column.
 
-    Raises
-    ------
-    DataError : a row with a wrong number of cells, or a cell that is not a finite number.
-    """
-    last = len(lines)
-    while last > first and not lines[last - 1]:
-        last -= 1
-    indices: Sequence[int] = range(first, last)
-    if _ODD_LINE.search("\n".join(["", *lines[first:last]])):
-        indices = [
-            index for index in indices
-            if (line := lines[index]) and not line.isspace() and line.lstrip()[0] != "#"
-        ]  # fmt: skip
-    decimal_comma = separator != "," and any("," in lines[index] for index in indices)
-    parts = []
-    for start in range(0, len(indices), _CHUNK):
-        chunk = indices[start : start + _CHUNK]
-        rows = [lines[index] for index in chunk]
-        found = _read_fast(rows, len(names), columns, separator, decimal_comma)
-        if found is None:
-            found = _read_cells(path, rows, chunk, names, columns, separator, decimal_comma)
-        parts.append(found)
-    numbers = np.asarray(indices, np.int64) + 1
-    if not parts:
-        return numbers, [np.zeros(0) for _ in columns]
-    return numbers, list(np.concatenate(parts, axis=1))
+        Cells of such a column that are not clock times are left as they are.
 
-
-def _read_fast(
-    rows: list[str], width: int, columns: Sequence[int], separator: str | None, decimal_comma: bool
-) -> Floats | None:
-    """Rows of numbers and empty cells only, read in one pass; None if there is anything else."""
-    text = "\n".join(rows)
-    if '"' in text or "_" in text:
-        return None
-    if decimal_comma:
-        if "." in text:
-            return None
-        rows = text.replace(",", ".").split("\n")
-    found: Floats | None
-    try:
-        every = np.loadtxt(rows, delimiter=separator, comments=None, ndmin=2)
-    except ValueError:
-        found = _read_with_gaps(rows, width, columns, separator)
-    else:
-        found = every[:, list(columns)].T if every.shape[1] == width else None
-    return None if found is None or np.isinf(found).any() else found
-
-
-def _read_with_gaps(
-    rows: list[str], width: int, columns: Sequence[int], separator: str | None
-) -> Floats | None:
-    """The same if some cells are empty or unread columns contain text."""
-    split = [row.split(separator) for row in rows]
-    if any(len(row) != width for row in split):
-        return None
-    by_column = list(zip(*split, strict=True))
-    try:
-        return np.array([[float(c or "nan") for c in by_column[column]] for column in columns])
-    except ValueError:
-        return None
-
-
-def _read_cells(
-    path: Path,
-    rows: list[str],
-    indices: Sequence[int],
-    names: Sequence[str],
-    columns: Sequence[int],
-    separator: str | None,
-    decimal_comma: bool,
-) -> Floats:
-    """Rows read cell by cell: any notation, and faults with their location."""
-    found = np.full((len(columns), len(rows)), math.nan)
-    for row, (index, line) in enumerate(zip(indices, rows, strict=True)):
-        row_cells = cells(line, separator)
-        if len(row_cells) > len(names) and not any(row_cells[len(names) :]):
-            row_cells = row_cells[: len(names)]
-        if len(row_cells) != len(names):
-            hint = (
-                "; where numbers have decimal commas, separate the columns by semicolons"
-                if separator == "," and len(names) < len(row_cells) <= 2 * len(names)
-                else ""
-            )
-            raise DataError(
-                f"{len(row_cells)} cells where the header has {len(names)} columns{hint}",
-                file=path,
-                line=index + 1,
-            )
-        for slot, column in enumerate(columns):
-            cell = row_cells[column]
-            if cell.lower() in GAPS:
+        Parameters
+        ----------
+        columns : indices of those that may contain times.
+        """
+        lines = self.file.lines
+        rows = [k for k in range(self.header + 1, len(lines)) if not is_aside(lines[k])]
+        if not rows or ":" not in lines[rows[0]]:
+            return self, {}
+        split = self.cells_of(rows)
+        begin: dict[int, str] = {}
+        for column in columns:
+            found = [row[column] if column < len(row) else None for row in split]
+            seconds, bad = clock_times(found)
+            known = np.flatnonzero(np.isfinite(seconds))
+            if not len(known):
                 continue
-            value = parse_number(cell, decimal_comma=decimal_comma)
-            if value is None or not math.isfinite(value):
-                raise DataError(
-                    f"{quoted(cell)} found, expected a finite number",
-                    file=path,
-                    line=index + 1,
-                    column=names[column],
+            begin[column] = str(found[known[0]])
+            for k in set(range(len(rows))) - set(bad):
+                if found[k] is not None:
+                    split[k][column] = "" if math.isnan(seconds[k]) else repr(float(seconds[k]))
+        if not begin:
+            return self, {}
+        mark, changed = self.separator, list(lines)
+        for k, row in zip(rows, split, strict=True):
+            changed[k] = (
+                " ".join(cell or "nan" for cell in row)
+                if mark is None
+                else mark.join(f'"{cell}"' if mark in cell else cell for cell in row)
+            )
+        return self._replace(file=self.file._replace(lines=changed)), begin
+
+    def numbers(self, columns: Sequence[int]) -> tuple[np.ndarray, list[Floats]]:
+        """Numbers in the columns of these indices, as written; gaps are NaN. Blank lines and
+        comments are skipped.
+
+        Returns
+        -------
+        Line numbers, shape (n,), and an array of shape (n,) for each column.
+
+        Raises
+        ------
+        DataError : there is no row, a row with a wrong number of cells, or a cell that is not a
+            finite number.
+        """
+        lines, first = self.file.lines, self.header + 1
+        last = len(lines)
+        while last > first and not lines[last - 1]:
+            last -= 1
+        indices: Sequence[int] = range(first, last)
+        if _ODD_LINE.search("\n".join(["", *lines[first:last]])):
+            indices = [index for index in indices if not is_aside(lines[index])]
+        if not indices:
+            raise self.error("a header but no rows of numbers")
+        decimal_comma = self.separator != "," and any("," in lines[index] for index in indices)
+        parts = []
+        for start in range(0, len(indices), _CHUNK):
+            chunk = indices[start : start + _CHUNK]
+            found = self._read_fast([lines[index] for index in chunk], columns, decimal_comma)
+            if found is None:
+                found = self._read_cells(chunk, columns, decimal_comma)
+            parts.append(found)
+        return np.asarray(indices, np.int64) + 1, list(np.concatenate(parts, axis=1))
+
+    def _read_fast(
+        self, rows: list[str], columns: Sequence[int], decimal_comma: bool
+    ) -> Floats | None:
+        """Rows of numbers and empty cells only, read in one pass; None if there is anything else
+        in the columns."""
+        text, width = "\n".join(rows), len(self.names)
+        if '"' in text or "_" in text or (decimal_comma and "." in text):
+            return None
+        if decimal_comma:
+            rows = text.replace(",", ".").split("\n")
+        try:
+            every = np.loadtxt(rows, delimiter=self.separator, comments=None, ndmin=2)
+            found = every[:, list(columns)].T if every.shape[1] == width else None
+        except ValueError:  # cells are empty, or columns that are not read contain text
+            split = [row.split(self.separator) for row in rows]
+            if any(len(row) != width for row in split):
+                return None
+            by_column = list(zip(*split, strict=True))
+            try:
+                found = np.array([[float(c or "nan") for c in by_column[k]] for k in columns])
+            except ValueError:
+                return None
+        return None if found is None or np.isinf(found).any() else found
+
+    def _read_cells(
+        self, indices: Sequence[int], columns: Sequence[int], decimal_comma: bool
+    ) -> Floats:
+        """Rows read cell by cell: any notation, and faults with their location."""
+        found, width = np.full((len(columns), len(indices)), math.nan), len(self.names)
+        for row, (index, line) in enumerate(zip(indices, self.cells_of(indices), strict=True)):
+            if len(line) < width or any(line[width:]):
+                hint = (
+                    "; where numbers have decimal commas, separate the columns by semicolons"
+                    if self.separator == "," and width < len(line) <= 2 * width
+                    else ""
                 )
-            found[slot, row] = value
-    return found
+                fault = f"{len(line)} cells where the header has {width} columns{hint}"
+                raise self.file.error(fault, index)
+            for slot, column in enumerate(columns):
+                if (cell := line[column]).lower() in GAPS:
+                    continue
+                value = parse_number(cell, decimal_comma=decimal_comma)
+                if value is None or not math.isfinite(value):
+                    fault = f"{quoted(cell)} found, expected a finite number"
+                    raise self.file.error(fault, index, self.names[column])
+                found[slot, row] = value
+        return found

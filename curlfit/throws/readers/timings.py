@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import quoted
+from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
 from curlfit.throws.events import SIGMA_TIME, Event
+from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.notation import Quantity, parse_quantity
-from curlfit.throws.readers.parsed_file import FilePart, Format, ParsedFile, ReadOptions, choose
-from curlfit.throws.readers.table import defaults_of
-from curlfit.throws.readers.text import cells, header_cells, separator_of
+from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
+from curlfit.throws.readers.text import TextFile, cells, header_cells, lines_of, separator_of
 
 TIMES: dict[str, tuple[str, str | None]] = {
     "back_to_hog": ("back", "hog"),
@@ -35,14 +36,14 @@ _KINDS = {
     **dict.fromkeys(TIMES, "t"), "curl": "x", "rest": "y", "turns": "phi", "handle": "word",
     "hand": "word", "sigma_time": "t", "sigma_rest": "y", "sigma_curl": "x", "sigma_turns": "phi",
 }  # fmt: skip
+_ALLOWED = {
+    "curl": {"left", "right"}, "rest": {"past", "short"},
+    "turns": {"clockwise", "counter-clockwise"},
+}  # fmt: skip
 _ALIASES = {
-    "sigma_t": "sigma_time",
-    "spin": "handle",
-    "rotation": "handle",
-    "split": "back_to_hog",
-    "h2h": "hog_to_hog",
-    "hog_hog": "hog_to_hog",
-}
+    "sigma_t": "sigma_time", "spin": "handle", "rotation": "handle", "split": "back_to_hog",
+    "h2h": "hog_to_hog", "hog_hog": "hog_to_hog",
+}  # fmt: skip
 # Friction of 0.002, the lowest on any ice, stops a stone from hog line to tee within 54 s.
 _LIMITS = dict.fromkeys(TIMES, 60.0) | {"rest": 40.0, "curl": 10.0, "turns": 1000.0 * 2 * math.pi}
 _EXPECTED = (
@@ -56,8 +57,6 @@ _SIDE = (
 )
 _SPLIT = re.compile(r"[\s_\-./()\[\]]+")
 _LINE = re.compile(r"""\s*["']?([^=:;,\t"']*?)["']?\s*[=:;,\t]\s*(\S.*?)\s*[;,]?\s*$""")
-
-
 _MOST_ROWS = 100_000
 
 
@@ -67,40 +66,23 @@ class _Entry(NamedTuple):
     unit: str
 
 
-def read_timings(path: Path, lines: list[str], options: ReadOptions) -> ParsedFile:
-    """The events of a record, or of one row of a table with one throw per row.
+def _contents(file: TextFile, reading: Reading) -> Contents:
+    """The only record, or the rows of a table with one throw per row.
 
     Raises
     ------
     DataError : an unknown line, an impossible value, a curl without its side, or times that do not
-        determine friction. InputError : no such row.
+        determine friction.
     """
-    rows = _rows(path, lines)
-    index = choose("row", "--shot", options.shot, [f"line {min_line(row)}" for row in rows], 0)
-    parsed = _record(path, lines, rows, index)
-    if len(rows) > 1:
-        parsed.notes.insert(
-            0, f"{len(rows)} throws, one in each row; taken: {index + 1} (--shot selects another)"
-        )
-    return parsed
+    rows = _rows(file)
+    return Contents(
+        [f"line {_first_line(row)}" for row in rows],
+        lambda index: _record(file, rows, index),
+        note="{} throws, one in each row; taken: {} (--shot selects another)",
+    )
 
 
-def _parts(path: Path, lines: list[str], options: ReadOptions) -> list[FilePart]:
-    """The rows of a table, or the only record."""
-    rows = _rows(path, lines)
-    if len(rows) == 1:
-        return [FilePart(options.shot, None, partial(read_timings, path, lines, options))]
-    chosen = range(len(rows))
-    if options.shot is not None:
-        names = [f"line {min_line(row)}" for row in rows]
-        chosen = range(found := choose("row", "--shot", options.shot, names, 0), found + 1)
-    return [
-        FilePart(index + 1, None, partial(_record, path, lines, rows, index)) for index in chosen
-    ]
-
-
-def min_line(entries: dict[str, _Entry]) -> int:
-    """The first line of a record."""
+def _first_line(entries: dict[str, _Entry]) -> int:
     return min((entry.line for entry in entries.values()), default=0)
 
 
@@ -124,7 +106,7 @@ def _recognizes(head: list[str]) -> bool:
     return first is not None and any(char.isdigit() for char in first[2])
 
 
-TIMINGS = Format("timings", _recognizes, read_timings, _parts, ("shot",))
+TIMINGS = Format("timings", _recognizes, _contents, "row", "shot", 0, ("shot",))
 
 
 def _key(text: str) -> tuple[str, str] | None:
@@ -156,68 +138,62 @@ def _pair(line: str) -> tuple[str, str, str] | None:
     return None
 
 
-def _rows(path: Path, lines: list[str]) -> list[dict[str, _Entry]]:
+def _rows(file: TextFile) -> list[dict[str, _Entry]]:
     """Entries by quantity of each record in the file."""
     body = [
-        (count, text)
-        for count, line in enumerate(lines, 1)
+        (index, text)
+        for index, line in enumerate(file.lines)
         if (text := line.split("#", 1)[0].strip()) and not text.startswith("[")
     ]
     if not is_table([text for _, text in body]):
-        return [_entries(path, body)]
+        return [_entries(file, body)]
     if len(body) > _MOST_ROWS:
-        raise DataError(f"more than {_MOST_ROWS} throws", file=path, line=body[_MOST_ROWS][0])
-    header = _header(body[0][1])
-    separator = separator_of(body[0][1])
+        raise file.error(f"more than {_MOST_ROWS} throws", body[_MOST_ROWS][0])
+    first, head = body[0]
+    header, separator = _header(head), separator_of(head)
     rows = []
-    for count, text in body[1:]:
+    for index, text in body[1:]:
         values = cells(text, separator)
         if len(values) != len(header):
-            raise DataError(
-                f"{len(values)} cells, expected {len(header)} as in the header",
-                file=path,
-                line=count,
-            )
+            fault = f"{len(values)} cells, expected {len(header)} as in the header"
+            raise file.error(fault, index)
         rows.append(
             {
-                key: _Entry(count, value, unit)
+                key: _Entry(index + 1, value, unit)
                 for (key, unit), value in zip(header, values, strict=True)
                 if key is not None and value.strip() not in ("", "-", "--")
             }
         )
     if not rows:
-        raise DataError("a header but no rows", file=path, line=body[0][0])
+        raise file.error("a header but no rows", first)
     return rows
 
 
-def _entries(path: Path, body: list[tuple[int, str]]) -> dict[str, _Entry]:
+def _entries(file: TextFile, body: Sequence[tuple[int, str]]) -> dict[str, _Entry]:
     found: dict[str, _Entry] = {}
-    for count, text in body:
+    for index, text in body:
         pair = _pair(text)
         if pair is None:
             if not found and re.fullmatch(r"(?i)(name|key|quantity|what)\W.*", text):
                 continue  # a header
-            raise DataError(f"{quoted(text)} is not known; {_EXPECTED}", file=path, line=count)
+            raise file.error(f"{quoted(text)} is not known; {_EXPECTED}", index)
         key, unit, value = pair
         if key in found:
-            raise DataError(f"{key} is given twice", file=path, line=count)
-        found[key] = _Entry(count, value, unit)
+            raise file.error(f"{key} is given twice", index)
+        found[key] = _Entry(index + 1, value, unit)
     return found
 
 
-def _record(path: Path, lines: list[str], rows: list[dict[str, _Entry]], index: int) -> ParsedFile:
-    entries = rows[index]
-    comments = [(k, line) for k, line in enumerate(lines, 1) if line.lstrip().startswith("#")]
-    settings, reference, notes = defaults_of(path, comments)
-    settings.setdefault("law", _usual_law(rows))
-    record = _Record(path, entries, min_line(entries) if len(rows) > 1 else None)
-    events = record.events()
-    record.require_friction(events)
-    spin, said = record.spin(events)
-    name = f"{path} row {index + 1}" if len(rows) > 1 else path
-    parsed = ParsedFile(name, "timings", [], [], settings, reference, notes=notes)
-    parsed.events, parsed.assumed = events, {"omega0": spin}
-    used = sorted({y for event in events for y in (event.at, event.since) if y is not None})
+def _record(file: TextFile, rows: list[dict[str, _Entry]], index: int) -> ParsedFile:
+    several = len(rows) > 1
+    parsed = begun(file, "timings", source=f"{file.path} row {index + 1}" if several else None)
+    parsed.settings.setdefault("law", _usual_law(rows))
+    record = _Record(file, rows[index], _first_line(rows[index]) if several else None)
+    parsed.events = record.events()
+    record.require_friction(parsed.events)
+    spin, said = record.spin(parsed.events)
+    parsed.assumed = {"omega0": spin}
+    used = sorted({y for event in parsed.events for y in (event.at, event.since) if y is not None})
     named = {y: line.replace("far-", "far ") for line, y in LINES.items()}
     parsed.notes += [
         "y from the hack, x from the line of delivery: the stone's centre crosses the "
@@ -228,9 +204,9 @@ def _record(path: Path, lines: list[str], rows: list[dict[str, _Entry]], index: 
     return parsed
 
 
-def usual_law(path: Path, lines: list[str]) -> str:
-    """The law that a file is fitted with if none is named. Raises `DataError` as `read_timings`."""
-    return _usual_law(_rows(path, lines))
+def usual_law(path: Path) -> str:
+    """The law that a file is fitted with if none is named. Raises `DataError` as the reader."""
+    return _usual_law(_rows(TextFile(path, lines_of(path))))
 
 
 def _usual_law(rows: list[dict[str, _Entry]]) -> str:
@@ -243,45 +219,36 @@ def _usual_law(rows: list[dict[str, _Entry]]) -> str:
 class _Record:
     """One record with its parsed quantities."""
 
-    def __init__(self, path: Path, entries: dict[str, _Entry], line: int | None) -> None:
-        self.path, self.entries, self.line = path, entries, line
+    def __init__(self, file: TextFile, entries: dict[str, _Entry], line: int | None) -> None:
+        self.file, self.entries, self.line = file, entries, line
         self.values = {key: self._read(key) for key in entries}
 
     def _error(self, key: str, message: str) -> DataError:
-        return DataError(message, file=self.path, line=self.entries[key].line, column=key)
+        return self.file.error(message, self.entries[key].line - 1, key)
 
     def _read(self, key: str) -> Quantity:
         _, text, unit = self.entries[key]
         kind = _KINDS[key]
+        per = 2 * math.pi if kind == "phi" else 1.0
         try:
-            found = parse_quantity(
-                text,
-                "x" if kind == "word" else kind,
-                unit,
-                per=2 * math.pi if kind == "phi" else 1.0,
-            )
+            found = parse_quantity(text, "x" if kind == "word" else kind, unit, per=per)
         except InputError as error:
             raise self._error(key, str(error)) from None
-        allowed: frozenset[str] = {
-            "curl": frozenset({"left", "right"}), "rest": frozenset({"past", "short"}),
-            "turns": frozenset({"clockwise", "counter-clockwise"}),
-        }.get(key, frozenset())  # fmt: skip
-        value = found.value
         if kind == "word":
             return found
+        value, allowed, fault = found.value, _ALLOWED.get(key, set()), ""
+        limit = _LIMITS.get(key, 600.0)
+        positive = kind == "t" or key.startswith("sigma")
         if math.isnan(value) or found.words - allowed or len(found.words) > 1:
             what = f"a number and {' or '.join(sorted(allowed))}" if allowed else "a number"
-            raise self._error(key, f"{quoted(text)} found, expected {what}")
-        positive = kind == "t" or key.startswith("sigma")
-        limit = _LIMITS.get(key, 600.0)
-        if abs(value) > limit or (positive and value <= 0):
-            raise self._error(
-                key,
-                f"{value:g} found, expected a number "
-                + ("above 0" if value <= 0 else f"up to {limit:g}"),
-            )
-        if found.signed and found.words:
-            raise self._error(key, f"{quoted(text)} has a sign and a word; expected one of them")
+            fault = f"{quoted(text)} found, expected {what}"
+        elif abs(value) > limit or (positive and value <= 0):
+            range_of = "above 0" if value <= 0 else f"up to {limit:g}"
+            fault = f"{value:g} found, expected a number {range_of}"
+        elif found.signed and found.words:
+            fault = f"{quoted(text)} has a sign and a word; expected one of them"
+        if fault:
+            raise self._error(key, fault)
         return found
 
     def _sigma(self, key: str, usual: float) -> float:
@@ -289,24 +256,24 @@ class _Record:
 
     def events(self) -> list[Event]:
         """The measured events."""
-        found = []
-        sigma_time = self._sigma("sigma_time", SIGMA_TIME)
-        sigma_rest = self._sigma("sigma_rest", SIGMA_REST)
-        for key, (since, to) in TIMES.items():
-            if key in self.values:
-                at = None if to is None else LINES[to]
-                found.append(
-                    Event(key, "time", self.values[key].value, sigma_time, at, LINES[since])
-                )
-        if "rest" in self.values:
-            value, _, words = self.values["rest"]
+        values, hog = self.values, LINES["hog"]
+        rest = self._sigma("sigma_rest", SIGMA_REST)
+        found = [
+            Event(
+                key, "time", values[key].value, self._sigma("sigma_time", SIGMA_TIME),
+                None if to is None else LINES[to], LINES[since],
+            )
+            for key, (since, to) in TIMES.items()
+            if key in values
+        ]  # fmt: skip
+        if "rest" in values:
+            value, _, words = values["rest"]
             y = LINES["far-tee"] + (-value if "short" in words else value)
-            found.append(Event("rest", "y", y, sigma_rest))
-        hog = LINES["hog"]
-        if "curl" in self.values:
-            sigma = self._sigma("sigma_curl", sigma_rest)
+            found.append(Event("rest", "y", y, rest))
+        if "curl" in values:
+            sigma = self._sigma("sigma_curl", rest)
             found.append(Event("curl", "x", self._curl(), sigma, since=hog))
-        if "turns" in self.values:
+        if "turns" in values:
             sigma = self._sigma("sigma_turns", SIGMA_TURNS * 2 * math.pi)
             found.append(Event("turns", "phi", self._turns(), sigma, since=hog))
         return found
@@ -393,19 +360,14 @@ class _Record:
     def require_friction(self, events: list[Event]) -> None:
         """Raise `DataError` if the record does not determine friction or is impossible."""
         times = [event for event in events if event.quantity == "time"]
-        if not times:
-            raise DataError(f"no time; {_EXPECTED}", file=self.path, line=self.line)
+        fault = "" if times else f"no time; {_EXPECTED}"
         if len(times) == 1 and "rest" not in self.values:
-            (only,) = times
-            others = [
-                key for key in ("hog_to_hog", "rest", "hog_to_rest") if key not in self.values
-            ]
-            raise DataError(
-                f"{only.name} alone gives the mean speed and no friction; expected one more of "
-                + ", ".join([*others[:2], "or another time"]),
-                file=self.path,
-                line=self.line,
-            )
+            keys = [key for key in ("hog_to_hog", "rest", "hog_to_rest") if key not in self.values]
+            others = ", ".join([*keys[:2], "or another time"])
+            fault = f"{times[0].name} alone gives the mean speed and no friction; expected one more"
+            fault += f" of {others}"
+        if fault:
+            raise self.file.error(fault, None if self.line is None else self.line - 1)
         value = {event.name: event.value for event in times}
         if value.get("hog_to_tee", math.inf) <= value.get("hog_to_hog", 0.0):
             raise self._error(

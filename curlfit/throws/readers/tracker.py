@@ -11,39 +11,38 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from curlfit.errors import DataError, InputError
+from curlfit.errors import InputError
 from curlfit.numerics.arrays import Floats
-from curlfit.throws.readers.columns import Column, in_unit, parse_header
+from curlfit.settings.choices import Reading
+from curlfit.throws.readers.columns import Column, parse_header
+from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.parsed_file import (
-    FilePart,
+    Contents,
     Format,
     ParsedFile,
-    ReadOptions,
     Series,
     choose,
     columns_of,
-    in_si,
 )
-from curlfit.throws.readers.table import defaults_of, first_lines
+from curlfit.throws.readers.table import read_columns
 from curlfit.throws.readers.text import (
     EXPECTED,
+    TextFile,
+    TextTable,
     cells,
-    clocks_as_seconds,
     header_cells,
     is_number,
-    read_rows,
     separator_of,
 )
 
 _FEW_VALUES = 5
 _MOST_DIGITS = 13
 _POLAR = re.compile(r"(θ|theta)_?\{?r\}?(?![a-z])", re.I)
+_Objects = list[tuple[str, list[int]]]  # titles and indices of their columns
 
 
 def _recognizes(head: list[str]) -> bool:
@@ -55,92 +54,77 @@ def _recognizes(head: list[str]) -> bool:
     return len(head) > 1 and _known(_header(head[1])) >= 2 and not any(map(is_number, first))
 
 
-def read_tracker(path: Path, lines: list[str], options: ReadOptions) -> ParsedFile:
-    """Columns of one object of a Tracker export, by default the first.
+def _contents(file: TextFile, reading: Reading) -> Contents:
+    """The objects of a Tracker export; one that marks the handle is no throw by itself.
 
     Raises
     ------
     DataError : with the line and column of the fault, and what was expected.
-    InputError : there is no such object.
+    InputError : there is no such object as the handle.
     """
-    first, comments = first_lines(path, lines)
-    settings, reference, notes = defaults_of(path, comments)
-    header, separator, names, blocks = _layout(path, lines, first)
-    titled = any(title for title, _ in blocks)
-    labels = [title or f"object {k}" for k, (title, _) in enumerate(blocks, 1)]
-    selected = choose("object", "--stone-index", options.stone_index, labels, 0)
-    _, indices = blocks[selected]
-    if len(blocks) > 1:
-        listed = ", ".join(f"{k} {name}" for k, name in enumerate(labels, 1))
-        notes.append(
-            f"{len(blocks)} objects: {listed}; taken: {selected + 1} {labels[selected]} "
-            "(--stone-index selects another"
-            + ("" if options.handle else "; --handle N, one that marks the handle of this stone")
-            + ")"
-        )
-    elif titled:
-        notes.append(f"object: {labels[0]}")
-    headers = [names[index] for index in indices]
-    if "t" not in _quantities(headers):  # one column of times for all
-        shared = next((p for p in range(len(names)) if _quantities([names[p]]) == ["t"]), None)
-        if shared is not None:
-            indices, headers = [shared, *indices], [names[shared], *headers]
-    has_angle = "phi" in _quantities(headers)
-    readable = headers if has_angle else [_POLAR.sub("θ", name) for name in headers]
-    columns, ignored = columns_of(
-        path, readable, options.units, line=header + 1, pixels=options.pixels
-    )
-    mark = _mark(blocks, names, labels, options, selected, columns)
-    times = [indices[k] for k, column in columns.items() if column.quantity == "t"]
-    rows, clocks = clocks_as_seconds(lines, header + 1, times, separator)
-    for k, column in columns.items():
-        if indices[k] in clocks:
-            columns[k] = in_unit(column.quantity, "s")
-            notes.append(f"{headers[k]}: clock times, taken as seconds since {clocks[indices[k]]}")
-    wanted = [*(indices[k] for k in columns), *mark]
-    numbers, values = read_rows(path, rows, header + 1, names, wanted, separator)
-    if not len(numbers):
-        raise DataError("a header but no rows of numbers", file=path, line=header + 1)
-    parsed = ParsedFile(path, "tracker", [], ignored, settings, reference, notes, numbers)
-    series = [
-        in_si(parsed, headers[k], column, values[slot])
-        for slot, (k, column) in enumerate(_in_units_of_the_file(columns).items())
-    ]
-    own = [np.isfinite(s.values) for s in series if s.column.quantity != "t"]
-    for slot, (place, column) in enumerate(mark.items(), len(columns)):
-        series.append(in_si(parsed, names[place], column, values[slot]))
-    blank = ~np.any(own, axis=0)
-    if blank.any() and not blank.all():  # frames in which this object was not marked
-        notes.append(f"{int(blank.sum())} rows without {labels[selected]} left out")
-        series = [s._replace(values=s.values[~blank]) for s in series]
-        parsed.lines = numbers[~blank]
-    parsed.series = series
-    _leave_out_derived(parsed)
-    return parsed
+    first = file.head()
+    table, objects = _layout(file, first)
+    labels = [title or f"object {k}" for k, (title, _) in enumerate(objects, 1)]
+
+    def parse(index: int) -> ParsedFile:
+        parsed = begun(file, "tracker", first)
+        if len(objects) > 1:
+            listed = ", ".join(f"{k} {name}" for k, name in enumerate(labels, 1))
+            other = (
+                "" if reading.handle else "; --handle N, one that marks the handle of this stone"
+            )
+            parsed.notes.append(
+                f"{len(objects)} objects: {listed}; taken: {index + 1} {labels[index]} "
+                f"(--stone-index selects another{other})"
+            )
+        elif objects[0][0]:
+            parsed.notes.append(f"object: {labels[0]}")
+        columns, parsed.ignored = _columns(table, objects[index][1], reading)
+        columns |= _mark(table, objects, labels, reading.handle, index, columns)
+        read_columns(parsed, table, columns, _in_units_of_the_file)
+        _leave_out_blank(parsed, labels[index])
+        _leave_out_derived(parsed)
+        return parsed
+
+    alone = [k for k in range(len(objects)) if len(objects) == 1 or k + 1 != reading.handle]
+    return Contents(labels, parse, alone)
 
 
-def _parts(path: Path, lines: list[str], options: ReadOptions) -> list[FilePart]:
-    """Every object. Raises `DataError` if the file has no header."""
-    indices: list[int | None] = [options.stone_index]
-    if options.stone_index is None:
-        first, _ = first_lines(path, lines)
-        count = len(_layout(path, lines, first).blocks)
-        every = [k for k in range(1, count + 1) if k != options.handle]
-        indices = [*every] if count > 1 else [None]
-    return [
-        FilePart(None, k, partial(read_tracker, path, lines, options._replace(stone_index=k)))
-        for k in indices
-    ]
+TRACKER = Format(
+    "tracker", _recognizes, _contents, "object", "stone_index", 0, ("stone_index", "handle")
+)
 
 
-TRACKER = Format("tracker", _recognizes, read_tracker, _parts, ("stone_index", "handle"))
+def _columns(
+    table: TextTable, indices: list[int], reading: Reading
+) -> tuple[dict[int, Column], list[str]]:
+    """Columns of one object, by index, and the names of those that are ignored."""
+    names = [table.names[index] for index in indices]
+    if "t" not in _quantities(names):  # one column of times for all
+        shared = [k for k, name in enumerate(table.names) if _quantities([name]) == ["t"]][:1]
+        indices, names = [*shared, *indices], [*(table.names[k] for k in shared), *names]
+    if "phi" not in _quantities(names):
+        names = [_POLAR.sub("θ", name) for name in names]
+    columns, ignored = columns_of(names, reading, table.error)
+    return {indices[k]: column for k, column in columns.items()}, ignored
+
+
+def _leave_out_blank(parsed: ParsedFile, label: str) -> None:
+    """Remove the rows of frames in which an object was not marked."""
+    found = [(s.column.quantity, s.values) for s in parsed.series]
+    own = [v for quantity, v in found if quantity != "t" and not quantity.endswith("_mark")]
+    seen = np.isfinite(own).any(axis=0)
+    if seen.any() and not seen.all() and parsed.lines is not None:
+        parsed.notes.append(f"{int((~seen).sum())} rows without {label} left out")
+        parsed.series = [s._replace(values=s.values[seen]) for s in parsed.series]
+        parsed.lines = parsed.lines[seen]
 
 
 def _mark(
-    blocks: list[tuple[str, list[int]]],
-    names: list[str],
+    table: TextTable,
+    objects: _Objects,
     labels: list[str],
-    options: ReadOptions,
+    handle: int | None,
     stone: int,
     columns: Mapping[int, Column],
 ) -> dict[int, Column]:
@@ -152,49 +136,39 @@ def _mark(
     ------
     InputError : there is no such object, it is the stone itself, or it has no positions.
     """
-    if options.handle is None:
+    if handle is None:
         return {}
-    place = choose("object", "--handle", options.handle, labels, 0)
+    place = choose("object", "--handle", handle, labels, 0)
     if place == stone:
         raise InputError(f"--handle {place + 1} is the stone itself; expected another object")
     own = {column.quantity: column for column in columns.values()}
     found: dict[int, Column] = {}
-    for index in blocks[place][1]:
-        column = parse_header(names[index])
-        if column is None:
-            continue
-        axis = {"x": "x", "y": "y", "u": "x", "v": "y"}.get(column.quantity)
-        stones = own.get(axis or "") or own.get({"x": "u", "y": "v"}.get(axis or "", ""))
-        if axis is not None and stones is not None:
+    for index in objects[place][1]:
+        column = parse_header(table.names[index])
+        axis = {"x": "x", "y": "y", "u": "x", "v": "y"}.get("" if column is None else column[0], "")
+        stones = own.get(axis) or own.get({"x": "u", "y": "v"}.get(axis, ""))
+        if stones is not None:
             found[index] = stones._replace(quantity=f"{axis}_mark")
     if len(found) != 2:
         raise InputError(f"--handle {place + 1}: {labels[place]} has no columns x and y")
     return found
 
 
-class _Layout(NamedTuple):
-    """Line, separator and cells of the header; title and column indices of each object."""
-
-    header: int
-    separator: str | None
-    names: list[str]
-    blocks: list[tuple[str, list[int]]]
-
-
-def _layout(path: Path, lines: list[str], first: int) -> _Layout:
-    header = first
+def _layout(file: TextFile, first: int) -> tuple[TextTable, _Objects]:
+    """The table, and its objects."""
+    lines, header = file.lines, first
     if _known(_header(lines[first])) < 2:
-        header = next(
-            (k for k in range(first + 1, min(first + 5, len(lines))) if lines[k].strip()), first
-        )
-    if _known(_header(lines[header])) < 2:
-        raise DataError(f"no header below the title; {EXPECTED}", file=path, line=header + 1)
-    separator = separator_of(lines[header])
-    names = header_cells(lines[header], separator)
-    titles = cells(lines[first], separator) if header != first else []
-    if separator is None and titles:
-        titles = [lines[first].strip()]
-    return _Layout(header, separator, names, _blocks(names, titles))
+        below = range(first + 1, min(first + 5, len(lines)))
+        header = next((k for k in below if lines[k].strip()), first)
+    table = TextTable.at(file, header)
+    if _known(table.names) < 2:
+        raise table.error(f"no header below the title; {EXPECTED}")
+    titles: list[str] = []
+    if header != first:
+        titles = cells(lines[first], table.separator)
+        if table.separator is None and titles:
+            titles = [lines[first].strip()]
+    return table, _objects(table.names, titles)
 
 
 def _header(line: str) -> list[str]:
@@ -210,7 +184,7 @@ def _quantities(names: Sequence[str]) -> list[str]:
     return [column.quantity for column in found if column is not None]
 
 
-def _blocks(names: list[str], titles: list[str]) -> list[tuple[str, list[int]]]:
+def _objects(names: list[str], titles: list[str]) -> _Objects:
     """Title and column indices of each object."""
     starts = [k for k, title in enumerate(titles[: len(names)]) if title]
     if len(starts) < 2:

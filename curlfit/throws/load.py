@@ -1,0 +1,188 @@
+"""Throws from files of any format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from itertools import islice
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from curlfit.errors import CurlfitError, InputError
+from curlfit.foreign import quoted
+from curlfit.settings.choices import Reading, takes
+from curlfit.throws.readers.assemble import assemble
+from curlfit.throws.readers.axes import parse_axes
+from curlfit.throws.readers.columns import parse_units
+from curlfit.throws.readers.digitalcurling import DIGITALCURLING
+from curlfit.throws.readers.homography import load_homography
+from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
+from curlfit.throws.readers.table import TABLE
+from curlfit.throws.readers.text import TextFile, lines_of
+from curlfit.throws.readers.timings import TIMINGS, is_table
+from curlfit.throws.readers.tracker import TRACKER
+from curlfit.throws.throw import Throw
+
+_READERS = (DIGITALCURLING, TIMINGS, TRACKER, TABLE)
+"""Formats in the order in which they are tried; the last accepts any file."""
+_BY_NAME = {reader.name: reader for reader in reversed(_READERS)}
+FORMATS = tuple(_BY_NAME)
+_BEGINNING = 10_000  # characters that show whether a table has one throw per row
+_HEAD = 30  # lines that show the format
+
+
+@takes(Reading)
+def load_throw(file: str | PathLike[str], **choices: Any) -> Throw:
+    """Read a throw from a file.
+
+    A table has a header and one row for each time. Columns are `t` and any of `x`, `y`, `phi`,
+    `speed`, `omega`, and `sigma_x` and so on. Common names and units are recognised
+    (`time`, `y_ft`, `angle [deg]`, `phi_rev`), as are separate clocks of channels (`t_phi`).
+    Separators are commas, semicolons, tabs or spaces; decimal commas are read where the separator
+    is not a comma. Empty cells are gaps. Leading lines `# key = value` set defaults of this throw.
+    Wrapped angles are unwrapped.
+
+    Parameters
+    ----------
+    {choices}
+
+    Raises
+    ------
+    DataError : with the file, line and column of the fault, and what was expected.
+    InputError : an argument that cannot be used.
+
+    Examples
+    --------
+    >>> throw = curlfit.load_throw("data/jensen_shegelski_2004.csv")
+    >>> len(throw), throw.seen
+    (230, ('x', 'y', 'phi'))
+    """
+    reading = Reading.of(**choices)
+    throw = throw_of(read(file, reading), reading)
+    return replace(throw, read_with=tuple(reading.words()))
+
+
+class Part(NamedTuple):
+    """One throw of a file that may contain several.
+
+    Attributes
+    ----------
+    shot, stone_index : arguments of `load_throw` that select it; None if the file has only one.
+    throw : the throw, or the error if it cannot be read.
+    """
+
+    shot: int | None
+    stone_index: int | None
+    throw: Throw | CurlfitError
+
+
+@takes(Reading)
+def load_throws(file: str | PathLike[str], **choices: Any) -> list[Part]:
+    """Every throw in a file: shots of a log, objects of a Tracker export, throws of a table.
+
+    `shot` or `stone_index` selects a single one.
+
+    Parameters
+    ----------
+    {choices}
+
+    Raises
+    ------
+    DataError : the file as a whole cannot be read. InputError : an argument that cannot be used.
+    """
+    return parts_of(file, Reading.of(**choices))
+
+
+def parts_of(file: str | PathLike[str], reading: Reading) -> list[Part]:
+    """`load_throws` for choices that have been checked."""
+    path, format, contents = _open(file, reading)
+    key = format.selected_by
+    number = getattr(reading, key)
+    whole = partial(format.selected, path, contents, number)
+    parses: list[tuple[int | None, Callable[[], ParsedFile]]] = [(number, whole)]
+    if number is None and len(contents.labels) > 1:
+        among = range(len(contents.labels)) if contents.among is None else contents.among
+        parses = [(k + 1, partial(contents.parse, k)) for k in among]
+    own: dict[str, int | None] = {"shot": reading.shot, "stone_index": reading.stone_index}
+    return [Part(**own | {key: k}, throw=_throw_or_error(parse, reading)) for k, parse in parses]
+
+
+def _throw_or_error(parse: Callable[[], ParsedFile], reading: Reading) -> Throw | CurlfitError:
+    try:
+        return throw_of(parse(), reading)
+    except CurlfitError as error:
+        return error
+
+
+def throw_of(parsed: ParsedFile, reading: Reading) -> Throw:
+    """The throw in a parsed file. Raises `DataError` or `InputError` with the place of a fault."""
+    make: Callable[..., Throw] = Throw.from_events if parsed.events else Throw.from_arrays
+    return make(**assemble(parsed, reading))
+
+
+def _beginning(file: str | PathLike[str]) -> list[str]:
+    """The first lines of a file; none if it cannot be read."""
+    try:
+        with Path(file).open(encoding="utf-8-sig", errors="replace") as stream:
+            return stream.read(_BEGINNING).splitlines()
+    except (OSError, ValueError):
+        return []
+
+
+def holds_timed_rows(file: str | PathLike[str], format: str | None = None) -> bool:
+    """Whether a file is a table of stopwatch times with one throw per row, by its beginning."""
+    lines = _beginning(file) if format in (None, TIMINGS.name) else []
+    head = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    return is_table(head) and detect_format(lines) == TIMINGS.name
+
+
+def states_sweeping(file: str | PathLike[str]) -> bool:
+    """Whether a file states in its beginning that its stone was swept (`# swept = [A, B]`)."""
+    comments = (line.lstrip() for line in _beginning(file) if line.lstrip().startswith("#"))
+    return any(line.lstrip("#").split("=")[0].strip() == "swept" for line in comments)
+
+
+def check_reading(reading: Reading) -> None:
+    """Raise `InputError` if no file could be read with these choices."""
+    _check_format(reading.format)
+    parse_units(reading.units)
+    parse_axes(reading.axes)
+    if reading.reference is not None:
+        load_homography(Path(reading.reference))
+
+
+def read(file: str | PathLike[str], reading: Reading) -> ParsedFile:
+    """The columns of a file in SI."""
+    path, format, contents = _open(file, reading)
+    return format.selected(path, contents, getattr(reading, format.selected_by))
+
+
+def _check_format(format: str | None) -> None:
+    if format is not None and format not in FORMATS:
+        raise InputError(f"format {quoted(format)}: expected one of {', '.join(FORMATS)}")
+
+
+def _open(file: str | PathLike[str], reading: Reading) -> tuple[Path, Format, Contents]:
+    _check_format(reading.format)
+    parse_units(reading.units)
+    path = Path(file)
+    lines = lines_of(path)
+    format = _BY_NAME[reading.format or detect_format(lines)]
+    format.check(path, reading)
+    return path, format, format.contents(TextFile(path, lines), reading)
+
+
+def format_of(file: str | PathLike[str]) -> str:
+    """The format of a file. Raises `DataError` if it cannot be read."""
+    return detect_format(lines_of(Path(file)))
+
+
+def detect_format(lines: list[str]) -> str:
+    """The format of a file, from its first lines."""
+    shown = (line for line in lines[:200] if line.strip() and not line.lstrip().startswith("#"))
+    head = list(islice(shown, _HEAD))
+    if not head:
+        return TABLE.name
+    return next(reader.name for reader in _READERS if reader.recognizes(head))
