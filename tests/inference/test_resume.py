@@ -9,6 +9,7 @@ import time
 from dataclasses import replace
 from itertools import count
 
+import h5py
 import numpy as np
 import pytest
 from conftest import DATA, command, invoke, started
@@ -213,7 +214,8 @@ def saved(eq12_fit, short, tmp_path):
 def refused(folder, *words):
 
     before = snapshot(folder)
-    words = ["fit", str(DATA), "--out", str(folder), "--resume", "--seed", "2", *words]
+    seed = () if "--seed" in words else ("--seed", "2")
+    words = ["fit", str(DATA), "--out", str(folder), "--resume", *seed, *words]
     error = invoke(words).exception
     assert isinstance(error, InputError)
     assert error.exit_status == 2
@@ -254,6 +256,12 @@ def test_a_chain_of_another_version_or_fit_is_refused(saved, monkeypatch):
     replace(stored, random_state=None).save(saved / "chain.h5")
     with pytest.raises(DataError, match="the sampler's state is not in it"):
         sample(fit, seed=2, checkpoint=saved / "chain.h5", resume=True)
+    with h5py.File(saved / "chain.h5", "w") as earlier:
+        earlier.create_group("mcmc")
+    assert refused(saved) == (
+        f"{saved / 'chain.h5'}: written by an earlier version of curlfit; sample again with "
+        "`curlfit fit FILE`, without --resume"
+    )
     (saved / "chain.h5").write_bytes(b"half a file")
     assert "not a chain.h5 of curlfit" in refused(saved)
 
