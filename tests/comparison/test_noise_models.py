@@ -113,7 +113,7 @@ def test_noise_models_by_flag_and_in_a_configuration(typed, folder, capsys, monk
     typed("compare", *only, "--config", "c.toml", "--noise", "white", "--out", "flag")
     assert load_comparison(folder / "flag").noises == ("white",)
     for words, said in (
-        (("compare", *only, "--config", "n.toml"), "noise = 3: expected noise models"),
+        (("compare", *only, "--config", "n.toml"), "noise = 3; expected noise models"),
         (("fit", "a.csv", "--config", "c.toml"), "expected one of white, ar1"),
     ):
         monkeypatch.setattr("sys.argv", ["curlfit", *words])
