@@ -71,8 +71,9 @@ class ConfiguredThrow(NamedTuple, Generic[Chosen]):
 
     @property
     def cut(self) -> Throw:
-        """The rows to be used."""
-        return self.throw.select_rows(**self.chosen.rows)
+        """The rows to be used, with the sigmas that are given."""
+        throw = self.throw.with_sigma(dict(getattr(self.chosen, "sigma", {})))
+        return throw.select_rows(**self.chosen.rows)
 
 
 def prepare(
