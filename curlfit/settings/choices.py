@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cache
 from inspect import Parameter as Sign
-from inspect import signature
+from inspect import cleandoc, signature
 from os import fspath
 from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar, get_type_hints
@@ -81,11 +81,9 @@ def takes(kind: type[Choices], *without: str) -> Callable[[Function], Function]:
         first = [one for one in own.parameters.values() if one.kind is not Sign.VAR_KEYWORD]
         function.__signature__ = own.replace(parameters=[*first, *keywords])  # type: ignore[attr-defined]
         text = "\n".join(
-            fill(f"{name} : {kind.help(name)}", 100, initial_indent="    ",
-                 subsequent_indent="        ")
-            for name in names
-        )  # fmt: skip
-        function.__doc__ = (function.__doc__ or "").replace("    {choices}", text)
+            fill(f"{name} : {kind.help(name)}", 96, subsequent_indent="    ") for name in names
+        )
+        function.__doc__ = cleandoc(function.__doc__ or "").replace("{choices}", text)
         return function
 
     return documented

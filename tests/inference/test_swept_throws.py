@@ -140,7 +140,7 @@ def test_saved_and_loaded_it_can_be_refitted(fitted, tmp_path):
 
     fitted.save(tmp_path / "fit.json")
     loaded = curlfit.load_fit(tmp_path / "fit.json")
-    assert loaded.data["swept"] == [T0 + time for time in SWEPT]
+    assert loaded.data["swept"] == tuple(T0 + time for time in SWEPT)
     before, after = (problem_of(one)[0].environment for one in (fitted, loaded))
     assert vars(before) == vars(after)
     assert float(after.swept_from) == SWEPT[0]

@@ -256,7 +256,7 @@ def test_a_mapping_and_what_is_no_table():
         Throw.from_frame({"t": T, "x": X[:-1], "y": Y})
     with pytest.raises(InputError, match="--shot: table is a table file and holds no shots"):
         Throw.from_frame({"t": T, "x": X, "y": Y}, shot=2)
-    with pytest.raises(InputError, match="reference = 3: expected a name of a file"):
+    with pytest.raises(InputError, match="reference = 3; expected a name of a file"):
         Throw.from_frame({"t": T, "x": X, "y": Y}, reference=3)
 
 
