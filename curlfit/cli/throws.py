@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -11,8 +11,8 @@ from cyclopts import Group, Parameter
 from curlfit.errors import InputError
 from curlfit.foreign import say
 from curlfit.options import settings as s
-from curlfit.options.start import Start
-from curlfit.settings.choices import LAW, LOAD, SEED, Choices, Modelling, Named, Reading, Rows
+from curlfit.options.start import LawValues, Start
+from curlfit.settings.choices import SEED, Choices, Modelling, Reading, Rows
 from curlfit.settings.forms import (
     NUMBER,
     PATH,
@@ -20,7 +20,6 @@ from curlfit.settings.forms import (
     SWITCH,
     TEXT,
     TIME,
-    VALUES,
     Form,
     option,
 )
@@ -149,24 +148,10 @@ class Conditions(Choices):
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
-class Simulated(Choices):
+class Simulated(LawValues):
     """The model of a simulated throw."""
 
-    law: Annotated[
-        Any, option(LAW, "Friction law; `curlfit laws` lists them. [default: front-back]", "NAME")
-    ] = None
-    coefficients: Annotated[
-        Named,
-        option(VALUES, "A coefficient; the law's default if not set.", "NAME=V", name="--set"),
-    ] = field(default_factory=dict)
     unbounded: Annotated[bool, option(SWITCH, "Allow negative coefficients.")] = False
-    load: Annotated[
-        str | None, option(LOAD, "`uniform` or `consistent`. [default: uniform]", "NAME")
-    ] = None
-    stone: Annotated[
-        Named,
-        option(VALUES, "The stone, as in `curlfit fit`.", "R=V,rho=V"),
-    ] = field(default_factory=dict)
 
 
 def simulate(

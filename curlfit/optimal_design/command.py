@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
@@ -15,8 +15,9 @@ from curlfit.errors import InputError
 from curlfit.foreign import is_size
 from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved, status_line
-from curlfit.settings.choices import COUNT, LAW, LOAD, Choices, Named
-from curlfit.settings.forms import NAMES, NUMBER, NUMBERS, PATH, TIME, VALUES, Form, option
+from curlfit.options.start import LawValues
+from curlfit.settings.choices import COUNT, Choices
+from curlfit.settings.forms import NAMES, NUMBER, NUMBERS, PATH, TIME, Form, option
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,27 +54,13 @@ def _quantity(name: str) -> Form:
 
 @Parameter(name="*", group=Group("Assumed values", sort_key=0))
 @dataclass(frozen=True, kw_only=True)
-class Assumed(Choices):
+class Assumed(LawValues):
     """The law and the stone that a design assumes."""
 
-    law: Annotated[
-        Any, option(LAW, "Friction law; `curlfit laws` lists them. [default: front-back]", "NAME")
-    ] = None
-    coefficients: Annotated[
-        Named,
-        option(VALUES, "A coefficient; the law's default if not set.", "NAME=V", name="--set"),
-    ] = field(default_factory=dict)
     fit: Annotated[
         Path | None,
         option(PATH, "A saved fit, for its law, coefficients, load and stone.", "FIT"),
     ] = None
-    load: Annotated[
-        str | None,
-        option(LOAD, "`uniform` or `consistent` (eq. 8-9). [default: uniform]", "NAME"),
-    ] = None
-    stone: Annotated[Named, option(VALUES, "The stone, as in `curlfit fit`.", "R=V,rho=V")] = field(
-        default_factory=dict
-    )
 
 
 @Parameter(name="*", group=Group("The throws", sort_key=1))

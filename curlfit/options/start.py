@@ -1,14 +1,35 @@
-"""The initial state of a throw, as flags."""
+"""The law of a throw with its values, and the initial state, as flags."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Annotated
+# Annotations are not postponed here: cyclopts evaluates those of a base class where the class that
+# inherits them is defined.
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from curlfit.settings.choices import Choices
-from curlfit.settings.forms import NUMBER, option
+from curlfit.settings.choices import LAW, LOAD, Choices, Named
+from curlfit.settings.forms import NUMBER, VALUES, option
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class LawValues(Choices):
+    """A law with its coefficients, the load and the stone."""
+
+    law: Annotated[
+        Any, option(LAW, "Friction law; `curlfit laws` lists them. [default: front-back]", "NAME")
+    ] = None
+    coefficients: Annotated[
+        Named,
+        option(VALUES, "A coefficient; the law's default if not set.", "NAME=V", name="--set"),
+    ] = field(default_factory=dict)
+    load: Annotated[
+        str | None,
+        option(LOAD, "`uniform` or `consistent` (eq. 8-9). [default: uniform]", "NAME"),
+    ] = None
+    stone: Annotated[Named, option(VALUES, "The stone, as in `curlfit fit`.", "R=V,rho=V")] = field(
+        default_factory=dict
+    )
 
 
 @Parameter(name="*", group=Group("Start", sort_key=0))
