@@ -30,15 +30,14 @@ _LIBRARIES = ("jax", "jaxlib", "optimistix", "numpy", "scipy", "emcee", "matplot
 _INTERRUPTED = 130
 
 
-def _versions() -> str:
+def _version() -> None:
+    """Print the versions of curlfit and of the libraries it uses."""
     import platform
     from importlib.metadata import version
 
     libraries = ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)
-    return (
-        f"curlfit {__version__}\nPython {platform.python_version()}, {libraries}\n"
-        f"{platform.platform()}, {platform.machine()}"
-    )
+    print(f"curlfit {__version__}\nPython {platform.python_version()}, {libraries}")
+    print(f"{platform.platform()}, {platform.machine()}")
 
 
 app = App(
@@ -46,7 +45,7 @@ app = App(
     help="Estimate friction coefficients from the trajectory of a curling stone.\n\n"
     "Begin with `curlfit fit DATA.csv`, where DATA.csv has columns t, x, y, phi (s, m, m, rad).",
     help_format="markdown",
-    version=_versions,
+    version_flags=[],
     default_parameter=Parameter(negative=(), show_default=False, show_choices=False),
     print_error=False,
     exit_on_error=False,
@@ -58,13 +57,11 @@ for _verb in (
     laws, reproduce, example,
 ):  # fmt: skip
     app.command(_verb)
+app.command(_version, name="--version")
 
 
 def run(words: Sequence[str]) -> int:
     """Carry out a command; returns its exit status."""
-    if [*words] == ["--version"]:
-        print(_versions())
-        return 0
     try:
         saved = app(words)
     except CycloptsError as error:
