@@ -82,8 +82,8 @@ def safe_name(text: str) -> str:
 
 
 def csv_lines(rows: Iterable[Sequence[Any]]) -> str:
-    """Rows as CSV: numbers in full precision, empty cells for missing values, text by "
-    "`csv_cell`."""
+    """Rows as CSV: numbers in full precision, empty cells for missing values, text by
+    `csv_cell`."""
     out = StringIO()
     csv.writer(out, lineterminator="\n").writerows(map(csv_cell, row) for row in rows)
     return out.getvalue()

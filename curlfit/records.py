@@ -31,6 +31,7 @@ from typing import (
 import numpy as np
 
 from curlfit.errors import DataError
+from curlfit.foreign import cut, quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.output.display import Displayed
 from curlfit.output.files import atomic_write
@@ -203,17 +204,13 @@ def _first(error: BaseException) -> list[str]:
     first = error.exceptions[0]
     notes = getattr(first, "__notes__", ())
     keys = [getattr(note, "name", getattr(note, "index", None)) for note in notes]
-    return [*(_short(str(key)) for key in keys if key is not None), *_first(first)]
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return [*(cut(str(key)) for key in keys if key is not None), *_first(first)]
 
 
 def unexpected(value: Any, what: str) -> ValueError:
     """The error for a value that is something else than `what`."""
     kinds = {dict: "an object", list: "a list", type(None): "null", bool: str(value).lower()}
-    return ValueError(f"{kinds.get(type(value)) or _short(repr(value))} found, expected {what}")
+    return ValueError(f"{kinds.get(type(value)) or quoted(value)} found, expected {what}")
 
 
 def _exactly(kind: Any, what: str) -> Callable[[Any, Any], Any]:

@@ -15,7 +15,6 @@ from curlfit.inference.derived import check_derived
 from curlfit.inference.parameters import ParameterSet
 from curlfit.settings.choices import SEED, Fitting, Reading
 from curlfit.settings.forms import SWITCH, option
-from curlfit.stone import Stone
 from curlfit.throws.load import check_reading, format_of
 from curlfit.throws.readers.timings import usual_law as law_of_timings
 from curlfit.throws.throw import check_sigma
@@ -45,7 +44,6 @@ class BatchSettings(Fitting, Reading):
     def checked(self) -> type[Law]:
         """The law. Raises InputError if the settings are impossible for any throw."""
         law = find_law(self.law)
-        Stone().with_values(dict(self.stone))
         check_sigma(self.sigma)
         check_reading(self)
         check_systematics(self.systematics)

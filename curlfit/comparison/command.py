@@ -40,7 +40,7 @@ def compare(
     Example: `curlfit compare data/jensen_shegelski_2004.csv --load both`
     """
     from curlfit.friction import LAWS, find_law
-    from curlfit.inference.parameters import ParameterSet, by_parameter, options_of, require_known
+    from curlfit.inference.parameters import ParameterSet, options_of, require_known
     from curlfit.output.files import prepare_folder
     from curlfit.throws.plausibility import require_plausible
     from curlfit.throws.throw import require_path
@@ -50,11 +50,10 @@ def compare(
     throw, chosen, cut = job.throw, job.chosen, job.cut
     unusual = require_plausible(cut)
     laws = [find_law(name) for name in chosen.laws] or list(LAWS.values())
-    options = by_parameter(chosen)
+    options = {**chosen.by_parameter, "start": chosen.start}
     require_known(laws, {FLAGS.get(name, f"--{name}"): values for name, values in options.items()})
     for law in laws:
-        own = options_of(law, options)
-        del own["start"]
+        own = options_of(law, chosen.by_parameter)
         ParameterSet.for_throw(law, cut, swept=chosen.swept is not None, **own)
     require_path(cut)
     folder = prepare_folder(output.out or s.result_folder(data, "compare", reading))

@@ -29,7 +29,7 @@ from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.missing_channels import NOISE
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.parameters import by_parameter, options_of, require_known
+from curlfit.inference.parameters import options_of, require_known
 from curlfit.numerics.threads import in_threads
 from curlfit.records import plain
 from curlfit.settings.choices import Comparing, takes
@@ -92,7 +92,7 @@ def compare(
     chosen = Comparing.of(throw.settings, laws=laws, **choices)
     todo = plan(chosen.laws, chosen.load)
     fits = [(law, one_load, kind) for kind in chosen.noise for law, one_load in todo]
-    options = by_parameter(chosen)
+    options = {**chosen.by_parameter, "start": chosen.start}
     require_known([law for law, _ in todo], options)
 
     family = family_of(law for law, _ in todo)

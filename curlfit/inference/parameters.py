@@ -16,7 +16,6 @@ from curlfit.friction import Law, Parameter
 from curlfit.inference.conditions import CONDITIONS, WEAK_CONDITIONS
 from curlfit.inference.priors import NO_PRIOR, Penalty, Prior, parse_priors, penalty_of
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.settings.choices import Comparing
 from curlfit.throws.throw import Throw
 
 FEWEST_ROWS = 3
@@ -340,9 +339,3 @@ def options_of(law: type[Law], options: Options) -> dict[str, Any]:
         else tuple(name for name in values if name in own)
         for option, values in options.items()
     }
-
-
-def by_parameter(chosen: Comparing) -> dict[str, Any]:
-    """The choices that name parameters of laws, by choice and name."""
-    names = ("fix", "bounds", "start", "free", "priors")
-    return {name: getattr(chosen, name) for name in names}

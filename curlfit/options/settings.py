@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar
 
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import quoted, safe_name
-from curlfit.settings.choices import FLAGS, LAW, SEED, Comparing, Fitting, Modelling, Reading, Rows
+from curlfit.settings.choices import (
+    FLAGS,
+    LAW,
+    SEED,
+    Comparing,
+    Estimation,
+    Fitting,
+    Modelling,
+    Reading,
+)
 from curlfit.settings.forms import PATH, option
 
 if TYPE_CHECKING:
@@ -23,7 +32,7 @@ if TYPE_CHECKING:
 _MOST_BYTES = 64_000  # of a configuration file
 _FORMS = {**Fitting.forms(), **Comparing.forms(), **Reading.forms(), "seed": SEED}
 _KEYS = {FLAGS.get(name, name).removeprefix("--"): name for name in _FORMS} | {"swept": "swept"}
-Chosen = TypeVar("Chosen", bound=Rows)
+Chosen = TypeVar("Chosen", bound=Estimation)
 ModelChoices = TypeVar("ModelChoices", bound=Modelling)
 LawOfFit = Annotated[
     Any,
@@ -72,7 +81,7 @@ class ConfiguredThrow(NamedTuple, Generic[Chosen]):
     @property
     def cut(self) -> Throw:
         """The rows to be used, with the sigmas that are given."""
-        throw = self.throw.with_sigma(dict(getattr(self.chosen, "sigma", {})))
+        throw = self.throw.with_sigma(dict(self.chosen.sigma))
         return throw.select_rows(**self.chosen.rows)
 
 
@@ -96,12 +105,7 @@ def apply_settings(
     throw: Throw, configured: Mapping[str, Any], flags: Chosen, seed: int | None = None
 ) -> ConfiguredThrow[Chosen]:
     """`prepare` for a throw that has already been read."""
-    from curlfit.stone import Stone
-    from curlfit.throws.throw import check_sigma
-
     chosen = type(flags).of(throw.settings, configured, vars(flags))
-    Stone().with_values(dict(getattr(chosen, "stone", {})))
-    check_sigma(getattr(chosen, "sigma", {}))
     if seed is None:
         seed = configured.get("seed", throw.defaults.get("seed"))
     return ConfiguredThrow(throw, chosen, seed)
@@ -125,7 +129,7 @@ def prepare_all(
     """
     from curlfit.errors import CurlfitError
     from curlfit.inference.joint.result import folder_name
-    from curlfit.throws.load import holds_timed_rows, parts_of
+    from curlfit.throws.load import holds_timed_rows, load_throw, parts_of
 
     names = [folder_name(file.name) for file in files]
     if len(set(names)) < len(names):
@@ -141,7 +145,8 @@ def prepare_all(
     chosen = Reading.of(configured, vars(reading))
     for file, name in zip(files, names, strict=True):
         if not holds_timed_rows(file, reading.format):
-            found[name] = prepare(file, config, reading, flags)
+            throw = load_throw(file, **vars(chosen))
+            found[name] = apply_settings(throw, configured, flags)
             continue
         for part in parts_of(file, chosen):
             if isinstance(part.throw, CurlfitError):

@@ -36,6 +36,7 @@ from curlfit.settings.forms import (
     option,
     whole,
 )
+from curlfit.stone import Stone
 
 READING = Group("How to read DATA", sort_key=1)
 FLAGS = {
@@ -351,11 +352,16 @@ class Estimation(Rows):
     @property
     def parameters(self) -> dict[str, Any]:
         """The choices of parameters, as `ParameterSet.build` takes them."""
-        names = ("fix", "bounds", "unbounded", "free", "priors")
-        return {name: getattr(self, name) for name in names}
+        return {**self.by_parameter, "unbounded": self.unbounded}
+
+    @property
+    def by_parameter(self) -> dict[str, Any]:
+        """The choices that name parameters, except their initial values."""
+        return {name: getattr(self, name) for name in ("fix", "bounds", "free", "priors")}
 
     def check(self) -> None:
-        """Raise `InputError` for a robust loss with correlated noise."""
+        """Raise `InputError` for no stone, and for a robust loss with correlated noise."""
+        Stone().with_values(dict(self.stone))
         noise = getattr(self, "noise", ())
         kinds = [noise] if isinstance(noise, str) else list(noise)
         for kind in kinds:

@@ -248,8 +248,6 @@ PRIORS = Table(
     Form("a string such as '1+-0.1'", lambda one: one if hasattr(one, "kind") else _text(one)),
     "NAME=PRIOR",
 )
-
-
 TEXTS = Several(TEXT, "a list of strings", "a text", commas=False)
 
 
