@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import tomllib
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar
 
@@ -131,22 +133,26 @@ def prepare_all(
     from curlfit.inference.joint.result import folder_name
     from curlfit.throws.load import holds_timed_rows, load_throw, parts_of
 
-    names = [folder_name(file.name) for file in files]
-    if len(set(names)) < len(names):
-        names = [safe_name(f"{file.resolve().parent.name}-{file.stem}") for file in files]
-    for index, name in enumerate(names):
-        if name in names[:index]:
+    names = [file.name for file in files]
+    alike = Counter(map(folder_name, names))
+    names = [
+        f"{file.resolve().parent.name}/{name}" if alike[folder_name(name)] > 1 else name
+        for file, name in zip(files, names, strict=True)
+    ]
+    folders = [*map(folder_name, names)]
+    for index, folder in enumerate(folders):
+        if folder in folders[:index]:
             raise InputError(
-                f"{files[names.index(name)]}, {files[index]}: two files of the same name; results "
-                "are stored by name"
+                f"{files[folders.index(folder)]}, {files[index]}: two files of the same name; "
+                "results are stored by name"
             )
     found = {}
     configured = read_config(config)
     chosen = Reading.of(configured, vars(reading))
-    for file, name in zip(files, names, strict=True):
+    for file, name, folder in zip(files, names, folders, strict=True):
         if not holds_timed_rows(file, reading.format):
-            throw = load_throw(file, **vars(chosen))
-            found[name] = apply_settings(throw, configured, flags)
+            throw = replace(load_throw(file, **vars(chosen)), name=name)
+            found[folder] = apply_settings(throw, configured, flags)
             continue
         for part in parts_of(file, chosen):
             if isinstance(part.throw, CurlfitError):

@@ -268,6 +268,12 @@ def test_on_the_command_line(three, tmp_path):
         again = command(*words, cwd=tmp_path)
         assert again.returncode == 0, again.stderr
         assert expected in again.stdout
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "throw0.csv").write_text((tmp_path / "throw1.csv").read_text())
+    words = "throw0.csv", "other/throw0.csv", "throw2.csv"
+    done = command("fit", *words, "--no-sample", "--no-figures", "--out", "alike", cwd=tmp_path)
+    assert "other-throw0, throw2" in " ".join(done.stdout.split()), done
+    assert command("show", "alike", cwd=tmp_path).returncode == 0
     for words, message in (
         ((*names, "--share", "mu"), "law front-back has no such coefficient"),
         (("throw0.csv", "--share", "all"), "--share needs several files"),
