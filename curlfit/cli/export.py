@@ -141,8 +141,8 @@ def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, Callab
     if form is Form.netcdf:
         data = _inference_data(folder)
         tree = data.to_datatree() if hasattr(data, "to_datatree") else data  # of ArviZ before 1.0
-        # In memory, as HDF5 does not recover from a full disk; a copy, as a view of a buffer that the
-        # garbage collector closes is an error on Python 3.13.
+        # In memory, as HDF5 does not recover from a full disk; a copy, as a view of a buffer that
+        # the garbage collector closes is an error on Python 3.13.
         image = bytes(tree.to_netcdf(engine="h5netcdf"))
         return {"posterior.nc": lambda file: file.write_bytes(image)}
     return {}
