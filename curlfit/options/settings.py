@@ -157,7 +157,8 @@ def prepare_all(
         for part in parts_of(file, chosen):
             if isinstance(part.throw, CurlfitError):
                 raise part.throw
-            found[folder_name(part.throw.name)] = apply_settings(part.throw, configured, flags)
+            throw = replace(part.throw, name=name + part.throw.name.removeprefix(str(file)))
+            found[folder_name(throw.name)] = apply_settings(throw, configured, flags)
     return found
 
 

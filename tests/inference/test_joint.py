@@ -51,7 +51,7 @@ def three():
     return sheet(3)
 
 
-def test_with_nothing_shared_each_throw_is_fitted_as_alone(three):
+def test_with_nothing_shared_each_throw_is_fitted_as_alone(three, tmp_path):
     joint = fit_together(three, share=[])
     assert joint.converged
     for one, throw in zip(joint.throws, three, strict=True):
@@ -62,6 +62,10 @@ def test_with_nothing_shared_each_throw_is_fitted_as_alone(three):
                 assert abs(other.value - item.value) < 1e-4 * item.stderr
                 # the noise is estimated at almost the same place
                 assert other.stderr == pytest.approx(item.stderr, rel=1e-3)
+        assert [item.expression for item in one.combinations] == ["mu1_eta + mu2_eta"]
+        one.save(tmp_path / "fit.json")
+        again = curlfit.load_fit(tmp_path)
+        assert again.combinations[0].weights == {"mu1_eta": 1.0, "mu2_eta": 1.0}
 
 
 def test_the_optimum_and_its_errors_are_scipy_s(three):

@@ -19,7 +19,7 @@ from curlfit.inference.fit.result import Estimate, FitResult, Systematics
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many
 from curlfit.inference.fit.systematics import calibrations_of, widths_of
-from curlfit.inference.identifiability import Combination
+from curlfit.inference.identifiability import Combination, expression
 from curlfit.inference.initial_values import smooth, start_values_of_sides
 from curlfit.inference.joint.analysis import JointAnalysis
 from curlfit.inference.joint.heterogeneity import differences_of
@@ -237,12 +237,14 @@ def _of_throw(
         name: analysis.estimate(item, int(joint))
         for joint, (name, item) in zip(index, single.parameters.items(), strict=True)
     }
-    names = [layout.names[joint] for joint in index]
-    shifts = {
-        name: systematic[joint]
-        for name, joint in zip(estimates, names, strict=True)
-        if joint in systematic
-    } | {item.expression: systematic[item.expression] for item in known.combinations}
+    own = dict(zip((layout.names[joint] for joint in index), estimates, strict=True))
+    shifts = {name: systematic[joint] for joint, name in own.items() if joint in systematic}
+    combinations = []
+    for item in known.combinations:
+        if set(item.weights) <= own.keys():  # not of what other throws have for themselves
+            weights = {own[joint]: weight for joint, weight in item.weights.items()}
+            combinations.append(replace(item, expression=expression(weights), weights=weights))
+            shifts[combinations[-1].expression] = systematic[item.expression]
     result = single
     prior = analysis.rounds.throws[throw].local_parameters.penalty
     if prior is not None:  # including the priors of shared parameters
@@ -256,7 +258,7 @@ def _of_throw(
     result = replace(
         result,
         parameters=estimates,
-        combinations=known.combinations,
+        combinations=tuple(combinations),
         systematics=Systematics(dict(widths), shifts),
         **analysis.of_throw(throw, tuple(estimates)),
         information=result.information | analysis.information(index[layout.free[index]]),
