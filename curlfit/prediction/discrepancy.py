@@ -147,8 +147,8 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
 
 
 def _prior_weights() -> Floats:
-    weights = np.exp([log_prior(np.array([size])) for size in SIZES])
-    return cast(Floats, weights / weights.sum())
+    weights: Floats = np.exp(log_prior(SIZES[:, None]))
+    return weights / weights.sum()
 
 
 def _unseen_shapes(speed: Floats) -> Floats:
