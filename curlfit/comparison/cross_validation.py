@@ -37,7 +37,7 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.differences import slopes
 from curlfit.throws.throw import CHANNELS
 
-_STEP = 0.1  # standard errors of a parameter with all others known, for finite differences
+_STEP = 0.1  # standard errors of a parameter with all others known, of differences
 _NULL = 1e-13  # of the largest singular value
 _HARD = 50.0  # standard deviations by which a parameter is pushed against its bound
 _ALONE = 1e-9  # 1 - leverage of a row, below which it alone determines a parameter

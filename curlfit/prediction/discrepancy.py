@@ -136,7 +136,7 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
     scales = zip(channels, found.scale, data.enough, strict=True)
     summary = Discrepancy(
         dict(zip(COMPONENTS, map(float, sizes * responses.size), strict=True)),
-        _duration(fit),
+        float(data.span),
         {name: float(fit.sigma[name] * scale) for name, scale, enough in scales
          if enough and name in fit.sigma},
         excess,
@@ -171,11 +171,3 @@ def _response_of_events(fit: FitResult, responses: Responses) -> Floats:
         lambda a: along_path(events, responses.t, *(path + by_amplitude @ a)),
         np.zeros(by_amplitude.shape[-1]), _SMALL,
     )  # fmt: skip
-
-
-def _duration(fit: FitResult) -> float:
-    """Time from the first row to the last, or to rest."""
-    t, speed = fit.observed["t"], fit.fitted["speed"]
-    resting = np.flatnonzero(speed <= 0)
-    last = int(resting[0]) if len(resting) and resting[0] > 0 else len(t) - 1
-    return float(t[last] - t[0])
