@@ -11,7 +11,7 @@ import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
-from curlfit.inference.expression import CONSTANTS, parse, samples_of
+from curlfit.inference.expression import CONSTANTS, parse
 from curlfit.inference.identifiability import WEAK_ERROR, Combination, Verdict, WithInterval
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import sided
@@ -229,14 +229,13 @@ def derive(known: FirstOrder, text: str, samples: Mapping[str, Floats] | None = 
     found = known.assess(expression.text, value, own, changes, seen=seen)
     if samples is None:
         return found
-    return with_quantiles(found, samples_of(expression, {**constants, **samples}))
+    return with_quantiles(found, expression.of({**constants, **samples}))
 
 
 def with_quantiles(quantity: Derived, samples: Floats) -> Derived:
-    """The quantity with the quantiles of its samples."""
-    if not len(samples):
-        return quantity
-    return replace(quantity, quantiles=quantiles_of(samples))
+    """The quantity with the quantiles of its finite samples."""
+    known = samples[np.isfinite(samples)]
+    return replace(quantity, quantiles=quantiles_of(known)) if len(known) else quantity
 
 
 def quantiles_of(samples: Floats) -> dict[str, float]:

@@ -13,7 +13,6 @@ import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
-from curlfit.numerics.arrays import Floats
 from curlfit.stone import GRAVITY
 
 _LONGEST = 400  # characters
@@ -185,9 +184,3 @@ def _function_called(node: ast.Call, name: str, said: str) -> Callable[..., Any]
 
 CONSTANTS = {"g": GRAVITY, "pi": math.pi}
 """Constants that an expression may contain unless a parameter has the same name; g in m/s^2."""
-
-
-def samples_of(expression: Expression, values: Mapping[str, Any]) -> Floats:
-    """The finite values of an expression for many samples."""
-    found = np.asarray(expression.of(values), float)
-    return found[np.isfinite(found)]

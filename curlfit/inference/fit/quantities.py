@@ -162,14 +162,14 @@ def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
         one = known.assess(item.name, float(value), by_name, changes, held_counts=False)
         # Under a law that cannot curl a stone, the path contains no information on the curl.
         if one.verdict in _SHOWN and one.stderr is not None and one.stderr > _PRECISION:
-            one = with_quantiles(one, samples[row]) if samples is not None else one
+            one = with_quantiles(one, samples[:, row]) if samples is not None else one
             found[item.name] = replace(one, meaning=item.meaning, unit=item.unit)
     return found
 
 
-def _samples(path: _Path, flat: Floats, wanted: list[_Definition], linear: Floats) -> list[Floats]:
-    """Draws of each quantity: from all samples to first order where that agrees with the paths of
-    some of them, otherwise from the paths of more."""
+def _samples(path: _Path, flat: Floats, wanted: list[_Definition], linear: Floats) -> Floats:
+    """Draws of the quantities, shape (draws, quantities): from all samples to first order where
+    that agrees with the paths of some of them, otherwise from the paths of more."""
 
     def by_paths(number: int) -> tuple[Any, Floats]:
         rows = np.unique(np.linspace(0, len(flat) - 1, number).astype(int))
@@ -178,9 +178,9 @@ def _samples(path: _Path, flat: Floats, wanted: list[_Definition], linear: Float
 
     rows, found = by_paths(_TRIED)
     if (np.abs(found - linear[rows]) < _LINEAR * linear.std(axis=0)).all():
-        return list(linear.T)
+        return linear
     _, found = by_paths(_DRAWS)
-    return [values[np.isfinite(values)] for values in found.T]
+    return found
 
 
 def _definitions(fit: FitResult, best: _Motion) -> list[_Definition]:

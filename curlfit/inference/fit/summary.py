@@ -110,9 +110,8 @@ def summarize_many(
     penalty = penalties([fit.prepared for fit in fits])
     sets = [fit.prepared.parameters for fit in fits]
     offset, lower, upper = local_bounds([fit.prepared for fit in fits])
-    bounded = Bounded(solutions.values, lower, upper)
-    statistics = residual_statistics(problems, solutions, paths, penalty)
-    statistics = statistics.confined(bounded, sets[0].typical)
+    bounded = Bounded(solutions.values, lower, upper), sets[0].typical
+    statistics = residual_statistics(problems, solutions, paths, penalty, bounded)
     channels = ROWS_OF_DATA[: problems.observed.shape[1]]
     found = covariances(
         sets,
