@@ -25,6 +25,7 @@ from curlfit.throws.events import Event, event_arrays
 _STEP = 1e-4  # of a typical size, of differences: the path is accurate to 1e-7 m
 _FARTHER = 1e-2  # the same of conditions, which change it less
 _PRECISION = 1e-7  # of the path, m and rad
+_ROUNDING = 1e-7  # of the largest derivative by typical sizes; less is rounding error
 _NEAR = 0.05  # m by which the ends of a record may miss a line
 _DRAWS = 400  # of the posterior
 _TRIED, _LINEAR = 40, 0.03  # draws tested for linearity in the parameters, tolerance in sd
@@ -142,13 +143,13 @@ def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
         )
         return np.array([item.of(motion) for item in wanted])
 
-    gradients = slopes(
-        at, np.append(fit.values, np.zeros(len(off))),
-        np.append(_STEP * parameters.typical, _FARTHER * np.array([*off.values()])),
-        np.append(free, np.full(len(off), True)),
-    )  # fmt: skip
+    typical = np.append(parameters.typical, [*off.values()])
+    where, steps = np.append(free, [True] * len(off)), np.repeat([_STEP, _FARTHER], [p, len(off)])
+    gradients = slopes(at, np.append(fit.values, 0 * typical[p:]), steps * typical, where)
+    sizes = np.abs(gradients) * typical[where]
+    gradients[sizes < _ROUNDING * sizes.max(-1, keepdims=True, initial=0.0)] = 0.0
     names = [*parameters.names_where(free), *off]
-    values = at(np.append(fit.values, np.zeros(len(off))))
+    values = at(np.append(fit.values, 0 * typical[p:]))
     samples = None
     if chain is not None and len(chain.flat):
         linear = values + (chain.flat - fit.values)[:, free] @ gradients[:, : int(free.sum())].T
