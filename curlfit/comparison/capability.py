@@ -10,7 +10,7 @@ from curlfit.dynamics.law_structure import law_in_general, sample_points
 from curlfit.friction import Law, Load, LocalLaw
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.forces import POINTS, accelerations_along, vectors_of
+from curlfit.inference.forces import POINTS, accelerations_along
 from curlfit.inference.model import Model
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import stacked
@@ -64,12 +64,8 @@ def sides_of_curl(
 
 def _over_coefficients(model: Model, grid: Floats, stones: Stone, state: Floats) -> Floats:
     """Accelerations in one state for each coefficient vector, shape (vectors, 3)."""
-    vectors, size = vectors_of(model), vectors_of(model) * POINTS
     found = []
-    for first in range(0, len(grid), size):
-        part = grid[np.minimum(first + np.arange(size), len(grid) - 1)]
-        a = accelerations_along(
-            model, part.reshape(1, vectors, POINTS, -1), stones, state[None], batch=1
-        )
-        found.append(a[0].swapaxes(1, 2).reshape(size, 3))
+    for first in range(0, len(grid), POINTS):
+        part = grid[np.minimum(first + np.arange(POINTS), len(grid) - 1)]
+        found.append(accelerations_along(model, part[None], stones, state[None], batch=1)[0].T)
     return np.concatenate(found)[: len(grid)]

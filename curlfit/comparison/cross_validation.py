@@ -32,12 +32,12 @@ from scipy.special import gammaln, log_ndtr
 from curlfit.comparison.evidence import prior_terms
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many
+from curlfit.inference.likelihood import SIGMA_FLOOR, predict_channels
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import stacked
+from curlfit.numerics.differences import slopes
 from curlfit.throws.throw import CHANNELS
 
-_STEP = 0.1  # standard errors of a parameter with all others known, for finite differences
+_STEP = 0.1  # standard errors of a parameter with all others known, of differences
 _NULL = 1e-13  # of the largest singular value
 _HARD = 50.0  # standard deviations by which a parameter is pushed against its bound
 _ALONE = 1e-9  # 1 - leverage of a row, below which it alone determines a parameter
@@ -78,28 +78,23 @@ def leave_one_out(result: FitResult) -> LeaveOneOut | None:
     determines a parameter, and where the law admits no motion near the fit."""
     if result.loss != "linear" or result.noise.kind != "white":
         return None
-    free = result.information["names"]
+    free, where = result.information["names"], result.parameter_set.free
     problem, origin = problem_of(result)
     n, channels = len(result.observed["t"]), problem.observed.shape[0]
     weight = problem.weight[:, :n]
     there = weight > 0
-    index = [result.parameter_set.index(name) for name in free]
-    values = result.values - origin.offset(len(result.values))
+    offset = origin.offset(len(result.values))
+    values, parameters = result.values - offset, result.parameter_set.shifted(-offset)
     known = np.sqrt(np.diag(np.array(result.information["matrix"])))
-    steps = [
-        _STEP / max(size, 1 / result.parameters[name].typical)
-        for name, size in zip(free, known, strict=True)
-    ]
-    inward = _inward(result, free)
-    moved = np.tile(values, (1 + 2 * len(free), 1))
-    for row, (place, step) in enumerate(zip(index, steps, strict=True)):
-        moved[1 + 2 * row, place] += (1 + inward[row]) * step
-        moved[2 + 2 * row, place] -= (1 - inward[row]) * step
-    paths = predict_many(result.model, moved, stacked([problem] * len(moved)), batch=1)
-    paths = paths[:, :channels, :n] * weight
-    slopes = (paths[1::2] - paths[2::2]) / (2 * np.reshape(steps, (-1, 1, 1)))
-    residual = np.where(there, problem.observed[:, :n] * weight - paths[0], 0.0)
-    jacobian = np.moveaxis(np.where(there, slopes, 0.0), 0, -1)
+    step = _STEP * parameters.typical
+    step[where] = _STEP / np.maximum(known, 1 / parameters.typical[where])
+
+    def weighted(values: Floats) -> Floats:
+        path = np.asarray(predict_channels(result.model, values, problem))[:channels, :n]
+        return np.where(there, path * weight, 0.0)
+
+    residual = problem.observed[:, :n] * weight - weighted(values)
+    jacobian = slopes(weighted, values, step, where, lower=parameters.lower, upper=parameters.upper)
     if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
         return None
     prior = prior_terms(result, free)
@@ -107,7 +102,7 @@ def leave_one_out(result: FitResult) -> LeaveOneOut | None:
     design = jacobian.reshape(-1, len(free))
     factors = _bound_factors(
         design.T @ design + np.diag(prior.precision),
-        design.T @ residual.ravel() + prior.precision * away, inward,
+        design.T @ residual.ravel() + prior.precision * away, _inward(result, free),
     )  # fmt: skip
     roots = np.sqrt(np.stack([prior.precision, factors.precision]))
     return densities(

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
-from curlfit.inference.expression import CONSTANTS, parse, samples_of
-from curlfit.inference.identifiability import WEAK_ERROR, Combination, Verdict, student_interval
+from curlfit.inference.expression import CONSTANTS, parse
+from curlfit.inference.identifiability import WEAK_ERROR, Combination, Verdict, WithInterval
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import sided
 from curlfit.records import Names
@@ -26,7 +26,7 @@ _TRIES = 4  # further points of the ridge at which the gradient is checked
 
 
 @dataclass(frozen=True)
-class Derived:
+class Derived(WithInterval):
     """A quantity derived from the parameters of a fit.
 
     Attributes
@@ -55,10 +55,6 @@ class Derived:
     meaning: str = ""
     unit: str = ""
 
-    def interval(self, level: float = 0.95) -> tuple[float, float] | None:
-        """Confidence interval by Student's t; None where there is no standard error."""
-        return student_interval(self.value, self.stderr, self.dof, level)
-
 
 def scaled(item: Derived, factor: float) -> Derived:
     """The quantity times a factor."""
@@ -80,27 +76,11 @@ def to_its_side(item: Derived) -> Derived:
     return scaled(replace(item, meaning=meaning), sign) if sign < 0 else item
 
 
-class _Estimate(Protocol):
-    """The attributes of a parameter estimate that are used here."""
-
-    @property
-    def value(self) -> float: ...
-    @property
-    def verdict(self) -> str: ...
-    @property
-    def dof(self) -> float | None: ...
-    @property
-    def typical(self) -> float: ...
-    @property
-    def lower(self) -> float: ...
-    @property
-    def upper(self) -> float: ...
-
-
 class FirstOrder(NamedTuple):
     """What a fit says about its parameters, to first order."""
 
-    parameters: Mapping[str, _Estimate]
+    parameters: Mapping[str, Any]
+    """an `Estimate` each (`curlfit.inference.fit.result`)"""
     covariance: Mapping[str, Any]
     """{"names", "matrix"} of the parameters that can move"""
     null_directions: Sequence[Mapping[str, float]]
@@ -249,14 +229,13 @@ def derive(known: FirstOrder, text: str, samples: Mapping[str, Floats] | None = 
     found = known.assess(expression.text, value, own, changes, seen=seen)
     if samples is None:
         return found
-    return with_quantiles(found, samples_of(expression, {**constants, **samples}))
+    return with_quantiles(found, expression.of({**constants, **samples}))
 
 
 def with_quantiles(quantity: Derived, samples: Floats) -> Derived:
-    """The quantity with the quantiles of its samples."""
-    if not len(samples):
-        return quantity
-    return replace(quantity, quantiles=quantiles_of(samples))
+    """The quantity with the quantiles of its finite samples."""
+    known = samples[np.isfinite(samples)]
+    return replace(quantity, quantiles=quantiles_of(known)) if len(known) else quantity
 
 
 def quantiles_of(samples: Floats) -> dict[str, float]:

@@ -13,7 +13,6 @@ import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
-from curlfit.numerics.arrays import Floats
 from curlfit.stone import GRAVITY
 
 _LONGEST = 400  # characters
@@ -66,12 +65,12 @@ class Expression:
 
     text: str
     names: tuple[str, ...]
-    _tree: ast.expr
+    _function: Callable[[Mapping[str, Any]], Any]
 
     def of(self, values: Mapping[str, Any]) -> Any:
         """The value, a float or an array; NaN or infinite where it is undefined."""
         with np.errstate(all="ignore"):
-            return _evaluated(self._tree, values)
+            return self._function(values)
 
     def gradient(self, values: Mapping[str, float]) -> dict[str, float]:
         """Derivative by each name, exact to rounding.
@@ -114,10 +113,10 @@ def parse(text: str, names: Iterable[str], sums: Mapping[str, Mapping[str, float
             f"'{known[0]} / {known[min(1, len(known) - 1)]}', with + - * / ** and parentheses"
         ) from None
     used: dict[str, None] = {}
-    _check(tree, said, known, used)
+    function = _function_of(tree, said, known, used)
     if not used:
         raise InputError(f"{said}: it contains no parameter; the parameters are {', '.join(known)}")
-    return Expression(shown, tuple(used), tree)
+    return Expression(shown, tuple(used), function)
 
 
 def _multiplied_out(text: str, sums: Mapping[str, Mapping[str, float]]) -> str:
@@ -130,67 +129,58 @@ def _multiplied_out(text: str, sums: Mapping[str, Mapping[str, float]]) -> str:
     return re.sub(rf"(?<![\w.])({_NUMBER}) +(?=[A-Za-z_])", r"\1 * ", text)
 
 
-def _check(node: ast.AST, said: str, names: tuple[str, ...], used: dict[str, None]) -> None:
-    """Raise `InputError` for anything that is not arithmetic; collect the names."""
+def _function_of(
+    node: ast.AST, said: str, names: tuple[str, ...], used: dict[str, None]
+) -> Callable[[Mapping[str, Any]], Any]:
+    """The value of a node as a function of the names in it, which are collected.
+
+    Raises `InputError` for anything that is not arithmetic.
+    """
+
+    def of(part: ast.AST) -> Callable[[Mapping[str, Any]], Any]:
+        return _function_of(part, said, names, used)
+
     if isinstance(node, ast.Constant):
         if isinstance(node.value, bool) or not isinstance(node.value, int | float):
             raise InputError(f"{said}: {quoted(node.value)} is not a number")
         if not abs(node.value) < 1e300:
             raise InputError(f"{said}: a number is too large")
-    elif isinstance(node, ast.Name):
-        if node.id not in names:
+        number = np.float64(node.value)
+        return lambda _: number
+    if isinstance(node, ast.Name):
+        name = node.id
+        if name not in names:
             raise InputError(
-                f"{said}: no parameter {quoted(node.id)}; the parameters are {', '.join(names)}"
+                f"{said}: no parameter {quoted(name)}; the parameters are {', '.join(names)}"
             )
-        used.setdefault(node.id)
-    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.UAdd | ast.USub):
-        _check(node.operand, said, names, used)
-    elif isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
-        _check(node.left, said, names, used)
-        _check(node.right, said, names, used)
-    elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        _check_call(node, node.func.id, said)
-        for argument in node.args:
-            _check(argument, said, names, used)
-    else:
-        raise InputError(
-            f"{said}: only numbers, names, + - * / ** and the functions "
-            f"{', '.join(_FUNCTIONS)} may occur"
-        )
+        used.setdefault(name)
+        return lambda values: np.asarray(values[name])[()]
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.UAdd | ast.USub):
+        inner, sign = of(node.operand), -1.0 if isinstance(node.op, ast.USub) else 1.0
+        return lambda values: sign * inner(values)
+    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+        left, right, operator = of(node.left), of(node.right), _OPERATORS[type(node.op)]
+        return lambda values: operator(left(values), right(values))
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        function = _function_called(node, node.func.id, said)
+        arguments = [of(argument) for argument in node.args]
+        return lambda values: function(*(argument(values) for argument in arguments))
+    raise InputError(
+        f"{said}: only numbers, names, + - * / ** and the functions "
+        f"{', '.join(_FUNCTIONS)} may occur"
+    )
 
 
-def _check_call(node: ast.Call, name: str, said: str) -> None:
+def _function_called(node: ast.Call, name: str, said: str) -> Callable[..., Any]:
     if name not in _FUNCTIONS:
         raise InputError(
             f"{said}: no function {quoted(name)}; the functions are {', '.join(_FUNCTIONS)}"
         )
-    count, _ = _FUNCTIONS[name]
+    count, function = _FUNCTIONS[name]
     if len(node.args) != count or node.keywords:
         raise InputError(f"{said}: {name} takes {count} argument{'s' if count > 1 else ''}")
-
-
-def _evaluated(node: ast.AST, values: Mapping[str, Any]) -> Any:
-    if isinstance(node, ast.Constant):
-        return np.float64(float(node.value))  # type: ignore[arg-type]
-    if isinstance(node, ast.Name):
-        return np.asarray(values[node.id])[()]
-    if isinstance(node, ast.UnaryOp):
-        inner = _evaluated(node.operand, values)
-        return -inner if isinstance(node.op, ast.USub) else inner
-    if isinstance(node, ast.BinOp):
-        left, right = _evaluated(node.left, values), _evaluated(node.right, values)
-        return _OPERATORS[type(node.op)](left, right)
-    assert isinstance(node, ast.Call)
-    assert isinstance(node.func, ast.Name)
-    _, function = _FUNCTIONS[node.func.id]
-    return function(*(_evaluated(argument, values) for argument in node.args))
+    return function
 
 
 CONSTANTS = {"g": GRAVITY, "pi": math.pi}
 """Constants that an expression may contain unless a parameter has the same name; g in m/s^2."""
-
-
-def samples_of(expression: Expression, values: Mapping[str, Any]) -> Floats:
-    """The finite values of an expression for many samples."""
-    found = np.asarray(expression.of(values), float)
-    return found[np.isfinite(found)]

@@ -16,33 +16,25 @@ from curlfit.inference.model import Model
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import BATCH, in_batches
 from curlfit.numerics.compiled import compiled
+from curlfit.numerics.differences import slopes
 from curlfit.stone import Stone
 
 POINTS = 128
 """Number of points along a path."""
-_STEP = 1e-4  # of finite differences, over the typical size
-
-
-def vectors_of(model: Model) -> int:
-    """Number of coefficient vectors that a program takes: one, and one more per coefficient."""
-    return 1 + len(model.of_program.law.coefficients())
+_STEP = 1e-4  # of differences, over the typical size
 
 
 def accelerations_along(
     model: Model, coefficients: Floats, stones: Stone, paths: Floats, batch: int = BATCH
 ) -> Floats:
-    """Accelerations (xi, eta, angular) along the paths of many throws.
+    """Accelerations (xi, eta, angular) along the paths of many throws, shape (throws, 3, POINTS).
 
     Parameters
     ----------
-    coefficients : shape (throws, `vectors_of` the model, POINTS, coefficients).
+    coefficients : shape (throws, POINTS, coefficients).
     stones : each field of shape (throws,).
     paths : speed, spin, angle and time, shape (throws, 4, POINTS).
     batch : number of throws computed together.
-
-    Returns
-    -------
-    Shape (throws, vectors, 3, POINTS).
     """
     program = partial(_accelerations, model.of_program.law, model.load)
     found: Any = in_batches(program, (model.vector(coefficients), stones, paths), batch)
@@ -52,9 +44,8 @@ def accelerations_along(
 def accelerations_and_slopes(
     model: Model, coefficients: Floats, typical: Floats, stones: Stone, paths: Floats, batch: int
 ) -> tuple[Floats, Floats]:
-    """Accelerations for one coefficient vector per throw, and their derivatives by it.
-
-    By finite differences, which are exact to rounding where the accelerations are linear.
+    """Accelerations for one coefficient vector per throw, and their derivatives by it; these are
+    exact to rounding where the accelerations are linear.
 
     Parameters
     ----------
@@ -64,14 +55,14 @@ def accelerations_and_slopes(
     -------
     Shapes (throws, 3, POINTS) and (throws, 3, POINTS, coefficients).
     """
-    k = coefficients.shape[-1]
-    vectors = np.repeat(coefficients[:, None], vectors_of(model), 1)
-    step = _STEP * typical
-    vectors[:, 1 : k + 1] += np.diag(step)
-    everywhere = np.broadcast_to(vectors[:, :, None], (*vectors.shape[:2], POINTS, k))
-    found = accelerations_along(model, everywhere, stones, paths, batch)
-    first = found[:, 0]
-    return first, np.moveaxis(found[:, 1 : k + 1] - first[:, None], 1, -1) / step
+
+    def at(change: Floats) -> Floats:
+        everywhere = np.repeat((coefficients + change)[:, None], POINTS, 1)
+        return accelerations_along(model, everywhere, stones, paths, batch)
+
+    none = np.zeros(len(typical))
+    first = at(none)
+    return first, slopes(at, none, _STEP * typical, value=first)
 
 
 @compiled("law", "load")
@@ -81,5 +72,4 @@ def _accelerations(
     def along(coefficients: Array, stone: Stone, path: Array) -> Array:
         return jnp.stack(accelerations(law.from_vector(coefficients.T), stone, load, *path))
 
-    of_throw = jax.vmap(along, (0, None, None))
-    return jax.vmap(of_throw)(coefficients, stones, paths)
+    return jax.vmap(along)(coefficients, stones, paths)

@@ -39,8 +39,23 @@ Verdict = Annotated[
 ]
 
 
+class WithInterval:
+    """A value with its standard error and the degrees of freedom of that."""
+
+    value: float
+    stderr: float | None
+    dof: float | None
+
+    def interval(self, level: float = 0.95) -> tuple[float, float] | None:
+        """Confidence interval by Student's t; None where there is no standard error."""
+        if self.stderr is None:
+            return None
+        reach = student_quantile(level, self.dof) * self.stderr
+        return self.value - reach, self.value + reach
+
+
 @dataclass(frozen=True)
-class Combination:
+class Combination(WithInterval):
     """A determined weighted sum of parameters that are not determined individually.
 
     `dof` is the number of degrees of freedom of `stderr`; None where sigma was given.
@@ -51,10 +66,6 @@ class Combination:
     value: float
     stderr: float | None
     dof: float | None = None
-
-    def interval(self, level: float = 0.95) -> tuple[float, float] | None:
-        """Confidence interval by Student's t; None where there is no standard error."""
-        return student_interval(self.value, self.stderr, self.dof, level)
 
 
 @dataclass(frozen=True)
@@ -100,16 +111,6 @@ def student_quantile(level: float, dof: float | None) -> float:
 
     upper = (1 + level) / 2
     return float(ndtri(upper) if dof is None else stdtrit(dof, upper))
-
-
-def student_interval(
-    value: float, stderr: float | None, dof: float | None, level: float
-) -> tuple[float, float] | None:
-    """Confidence interval at a level; None where there is no standard error."""
-    if stderr is None:
-        return None
-    reach = student_quantile(level, dof) * stderr
-    return value - reach, value + reach
 
 
 def directions(information: Floats, typical: Floats) -> tuple[Floats, Floats, Floats]:

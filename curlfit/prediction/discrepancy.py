@@ -38,12 +38,13 @@ from curlfit.inference.noise.linearized import Linearized, Regression
 from curlfit.inference.noise.restricted import GRID, Estimate, estimate
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
+from curlfit.numerics.differences import slopes
 from curlfit.prediction.ensemble import TrajectoryEnsemble
 from curlfit.prediction.result import Discrepancy
 from curlfit.throws.events import along_path
 from curlfit.throws.throw import CHANNELS
 
-_SMALL = 1e-3  # step of finite differences, relative to the friction
+_SMALL = 1e-3  # step of differences, relative to the friction
 
 
 class MissingAccelerations(NamedTuple):
@@ -135,7 +136,7 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
     scales = zip(channels, found.scale, data.enough, strict=True)
     summary = Discrepancy(
         dict(zip(COMPONENTS, map(float, sizes * responses.size), strict=True)),
-        _duration(fit),
+        float(data.span),
         {name: float(fit.sigma[name] * scale) for name, scale, enough in scales
          if enough and name in fit.sigma},
         excess,
@@ -146,8 +147,8 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
 
 
 def _prior_weights() -> Floats:
-    weights = np.exp([log_prior(np.array([size])) for size in SIZES])
-    return cast(Floats, weights / weights.sum())
+    weights: Floats = np.exp(log_prior(SIZES[:, None]))
+    return weights / weights.sum()
 
 
 def _unseen_shapes(speed: Floats) -> Floats:
@@ -162,21 +163,11 @@ def _unseen_shapes(speed: Floats) -> Floats:
 
 
 def _response_of_events(fit: FitResult, responses: Responses) -> Floats:
-    """Derivatives of the events with respect to accelerations, by central differences, shape
-    (events, 3 * SHAPES)."""
+    """Derivatives of the events with respect to accelerations, shape (events, 3 * SHAPES)."""
     since = fit.observed["t"] - fit.observed["t"][0]
     path = np.array([np.interp(responses.t, since, fit.fitted[name]) for name in CHANNELS[:4]])
-    changes = _SMALL * responses.by_channel[:4].transpose(2, 0, 1)
-    up, down = (
-        np.array([along_path(fit.throw.events, responses.t, *(path + s * by)) for by in changes])
-        for s in (1, -1)
-    )
-    return cast(Floats, (up - down).T / (2 * _SMALL))
-
-
-def _duration(fit: FitResult) -> float:
-    """Time from the first row to the last, or to rest."""
-    t, speed = fit.observed["t"], fit.fitted["speed"]
-    resting = np.flatnonzero(speed <= 0)
-    last = int(resting[0]) if len(resting) and resting[0] > 0 else len(t) - 1
-    return float(t[last] - t[0])
+    events, by_amplitude = fit.throw.events, responses.by_channel[:4]
+    return slopes(
+        lambda a: along_path(events, responses.t, *(path + by_amplitude @ a)),
+        np.zeros(by_amplitude.shape[-1]), _SMALL,
+    )  # fmt: skip

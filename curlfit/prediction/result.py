@@ -255,7 +255,7 @@ class Discrepancy:
     Attributes
     ----------
     sizes : posterior root mean square of the size, m/s^2 (rad/s^2 for "turning").
-    span : duration of the fitted rows up to rest, s.
+    span : time from the first fitted row to the last in which the stone moves, s.
     noise : independent noise by channel, SI; only channels with enough rows to estimate it.
     excess : significance of a missing acceleration in standard deviations (square root of
         twice the logarithm of the likelihood ratio); empty where no channel has enough rows.

@@ -24,6 +24,8 @@ SIGMA_TIME = 0.1
 scatters by 0.07 s about a delay common to both, as 4304 reaction times of timekeepers show (Manual
 timing in physics experiments: error and uncertainty, Am. J. Phys. 87 (2019) 110)."""
 MOST_LINES, MOST_EVENTS = 6, 8
+_TIMES = [*range(MOST_LINES), 3 * MOST_LINES]  # columns of weights, of lines and at rest
+_X, _Y = [*range(MOST_LINES, 2 * MOST_LINES), 3 * MOST_LINES + 1], [3 * MOST_LINES + 2]
 _FARTHEST = 200.0  # m; largest distance to rest in the search for a first motion
 _ROWS = 200  # number of times of a throw without a path
 _LONGER = 1.25  # ratio of the last of these times to the expected time to rest
@@ -96,21 +98,18 @@ class EventArrays(NamedTuple):
     def with_clock(self, rate: float) -> EventArrays:
         """The same events with all measured times longer by a factor."""
         weights = self.weights.copy()
-        weights[..., [*range(MOST_LINES), 3 * MOST_LINES]] *= rate
+        weights[..., _TIMES] *= rate
         return self._replace(weights=weights)
 
-    def places(self) -> tuple[EventArrays, Any, Any]:
-        """The positions alone, without times and angles; and the sums of the weights of x and of
-        y."""
-        x = [*range(MOST_LINES, 2 * MOST_LINES), 3 * MOST_LINES + 1]
-        y = [3 * MOST_LINES + 2]
-        weights = np.zeros_like(self.weights)
-        weights[..., [*x, *y]] = self.weights[..., [*x, *y]]
-        return (
-            self._replace(weights=weights),
-            self.weights[..., x].sum(-1),
-            self.weights[..., y].sum(-1),
-        )
+    def with_lengths(self, scale: float, y0: Any) -> EventArrays:
+        """The same events with all measured lengths longer by a factor, about y0 and x = 0."""
+        weights = self.weights.copy()
+        weights[..., _X + _Y] *= scale
+        return EventArrays(y0 + (self.lines - y0) / scale, weights)
+
+    def sums_of_places(self) -> Floats:
+        """The sums of the weights of x and of y, shape (..., events, 2)."""
+        return np.stack([self.weights[..., where].sum(-1) for where in (_X, _Y)], -1)
 
 
 def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -24,13 +25,13 @@ from numpy.polynomial.chebyshev import chebvander
 from curlfit.inference.fit.summary import LeastSquaresFit
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.noise.models import time_of_motion
-from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.differences import slopes
 from curlfit.throws.throw import CHANNELS
 
 _TIMES = 24  # at which the friction may change; twice as many for the velocity
 _SMOOTH = 2  # degree of the polynomials in time for smooth changes
-_STEP = 1e-4  # relative change of the friction, for finite differences
+_STEP = 1e-4  # relative change of the friction, for differences
 _SURE_FRICTION = 30.0
 """Twice the gain in log-likelihood by the best of some 250 intervals: below 20 in 50 synthetic
 throws without a change, including wrong laws and correlated noise, and above 50 in 18 that were
@@ -46,124 +47,51 @@ _ENDS = 3  # number of times left out at each end, where a wrong law fails first
 _MOST_LAG1 = 0.7  # largest lag-1 correlation of what remains; a wrong law leaves more
 
 
-class SuddenChange(Protocol):
-    """An abrupt change, with a warning about it."""
+class _Cause(NamedTuple):
+    """A possible cause of the residuals."""
 
-    def warning(self) -> str:
-        """The change in words, with the options that account for it."""
-        ...
-
-
-class FrictionChange(NamedTuple):
-    """An interval in which the friction differs from that before."""
-
-    begin: float
-    """in the times of the data, s"""
-    end: float
-    factor: float
-    """friction over the friction before"""
-
-    def warning(self) -> str:
-        """The change in words, with the options that account for it."""
-        begin, end = f"{self.begin:.1f}", f"{self.end:.1f}"
-        return (
-            f"the friction changes abruptly, by a factor of about {self.factor:.2f} between "
-            f"{begin} and {end} s, as by sweeping or a touched stone; `--sweep {begin}:{end}` "
-            "estimates the factor, `--until` and `--exclude` leave rows out"
-        )
+    gain: float
+    """in twice the log-likelihood"""
+    warning: str
+    """the cause in words, with the options that account for it"""
+    response: Floats
+    """changes of all weighted channels, as rows"""
 
 
-class SpeedDependence(NamedTuple):
-    """Friction that depends on speed otherwise than under the law."""
-
-    exponent: float
-    """of the speed, in a factor on the friction of the law"""
-
-    def warning(self) -> str:
-        """The dependence in words, with what accounts for it."""
-        return (
-            "the friction depends on speed otherwise than under this law, by a factor of about "
-            f"v^{self.exponent:.2g}; compare laws whose friction does (curlfit compare), or fit "
-            "your own law with such a factor"
-        )
-
-
-class Distortion(NamedTuple):
-    """Positions that are a cubic function of those measured."""
-
-    size: float
-    """rms, m"""
-
-    def warning(self) -> str:
-        """The distortion in words, with what accounts for it."""
-        return (
-            "the positions seem distorted along the sheet, as by the lens of a camera: a cubic "
-            f"function of them, {1000 * self.size:.2g} mm (rms), explains the residuals better "
-            "than a change of the friction; correct the lens, then fit again"
-        )
-
-
-class VelocityChange(NamedTuple):
-    """A time at which the velocity changes."""
-
-    time: float
-    """in the times of the data, s"""
-    size: float
-    """m/s"""
-    early: bool
-    """whether most of the motion follows it"""
-
-    def warning(self) -> str:
-        """The change in words, with the options that account for it."""
-        if self.early:
-            remedy = f"`--since {math.ceil(2 * self.time + 0.5) / 2:g}` leaves out what is before"
-        else:
-            remedy = f"`--until {math.floor(2 * self.time - 0.5) / 2:g}` leaves out what follows"
-        return (
-            f"the velocity changes abruptly, by about {self.size:.2g} m/s near t = {self.time:.1f} "
-            "s, as in a collision; coefficients and the side of the curl are then wrong; "
-            f"{remedy}"
-        )
-
-
-class _Fitted(NamedTuple):
+class _Fitted:
     """A fit with its path, without padded rows."""
 
-    fit: LeastSquaresFit
-    path: Floats
-    t: Floats
-    weight: Floats
-    residual: Floats
-    """One-dimensional, of all channels."""
-    jacobian: Floats
-    """With respect to the free parameters."""
-
-    @classmethod
-    def of(cls, fit: LeastSquaresFit) -> _Fitted:
+    def __init__(self, fit: LeastSquaresFit) -> None:
         n, free = len(fit.prepared.throw), fit.prepared.parameters.free
-        jacobian = np.asarray(fit.solution.jacobian)[:, :n][..., free]
-        return cls(
-            fit,
-            np.asarray(predict_channels(fit.model, fit.solution.values, fit.problem)),
-            np.asarray(fit.problem.times)[:n],
-            np.asarray(fit.problem.weight)[:, :n],
-            np.asarray(fit.solution.residual)[:, :n].ravel(),
-            jacobian.reshape(-1, int(free.sum())),
+        self.fit, self.begin = fit, fit.prepared.origin.t
+        self.path = np.asarray(predict_channels(fit.model, fit.solution.values, fit.problem))[:, :n]
+        self.t, self.weight = fit.problem.times[:n], np.asarray(fit.problem.weight)[:, :n]
+        self.speed = self.path[CHANNELS.index("speed")]
+        self.duration = time_of_motion(self.t, self.speed)
+        self.residual = np.asarray(fit.solution.residual)[:, :n].ravel()
+        jacobian = np.asarray(fit.solution.jacobian)[:, :n]
+        self.jacobian = jacobian.reshape(-1, len(free))[:, free]
+
+    def to_friction(self, times: Floats) -> Floats:
+        """Responses to a change of the friction from each time on; none after the last."""
+        model, values, problem = self.fit.model, self.fit.solution.values, self.fit.problem
+        rows, n = self.weight.shape
+
+        def swept(since: float, sweep: Floats) -> Any:
+            swept = replace(problem.environment, sweep=sweep[0],
+                            swept_from=np.asarray(since), swept_to=np.asarray(np.inf))  # fmt: skip
+            return predict_channels(model, values, problem._replace(environment=swept))[:rows, :n]
+
+        found = [
+            slopes(partial(swept, since), np.ones(1), _STEP, value=self.path[:rows])[..., 0]
+            for since in times[:-1]
+        ]
+        return np.array([*(self.weight * each for each in found), 0 * self.weight]).reshape(
+            len(times), -1
         )
 
-    @property
-    def duration(self) -> float:
-        """Time of motion, s."""
-        return time_of_motion(self.t, self.path[CHANNELS.index("speed"), : len(self.t)])
-
-    def response(self, problem: Problem) -> Floats:
-        """Change of the weighted channels under another problem."""
-        path = np.asarray(predict_channels(self.fit.model, self.fit.solution.values, problem))
-        channels, n = self.weight.shape
-        return ((path - self.path)[:channels, :n] * self.weight).ravel()
-
-    def displacement(self, by: Any, axis: int) -> Floats:
-        """Changes of x (0) or y (1), shape (k, n), as changes of all weighted channels."""
+    def to_displacement(self, by: Any, axis: int) -> Floats:
+        """Responses to changes of x (0) or y (1), shape (k, n)."""
         found = np.zeros((len(by), *self.weight.shape))
         found[:, axis] = by * self.weight[axis]
         return found.reshape(len(by), -1)
@@ -178,78 +106,68 @@ class _Fitted(NamedTuple):
         effective = there.sum() * (1 - lag1) / (1 + lag1) if lag1 < _MOST_LAG1 else 0.0
         return float(effective * np.log(before @ before / max(float(after @ after), 1e-300)))
 
+    def amplitudes(self, response: Floats) -> tuple[float, Any]:
+        """The gain of a response beyond the parameters of the fit, and its amplitudes."""
+        left, beyond = _without(self.jacobian, self.residual, response)
+        amplitude = np.linalg.lstsq(beyond.T, -left, rcond=1e-9)[0]
+        return self.gain(left, left + amplitude @ beyond), amplitude
 
-def sudden_change(fit: LeastSquaresFit) -> SuddenChange | None:
-    """The cause that explains the residuals best; None if none does."""
-    fitted = _Fitted.of(fit)
+    def left_by(self, cause: _Cause) -> float:
+        """Sum of squares left by the parameters of the fit and a cause."""
+        columns = np.hstack([self.jacobian, cause.response.T])
+        left = _without(columns, self.residual, cause.response)[0]
+        return float(left @ left)
+
+
+def sudden_change(fit: LeastSquaresFit) -> str | None:
+    """A warning about the cause that explains the residuals best; None if none does."""
+    fitted = _Fitted(fit)
     times = np.linspace(0.0, fitted.duration, _TIMES + 1)
-    since = _friction_since(fitted, times)
-    tests = (
-        (_friction_change(fitted, since, times), _SURE_FRICTION),
-        (_velocity_change(fitted), _SURE_VELOCITY),
-        (_speed_dependence(fitted, since, times), _SURE_FRICTION),
-        (_distortion(fitted), _SURE_FRICTION),
-    )
-    sure = [test for test, limit in tests if test.gain > limit]
-    return min(sure, key=lambda test: _left_by(fitted, test.response)).change if sure else None
+    since = fitted.to_friction(times)
+    causes = [
+        _friction_change(fitted, since, times), _velocity_change(fitted),
+        _speed_dependence(fitted, since, times), _distortion(fitted),
+    ]  # fmt: skip
+    limits = _SURE_FRICTION, _SURE_VELOCITY, _SURE_FRICTION, _SURE_FRICTION
+    sure = [
+        cause for cause, limit in zip(causes, limits, strict=True) if cause and cause.gain > limit
+    ]
+    return min(sure, key=fitted.left_by).warning if sure else None
 
 
-class _Test(NamedTuple):
-    """The gain of a possible cause, and its response, rows of changes of all weighted channels."""
-
-    gain: float
-    change: SuddenChange | None
-    response: Floats
-
-
-def _left_by(fitted: _Fitted, response: Floats) -> float:
-    """Sum of squares left by the parameters of the fit and a response."""
-    left = _without(np.hstack([fitted.jacobian, response.T]), fitted.residual, response)[0]
-    return float(left @ left)
-
-
-def _friction_since(fitted: _Fitted, times: Floats) -> Floats:
-    """Responses to a change of the friction from each time on; none after the last."""
-    problem, responses = fitted.fit.problem, []
-    for time in times[:-1]:
-        environment = replace(
-            problem.environment, sweep=np.asarray(1 + _STEP), swept_from=np.asarray(time),
-            swept_to=np.asarray(np.inf),
-        )  # fmt: skip
-        responses.append(fitted.response(problem._replace(environment=environment)) / _STEP)
-    return np.array([*responses, np.zeros(fitted.weight.size)])
-
-
-def _amplitudes(fitted: _Fitted, response: Floats) -> tuple[float, Any]:
-    """The gain of a response beyond the parameters of the fit, and its amplitudes."""
-    left, beyond = _without(fitted.jacobian, fitted.residual, response)
-    amplitude = np.linalg.lstsq(beyond.T, -left, rcond=1e-9)[0]
-    return fitted.gain(left, left + amplitude @ beyond), amplitude
-
-
-def _speed_dependence(fitted: _Fitted, since: Floats, times: Floats) -> _Test:
+def _speed_dependence(fitted: _Fitted, since: Floats, times: Floats) -> _Cause:
     """Friction times a power of the speed."""
-    middle = (times[1:] + times[:-1]) / 2
-    speed = np.interp(middle, fitted.t, fitted.path[CHANNELS.index("speed"), : len(fitted.t)])
+    speed = np.interp((times[1:] + times[:-1]) / 2, fitted.t, fitted.speed)
     response = (np.log(speed) @ (since[:-1] - since[1:]))[None]
-    gain, (exponent,) = _amplitudes(fitted, response)
-    return _Test(gain, SpeedDependence(float(exponent)), response)
+    gain, (exponent,) = fitted.amplitudes(response)
+    return _Cause(
+        gain,
+        "the friction depends on speed otherwise than under this law, by a factor of about "
+        f"v^{exponent:.2g}; compare laws whose friction does (curlfit compare), or fit "
+        "your own law with such a factor",
+        response,
+    )
 
 
-def _distortion(fitted: _Fitted) -> _Test:
+def _distortion(fitted: _Fitted) -> _Cause | None:
     """Positions along the sheet that are a cubic function of those measured."""
-    if not (fitted.weight[1] > 0).any():
-        return _Test(0.0, None, np.zeros((0, fitted.weight.size)))
-    y = fitted.path[1, : len(fitted.t)]
+    if not fitted.weight[1].any():
+        return None
+    y = fitted.path[1]
     place = 2 * (y - y.min()) / max(float(np.ptp(y)), 1e-9) - 1
     shapes = chebvander(place, 3).T[2:]  # a change of scale would be one of speed and friction
-    response = fitted.displacement(shapes, 1)
-    gain, amplitude = _amplitudes(fitted, response)
-    off = amplitude @ shapes
-    return _Test(gain, Distortion(float(off.std())), response)
+    response = fitted.to_displacement(shapes, 1)
+    gain, amplitude = fitted.amplitudes(response)
+    return _Cause(
+        gain,
+        "the positions seem distorted along the sheet, as by the lens of a camera: a cubic "
+        f"function of them, {1000 * (amplitude @ shapes).std():.2g} mm (rms), explains the "
+        "residuals better than a change of the friction; correct the lens, then fit again",
+        response,
+    )
 
 
-def _friction_change(fitted: _Fitted, since: Floats, times: Floats) -> _Test:
+def _friction_change(fitted: _Fitted, since: Floats, times: Floats) -> _Cause:
     """The interval in which the friction differs abruptly from that before.
 
     Its gain is that beyond friction that is polynomial in time, which is then left out: it takes up
@@ -262,8 +180,14 @@ def _friction_change(fitted: _Fitted, since: Floats, times: Floats) -> _Test:
     gain = fitted.gain(left, left + (factor - 1) * (beyond[first] - beyond[last]))
     if gain > _SURE_FRICTION:
         first, last, factor = _best_interval(*_without(fitted.jacobian, fitted.residual, since))
-    begin, end = (float(times[place]) + fitted.fit.prepared.origin.t for place in (first, last))
-    return _Test(gain, FrictionChange(begin, end, factor), (since[first] - since[last])[None])
+    begin, end = (f"{times[place] + fitted.begin:.1f}" for place in (first, last))
+    return _Cause(
+        gain,
+        f"the friction changes abruptly, by a factor of about {factor:.2f} between {begin} and "
+        f"{end} s, as by sweeping or a touched stone; `--sweep {begin}:{end}` estimates the "
+        "factor, `--until` and `--exclude` leave rows out",
+        (since[first] - since[last])[None],
+    )
 
 
 def _best_interval(left: Floats, since: Floats) -> tuple[int, int, float]:
@@ -284,30 +208,36 @@ def _best_interval(left: Floats, since: Floats) -> tuple[int, int, float]:
     return int(first), int(last), float(factors[first, last])
 
 
-def _velocity_change(fitted: _Fitted) -> _Test:
-    """The time at which the velocity changes abruptly; no gain without x and y."""
-    best = _Test(0.0, None, np.zeros((0, fitted.weight.size)))
-    if not (fitted.weight[:2] > 0).any(axis=1).all():
-        return best
-    duration = fitted.duration
-    times = np.linspace(0.0, duration, 2 * _TIMES + 1)[:-1]
+def _velocity_change(fitted: _Fitted) -> _Cause | None:
+    """The time at which the velocity changes abruptly; None without x and y."""
+    if not fitted.weight[:2].any(axis=1).all():
+        return None
+    times = np.linspace(0.0, fitted.duration, 2 * _TIMES + 1)[:-1]
     late = np.maximum(fitted.t - times[:, None], 0.0)
     # accelerations that are polynomial in time
     smooth = chebvander(np.linspace(-1, 1, len(times)), _SMOOTH).T @ late
-    nuisance = [fitted.displacement(smooth, axis) for axis in (0, 1)]
-    changes = np.vstack([fitted.displacement(late, axis) for axis in (0, 1)])
+    nuisance = [fitted.to_displacement(smooth, axis) for axis in (0, 1)]
+    every = np.stack([fitted.to_displacement(late, axis) for axis in (0, 1)], 1)
     columns = np.vstack([fitted.jacobian.T, *nuisance]).T
-    every = changes
-    left, changes = _without(columns, fitted.residual, changes)
-    speed = np.interp(times, fitted.t, fitted.path[CHANNELS.index("speed"), : len(fitted.t)])
+    left, changes = _without(columns, fitted.residual, every)
+    speed = np.interp(times, fitted.t, fitted.speed)
+    best = None
     for index in range(_ENDS, len(times) - _ENDS):
-        pair = changes[[index, len(times) + index]]
+        pair = changes[index]
         amplitude = np.linalg.lstsq(pair @ pair.T, -(pair @ left), rcond=1e-9)[0]
         gain, size = fitted.gain(left, left + amplitude @ pair), float(np.hypot(*amplitude))
-        if gain > best.gain and _LEAST_VELOCITY < size < speed[index]:
-            at = float(times[index]) + fitted.fit.prepared.origin.t
-            response = every[[index, len(times) + index]]
-            best = _Test(gain, VelocityChange(at, size, 2 * index < len(times)), response)
+        if gain > (best.gain if best else 0.0) and _LEAST_VELOCITY < size < speed[index]:
+            time = times[index] + fitted.begin
+            remedy = (
+                f"`--since {math.ceil(2 * time + 0.5) / 2:g}` leaves out what is before"
+                if 2 * index < len(times)
+                else f"`--until {math.floor(2 * time - 0.5) / 2:g}` leaves out what follows"
+            )
+            words = (
+                f"the velocity changes abruptly, by about {size:.2g} m/s near t = {time:.1f} s, as "
+                "in a collision; coefficients and the side of the curl are then wrong; "
+            )
+            best = _Cause(gain, words + remedy, every[index])
     return best
 
 

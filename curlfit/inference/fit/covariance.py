@@ -223,20 +223,11 @@ def one_sigma_points(
     return OneSigmaPoints(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
 
 
-class Departure(NamedTuple):
-    """Departure of chi squared from a parabola along an estimate."""
-
-    factor: float
-    """largest factor by which the rise at one standard error is larger or smaller than one"""
-    misleading: bool
-    """whether it is so large that nothing may be determined"""
-
-
 def nonquadratic_estimates(
     found: Sequence[Covariance], around: OneSigmaPoints, delta_chi2: Floats, typical: Floats
-) -> list[dict[str, Departure]]:
+) -> list[dict[str, bool]]:
     """Parameters and combinations along which chi squared does not rise by about one at one
-    standard error.
+    standard error, and whether it is so misleading there that nothing may be determined.
 
     An axis concerns an estimate if it contributes a quarter or more of its variance. A large
     departure is misleading for the parameters that dominate the axis, and for estimates whose
@@ -245,7 +236,7 @@ def nonquadratic_estimates(
     off = ~(np.abs(delta_chi2 - 1) < _QUADRATIC)
     rise = np.maximum(np.nan_to_num(delta_chi2, nan=np.inf), 1e-300)
     factor = np.maximum(rise, 1 / rise)
-    named: list[dict[str, Departure]] = [{} for _ in found]
+    named: list[dict[str, bool]] = [{} for _ in found]
     for owner in np.unique(around.owner[off]):
         mine = off & (around.owner == owner)
         known, sizes = found[owner].identifiability, typical[found[owner].open]
@@ -259,5 +250,5 @@ def nonquadratic_estimates(
             most = float(factor[mine][concerned].max())
             dominant = (np.abs(axes @ row)[concerned] > 0.3 * longest[concerned]).any()
             large = error > _SMALL * sizes[row != 0].max()
-            named[owner][name] = Departure(most, bool(most > _MISLEADING and (dominant or large)))
+            named[owner][name] = bool(most > _MISLEADING and (dominant or large))
     return named

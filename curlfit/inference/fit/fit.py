@@ -117,7 +117,7 @@ def _fit(
     if doubtful and loss == "linear" and noise == "white" and "sweep" not in result.conditions:
         change = sudden_change(found)
         if change is not None:
-            result = replace(result, warnings=(change.warning(), *result.warnings))
+            result = replace(result, warnings=(change, *result.warnings))
         elif details and not result.events:
             result = with_noise_advice(result, refit)
     if not details:

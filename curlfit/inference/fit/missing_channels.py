@@ -14,7 +14,6 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.inference.identifiability import WEAK_ERROR, Identifiability, analyse
 from curlfit.inference.likelihood import predict_channels
@@ -22,11 +21,12 @@ from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.differences import slopes
 from curlfit.throws.throw import CHANNELS
 
 NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01, "speed": 0.02, "omega": 0.02}
 """Of a hypothetical channel: m, m, rad, m/s, rad/s."""
-_STEP = 1e-4  # of a typical size, for finite differences: the path is accurate to 1e-8 of it
+_STEP = 1e-4  # of a typical size, of differences: the path is accurate to 1e-8 of it
 
 
 def remedies(
@@ -55,7 +55,13 @@ def remedies(
     unless "all" is true: then all are needed. It is empty where no channel would help.
     """
     free = np.array([place for place, name in enumerate(parameters.names) if name not in held])
-    jacobian = _slopes(model, values, problem, parameters, free)[:, :rows]
+    fixed = parameters.lower >= parameters.upper  # for lack of a channel that depends on them
+    jacobian = slopes(
+        lambda moved: predict_channels(model, moved, problem)[:, :rows],
+        values, _STEP * parameters.typical, free,
+        lower=np.where(fixed, -np.inf, parameters.lower),
+        upper=np.where(fixed, np.inf, parameters.upper),
+    )  # fmt: skip
     weight = np.zeros(jacobian.shape[:2])
     weight[: len(problem.weight)] = problem.weight[:, :rows]
     missing = [name for row, name in enumerate(CHANNELS) if not weight[row].any()]
@@ -95,24 +101,3 @@ def remedies(
         {"parameters": named, "measure": list(channels), "all": all_}
         for (channels, all_), named in found.items()
     )
-
-
-def _slopes(
-    model: Model,
-    values: Floats,
-    problem: Problem,
-    parameters: ParameterSet,
-    free: NDArray[np.intp],
-) -> Floats:
-    """Derivatives of all channels by the free parameters, shape (channels, n, parameters)."""
-    columns = []
-    fixed = parameters.lower >= parameters.upper  # for lack of a channel that depends on them
-    lower = np.where(fixed, -np.inf, parameters.lower)
-    upper = np.where(fixed, np.inf, parameters.upper)
-    for place in free:
-        ends = np.tile(values, (2, 1))
-        ends[:, place] += np.array([1, -1]) * _STEP * parameters.typical[place]
-        ends = np.clip(ends, lower, upper)
-        up, down = (np.asarray(predict_channels(model, end, problem)) for end in ends)
-        columns.append((up - down) / (ends[0, place] - ends[1, place]))
-    return np.stack(columns, -1)

@@ -52,16 +52,9 @@ def _describes(other: FitResult, white: FitResult) -> bool:
 
 def _errors(other: FitResult, white: FitResult) -> str:
     """How many times as large the standard errors of the coefficients are."""
-    pairs = [
-        (name, item.stderr, other.parameters[name].stderr)
-        for name, item in white.coefficients.items()
-    ] + [
-        (one.expression, one.stderr, two.stderr)
-        for one in white.combinations
-        for two in other.combinations
-        if one.expression == two.expression
-    ]
-    found = {name: new / old for name, old, new in pairs if old and new}
+    names = [*white.coefficients, *(item.expression for item in white.combinations)]
+    pairs = {name: (white[name].stderr, other[name].stderr) for name in names if name in other}
+    found = {name: new / old for name, (old, new) in pairs.items() if old and new}
     if not found:
         return ""
     times = join_words([f"{two_digits(ratio)} ({name})" for name, ratio in found.items()])

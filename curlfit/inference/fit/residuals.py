@@ -57,14 +57,6 @@ class ResidualStatistics(NamedTuple):
         paths = [None] * throws if self.path is None else self.path
         return list(map(ResidualStatistics, paths, *self[1:]))
 
-    def confined(self, bounded: Bounded, typical: Floats) -> ResidualStatistics:
-        """Without the directions that only the bounds determine, where the priors count."""
-        factor = self.r_factor
-        matrix = confined(factor[..., :-1], bounded, typical)
-        return self._replace(
-            r_factor=np.concatenate([matrix, factor[..., -1:]], -1), unconfined=factor
-        )
-
     def by_channel(self, series: Any, more_than: int = 0) -> dict[str, Any]:
         """Values of one throw by name, for the channels with more than `more_than` values."""
         rows = zip(CHANNELS, series, self.number, strict=False)
@@ -72,9 +64,20 @@ class ResidualStatistics(NamedTuple):
 
 
 def residual_statistics(
-    problems: Problem, solutions: Solution, paths: Floats | None, penalty: Penalty | None = None
+    problems: Problem,
+    solutions: Solution,
+    paths: Floats | None,
+    penalty: Penalty | None = None,
+    bounds: tuple[Bounded, Floats] | None = None,
 ) -> ResidualStatistics:
-    """Residual statistics of many throws; the penalty is that of their priors."""
+    """Residual statistics of many throws.
+
+    Parameters
+    ----------
+    penalty : of their priors.
+    bounds : of the parameters, with typical sizes, if directions that only they determine do not
+        count.
+    """
     there = problems.weight > 0
     count = there.sum(-1)
     if paths is None:
@@ -90,10 +93,13 @@ def residual_statistics(
         prior, slope = penalty.residual_and_slope(solutions.values)
         rows = np.concatenate([slope[..., None] * np.eye(slope.shape[-1]), prior[..., None]], -1)
         whole = r_factor(np.concatenate([of_data, rows], 1))
+    factor = whole
+    if bounds is not None:
+        factor = np.concatenate([confined(whole[..., :-1], *bounds), whole[..., -1:]], -1)
     return ResidualStatistics(
         path=paths,
         residual=residual,
-        r_factor=whole,
+        r_factor=factor,
         unconfined=whole,
         of_data=of_data,
         number=count,

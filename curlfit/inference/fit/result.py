@@ -18,7 +18,7 @@ from curlfit.errors import InputError, require_kind
 from curlfit.friction import LAWS, Law, Parameter, check_load, find_law
 from curlfit.inference.conditions import CALIBRATION, CONDITIONS
 from curlfit.inference.derived import Derived, FirstOrder, Quantiles, derive
-from curlfit.inference.identifiability import Combination, Verdict, student_interval
+from curlfit.inference.identifiability import Combination, Verdict, WithInterval
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import LOSSES, WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
@@ -65,7 +65,7 @@ _ReferenceFit = Annotated[dict[str, Any], keys(stone=StoneValues, values=dict[st
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(WithInterval):
     """The estimate of one parameter.
 
     Attributes
@@ -98,7 +98,7 @@ class Estimate:
     def interval(self, level: float = 0.95) -> tuple[float, float] | None:
         """Confidence interval by Student's t, within the bounds; None where there is no standard
         error."""
-        found = student_interval(self.value, self.stderr, self.dof, level)
+        found = super().interval(level)
         return found and (max(found[0], self.lower), min(found[1], self.upper))
 
 
@@ -558,10 +558,6 @@ class FitResult(NamedEstimates):
     def with_derived(self, expressions: Iterable[str], chain: Any = None) -> FitResult:
         """The result with derived quantities, see `derive`."""
         return replace(self, derived=tuple(self.derive(text, chain) for text in expressions))
-
-    def with_posterior(self, posterior: Posterior) -> FitResult:
-        """The result with a posterior."""
-        return replace(self, posterior=posterior, sampling="ended")
 
     def before_sampling(self) -> FitResult:
         """The result as it is kept on disk while the posterior is being sampled."""

@@ -14,7 +14,6 @@ from curlfit.friction import Parameter
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
-    Departure,
     bound_warning,
     covariances,
     nonquadratic_estimates,
@@ -111,9 +110,8 @@ def summarize_many(
     penalty = penalties([fit.prepared for fit in fits])
     sets = [fit.prepared.parameters for fit in fits]
     offset, lower, upper = local_bounds([fit.prepared for fit in fits])
-    bounded = Bounded(solutions.values, lower, upper)
-    statistics = residual_statistics(problems, solutions, paths, penalty)
-    statistics = statistics.confined(bounded, sets[0].typical)
+    bounded = Bounded(solutions.values, lower, upper), sets[0].typical
+    statistics = residual_statistics(problems, solutions, paths, penalty, bounded)
     channels = ROWS_OF_DATA[: problems.observed.shape[1]]
     found = covariances(
         sets,
@@ -164,7 +162,7 @@ def _record(
     fit: LeastSquaresFit,
     statistics: ResidualStatistics,
     found: Covariance,
-    nonquadratic: dict[str, Departure],
+    nonquadratic: dict[str, bool],
     systematics: Systematics,
     *,
     bounds: bool,
@@ -179,7 +177,7 @@ def _record(
         curves = dict(zip(CHANNELS, path, strict=True))
     rms = {name: float(v) for name, v in statistics.by_channel(statistics.rms).items()}
     lag1 = {name: float(v) for name, v in statistics.by_channel(statistics.lag1, 3).items()}
-    misleading = {name for name, one in nonquadratic.items() if one.misleading}
+    misleading = {name for name, yes in nonquadratic.items() if yes}
     rival = _rival(fit)
     estimates = _estimates(parameters, found, misleading, rival)
     unusual = _unusual(fit, estimates["v0"], curves)
@@ -337,7 +335,7 @@ def _parameter_warnings(fit: LeastSquaresFit, found: Covariance, *, bounds: bool
 
 
 def _error_warnings(
-    parameters: ParameterSet, nonquadratic: dict[str, Departure], systematics: Systematics
+    parameters: ParameterSet, nonquadratic: dict[str, bool], systematics: Systematics
 ) -> list[str]:
     """Warnings about standard and systematic errors that first order does not describe."""
     warnings = []

@@ -10,6 +10,7 @@ quadrature.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,11 +24,12 @@ from curlfit.inference.noise.whitening import whitened
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import unstacked
+from curlfit.numerics.differences import slopes
 from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.events import EventArrays
 from curlfit.throws.readers.homography import displacements
 
-_STEP = 1e-2  # of a width, for finite differences: the path is accurate to 1e-7 of it
+_STEP = 1e-2  # of a width, of differences: the path is accurate to 1e-7 of it
 
 
 def widths_of(
@@ -95,25 +97,17 @@ def residual_changes(
     -------
     By condition, each of the shape of the residuals, (throws, channels, n).
     """
-    channels = problems.observed.shape[1]
+    channels, names = problems.observed.shape[1], list(widths)
+
+    def measured(off: Floats) -> Floats:
+        by = {name: one * widths[name] for name, one in zip(names, off, strict=True) if one}
+        return _measured(model, problems, values, by, batch, calibrations)[:, :channels]
+
+    none = np.zeros(len(names))
+    changes = slopes(measured, none, _STEP, value=paths[:, :channels]) if names else none
     found = {}
-    for name, width in widths.items():
-        if name.startswith(CALIBRATION):
-            assert calibrations is not None
-            error = calibrations[:, int(name.removeprefix(f"{CALIBRATION}_")) - 1, None]
-            change = np.zeros_like(paths)
-            change[:, :2] = -width * displacements(error, paths[:, 0], paths[:, 1])[:, 0]
-        elif name == "length_scale":
-            change = np.zeros_like(paths)
-            first = len(model.law.coefficients()) + len(model.conditions)
-            change[:, :2] = paths[:, :2] - values[:, first : first + 2, None]
-            if problems.events is not None:
-                change[:, -1] = _of_events(model, problems, values, paths, width, batch)
-            change = change * width
-        else:
-            changed = with_condition_off(problems, name, _STEP * width)
-            change = (predict_many(model, values, changed, batch) - paths) / _STEP
-        change = change[:, :channels] * problems.weight
+    for name, change in zip(names, np.moveaxis(changes, -1, 0), strict=True):
+        change = change * problems.weight
         if problems.whitener is not None:
             pairs = zip(change, unstacked(problems.whitener), strict=True)
             change = np.array([whitened(*pair) for pair in pairs])
@@ -124,26 +118,39 @@ def residual_changes(
     return found
 
 
-def _of_events(
-    model: Model, problems: Problem, values: Floats, paths: Floats, width: float, batch: int
+def _measured(
+    model: Model,
+    problems: Problem,
+    values: Floats,
+    off: Mapping[str, float],
+    batch: int,
+    calibrations: Floats | None,
 ) -> Floats:
-    """Derivative of the predicted events by the length scale (measured/true), shape (throws, n)."""
-    assert problems.events is not None
-    events: EventArrays = problems.events
+    """The channels of many throws as they are measured where conditions are off by so much."""
+    scale: float = 1 + off.get("length_scale", 0.0)
+    events: EventArrays | None = problems.events
     first = len(model.law.coefficients()) + len(model.conditions)
-    x0, y0 = values[:, first, None], values[:, first + 1, None]
-    small = _STEP * width
-    nearer = events._replace(lines=y0 + (events.lines - y0) / (1 + small))
-    moved = predict_many(model, values, problems._replace(events=nearer), batch)[:, -1]
-    places, x, y = events.places()
-    found = predict_many(model, values, problems._replace(events=places), batch)[:, -1].copy()
-    found[:, : x.shape[1]] -= x * x0 + y * y0
-    return (moved - paths[:, -1]) / small + found
+    start = values[:, first : first + 2, None]
+    if events is not None and scale != 1:
+        problems = problems._replace(events=events.with_lengths(scale, start[:, 1]))
+    for name, by in off.items():
+        problems = with_condition_off(problems, name, by)
+    paths = predict_many(model, values, problems, batch).copy()
+    paths[:, :2] = start + scale * (paths[:, :2] - start)
+    if events is not None:
+        of_places = events.sums_of_places() @ start
+        paths[:, -1, : of_places.shape[1]] += (1 - scale) * of_places[..., 0]
+    for name in off.keys() - WIDTHS.keys():
+        assert calibrations is not None
+        error = calibrations[:, int(name.removeprefix(f"{CALIBRATION}_")) - 1, None]
+        paths[:, :2] -= off[name] * displacements(error, paths[:, 0], paths[:, 1])[:, 0]
+    return paths
 
 
 def with_condition_off(problems: Problem, name: str, by: float) -> Problem:
-    """Problems with a condition changed by `by`; the calibration does not change the motion."""
-    if name.startswith(CALIBRATION):
+    """Problems with a condition changed by `by`; lengths and their calibration do not change the
+    motion."""
+    if name == "length_scale" or name.startswith(CALIBRATION):
         return problems
     if name == "time_scale":
         events = problems.events
@@ -151,8 +158,8 @@ def with_condition_off(problems: Problem, name: str, by: float) -> Problem:
         return problems._replace(times=problems.times / (1 + by), events=events)
     group = "stone" if name in STONE_UNITS else "environment"
     record = getattr(problems, group)
-    values = {key: value + by * (key == name) for key, value in vars(record).items()}
-    return problems._replace(**{group: type(record)(**values)})
+    changed = replace(record, **{name: getattr(record, name) + by})
+    return problems._replace(**{group: changed})
 
 
 def shifts(factor: Floats, gradients: Mapping[str, Floats], typical: Floats) -> dict[str, Floats]:

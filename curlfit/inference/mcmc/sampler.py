@@ -21,7 +21,7 @@ from curlfit.inference.likelihood import log_posterior
 from curlfit.inference.mcmc.chain import Chain, load_chain, require_same, subject_of
 from curlfit.inference.mcmc.ridge import first_walkers, ridge_proposal
 from curlfit.inference.mcmc.summary import (
-    diagnosis_of,
+    Diagnosis,
     is_test_due,
     steps_to_discard,
     summarised,
@@ -251,7 +251,7 @@ def sample(
                 if run.mostly_ridge and chain.acceptance < _LEAST_ACCEPTANCE:
                     run.start_over()
                     continue
-                diagnosis = diagnosis_of(chain, run.free)
+                diagnosis = Diagnosis(chain.values[:, :, run.free], chain.ensembles)
                 if progress is not None:
                     progress(diagnosis.least_effective, run.steps, diagnosis.worst_r_hat)
                 if diagnosis.good(effective):

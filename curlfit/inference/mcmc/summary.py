@@ -19,7 +19,7 @@ from curlfit.errors import InputError
 from curlfit.inference.derived import quantiles_of
 from curlfit.inference.fit.result import FitResult, Posterior
 from curlfit.inference.mcmc.chain import Chain, load_chain
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Floats
 
 _BLOCK = 20  # steps between the first tests of convergence; later a fifth of those done
 _R_HAT = 1.01
@@ -142,11 +142,6 @@ def r_hat(chains: Floats) -> float:
     return math.sqrt((n - 1) / n + between / within)
 
 
-def diagnosis_of(chain: Chain, free: Booleans) -> Diagnosis:
-    """Diagnostics of the free parameters of a chain."""
-    return Diagnosis(chain.values[:, :, free], chain.ensembles)
-
-
 def unfinished_posterior(
     fit: FitResult, file: str | PathLike[str]
 ) -> tuple[FitResult, Chain] | None:
@@ -176,7 +171,7 @@ def summarised(
     not known."""
     free = fit.parameter_set.free
     names = fit.parameter_set.names_where(free)
-    diagnosis = diagnosis or diagnosis_of(chain, free)
+    diagnosis = diagnosis or Diagnosis(chain.values[:, :, free], chain.ensembles)
     quantities = {name: chain.of({name: 1.0}) for name in names}
     correlation = np.atleast_2d(np.corrcoef(np.stack(list(quantities.values()))))
     quantities |= {item.expression: chain.of(item.weights) for item in fit.combinations}
@@ -214,4 +209,4 @@ def summarised(
         converged=effective is not None and diagnosis.good(effective),
         status=status,
     )
-    return fit.with_posterior(posterior)
+    return replace(fit, posterior=posterior, sampling="ended")

@@ -89,6 +89,4 @@ def _innovation(mean: Array, row: tuple[Array, ...]) -> tuple[Array, Array]:
     return decay * (mean + gain * off), scale * off
 
 
-@compiled()
-def _filter(memory: Array, white: Array, gaps: Array, seen: Array) -> KalmanFilter:
-    return KalmanFilter.of(memory, white, gaps, seen)
+_filter = compiled()(KalmanFilter.of)

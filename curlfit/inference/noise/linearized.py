@@ -173,7 +173,4 @@ def _posterior(regression: Regression, sizes: Array) -> tuple[Array, Array, Arra
     return lower, solve_triangular(lower, root.T @ regression.left[:-1, -1], lower=True), root
 
 
-@compiled()
-def regression_of(own: KalmanFilter, data: Linearized, scale: Array) -> Regression:
-    """`Linearized.regression`."""
-    return data.regression(own, scale)
+regression_of = compiled()(Linearized.regression)

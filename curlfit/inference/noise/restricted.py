@@ -25,6 +25,7 @@ from curlfit.inference.noise.models import Noise, is_rough
 from curlfit.inference.noise.whitening import STATE
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import compiled
+from curlfit.numerics.differences import slopes
 from curlfit.throws.throw import CHANNELS
 
 _TYPICAL = 0.1  # mean of the prior of the correlation time over the time of motion
@@ -214,12 +215,8 @@ class _Search:
         place = 2 * len(self.enough)
         inside = np.abs(best.logs[place // 2 : place]) < _MOST
         moving = np.flatnonzero([*self.free, *best.correlated & inside, True])
-        slopes = []
-        for index in moving:
-            step = _STEP * (np.arange(len(best.logs)) == index)
-            up, down = (np.asarray(_slope(best.logs + s, self.data)[1]) for s in (step, -step))
-            slopes.append((up - down)[moving] / (2 * _STEP))
-        values, axes = np.linalg.eigh(np.array(slopes) + np.transpose(slopes))
+        hessian = slopes(lambda logs: _slope(logs, self.data)[1][moving], best.logs, _STEP, moving)
+        values, axes = np.linalg.eigh(hessian + hessian.T)
         inverse = (2 * axes / np.maximum(values, 2.0)) @ axes.T
         logs = best.logs.copy()
         logs[moving] += inverse[-1]

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, Self
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from curlfit.inference.noise.accelerations import COMPONENTS, SHAPES, amplitude_root
 from curlfit.inference.noise.kalman import KalmanFilter
-from curlfit.inference.noise.linearized import Linearized, Regression, regression_of
+from curlfit.inference.noise.linearized import Linearized, regression_of
 from curlfit.inference.noise.models import Noise
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
@@ -137,13 +136,8 @@ def posterior_mean(noise: Noise, times: Floats, weight: Floats, data: Linearized
     """Mean of the discrepancy given the residuals (Rasmussen and Williams 2006, eq. 2.25), beside
     the path of the law; SI, shape (channels, n). Parameters as of `Whitener.of`."""
     own = KalmanFilter.of_noise(noise, times, data.weight > 0)
-    regression = _regression(own, data, scale_between(data.weight, weight))
+    regression = regression_of(data, own, scale_between(data.weight, weight))
     found: Floats = np.asarray(data.paid) @ regression.mean(noise.all_sizes)
-    return found
-
-
-def _regression(own: KalmanFilter, data: Linearized, scale: Floats) -> Regression:
-    found: Regression = jax.tree.map(np.asarray, regression_of(own, data, scale))
     return found
 
 
