@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,11 +16,8 @@ from curlfit.settings.choices import COUNT, Modelling, Reading
 from curlfit.settings.forms import NAMES, Several, numbers, option
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.mcmc.chain import Chain
-    from curlfit.profile_likelihood.result import PairProfile, Profile
 
 _RANGES = Several(numbers(2, "LOW,HIGH"), "pairs of numbers", "LOW,HIGH", commas=False)
 
@@ -134,18 +130,4 @@ def profile(
             ranges=limits,
             progress=lambda done: say(f"Fitting the other parameters again: {done} fits"),
         )
-    written = [folder / "profile.json"]
-    found.save(written[0])
-    drawn.replace(folder, ["profile"], partial(_figures, found))
-
-    from curlfit.profile_likelihood.report import print_profile
-
-    console = output.console()
-    print_profile(found, console)
-    return output.written(folder, written + drawn.written(), console)
-
-
-def _figures(found: Profile | PairProfile) -> dict[str, Figure]:
-    from curlfit.profile_likelihood.figures import profile_figure
-
-    return {"profile": profile_figure(found)}
+    return output.finish(found, folder, drawn, "profile_figure")
