@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from curlfit.dynamics.trajectory import InitialState, Trajectory, ordered_trajectory
+from curlfit.dynamics.trajectory import InitialState, Trajectory, trajectory
 from curlfit.friction import Law, Load
 from curlfit.stone import Stone
 
@@ -51,17 +51,7 @@ def with_passages(
     ----------
     lines : y in m, shape (lines,), increasing.
     """
-    zero = jnp.zeros(())
-
-    def at(times: Array, fixed: bool = False) -> Trajectory:
-        """The motion at times in any order."""
-        order = jnp.argsort(times)
-        what = (law, stone, forces, start)
-        what = jax.lax.stop_gradient(what) if fixed else what
-        path = ordered_trajectory(*what, times[order], zero, load=load)
-        back = jnp.argsort(order)
-        return jax.tree.map(lambda values: values[back] if values.ndim else values, path)
-
+    motion = (law, stone, forces, start)
     last = jnp.full(1, _AT_REST)
 
     def targets(y_rest: Array) -> Array:
@@ -69,7 +59,7 @@ def with_passages(
         return jnp.concatenate([jnp.minimum(lines, edge), edge + _NEAR * jnp.array([-1.0, 1.0])])
 
     def step(count: Array, t: Array) -> Array:
-        path = at(jnp.concatenate([t, last]), fixed=True)
+        path = trajectory(*fixed, jnp.concatenate([t, last]), load=load)
         y_rest = path.y[-1]
         # From t = 0 Newton's method approaches from below, as y(t) is concave under deceleration.
         found = t + (targets(y_rest) - path.y[:-1]) / jnp.maximum(path.vy[:-1], _SLOWEST)
@@ -79,10 +69,11 @@ def with_passages(
         found = jnp.where((count == 0) & jnp.isfinite(even), even, found)
         return jnp.maximum(found, 0.0)
 
+    fixed = jax.lax.stop_gradient(motion)
     t = jax.lax.fori_loop(0, _STEPS + 1, step, jnp.zeros(len(lines) + 2))
     t = jax.lax.stop_gradient(t)
     n = len(times)
-    path = at(jnp.concatenate([times, t, last]))
+    path = trajectory(*motion, jnp.concatenate([times, t, last]), load=load)
     x, y, phi, vx, vy, omega = (
         getattr(path, name)[n:-1] for name in ("x", "y", "phi", "vx", "vy", "omega")
     )
