@@ -8,6 +8,8 @@ thus defined for every line and every motion, and are continuous with their firs
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -51,7 +53,9 @@ def with_passages(
     ----------
     lines : y in m, shape (lines,), increasing.
     """
-    motion = (law, stone, forces, start)
+    motion = partial(trajectory, law, stone, forces, start, load=load)
+    held = jax.lax.stop_gradient((law, stone, forces, start))
+    fixed: Callable[[Array], Trajectory] = partial(trajectory, *held, load=load)
     last = jnp.full(1, _AT_REST)
 
     def targets(y_rest: Array) -> Array:
@@ -59,7 +63,7 @@ def with_passages(
         return jnp.concatenate([jnp.minimum(lines, edge), edge + _NEAR * jnp.array([-1.0, 1.0])])
 
     def step(count: Array, t: Array) -> Array:
-        path = trajectory(*fixed, jnp.concatenate([t, last]), load=load)
+        path = fixed(jnp.concatenate([t, last]))
         y_rest = path.y[-1]
         # From t = 0 Newton's method approaches from below, as y(t) is concave under deceleration.
         found = t + (targets(y_rest) - path.y[:-1]) / jnp.maximum(path.vy[:-1], _SLOWEST)
@@ -69,11 +73,10 @@ def with_passages(
         found = jnp.where((count == 0) & jnp.isfinite(even), even, found)
         return jnp.maximum(found, 0.0)
 
-    fixed = jax.lax.stop_gradient(motion)
     t = jax.lax.fori_loop(0, _STEPS + 1, step, jnp.zeros(len(lines) + 2))
     t = jax.lax.stop_gradient(t)
     n = len(times)
-    path = trajectory(*motion, jnp.concatenate([times, t, last]), load=load)
+    path = motion(jnp.concatenate([times, t, last]))
     x, y, phi, vx, vy, omega = (
         getattr(path, name)[n:-1] for name in ("x", "y", "phi", "vx", "vy", "omega")
     )

@@ -88,7 +88,7 @@ class Output(Choices):
         *,
         names: Sequence[str] = (),
         files: Sequence[Path] = (),
-        remarks: Sequence[str] = (),
+        remarks: Sequence[object] = (),
         more: str = "",
     ) -> Saved:
         """Save a result, draw its figure, print it, and say what was written.
