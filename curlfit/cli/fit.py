@@ -184,27 +184,21 @@ def _load_saved(
         return None, seed
     from curlfit.friction import find_law
     from curlfit.inference.fit.result import load_fit
-    from curlfit.inference.mcmc.chain import (
-        load_chain,
-        require_same,
-        subject_of,
-        subject_of_fit,
-        subject_of_saved,
-    )
+    from curlfit.inference.mcmc import chain
     from curlfit.stone import Stone
 
     found = load_fit(folder)
     chosen = request.chosen
-    now = subject_of_fit(
+    now = chain.subject_of_fit(
         request.cut.condensed(), find_law(chosen.law), chosen.load,
         Stone().with_values(dict(chosen.stone)), request.parameters, chosen.loss, chosen.noise,
     )  # fmt: skip
-    require_same(subject_of_saved(found), now, folder / "fit.json")
-    chain = folder / "chain.h5"
-    if chain.exists():
-        stored = load_chain(chain)
+    chain.require_same(chain.subject_of_saved(found), now, folder / "fit.json")
+    file = folder / "chain.h5"
+    if file.exists():
+        stored = chain.load_chain(file)
         seed = stored.seed if seed is None else seed
-        require_same(stored.subject, subject_of(found, seed), chain)
+        chain.require_same(stored.subject, chain.subject_of(found, seed), file)
     return found, seed
 
 

@@ -562,12 +562,6 @@ def test_refusals(words, said, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_refusal_is_one_sentence(tmp_path):
-    run = command("design", "--v0", "-2", cwd=tmp_path)
-    assert (run.returncode, run.stdout) == (2, "")
-    assert run.stderr == "curlfit: v0 = -2: expected positive numbers\n"
-
-
 # Long runs.
 
 
