@@ -70,7 +70,9 @@ def scenarios(
             ]
         )
         factor = whole[:, :n]
-        gradients = dict(zip(widths, (factor.T @ whole[:, n:] / typical[:, None]).T, strict=True))
+        gradients = {
+            condition: factor.T @ whole[:, n + k] / typical for k, condition in enumerate(widths)
+        }
         by_condition = shifts(factor / typical, gradients, typical)
         by_quantity = {
             quantity: {
