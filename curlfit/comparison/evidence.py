@@ -20,7 +20,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr, ndtr
+from scipy.special import log_ndtr
 
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Booleans, Floats
@@ -168,9 +168,7 @@ def _log_box(mean: Floats, covariance: Floats, lower: Floats, upper: Floats) -> 
         return 0.0
     if near.sum() == 1:
         ends = (np.array([lower[near][0], upper[near][0]]) - mean[near]) / sd[near]
-        # By the tail in which the box lies, where the difference is accurate.
-        low, high = ends if ends.sum() <= 0 else -ends[::-1]
-        return math.log(max(float(ndtr(high) - ndtr(low)), _LEAST))
+        return max(_log_between(*ends), math.log(_LEAST))
     from scipy.stats import multivariate_normal  # slow to load, and few boxes need it
 
     some = np.ix_(near, near)
