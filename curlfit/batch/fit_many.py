@@ -72,29 +72,25 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
         "warnings": "; ".join(result.warnings),
     }
     row |= {f"rms_{name}": result.rms.get(name) for name in ("x", "y", "phi")}
-    for name, item in result.parameters.items():
-        row |= {name: item.value, f"{name}_stderr": item.stderr, f"{name}_verdict": item.verdict}
-    for combination in result.combinations:
-        name = combination.expression
-        if name in sums:
-            row |= {name: combination.value, f"{name} stderr": combination.stderr}
+    row |= {f"{name}_verdict": item.verdict for name, item in result.parameters.items()}
+    known: list[Any] = [item for item in result.combinations if item.expression in sums]
+    if result.converged:
+        known += result.with_derived(plan.derive).derived
+    for name, gap, item in (
+        *((name, "_", item) for name, item in result.parameters.items()),
+        *((item.expression, " ", item) for item in known),
+    ):
+        row |= {name: item.value, f"{name}{gap}stderr": item.stderr}
     if plan.systematics:
         for name, error in result.systematics.errors.items():
-            row |= {f"{name}{' ' if name in sums else '_'}systematic": error}
-    if result.converged:
-        for derived in result.with_derived(plan.derive).derived:
-            row |= {
-                derived.expression: derived.value,
-                f"{derived.expression} stderr": derived.stderr,
-            }
+            row[f"{name}{' ' if name in sums else '_'}systematic"] = error
     if plan.posterior and result.converged:
         from curlfit.inference.mcmc.sampler import sample
 
         sampled, _ = sample(result, seed=plan.seed)
         assert sampled.posterior is not None
         for name, quantiles in sampled.posterior.quantiles.items():
-            if name in sums:
-                row |= {f"{name} {q}": quantiles[q] for q in QUANTILES}
-            elif name in result.parameters:
-                row |= {f"{name}_{q}": quantiles[q] for q in QUANTILES}
+            if name in sums or name in result.parameters:
+                gap = " " if name in sums else "_"
+                row |= {f"{name}{gap}{q}": quantiles[q] for q in QUANTILES}
     return row

@@ -15,7 +15,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import takewhile
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 from curlfit.errors import DataError, InputError
@@ -24,7 +23,6 @@ from curlfit.records import plain, read_json, write_json
 from curlfit.version import __version__
 
 _MAKER = "curlfit batch"
-_COUNTED = ("status", "warnings")
 _OTHERWISE = "name another table with --out, or write over it with --again"
 
 
@@ -65,7 +63,6 @@ class Table:
         self.counts: Counter[str] = Counter()
         self.warned = 0
         self.settings = settings_file(file)
-        self._place = {name: place for place, name in enumerate(self.columns)}
         head = csv_lines([self.columns]).encode()
         settings = plain(dict(plan))
         done: set[str] = set()
@@ -139,14 +136,15 @@ class Table:
                 raise DataError(
                     f"expected {len(self.columns)} columns", file=self.file, line=number
                 )
+        done = [dict(zip(self.columns, row, strict=True)) for row in rows]
         # If the last rows are of a file with several throws, others of this file may be missing.
-        file, shot, stone = (self._place[name] for name in ("file", "shot", "stone_index"))
-        if rows and (rows[-1][shot] or rows[-1][stone]) and rows[-1][file] in map(csv_cell, files):
-            last = len(list(takewhile(lambda row: row[file] == rows[-1][file], reversed(rows))))
-            size -= sum(len(line.encode(errors="surrogateescape")) + 1 for line in lines[-last:])
-            del rows[-last:]
-        self._count({name: row[self._place[name]] for name in _COUNTED} for row in rows)
-        return size, {row[file] for row in rows}
+        last = done[-1] if done else {"file": "", "shot": "", "stone_index": ""}
+        if (last["shot"] or last["stone_index"]) and last["file"] in map(csv_cell, files):
+            count = len([*takewhile(lambda row: row["file"] == last["file"], reversed(done))])
+            size -= sum(len(line.encode(errors="surrogateescape")) + 1 for line in lines[-count:])
+            del done[-count:]
+        self._count(done)
+        return size, {row["file"] for row in done}
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Write rows in one piece and flush them to the disk."""
@@ -166,12 +164,7 @@ class Table:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stream.close()
 
 

@@ -10,16 +10,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-import curlfit
 from curlfit.errors import InputError
 from curlfit.foreign import say
 from curlfit.options import settings as s
-from curlfit.options.output import COMPILES, Output, Saved, progress_line, status_line
+from curlfit.options.output import (
+    COMPILES,
+    Output,
+    Saved,
+    figures_by,
+    progress_line,
+    status_line,
+)
 from curlfit.settings.choices import SEED, Choices, Fitting, Reading
 from curlfit.settings.forms import SWITCH, TEXT, option, whole
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.console import Console
 
     from curlfit.inference.fit.result import FitResult
@@ -134,11 +139,11 @@ def fit(
     written = [folder / "fit.json"]
     if not no_sample:
         result = result.before_sampling()
-    result.save(folder / "fit.json")
+    result.save(written[0])
     if saved is None:
         remove_figure(folder, "corner")  # of an earlier fit
         (folder / "chain.h5").unlink(missing_ok=True)
-    drawn.replace(folder, ["fit"], partial(_fit_figures, result))
+    drawn.replace(folder, ["fit"], partial(figures_by, "fit_figure", result))
     if not no_sample:
         chain_file = folder / "chain.h5"
         try:
@@ -156,7 +161,7 @@ def fit(
             raise
         result.save(folder / "fit.json")
         written.append(chain_file)
-        drawn.replace(folder, ["corner"], partial(_corner_figures, result, chain))
+        drawn.replace(folder, ["corner"], partial(figures_by, "corner_figure", result, chain))
     else:
         remove_figure(folder, "corner")
         (folder / "chain.h5").unlink(missing_ok=True)
@@ -170,18 +175,6 @@ def fit(
     return _finish(result, done)
 
 
-def _fit_figures(fit: FitResult) -> dict[str, Figure]:
-    return {"fit": curlfit.fit_figure(fit)}
-
-
-def _corner_figures(fit: FitResult, chain: Chain) -> dict[str, Figure]:
-    return {"corner": curlfit.corner_figure(fit, chain)}
-
-
-def _joint_figures(joint: JointResult) -> dict[str, Figure]:
-    return {"joint": curlfit.joint_figure(joint)}
-
-
 def _load_saved(
     folder: Path, seed: int | None, request: s.FitRequest[Fitting]
 ) -> tuple[FitResult | None, int | None]:
@@ -191,27 +184,21 @@ def _load_saved(
         return None, seed
     from curlfit.friction import find_law
     from curlfit.inference.fit.result import load_fit
-    from curlfit.inference.mcmc.chain import (
-        load_chain,
-        require_same,
-        subject_of,
-        subject_of_fit,
-        subject_of_saved,
-    )
+    from curlfit.inference.mcmc import chain
     from curlfit.stone import Stone
 
     found = load_fit(folder)
     chosen = request.chosen
-    now = subject_of_fit(
+    now = chain.subject_of_fit(
         request.cut.condensed(), find_law(chosen.law), chosen.load,
         Stone().with_values(dict(chosen.stone)), request.parameters, chosen.loss, chosen.noise,
     )  # fmt: skip
-    require_same(subject_of_saved(found), now, folder / "fit.json")
-    chain = folder / "chain.h5"
-    if chain.exists():
-        stored = load_chain(chain)
+    chain.require_same(chain.subject_of_saved(found), now, folder / "fit.json")
+    file = folder / "chain.h5"
+    if file.exists():
+        stored = chain.load_chain(file)
         seed = stored.seed if seed is None else seed
-        require_same(stored.subject, subject_of(found, seed), chain)
+        chain.require_same(stored.subject, chain.subject_of(found, seed), file)
     return found, seed
 
 
@@ -293,9 +280,8 @@ def _fit_jointly(
 
     from rich.progress import TextColumn
 
-    console = output.console()
     with progress_line(
-        console, TextColumn(f"Fitting {len(jobs)} throws {COMPILES}"),
+        output.console(), TextColumn(f"Fitting {len(jobs)} throws {COMPILES}"),
         TextColumn("{task.fields[state]}"),
     ) as progress:  # fmt: skip
         task = progress.add_task("", state="")
@@ -306,19 +292,12 @@ def _fit_jointly(
         from curlfit.inference.joint.fit import fit_together
 
         result = fit_together(throws, share=names, progress=show_step, **common)
-    written = [folder / "joint.json"]
-    result.save(written[0])
     for name, one in zip(named, result.throws, strict=True):
         own_folder = prepare_folder(folder / name)
         one.save(own_folder / "fit.json")
-        drawn.replace(own_folder, ["fit"], partial(_fit_figures, one))
-    drawn.replace(folder, ["joint"], partial(_joint_figures, result))
-
-    from curlfit.inference.joint.report import print_joint
-
-    print_joint(result, console)
+        drawn.replace(own_folder, ["fit"], partial(figures_by, "fit_figure", one))
     folders = list(named)
     if len(folders) > 3:
         folders[1:-1] = ["..."]
     each_in = f", and in {folder}/ a folder for each throw: {', '.join(folders)}"
-    return _finish(result, output.written(folder, written + drawn.written(), console, each_in))
+    return _finish(result, output.finish(result, folder, drawn, "joint_figure", more=each_in))

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from cyclopts import Parameter
 
@@ -14,32 +14,24 @@ import curlfit
 from curlfit.errors import CurlfitError, DataError, InputError
 from curlfit.foreign import say
 from curlfit.options.figures import FigureFiles, write_figures
+from curlfit.options.output import figures_by
 from curlfit.options.settings import LawOfFit, chain_beside, kind_of, load_fit_and_chain
 from curlfit.settings.forms import PATH, SWITCH, TEXT, TEXTS, option
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.mcmc.chain import Chain
 
 
-class _Kind(NamedTuple):
-    """Public names of what loads, prints and draws a result."""
-
-    load: str
-    print: str
-    draw: str
-
-
 _KINDS = {
-    "joint": _Kind("load_joint", "print_joint", "joint_figure"),
-    "compare": _Kind("load_comparison", "print_comparison", "comparison_figure"),
-    "predict": _Kind("load_prediction", "print_prediction", "prediction_figure"),
-    "profile": _Kind("load_profile", "print_profile", "profile_figure"),
-    "design": _Kind("load_design", "print_design", "design_figures"),
-    "fit": _Kind("load_fit", "print_fit", "fit_figure"),
+    "joint": ("load_joint", "print_joint", "joint_figure"),
+    "compare": ("load_comparison", "print_comparison", "comparison_figure"),
+    "predict": ("load_prediction", "print_prediction", "prediction_figure"),
+    "profile": ("load_profile", "print_profile", "profile_figure"),
+    "design": ("load_design", "print_design", "design_figures"),
+    "fit": ("load_fit", "print_fit", "fit_figure"),
 }
+"""Public names of what loads, prints and draws a result."""
 
 
 Verb = TypeVar("Verb", bound=Callable[..., Any])
@@ -82,7 +74,7 @@ def show(
     from curlfit.output.console import terminal
 
     kind = kind_of(folder)
-    names = _KINDS[kind]
+    load, printer, _ = _KINDS[kind]
     result: Any
     if kind == "fit":
         result, chain = _load_fit(folder)
@@ -90,12 +82,12 @@ def show(
     else:
         if derive and kind != "joint":
             raise InputError(f"--derive: {folder} is no fit; expected the folder of a fit")
-        result = getattr(curlfit, names.load)(folder)
+        result = getattr(curlfit, load)(folder)
         result = result.with_derived(derive) if derive else result
     if as_json:
         print(json.dumps(result.summary(), indent=1))
     else:
-        getattr(curlfit, names.print)(result, terminal())
+        getattr(curlfit, printer)(result, terminal())
 
 
 @of_record
@@ -119,16 +111,11 @@ def plot(
     formats = FigureFiles.of(format, "--format").formats
     kind = kind_of(folder)
     target = out or (folder if folder.is_dir() else folder.parent)
-    figures: dict[str, Figure] = {}
-    if kind == "fit":
-        result, chain = _load_fit(folder)
-        figures["fit"] = curlfit.fit_figure(result)
-        if chain is not None:
-            figures["corner"] = curlfit.corner_figure(result, chain)
-    else:
-        names = _KINDS[kind]
-        drawn = getattr(curlfit, names.draw)(getattr(curlfit, names.load)(folder))
-        figures |= drawn if kind == "design" else {kind: drawn}
+    load, _, draw = _KINDS[kind]
+    result, chain = _load_fit(folder) if kind == "fit" else (getattr(curlfit, load)(folder), None)
+    figures = figures_by(draw, result)
+    if chain is not None:
+        figures |= figures_by("corner_figure", result, chain)
     written = write_figures(prepare_folder(target), figures, formats)
     say("Written: " + ", ".join(map(str, written)))
 
@@ -169,7 +156,7 @@ def write_page(folder: Path, out: Path | None = None, law: Any = None) -> Path:
     if kind == "fit":
         result, chain = _load_fit(folder, law)
     else:
-        result = getattr(curlfit, _KINDS[kind].load)(folder)
+        result = getattr(curlfit, _KINDS[kind][0])(folder)
         if law is not None and kind != "joint":
             raise InputError(f"--law: {folder} is no fit; expected the folder of a fit")
         result = result.with_law(law) if kind == "joint" else result

@@ -27,32 +27,28 @@ _DEGREE = 5  # of the polynomial in time that separates motion from noise
 
 def adequacy(result: FitResult) -> tuple[float | None, bool | None]:
     """Fraction of the curl explained, and whether the law follows the path."""
-    path = _Path.of(result)
-    t, place = path.t, path.place
-    x, y, phi = (result.observed[name] for name in PLACE)
-    off = np.stack([(x - result.fitted["x"])[place], (y - result.fitted["y"])[place]], 1)
-    residuals = {"across": off @ path.across, "along": off @ path.along}
-    noise = {
-        name: _noise(t, path.measured @ axis, result.loss)
+    path, loss = _Path.of(result), result.loss
+    off = {name: result.observed[name] - result.fitted[name] for name in PLACE}
+    aside = np.stack([off["x"], off["y"]], 1)[path.place]
+    series = {
+        name: (path.t, path.measured @ axis, aside @ axis)
         for name, axis in (("across", path.across), ("along", path.along))
     }
-    wanted = {"across": path.curl, "along": _uneven(t, path.seen @ path.along)}
-    times, turned = result.observed["t"], np.isfinite(phi)
+    wanted = {"across": path.curl, "along": _uneven(path.t, path.seen @ path.along)}
+    turned = np.isfinite(result.observed["phi"])
     if turned.sum() > 3:
-        residuals["phi"] = (phi - result.fitted["phi"])[turned]
-        noise["phi"] = _noise(times[turned], phi[turned], result.loss)
-        wanted["phi"] = _uneven(times[turned], _seen(phi[turned], result.loss))
-    size = sizes(result, residuals)
+        t, phi = result.observed["t"][turned], result.observed["phi"][turned]
+        series["phi"], wanted["phi"] = (t, phi, off["phi"][turned]), _uneven(t, _seen(phi, loss))
+    noise = {name: _noise(t, values, loss) for name, (t, values, _) in series.items()}
+    size = sizes(result, {name: residual for name, (*_, residual) in series.items()})
     correlated = any(result.noise.memory.values()) or any(
         item.doubtful for item in result.independence.values()
     )
-    answers = []
-    for name in residuals:
-        answer: bool | None = size[name] <= max(_FOLLOWS * wanted[name], _NOISE * noise[name])
-        if not answer and correlated and size[name] <= _UNCLEAR * noise[name]:
-            answer = None
-        answers.append(answer)
-    follows = False if False in answers else None if None in answers else True
+    follows: bool | None = True
+    for name in series:
+        if not size[name] <= max(_FOLLOWS * wanted[name], _NOISE * noise[name]):
+            unclear = correlated and size[name] <= _UNCLEAR * noise[name]
+            follows = None if unclear and follows is not False else False
     if path.curl <= 3 * noise["across"]:
         return None, follows
     missed = max(size["across"] ** 2 - noise["across"] ** 2, 0.0)

@@ -13,8 +13,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.forces import POINTS, accelerations_along
 from curlfit.inference.model import Model
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.batches import stacked
-from curlfit.stone import Stone
+from curlfit.numerics.batches import in_batches, stacked
 
 _MOST = 500
 """Largest number of coefficient vectors for which a law is evaluated."""
@@ -56,16 +55,13 @@ def sides_of_curl(
     # half a radian after release, where a law that depends on the angle still depends on it
     state = np.tile(np.array([v, omega, 0.5, 0.0])[:, None], POINTS)
     model = Model(law, load).within(family)
-    xi, eta = _over_coefficients(model, grid, stacked([result.stone]), state)[:, :2].T
+    stones = stacked([result.stone])
+
+    def accelerations(part: Floats) -> Floats:
+        """In this state for each coefficient vector, shape (POINTS, 3)."""
+        return accelerations_along(model, part[None], stones, state[None], batch=1)[0].T
+
+    xi, eta = in_batches(accelerations, (grid,), POINTS)[:, :2].T
     sideways = np.where(eta < 0, xi / np.where(eta < 0, -eta, 1.0), 0.0)
     found = [("left", (sideways < -1e-9).any()), ("right", (sideways > 1e-9).any())]
     return tuple(side for side, possible in found if possible)
-
-
-def _over_coefficients(model: Model, grid: Floats, stones: Stone, state: Floats) -> Floats:
-    """Accelerations in one state for each coefficient vector, shape (vectors, 3)."""
-    found = []
-    for first in range(0, len(grid), POINTS):
-        part = grid[np.minimum(first + np.arange(POINTS), len(grid) - 1)]
-        found.append(accelerations_along(model, part[None], stones, state[None], batch=1)[0].T)
-    return np.concatenate(found)[: len(grid)]

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
 from curlfit.options import settings as s
 from curlfit.options.output import Output, Saved, progress_line
 from curlfit.settings.choices import FLAGS, Comparing, Reading
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from curlfit.comparison.result import Comparison
 
 
 def compare(
@@ -60,11 +54,10 @@ def compare(
 
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
-    console = output.console()
     drawn.draw_beside()
     with progress_line(
-        console, TextColumn("Fitting {task.description}"), BarColumn(), MofNCompleteColumn(),
-        TextColumn("(a first run on a machine compiles each law)"),
+        output.console(), TextColumn("Fitting {task.description}"), BarColumn(),
+        MofNCompleteColumn(), TextColumn("(a first run on a machine compiles each law)"),
     ) as progress:  # fmt: skip
         task = progress.add_task("", total=None)
 
@@ -74,19 +67,4 @@ def compare(
         from curlfit.comparison.compare import compare as compare_laws
 
         found = compare_laws(throw, progress=show_progress, **vars(chosen))
-    written = [folder / "compare.json"]
-    found.save(written[0])
-    drawn.replace(folder, ["compare"], partial(_figures, found))
-
-    from curlfit.comparison.report import print_comparison
-
-    print_comparison(found, console)
-    for finding in unusual:
-        console.print(f"Warning: {finding}.", style="yellow", markup=False)
-    return output.written(folder, written + drawn.written(), console)
-
-
-def _figures(found: Comparison) -> dict[str, Figure]:
-    from curlfit.comparison.figures import comparison_figure
-
-    return {"compare": comparison_figure(found)}
+    return output.finish(found, folder, drawn, "comparison_figure", remarks=unusual)

@@ -125,18 +125,16 @@ def _followed(found: Sequence[Fitted]) -> list[Fitted]:
     """The fits; no law follows the path that leaves far larger residuals than another, beyond the
     noise of an ordinary tracker."""
     each = [one.candidate for one in found]
-    known = [item.bulk or item.rms or {} for item in each if item.converged and not item.negative]
+    known = [item.residual_size for item in each if item.converged and not item.negative]
     least = {
         name: max(sigma, min((size.get(name, math.inf) for size in known), default=math.inf))
         for name, sigma in NOISE.items()
     }
     far = [
-        any(size > _FAR * least[name] for name, size in (item.bulk or item.rms or {}).items())
-        for item in each
+        any(size > _FAR * least[name] for name, size in item.residual_size.items()) for item in each
     ]
     return [
-        one._replace(candidate=replace(one.candidate, follows=False)) if beyond else one
-        for one, beyond in zip(found, far, strict=True)
+        one.having(follows=False) if beyond else one for one, beyond in zip(found, far, strict=True)
     ]
 
 
@@ -163,54 +161,42 @@ def _fitted(throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free
     try:
         result = fit(throw, law, **choices, details=False)
     except UnusableFitError as error:
-        return Fitted(replace(blank, status=str(error)))
-    coefficients = result.coefficients
-    signed = {item.name for item in law.coefficients() if item.signed}
+        return Fitted(blank).having(status=str(error))
     explained, follows = adequacy(result)
     likelihood = log_likelihood(result)
-    return Fitted(
-        replace(
-            blank,
-            status=result.status,
-            converged=result.converged,
-            coefficients={
-                name: {
-                    "value": item.value,
-                    "stderr": item.stderr,
-                    "verdict": item.verdict,
-                    "unit": item.unit,
-                }
-                for name, item in coefficients.items()
-            },
-            combinations=tuple(
-                {"expression": item.expression, "value": item.value, "stderr": item.stderr}
-                for item in result.combinations
-            ),
-            noise_model=plain(result.noise),
-            n_parameters=number_of_parameters(result),
-            rms=result.rms,
-            bulk=None if result.loss == "linear" else sizes(result, residuals_of(result)),
-            curl_explained=explained,
-            follows=follows,
-            log_likelihood=sum(likelihood.values()),
-            sides=sides_of_curl(law, choices["load"], result, choices["family"]),
-            negative=_needed_negative(result, signed),
-            at_bound=_with_verdict(result, "at bound"),
-            not_identifiable=_with_verdict(result, "not identifiable"),
-            warnings=result.warnings,
-            fitted={name: result.fitted[name].tolist() for name in PLACE},
+    return Fitted(blank, result, likelihood).having(
+        status=result.status,
+        converged=result.converged,
+        coefficients={
+            name: {key: getattr(item, key) for key in ("value", "stderr", "verdict", "unit")}
+            for name, item in result.coefficients.items()
+        },
+        combinations=tuple(
+            {key: getattr(item, key) for key in ("expression", "value", "stderr")}
+            for item in result.combinations
         ),
-        result,
-        likelihood,
+        noise_model=plain(result.noise),
+        n_parameters=number_of_parameters(result),
+        rms=result.rms,
+        bulk=None if result.loss == "linear" else sizes(result, residuals_of(result)),
+        curl_explained=explained,
+        follows=follows,
+        log_likelihood=sum(likelihood.values()),
+        sides=sides_of_curl(law, choices["load"], result, choices["family"]),
+        negative=_needed_negative(result),
+        at_bound=_with_verdict(result, "at bound"),
+        not_identifiable=_with_verdict(result, "not identifiable"),
+        warnings=result.warnings,
+        fitted={name: result.fitted[name].tolist() for name in PLACE},
     )
 
 
-def _needed_negative(result: FitResult, signed: set[str]) -> tuple[str, ...]:
+def _needed_negative(result: FitResult) -> tuple[str, ...]:
     """Coefficients below zero at the point of the optimum, possibly a ridge, with the smallest sum
     of negative parts."""
     from scipy.optimize import linprog
 
-    names = [name for name in result.coefficients if name not in signed]
+    names = [item.name for item in result.law_class.coefficients() if not item.signed]
     value = np.array([result.parameters[name].value for name in names])
     typical = np.array([result.parameters[name].typical for name in names])
     ridge = np.array([[row.get(name, 0.0) for row in result.null_directions] for name in names])

@@ -19,13 +19,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from curlfit.comparison.evidence import effective_parameters
-from curlfit.comparison.result import Candidate
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR
@@ -72,21 +70,30 @@ def residuals_of(result: FitResult) -> dict[str, Floats]:
 def log_likelihood(result: FitResult) -> dict[str, float]:
     """Log-likelihood at the fit, by channel, under the noise model or the loss; an estimated sigma
     is at its most likely value."""
-    if result.noise.kind != "white":
-        return _of_correlated(result)
-    found = {}
-    for name, residual in residuals_of(result).items():
-        by_row = result.observed.get(f"sigma_{name}")
-        sigma: Floats | float = 1.0
-        if by_row is not None:
-            sigma = by_row[np.isfinite(result.observed[name])]
-        if name in result.sigma:
-            sigma = sigma * likeliest_sigma(residual / sigma, result.loss)
-        found[name] = float((log_density(residual / sigma, result.loss) - np.log(sigma)).sum())
+    found, loss = {}, result.loss
+    if result.noise.kind == "white":
+        standardized = _independent(result)
+    else:
+        standardized, loss = _whitened(result), "linear"
+    for name, (residual, volume) in standardized.items():
+        scale = likeliest_sigma(residual, loss) if name in result.sigma else 1.0
+        density = log_density(residual / scale, loss) - np.log(scale)
+        found[name] = float(density.sum()) + volume
     return found
 
 
-def _of_correlated(result: FitResult) -> dict[str, float]:
+def _independent(result: FitResult) -> dict[str, tuple[Floats, float]]:
+    """Residuals over the sigma of each row, where it is given, and the logarithm of the
+    determinant of this change of variables, by channel."""
+    found = {}
+    for name, residual in residuals_of(result).items():
+        by_row = result.observed.get(f"sigma_{name}", np.ones_like(result.observed["t"]))
+        sigma = by_row[np.isfinite(result.observed[name])]
+        found[name] = residual / sigma, -float(np.log(sigma).sum())
+    return found
+
+
+def _whitened(result: FitResult) -> dict[str, tuple[Floats, float]]:
     """The same for Gaussian noise with the correlation of the fit."""
     problem, _ = problem_of(result)
     weight, whitener = problem.weight, problem.whitener
@@ -97,15 +104,14 @@ def _of_correlated(result: FitResult) -> dict[str, float]:
             residual[row, : len(off)] = np.where(np.isfinite(off), off, 0.0)
     white = np.asarray(whitener.whiten(residual * weight))
     determinant = whitener.log_determinant()
-    found = {}
-    for row, name in enumerate(CHANNELS):
-        if name in result.rms:
-            there = weight[row] > 0
-            scale = likeliest_sigma(white[row, there], "linear") if name in result.sigma else 1.0
-            density = log_density(white[row, there] / scale, "linear")
-            found[name] = float((density + np.log(weight[row, there] / scale)).sum())
-            found[name] += float(determinant[row])
-    return found
+    return {
+        name: (
+            white[row, there := weight[row] > 0],
+            float(np.log(weight[row, there]).sum() + determinant[row]),
+        )
+        for row, name in enumerate(CHANNELS)
+        if name in result.rms
+    }
 
 
 def effective_values(result: FitResult) -> EffectiveValues:
@@ -123,12 +129,9 @@ def effective_values(result: FitResult) -> EffectiveValues:
     return EffectiveValues(found, p)
 
 
-def with_criteria(
-    candidate: Candidate,
-    result: FitResult,
-    likelihood: Mapping[str, float],
-    effective: EffectiveValues,
-) -> Candidate:
+def criteria(
+    result: FitResult, likelihood: Mapping[str, float], effective: EffectiveValues
+) -> dict[str, float]:
     """AICc (Hurvich and Tsai 1989) and BIC (Schwarz 1978), from the log-likelihood of each channel,
     weighted by its effective sample size.
 
@@ -136,11 +139,10 @@ def with_criteria(
     that of the number of values: where residuals are correlated, the effective sample size is often
     less than k + 2, and the correction would be infinite.
     """
-    k, n = candidate.n_parameters or 0.0, result.n_observations
+    k, n = number_of_parameters(result), result.n_observations
     rows = {name: len(residual) for name, residual in residuals_of(result).items()}
     twice = 2 * sum(effective.weight(name, rows[name]) * part for name, part in likelihood.items())
-    return replace(
-        candidate,
-        aicc=2 * k - twice + 2 * k * (k + 1) / max(n - k - 1, 1),
-        bic=k * math.log(effective.total(rows)) - twice,
-    )
+    return {
+        "aicc": 2 * k - twice + 2 * k * (k + 1) / max(n - k - 1, 1),
+        "bic": k * math.log(effective.total(rows)) - twice,
+    }

@@ -20,23 +20,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr, ndtr
+from scipy.special import log_ndtr
 
-from curlfit.friction import Coefficient
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Booleans, Floats
 
 _ORDER = 3.0  # standard deviation of a coefficient's prior over its typical size or default
 _FAR = 8.0  # standard deviations within which a bound matters
 _LEAST = 1e-12  # smallest probability of a box
-
-
-class _Gaussian(NamedTuple):
-    """Exponent c + b d - d A d/2 of an integrand; d is free parameters minus estimates."""
-
-    constant: float
-    linear: Floats
-    precision: Floats
 
 
 class PriorTerms(NamedTuple):
@@ -58,13 +49,12 @@ def log_evidence(result: FitResult, log_likelihood: float) -> float:
     lower, upper = np.array([_bounds(result, name) for name in names]).T
     prior, (information, gradient) = prior_terms(result, names), _of_data(result, names)
     off = prior.mean - values
-    whole = _Gaussian(
-        log_likelihood + prior.log_density - 0.5 * float(off @ (prior.precision * off)),
-        gradient + prior.precision * off,
-        information + np.diag(prior.precision),
-    )
     pushed = np.array([result.parameters[name].verdict == "at bound" for name in names])
-    return _integral(whole, lower - values, upper - values, pushed)
+    constant = log_likelihood + prior.log_density - 0.5 * float(off @ (prior.precision * off))
+    return constant + _log_integral(
+        gradient + prior.precision * off, information + np.diag(prior.precision), lower - values,
+        upper - values, pushed,
+    )  # fmt: skip
 
 
 def effective_parameters(result: FitResult) -> float:
@@ -98,7 +88,7 @@ def prior_terms(result: FitResult, names: list[str]) -> PriorTerms:
         elif known is not None:
             mean[index], sd = known.mode, known.values[-1]
         elif name in coefficients:
-            sd = _ORDER * _size(coefficients[name])
+            sd = _ORDER * max(coefficients[name].typical, abs(coefficients[name].default))
         else:
             continue
         precision[index] = 1 / sd**2
@@ -120,10 +110,6 @@ def _logarithmic(p: float, estimate: float) -> float:
     return estimate * (1 + math.log(p / estimate)) if p > 0 else -math.inf
 
 
-def _size(item: Coefficient) -> float:
-    return max(item.typical, abs(item.default))
-
-
 def _log_between(low: float, high: float) -> float:
     """Logarithm of the probability of an interval under the standard normal density."""
     if low > 0:
@@ -140,24 +126,26 @@ def _of_data(result: FitResult, names: list[str]) -> tuple[Floats, Floats]:
         return information, gradient
     free = [result.parameter_set.index(name) for name in names]
     residual, slope = penalty.residual_and_slope(result.values)
-    return (
-        information - np.diag(slope[free] ** 2),
-        gradient + (residual * slope)[free],
-    )
+    return information - np.diag(slope[free] ** 2), gradient + (residual * slope)[free]
 
 
-def _integral(gaussian: _Gaussian, lower: Floats, upper: Floats, pushed: Booleans) -> float:
-    """Logarithm of the integral over a box."""
+def _log_integral(
+    linear: Floats, precision: Floats, lower: Floats, upper: Floats, pushed: Booleans
+) -> float:
+    """Logarithm of the integral of exp(b d - d A d/2) over a box of d, parameters minus estimates.
+
+    b is `linear`, A `precision`.
+    """
     inner, outer = np.flatnonzero(~pushed), np.flatnonzero(pushed)
-    size = np.sqrt(np.maximum(np.diag(gaussian.precision), 1e-300))
-    matrix = gaussian.precision / np.outer(size, size)
-    linear = gaussian.linear / size
+    size = np.sqrt(np.maximum(np.diag(precision), 1e-300))
+    matrix = precision / np.outer(size, size)
+    linear = linear / size
     block = matrix[np.ix_(inner, inner)]
     squares, axes = np.linalg.eigh(block)
     seen = squares > 1e-14 * squares.max(initial=0.0)
     inverse = (axes[:, seen] / squares[seen]) @ axes[:, seen].T
     mean = inverse @ linear[inner]
-    total = gaussian.constant + 0.5 * float(linear[inner] @ mean)
+    total = 0.5 * float(linear[inner] @ mean)
     total += 0.5 * (seen.sum() * math.log(2 * math.pi) - float(np.log(squares[seen]).sum()))
     total -= float(np.log(size[inner]).sum())
     total += _log_box(mean, inverse, (lower * size)[inner], (upper * size)[inner])
@@ -180,9 +168,7 @@ def _log_box(mean: Floats, covariance: Floats, lower: Floats, upper: Floats) -> 
         return 0.0
     if near.sum() == 1:
         ends = (np.array([lower[near][0], upper[near][0]]) - mean[near]) / sd[near]
-        # By the tail in which the box lies, where the difference is accurate.
-        low, high = ends if ends.sum() <= 0 else -ends[::-1]
-        return math.log(max(float(ndtr(high) - ndtr(low)), _LEAST))
+        return max(_log_between(*ends), math.log(_LEAST))
     from scipy.stats import multivariate_normal  # slow to load, and few boxes need it
 
     some = np.ix_(near, near)

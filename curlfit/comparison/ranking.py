@@ -7,15 +7,20 @@ import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from curlfit.comparison.adequacy import bend
-from curlfit.comparison.criteria import effective_values, with_criteria
-from curlfit.comparison.cross_validation import LeaveOneOut, leave_one_out, standard_error
+from curlfit.comparison.criteria import criteria, effective_values
+from curlfit.comparison.cross_validation import leave_one_out, standard_error
 from curlfit.comparison.evidence import log_evidence
 from curlfit.comparison.result import PLACE, Candidate, Comparison
 from curlfit.errors import UnusableFitError
 from curlfit.inference.fit.result import FitResult
+
+_DIFFERENCES: dict[str, tuple[str, Callable[[list[float]], float]]] = {
+    "aicc": ("delta_aicc", min), "bic": ("delta_bic", min), "log_evidence": ("delta_evidence", max),
+}  # fmt: skip
+"""The difference from the best by each criterion, and which value is the best."""
 
 
 class Fitted(NamedTuple):
@@ -24,6 +29,16 @@ class Fitted(NamedTuple):
     candidate: Candidate
     result: FitResult | None = None
     likelihood: Mapping[str, float] = {}
+
+    def having(self, **fields: Any) -> Fitted:
+        """The same with some fields of the candidate replaced."""
+        return self._replace(candidate=replace(self.candidate, **fields))
+
+    @property
+    def counts(self) -> bool:
+        """Whether it is ranked."""
+        item = self.candidate
+        return item.bic is not None and item.converged and not item.signs_free
 
 
 def ranked(found: list[Fitted]) -> Comparison:
@@ -38,31 +53,45 @@ def ranked(found: list[Fitted]) -> Comparison:
         raise UnusableFitError("; ".join(one.candidate.status for one in found))
     effective = effective_values(most_likely(found))
     found = [
-        one
-        if one.result is None
-        else one._replace(
-            candidate=with_criteria(one.candidate, one.result, one.likelihood, effective)
-        )
+        one.having(**criteria(one.result, one.likelihood, effective)) if one.result else one
         for one in found
     ]
-    followed = any(one.candidate.follows and _counts(one.candidate) for one in found)
+    followed = any(one.counts and one.candidate.follows for one in found)
     found = sorted(found, key=lambda one: _order(one, followed))
     noises = list(dict.fromkeys(one.noise.kind for one in fits))
-    independent = not effective.number and len(noises) == 1
-    if independent:
+    if not effective.number and len(noises) == 1:
         found = _with_predictions(found)
-    best = [
-        one.candidate for one in found if _counts(one.candidate) and not _misses(one, followed)
-    ] or [found[0].candidate]
-    candidates = _weighted([_with_differences(one.candidate, best) for one in found])
-    first = fits[0]
-    curl, side = bend(first)
+    best = [one for one in found if one.counts and not _misses(one, followed)] or found[:1]
+    for name, (difference, best_of) in _DIFFERENCES.items():
+        values = [getattr(one.candidate, name) for one in best]
+        known = [value for value in values if value is not None]
+        if known:
+            found = [
+                one.having(**{difference: value - best_of(known)})
+                if (value := getattr(one.candidate, name)) is not None
+                else one
+                for one in found
+            ]
+    place = itertools.count(1)
+    odds = [
+        math.exp(one.candidate.delta_evidence)
+        if one.counts and one.candidate.delta_evidence is not None
+        else None
+        for one in found
+    ]
+    total = sum(filter(None, odds))
+    first, (curl, side) = fits[0], bend(fits[0])
     return Comparison(
         data=first.data,
         stone=first.stone,
         curl=curl,
         side=side,
-        candidates=tuple(candidates),
+        candidates=tuple(
+            replace(one.candidate, rank=next(place), weight=odd and odd / total)
+            if one.counts
+            else one.candidate
+            for one, odd in zip(found, odds, strict=True)
+        ),
         observed={name: first.observed[name].tolist() for name in ("t", *PLACE)},
         fits=tuple(one.result for one in found),
         loss=first.loss,
@@ -95,76 +124,22 @@ def _misses(one: Fitted, followed: bool) -> bool:
     return followed and one.candidate.follows is False
 
 
-def _counts(item: Candidate) -> bool:
-    """Whether a candidate is ranked."""
-    return item.bic is not None and item.converged and not item.signs_free
-
-
 def _with_predictions(found: list[Fitted]) -> list[Fitted]:
     """The same with evidence and leave-one-out, which are valid for independent residuals only: a
     small effective sample size does not determine the shape of a likelihood, and a row that is
     correlated with its neighbours is predicted from them whatever the law."""
     scores = [None if one.result is None else leave_one_out(one.result) for one in found]
-    usable = [
-        score
-        for one, score in zip(found, scores, strict=True)
-        if score is not None and _counts(one.candidate)
-    ]
+    usable = [score for one, score in zip(found, scores, strict=True) if score and one.counts]
     best = max(usable, key=lambda score: score.elpd, default=None)
-    return [
-        one._replace(candidate=_predicting(one, score, best))
-        for one, score in zip(found, scores, strict=True)
-    ]
-
-
-def _predicting(one: Fitted, score: LeaveOneOut | None, best: LeaveOneOut | None) -> Candidate:
-    item = one.candidate
-    if one.result is not None:
-        evidence = log_evidence(one.result, sum(one.likelihood.values()))
-        item = replace(item, log_evidence=evidence)
-    if score is not None:
-        item = replace(item, elpd_loo=score.elpd, elpd_loo_se=score.stderr, p_loo=score.p_loo)
-    if score is not None and best is not None:
-        item = replace(
-            item,
-            delta_elpd=score.elpd - best.elpd,
-            delta_elpd_se=standard_error(score.left_out - best.left_out),
-        )
-    return item
-
-
-def _with_differences(item: Candidate, ranked: list[Candidate]) -> Candidate:
-    """The candidate with its differences from the best of the ranked ones."""
-
-    def from_best(name: str, best: Callable[..., float]) -> float | None:
-        own = getattr(item, name)
-        others = [getattr(one, name) for one in ranked if getattr(one, name) is not None]
-        return None if own is None or not others else own - best(others)
-
-    return replace(
-        item,
-        delta_aicc=from_best("aicc", min),
-        delta_bic=from_best("bic", min),
-        delta_evidence=from_best("log_evidence", max),
-    )
-
-
-def _weighted(candidates: list[Candidate]) -> list[Candidate]:
-    """The candidates with their ranks and their probabilities from the evidence."""
-    place = itertools.count(1)
-    odds = [
-        math.exp(item.delta_evidence)
-        for item in candidates
-        if _counts(item) and item.delta_evidence is not None
-    ]
-    return [
-        replace(
-            item,
-            rank=next(place),
-            weight=None if item.delta_evidence is None else math.exp(item.delta_evidence)
-            / sum(odds),
-        )
-        if _counts(item)
-        else item
-        for item in candidates
-    ]  # fmt: skip
+    predicting = []
+    for one, score in zip(found, scores, strict=True):
+        fields: dict[str, float] = {}
+        if one.result is not None:
+            fields["log_evidence"] = log_evidence(one.result, sum(one.likelihood.values()))
+        if score is not None:
+            fields |= {"elpd_loo": score.elpd, "elpd_loo_se": score.stderr, "p_loo": score.p_loo}
+            if best is not None:
+                fields["delta_elpd"] = score.elpd - best.elpd
+                fields["delta_elpd_se"] = standard_error(score.left_out - best.left_out)
+        predicting.append(one.having(**fields))
+    return predicting

@@ -2,8 +2,7 @@
 
 On level ice the heading only rotates the path about its initial position: the speed follows from
 the distance alone, and the heading from the direction. The speed is the root of a function of one
-variable, found by Newton's method with the exact derivative of the motion, within a bracket that
-shrinks at every step.
+variable, found by Brent's method.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ LONGEST = 2000.0
 """Time in s after which a stone still in motion is taken never to come to rest."""
 _SPEEDS = np.append(0.05 * 1.25 ** np.arange(22), FASTEST)  # grid for the bracket
 _TOLERANCE = 1e-9  # m
-_MAX_ITERATIONS = 80
+_MAX_TURNS = 80  # of the heading
 _GRID_SIZE = 129
 
 
@@ -47,15 +46,6 @@ class Aim(NamedTuple):
     v0: float
     heading: float
     """rad, from +y toward +x"""
-
-
-class _Endpoint(NamedTuple):
-    """Where a throw from the origin along +y has slowed to a given speed."""
-
-    position: Floats
-    """(x, y) in m"""
-    slope: Floats
-    """its derivative with respect to the initial speed"""
 
 
 def aim(
@@ -110,136 +100,96 @@ def aim(
         raise InputError(f"a speed of {speed:g} m/s at the target; expected 0 to {FASTEST:g} m/s")
     if heading is not None and not abs(heading) < math.pi / 2:
         raise InputError(f"heading = {heading:g} rad: expected one that goes along the sheet")
-    distance, surroundings = math.hypot(across, along), environment or Environment()
-    direct = math.atan2(across, along)
+    surroundings, direct = environment or Environment(), math.atan2(across, along)
     guess = direct if heading is None else heading
-    for _ in range(_MAX_ITERATIONS):
-        # The heading enters only through the direction of the slope.
+
+    def overshoot(place: Floats) -> float:
+        """Distance beyond the target, along the sheet for a prescribed heading."""
+        if heading is None:
+            return math.hypot(*place) - math.hypot(across, along)
+        return math.cos(heading) * place[1] - math.sin(heading) * place[0] - along
+
+    for _ in range(_MAX_TURNS):
         forces = np.asarray(_external_forces(stone, surroundings, guess, 0.0))
-        endpoint = partial(_endpoint, law, stone, check_load(load), forces, omega0, speed)
-        v0 = _speed_to_reach(endpoint, distance if heading is None else along, heading, speed)
+        place = partial(_place, law, stone, check_load(load), forces, omega0, speed)
+        v0 = _speed_without(overshoot, place, speed)
         if heading is not None:
             return Aim(v0, heading)
-        found = direct - math.atan2(*endpoint(v0).position)
-        if abs(found - guess) < _TOLERANCE / distance or environment is None:
+        found = direct - math.atan2(*place(v0))
+        # The heading enters only through the direction of the slope.
+        if abs(found - guess) < _TOLERANCE / math.hypot(across, along) or environment is None:
             break
         guess = found
     return Aim(v0, found)
 
 
-def _speed_to_reach(
-    endpoint: Callable[[float], _Endpoint], distance: float, heading: float | None, speed: float
+def _speed_without(
+    overshoot: Callable[[Floats], float], place: Callable[[float], Floats], speed: float
 ) -> float:
-    """Initial speed that carries the stone a given distance, measured along the sheet for a
-    prescribed heading and in a straight line otherwise."""
+    """Initial speed whose place is neither short of the target nor beyond it; `speed` is the one
+    there."""
 
-    def overshoot(v: float) -> tuple[float, float]:
-        """Distance beyond the target, and its derivative with respect to the speed."""
-        position, slope = endpoint(v)
-        if heading is not None:
-            ahead = np.array([-math.sin(heading), math.cos(heading)])
-            return float(ahead @ position) - distance, float(ahead @ slope)
-        size = float(np.hypot(*position))
-        return size - distance, float(position @ slope) / size if size > 0 else 0.0
+    def excess_at(v: float) -> float:
+        return overshoot(place(v))
 
-    low = speed
-    largest = -math.inf
-    for high in _SPEEDS[speed < _SPEEDS]:
-        excess = overshoot(float(high))[0]
+    low, largest = speed, -math.inf
+    for high in _SPEEDS[speed < _SPEEDS].tolist():
+        excess = excess_at(high)
         if math.isnan(excess):
             raise InputError(
                 f"no throw found: at {high:.2g} m/s the law admits no motion to "
                 + ("rest" if speed == 0 else f"{speed:g} m/s")
             )
-        largest = max(largest, excess)
         if excess >= 0:
-            break
-        low = float(high)
-    else:
-        what = "comes to rest" if speed == 0 else f"has slowed to {speed:g} m/s"
-        raise InputError(
-            f"no throw reaches it: even one of {FASTEST:g} m/s {what} {-largest:.3g} m short"
-        )
-    return _root(overshoot, low, float(high))
+            from scipy.optimize import brentq  # slow to load
+
+            return float(brentq(excess_at, low, high, xtol=_TOLERANCE / 1000))
+        low, largest = high, max(largest, excess)
+    what = "comes to rest" if speed == 0 else f"has slowed to {speed:g} m/s"
+    raise InputError(
+        f"no throw reaches it: even one of {FASTEST:g} m/s {what} {-largest:.3g} m short"
+    )
 
 
-def _root(f: Callable[[float], tuple[float, float]], low: float, high: float) -> float:
-    """Root of a function, given with its derivative, negative at `low` and not at `high`."""
-    x = (low + high) / 2
-    before = math.inf
-    for _ in range(_MAX_ITERATIONS):
-        value, slope = f(x)
-        if abs(value) < _TOLERANCE:
-            return x
-        low, high = (x, high) if value < 0 else (low, x)
-        newton = x - value / slope if slope > 0 else math.nan
-        # Newton's step if it stays inside and the last step halved the value; else bisection.
-        x = newton if low < newton < high and abs(value) < before / 2 else (low + high) / 2
-        before = abs(value)
-        if high - low < 1e-15 * high:
-            break
-    return x
-
-
-def _endpoint(
+def _place(
     law: Law, stone: Stone, load: Load, forces: Floats, omega: float, speed: float, v: float
-) -> _Endpoint:
+) -> Floats:
+    """Where (x, y) a throw from the origin along +y has slowed to a speed; NaN if it does not."""
     if v <= speed:
-        return _Endpoint(np.zeros(2), np.zeros(2))
-    first, last = 0.0, 60.0
-    while True:
-        path, slopes = _speed_and_position(
-            law, stone, load, forces, v, omega, np.linspace(first, last, _GRID_SIZE)
-        )
-        slow = np.flatnonzero(path[2] <= speed)
-        if len(slow):
-            break
-        if last >= LONGEST or np.isnan(path).any():
-            return _Endpoint(np.full(2, math.nan), np.zeros(2))
-        last *= 2
+        return np.zeros(2)
+    coefficients = np.array([float(getattr(law, item.name)) for item in law.coefficients()])
+
+    def motion(times: Floats) -> Floats:
+        """x, y, speed, vx, vy, shape (5, times)."""
+        start = InitialState(v=float(v), omega=float(omega))
+        path = _motion(type(law), load, coefficients, stone, forces, start, times)
+        return np.asarray(path)
+
+    times = np.linspace(0.0, 60.0, _GRID_SIZE)
+    while not ((path := motion(times))[2] <= speed).any():
+        if times[-1] >= LONGEST or np.isnan(path).any():
+            return np.full(2, math.nan)
+        times = 2 * times
     if speed == 0:
-        return _Endpoint(path[:2, -1], slopes[:2, -1])
-    # The time at which the speed is reached, on successively finer grids.
-    times = np.linspace(first, last, _GRID_SIZE)
-    for _ in range(2):
-        k = max(int(slow[0]), 1)
-        times = np.linspace(times[k - 1], times[k], _GRID_SIZE)
-        path, slopes = _speed_and_position(law, stone, load, forces, v, omega, times)
-        slow = np.flatnonzero(path[2] <= speed)
-        slow = slow if len(slow) else np.array([_GRID_SIZE - 1])
-    k = max(int(slow[0]), 1)
+        return path[:2, -1]
+    for finer in (True, True, False):
+        k = max(int(np.append(path[2, :-1] <= speed, True).argmax()), 1)
+        if finer:
+            times = np.linspace(times[k - 1], times[k], _GRID_SIZE)
+            path = motion(times)
     deceleration = (path[2, k] - path[2, k - 1]) / (times[k] - times[k - 1])
-    delay = (speed - path[2, k]) / deceleration  # a few microseconds at most
-    position = path[:2, k] + delay * path[3:, k]
-    # A faster stone reaches the speed at a later time.
-    d_time = -slopes[2, k] / deceleration
-    return _Endpoint(position, slopes[:2, k] + path[3:, k] * d_time)
+    # a few microseconds at most
+    return path[:2, k] + (speed - path[2, k]) / deceleration * path[3:, k]
 
 
 _external_forces = compiled()(external_forces)
 
 
 @compiled("law", "load")
-def _speed_and_position_compiled(
-    law: type[Law], load: Load, coefficients: Array, stone: Stone, forces: Array, v: Array,
-    omega: Array, times: Array,
-) -> tuple[Array, Array]:  # fmt: skip
-    def path(v: Array) -> Array:
-        start = jax.tree.map(jnp.asarray, InitialState(v=v, omega=omega))
-        found = ordered_trajectory(
-            law.from_vector(coefficients), stone, forces, start, times, jnp.zeros(()), load=load
-        )
-        return jnp.stack([found.x, found.y, found.speed, found.vx, found.vy])
-
-    return jax.jvp(path, (v,), (jnp.ones(()),))
-
-
-def _speed_and_position(
-    law: Law, stone: Stone, load: Load, forces: Floats, v: float, omega: float, times: Floats
-) -> tuple[Floats, Floats]:
-    """x, y, speed, vx, vy at times, shape (5, n), and their derivatives with respect to `v`."""
-    coefficients = np.array([float(getattr(law, item.name)) for item in law.coefficients()])
-    path, slopes = _speed_and_position_compiled(
-        type(law), load, coefficients, stone, forces, float(v), float(omega), times
-    )
-    return np.asarray(path), np.asarray(slopes)
+def _motion(
+    law: type[Law], load: Load, coefficients: Array, stone: Stone, forces: Array,
+    start: InitialState, times: Array,
+) -> Array:  # fmt: skip
+    friction, start = law.from_vector(coefficients), jax.tree.map(jnp.asarray, start)
+    path = ordered_trajectory(friction, stone, forces, start, times, jnp.zeros(()), load=load)
+    return jnp.stack([path.x, path.y, path.speed, path.vx, path.vy])

@@ -8,13 +8,15 @@ thus defined for every line and every motion, and are continuous with their firs
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from curlfit.dynamics.trajectory import InitialState, Trajectory, ordered_trajectory
+from curlfit.dynamics.trajectory import InitialState, Trajectory, trajectory
 from curlfit.friction import Law, Load
 from curlfit.stone import Stone
 
@@ -51,17 +53,9 @@ def with_passages(
     ----------
     lines : y in m, shape (lines,), increasing.
     """
-    zero = jnp.zeros(())
-
-    def at(times: Array, fixed: bool = False) -> Trajectory:
-        """The motion at times in any order."""
-        order = jnp.argsort(times)
-        what = (law, stone, forces, start)
-        what = jax.lax.stop_gradient(what) if fixed else what
-        path = ordered_trajectory(*what, times[order], zero, load=load)
-        back = jnp.argsort(order)
-        return jax.tree.map(lambda values: values[back] if values.ndim else values, path)
-
+    motion = partial(trajectory, law, stone, forces, start, load=load)
+    held = jax.lax.stop_gradient((law, stone, forces, start))
+    fixed: Callable[[Array], Trajectory] = partial(trajectory, *held, load=load)
     last = jnp.full(1, _AT_REST)
 
     def targets(y_rest: Array) -> Array:
@@ -69,7 +63,7 @@ def with_passages(
         return jnp.concatenate([jnp.minimum(lines, edge), edge + _NEAR * jnp.array([-1.0, 1.0])])
 
     def step(count: Array, t: Array) -> Array:
-        path = at(jnp.concatenate([t, last]), fixed=True)
+        path = fixed(jnp.concatenate([t, last]))
         y_rest = path.y[-1]
         # From t = 0 Newton's method approaches from below, as y(t) is concave under deceleration.
         found = t + (targets(y_rest) - path.y[:-1]) / jnp.maximum(path.vy[:-1], _SLOWEST)
@@ -82,7 +76,7 @@ def with_passages(
     t = jax.lax.fori_loop(0, _STEPS + 1, step, jnp.zeros(len(lines) + 2))
     t = jax.lax.stop_gradient(t)
     n = len(times)
-    path = at(jnp.concatenate([times, t, last]))
+    path = motion(jnp.concatenate([times, t, last]))
     x, y, phi, vx, vy, omega = (
         getattr(path, name)[n:-1] for name in ("x", "y", "phi", "vx", "vy", "omega")
     )

@@ -188,6 +188,17 @@ def ordered_trajectory(
     return Trajectory(t=times, x=x, y=y, phi=phi, vx=vx, vy=vy, omega=omega, rest=t0 + rest)
 
 
+def trajectory(
+    law: Law, stone: Stone, forces: Array | None, start: InitialState, times: Array, t0: Any = 0.0,
+    *, load: Load,
+) -> Trajectory:  # fmt: skip
+    """`ordered_trajectory` for times in any order."""
+    order = jnp.argsort(times)
+    path = ordered_trajectory(law, stone, forces, start, times[order], jnp.asarray(t0), load=load)
+    back = jnp.argsort(order)
+    return jax.tree.map(lambda values: values[back] if values.ndim else values, path)
+
+
 def positions(
     law: Law, stone: Stone, forces: Array | None, start: InitialState, times: Array, *, load: Load
 ) -> Array:
@@ -253,21 +264,18 @@ def simulate(
     law, stone, start, environment = jax.tree.map(
         lambda value: jnp.asarray(value, float), (law, stone, start, environment)
     )
+    finite = jnp.where(times == jnp.inf, _REST_TIME, times)
+    return replace(_surrounded(law, stone, environment, start, finite, t0, checked), t=times)
+
+
+def _surrounded(
+    law: Law, stone: Stone, environment: Environment | None, start: InitialState, times: Array,
+    t0: Array, load: Load,
+) -> Trajectory:  # fmt: skip
     forces = None
     if environment is not None:
         forces = external_forces(stone, environment, start.heading, t0)
-    arrays = (law, stone, forces, start)
-    finite = jnp.where(times == jnp.inf, _REST_TIME, times)
-    if _non_decreasing(times):
-        path = ordered_trajectory(*arrays, finite, t0, load=checked)
-    else:
-        order = jnp.argsort(finite)
-        path, back = (
-            ordered_trajectory(*arrays, finite[order], t0, load=checked),
-            jnp.argsort(order),
-        )
-        path = jax.tree.map(lambda values: values[back] if values.ndim else values, path)
-    return replace(path, t=times)
+    return trajectory(law, stone, forces, start, times, t0, load=load)
 
 
 def _check_motion(law: Law, start: InitialState, times: ArrayLike) -> None:
@@ -302,10 +310,8 @@ def _simulate_known(
     """The same outside JAX's transformations, by a program that is stored on disk and serves any
     number of rows up to a power of two."""
     t = np.asarray(times, float)
-    finite = np.where(t == np.inf, _REST_TIME, t)
-    order = np.argsort(finite, kind="stable")
     padded = np.full(max(_FEWEST_ROWS, 1 << (len(t) - 1).bit_length()), np.inf)  # unused rows
-    padded[: len(t)] = finite[order]
+    padded[: len(t)] = np.where(t == np.inf, _REST_TIME, t)
     stone, start, environment, coefficients = jax.tree.map(
         lambda value: np.asarray(value, float),
         (stone, start, environment, np.array([float(x) for x in jax.tree.leaves(law)])),
@@ -314,10 +320,9 @@ def _simulate_known(
     path = _padded_trajectory(
         type(law), load, coefficients, stone, environment, start, padded, first
     )
-    back = np.argsort(order)
 
     def own_rows(values: Array) -> Array:
-        return jax.device_put(np.asarray(values)[back]) if values.ndim else values
+        return jax.device_put(np.asarray(values)[: len(t)]) if values.ndim else values
 
     return replace(jax.tree.map(own_rows, path), t=jax.device_put(t))
 
@@ -327,14 +332,4 @@ def _padded_trajectory(
     law: type[Law], load: Load, coefficients: Array, stone: Stone,
     environment: Environment | None, start: InitialState, times: Array, t0: Array,
 ) -> Trajectory:  # fmt: skip
-    forces = None
-    if environment is not None:
-        forces = external_forces(stone, environment, start.heading, t0)
-    return ordered_trajectory(
-        law.from_vector(coefficients), stone, forces, start, times, t0, load=load
-    )
-
-
-def _non_decreasing(times: Array) -> bool:
-    """Whether times are known to be non-decreasing."""
-    return not isinstance(times, jax.core.Tracer) and bool((np.diff(times) >= 0).all())
+    return _surrounded(law.from_vector(coefficients), stone, environment, start, times, t0, load)

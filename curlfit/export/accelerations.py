@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq
 
@@ -118,33 +119,32 @@ class AccelerationTable:
         ----------
         friction : factor on the friction, below 1 for a swept stone.
         """
-        left = dt
+        q, R, left = np.array(stone), self.stone.R, dt
         while left > 0:
-            s = math.hypot(stone.vx, stone.vy, self.stone.R * stone.omega)
+            s = math.hypot(q[2], q[3], R * q[5])
             if s < REST:
-                return stone._replace(vx=0.0, vy=0.0, omega=0.0)
-            first = self._rates(stone, friction)
-            size = math.hypot(first[2], first[3], self.stone.R * first[5])
+                q[[2, 3, 5]] = 0.0
+                break
+            first = self._rates(q, friction)
+            size = math.hypot(first[2], first[3], R * first[5])
             h = min(left, STEP, SHARE * s / size) if size > 0 else left
-            second = self._rates(_moved(stone, first, h / 2), friction)
-            third = self._rates(_moved(stone, second, h / 2), friction)
-            fourth = self._rates(_moved(stone, third, h), friction)
-            mean = [
-                (a + 2 * b + 2 * c + d) / 6
-                for a, b, c, d in zip(first, second, third, fourth, strict=True)
-            ]
-            stone, left = _moved(stone, mean, h), left - h
-        return stone
+            second = self._rates(q + h / 2 * first, friction)
+            third = self._rates(q + h / 2 * second, friction)
+            fourth = self._rates(q + h * third, friction)
+            q = q + h * ((first + 2 * second + 2 * third + fourth) / 6)
+            left -= h
+        return Moved(*q.tolist())
 
-    def _rates(self, stone: Moved, friction: float) -> list[float]:
-        v = math.hypot(stone.vx, stone.vy)
-        across, along, angular = self.accelerations(v, stone.omega)
+    def _rates(self, q: Floats, friction: float) -> Floats:
+        """Time derivative of the fields of `Moved`."""
+        vx, vy, omega = q[[2, 3, 5]].tolist()
+        v = math.hypot(vx, vy)
+        across, along, angular = (friction * a for a in self.accelerations(v, omega))
         # unit vector along the motion; (ey, -ex) is to its right
-        ex, ey = (stone.vx / v, stone.vy / v) if v > 0 else (0.0, 0.0)
-        return [
-            stone.vx, stone.vy, friction * (along * ex + across * ey),
-            friction * (along * ey - across * ex), stone.omega, friction * angular,
-        ]  # fmt: skip
+        ex, ey = (vx / v, vy / v) if v > 0 else (0.0, 0.0)
+        return np.array(
+            [vx, vy, along * ex + across * ey, along * ey - across * ex, omega, angular]
+        )
 
     def to_json(self) -> dict[str, Any]:
         """The table as a record, its values by name and rounded to seven digits."""
@@ -195,10 +195,6 @@ def catmull_rom(f: float) -> Floats:
     )
 
 
-def _moved(stone: Moved, rates: list[float], h: float) -> Moved:
-    return Moved(*(value + h * rate for value, rate in zip(stone, rates, strict=True)))
-
-
 def tabulate(fit: FitResult) -> AccelerationTable:
     """The table of a fitted law: the smallest that brings stones to rest where the law does.
 
@@ -225,16 +221,12 @@ def tabulate(fit: FitResult) -> AccelerationTable:
         )
     others = _not_included(fit)
     load = check_load(fit.load)
-    motion = jax.jit(lambda v, omega: accelerations(law, stone, load, v, omega))
-
-    def exact(v: Floats, omega: Floats) -> Floats:
-        return np.array(motion(v, omega))
-
+    exact = jax.jit(lambda v, omega: jnp.stack(accelerations(law, stone, load, v, omega)))
     random = np.random.default_rng(0)
     s = np.exp(random.uniform(np.log(SLOWEST), np.log(FASTEST / 2), _TRIALS))
     theta = random.uniform(-np.pi / 2, np.pi / 2, _TRIALS)
     trials = s * np.cos(theta), s * np.sin(theta) / stone.R
-    true = exact(*trials)
+    true = np.asarray(exact(*trials))
     ends = [_resting_place(law, stone, load, *draw) for draw in _DRAWS]
     for size in _SMALL if _scale_free(exact, stone.R) else _SIZES:
         values = _tabulated(exact, stone.R, *size)
@@ -281,7 +273,7 @@ def _not_included(fit: FitResult) -> dict[str, float]:
 def _scale_free(exact: Any, R: float) -> bool:
     """Whether the accelerations depend on R omega/v alone."""
     s = np.geomspace(SLOWEST, FASTEST, 50)
-    found = exact(0.8 * s, 0.6 * s / R)
+    found = np.asarray(exact(0.8 * s, 0.6 * s / R))
     return bool(np.ptp(found, axis=1).max() < _SCALE_FREE * np.abs(found).max())
 
 
@@ -294,7 +286,7 @@ def _tabulated(exact: Any, R: float, n: int, k: int) -> Floats:
     g = np.array([brentq(lambda g, p=p: warped(g) - p, -1.0, 1.0, xtol=1e-15) for p in p])
     theta = side * np.pi / 4 * (1 + g)
     v, u = s[:, None] * np.cos(theta), s[:, None] * np.sin(theta)
-    found = exact(np.where(v > _SLOWER * np.abs(u), v, 0.0), u / R)
+    found = np.asarray(exact(np.where(v > _SLOWER * np.abs(u), v, 0.0), u / R))
     for axis in (1, 2):
         low, high = (np.moveaxis(found, axis, 0)[rows] for rows in ([0, 1, 2], [-1, -2, -3]))
         ends = [np.expand_dims(3 * a - 3 * b + c, axis) for a, b, c in (low, high)]

@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Group, Parameter
 
@@ -18,11 +17,6 @@ from curlfit.options.output import COMPILES, Output, Saved, status_line
 from curlfit.options.start import LawValues
 from curlfit.settings.choices import COUNT, Choices
 from curlfit.settings.forms import NAMES, NUMBER, NUMBERS, PATH, TIME, Form, option
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from curlfit.optimal_design.result import Design
 
 _FIGURES = ("design-map", "design-errors", "design-separate")
 _UNMEASURED = "`none`: not measured."
@@ -233,19 +227,4 @@ def design(
             **grid.given(),
         )
     folder = prepare_folder(output.out or Path("design"))
-    written = [folder / "design.json"]
-    result.save(written[0])
-
-    drawn.replace(folder, _FIGURES, partial(_figures, result))
-
-    from curlfit.optimal_design.report import print_design
-
-    console = output.console()
-    print_design(result, console)
-    return output.written(folder, written + drawn.written(), console)
-
-
-def _figures(found: Design) -> dict[str, Figure]:
-    from curlfit.optimal_design.figures import design_figures
-
-    return design_figures(found)
+    return output.finish(result, folder, drawn, "design_figures", names=_FIGURES)

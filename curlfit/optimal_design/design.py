@@ -8,9 +8,9 @@ to row and a correct law; the discrepancy of a law does not average out.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -18,19 +18,17 @@ from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.friction import Law, Load, check_load
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.identifiability import Bounded, Identifiability, analyse, confined
+from curlfit.inference.identifiability import Identifiability, analyse
 from curlfit.inference.linearized_problem import classify
-from curlfit.inference.model import Model
-from curlfit.inference.parameters import ParameterSet
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Floats
 from curlfit.optimal_design.information import (
+    Assumptions,
     PlannedThrow,
     RecordInformation,
-    coefficient_information,
     combined,
+    marginal_factor,
     prepare_information,
     record_information,
-    standard_error,
 )
 from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors
 from curlfit.optimal_design.selection import (
@@ -58,7 +56,7 @@ _FACTORS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # factors on the noise, for t
 _RATES = (1.0, 3.0, 10.0, 30.0, 100.0)  # Hz
 _COUNTS = (1, 2, 3, 4, 6, 8, 12, 16)  # throws
 _LONGEST_DISTANCE = TEE + TEE_TO_BACK - LINES["hog"]
-_POSITION, _ANGLE = ("x", "y", "speed"), ("phi", "omega")
+_POSITION, _ANGLE = {"x", "y", "speed"}, {"phi", "omega"}
 
 
 def design(
@@ -116,8 +114,8 @@ def design(
     sigma = _noise(NOISE if sigma is None else sigma)
     rates = (rate,) if isinstance(rate, int | float) else tuple(rate)
     _check(v0, omega0, rates, until, throws, relative_error)
-    free = ParameterSet.build(kind).free[: len(values)]
-    pair = None if separate is None else CoefficientPair(kind, values, free, separate)
+    assumed = Assumptions(kind, values, sigma, until, discrepancy)
+    pair = None if separate is None else CoefficientPair(assumed, separate)
     candidates = [
         PlannedThrow(float(v), float(w), float(hertz), stone)
         for v, w, hertz in product(v0, omega0, rates)
@@ -127,78 +125,75 @@ def design(
             f"{len(v0)} speeds, {len(omega0)} spins and {len(rates)} rates make {len(candidates)} "
             f"candidates; expected at most {_MAX_CANDIDATES}"
         )
-    channels = 5 if {"speed", "omega"} & sigma.keys() else 3
     if not 0 <= discrepancy < math.inf:
         raise InputError(f"discrepancy = {discrepancy:g}; expected 0 or more, over the friction")
-    exact: dict[str, Any] = {"until": until, "channels": channels}
-    record = exact | {"discrepancy": discrepancy}
-    separated = kind.sums or separate
-    for one_load in ("uniform", "consistent") if separated else (load,):
-        prepare_information(kind, check_load(one_load), values, candidates[0], channels)
+    for one_load in ("uniform", "consistent") if kind.sums or separate else (load,):
+        prepare_information(assumed, check_load(one_load), candidates[0])
     progress("the information of each throw")
-    records = record_information(kind, load, values, candidates, **record)
-    model = _DesignModel(kind, values, free, sigma)
-    factors = [model.factor(one) for one in records]
+    records = record_information(assumed, load, candidates)
+    factors = [marginal_factor(assumed, one) for one in records]
     candidate_set = CandidateSet.from_factors(factors)
     if not candidate_set.rank:
         raise InputError(f"these throws determine no coefficient of law {kind.name}")
-    together = model.identifiability(combined(factors))
-    quantities = model.quantities(together)
+    together = _identifiability(assumed, factors)
+    # The determined coefficients and combinations.
+    quantities = {
+        name: {name: 1.0}
+        for name, unseen in zip(assumed.names, together.unseen, strict=True)
+        if not unseen
+    } | {item.expression: item.weights for item in together.combinations}
     best = {}
     for name, criterion in (("D", d_criterion), ("A", a_criterion(candidate_set))):
         indices = select_design(candidate_set, criterion, throws)
         if indices is not None:
-            best[name] = model.expected(indices, factors)
+            best[name] = _expected(assumed, indices, factors)
     if not best:
         raise InputError(
             f"no {throws} of these throws determine what all of them together do; increase "
             "the number of throws, or give other candidates"
         )
-    by_load: dict[str, list[RecordInformation]] = {} if discrepancy else {load: records}
+    exact = replace(assumed, discrepancy=0.0)
+    by_load: dict[Load, list[Floats]] = {} if discrepancy else {load: factors}
     if pair is None:
         if load == "consistent":
             progress("the directions hidden under uniform load")
-            by_load["uniform"] = record_information(kind, "uniform", values, candidates, **exact)
-            hidden = [model.factor(one) for one in by_load["uniform"]]
-            together = model.identifiability(combined(hidden))
+            hidden = record_information(exact, "uniform", candidates)
+            by_load["uniform"] = [marginal_factor(exact, one) for one in hidden]
+            together = _identifiability(assumed, by_load["uniform"])
         names = _undetermined_pair(together)
-        pair = None if names is None else CoefficientPair(kind, values, free, names)
+        pair = None if names is None else CoefficientPair(exact, names)
     progress("errors against noise, rate and number of throws")
-    curves = _curves(
-        model, candidate_set, factors, records, candidates, best, load, record, quantities
-    )
-    progress("systematic errors")
     made = next(iter(best.values())).throws
-    found = scenarios(
-        Model(kind, load), values, [candidates[index] for index in made], free, sigma, quantities,
-        record,
-    )  # fmt: skip
+    curves = _curves(assumed, load, candidates, records, made, quantities)
+    progress("systematic errors")
+    found = scenarios(assumed, load, [candidates[index] for index in made], quantities)
     separation = None
     if pair is not None:
         separation = analyse_separation(
-            pair, candidates, throws, sigma, relative_error, exact, by_load, progress
+            exact, pair, candidates, throws, relative_error, by_load, progress
         )
+    items = {item.name: item for item in kind.coefficients()}
     return Design(
         law=kind.name,
         load=load,
         stone=stone,
-        coefficients=model.named(values),
-        symbols={item.name: item.symbol for item in kind.coefficients()},
-        units={item.name: item.unit for item in kind.coefficients()},
-        typical={item.name: item.typical for item in kind.coefficients()},
+        coefficients=dict(zip(items, values.tolist(), strict=True)),
+        symbols={name: item.symbol for name, item in items.items()},
+        units={name: item.unit for name, item in items.items()},
+        typical={name: item.typical for name, item in items.items()},
         sigma=sigma,
         until=until,
         throws=throws,
         candidates=tuple(
             Candidate(
                 planned.v0, planned.omega0, planned.rate, one.rows, one.last, one.rest,
-                one.distance, model.errors(factor, quantities),
+                one.distance, assumed.errors(factor, quantities),
             )
             for planned, one, factor in zip(candidates, records, factors, strict=True)
         ),
         quantities=quantities,
         rank=candidate_set.rank,
-        free=int(free.sum()),
+        free=len(assumed.free),
         best=best,
         curves=curves,
         separation=separation,
@@ -208,77 +203,33 @@ def design(
     )  # fmt: skip
 
 
-class _DesignModel:
-    """Coefficients and noise, and the analysis of information factors for them."""
+def _identifiability(assumed: Assumptions, factors: Sequence[Floats]) -> Identifiability:
+    """What some throws together determine."""
+    return analyse(
+        combined(factors) / assumed.typical, assumed.names, assumed.bounded.values,
+        assumed.typical, bounded=assumed.bounded,
+    )  # fmt: skip
 
-    def __init__(
-        self, law: type[Law], values: Floats, free: Booleans, sigma: dict[str, float]
-    ) -> None:
-        items = law.coefficients()
-        self.law, self.values, self.free, self.sigma = law, values, free, sigma
-        self.all = [item.name for item in items]
-        self.names = [name for name, take in zip(self.all, free, strict=True) if take]
-        self.typical = np.array([item.typical for item in items])[free]
-        # A bound beyond which the value lies was not that of its fit.
-        lower = [
-            item.lower if value > item.lower else -np.inf
-            for item, value in zip(items, values, strict=True)
-        ]
-        upper = [
-            item.upper if value < item.upper else np.inf
-            for item, value in zip(items, values, strict=True)
-        ]
-        self.bounded = Bounded(values[free], np.array(lower)[free], np.array(upper)[free])
 
-    def factor(self, one: RecordInformation, **noise: float) -> Floats:
-        """R factor of the information on the free coefficients, for noise scaled by channel."""
-        sigma = {name: value * noise.get(name, 1.0) for name, value in self.sigma.items()}
-        return coefficient_information(self.law, one, sigma, self.free)
-
-    def named(self, values: Floats) -> dict[str, float]:
-        return dict(zip(self.all, map(float, values), strict=True))
-
-    def identifiability(self, factor: Floats) -> Identifiability:
-        return analyse(
-            factor / self.typical, self.names, self.values[self.free], self.typical,
-            bounded=self.bounded,
-        )  # fmt: skip
-
-    def quantities(self, together: Identifiability) -> dict[str, dict[str, float]]:
-        """The determined coefficients and combinations, as weights."""
-        found = {
-            name: {name: 1.0}
-            for name, unseen in zip(self.names, together.unseen, strict=True)
-            if not unseen
-        }
-        return found | {item.expression: item.weights for item in together.combinations}
-
-    def errors(
-        self, factor: Floats, quantities: Mapping[str, Mapping[str, float]]
-    ) -> dict[str, float | None]:
-        factor = confined(factor / self.typical, self.bounded, self.typical) * self.typical
-        return {
-            name: standard_error(
-                factor, np.array([weights.get(name, 0.0) for name in self.names]) * self.typical
-            )
-            for name, weights in quantities.items()
-        }
-
-    def expected(self, indices: Sequence[int], factors: Sequence[Floats]) -> ExpectedErrors:
-        found = self.identifiability(combined([factors[index] for index in indices]))
-        stderr: dict[str, float | None] = dict.fromkeys(self.all)
-        verdicts = dict.fromkeys(self.all, "fixed")
-        for index, name in enumerate(self.names):
-            stderr[name], verdicts[name] = classify(float(self.typical[index]), False, found, index)
-        return ExpectedErrors(
-            throws=tuple(indices),
-            stderr=stderr | {item.expression: item.stderr for item in found.combinations},
-            verdicts=verdicts,
-            combinations=found.combinations,
-            rank=found.rank,
-            singular_values=tuple(map(float, found.singular_values)),
-            null_directions=found.null_directions,
-        )
+def _expected(
+    assumed: Assumptions, indices: Sequence[int], factors: Sequence[Floats]
+) -> ExpectedErrors:
+    found = _identifiability(assumed, [factors[index] for index in indices])
+    every = [item.name for item in assumed.law.coefficients()]
+    judged = dict.fromkeys(every, (None, "fixed")) | {
+        name: classify(float(assumed.typical[index]), False, found, index)
+        for index, name in enumerate(assumed.names)
+    }
+    stderr = {name: error for name, (error, _) in judged.items()}
+    return ExpectedErrors(
+        throws=tuple(indices),
+        stderr=stderr | {item.expression: item.stderr for item in found.combinations},
+        verdicts={name: verdict for name, (_, verdict) in judged.items()},
+        combinations=found.combinations,
+        rank=found.rank,
+        singular_values=tuple(map(float, found.singular_values)),
+        null_directions=found.null_directions,
+    )
 
 
 def _assumed(
@@ -342,55 +293,45 @@ def _undetermined_pair(found: Identifiability) -> tuple[str, str] | None:
 
 
 def _curves(
-    model: _DesignModel,
-    candidate_set: CandidateSet,
-    factors: Sequence[Floats],
-    records: Sequence[RecordInformation],
-    candidates: Sequence[PlannedThrow],
-    best: Mapping[str, ExpectedErrors],
+    assumed: Assumptions,
     load: Load,
-    record: Mapping[str, Any],
+    candidates: Sequence[PlannedThrow],
+    records: Sequence[RecordInformation],
+    made: Sequence[int],
     quantities: Mapping[str, Mapping[str, float]],
 ) -> dict[str, dict[str, list[float | None]]]:
     """Standard errors against noise of position, noise of angle, rate and number of throws."""
-    made = next(iter(best.values())).throws
 
-    def series(at: Sequence[float], factors_of: Sequence[Floats]) -> dict[str, list[float | None]]:
-        rows = [model.errors(factor, quantities) for factor in factors_of]
-        errors = {name: [row[name] for row in rows] for name in quantities}
-        return {"at": [*at], **errors}
+    def together(assumed: Assumptions, records: Mapping[int, RecordInformation]) -> Floats:
+        """The information of the throws that are made."""
+        return combined([marginal_factor(assumed, records[index]) for index in made])
 
-    found: dict[str, dict[str, list[float | None]]] = {}
-    for name, channels in (("place", _POSITION), ("angle", _ANGLE)):
-        if not model.sigma.keys() & set(channels):
-            continue
-        factors_of = [
-            combined([model.factor(records[p], **dict.fromkeys(channels, factor)) for p in made])
-            for factor in _FACTORS
-        ]
-        found[name] = series(_FACTORS, factors_of)
-    distinct = sorted(set(made))
-    factors_of = []
-    for rate in _RATES:
-        resampled = record_information(
-            model.law,
-            load,
-            model.values,
-            [candidates[p]._replace(rate=rate) for p in distinct],
-            **record,
-        )
-        by_index = {
-            index: model.factor(one) for index, one in zip(distinct, resampled, strict=True)
+    def series(at: Iterable[float], factors: Iterable[Floats]) -> dict[str, list[float | None]]:
+        rows = [assumed.errors(factor, quantities) for factor in factors]
+        return {"at": list[float | None](at)} | {
+            name: [row[name] for row in rows] for name in quantities
         }
-        factors_of.append(combined([by_index[index] for index in made]))
-    found["rate"] = series(_RATES, factors_of)
-    counts, factors_of = [], []
-    for count in _COUNTS:
-        indices = select_design(candidate_set, d_criterion, count)
-        if indices is not None:
-            counts.append(float(count))
-            factors_of.append(combined([factors[index] for index in indices]))
-    found["throws"] = series(counts, factors_of)
+
+    known = dict(enumerate(records))
+    found = {}
+    for name, channels in (("place", _POSITION), ("angle", _ANGLE)):
+        if noisy := assumed.sigma.keys() & channels:
+            others = (assumed.noisier(noisy, factor) for factor in _FACTORS)
+            found[name] = series(_FACTORS, [together(other, known) for other in others])
+    at_rate = []
+    for rate in _RATES:
+        distinct = {index: candidates[index]._replace(rate=rate) for index in made}
+        resampled = record_information(assumed, load, list(distinct.values()))
+        at_rate.append(together(assumed, dict(zip(distinct, resampled, strict=True))))
+    found["rate"] = series(_RATES, at_rate)
+    factors = [marginal_factor(assumed, one) for one in records]
+    candidate_set = CandidateSet.from_factors(factors)
+    chosen = {float(n): select_design(candidate_set, d_criterion, n) for n in _COUNTS}
+    chosen = {count: indices for count, indices in chosen.items() if indices is not None}
+    found["throws"] = series(
+        chosen,
+        [combined([factors[index] for index in indices or ()]) for indices in chosen.values()],
+    )
     return found
 
 

@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import jax
@@ -22,14 +24,15 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.fit.systematics import residual_changes
-from curlfit.inference.identifiability import r_factor, visible
+from curlfit.inference.identifiability import Bounded, confined, r_factor, visible
 from curlfit.inference.least_squares import Indices
 from curlfit.inference.likelihood import linearize_once, predict_many, prepare_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.accelerations import Responses
-from curlfit.inference.parameters import START
+from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Floats
+from curlfit.numerics.batches import stacked
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
 
@@ -80,55 +83,117 @@ class RecordInformation(NamedTuple):
     """number of shapes of a model discrepancy"""
 
 
-def prepare_information(
-    law: type[Law], load: Load, coefficients: Floats, throw: PlannedThrow, channels: int
-) -> None:
+@dataclass(frozen=True, eq=False)
+class Assumptions:
+    """A law with assumed values of its coefficients, and what is measured of its throws.
+
+    Attributes
+    ----------
+    values : of all coefficients, shape (k,).
+    sigma : noise by channel (SI); channels without one are not measured.
+    until : end of the records in s; the time of rest if None.
+    discrepancy : size of the accelerations that the law may lack, relative to the friction; see
+        `curlfit.inference.noise.accelerations`.
+    """
+
+    law: type[Law]
+    values: Floats
+    sigma: Mapping[str, float]
+    until: float | None = None
+    discrepancy: float = 0.0
+
+    @property
+    def channels(self) -> int:
+        """Number of the channels x, y, phi, speed, omega that are computed: 3 or 5."""
+        return 5 if {"speed", "omega"} & self.sigma.keys() else 3
+
+    @cached_property
+    def free(self) -> Indices:
+        """Which coefficients are estimated."""
+        found: Indices = np.flatnonzero(ParameterSet.build(self.law).free[: len(self.values)])
+        return found
+
+    @cached_property
+    def names(self) -> list[str]:
+        """Names of the free coefficients."""
+        return [self.law.coefficients()[index].name for index in self.free]
+
+    @cached_property
+    def typical(self) -> Floats:
+        """Their typical sizes."""
+        return np.array([self.law.coefficients()[index].typical for index in self.free])
+
+    @cached_property
+    def bounded(self) -> Bounded:
+        """Their values and bounds; one beyond which the value lies was not that of its fit."""
+        items, values = (np.array(self.law.coefficients())[self.free], self.values[self.free])
+        lower, upper = np.array([(item.lower, item.upper) for item in items]).reshape(-1, 2).T
+        return Bounded(
+            values, np.where(values > lower, lower, -np.inf),
+            np.where(values < upper, upper, np.inf),
+        )  # fmt: skip
+
+    def weights(self, combination: Mapping[str, float]) -> Floats:
+        """A combination of free coefficients as `standard_error` takes it."""
+        return np.array([combination.get(name, 0.0) for name in self.names]) * self.typical
+
+    def errors(
+        self, factor: Floats, quantities: Mapping[str, Mapping[str, float]]
+    ) -> dict[str, float | None]:
+        """Standard errors of combinations within the bounds, by name."""
+        factor = confined(factor / self.typical, self.bounded, self.typical) * self.typical
+        return {name: standard_error(factor, self.weights(of)) for name, of in quantities.items()}
+
+    def noisier(self, channels: Iterable[str], factor: float) -> Assumptions:
+        """The same with the noise of some channels multiplied."""
+        sigma = dict(self.sigma)
+        return replace(self, sigma=sigma | {name: factor * sigma[name] for name in channels})
+
+
+def prepare_information(assumed: Assumptions, load: Load, throw: PlannedThrow) -> None:
     """Begin compiling the programs that `record_information` needs."""
-    own = [throw] * _BATCH
-    problems = _problems([(0, np.arange(2.0))] * _BATCH, own, channels)
-    values = np.stack([_vector(coefficients, one) for one in own])
-    prepare_many(Model(law, load), values, problems)
-    linearize_once.prepare(Model(law, load), values, problems)
+    some = [(throw, np.arange(2.0))] * _BATCH
+    values, problems = _stacked(assumed, some, assumed.channels)
+    prepare_many(Model(assumed.law, load), values, problems)
+    linearize_once.prepare(Model(assumed.law, load), values, problems)
 
 
 def record_information(
-    law: type[Law],
+    assumed: Assumptions,
     load: Load,
-    coefficients: Floats,
     throws: Sequence[PlannedThrow],
-    *,
-    until: float | None = None,
-    channels: int = 3,
     widths: Mapping[str, float] | None = None,
-    discrepancy: float = 0.0,
 ) -> list[RecordInformation]:
     """The information of each of several throws.
 
     Parameters
     ----------
-    coefficients : of the law, shape (k,).
-    until : end of the records in s; the time of rest if None.
-    channels : number of the channels x, y, phi, speed, omega: 3 or 5.
     widths : of the conditions to be examined, see `curlfit.inference.conditions`.
-    discrepancy : size of the accelerations that the law may lack, relative to the friction; see
-        `curlfit.inference.noise.accelerations`.
 
     Raises
     ------
     InputError : a stone that does not come to rest, or for which there is no motion; a record
         with fewer than two rows or more than `MOST_ROWS`.
     """
-    typical = np.array([item.typical for item in (*law.coefficients(), *START)])
-    clocks = []
-    ends = _rests(law, load, coefficients, throws, required=until is None)
+    model, channels = Model(assumed.law, load), assumed.channels
+    typical = np.array([item.typical for item in (*assumed.law.coefficients(), *START)])
+    clocks, ends = [], _rests(assumed, load, throws)
     for throw, (rest, _) in zip(throws, ends, strict=True):
-        end = rest if until is None else until
+        end = rest if assumed.until is None else assumed.until
         rows = math.floor(end * throw.rate + 1e-9) + 1
         if not 2 <= rows <= MOST_ROWS:
             raise InputError(
                 f"{end:.4g} s at {throw.rate:g} Hz make {rows} rows; expected 2 to {MOST_ROWS}"
             )
         clocks.append(np.arange(rows) / throw.rate)
+    responses: list[Responses] = []
+    if assumed.discrepancy:  # to accelerations of the size of the friction
+        even = [np.linspace(0.0, clock[-1], _ROWS) for clock in clocks]
+        paths = _paths(assumed, load, throws, even)
+        responses = [
+            Responses.of(clock, path, throw.stone)
+            for clock, path, throw in zip(even, paths, throws, strict=True)
+        ]
     # Long records are split into several columns of a batch.
     parts = [
         (index, clock[first : first + _ROWS])
@@ -136,34 +201,25 @@ def record_information(
         for first in range(0, len(clock), _ROWS)
     ]
     factors: list[list[Floats]] = [[] for _ in throws]
-    responses = (
-        _responses(law, load, coefficients, throws, [clock[-1] for clock in clocks])
-        if discrepancy
-        else None
-    )
     for first in range(0, len(parts), _BATCH):
         some = parts[first : first + _BATCH]
         batch = some + [some[-1]] * (_BATCH - len(some))
-        own = [throws[index] for index, _ in batch]
-        values = np.stack([_vector(coefficients, throw) for throw in own])
-        problems, model = _problems(batch, own, channels), Model(law, load)
-        _, found = linearize_once(model, values, problems)
-        jacobian = np.asarray(found) * typical
+        values, problems = _stacked(assumed, [(throws[k], clock) for k, clock in batch], channels)
+        jacobian = np.asarray(linearize_once(model, values, problems)[1]) * typical
         if widths:
             paths = predict_many(model, values, problems, _BATCH)
             changes = residual_changes(model, problems, values, paths, widths, "linear", _BATCH)
             jacobian = np.concatenate([jacobian, np.stack(list(changes.values()), -1)], -1)
         for column, (index, _) in enumerate(some):
-            if not np.isfinite(jacobian[column]).all():
-                raise _no_motion(law, load, throws[index])
-            own_rows = jacobian[column]
-            if responses is not None:
+            if not np.isfinite(own := jacobian[column]).all():
+                raise _no_motion(assumed, load, throws[index])
+            if responses:
                 here = problems.times[column]
-                lacking = [responses[index].at(here, row) for row in range(channels)]
-                weighted = discrepancy * np.stack(lacking) * problems.weight[column][..., None]
-                own_rows = np.concatenate([own_rows, weighted], -1)
-            factors[index].append(r_factor(own_rows))
-    shapes = 0 if responses is None else responses[0].by_channel.shape[-1]
+                lacking = np.stack([responses[index].at(here, row) for row in range(channels)])
+                lacking *= assumed.discrepancy * problems.weight[column][..., None]
+                own = np.concatenate([own, lacking], -1)
+            factors[index].append(r_factor(own))
+    shapes = responses[0].by_channel.shape[-1] if responses else 0
     return [
         RecordInformation(
             len(clock), float(clock[-1]), *end, r_factor(np.concatenate(parts, 1)), shapes
@@ -172,130 +228,103 @@ def record_information(
     ]
 
 
-def _responses(
-    law: type[Law], load: Load, coefficients: Floats, throws: Sequence[PlannedThrow],
-    ends: Sequence[float],
-) -> list[Responses]:  # fmt: skip
-    """Responses of the paths of throws to accelerations of the size of the friction."""
-    clocks = [np.linspace(0.0, end, _ROWS) for end in ends]
-    return [
-        Responses.of(clock, path, throw.stone)
-        for clock, path, throw in zip(
-            clocks, _paths(law, load, coefficients, throws, clocks), throws, strict=True
-        )
-    ]
-
-
 def _paths(
-    law: type[Law], load: Load, coefficients: Floats, throws: Sequence[PlannedThrow],
-    clocks: Iterable[Floats],
-) -> Floats:  # fmt: skip
+    assumed: Assumptions, load: Load, throws: Sequence[PlannedThrow], clocks: Iterable[Floats]
+) -> Floats:
     """x, y, phi, speed and spin of throws at `_ROWS` times of each, shape (throws, 5, times)."""
-    values = np.stack([_vector(coefficients, throw) for throw in throws])
-    problems = _problems(list(enumerate(clocks)), throws, 3)
-    return predict_many(Model(law, load), values, problems, _BATCH)
+    values, problems = _stacked(assumed, list(zip(throws, clocks, strict=True)), 3)
+    return predict_many(Model(assumed.law, load), values, problems, _BATCH)
 
 
-def _vector(coefficients: Floats, throw: PlannedThrow) -> Floats:
-    start = {"v0": throw.v0, "omega0": throw.omega0, "heading": throw.heading}
-    return np.array([*coefficients, *(start.get(item.name, 0.0) for item in START)])
-
-
-def _problems(
-    batch: Sequence[tuple[int, Floats]], own: Sequence[PlannedThrow], channels: int
-) -> Problem:
-    """Problems with unit noise, whose residuals have the derivatives of the trajectory."""
+def _stacked(
+    assumed: Assumptions, batch: Sequence[tuple[PlannedThrow, Floats]], channels: int
+) -> tuple[Floats, Problem]:
+    """Parameter vectors, and problems with unit noise, whose residuals have the derivatives of the
+    trajectory, of throws with their times."""
     n = len(batch)
-    weight = np.zeros((n, channels, _ROWS))
-    times = np.empty((n, _ROWS))
-    for column, (_, clock) in enumerate(batch):
+    weight, times = np.zeros((n, channels, _ROWS)), np.empty((n, _ROWS))
+    values = np.zeros((n, len(assumed.values) + len(START)))
+    values[:, : len(assumed.values)] = assumed.values
+    places = {item.name: k for k, item in enumerate(START, start=len(assumed.values))}
+    for column, (throw, clock) in enumerate(batch):
         weight[column, :, : len(clock)] = 1.0
         times[column] = np.pad(clock, (0, _ROWS - len(clock)), mode="edge")
-    stones = [throw.stone.as_dict() for throw in own]
-    stone = Stone(**{name: np.array([float(one[name]) for one in stones]) for name in stones[0]})  # type: ignore[arg-type]
+        for name, value in (("v0", throw.v0), ("omega0", throw.omega0), ("heading", throw.heading)):
+            values[column, places[name]] = value
+    stone = stacked([jax.tree.map(float, throw.stone) for throw, _ in batch])
     level = jax.tree.map(lambda value: np.full(n, value), LEVEL_AND_STILL)
-    return Problem(times, np.zeros_like(weight), weight, stone, level, np.zeros(n, int))
+    return values, Problem(times, np.zeros_like(weight), weight, stone, level, np.zeros(n, int))
 
 
 def _rests(
-    law: type[Law], load: Load, coefficients: Floats, throws: Sequence[PlannedThrow], *,
-    required: bool,
-) -> list[tuple[float, float]]:  # fmt: skip
-    """Time of rest (s), above `LONGEST` only if not `required`, and distance (m) of throws."""
+    assumed: Assumptions, load: Load, throws: Sequence[PlannedThrow]
+) -> list[tuple[float, float]]:
+    """Time of rest (s), above `LONGEST` only where the records end before, and distance (m) of
+    throws."""
     # The first time at rest, on successively finer grids.
     early, late = np.zeros(len(throws)), np.full(len(throws), LONGEST)
     moves = np.zeros(len(throws), bool)
     for _ in range(_REFINEMENTS):
         clocks = np.linspace(early, late, _ROWS, axis=-1)
-        paths = _paths(law, load, coefficients, throws, clocks)
+        paths = _paths(assumed, load, throws, clocks)
         speed = paths[:, 3]
         if (lost := np.isnan(speed).any(1)).any():
-            raise _no_motion(law, load, throws[int(np.argmax(lost))])
+            raise _no_motion(assumed, load, throws[int(np.argmax(lost))])
         moves |= (speed > 0).all(1)
         first = np.maximum(np.argmax(speed == 0, 1), 1)[:, None]
         early, late = (np.take_along_axis(clocks, first - k, 1)[:, 0] for k in (1, 0))
         early, late = np.where(moves, 0.0, early), np.where(moves, LONGEST, late)
     times = np.where(moves, 2 * LONGEST, late)
     for throw, rest in zip(throws, times, strict=True):
-        if required and not 0 < rest <= LONGEST:
+        if assumed.until is None and not 0 < rest <= LONGEST:
             raise InputError(
                 f"a stone of {throw.v0:g} m/s and {throw.omega0:g} rad/s does not come to rest "
                 f"within {LONGEST:g} s; give the length of the record (--until)"
             )
     distances = np.hypot(paths[:, 0, -1], paths[:, 1, -1])
-    return list(zip(map(float, times), map(float, distances), strict=True))
+    return list(zip(times.tolist(), distances.tolist(), strict=True))
 
 
-def _no_motion(law: type[Law], load: Load, throw: PlannedThrow) -> InputError:
+def _no_motion(assumed: Assumptions, load: Load, throw: PlannedThrow) -> InputError:
     return InputError(
-        f"law {law.name} with {load} load admits no motion from {throw.v0:g} m/s and "
+        f"law {assumed.law.name} with {load} load admits no motion from {throw.v0:g} m/s and "
         f"{throw.omega0:g} rad/s{no_motion_because(load)}"
     )
 
 
-def coefficient_information(
-    law: type[Law], record: RecordInformation, sigma: Mapping[str, float], free: Booleans
-) -> Floats:
-    """R factor of the information on the free coefficients, marginal over the initial state.
-
-    The Schur complement: the columns of the coefficients are projected onto the orthogonal
-    complement of those of the initial state.
-
-    Parameters
-    ----------
-    sigma : noise by channel (SI); channels without one are not measured, and the initial
-        values that only they determine are fixed, as in a fit.
-    free : mask of the free coefficients, shape (k,).
-
-    Returns
-    -------
-    Upper triangular, shape (free, free), scaled by typical sizes.
-    """
-    return marginal_factor(law, record, sigma, np.flatnonzero(free))
-
-
 def marginal_factor(
-    law: type[Law], record: RecordInformation, sigma: Mapping[str, float], columns: Indices
+    assumed: Assumptions, record: RecordInformation, columns: Indices | None = None
 ) -> Floats:
     """R factor of the information on some columns of a record, marginal over the initial state.
 
-    Parameters and result as for `coefficient_information`, with columns in place of coefficients.
+    The Schur complement: the columns are projected onto the orthogonal complement of those of the
+    initial state. Initial values that only channels without noise determine are fixed, as in a fit.
+
+    Parameters
+    ----------
+    columns : by default those of the free coefficients.
+
+    Returns
+    -------
+    Upper triangular, shape (columns, columns), scaled by typical sizes.
     """
-    k = len(law.coefficients())
+    sigma, k = assumed.sigma, len(assumed.law.coefficients())
     rows = [
         record.factors[row] / sigma[name]
         for row, name in enumerate(CHANNELS[: len(record.factors)])
         if name in sigma
     ]
-    lacking = np.arange(record.factors.shape[-1])[record.factors.shape[-1] - record.shapes :]
+    width = record.factors.shape[-1]
+    lacking = np.arange(width - record.shapes, width)
     # a priori the amplitudes of the shapes have unit variance
-    stacked = np.concatenate([*rows, np.eye(record.factors.shape[-1])[lacking]])
+    everything = np.concatenate([*rows, np.eye(width)[lacking]])
     estimated = {
         "x0": "x" in sigma, "y0": "y" in sigma, "phi0": "phi" in sigma,
         "heading": {"x", "y"} <= sigma.keys(),
     }  # fmt: skip
     state = [k + column for column, item in enumerate(START) if estimated.get(item.name, True)]
-    wanted, start = stacked[:, columns], stacked[:, [*state, *lacking]]
+    wanted = everything[:, assumed.free if columns is None else columns]
+    start = everything[:, [*state, *lacking]]
     left, singular, _ = np.linalg.svd(start, full_matrices=False)
     left = left[:, singular > _ROUNDING * singular[0]]
     for _ in range(2):  # twice, against rounding errors

@@ -23,13 +23,13 @@ from curlfit.dynamics.contact import accelerations
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.friction import Law, Load
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
 from curlfit.optimal_design.information import (
+    Assumptions,
     PlannedThrow,
-    RecordInformation,
-    coefficient_information,
     combined,
+    marginal_factor,
     record_information,
     standard_error,
 )
@@ -68,41 +68,39 @@ class CoefficientPair:
         values zero.
     """
 
-    def __init__(self, law: type[Law], values: Floats, free: Booleans, pair: Sequence[str]) -> None:
-        items = law.coefficients()
-        names = [item.name for item, take in zip(items, free, strict=True) if take]
+    def __init__(self, assumed: Assumptions, pair: Sequence[str]) -> None:
+        law = assumed.law
+        values = {
+            item.name: (value, item.unit)
+            for item, value in zip(law.coefficients(), assumed.values.tolist(), strict=True)
+            if item.name in assumed.names
+        }
         if len(pair) != 2 or pair[0] == pair[1]:
             raise InputError(
                 "separate: expected two different coefficients, such as mu1_eta,mu2_eta"
             )
         for name in pair:
-            if name not in names:
+            if name not in values:
                 raise InputError(
                     f"separate: law {law.name} has no free coefficient {quoted(name)}; it has "
-                    + ", ".join(names)
+                    + ", ".join(values)
                 )
-        units = {item.name: item.unit for item in items}
-        if units[pair[0]] != units[pair[1]]:
+        self.names = one, other = pair[0], pair[1]
+        (a, unit), (b, other_unit) = values[one], values[other]
+        if unit != other_unit:
             raise InputError(
-                f"separate: {pair[0]} ({units[pair[0]]}) and {pair[1]} ({units[pair[1]]}) have "
-                "different units, and no difference"
+                f"separate: {one} ({unit}) and {other} ({other_unit}) have different units, and "
+                "no difference"
             )
-        self.law, self.values, self.free = law, values, free
-        self.names = (pair[0], pair[1])
-        typical = np.array([item.typical for item in items])
-        self.first, self.second = (
-            np.array([float(item.name == name) for item in items]) for name in pair
-        )
-        self.difference = ((self.first - self.second) * typical)[free]
-        self.sum = ((self.first + self.second) * typical)[free]
-        a, b = float(self.first @ values), float(self.second @ values)
+        self.difference = assumed.weights({one: 1.0, other: -1.0})
+        self.sum = assumed.weights({one: 1.0, other: 1.0})
         self.total = a + b
         self.of = "difference" if abs(a - b) > 1e-9 * (abs(a) + abs(b)) else "mean"
         self.size = abs(a - b) if self.of == "difference" else abs(a + b) / 2
         if not self.size > 0:
             raise InputError(
-                f"separate: {pair[0]} and {pair[1]} are both zero; --set them, so that an error "
-                "can be relative to them"
+                f"separate: {one} and {other} are both zero; --set them, so that an error can be "
+                "relative to them"
             )
 
     def tolerated_change(self, factors: Sequence[Floats], required: float) -> float | None:
@@ -138,7 +136,9 @@ def _force_derivative(
     return jax.jvp(force, (coefficients,), (along,))[1]
 
 
-def prove_unidentifiable(pair: CoefficientPair, stone: Stone, factors: Sequence[Floats]) -> Proof:
+def prove_unidentifiable(
+    assumed: Assumptions, pair: CoefficientPair, stone: Stone, factors: Sequence[Floats]
+) -> Proof:
     """The largest effects of difference and sum under uniform load.
 
     Parameters
@@ -151,19 +151,19 @@ def prove_unidentifiable(pair: CoefficientPair, stone: Stone, factors: Sequence[
     units = np.array([1.0, 1.0, stone.rho**2 / stone.R]) / GRAVITY
     bodies = jax.tree.map(lambda value: np.asarray(float(value)), stone)
 
-    def largest(along: Floats) -> tuple[float, ...]:
-        found = _force_derivative(pair.law, pair.values, along, bodies, v, omega)
-        return tuple(
-            float(unit * np.abs(part).max()) for unit, part in zip(units, found, strict=True)
-        )
+    def largest(weights: Floats) -> tuple[float, ...]:
+        along = np.zeros_like(assumed.values)
+        along[assumed.free] = weights / assumed.typical
+        found = _force_derivative(assumed.law, assumed.values, along, bodies, v, omega)
+        return tuple((units * np.abs(found).max(1)).tolist())
 
-    by_difference = largest(pair.first - pair.second)
-    by_sum = largest(pair.first + pair.second)
+    by_difference = largest(pair.difference)
+    by_sum = largest(pair.sum)
     whole = combined(factors)
     singular = np.linalg.svd(whole, compute_uv=False)
     hidden = max(by_difference) < _NO_EFFECT * max(by_sum)
     hidden &= standard_error(whole, pair.difference) is None
-    is_front_back = pair.law.name == "front-back" and set(pair.names) == {"mu1_eta", "mu2_eta"}
+    is_front_back = assumed.law.name == "front-back" and set(pair.names) == {"mu1_eta", "mu2_eta"}
     return Proof(
         states=_STATES,
         by_difference=by_difference,
@@ -176,13 +176,12 @@ def prove_unidentifiable(pair: CoefficientPair, stone: Stone, factors: Sequence[
 
 
 def analyse_separation(
+    assumed: Assumptions,
     pair: CoefficientPair,
     candidates: Sequence[PlannedThrow],
     throws: int,
-    sigma: Mapping[str, float],
     required: float,
-    record: Mapping[str, Any],
-    by_load: dict[str, list[RecordInformation]],
+    known: Mapping[Load, list[Floats]],
     progress: Callable[[str], None],
 ) -> Separation:
     """What it takes to separate two coefficients.
@@ -191,30 +190,23 @@ def analyse_separation(
     ----------
     candidates, throws : candidates, and number of throws.
     required : relative error.
-    record : `until` and `channels` of `record_information`.
-    by_load : information of the candidates under the loads already computed.
+    known : R factors of the candidates under the loads already computed.
     progress : called with the current step.
     """
 
-    def factors(
-        load: Load, candidates: Sequence[PlannedThrow], known: list[RecordInformation] | None = None
-    ) -> list[Floats]:
-        found = (
-            record_information(pair.law, load, pair.values, candidates, **record)
-            if known is None
-            else known
-        )
-        return [coefficient_information(pair.law, one, sigma, pair.free) for one in found]
+    def factors(load: Load, throws: Sequence[PlannedThrow]) -> list[Floats]:
+        records = record_information(assumed, load, throws)
+        return [marginal_factor(assumed, one) for one in records]
 
     stone = candidates[0].stone
     progress("the proof for the uniform load")
     varied = [PlannedThrow(v0, omega0, _PROOF_RATE, stone) for v0, omega0 in _PROOF]
-    proof = prove_unidentifiable(pair, stone, factors("uniform", varied))
-    scenarios, own = [], {}
+    proof = prove_unidentifiable(assumed, pair, stone, factors("uniform", varied))
+    scenarios, own = [], dict(known)
     loads: tuple[Load, ...] = ("uniform", "consistent")
     for load in loads:
         progress(f"the candidates under {load} load")
-        own[load] = factors(load, candidates, by_load.get(load))
+        own[load] = own.get(load) or factors(load, candidates)
         scenarios.append(_load_scenario(pair, load, own[load], throws, required))
     ordinary = min(
         range(len(candidates)),
@@ -224,14 +216,13 @@ def analyse_separation(
             -candidates[index].rate,
         ),
     )
-    scenario = scenarios[-1]
+    best = scenarios[-1].throws
     changes = []
-    for name, factor in _CHANGES if scenario.throws is not None else ():
+    for name, factor in _CHANGES if best is not None else ():
         value = factor * getattr(stone, name)
         progress(f"the stone with {name} = {value:.3g} m")
         other = stone.with_values({name: value})
-        indices = [*(scenario.throws or ()), ordinary]
-        modified = [candidates[index]._replace(stone=other) for index in indices]
+        modified = [candidates[index]._replace(stone=other) for index in (*(best or ()), ordinary)]
         try:
             *found, draw = factors("consistent", modified)
         except InputError:  # no motion

@@ -11,14 +11,15 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
+from curlfit.friction import Load
 from curlfit.inference.fit.systematics import shifts, widths_of
 from curlfit.inference.model import Model
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.inference.parameters import START
 from curlfit.optimal_design.information import (
+    Assumptions,
     PlannedThrow,
     combined,
     marginal_factor,
@@ -37,43 +38,28 @@ SCENARIOS = {
 
 
 def scenarios(
-    model: Model,
-    values: Floats,
+    assumed: Assumptions,
+    load: Load,
     throws: Sequence[PlannedThrow],
-    free: Booleans,
-    sigma: Mapping[str, float],
     quantities: Mapping[str, Mapping[str, float]],
-    record: Mapping[str, Any],
 ) -> tuple[Scenario, ...]:
     """Expected errors of throws as planned, and with equal shares of them thrown otherwise.
 
-    Parameters
-    ----------
-    values : of all coefficients; `free` those that are estimated.
-    sigma : noise by channel.
-    quantities : coefficients and combinations as weights.
-    record : `until` and `channels` of `record_information`.
+    `quantities` are coefficients and combinations as weights.
     """
-    law, load = model.law, model.load
-    items = law.coefficients()
-    typical = np.array([item.typical for item in items])[free]
-    names = [item.name for item, take in zip(items, free, strict=True) if take]
-    rows = {
-        quantity: np.array([weights.get(one, 0.0) for one in names])
-        for quantity, weights in quantities.items()
-    }
-    count, widths = Counter(throws), widths_of(model)
+    typical, n = assumed.typical, len(assumed.free)
+    rows = {name: assumed.weights(weights) for name, weights in quantities.items()}
+    count, widths = Counter(throws), widths_of(Model(assumed.law, load))
     ways = SCENARIOS["both spins and directions"]
     varied = [
         one._replace(omega0=sense * one.omega0, heading=heading)
         for one in count
         for sense, heading in ways
     ]
-    records = record_information(law, load, values, varied, widths=widths, **record)
-    first = records[0].factors.shape[-1] - records[0].shapes - len(widths)
-    conditions = first + np.arange(len(widths))
-    columns = np.concatenate([np.flatnonzero(free), conditions])
-    factors = [marginal_factor(law, one, sigma, columns) for one in records]
+    records = record_information(assumed, load, varied, widths)
+    conditions = len(assumed.values) + len(START) + np.arange(len(widths))
+    columns = np.concatenate([assumed.free, conditions])
+    factors = [marginal_factor(assumed, one, columns) for one in records]
     found = []
     for name, chosen in SCENARIOS.items():
         whole = combined(
@@ -83,19 +69,18 @@ def scenarios(
                 for way in chosen
             ]
         )
-        factor = whole[:, : len(names)]
-        by_condition = shifts(
-            factor / typical,
-            {
-                condition: factor.T @ whole[:, len(names) + row] / typical
-                for row, condition in enumerate(widths)
-            },
-            typical,
-        )
+        factor = whole[:, :n]
+        gradients = {
+            condition: factor.T @ whole[:, n + k] / typical for k, condition in enumerate(widths)
+        }
+        by_condition = shifts(factor / typical, gradients, typical)
         by_quantity = {
-            quantity: {condition: float(row @ shift) for condition, shift in by_condition.items()}
+            quantity: {
+                condition: float(row @ (shift / typical))
+                for condition, shift in by_condition.items()
+            }
             for quantity, row in rows.items()
         }
-        stderr = {quantity: standard_error(factor, row * typical) for quantity, row in rows.items()}
+        stderr = {quantity: standard_error(factor, row) for quantity, row in rows.items()}
         found.append(Scenario(name, stderr, by_quantity))
     return tuple(found)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from cyclopts import Group, Parameter
 
@@ -15,6 +17,7 @@ from curlfit.settings.choices import Choices
 from curlfit.settings.forms import PATH, SWITCH, TEXT, option
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.console import Console
     from rich.progress import Progress, ProgressColumn
 
@@ -76,6 +79,35 @@ class Output(Choices):
 
         return terminal(quiet=self.quiet)
 
+    def finish(
+        self,
+        result: Any,
+        folder: Path,
+        drawn: FigureFiles,
+        figure: str,
+        *,
+        names: Sequence[str] = (),
+        files: Sequence[Path] = (),
+        remarks: Sequence[object] = (),
+        more: str = "",
+    ) -> Saved:
+        """Save a result, draw its figure, print it, and say what was written.
+
+        Parameters
+        ----------
+        figure : the public function that draws it. names : of all figures that it may draw.
+        files : written already. remarks : warnings to be printed beneath the result.
+        more : end of the last line.
+        """
+        written = [folder / f"{result.kind}.json", *files]
+        result.save(written[0])
+        drawn.replace(folder, names or [result.kind], partial(figures_by, figure, result))
+        console = self.console()
+        _public(result._printer)(result, console)
+        for remark in remarks:
+            console.print(f"Warning: {remark}.", style="yellow", markup=False)
+        return self.written(folder, written + drawn.written(), console, more)
+
     def written(
         self, folder: Path, files: Sequence[Path], console: Console, more: str = ""
     ) -> Saved:
@@ -84,6 +116,17 @@ class Output(Choices):
         if not self.report:
             (folder / "report.html").unlink(missing_ok=True)
         return Saved(folder if self.report else None, self.quiet)
+
+
+def figures_by(function: str, *given: Any) -> dict[str, Figure]:
+    """The figures by a public function of a result, by name."""
+    found = _public(function)(*given)
+    kind = "corner" if given[1:] else given[0].kind
+    return found if isinstance(found, dict) else {kind: found}
+
+
+def _public(name: str) -> Any:
+    return getattr(import_module("curlfit"), name.removeprefix("curlfit."))
 
 
 def progress_line(console: Console, *columns: str | ProgressColumn) -> Progress:

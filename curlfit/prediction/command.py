@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Group, Parameter
 
@@ -15,11 +14,6 @@ from curlfit.options.output import COMPILES, Output, Saved, status_line
 from curlfit.options.start import Start
 from curlfit.settings.choices import COUNT, SEED, Choices, Reading
 from curlfit.settings.forms import NUMBER, PATH, SWITCH, TEXT, numbers, option
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from curlfit.prediction.result import Prediction
 
 _CHECK = Group("Comparison with measured rows", sort_key=1)
 
@@ -119,9 +113,8 @@ def predict(
         from curlfit.throws.load import load_throw
 
         throw = load_throw(check, **vars(reading))
-    console = output.console()
     drawn.draw_beside()
-    with status_line(console, f"Simulating the draws {COMPILES}"):
+    with status_line(output.console(), f"Simulating the draws {COMPILES}"):
         from curlfit.prediction.predict import predict as prediction_of
 
         found = prediction_of(
@@ -130,19 +123,7 @@ def predict(
             tee_speed=goal.tee_speed, draws=draws, seed=seed, check=throw,
         )  # fmt: skip
     folder = prepare_folder(output.out or Path(f"{s.name_of(fit)}-predict"))
-    written = [folder / "predict.json", folder / "predict.csv"]
-    found.save(written[0])
-    with atomic_write(written[1]) as temporary:
+    table = folder / "predict.csv"
+    with atomic_write(table) as temporary:
         temporary.write_text(found.table())
-    drawn.replace(folder, ["predict"], partial(_figures, found))
-
-    from curlfit.prediction.report import print_prediction
-
-    print_prediction(found, console)
-    return output.written(folder, written + drawn.written(), console)
-
-
-def _figures(found: Prediction) -> dict[str, Figure]:
-    from curlfit.prediction.figures import prediction_figure
-
-    return {"predict": prediction_figure(found)}
+    return output.finish(found, folder, drawn, "prediction_figure", files=[table])

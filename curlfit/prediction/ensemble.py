@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, cast
 
 import jax
@@ -34,6 +36,7 @@ _ON_LINE = 1e-3  # m; a stone that rests on a line has not passed it
 _AT_START = 0.5  # m; a throw that starts less than this past a line starts on it
 
 
+@dataclass(frozen=True, eq=False)
 class TrajectoryEnsemble:
     """Trajectories to rest on a common grid of times.
 
@@ -41,28 +44,32 @@ class TrajectoryEnsemble:
     ----------
     t : the grid in s since the start, shape (times,).
     state : x, y, phi, vx, vy, omega, shape (paths, 6, times). good : whether a throw comes to rest.
-    rest : time of rest in s, shape (paths,). clock : `t` up to `rest`, then constant, shape
-        (paths, times).
+    rest : time of rest in s, shape (paths,).
     """
 
-    def __init__(self, t: Floats, state: Floats) -> None:
-        self.t, self.state = t, state
+    t: Floats
+    state: Floats
+    good: Booleans
+    rest: Floats
+
+    @classmethod
+    def of(cls, t: Floats, state: Floats) -> TrajectoryEnsemble:
+        """The ensemble of these states."""
         speed = np.hypot(state[:, 3], state[:, 4])
-        turning = np.abs(state[:, 5])
-        self.good = np.isfinite(state).all((1, 2)) & (speed[:, -1] <= 0) & (turning[:, -1] <= 0)
-        self.rest = _rest_times(t, state, speed)
-        self.clock = np.minimum(t, self.rest[:, None])
+        good = np.isfinite(state).all((1, 2)) & (speed[:, -1] <= 0) & (state[:, 5, -1] == 0)
+        return cls(t, state, good, _rest_times(t, state, speed))
+
+    @cached_property
+    def clock(self) -> Floats:
+        """`t` up to `rest`, then constant, shape (paths, times)."""
+        return np.minimum(self.t, self.rest[:, None])
 
     def __len__(self) -> int:
         return len(self.state)
 
     def select(self, which: Any) -> TrajectoryEnsemble:
         """The selected trajectories."""
-        found = object.__new__(TrajectoryEnsemble)
-        found.t, found.state = self.t, self.state[which]
-        for name in ("good", "rest", "clock"):
-            setattr(found, name, getattr(self, name)[which])
-        return found
+        return replace(self, state=self.state[which], good=self.good[which], rest=self.rest[which])
 
     def mean_speeds(self) -> Floats:
         """Mean speed in each interval of the grid, shape (paths, times - 1)."""
@@ -111,8 +118,7 @@ class TrajectoryEnsemble:
         ], 1)  # fmt: skip
         rates = np.stack([speed * np.sin(new_heading), speed * np.cos(new_heading), spin], 1)
         clocks = _running_sum(new_step)
-        new = self.select(slice(None))
-        new.state, new.rest = np.full_like(self.state, np.nan), clocks[:, -1]
+        state = np.full_like(self.state, np.nan)
         for index in np.flatnonzero(np.isfinite(self.state).all((1, 2))):
             clock, position, rate = clocks[index], positions[index], rates[index]
             distinct = np.flatnonzero(np.diff(clock, prepend=-1.0) > 0)
@@ -121,13 +127,12 @@ class TrajectoryEnsemble:
             own, place, slope = clock[distinct], position[:, distinct], rate[:, distinct]
             k = np.clip(np.searchsorted(own, times, side="right"), 1, len(own) - 1)
             step = own[k] - own[k - 1]
-            new.state[index, :3] = _cubic(
+            state[index, :3] = _cubic(
                 place[:, k - 1], place[:, k], slope[:, k - 1] * step, slope[:, k] * step,
                 (times - own[k - 1]) / step,
             )  # fmt: skip
-            new.state[index, 3:] = [np.interp(times, clock, values) * moving for values in rate]
-        new.clock = np.minimum(self.t, new.rest[:, None])
-        return new
+            state[index, 3:] = [np.interp(times, clock, values) * moving for values in rate]
+        return replace(self, state=state, rest=clocks[:, -1])
 
     def interpolate(self, k: NDArray[np.int64], part: Floats) -> tuple[Floats, Floats]:
         """x, y, phi and their rates at a fraction of interval k (from k - 1 to k), by cubics."""
@@ -270,7 +275,7 @@ def simulate_ensemble(
 ) -> TrajectoryEnsemble:
     """The trajectories of parameter vectors, at evenly spaced times from 0."""
     # In batches of one size, so that any number of throws runs the same program.
-    return TrajectoryEnsemble(
+    return TrajectoryEnsemble.of(
         t, in_batches(lambda some: _propagated(model, some, stone, environment, t), (values,))
     )
 

@@ -314,10 +314,8 @@ def _measured_rows(fit: FitResult, throw_start: ThrowStart) -> dict[str, Floats]
     if not all(np.isfinite(measured.get(name, np.nan)).any() for name in ("x", "y")):
         return {}
     rows = thin(np.arange(len(measured["t"])))
-    begin, fitted = (
-        throw_start.values,
-        {item.name: fit.parameters[item.name].value for item in START},
-    )
+    begin = throw_start.values
+    fitted = {item.name: fit.parameters[item.name].value for item in START}
     right, along = (measured[name][rows] - fitted[f"{name}0"] for name in ("x", "y"))
     turn = begin["heading"] - fitted["heading"]  # from +y toward +x
     return {
@@ -389,11 +387,16 @@ def _series(
         ours, both = plain.state[:, row, :n], full.state[:, row, :n]
         found[f"{name}_parameter_sd"] = ours.std(0)
         found[f"{name}_model_sd"] = _rms(both - ours)
-        levels = np.quantile(both, [float(level) / 100 for level in LEVELS], axis=0)
-        for level, values in zip(LEVELS, levels, strict=True):
-            if level != "50":
-                found[f"{name}_{level}"] = values
+        found |= _around(name, both)
     return found
+
+
+def _around(name: str, values: Floats) -> dict[str, Floats]:
+    """Quantiles over the draws, except the median, by name and level."""
+    quantile = np.nanquantile if np.isnan(values).any() else np.quantile  # the faster one
+    levels = quantile(values, [float(level) / 100 for level in LEVELS], axis=0)
+    rows = zip(LEVELS, levels, strict=True)
+    return {f"{name}_{level}": row for level, row in rows if level != "50"}
 
 
 def _sample(full: TrajectoryEnsemble) -> dict[str, Floats]:
@@ -413,9 +416,7 @@ def _band(best: TrajectoryEnsemble, full: TrajectoryEnsemble) -> dict[str, Float
     ends = full.state[:, 1].max(1)
     y = np.linspace(float(best.state[0, 1, 0]), float(np.median(ends)), _BAND_POINTS)
     at = np.array([_across(state, y) for state in full.state])
-    levels = np.nanquantile(at, [float(level) / 100 for level in LEVELS], axis=0)
-    bands = {f"x_{level}": row for level, row in zip(LEVELS, levels, strict=True) if level != "50"}
-    return {"y": y, "x": _across(best.state[0], y)} | bands
+    return {"y": y, "x": _across(best.state[0], y)} | _around("x", at)
 
 
 def _across(state: Floats, y: Floats) -> Floats:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -15,13 +14,6 @@ from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved, status_line
 from curlfit.settings.choices import COUNT, Modelling, Reading
 from curlfit.settings.forms import NAMES, Several, numbers, option
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from curlfit.inference.fit.result import FitResult
-    from curlfit.inference.mcmc.chain import Chain
-    from curlfit.profile_likelihood.result import PairProfile, Profile
 
 _RANGES = Several(numbers(2, "LOW,HIGH"), "pairs of numbers", "LOW,HIGH", commas=False)
 
@@ -82,7 +74,7 @@ def profile(
         raise InputError(f"--range is given {len(ranges)} times; expected one of each --param")
     limits = dict(zip(param, ranges, strict=False))
     saved = data.is_dir() or data.name == "fit.json"
-    make_fit: Callable[[], tuple[FitResult, Chain | None]]
+    request = None
     if saved:
         words = [
             *replace(flags, law=None).words(),
@@ -92,19 +84,11 @@ def profile(
         if words:
             option_of = words[0].partition("=")[0]
             raise InputError(f"{option_of}: a saved fit has its own; give the data to fit again")
-        result, chain = s.load_fit_and_chain(data, flags.law)
-        parameters = result.parameter_set
-        make_fit = lambda: (result, chain)  # noqa: E731
+        fit, chain = s.load_fit_and_chain(data, flags.law)
+        parameters = fit.parameter_set
     else:
         request = s.request_fit(data, config, reading, flags)
         parameters = request.parameters
-
-        def make_fit() -> tuple[FitResult, Chain | None]:
-            from curlfit.inference.least_squares import prepare_minimize_few
-
-            prepare_minimize_few(*request.problem())
-            return request.fit(), None
-
     from curlfit.profile_likelihood.result import require_usable
 
     require_usable(parameters, param, points, limits)
@@ -115,7 +99,11 @@ def profile(
 
     errors = Console(stderr=True, quiet=output.quiet)
     with status_line(errors, f"Fitting {COMPILES}") as say:
-        fit, chain = make_fit()
+        if request is not None:
+            from curlfit.inference.least_squares import prepare_minimize_few
+
+            prepare_minimize_few(*request.problem())
+            fit, chain = request.fit(), None
         require_usable(parameters, param, points, limits, parameters.values_of(fit.values))
         folder = prepare_folder(
             output.out
@@ -134,18 +122,4 @@ def profile(
             ranges=limits,
             progress=lambda done: say(f"Fitting the other parameters again: {done} fits"),
         )
-    written = [folder / "profile.json"]
-    found.save(written[0])
-    drawn.replace(folder, ["profile"], partial(_figures, found))
-
-    from curlfit.profile_likelihood.report import print_profile
-
-    console = output.console()
-    print_profile(found, console)
-    return output.written(folder, written + drawn.written(), console)
-
-
-def _figures(found: Profile | PairProfile) -> dict[str, Figure]:
-    from curlfit.profile_likelihood.figures import profile_figure
-
-    return {"profile": profile_figure(found)}
+    return output.finish(found, folder, drawn, "profile_figure")

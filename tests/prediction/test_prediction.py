@@ -785,13 +785,6 @@ def test_refusals_of_the_command(folder, words, said, monkeypatch):
     assert sorted(folder.rglob("*")) == before
 
 
-def test_a_refusal_is_one_sentence(folder):
-    run = curlfit_("predict", "a-fit", "--target", "0,300", cwd=folder)
-    assert (run.returncode, run.stdout) == (2, "")
-    assert run.stderr.startswith("curlfit: no throw reaches it")
-    assert run.stderr.count("\n") == 1
-
-
 def test_of_correlated_noise_the_parameters_error_is_that_of_its_model():
     random = np.random.default_rng(2)
     throw = thrown(noise=(0.0, 0.0))

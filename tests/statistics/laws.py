@@ -22,9 +22,7 @@ from tables import head, put, row
 
 import curlfit
 from curlfit.comparison.compare import plan
-from curlfit.comparison.criteria import effective_values, log_likelihood, with_criteria
-from curlfit.comparison.criteria import number_of_parameters as parameters
-from curlfit.comparison.result import Candidate
+from curlfit.comparison.criteria import criteria, effective_values, log_likelihood
 from curlfit.inference.fit.fit import fit_throws
 
 TRUE = "coulomb"
@@ -41,8 +39,7 @@ def delta_bic(fits: list[curlfit.FitResult]) -> dict[str, float]:
     effective = effective_values(fits[best])
     found: dict[str, float] = {}
     for fit, likelihood in zip(fits, likelihoods, strict=True):
-        blank = Candidate(fit.law, fit.load, False, False, "", n_parameters=parameters(fit))
-        bic = with_criteria(blank, fit, likelihood, effective).bic
+        bic = criteria(fit, likelihood, effective)["bic"]
         found[fit.law] = min(bic, found.get(fit.law, np.inf))
     return {law: bic - min(found.values()) for law, bic in found.items()}
 
