@@ -159,7 +159,7 @@ def test_clock_times_pass_midnight_and_have_decimal_commas(written):
 
 
 def test_a_cell_that_is_no_clock_time_is_refused_by_name(written):
-    with pytest.raises(DataError, match="line 3, column t: '14:61' found, expected a finite"):
+    with pytest.raises(DataError, match="line 3, column t: '14:61' found, expected a clock time"):
         load_throw(written("t,x,y\n14:03:22,0,0\n14:61,1,1\n"))
 
 

@@ -76,7 +76,7 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
         "notes": tuple(parsed.notes),
         "lines": parsed.lines,
         "conventions": Conventions(
-            {s.column.quantity: s.column.unit for s in parsed.series}, words
+            {s.column.quantity: s.column.factor for s in parsed.series}, words
         ),
     }
 

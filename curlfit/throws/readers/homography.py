@@ -94,13 +94,13 @@ def load_homography(file: Path) -> Homography:
     missing = [name for name in "uvxy" if name not in columns]
     if missing:
         raise table.error(f"no column for {' and '.join(missing)}; {_EXPECTED}")
-    numbers, found = table.numbers(list(columns.values()))
-    values = dict(zip(columns, found * np.array(factors)[:, None], strict=True))
+    found = np.array(table.numbers(list(columns.values()))) * np.array(factors)[:, None]
+    values = dict(zip(columns, found, strict=True))
     stacked = np.stack([values[name] for name in "uvxy"])
     bad = ~np.isfinite(stacked).all(axis=0) | (np.abs(np.nan_to_num(stacked)) > 1e7).any(axis=0)
     if bad.any():
-        line = int(numbers[np.argmax(bad)])
-        raise table.file.error("each point needs four finite numbers u, v, x, y", line - 1)
+        fault = "each point needs four finite numbers u, v, x, y"
+        raise table.file.error(fault, table.rows[np.argmax(bad)])
     return homography(stacked[:2], stacked[2:], file)
 
 
