@@ -469,7 +469,8 @@ def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
         if unit:
             remedy = f"if it is in {unit}: {_option(throw, 'units', f'{name}={unit}')}"
         elif low < -ratio < high:
-            kind, says = "axes", f"spin and angle count in opposite senses: {says}"
+            kind = "axes"
+            says = "spin and angle count in opposite senses: " * (name == "spin") + says
         else:
             refused = False
         yield Finding(kind, says, remedy, refused)

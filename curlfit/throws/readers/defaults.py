@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import tomllib
 from bisect import bisect_left
-from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
@@ -64,11 +63,9 @@ def begun(
     if unknown > _MOST_NOTES:
         notes.append(f"{unknown - _MOST_NOTES} more settings are not known and were ignored")
     try:
-        common = _settings(tuple(bodies))
+        settings = _settings(bodies)
     except (ValueError, RecursionError, InputError):
         _raise_at_fault(file, numbers, bodies)
-    # A copy: the cached settings are shared by all files with the same comments.
-    settings = {k: dict(v) if isinstance(v, dict) else v for k, v in common.items()}
     given = settings.pop("reference", None)
     reference = None if given is None else _reference(file, given)
     return ParsedFile(
@@ -76,8 +73,7 @@ def begun(
     )
 
 
-@lru_cache(64)
-def _settings(bodies: tuple[str, ...]) -> dict[str, Any]:
+def _settings(bodies: list[str]) -> dict[str, Any]:
     """The settings in some lines, each of them valid TOML."""
     text = "\n".join(bodies)
     if any(mark in text for mark in ("[", '"""', "'''")):  # values that may extend over lines
@@ -88,13 +84,13 @@ def _settings(bodies: tuple[str, ...]) -> dict[str, Any]:
     return found
 
 
-def _raise_at_fault(file: TextFile, numbers: list[int], bodies: list[str]) -> None:
+def _raise_at_fault(file: TextFile, numbers: list[int], bodies: list[str]) -> NoReturn:
     """Raise `DataError` with the first line that makes the settings unusable."""
 
     def fault(count: int) -> str:
         """What is wrong with the first lines; more lines mend nothing."""
         try:
-            _settings(tuple(bodies[:count]))
+            _settings(bodies[:count])
         except InputError as error:
             return str(error)
         except (ValueError, RecursionError):
