@@ -113,26 +113,21 @@ _SWEPT = Form(
 @Parameter(name="*", group=Group("Conditions", sort_key=1))
 @dataclass(frozen=True, kw_only=True)
 class Conditions(Choices):
-    """The ice and the air of a simulated throw."""
+    """The ice and the air of a simulated throw.
 
-    slope_x: Annotated[
-        float | None, option(NUMBER, "Downward slope of the ice to the right, m/m.", "V")
-    ] = None
-    slope_y: Annotated[
-        float | None, option(NUMBER, "Downward slope of the ice along the throw, m/m.", "V")
-    ] = None
-    drag: Annotated[
-        float | None, option(NUMBER, "Drag coefficient in still air, about 0.8.", "V")
-    ] = None
-    sweep: Annotated[
-        Any,
-        option(
-            _SWEPT,
-            "The stone is swept from A to B (s); V is the ratio of the friction then to that "
-            "otherwise.",
-            "A:B=V",
-        ),
-    ] = None
+    Attributes
+    ----------
+    slope_x : Downward slope of the ice to the right, m/m.
+    slope_y : Downward slope of the ice along the throw, m/m.
+    drag : Drag coefficient in still air, about 0.8.
+    sweep : The stone is swept from A to B (s); V is the ratio of the friction then to that
+        otherwise.
+    """
+
+    slope_x: Annotated[float | None, option(NUMBER, metavar="V")] = None
+    slope_y: Annotated[float | None, option(NUMBER, metavar="V")] = None
+    drag: Annotated[float | None, option(NUMBER, metavar="V")] = None
+    sweep: Annotated[Any, option(_SWEPT, metavar="A:B=V")] = None
 
     def environment(self) -> dict[str, float]:
         """Those that are given, as fields of `Environment`."""
@@ -146,9 +141,14 @@ class Conditions(Choices):
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Simulated(LawValues):
-    """The model of a simulated throw."""
+    """The model of a simulated throw.
 
-    unbounded: Annotated[bool, option(SWITCH, "Allow negative coefficients.")] = False
+    Attributes
+    ----------
+    unbounded : Allow negative coefficients.
+    """
+
+    unbounded: Annotated[bool, option(SWITCH)] = False
 
 
 def simulate(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -60,6 +60,16 @@ class ParsedFile:
         if row is not None and line is None:
             message = f"row {row}: {message}"
         return DataError(message, file=self.source, line=line, column=header)
+
+    def rows(self, rows: np.ndarray) -> ParsedFile:
+        """Some of its rows; the notes and settings are copies."""
+        return replace(
+            self,
+            series=[series._replace(values=series.values[rows]) for series in self.series],
+            lines=None if self.lines is None else self.lines[rows],
+            notes=list(self.notes),
+            settings=dict(self.settings),
+        )
 
     def add(self, header: str, column: Column, values: Floats) -> None:
         """Add a column of values in its unit; refuses values beyond 1e12 in SI."""

@@ -47,7 +47,7 @@ def contents_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Conte
 
     def parse(index: int) -> ParsedFile:
         name, rows = throws[index]
-        found = _rows(parsed, rows)
+        found = parsed.rows(rows)
         found.notes.append(f"{len(throws)} throws; taken: {index + 1} {name}")
         return found
 
@@ -90,13 +90,3 @@ def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
         f"from row {rows[0] + 1}" if lines is None else f"from line {lines[rows[0]]}": rows
         for rows in pieces
     }
-
-
-def _rows(parsed: ParsedFile, rows: np.ndarray) -> ParsedFile:
-    return replace(
-        parsed,
-        series=[series._replace(values=series.values[rows]) for series in parsed.series],
-        lines=None if parsed.lines is None else parsed.lines[rows],
-        notes=list(parsed.notes),
-        settings=dict(parsed.settings),
-    )

@@ -82,7 +82,13 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         columns, parsed.ignored = _columns(table, objects[index][1], reading)
         columns |= _mark(table, objects, labels, reading.handle, index, columns)
         read_columns(parsed, table, columns, _in_units_of_the_file)
-        _leave_out_blank(parsed, labels[index])
+        # In some frames an object is not marked.
+        own = [s.values for s in parsed.series if not s.column.quantity.endswith("_mark")
+               and s.column.quantity != "t"]  # fmt: skip
+        seen = np.isfinite(own).any(axis=0)
+        if seen.any() and not seen.all():
+            parsed.notes.append(f"{int((~seen).sum())} rows without {labels[index]} left out")
+            parsed = parsed.rows(seen)
         _leave_out_derived(parsed)
         return parsed
 
@@ -109,17 +115,6 @@ def _columns(
     return {indices[k]: column for k, column in columns.items()}, ignored
 
 
-def _leave_out_blank(parsed: ParsedFile, label: str) -> None:
-    """Remove the rows of frames in which an object was not marked."""
-    found = [(s.column.quantity, s.values) for s in parsed.series]
-    own = [v for quantity, v in found if quantity != "t" and not quantity.endswith("_mark")]
-    seen = np.isfinite(own).any(axis=0)
-    if seen.any() and not seen.all() and parsed.lines is not None:
-        parsed.notes.append(f"{int((~seen).sum())} rows without {label} left out")
-        parsed.series = [s._replace(values=s.values[seen]) for s in parsed.series]
-        parsed.lines = parsed.lines[seen]
-
-
 def _mark(
     table: TextTable,
     objects: _Objects,
@@ -141,12 +136,12 @@ def _mark(
     place = choose("object", "--handle", handle, labels, 0)
     if place == stone:
         raise InputError(f"--handle {place + 1} is the stone itself; expected another object")
-    own = {column.quantity: column for column in columns.values()}
+    own = {column.base: column for column in columns.values()}
     found: dict[int, Column] = {}
     for index in objects[place][1]:
         column = parse_header(table.names[index])
-        axis = {"x": "x", "y": "y", "u": "x", "v": "y"}.get("" if column is None else column[0], "")
-        stones = own.get(axis) or own.get({"x": "u", "y": "v"}.get(axis, ""))
+        axis = {"x": "x", "y": "y", "u": "x", "speed": "y"}.get(column.quantity if column else "")
+        stones = own.get(axis or "") or own.get({"x": "u", "y": "v"}.get(axis or "", ""))
         if stones is not None:
             found[index] = stones._replace(quantity=f"{axis}_mark")
     if len(found) != 2:
