@@ -201,7 +201,8 @@ def _paths(file: TextFile, shot: Shot) -> tuple[float, Floats, list[str]]:
         for change in changes:
             if not isinstance(change, dict):
                 raise refuse(f"frame {count}: a change needs team, index and value")
-            side, number = change.get("team"), change.get("index")
+            side: Any = change.get("team")
+            number: Any = change.get("index")
             if isinstance(side, int) and not isinstance(side, bool):
                 side = f"team{side}"
             if (side, number) not in slots:

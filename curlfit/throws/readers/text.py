@@ -65,14 +65,15 @@ def _text_of(path: Path, most_bytes: int, what: str) -> str:
     try:
         with path.open("rb") as stream:
             raw = stream.read(most_bytes + 1)
-    except FileNotFoundError:
-        raise DataError("no such file", file=path) from None
-    except IsADirectoryError:
-        raise DataError("this is a folder, expected a file", file=path) from None
-    except OSError as error:
-        raise DataError(f"cannot be read ({error.strerror})", file=path) from None
     except ValueError:
         raise DataError("this is not a file name", file=quoted(str(path))) from None
+    except OSError as error:
+        faults: dict[type, str] = {
+            FileNotFoundError: "no such file",
+            IsADirectoryError: "this is a folder, expected a file",
+        }
+        fault = faults.get(type(error), f"cannot be read ({error.strerror})")
+        raise DataError(fault, file=path) from None
     if len(raw) > most_bytes:
         raise DataError(f"larger than {most_bytes // 1000} kB; expected {what}", file=path)
     if raw.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
@@ -81,16 +82,14 @@ def _text_of(path: Path, most_bytes: int, what: str) -> str:
             file=path,
         )
     encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    marked = encoding == "utf-16" or raw[:3] == b"\xef\xbb\xbf"
     try:
         text = raw.decode(encoding)
     except UnicodeDecodeError:
+        marked = encoding == "utf-16" or raw[:3] == b"\xef\xbb\xbf"
         text = raw.decode(encoding if marked else "cp1252", errors="replace")
     if "\x00" in text:
         raise DataError(f"this is not a text file; {EXPECTED}", file=path)
-    if "\r" in text:
-        text = text.replace("\r\n", "\n").replace("\r", "\n")
-    return text
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 class TextFile(NamedTuple):

@@ -92,10 +92,7 @@ def _first_line(entries: dict[str, _Entry]) -> int:
 
 def is_table(head: list[str]) -> bool:
     """Whether lines, comments removed, begin with a header of several known quantities."""
-    if not head:
-        return False
-    names = header_cells(head[0], separator_of(head[0]))
-    return sum(_key(name) is not None for name in names) > 1
+    return bool(head) and sum(key is not None for key, _ in _header(head[0])) > 1
 
 
 def _recognizes(head: list[str]) -> bool:

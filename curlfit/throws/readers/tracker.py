@@ -85,7 +85,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         # In some frames an object is not marked.
         own = [s.values for s in parsed.series if not s.column.quantity.endswith("_mark")
                and s.column.quantity != "t"]  # fmt: skip
-        seen = np.isfinite(own).any(axis=0)
+        seen = np.asarray(np.isfinite(own).any(axis=0))
         if seen.any() and not seen.all():
             parsed.notes.append(f"{int((~seen).sum())} rows without {labels[index]} left out")
             parsed = parsed.rows(seen)
