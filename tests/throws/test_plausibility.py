@@ -32,13 +32,8 @@ FOOT = 0.3048
 
 
 @pytest.fixture
-def written(tmp_path):
-    def to_file(columns, head=""):
-        file = tmp_path / "throw.csv"
-        file.write_text(head + table(columns, digits=12))
-        return file
-
-    return to_file
+def written(write):
+    return lambda columns, head="": write(head + table(columns, digits=12))
 
 
 def typed_flag(text, name):

@@ -15,21 +15,15 @@ from curlfit.sheet import LINES
 _TURN = 2 * math.pi
 MAX_SPIN = 2 * _TURN
 """rad/s; a thrown stone makes two to four turns, at about 1 rad/s or 60 degrees/s."""
-WORDS = {
-    "y-along": "y points along the throw (as in curlfit)",
-    "y-back": "y points back at the thrower",
-    "y-right": "y points to the right, seen along the throw",
-    "y-left": "y points to the left",
-    "x-along": "x points along the throw",
-    "x-back": "x points back at the thrower",
-    "x-right": "x points to the right (as in curlfit)",
-    "x-left": "x points to the left",
-    "clockwise": "angle and spin are clockwise, seen from above",
-    "counter-clockwise": "angle and spin are counter-clockwise, seen from above",
-    **{f"from-{line}": f"zero lies at the {line.replace('-', ' ')}" for line in LINES},
-}
-_SYNONYMS = {"counterclockwise": "counter-clockwise", "ccw": "counter-clockwise", "cw": "clockwise"}
-_SYNONYMS |= {"from-center": "from-centre"}
+WORDS = (
+    *(f"{axis}-{way}" for axis in "yx" for way in ("along", "back", "right", "left")),
+    "clockwise", "counter-clockwise", *(f"from-{line}" for line in LINES),
+)  # fmt: skip
+"""Where axes point, seen along the throw; how angles count, seen from above; where zero lies."""
+_SYNONYMS = {
+    "counterclockwise": "counter-clockwise", "ccw": "counter-clockwise", "cw": "clockwise",
+    "from-center": "from-centre",
+}  # fmt: skip
 _TWICE = {
     "x": "x points in two directions", "y": "y points in two directions",
     "from": "two zeros are given", "turn": "angles are both clockwise and counter-clockwise",

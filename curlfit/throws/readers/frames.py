@@ -59,7 +59,12 @@ def _variables(table: Any, parsed: ParsedFile) -> tuple[dict[str, Any], dict[str
     if hasattr(table, "columns") and hasattr(table, "__getitem__"):
         return _of_frame(table, parsed), {}
     if isinstance(table, Mapping):
-        return {str(key): _fill_masked(table[key]) for key in table}, {}
+        # of masked arrays, of any kind, masked entries are gaps
+        filled = {
+            str(key): np.ma.filled(v.astype(float), np.nan) if np.ma.isMaskedArray(v) else v
+            for key, v in table.items()
+        }
+        return {name: np.asarray(values) for name, values in filled.items()}, {}
     raise InputError(
         f"{type(table).__name__}: expected a DataFrame, a Dataset or a mapping of names to arrays"
     )
@@ -132,10 +137,3 @@ def _numbers(values: Any, column: Column, parsed: ParsedFile, header: str) -> np
 
 def _blank(value: Any) -> bool:
     return value is None or type(value).__name__ == "NAType"  # of pandas
-
-
-def _fill_masked(values: Any) -> np.ndarray:
-    """An array with masked entries as NaN."""
-    if isinstance(values, np.ma.MaskedArray):
-        return np.ma.filled(values.astype(float), np.nan)
-    return np.asarray(values)

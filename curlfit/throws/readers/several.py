@@ -60,14 +60,9 @@ def _by_column(words: Mapping[str, Sequence[Any]], n: int) -> tuple[str, dict[st
         if not may_name_throws(header):
             continue
         names = np.array([str(cell).strip() for cell in cells])
-        first = {name: int(k) for name, k in zip(*np.unique(names, return_index=True), strict=True)}
-        first.pop("", None)
-        if not 2 <= len(first) <= n / _FEWEST:
-            continue
-        return header, {
-            f"{header} {name}": np.flatnonzero(names == name)
-            for name in sorted(first, key=lambda name: first[name])
-        }
+        listed = [name for name in dict.fromkeys(names.tolist()) if name]
+        if 2 <= len(listed) <= n / _FEWEST:
+            return header, {f"{header} {name}": np.flatnonzero(names == name) for name in listed}
     return "", {}
 
 
