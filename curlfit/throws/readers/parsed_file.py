@@ -93,11 +93,13 @@ class Contents(NamedTuple):
     labels : their names; one name without meaning where the file has only one.
     parse : reads the one of an index.
     among : indices of those that are throws by themselves; all, if None.
+    note : on the one of several that is taken, with places for their number and its own.
     """
 
     labels: Sequence[str]
     parse: Callable[[int], ParsedFile]
     among: Sequence[int] | None = None
+    note: str = ""
 
 
 class Format(NamedTuple):
@@ -149,7 +151,11 @@ class Format(NamedTuple):
             more = f"; and {count - _MOST_LISTED} more" if count > _MOST_LISTED else ""
             fault = f"{count} {self.what}s; choose one with `{flag} N`: {listed}{more}"
             raise DataError(fault, file=source)
-        return contents.parse(choose(self.what, flag, number, labels, usual or 0))
+        index = choose(self.what, flag, number, labels, usual or 0)
+        parsed = contents.parse(index)
+        if count > 1 and contents.note:
+            parsed.notes.insert(0, contents.note.format(count, index + 1))
+        return parsed
 
 
 _MOST_LISTED = 20

@@ -83,6 +83,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     return Contents(
         [f"line {_first_line(row)}" for row in rows],
         lambda index: _record(file, rows, index),
+        note="{} throws, one in each row; taken: {} (--shot selects another)",
     )
 
 
@@ -187,9 +188,6 @@ def _record(file: TextFile, rows: list[dict[str, _Entry]], index: int) -> Parsed
     several = len(rows) > 1
     parsed = begun(file, "timings", source=f"{file.path} row {index + 1}" if several else None)
     parsed.settings.setdefault("law", _usual_law(rows))
-    if several:
-        taken = f"taken: {index + 1} (--shot selects another)"
-        parsed.notes.insert(0, f"{len(rows)} throws, one in each row; {taken}")
     record = _Record(file, rows[index], _first_line(rows[index]) if several else None)
     parsed.events = record.events()
     record.require_friction(parsed.events)
