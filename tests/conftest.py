@@ -40,6 +40,18 @@ def shipped_laws_only():
         del curlfit.LAWS[name]
 
 
+@pytest.fixture
+def write(tmp_path):
+    """A function that writes a file and returns its path."""
+
+    def to_file(content: str | bytes, name: str = "throw.csv") -> Path:
+        file = tmp_path / name
+        file.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return file
+
+    return to_file
+
+
 LONG = ("test_book", "test_laws", "test_motion", "test_prediction", "test_hard_numerics")
 
 

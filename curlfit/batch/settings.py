@@ -10,9 +10,8 @@ from typing import Annotated, Any
 
 from curlfit.errors import CurlfitError, InputError
 from curlfit.friction import Law, NetLaw, find_law
-from curlfit.inference.conditions import check_systematics
-from curlfit.inference.derived import check_derived
 from curlfit.inference.parameters import ParameterSet
+from curlfit.options.settings import checked_parameters
 from curlfit.settings.choices import SEED, Fitting, Reading
 from curlfit.settings.forms import SWITCH, option
 from curlfit.throws.load import check_reading, format_of
@@ -43,14 +42,10 @@ class BatchSettings(Fitting, Reading):
 
     def checked(self) -> type[Law]:
         """The law. Raises InputError if the settings are impossible for any throw."""
-        law = find_law(self.law)
         check_sigma(self.sigma)
         check_reading(self)
-        check_systematics(self.systematics)
-        parameters = self.parameter_set()
-        parameters.require("--start", self.start)
-        check_derived(self.derive, parameters.names)
-        return law
+        self.parameter_set()
+        return find_law(self.law)
 
     @property
     def fitting(self) -> dict[str, Any]:
@@ -58,9 +53,8 @@ class BatchSettings(Fitting, Reading):
         return {name: getattr(self, name) for name in Fitting.forms()}
 
     def parameter_set(self) -> ParameterSet:
-        """Parameters of each throw's fit."""
-        swept = self.any_swept or self.swept is not None
-        return ParameterSet.build(find_law(self.law), swept=swept, **self.parameters)
+        """Parameters of each throw's fit. Raises InputError for a choice that cannot be used."""
+        return checked_parameters(self, others_swept=self.any_swept)
 
     def sums(self) -> dict[str, tuple[str, ...]]:
         """Free coefficients of which only the sum enters the motion, by the sum as written."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
@@ -25,10 +25,7 @@ from curlfit.settings.forms import (
 )
 
 if TYPE_CHECKING:
-    from curlfit.environment import Environment
     from curlfit.errors import DataError
-    from curlfit.friction import Law
-    from curlfit.stone import Stone
     from curlfit.throws.throw import Throw
 
 
@@ -116,26 +113,21 @@ _SWEPT = Form(
 @Parameter(name="*", group=Group("Conditions", sort_key=1))
 @dataclass(frozen=True, kw_only=True)
 class Conditions(Choices):
-    """The ice and the air of a simulated throw."""
+    """The ice and the air of a simulated throw.
 
-    slope_x: Annotated[
-        float | None, option(NUMBER, "Downward slope of the ice to the right, m/m.", "V")
-    ] = None
-    slope_y: Annotated[
-        float | None, option(NUMBER, "Downward slope of the ice along the throw, m/m.", "V")
-    ] = None
-    drag: Annotated[
-        float | None, option(NUMBER, "Drag coefficient in still air, about 0.8.", "V")
-    ] = None
-    sweep: Annotated[
-        Any,
-        option(
-            _SWEPT,
-            "The stone is swept from A to B (s); V is the ratio of the friction then to that "
-            "otherwise.",
-            "A:B=V",
-        ),
-    ] = None
+    Attributes
+    ----------
+    slope_x : Downward slope of the ice to the right, m/m.
+    slope_y : Downward slope of the ice along the throw, m/m.
+    drag : Drag coefficient in still air, about 0.8.
+    sweep : The stone is swept from A to B (s); V is the ratio of the friction then to that
+        otherwise.
+    """
+
+    slope_x: Annotated[float | None, option(NUMBER, metavar="V")] = None
+    slope_y: Annotated[float | None, option(NUMBER, metavar="V")] = None
+    drag: Annotated[float | None, option(NUMBER, metavar="V")] = None
+    sweep: Annotated[Any, option(_SWEPT, metavar="A:B=V")] = None
 
     def environment(self) -> dict[str, float]:
         """Those that are given, as fields of `Environment`."""
@@ -149,9 +141,14 @@ class Conditions(Choices):
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Simulated(LawValues):
-    """The model of a simulated throw."""
+    """The model of a simulated throw.
 
-    unbounded: Annotated[bool, option(SWITCH, "Allow negative coefficients.")] = False
+    Attributes
+    ----------
+    unbounded : Allow negative coefficients.
+    """
+
+    unbounded: Annotated[bool, option(SWITCH)] = False
 
 
 def simulate(
@@ -211,18 +208,11 @@ def simulate(
         if start.y0 is not None:
             raise InputError("--line and --y0: expected one of them")
         state["y0"] = _line(line)
-    ice = conditions.environment()
     model = _given_model(given) if fit is None else _fitted_model(fit, given)
-    throw = synthetic_throw(
-        model.law,
-        model.stone,
-        load=given.load or model.load,
-        environment=replace(model.environment, **ice) if ice or model.environment != Environment()
-        else None,
-        until=model.duration if until is None else until,
-        dt=dt, noise_xy=noise_xy, noise_phi=noise_phi, seed=seed,
-        **(model.start | state),
-    )  # fmt: skip
+    model |= {"dt": dt, "noise_xy": noise_xy, "noise_phi": noise_phi, "seed": seed} | state
+    environment = replace(model["environment"], **conditions.environment())
+    model["environment"] = None if environment == Environment() else environment
+    throw = synthetic_throw(**model | ({} if until is None else {"until": until}))
     if line is not None:
         throw = throw.with_defaults(axes="from-hack")
     for note in throw.notes:
@@ -241,29 +231,21 @@ def simulate(
     say(f"Written: {out}")
 
 
-class _Model(NamedTuple):
-    """What is simulated unless flags say otherwise."""
-
-    law: Law
-    stone: Stone
-    load: str
-    environment: Environment
-    start: dict[str, float]
-    duration: float
-
-
-def _given_model(given: Simulated) -> _Model:
+def _given_model(given: Simulated) -> dict[str, Any]:
+    """What is simulated unless flags say otherwise, as arguments of `synthetic_throw`."""
     from curlfit.environment import Environment
     from curlfit.stone import Stone
     from curlfit.throws.synthetic import law_with
 
-    law = law_with(given.law or "front-back", given.coefficients, unbounded=given.unbounded)
-    stone = Stone().with_values(dict(given.stone))
-    return _Model(law, stone, "uniform", Environment(), {"v0": 2.0, "omega0": 1.0}, 20.0)
+    return {
+        "law": law_with(given.law or "front-back", given.coefficients, unbounded=given.unbounded),
+        "stone": Stone().with_values(dict(given.stone)), "load": given.load or "uniform",
+        "environment": Environment(), "v0": 2.0, "omega0": 1.0, "until": 20.0,
+    }  # fmt: skip
 
 
-def _fitted_model(folder: Path, given: Simulated) -> _Model:
-    """Law, stone, conditions and initial state of a saved fit, except for what is given."""
+def _fitted_model(folder: Path, given: Simulated) -> dict[str, Any]:
+    """The same of a saved fit, except for what is given."""
     from curlfit.environment import Environment
     from curlfit.errors import UnusableFitError
     from curlfit.friction import find_law
@@ -272,26 +254,25 @@ def _fitted_model(folder: Path, given: Simulated) -> _Model:
     from curlfit.throws.synthetic import law_with
 
     fit, _ = s.load_fit_and_chain(folder)
-    wanted = None if given.law is None else find_law(given.law)
+    law = None if given.law is None else find_law(given.law)
     if not fit.converged:
         raise UnusableFitError(f"{folder}: nothing can be simulated from this fit: {fit.status}")
     system = System.of(fit.model, [float(value) for value in fit.values], fit.stone, Environment())
-    environment, swept = system.environment, fit.data["swept"]
-    begin = fit.data["from"]
+    environment, swept, begin = system.environment, fit.data["swept"], fit.data["from"]
     if swept is not None:
         environment = replace(environment, swept_from=swept[0] - begin, swept_to=swept[1] - begin)
-    if wanted is None or wanted.name == fit.law:
-        own = {name: item.value for name, item in fit.coefficients.items()}
-        law = fit.fitted_law
-        if given.coefficients:
-            law = law_with(fit.law_class, given.coefficients, unbounded=given.unbounded, others=own)
-    else:
-        law = law_with(wanted, given.coefficients, unbounded=given.unbounded)
-    return _Model(
-        law, system.stone.with_values(dict(given.stone)), fit.load, environment,
-        {item.name: fit.parameters[item.name].value for item in START},
-        fit.data["to"] - begin,
-    )  # fmt: skip
+    own: dict[str, float] = {}
+    if law is None or law.name == fit.law:
+        law, own = fit.law_class, {name: one.value for name, one in fit.coefficients.items()}
+    plain = own and not given.coefficients
+    return {
+        "law": fit.fitted_law
+        if plain
+        else law_with(law, given.coefficients, unbounded=given.unbounded, others=own),
+        "stone": system.stone.with_values(dict(given.stone)), "load": given.load or fit.load,
+        "environment": environment, "until": fit.data["to"] - begin,
+        **{one.name: fit.parameters[one.name].value for one in START},
+    }  # fmt: skip
 
 
 def _line(name: str) -> float:

@@ -163,9 +163,10 @@ def prepare_all(
 
 
 def checked_parameters(
-    chosen: Modelling, throw: Throw, *, others_swept: bool = False
+    chosen: Modelling, throw: Throw | None = None, *, others_swept: bool = False
 ) -> ParameterSet:
-    """The parameters of a fit of the rows to be used, before slow modules are loaded.
+    """The parameters of a fit of the rows to be used (of any throw, without one), before slow
+    modules are loaded.
 
     Raises
     ------
@@ -177,7 +178,11 @@ def checked_parameters(
     from curlfit.inference.parameters import ParameterSet
 
     law, swept = find_law(chosen.law), chosen.swept is not None or others_swept
-    parameters = ParameterSet.for_throw(law, throw, swept=swept, **chosen.parameters)
+    parameters = (
+        ParameterSet.build(law, swept=swept, **chosen.parameters)
+        if throw is None
+        else ParameterSet.for_throw(law, throw, swept=swept, **chosen.parameters)
+    )
     parameters.require("--start", chosen.start)
     if isinstance(chosen, Fitting):
         check_systematics(chosen.systematics)

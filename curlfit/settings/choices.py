@@ -7,6 +7,7 @@ default is then that of the data file, or the one that its help states.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cache
@@ -97,7 +98,16 @@ def given(value: Any) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Choices:
-    """Base of the choices of a verb."""
+    """Base of the choices of a verb; the help of a choice is its entry in the class's docstring."""
+
+    def __init_subclass__(cls) -> None:
+        own, hints = cls.__annotations__, get_type_hints(cls, include_extras=True)
+        _, _, entries = cleandoc(cls.__doc__ or "").partition("Attributes\n----------\n")
+        for name, text in re.findall(r"^(\w+) : (.+(?:\n +.+)*)", entries, re.M):
+            if hasattr(hints.get(name), "__metadata__") and name in own:
+                flag = Parameter(help=" ".join(text.split()), name=FLAGS.get(name))
+                flag = Parameter.combine(hints[name].__metadata__[0], flag)
+                own[name] = Annotated[hints[name].__origin__, flag]
 
     @classmethod
     @cache
@@ -176,91 +186,54 @@ class Choices:
 @Parameter(name="*", group=READING)
 @dataclass(frozen=True, kw_only=True)
 class Reading(Choices):
-    """How a file of data is read."""
+    """How a file of data is read.
 
-    format: Annotated[
-        str | None,
-        option(
-            TEXT,
-            "`table`, `tracker` (export of Tracker), `digitalcurling` (log of DigitalCurling 3) or "
-            "`timings` (stopwatch). [default: detected from the file]",
-            "NAME",
-        ),
-    ] = None
-    axes: Annotated[
-        str | None,
-        option(
-            TEXT,
-            "The file's axes, words separated by commas: `x-along`, `x-back`, `x-right`, `x-left` "
-            "and the same for y say where an axis points, seen along the throw; `from-hack`, "
-            "`from-back`, `from-tee`, `from-hog`, `from-centre`, `from-far-hog`, `from-far-tee` "
-            "where its zero lies; `clockwise` or `counter-clockwise` how angles count, seen from "
-            "above (else from +x to +y). [default: x-right,y-along]",
-            "WORDS",
-        ),
-    ] = None
-    units: Annotated[
-        str | None,
-        option(
-            TEXT,
-            "Units in place of those of the header: t, x, y, length, angle, speed, spin.",
-            "t=ms,x=cm,angle=deg",
-        ),
-    ] = None
-    reference: Annotated[
-        str | None,
-        option(
-            FILE,
-            "Positions are in pixels: table of four or more known points u,v (pixels), x,y (m).",
-            "POINTS.csv",
-        ),
-    ] = None
-    stone_index: Annotated[
-        int | None,
-        option(
-            COUNT,
-            "Object of a Tracker export, stone of a shot or throw of a table, from 1. [default: "
-            "the first object; the stone thrown; with `batch`, each]",
-            "N",
-        ),
-    ] = None
-    shot: Annotated[
-        int | None,
-        option(COUNT, "Shot of a log with several, from 1. [with `batch`: each]", "N"),
-    ] = None
-    handle: Annotated[
-        int | None,
-        option(
-            COUNT,
-            "Object of a Tracker export, from 1, that marks the handle or any other point of the "
-            "same stone: its direction from the stone is the angle.",
-            "N",
-        ),
-    ] = None
-    as_given: Annotated[
-        bool,
-        option(SWITCH, "Accept data that are implausible for a curling stone, with a warning."),
-    ] = False
+    Attributes
+    ----------
+    format : `table`, `tracker` (export of Tracker), `digitalcurling` (log of DigitalCurling 3)
+        or `timings` (stopwatch). [default: detected from the file]
+    axes : The file's axes, words separated by commas: `x-along`, `x-back`, `x-right`, `x-left`
+        and the same for y say where an axis points, seen along the throw; `from-hack`,
+        `from-back`, `from-tee`, `from-hog`, `from-centre`, `from-far-hog`, `from-far-tee` where
+        its zero lies; `clockwise` or `counter-clockwise` how angles count, seen from above
+        (else from +x to +y). [default: x-right,y-along]
+    units : Units in place of those of the header: t, x, y, length, angle, speed, spin.
+    reference : Positions are in pixels: table of four or more known points u,v (pixels), x,y
+        (m).
+    stone_index : Object of a Tracker export, stone of a shot or throw of a table, from 1.
+        [default: the first object; the stone thrown; with `batch`, each]
+    shot : Shot of a log with several, from 1. [with `batch`: each]
+    handle : Object of a Tracker export, from 1, that marks the handle or any other point of the
+        same stone: its direction from the stone is the angle.
+    as_given : Accept data that are implausible for a curling stone, with a warning.
+    """
+
+    format: Annotated[str | None, option(TEXT, metavar="NAME")] = None
+    axes: Annotated[str | None, option(TEXT, metavar="WORDS")] = None
+    units: Annotated[str | None, option(TEXT, metavar="t=ms,x=cm,angle=deg")] = None
+    reference: Annotated[str | None, option(FILE, metavar="POINTS.csv")] = None
+    stone_index: Annotated[int | None, option(COUNT, metavar="N")] = None
+    shot: Annotated[int | None, option(COUNT, metavar="N")] = None
+    handle: Annotated[int | None, option(COUNT, metavar="N")] = None
+    as_given: Annotated[bool, option(SWITCH)] = False
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Rows(Choices):
-    """Which rows of a throw are used."""
+    """Which rows of a throw are used.
 
-    since: Annotated[float | None, option(TIME, "Use only rows from this time on, in s.", "S")] = (
-        None
-    )
-    until: Annotated[float | None, option(TIME, "Use only rows up to this time, in s.", "S")] = None
-    exclude: Annotated[
-        Sequence[Sequence[float]],
-        option(
-            PERIODS,
-            "Leave out the rows between the times A and B, in s. The motion continues through "
-            "them under the same friction.",
-            "A:B",
-        ),
-    ] = ()
+    Attributes
+    ----------
+    since : Use only rows from this time on, in s.
+    until : Use only rows up to this time, in s.
+    exclude : Leave out the rows between the times A and B, in s. The motion continues through
+        them under the same friction.
+    """
+
+    since: Annotated[float | None, option(TIME, metavar="S")] = None
+    until: Annotated[float | None, option(TIME, metavar="S")] = None
+    exclude: Annotated[Sequence[Sequence[float]], option(PERIODS, metavar="A:B")] = ()
 
     @property
     def rows(self) -> dict[str, Any]:
@@ -272,80 +245,39 @@ class Rows(Choices):
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Estimation(Rows):
-    """What of a throw is estimated, what is held, and how residuals count."""
+    """What of a throw is estimated, what is held, and how residuals count.
 
-    swept: Annotated[
-        tuple[float, float] | None,
-        option(
-            PERIOD,
-            "The stone was swept between the times A and B, in s; the parameter `sweep` is the "
-            "ratio of the friction during sweeping to that otherwise.",
-            "A:B",
-            name=FLAGS["swept"],
-        ),
-    ] = None
-    fix: Annotated[Named, option(VALUES, "Hold a parameter at a value.", "NAME=V")] = field(
-        default_factory=dict
-    )
-    bounds: Annotated[
-        Named,
-        option(
-            LIMITS, "Bounds of a parameter, in place of the default ones.", "NAME=LO:HI",
-            name=FLAGS["bounds"],
-        ),
-    ] = field(default_factory=dict)  # fmt: skip
-    unbounded: Annotated[bool, option(SWITCH, "Allow negative coefficients.")] = False
-    free: Annotated[
-        Sequence[str],
-        option(
-            NAMES,
-            "Estimate what is otherwise held: `slope_x`, `slope_y` (downward slope of the ice, "
-            "m/m), `drag` (of the air), `R`, `rho`, `h` (of the stone), `length_scale`, "
-            "`time_scale` (ratio of measured to true), or an optional coefficient of the law.",
-            "NAME,...",
-        ),
-    ] = ()
-    priors: Annotated[
-        Named,
-        option(
-            PRIORS,
-            "Prior of a parameter, which is then estimated: `rho=0.1+-0.0025`, "
-            "`mu2_xi=lognormal:0.05,0.3` (median, sigma of the logarithm), `drag=half-normal:0.8`, "
-            "`h=uniform:0.05,0.065`.",
-            "NAME=PRIOR",
-            name=FLAGS["priors"],
-        ),
-    ] = field(default_factory=dict)
-    start: Annotated[
-        Named,
-        option(VALUES, "Initial value; derived from the data if not given.", "NAME=V"),
-    ] = field(default_factory=dict)
-    sigma: Annotated[
-        Named,
-        option(
-            VALUES,
-            "Noise of a channel: x=0.005,y=0.005,phi=0.01 (m, m, rad); estimated if not given.",
-            "NAME=V",
-        ),
-    ] = field(default_factory=dict)
-    loss: Annotated[
-        str,
-        option(
-            LOSS,
-            "`linear` is least squares; `huber`, `soft-l1`, `cauchy`, `student` (4 degrees of "
-            "freedom) are robust to outliers. [default: linear]",
-            "NAME",
-        ),
-    ] = UNSET
-    stone: Annotated[
-        Named,
-        option(
-            VALUES,
-            "The stone: ring radius R, radius of gyration rho, height h of the centre of mass "
-            "(m), mass m (kg).",
-            "R=V,rho=V",
-        ),
-    ] = field(default_factory=dict)
+    Attributes
+    ----------
+    swept : The stone was swept between the times A and B, in s; the parameter `sweep` is the
+        ratio of the friction during sweeping to that otherwise.
+    fix : Hold a parameter at a value.
+    bounds : Bounds of a parameter, in place of the default ones.
+    unbounded : Allow negative coefficients.
+    free : Estimate what is otherwise held: `slope_x`, `slope_y` (downward slope of the ice,
+        m/m), `drag` (of the air), `R`, `rho`, `h` (of the stone), `length_scale`, `time_scale`
+        (ratio of measured to true), or an optional coefficient of the law.
+    priors : Prior of a parameter, which is then estimated: `rho=0.1+-0.0025`,
+        `mu2_xi=lognormal:0.05,0.3` (median, sigma of the logarithm), `drag=half-normal:0.8`,
+        `h=uniform:0.05,0.065`.
+    start : Initial value; derived from the data if not given.
+    sigma : Noise of a channel: x=0.005,y=0.005,phi=0.01 (m, m, rad); estimated if not given.
+    loss : `linear` is least squares; `huber`, `soft-l1`, `cauchy`, `student` (4 degrees of
+        freedom) are robust to outliers. [default: linear]
+    stone : The stone: ring radius R, radius of gyration rho, height h of the centre of mass
+        (m), mass m (kg).
+    """
+
+    swept: Annotated[tuple[float, float] | None, option(PERIOD, metavar="A:B")] = None
+    fix: Annotated[Named, option(VALUES, metavar="NAME=V")] = field(default_factory=dict)
+    bounds: Annotated[Named, option(LIMITS, metavar="NAME=LO:HI")] = field(default_factory=dict)
+    unbounded: Annotated[bool, option(SWITCH)] = False
+    free: Annotated[Sequence[str], option(NAMES, metavar="NAME,...")] = ()
+    priors: Annotated[Named, option(PRIORS, metavar="NAME=PRIOR")] = field(default_factory=dict)
+    start: Annotated[Named, option(VALUES, metavar="NAME=V")] = field(default_factory=dict)
+    sigma: Annotated[Named, option(VALUES, metavar="NAME=V")] = field(default_factory=dict)
+    loss: Annotated[str, option(LOSS, metavar="NAME")] = UNSET
+    stone: Annotated[Named, option(VALUES, metavar="R=V,rho=V")] = field(default_factory=dict)
 
     usual: ClassVar = {"loss": "linear"}
 
@@ -375,25 +307,19 @@ class Estimation(Rows):
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Comparing(Estimation):
-    """The same, under many laws."""
+    """The same, under many laws.
 
-    laws: Annotated[
-        Sequence[Any],
-        option(LAWS, "Laws to compare; FILE.py:CLASS for your own. [default: all]", "A,B,..."),
-    ] = ()
-    load: Annotated[
-        str,
-        option(LOADS, "`uniform`, `consistent` (eq. 8-9) or `both`. [default: uniform]", "NAME"),
-    ] = UNSET
-    noise: Annotated[
-        Sequence[str],
-        option(
-            NOISES,
-            "Noise models, as in `curlfit fit`; with several, every law is fitted under each of "
-            "them, and all fits are ranked together. [default: white]",
-            "A,B,...",
-        ),
-    ] = ()
+    Attributes
+    ----------
+    laws : Laws to compare; FILE.py:CLASS for your own. [default: all]
+    load : `uniform`, `consistent` (eq. 8-9) or `both`. [default: uniform]
+    noise : Noise models, as in `curlfit fit`; with several, every law is fitted under each of
+        them, and all fits are ranked together. [default: white]
+    """
+
+    laws: Annotated[Sequence[Any], option(LAWS, metavar="A,B,...")] = ()
+    load: Annotated[str, option(LOADS, metavar="NAME")] = UNSET
+    noise: Annotated[Sequence[str], option(NOISES, metavar="A,B,...")] = ()
 
     usual: ClassVar = {**Estimation.usual, "load": "uniform", "noise": ("white",)}
 
@@ -401,37 +327,23 @@ class Comparing(Estimation):
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Modelling(Estimation):
-    """The same, under one law."""
+    """The same, under one law.
 
-    law: Annotated[
-        Any,
-        option(
-            LAW,
-            "Friction law; `curlfit laws` lists them; FILE.py:CLASS for one of your own. [default: "
-            "front-back; for stopwatch times what they determine]",
-            "NAME",
-        ),
-    ] = None
-    load: Annotated[
-        Literal["uniform", "consistent"],
-        option(
-            LOAD,
-            "Distribution of the load on the ring: `uniform`, or `consistent` with the friction "
-            "(eq. 8-9). [default: uniform]",
-            "NAME",
-        ),
-    ] = UNSET
-    noise: Annotated[
-        str,
-        option(
-            NOISE,
-            "Correlation of the noise from row to row: `white` has none; `ar1` has independent and "
-            "exponentially correlated noise, as from a filter or a swaying camera; `discrepancy` "
-            "also accelerations that an inexact law lacks, as functions of speed. Estimated from "
-            "the residuals. [default: white]",
-            "white|ar1|discrepancy",
-        ),
-    ] = UNSET
+    Attributes
+    ----------
+    law : Friction law; `curlfit laws` lists them; FILE.py:CLASS for one of your own. [default:
+        front-back; for stopwatch times what they determine]
+    load : Distribution of the load on the ring: `uniform`, or `consistent` with the friction
+        (eq. 8-9). [default: uniform]
+    noise : Correlation of the noise from row to row: `white` has none; `ar1` has independent
+        and exponentially correlated noise, as from a filter or a swaying camera; `discrepancy`
+        also accelerations that an inexact law lacks, as functions of speed. Estimated from the
+        residuals. [default: white]
+    """
+
+    law: Annotated[Any, option(LAW, metavar="NAME")] = None
+    load: Annotated[Literal["uniform", "consistent"], option(LOAD, metavar="NAME")] = UNSET
+    noise: Annotated[str, option(NOISE, metavar="white|ar1|discrepancy")] = UNSET
 
     usual: ClassVar = {**Estimation.usual, "law": "front-back", "load": "uniform", "noise": "white"}
 
@@ -439,27 +351,18 @@ class Modelling(Estimation):
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Fitting(Modelling):
-    """The same, with systematic errors and derived quantities."""
+    """The same, with systematic errors and derived quantities.
 
-    systematics: Annotated[
-        Named,
-        option(
-            VALUES,
-            "Standard uncertainty of a condition that is held fixed, for the systematic errors: "
-            "`slope_x=2e-4`; 0 if it is known exactly, `all=0` for no systematic errors, "
-            "`calibration=0` for none of the map from pixels to metres. "
-            "`curlfit laws --conditions` lists the defaults.",
-            "NAME=V",
-            name=FLAGS["systematics"],
-        ),
-    ] = field(default_factory=dict)
-    derive: Annotated[
-        Sequence[str],
-        option(
-            TEXTS,
-            "A quantity derived from the parameters, with its errors: `mu2_xi - mu1_xi`, "
-            "`R*omega0/v0`, `sqrt(mu1_eta + mu2_eta)`; arithmetic of parameters, of R, rho, h, m, "
-            "g, pi, and sqrt, exp, log, sin, cos, tan, atan, abs, hypot, min, max.",
-            "EXPRESSION",
-        ),
-    ] = ()
+    Attributes
+    ----------
+    systematics : Standard uncertainty of a condition that is held fixed, for the systematic
+        errors: `slope_x=2e-4`; 0 if it is known exactly, `all=0` for no systematic errors,
+        `calibration=0` for none of the map from pixels to metres. `curlfit laws --conditions`
+        lists the defaults.
+    derive : A quantity derived from the parameters, with its errors: `mu2_xi - mu1_xi`,
+        `R*omega0/v0`, `sqrt(mu1_eta + mu2_eta)`; arithmetic of parameters, of R, rho, h, m, g,
+        pi, and sqrt, exp, log, sin, cos, tan, atan, abs, hypot, min, max.
+    """
+
+    systematics: Annotated[Named, option(VALUES, metavar="NAME=V")] = field(default_factory=dict)
+    derive: Annotated[Sequence[str], option(TEXTS, metavar="EXPRESSION")] = ()

@@ -251,7 +251,7 @@ PRIORS = Table(
 TEXTS = Several(TEXT, "a list of strings", "a text", commas=False)
 
 
-def option(form: Form, help: str, metavar: str = "", **others: Any) -> Parameter:
+def option(form: Form, help: str | None = None, metavar: str = "", **others: Any) -> Parameter:
     """A flag whose value is of a form; `others` as for `cyclopts.Parameter`."""
     if form is SWITCH:
         return Parameter(help=help, **others)

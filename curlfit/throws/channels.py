@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from curlfit.numerics.arrays import Floats
 
@@ -31,6 +32,15 @@ def _median(values: Floats) -> Any:
     """Median along the last axis; several times faster than NumPy's for a few hundred values."""
     ordered, n = np.sort(values, -1), values.shape[-1]
     return (ordered[..., (n - 1) // 2] + ordered[..., n // 2]) / 2
+
+
+def block_means(values: Floats, starts: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Means over blocks of rows, which begin at `starts`, of the values that are measured (NaN
+    where none is), and the number of these."""
+    finite = np.isfinite(values)
+    count = np.add.reduceat(finite.astype(float), starts)
+    total = np.add.reduceat(np.where(finite, values, 0.0), starts)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan), count
 
 
 def last_motion(t: Floats, x: Floats, y: Floats) -> float:

@@ -29,7 +29,7 @@ _X, _Y = [*range(MOST_LINES, 2 * MOST_LINES), 3 * MOST_LINES + 1], [3 * MOST_LIN
 _FARTHEST = 200.0  # m; largest distance to rest in the search for a first motion
 _ROWS = 200  # number of times of a throw without a path
 _LONGER = 1.25  # ratio of the last of these times to the expected time to rest
-_TYPICAL_TIME = 25.0  # s to rest, if no time was measured
+_TYPICAL_TIME, _TYPICAL_LENGTH = 25.0, 28.0  # s and m to rest, where neither was measured
 
 
 @dataclass(frozen=True)
@@ -58,24 +58,17 @@ class Event:
     since: float | None = None
 
     def __post_init__(self) -> None:
-        if self.quantity not in QUANTITIES:
-            raise InputError(
-                f"event {self.name}: {quoted(self.quantity)} found, expected one of "
-                + ", ".join(QUANTITIES)
-            )
-        if self.quantity == "y" and self.since is not None:
-            raise InputError(f"event {self.name}: `since` is given, expected none: y is measured "
-                             "from the hack")  # fmt: skip
-        if self.quantity == "y" and self.at is not None:
-            raise InputError(
-                f"event {self.name}: `at` is given, expected none: y is measured at rest"
-            )
-        if not math.isfinite(self.value):
-            raise InputError(f"event {self.name}: {self.value} found, expected a finite number")
-        if not (math.isfinite(self.sigma) and self.sigma > 0):
-            raise InputError(
-                f"event {self.name}: sigma = {self.sigma:g}, expected a positive number"
-            )
+        q, sigma = self.quantity, self.sigma
+        for sound, fault in (
+            (q in QUANTITIES, f"{quoted(q)} found, expected one of {', '.join(QUANTITIES)}"),
+            (q != "y" or self.since is None,
+             "`since` is given, expected none: y is measured from the hack"),
+            (q != "y" or self.at is None, "`at` is given, expected none: y is measured at rest"),
+            (math.isfinite(self.value), f"{self.value} found, expected a finite number"),
+            (0 < sigma < math.inf, f"sigma = {sigma:g}, expected a positive number"),
+        ):  # fmt: skip
+            if not sound:
+                raise InputError(f"event {self.name}: {fault}")
 
     @property
     def unit(self) -> str:
@@ -112,6 +105,11 @@ class EventArrays(NamedTuple):
         return np.stack([self.weights[..., where].sum(-1) for where in (_X, _Y)], -1)
 
 
+def lines_of(events: Sequence[Event]) -> list[float]:
+    """y of the lines that events refer to, m, ascending."""
+    return sorted({y for event in events for y in (event.at, event.since) if y is not None})
+
+
 def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
     """The events as padded arrays, with y relative to `y0`.
 
@@ -119,7 +117,7 @@ def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
     ------
     InputError : too many events or lines.
     """
-    lines = sorted({y for event in events for y in (event.at, event.since) if y is not None})
+    lines = lines_of(events)
     if len(events) > MOST_EVENTS or len(lines) > MOST_LINES:
         raise InputError(
             f"{len(events)} events at {len(lines)} lines; expected at most {MOST_EVENTS} at "
@@ -148,16 +146,17 @@ def along_path(
     """
     late = int(np.argmax(speed < speed[0] / 10)) or len(t) - 1
     rest = t[late] + 2 * math.hypot(x[-1] - x[late], y[-1] - y[late]) / max(speed[late], 1e-9)
-    at_rest = {"time": rest, "x": float(x[-1]), "y": float(y[-1]), "phi": float(phi[-1])}
+    series = {"time": np.append(t[:-1], rest), "x": x, "y": y, "phi": phi}
 
-    def at(line: float, quantity: str) -> float:
+    def at(line: float | None, quantity: str) -> float:
+        if line is None:
+            return float(series[quantity][-1])
         time = float(np.interp(line, y, t))
-        series = {"time": t, "x": x, "y": y, "phi": phi}[quantity]
-        return float(np.interp(time, t, series))
+        return time if quantity == "time" else float(np.interp(time, t, series[quantity]))
 
     return np.array(
         [
-            (at_rest[event.quantity] if event.at is None else at(event.at, event.quantity))
+            at(event.at, event.quantity)
             - (0.0 if event.since is None else at(event.since, event.quantity))
             for event in events
         ]
@@ -189,7 +188,7 @@ def even_motion(events: Sequence[Event], assumed: Mapping[str, float]) -> EvenMo
     T (1 - sqrt(1 - d/s)): all times are proportional to T, which is found in closed form for each s
     of a fine grid.
     """
-    lines = [y for event in events for y in (event.at, event.since) if y is not None]
+    lines = lines_of(events)
     y0 = min(lines, default=assumed.get("y0", 0.0))
     s = np.geomspace(max(max(lines, default=y0) - y0, 0.1) * 1.001, _FARTHEST, 2000)
 
@@ -197,24 +196,19 @@ def even_motion(events: Sequence[Event], assumed: Mapping[str, float]) -> EvenMo
         """Time of crossing over T, for each s."""
         return np.ones_like(s) if y is None else 1 - np.sqrt(1 - (y - y0) / s)
 
+    rest = [event for event in events if event.quantity == "y"]
+    total = sum((((y0 + s - e.value) / e.sigma) ** 2 for e in rest), np.zeros_like(s))
     times = [event for event in events if event.quantity == "time"]
-    chi_squared = sum(
-        (((y0 + s) - event.value) / event.sigma) ** 2 for event in events if event.quantity == "y"
-    )
-    if not times:
-        best = int(np.argmin(chi_squared)) if np.ndim(chi_squared) else int(np.argmin(abs(s - 28)))
-        return EvenMotion(y0, float(s[best]), _TYPICAL_TIME)
-    shares = np.stack(
-        [
-            crossing(event.at) - (0.0 if event.since is None else crossing(event.since))
-            for event in times
-        ]
-    )
-    value, sigma = (
-        np.array([[getattr(event, key)] for event in times]) for key in ("value", "sigma")
-    )
-    t = np.maximum((shares * value / sigma**2).sum(0) / (shares**2 / sigma**2).sum(0), 1e-3)
-    total = chi_squared + (((t * shares - value) / sigma) ** 2).sum(0)
+    t = np.full_like(s, _TYPICAL_TIME)
+    if times:
+        shares = np.stack(
+            [crossing(e.at) - (0.0 if e.since is None else crossing(e.since)) for e in times]
+        )
+        value, sigma = (np.array([[getattr(e, key)] for e in times]) for key in ("value", "sigma"))
+        t = np.maximum((shares * value / sigma**2).sum(0) / (shares**2 / sigma**2).sum(0), 1e-3)
+        total = total + (((t * shares - value) / sigma) ** 2).sum(0)
+    elif not rest:
+        total = abs(s - _TYPICAL_LENGTH)
     best = int(np.argmin(total))
     return EvenMotion(y0, float(s[best]), float(t[best]))
 

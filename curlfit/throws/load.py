@@ -106,14 +106,14 @@ def parts_of(file: str | PathLike[str], reading: Reading) -> list[Part]:
         among = range(len(contents.labels)) if contents.among is None else contents.among
         parses = [(k + 1, partial(contents.parse, k)) for k in among]
     own: dict[str, int | None] = {"shot": reading.shot, "stone_index": reading.stone_index}
-    return [Part(**own | {key: k}, throw=_throw_or_error(parse, reading)) for k, parse in parses]
-
-
-def _throw_or_error(parse: Callable[[], ParsedFile], reading: Reading) -> Throw | CurlfitError:
-    try:
-        return throw_of(parse(), reading)
-    except CurlfitError as error:
-        return error
+    parts = []
+    for k, parse in parses:
+        try:
+            throw: Throw | CurlfitError = throw_of(parse(), reading)
+        except CurlfitError as error:
+            throw = error
+        parts.append(Part(**own | {key: k}, throw=throw))
+    return parts
 
 
 def throw_of(parsed: ParsedFile, reading: Reading) -> Throw:

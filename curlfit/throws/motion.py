@@ -56,31 +56,41 @@ class MeasuredMotion(NamedTuple):
         return float(self.speed.max())
 
 
+def path_of(throw: Throw) -> tuple[Floats, Floats]:
+    """Times and positions, shape (n,) and (2, n), of the rows that have both x and y."""
+    complete = np.isfinite(throw.x) & np.isfinite(throw.y)
+    return throw.t[complete], np.stack([throw.x, throw.y])[:, complete]
+
+
 def motion_of(throw: Throw) -> MeasuredMotion | None:
     """The motion of a throw; None if there are too few positions and speeds."""
-    complete = np.isfinite(throw.x) & np.isfinite(throw.y)
-    if complete.sum() >= FEWEST:
-        return _motion(throw.t[complete], np.stack([throw.x, throw.y])[:, complete])
-    known = np.isfinite(throw.speed)
-    if known.sum() >= FEWEST:
-        return _motion_of_speeds(throw.t[known], throw.speed[known])
-    return None
-
-
-def _motion(t: Floats, positions: Floats) -> MeasuredMotion:
-    t, positions = _without_outliers(t, positions)
-    begin, end, middle, slope, error = _block_slopes(t, positions)
-    speed = np.hypot(*slope)
-    if len(speed) >= 8:  # noise correlated from row to row shows up from block to block
-        rough = np.abs(speed[2:] - 2 * speed[1:-1] + speed[:-2])
-        error = np.maximum(error, float(np.median(rough)) / (0.6745 * math.sqrt(6)))
-    friction, friction_error = _friction(middle, speed, error)
-    curl, curl_error, direction = _curl(t, positions)
-    length = float(np.hypot(*np.ptp(positions, axis=1)))
+    t, positions = path_of(throw)
+    if len(t) >= FEWEST:
+        t, positions = _without_outliers(t, positions)
+        begin, end, middle, velocity, error = _block_slopes(t, positions)
+        speed = np.hypot(*velocity)
+        if len(speed) >= 8:  # noise correlated from row to row shows up from block to block
+            rough = np.abs(speed[2:] - 2 * speed[1:-1] + speed[:-2])
+            error = np.maximum(error, float(np.median(rough)) / (0.6745 * math.sqrt(6)))
+        length = float(np.hypot(*np.ptp(positions, axis=1)))
+        curl, curl_error, direction = _curl(t, positions)
+    else:
+        known = np.isfinite(throw.speed)
+        if known.sum() < FEWEST:
+            return None
+        t, measured = throw.t[known], throw.speed[known]
+        rows = np.array_split(np.arange(len(t)), min(_BLOCKS, len(t) // 3))
+        begin, end = (t[[block[k] for block in rows]] for k in (0, -1))
+        middle = (begin + end) / 2
+        speed = np.array([np.median(measured[block]) for block in rows])
+        velocity = np.full((2, len(rows)), np.nan)
+        error = scatter(measured) / np.sqrt([len(block) for block in rows])
+        length = float(np.trapezoid(measured, t))
+        curl, curl_error, direction = 0.0, math.inf, (math.nan, math.nan)
+    friction = _friction(middle, speed, error)
     return MeasuredMotion(
-        middle, begin, end, speed, error, slope, length, friction, friction_error, curl,
-        curl_error, direction,
-    )  # fmt: skip
+        middle, begin, end, speed, error, velocity, length, *friction, curl, curl_error, direction
+    )
 
 
 def _without_outliers(t: Floats, positions: Floats) -> tuple[Floats, Floats]:
@@ -91,22 +101,6 @@ def _without_outliers(t: Floats, positions: Floats) -> tuple[Floats, Floats]:
     near = np.ones(len(t), bool)
     near[2:-2] = (np.abs(positions[:, 2:-2] - five[..., 2]) < limit).all(0)
     return (t, positions) if near.all() else (t[near], positions[:, near])
-
-
-def _motion_of_speeds(t: Floats, speed: Floats) -> MeasuredMotion:
-    groups = np.array_split(np.arange(len(t)), min(_BLOCKS, len(t) // 3))
-    begin, end = (np.array([t[group[k]] for group in groups]) for k in (0, -1))
-    mean = np.array([float(np.median(speed[group])) for group in groups])
-    noise = float(scatter(speed))
-    error = np.array([noise / math.sqrt(len(group)) for group in groups])
-    middle = (begin + end) / 2
-    friction, friction_error = _friction(middle, mean, error)
-    length = float(np.sum(np.diff(t) * (speed[1:] + speed[:-1]) / 2))
-    nothing = np.full((2, len(groups)), np.nan)
-    return MeasuredMotion(
-        middle, begin, end, mean, error, nothing, length, friction, friction_error, 0.0, math.inf,
-        (math.nan, math.nan),
-    )  # fmt: skip
 
 
 def _block_slopes(t: Floats, values: Floats) -> tuple[Floats, ...]:
@@ -176,20 +170,22 @@ def _curl(t: Floats, positions: Floats) -> tuple[float, float, tuple[float, floa
     )
 
 
-def turning(throw: Throw) -> tuple[float | None, float | None]:
-    """Angle turned in rad and mean rate in rad/s over all rows, in motion or at rest."""
-    seen = np.isfinite(throw.phi)
-    if seen.sum() >= 4:
-        t, phi = throw.t[seen], throw.phi[seen]
-        few = max(1, min(len(t) // 10, 5))
-        turned = float(np.median(phi[-few:]) - np.median(phi[:few]))
+def turning(throw: Throw) -> tuple[float, float]:
+    """Angle turned in rad and mean rate in rad/s over all rows, in motion or at rest; NaN if there
+    are too few angles and spins."""
+    for name in ("phi", "omega"):
+        values = getattr(throw, name)
+        seen = np.isfinite(values)
+        if seen.sum() < 4:
+            continue
+        t, values = throw.t[seen], values[seen]
+        if name == "phi":
+            few = max(1, min(len(t) // 10, 5))
+            turned = float(np.median(values[-few:]) - np.median(values[:few]))
+        else:
+            turned = float(np.trapezoid(values, t))
         return turned, turned / float(t[-1] - t[0])
-    seen = np.isfinite(throw.omega)
-    if seen.sum() >= 4:
-        t, omega = throw.t[seen], throw.omega[seen]
-        turned = float(np.sum(np.diff(t) * (omega[1:] + omega[:-1]) / 2))
-        return turned, turned / float(t[-1] - t[0])
-    return None, None
+    return math.nan, math.nan
 
 
 def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] | None:
@@ -202,10 +198,9 @@ def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] |
     velocity = motion.velocity
     if not np.hypot(*(velocity[:, 2:] - velocity[:, :-2])).max(initial=0.0) > _JUMP:
         return None
-    complete = np.isfinite(throw.x) & np.isfinite(throw.y)
-    if complete.sum() < 20:
+    t, positions = path_of(throw)
+    if len(t) < 20:
         return None
-    t, positions = throw.t[complete], np.stack([throw.x, throw.y])[:, complete]
     noise = float(np.hypot(*scatter(positions)))
     dt = float(np.median(np.diff(t)))
     # as many rows m as make the error of a slope about 0.03 m/s: its variance is 12 s^2/(m^3 dt^2)
@@ -235,16 +230,3 @@ def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] |
     if not len(size) or not size[best] > _JUMP:
         return None
     return float(t[best + rows]), float(np.hypot(*change[:, best]))
-
-
-def extent(throw: Throw) -> tuple[float, float] | None:
-    """Length of a path in m and time in s to 98 % of it; None if there are too few rows."""
-    complete = np.isfinite(throw.x) & np.isfinite(throw.y)
-    if complete.sum() < 4:
-        return None
-    t, x, y = throw.t[complete], throw.x[complete], throw.y[complete]
-    off = np.hypot(x - x[-1], y - y[-1])
-    if not off[0] > 0:
-        return None
-    there = int(np.argmax(off < 0.02 * off[0]))
-    return float(off[0]), float(t[there] - t[0])

@@ -2,16 +2,16 @@
 
 What is impossible (a stone that speeds up, a path longer than the sheet, friction a million times
 too small) is refused before a fit and makes it unusable after it; what is merely unusual gives a
-warning. Data that are implausible but correct are accepted with `as_given`. `_STAGES` has
-the checks of the data, each with its sentence and remedy. Limits without a source are judgement.
+warning. Data that are implausible but correct are accepted with `as_given`. `_STAGES` lists the
+checks of the data. Limits without a source are judgement.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,13 +23,13 @@ from curlfit.throws.motion import (
     FEWEST,
     SURE,
     MeasuredMotion,
-    extent,
     motion_of,
+    path_of,
     turning,
     velocity_jump,
 )
 from curlfit.throws.readers.axes import MAX_SPIN, AmbiguousTurnError, corrected, unwrap
-from curlfit.throws.readers.columns import units_of
+from curlfit.throws.readers.columns import in_unit
 from curlfit.throws.throw import Conventions, Throw
 
 FRICTION = (0.002, 0.1)
@@ -42,10 +42,15 @@ _USUAL_SPEED = 4.5  # m/s; the same with a margin for the slowing down before th
 _LENGTH = 1.05 * LENGTH  # 5 % for an error in scale
 _USUAL_CURL = 4.0  # m; ordinary throws curl 0.5 to 2 m
 _MOST_TURNS = 10.0  # a thrown stone makes two to four
-_GROWTH = 0.1, 0.05  # largest growth of a speed: m/s, and relative to the highest speed
+_GROWTH = 0.1  # m/s; largest growth of a speed, that of friction 0.01 in 1 s
 _CLEAR_CURL, _CLEAR_TURN = 0.2, 0.5  # m, rad; above these their senses are compared
 _AGREE = 0.8, 1.25  # ratio of a measured rate to that of the path: calibration is within 20 %
 _MOST_ROWS = 1500  # for speed; more are condensed
+_UNITS = {
+    "t": ("s", "ms", "us", "min", "30fps"), "phi": ("rad", "deg", "mrad"),
+    "omega": ("rad/s", "deg/s", "rpm"), "speed": ("m/s", "km/h", "ft/s", "mph", "cm/s", "mm/s"),
+    "x": ("m", "cm", "mm", "ft", "in"),
+}  # fmt: skip
 _NAMES = {
     "ms": "milliseconds", "us": "microseconds", "min": "minutes", "cm": "centimetres",
     "mm": "millimetres", "ft": "feet", "in": "inches", "s": "seconds", "m": "metres",
@@ -73,46 +78,24 @@ class Finding:
         return f"{self.says}; {self.remedy}" if self.remedy else self.says
 
 
-class _Check(NamedTuple):
-    """What is examined, and what is said of it.
-
-    Attributes
-    ----------
-    kind : as of `Finding`. values : finds what the sentences need; None if nothing is implausible.
-    says, remedy : sentences with places for these values.
-    refused : as of `Finding`. Values named `kind` and `refused` take precedence.
-    """
-
-    kind: str
-    values: Callable[[Throw, Any], Mapping[str, Any] | None]
-    says: str
-    remedy: str
-    refused: bool = True
-
-    def finding(self, throw: Throw, motion: MeasuredMotion | None) -> Iterator[Finding]:
-        """The finding, if there is one."""
-        found = self.values(throw, motion)
-        if found is not None:
-            says, remedy = (text.format(**found) for text in (self.says, self.remedy))
-            refused = bool(found.get("refused", self.refused))
-            yield Finding(str(found.get("kind", self.kind)), says, remedy, refused)
-
-
 def examine(throw: Throw) -> tuple[Finding, ...]:
     """Implausible features of a throw before it is fitted, the most serious first.
 
     Consequences of a fault are not examined: a stone that was hit may have any curl, and in wrong
     units any stone seems to have been hit.
     """
-    one = throw if len(throw) <= _MOST_ROWS else throw.condensed(_MOST_ROWS)
+    one = throw.condensed(_MOST_ROWS)
     motion = motion_of(one)
-    found = [item for check in _OF_ROWS for item in check.finding(one, motion)]
-    for stage in (_OF_FEW,) if motion is None else _STAGES:
-        here = [item for check in stage for item in check.finding(one, motion)]
-        found += here
-        if any(item.refused for item in here):
-            break
-    return tuple(sorted(found, key=lambda item: not item.refused))
+    found = [*_wrapped(one), *_turns(one)]
+    if motion is None:
+        found += _scale_of_few(one)
+    else:
+        for stage in _STAGES:
+            here = [finding for check in stage for finding in check(one, motion)]
+            found += here
+            if any(finding.refused for finding in here):
+                break
+    return tuple(sorted(found, key=lambda finding: not finding.refused))
 
 
 def require_plausible(throw: Throw) -> tuple[Finding, ...]:
@@ -126,10 +109,14 @@ def require_plausible(throw: Throw) -> tuple[Finding, ...]:
     throw.require_motion()
     found = examine(throw)
     if throw.defaults.get("as_given"):
-        return tuple(replace(item, refused=False) for item in found)
-    refused = [str(item) for item in found if item.refused]
+        return tuple(replace(finding, refused=False) for finding in found)
+    refused = [str(finding) for finding in found if finding.refused]
     if refused:
-        right = _option(throw, "as-given", None)
+        right = (
+            '`Throw.from_arrays(..., defaults={"as_given": True})`'
+            if throw.conventions is None
+            else "`--as-given`"
+        )
         raise InputError(
             f"{throw.name}: {'. '.join(refused)}. To accept the data as they are: {right}"
         )
@@ -148,20 +135,19 @@ def examine_fit(
     start_speed, start_error : fitted initial speed and its standard error, m/s.
     """
     said: list[tuple[str, str]] = []
-    remedy = f"if units are wrong, set them as in {_units_words(throw, 't=ms', 'length=cm')}"
+    remedy = f"if units are wrong, set them as in {_some_units(throw)}"
     if not set(throw.seen) & {"x", "y", "speed"} and not throw.events:
         remedy = "angles alone hardly determine the speed; measure it as well, or fix v0"
-    sure = 3 * (start_error or 0.0)
-    if start_speed - sure > SPEED:
+    error = start_error or 0.0
+    if start_speed - 3 * error > SPEED:
         speeds = f"the fitted initial speed of {start_speed:.3g} m/s is more than anyone throws "
         said.append(("fitted speed", f"{speeds}(about 4 m/s)"))
     moving = speed > 1e-3
     if moving.sum() > 2:
         t, speed = t[moving], speed[moving]
         slowing = GRAVITY * float(t[-1] - t[0])
-        mean = (float(speed[0]) - float(speed[-1])) / slowing
+        mean, error = (float(speed[0]) - float(speed[-1])) / slowing, error / slowing
         motion = motion_of(throw)
-        error = sure / (3 * slowing)
         if motion is not None and math.isfinite(motion.friction_error):
             error = motion.friction_error
         low, high = FRICTION
@@ -174,83 +160,157 @@ def examine_fit(
     return tuple(Finding(kind, says, remedy, refused) for kind, says in said)
 
 
+# Remedies
+
+
 def _option(throw: Throw, name: str, value: Any) -> str:
     """An option as written on the command line, or in Python for a throw from arrays."""
-    if value == "":
-        return f"leave out `{name}`" if throw.conventions is None else f"leave out `--{name}`"
     if throw.conventions is not None:
-        return f"`--{name}`" if value is None else f"`--{name} {value}`"
-    if value is None:
-        return f'`Throw.from_arrays(..., defaults={{"{name.replace("-", "_")}": True}})`'
+        return f"`--{name} {value}`" if value != "" else f"leave out `--{name}`"
+    if value == "":
+        return f"leave out `{name}`"
     if name in ("units", "axes"):
         return f'`Throw.from_arrays(..., {name}="{value}")`'
-    if name == "exclude":
-        low, high = str(value).split(":")
-        return f"`exclude=[({low}, {high})]`"
     return f"`{name}={value}`"
 
 
-def _units_words(throw: Throw, *choices: str) -> str:
-    return " or ".join(_option(throw, "units", choice) for choice in choices)
+def _some_units(throw: Throw) -> str:
+    return " or ".join(_option(throw, "units", unit) for unit in ("t=ms", "length=cm"))
 
 
 def _factors(throw: Throw, quantity: str) -> dict[str, float]:
     """Units that a column may really be in, with the factors by which its values would change."""
-    conventions = throw.conventions or Conventions()
-    known = units_of(quantity)
-    now = known.get(_plain(conventions.units.get(quantity, "")), 1.0)
-    names = {
-        "t": ("s", "ms", "us", "min", "30fps"), "phi": ("rad", "deg", "mrad"),
-        "omega": ("rad/s", "deg/s", "rpm"), "speed": ("m/s", "km/h", "ft/s", "mph", "cm/s", "mm/s"),
-    }.get(quantity, ("m", "cm", "mm", "ft", "in"))  # fmt: skip
-    frames = {"30fps": 1 / 30}
-    factors = {unit: (frames | known).get(_plain(unit), 0.0) / now for unit in names}
-    return {unit: factor for unit, factor in factors.items() if factor and factor != 1}
+    now = (throw.conventions or Conventions()).factors.get(quantity, 1.0)
+    factors = {unit: in_unit(quantity, unit).factor / now for unit in _UNITS[quantity]}
+    return {unit: factor for unit, factor in factors.items() if factor != 1}
 
 
-def _plain(unit: str) -> str:
-    return "".join(char for char in unit.lower() if char not in "/ .[]()")
+def _candidates(throw: Throw) -> Iterator[tuple[str, dict[str, float]]]:
+    """Units that may be the right ones, with the factors by which the channels would change."""
+    times = _factors(throw, "t")
+    yield from ((f"t={unit}", {"t": factor}) for unit, factor in times.items())
+    if not np.isfinite(throw.x).any():
+        speeds = _factors(throw, "speed")
+        yield from ((f"speed={unit}", {"speed": factor}) for unit, factor in speeds.items())
+        return
+    for unit, factor in _factors(throw, "x").items():
+        yield f"length={unit}", {"x": factor, "y": factor}
+        yield f"x={unit}", {"x": factor}
+        yield f"y={unit}", {"y": factor}
+        for time, of_time in times.items():
+            if not time.endswith("fps"):
+                yield f"t={time},length={unit}", {"t": of_time, "x": factor, "y": factor}
 
 
-def _is_usual(motion: MeasuredMotion) -> bool:
-    return (
-        0.1 < motion.fastest < _USUAL_SPEED
-        and motion.length < LENGTH
-        and not abs(motion.curl) > _USUAL_CURL
-        and not (motion.friction < _USUAL_FRICTION[0] or motion.friction > _USUAL_FRICTION[1])
-    )
+def _unit_remedy(throw: Throw, oddity: Callable[[Throw, bool], float]) -> str:
+    """The fewest changes of units that make this the least odd throw, as an option to type.
+
+    Parameters
+    ----------
+    oddity : of a throw in other units, of one channel alone perhaps; infinite if implausible.
+    """
+    best, units = math.inf, ""
+    for name, factors in _candidates(throw):
+        scaled = {channel: factor * getattr(throw, channel) for channel, factor in factors.items()}
+        alone = len(factors) == 1 and "t" not in factors
+        odd = oddity(replace(throw, sigma={}, **scaled), alone) + name.count(",")
+        if alone:  # rare
+            odd += 1 + name.endswith(("in", "ft"))
+        if odd < best:
+            best, units = odd, name
+    if not units:
+        return f"set the units of the file, as in {_some_units(throw)}"
+    flag = _option(throw, "units", units)
+    if units.endswith("fps"):
+        return f"if t counts frames: {flag}, with the frame rate of the camera"
+    what = {"t": "the time is", "length": "lengths are"}
+    parts = [part.partition("=") for part in units.split(",")]
+    said = [f"{what.get(name, f'{name} is')} in {_NAMES.get(u, u)}" for name, _, u in parts]
+    return f"if {' and '.join(said)}: {flag}"
 
 
-def _wrapped(throw: Throw, _: object) -> dict[str, Any] | None:
+# Checks of the rows
+
+
+def _wrapped(throw: Throw) -> Iterator[Finding]:
     """Jumps of an angle, which readers remove but arrays may contain."""
-    if throw.conventions is not None or not np.isfinite(throw.phi).any():
-        return None
+    if throw.conventions is not None or "phi" not in throw.seen:
+        return
     for period, size, unit in ((2 * math.pi, "360 degrees", "rad"), (360.0, "360", "deg")):
         try:
             _, jumps, _ = unwrap(throw.t, 2 * math.pi / period * throw.phi)
         except AmbiguousTurnError:
             continue
         if jumps and float(np.nanmax(np.abs(throw.phi))) < 1.1 * period:
-            return {
-                "size": size, "unit": unit, "times": "once" if jumps == 1 else f"{jumps} times",
-            }  # fmt: skip
-    return None
+            times = "once" if jumps == 1 else f"{jumps} times"
+            yield Finding(
+                "wrapped angle",
+                f"phi jumps by {size} {times}: it is wrapped",
+                f'`Throw.from_arrays(..., units="angle={unit}")` unwraps it',
+            )
+            return
 
 
-def _turns(throw: Throw, _: object) -> dict[str, Any] | None:
+def _turns(throw: Throw) -> Iterator[Finding]:
     """A rotation too fast for an angle in radians."""
     turned, mean = turning(throw)
-    if turned is None or mean is None or abs(turned) < 2 * math.pi * _MOST_TURNS:
-        return None
-    angles = np.isfinite(throw.phi).sum() >= 2
-    return {
-        "turns": abs(turned) / (2 * math.pi), "rate": abs(mean), "refused": abs(mean) > MAX_SPIN,
-        "what": "angles" if angles else "spins",
-        "flag": _option(throw, "units", "angle=deg" if angles else "spin=deg/s"),
-    }  # fmt: skip
+    if not abs(turned) > 2 * math.pi * _MOST_TURNS:
+        return
+    what, unit = ("angles", "angle=deg") if "phi" in throw.seen else ("spins", "spin=deg/s")
+    yield Finding(
+        "turns",
+        f"the stone turns {abs(turned) / (2 * math.pi):.3g} times, at {abs(mean):.3g} rad/s; "
+        "stones turn at most about 10 times",
+        f"if {what} are in degrees: {_option(throw, 'units', unit)}",
+        abs(mean) > MAX_SPIN,
+    )
 
 
-def _scale(throw: Throw, motion: MeasuredMotion) -> dict[str, Any] | None:
+def _scale_of_few(throw: Throw) -> Iterator[Finding]:
+    """`_scale` for few positions, of which only the distance and the time taken are used."""
+    if faults := _faults_of_few(throw):
+        yield Finding("units", ", and ".join(faults), _unit_remedy(throw, _oddity_of_few))
+
+
+def _extent(throw: Throw) -> tuple[float, float]:
+    """Length of a path in m and time in s to 98 % of it; NaN if there are too few rows."""
+    t, (x, y) = path_of(throw)
+    off = np.hypot(x - x[-1:], y - y[-1:])
+    if len(t) < 4 or not off[0] > 0:
+        return math.nan, math.nan
+    return float(off[0]), float(t[np.argmax(off < 0.02 * off[0])] - t[0])
+
+
+def _faults_of_few(throw: Throw) -> list[str]:
+    length, time = _extent(throw)
+    faults = []
+    # A stone that stops has twice its mean speed at first.
+    if length > _LENGTH and 2 * length / time > _USUAL_SPEED:
+        faults.append(f"the path is {length:.3g} m long, and a sheet {LENGTH:.1f} m")
+    if length / time > SPEED:
+        faults.append(
+            f"the stone moves at {length / time:.3g} m/s, and none is thrown at more than about 4 "
+            "m/s"
+        )
+    # A stone stopped by constant friction mu covers s in sqrt(2 s/(mu g)), a moving one in less.
+    if 2 * length / (GRAVITY * time**2) < FRICTION[0] / 4:
+        faults.append(
+            f"it takes {time:.3g} s for {length:.3g} m, where friction on ice stops a stone within "
+            f"{math.sqrt(2 * length / (GRAVITY * FRICTION[0])):.2g} s"
+        )
+    return faults
+
+
+def _oddity_of_few(throw: Throw, alone: bool) -> float:
+    length, time = _extent(throw)
+    usual = not alone and not _faults_of_few(throw) and 0.3 < length / time < 3
+    return abs(math.log(length / time / 1.5)) if usual else math.inf
+
+
+# Checks of the motion
+
+
+def _scale(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """Speeds, lengths and decelerations impossible for a stone: wrong units."""
     faults, unusual = [], []
     fastest, mu, error = motion.fastest, motion.friction, motion.friction_error
@@ -274,135 +334,61 @@ def _scale(throw: Throw, motion: MeasuredMotion) -> dict[str, Any] | None:
             f"it decelerates at {mu * GRAVITY:.2g} m/s^2, a coefficient of friction of {mu:.2g} "
             f"(on ice {low:g} to {high:g})"
         )
-    text = ", and ".join((faults or unusual)[:2])
-    units = {"text": text, "refused": bool(faults)}
-    return units | {"units": _unit_remedy(throw)} if text else None
+    if text := ", and ".join((faults or unusual)[:2]):
+        yield Finding("units", text, _unit_remedy(throw, _oddity), bool(faults))
 
 
-def _curl(throw: Throw, motion: MeasuredMotion) -> dict[str, Any] | None:
+def _oddity(throw: Throw, alone: bool) -> float:
+    """How far a throw is from a draw of 2 m/s, friction 0.01 and, where one axis alone is scaled,
+    a curl of 1 m; infinite if it is not usual."""
+    motion = motion_of(throw)
+    if (
+        motion is None
+        or not 0.1 < motion.fastest < _USUAL_SPEED
+        or motion.length > LENGTH
+        or abs(motion.curl) > _USUAL_CURL
+        or not _USUAL_FRICTION[0] < motion.friction < _USUAL_FRICTION[1]
+    ):
+        return math.inf
+    odd = abs(math.log(motion.friction / 0.01)) + abs(math.log(motion.fastest / 2))
+    return odd + abs(math.log(max(abs(motion.curl), 1e-3))) * alone
+
+
+def _curl(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """A curl impossible for a stone: a wrong unit across the sheet."""
     sure = abs(motion.curl) - 3 * motion.curl_error
-    if not sure > _USUAL_CURL:
-        return None
-    most = f"a sheet is {WIDTH:.1f} m wide" if sure > WIDTH else "few curl more than 2 m"
-    return {
-        "curl": abs(motion.curl), "most": most, "refused": sure > WIDTH,
-        "units": _unit_remedy(throw),
-    }  # fmt: skip
+    if sure > _USUAL_CURL:
+        most = f"a sheet is {WIDTH:.1f} m wide" if sure > WIDTH else "few curl more than 2 m"
+        text = f"the stone curls {abs(motion.curl):.3g} m, and {most}"
+        yield Finding("units", text, _unit_remedy(throw, _oddity), sure > WIDTH)
 
 
-def _scale_of_few(throw: Throw, _: object) -> dict[str, Any] | None:
-    """The same for few positions, of which only the distance and the time taken are used."""
-    length_and_time = extent(throw)
-    faults = [] if length_and_time is None else list(_faults_of_few(*length_and_time))
-    if length_and_time is None or not faults:
-        return None
-    length, time = length_and_time
-    usual = None
-    for units, factors in _candidates(throw):
-        if len(factors) == 1 and "t" not in factors:
-            continue
-        scaled = factors.get("x", 1.0) * length, factors.get("t", 1.0) * time
-        speed = scaled[0] / scaled[1]
-        if not list(_faults_of_few(*scaled)) and 0.3 < speed < 3:
-            off = abs(math.log(speed / 1.5)) + units.count(",")
-            usual = min(usual or (off, units), (off, units))
-    remedy = (
-        f"set the units of the file, as in {_units_words(throw, 't=ms', 'length=cm')}"
-        if usual is None
-        else f"if those are its units: {_option(throw, 'units', usual[1])}"
-    )
-    return {"text": ", and ".join(faults), "units": remedy}
-
-
-def _faults_of_few(length: float, time: float) -> Iterator[str]:
-    """Impossible features of a path of this length (m) and duration (s)."""
-    # A stone that stops has twice its mean speed at first.
-    if length > _LENGTH and 2 * length / time > _USUAL_SPEED:
-        yield f"the path is {length:.3g} m long, and a sheet {LENGTH:.1f} m"
-    if length / time > SPEED:
-        yield (
-            f"the stone moves at {length / time:.3g} m/s, and none is thrown at more than about 4 "
-            "m/s"
-        )
-    # A stone stopped by constant friction mu covers s in sqrt(2 s/(mu g)), a moving one in less.
-    if 2 * length / (GRAVITY * time**2) < FRICTION[0] / 4:
-        yield (
-            f"it takes {time:.3g} s for {length:.3g} m, where friction on ice stops a stone within "
-            f"{math.sqrt(2 * length / (GRAVITY * FRICTION[0])):.2g} s"
-        )
-
-
-def _unit_remedy(throw: Throw) -> str:
-    """Units in which this would be a usual throw, as an option to type."""
-    best: tuple[float, str] | None = None
-    for units, factors in _candidates(throw):
-        changed = {name: factor * getattr(throw, name) for name, factor in factors.items()}
-        motion = motion_of(replace(throw, sigma={}, **changed))
-        if motion is None or not _is_usual(motion):
-            continue
-        # Nearest to a draw of 2 m/s, friction 0.01 and a curl of 1 m, with few units changed.
-        off = abs(math.log(motion.friction / 0.01)) + abs(math.log(motion.fastest / 2))
-        off += units.count(",")
-        if len(factors) == 1 and "t" not in factors:
-            off += 1 + abs(math.log(max(abs(motion.curl), 1e-3))) + units.endswith(("in", "ft"))
-        if best is None or off < best[0]:
-            best = off, units
-    if best is None:
-        return f"set the units of the file, as in {_units_words(throw, 't=ms', 'length=cm')}"
-    flag = _option(throw, "units", best[1])
-    if best[1].endswith("fps"):
-        return f"if t counts frames: {flag}, with the frame rate of the camera"
-    what = {"t": "the time is", "length": "lengths are"}
-    parts = [part.partition("=") for part in best[1].split(",")]
-    said = [f"{what.get(name, f'{name} is')} in {_NAMES.get(u, u)}" for name, _, u in parts]
-    return f"if {' and '.join(said)}: {flag}"
-
-
-def _candidates(throw: Throw) -> Iterator[tuple[str, dict[str, float]]]:
-    """Units that may be the right ones, with the factors by which the channels would change."""
-    times = _factors(throw, "t")
-    yield from ((f"t={unit}", {"t": factor}) for unit, factor in times.items())
-    if not np.isfinite(throw.x).any():
-        speeds = _factors(throw, "speed")
-        yield from ((f"speed={unit}", {"speed": factor}) for unit, factor in speeds.items())
-        return
-    for unit, factor in _factors(throw, "x").items():
-        yield f"length={unit}", {"x": factor, "y": factor}
-        yield f"x={unit}", {"x": factor}
-        yield f"y={unit}", {"y": factor}
-        for time, of_time in times.items():
-            if not time.endswith("fps"):
-                yield f"t={time},length={unit}", {"t": of_time, "x": factor, "y": factor}
-
-
-def _collision(throw: Throw, motion: MeasuredMotion) -> dict[str, Any] | None:
-    """The touch of a hand before the release, or of another stone."""
+def _push(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
+    """The touch of a hand before the release, or of another stone: a velocity that jumps, or a
+    speed that grows."""
     jump = velocity_jump(throw, motion)
-    if jump is None:
-        return None
-    at, change = jump
-    early = at - throw.t[0] < throw.t[-1] - at
-    flag = _option(throw, "since", _up(at)) if early else _option(throw, "until", _down(at))
-    return {"at": at, "change": change, "side": "before" if early else "after", "flag": flag}
-
-
-def _growth(throw: Throw, motion: MeasuredMotion) -> dict[str, Any] | None:
-    """A speed that grows, not due to friction and without a jump."""
+    if jump is not None:
+        at, change = jump
+        early = at - throw.t[0] < throw.t[-1] - at
+        cut = _option(throw, "since", _up(at)) if early else _option(throw, "until", _down(at))
+        yield Finding(
+            "collision",
+            f"the velocity jumps by {change:.2g} m/s at t = {at:.4g} s, as in a collision or at "
+            "the touch of a hand",
+            f"leave out what is {'before' if early else 'after'}: {cut}",
+        )
+        return
     speed, error = motion.speed, motion.error
     rise = speed - np.minimum.accumulate(speed)
     peak = int(np.argmax(rise))
     trough = int(np.argmin(speed[: peak + 1]))
-    sure = SURE * math.hypot(error[peak], error[trough])
-    if rise[peak] <= max(_GROWTH[0], _GROWTH[1] * motion.fastest, sure):
-        return None
-    if velocity_jump(throw, motion) is not None:
-        return None
-    begin, end = motion.t[trough], motion.t[peak]
-    if peak == len(speed) - 1 and trough < 0.2 * len(speed):
+    if rise[peak] <= max(_GROWTH, SURE * math.hypot(error[peak], error[trough])):
+        return
+    begin, end, last = motion.t[trough], motion.t[peak], len(speed) - 1
+    if peak == last and trough < 0.2 * len(speed):
         why = "times may run backwards, or all rows are before the release"
         remedy = "check the column of the time"
-    elif begin - motion.t[0] < 0.5 * (motion.t[-1] - motion.t[0]) and peak < len(speed) - 2:
+    elif begin - motion.t[0] < 0.5 * (motion.t[-1] - motion.t[0]) and peak < last - 1:
         why = "a hand was still on the stone, or something pushed it"
         after = _option(throw, "since", _up(float(motion.end[peak]) + 1e-9))
         remedy = f"leave out what is before the release: {after}"
@@ -410,103 +396,84 @@ def _growth(throw: Throw, motion: MeasuredMotion) -> dict[str, Any] | None:
         why = "something pushed the stone"
         before = _option(throw, "until", _down(float(motion.begin[trough])))
         remedy = f"leave out what follows: {before}"
-    return {
-        "low": speed[trough], "high": speed[peak], "begin": begin, "end": end, "why": why,
-        "remedy": remedy,
-    }  # fmt: skip
+    yield Finding(
+        "growing speed",
+        f"the speed grows from {speed[trough]:.2g} to {speed[peak]:.2g} m/s between t = "
+        f"{begin:.3g} and {end:.3g} s, which friction cannot do: {why}",
+        remedy,
+    )
 
 
-def _words(throw: Throw) -> str:
-    return "" if throw.conventions is None else throw.conventions.axes
-
-
-def _direction(motion: MeasuredMotion) -> tuple[bool, int]:
-    """Whether the stone moves along x, and 1 or -1 for the sense of its motion along its axis."""
+def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
+    """A motion across the sheet, or curl and spin of opposite sense. A stone curls to the side to
+    which its front turns (Penner 2001): to the left if it turns counter-clockwise from above."""
+    words = "" if throw.conventions is None else throw.conventions.axes
     x, y = motion.direction
     along_x = abs(x) > 2 * abs(y)
-    return along_x, 1 if (x if along_x else y) > 0 else -1
+    forward = 1 if (x if along_x else y) > 0 else -1
 
+    def axes(across: int, along: int, turn: int = 1) -> str:
+        return _option(throw, "axes", corrected(words, across, along, turn, exchanged=along_x))
 
-def _is_mirrored(throw: Throw, motion: MeasuredMotion) -> bool:
-    """Whether curl and spin are of opposite sense. A stone curls to the side to which its front
-    turns (Penner 2001): to the left if it turns counter-clockwise seen from above."""
     turned, _ = turning(throw)
     certain = abs(motion.curl) - SURE * motion.curl_error > _CLEAR_CURL
-    return turned is not None and certain and abs(turned) > _CLEAR_TURN and motion.curl * turned < 0
+    if certain and abs(turned) > _CLEAR_TURN and motion.curl * turned < 0:
+        sense, side = ("clockwise", "left") if motion.curl > 0 else ("counter-clockwise", "right")
+        if along_x:
+            first, axis = axes(forward, forward), "x runs along the sheet and y across it"
+        elif forward > 0:
+            first, axis = axes(-1, 1), "x points to the left"
+        else:
+            first, axis = axes(1, -1), "y points back at the thrower"
+        other = _option(throw, "axes", corrected(words, 1, 1, -1))
+        yield Finding(
+            "axes",
+            f"the stone turns {sense} and curls {abs(motion.curl):.2g} m to the {side}, and stones "
+            "on ice curl to the side to which they turn: unless the ice slopes, an axis or the "
+            "angle is mirrored, and the fit would interchange the friction of front and back",
+            f"if {axis}: {first}; if angles count the other way: {other}",
+            refused=False,
+        )
+    elif along_x:
+        text = "the stone moves along x, and x is taken as the direction across the sheet"
+        if words:
+            text = f"with axes {words} the stone moves across the sheet"
+        remedy = f"if it moves along the sheet: {axes(-forward, forward)}"  # a rotation
+        yield Finding("axes", text, remedy, refused=False)
 
 
-def _across(throw: Throw, motion: MeasuredMotion) -> dict[str, Any] | None:
-    along_x, forward = _direction(motion)
-    if not along_x or _is_mirrored(throw, motion):
-        return None
-    words = _words(throw)
-    word = corrected(words, -forward, forward, 1, exchanged=True)  # a rotation
-    text = "the stone moves along x, and x is taken as the direction across the sheet"
-    if words:
-        text = f"with axes {words} the stone moves across the sheet"
-    return {"text": text, "flag": _option(throw, "axes", word)}
-
-
-def _mirrored(throw: Throw, motion: MeasuredMotion) -> dict[str, Any] | None:
-    if not math.isfinite(motion.direction[0]) or not _is_mirrored(throw, motion):
-        return None
-    words, (along_x, forward) = _words(throw), _direction(motion)
-    if along_x:
-        first = corrected(words, forward, forward, 1, exchanged=True)
-        axis = "x runs along the sheet and y across it"
-    elif forward > 0:
-        first, axis = corrected(words, -1, 1, 1), "x points to the left"
-    else:
-        first, axis = corrected(words, 1, -1, 1), "y points back at the thrower"
-    to_left = motion.curl > 0
-    return {
-        "sense": "clockwise" if to_left else "counter-clockwise", "curl": abs(motion.curl),
-        "side": "left" if to_left else "right", "axis": axis,
-        "flag": _option(throw, "axes", first),
-        "clockwise": _option(throw, "axes", corrected(words, 1, 1, -1)),
-    }  # fmt: skip
-
-
-def _speeds(throw: Throw, motion: MeasuredMotion) -> dict[str, Any] | None:
-    """A measured speed that disagrees with the path."""
-    seen = np.isfinite(throw.speed)
-    if not np.isfinite(motion.velocity).all() or seen.sum() < 4:
-        return None
-    own = np.interp(motion.t, throw.t[seen], throw.speed[seen])
-    fast = motion.speed > max(0.3 * motion.fastest, 10 * float(np.median(motion.error)))
-    if fast.sum() < 3:
-        return None
-    return _ratio(throw, "speed", float(np.median(own[fast] / motion.speed[fast])))
-
-
-def _spins(throw: Throw, _: object) -> dict[str, Any] | None:
-    """A measured spin that disagrees with the angle."""
+def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
+    """A measured speed that disagrees with the path, a spin that disagrees with the angle."""
+    ratios = {}
+    if np.isfinite(motion.velocity).all() and np.isfinite(throw.speed).sum() >= 4:
+        seen = np.isfinite(throw.speed)
+        own = np.interp(motion.t, throw.t[seen], throw.speed[seen])
+        fast = motion.speed > max(0.3 * motion.fastest, 10 * float(np.median(motion.error)))
+        if fast.sum() >= 3:
+            ratios["speed"] = float(np.median(own[fast] / motion.speed[fast]))
     angle, rate = np.isfinite(throw.phi), np.isfinite(throw.omega)
-    if angle.sum() < FEWEST or rate.sum() < 4:
-        return None
-    turned, _mean = turning(throw)
-    t = throw.t[angle]
-    own = np.interp(t, throw.t[rate], throw.omega[rate])
-    by_rate = float(np.sum(np.diff(t) * (own[1:] + own[:-1]) / 2))
-    if turned is None or abs(turned) <= 1.0:
-        return None
-    return _ratio(throw, "omega", by_rate / turned)
-
-
-def _ratio(throw: Throw, quantity: str, ratio: float) -> dict[str, Any] | None:
-    """Of a measured rate that is `ratio` times that of the path or angle."""
+    if angle.sum() >= FEWEST and rate.sum() >= 4 and abs(turned := turning(throw)[0]) > 1.0:
+        t = throw.t[angle]
+        by_rate = np.trapezoid(np.interp(t, throw.t[rate], throw.omega[rate]), t)
+        ratios["omega"] = float(by_rate) / turned
     low, high = _AGREE
-    if low < ratio < high:
-        return None
-    name = "speed" if quantity == "speed" else "spin"
-    found = {"ratio": ratio, "opposite": "", "remedy": f"rename or remove the column of the {name}"}
-    for unit, factor in _factors(throw, quantity).items():
-        if abs(math.log(abs(ratio) * factor)) < 0.1 and ratio > 0:
-            flag = _option(throw, "units", f"{name}={unit}")
-            return found | {"remedy": f"if it is in {unit}: {flag}"}
-    if low < -ratio < high:
-        return found | {"kind": "axes", "opposite": "spin and angle count in opposite senses: "}
-    return found | {"refused": False}
+    for quantity, ratio in ratios.items():
+        if low < ratio < high:
+            continue
+        name, of = ("speed", "the path") if quantity == "speed" else ("spin", "the angle")
+        kind, refused = "units", True
+        says = f"the measured {name} is {ratio:.3g} times that of {of}"
+        remedy = f"rename or remove the column of the {name}"
+        factors = _factors(throw, quantity).items() if ratio > 0 else ()
+        unit = next((u for u, factor in factors if abs(math.log(ratio * factor)) < 0.1), "")
+        if unit:
+            remedy = f"if it is in {unit}: {_option(throw, 'units', f'{name}={unit}')}"
+        elif low < -ratio < high:
+            kind = "axes"
+            says = "spin and angle count in opposite senses: " * (name == "spin") + says
+        else:
+            refused = False
+        yield Finding(kind, says, remedy, refused)
 
 
 def _up(time: float) -> str:
@@ -519,49 +486,5 @@ def _down(time: float) -> str:
     return f"{math.floor(100 * time - 1e-9) / 100:g}"
 
 
-_OF_ROWS = (
-    _Check(
-        "wrapped angle", _wrapped, "phi jumps by {size} {times}: it is wrapped",
-        '`Throw.from_arrays(..., units="angle={unit}")` unwraps it',
-    ),
-    _Check(
-        "turns", _turns,
-        "the stone turns {turns:.3g} times, at {rate:.3g} rad/s; stones turn at most about 10 "
-        "times", "if {what} are in degrees: {flag}",
-    ),
-)  # fmt: skip
-_OF_FEW = (_Check("units", _scale_of_few, "{text}", "{units}"),)
-_STAGES = (
-    (_Check("units", _scale, "{text}", "{units}"),),
-    (
-        _Check(
-            "collision", _collision,
-            "the velocity jumps by {change:.2g} m/s at t = {at:.4g} s, as in a collision or at "
-            "the touch of a hand", "leave out what is {side}: {flag}",
-        ),
-        _Check(
-            "growing speed", _growth,
-            "the speed grows from {low:.2g} to {high:.2g} m/s between t = {begin:.3g} and "
-            "{end:.3g} s, which friction cannot do: {why}", "{remedy}",
-        ),
-    ),
-    (_Check("units", _curl, "the stone curls {curl:.3g} m, and {most}", "{units}"),),
-    (
-        _Check("axes", _across, "{text}", "if it moves along the sheet: {flag}", False),
-        _Check(
-            "axes", _mirrored,
-            "the stone turns {sense} and curls {curl:.2g} m to the {side}, and stones on ice curl "
-            "to the side to which they turn: unless the ice slopes, an axis or the angle is "
-            "mirrored, and the fit would interchange the friction of front and back",
-            "if {axis}: {flag}; if angles count the other way: {clockwise}", False,
-        ),
-        _Check(
-            "units", _speeds, "the measured speed is {ratio:.3g} times that of the path", "{remedy}"
-        ),
-        _Check(
-            "units", _spins, "{opposite}the measured spin is {ratio:.3g} times that of the angle",
-            "{remedy}",
-        ),
-    ),
-)  # fmt: skip
+_STAGES = ((_scale,), (_push,), (_curl,), (_axes, _rates))
 """Checks of the motion, by stages; a stage is examined only if the one before refuses nothing."""

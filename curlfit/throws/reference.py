@@ -48,9 +48,9 @@ class Conventions:
 
     Attributes
     ----------
-    units : by quantity ("t", "x", ...), as written. axes : words as for `--axes`; empty for
-        curlfit's own.
+    factors : of the units to SI, by quantity ("t", "x", ...). axes : words as for `--axes`; empty
+        for curlfit's own.
     """
 
-    units: Mapping[str, str] = field(default_factory=dict)
+    factors: Mapping[str, float] = field(default_factory=dict)
     axes: str = ""

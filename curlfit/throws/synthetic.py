@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
@@ -110,11 +112,18 @@ def synthetic_throw(
     >>> len(made), made.reference.values["mu2_xi"]
     (5, 0.055)
     """
-    _require_numbers(
-        {"until": until, "dt": dt}, {"v0": v0, "noise-xy": noise_xy, "noise-phi": noise_phi},
-        {"omega0": omega0, "heading": heading, "x0": x0, "y0": y0, "phi0": phi0}
-        | _conditions(environment),
-    )  # fmt: skip
+    conditions = _conditions(environment)
+    numbers = {
+        "until": until, "dt": dt, "v0": v0, "noise-xy": noise_xy, "noise-phi": noise_phi,
+        "omega0": omega0, "heading": heading, "x0": x0, "y0": y0, "phi0": phi0,
+    } | conditions  # fmt: skip
+    for name, value in numbers.items():
+        if not math.isfinite(value):
+            raise InputError(f"{name} = {value}: expected a finite number")
+        if name in ("until", "dt") and value <= 0:
+            raise InputError(f"{name} = {value:g}: expected a positive number")
+        if name in ("v0", "noise-xy", "noise-phi") and value < 0:
+            raise InputError(f"{name} = {value:g}: expected a non-negative number")
     rows = math.floor(until / dt + 1e-9) + 1
     if not 2 <= rows <= _MOST_ROWS:
         raise InputError(f"until = {until:g} s in steps of {dt:g} s makes {rows} rows")
@@ -145,24 +154,11 @@ def synthetic_throw(
         reference=Reference(
             _SOURCE,
             law.name,
-            {name: float(getattr(law, name)) for name in names} | _conditions(environment),
+            {name: float(getattr(law, name)) for name in names} | conditions,
         ),
         defaults={"stone": stone.as_dict(), "load": checked}
         | ({} if law.origin else {"law": law.name}),
     )
-
-
-def _require_numbers(
-    positive: Mapping[str, float], not_negative: Mapping[str, float], finite: Mapping[str, float]
-) -> None:
-    """Raise `InputError` for an impossible number."""
-    for name, value in {**positive, **not_negative}.items():
-        if not math.isfinite(value) or value < 0 or (name in positive and value == 0):
-            what = "positive" if name in positive else "non-negative"
-            raise InputError(f"{name} = {value:g}: expected a {what} number")
-    for name, value in finite.items():
-        if not math.isfinite(value):
-            raise InputError(f"{name} = {value}: expected a finite number")
 
 
 def _of_energy(t: Floats, energy: Floats) -> tuple[str, ...]:
@@ -188,24 +184,10 @@ def _conditions(environment: Environment | None) -> dict[str, float]:
 
 def write_table(throw: Throw) -> str:
     """A throw as text in curlfit's own format, with its defaults and reference in `#` lines."""
-    lines = []
-    for key, value in throw.defaults.items():
-        if isinstance(value, Mapping):
-            lines += [f"# {key}.{name} = {_toml(item)}" for name, item in value.items()]
-        else:
-            lines.append(f"# {key} = {_toml(value)}")
+    settings: dict[str, Any] = dict(throw.defaults)
     if throw.reference is not None:
-        lines.append(f"# reference.source = {_toml(throw.reference.source)}")
-        lines.append(f"# reference.law = {_toml(throw.reference.law)}")
-        for name, value in throw.reference.values.items():
-            key = name if name.isidentifier() else f'"{name}"'
-            lines.append(f"# reference.values.{key} = {_toml(value)}")
-        for key, constants in (
-            ("stone", throw.reference.stone), ("rounding", throw.reference.rounding),
-        ):  # fmt: skip
-            lines += [f"# reference.{key}.{n} = {_toml(value)}" for n, value in constants.items()]
-        if throw.reference.note:
-            lines.append(f"# reference.note = {_toml(throw.reference.note)}")
+        settings["reference"] = {key: v for key, v in asdict(throw.reference).items() if v != ""}
+    lines = list(_settings("", settings))
     lines.append("t,x,y,phi")
     for row in zip(throw.t, throw.x, throw.y, throw.phi, strict=True):
         time, *position = row
@@ -215,5 +197,11 @@ def write_table(throw: Throw) -> str:
     return "\n".join(lines).replace("-0.000000000", "0.000000000") + "\n"
 
 
-def _toml(value: object) -> str:
-    return f'"{value}"' if isinstance(value, str) else f"{value:g}"
+def _settings(key: str, value: Any) -> Iterator[str]:
+    """Settings as comments, in TOML."""
+    if isinstance(value, Mapping):
+        for name, entry in value.items():
+            last = name if name.isidentifier() else f'"{name}"'
+            yield from _settings(f"{key}.{last}" if key else last, entry)
+    else:
+        yield f"# {key} = " + (f'"{value}"' if isinstance(value, str) else f"{value:g}")

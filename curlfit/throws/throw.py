@@ -18,8 +18,8 @@ from curlfit.output.display import Displayed, Overview
 from curlfit.output.frames import frame
 from curlfit.output.text import plain_table
 from curlfit.settings.choices import Reading, takes
-from curlfit.throws.channels import CHANNELS, UNITS, last_motion, scatter
-from curlfit.throws.events import Event, sketch
+from curlfit.throws.channels import CHANNELS, UNITS, block_means, last_motion, scatter
+from curlfit.throws.events import Event, lines_of, sketch
 from curlfit.throws.reference import Conventions, Reference, StoneValues
 
 __all__ = [
@@ -105,9 +105,11 @@ class Throw(Displayed):
             object.__setattr__(self, name, values)
             if values.shape != (n,):
                 raise self._error(f"{name} has shape {values.shape}, t has {(n,)}")
-        for name, row in (*_first(~np.isfinite(self.t)), *_first(np.isinf(self.observed))):
-            expected = "a finite number" if name == "t" else "a finite number or an empty cell"
-            raise self._error(f"{getattr(self, name)[row]} found, expected {expected}", row, name)
+            bad = np.isinf(values) if name in CHANNELS else ~np.isfinite(values)
+            if bad.any():
+                row = int(np.argmax(bad))
+                expected = "a finite number or an empty cell" if name != "t" else "a finite number"
+                raise self._error(f"{values[row]} found, expected {expected}", row, name)
         for name, values in self.sigma.items():
             bad = ~(np.isfinite(values) & (values > 0)) & np.isfinite(getattr(self, name))
             if bad.any():
@@ -194,10 +196,9 @@ class Throw(Displayed):
         ------
         InputError : no line is crossed.
         """
-        lines = [y for event in events for y in (event.at, event.since) if y is not None]
-        if not lines:
+        if not (lines := lines_of(events)):
             raise InputError("no event is timed at a line; expected one such as hog_to_hog")
-        known = {"y0": min(lines), **(assumed or {})}
+        known = {"y0": lines[0], **(assumed or {})}
         t, _ = sketch(events, known)
         return cls.from_arrays(t, events=tuple(events), assumed=known, **more)
 
@@ -344,17 +345,11 @@ class Throw(Displayed):
             [np.linspace(*piece, endpoint=False).astype(int) for piece in pieces]
         )
 
-        def mean(values: Floats) -> Floats:
-            finite = np.isfinite(values)
-            count = np.add.reduceat(finite.astype(float), starts)
-            total = np.add.reduceat(np.where(finite, values, 0.0), starts)
-            return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
         def of_means(sigma: dict[str, Floats]) -> dict[str, Floats]:
             found = {}
             for name, values in sigma.items():
-                finite = np.add.reduceat(np.isfinite(getattr(self, name)).astype(float), starts)
-                found[name] = np.sqrt(mean(values**2) / np.maximum(finite, 1))
+                _, count = block_means(getattr(self, name), starts)
+                found[name] = np.sqrt(block_means(values**2, starts)[0] / np.maximum(count, 1))
             return found
 
         step = float(np.median(np.diff(self.t)))
@@ -370,7 +365,9 @@ class Throw(Displayed):
         # A deceleration a = 0.2 m/s^2, twice the usual, displaces a mean over T by a T^2/24.
         bend = 0.2 * (block * step) ** 2 / 24
         note += f"; means of moving rows lie off the path by some {bend:.1g} m, which is negligible"
-        means: dict[str, Any] = {name: mean(getattr(self, name)) for name in ("t", *CHANNELS)}
+        means: dict[str, Any] = {
+            name: block_means(getattr(self, name), starts)[0] for name in ("t", *CHANNELS)
+        }
         return replace(
             self,
             **means,
@@ -482,11 +479,3 @@ def check_sigma(sigma: Mapping[str, float]) -> None:
             )
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"sigma of {name} = {value:g}: expected a positive number")
-
-
-def _first(bad: Booleans) -> list[tuple[str, int]]:
-    """Name and row of the first fault in the times or channels; empty if there is none."""
-    if not bad.any():
-        return []
-    channel, row = np.argwhere(np.atleast_2d(bad))[0]
-    return [("t" if bad.ndim == 1 else CHANNELS[channel], int(row))]

@@ -17,15 +17,6 @@ X, Y = 0.002 * T**2, 2.2 * T - 0.05 * T**2
 ROWS = table(dict(zip("uv", project(X, Y), strict=True)) | {"t": T})
 
 
-@pytest.fixture
-def write(tmp_path):
-    def file(text, name="rows.csv"):
-        (tmp_path / name).write_text(text)
-        return tmp_path / name
-
-    return file
-
-
 def clicked(seed=3, noise=1.0):
     return project(*KNOWN) + noise * np.random.default_rng(seed).normal(size=KNOWN.shape)
 

@@ -36,29 +36,19 @@ def export(places, t=T, unit="m", factor=1.0):
     )
 
 
-@pytest.fixture
-def written(tmp_path):
-    def to_file(text, name="tracks.txt"):
-        file = tmp_path / name
-        file.write_text(text, encoding="utf-8")
-        return file
-
-    return to_file
-
-
 @pytest.mark.parametrize(("unit", "factor"), [("m", 1.0), ("cm", 100.0), ("mm", 1000.0)])
-def test_the_direction_of_the_handle_is_the_angle(written, unit, factor):
+def test_the_direction_of_the_handle_is_the_angle(write, unit, factor):
     places, phi = marked()
-    throw = load_throw(written(export(places, unit=unit, factor=factor)), handle=2)
+    throw = load_throw(write(export(places, unit=unit, factor=factor)), handle=2)
     turns = 2 * np.pi * np.round((throw.phi[0] - phi[0]) / (2 * np.pi))
     np.testing.assert_allclose(throw.phi - turns, phi, atol=1e-6)
     np.testing.assert_allclose(throw.x, X, atol=1e-8)
     assert any("the direction of the mark, 120 mm from" in note for note in throw.notes)
 
 
-def test_either_object_may_be_the_stone_and_a_batch_leaves_the_handle_out(written):
+def test_either_object_may_be_the_stone_and_a_batch_leaves_the_handle_out(write):
     places, phi = marked()
-    file = written(export([*places[2:], *places[:2]]))
+    file = write(export([*places[2:], *places[:2]]))
     throw = load_throw(file, stone_index=2, handle=1)
     np.testing.assert_allclose(np.diff(throw.phi), np.diff(phi), atol=1e-6)
     (part,) = load_throws(file, handle=1)
@@ -67,19 +57,19 @@ def test_either_object_may_be_the_stone_and_a_batch_leaves_the_handle_out(writte
 
 
 @pytest.mark.parametrize("words", ["x-along", "x-left", "y-back,counter-clockwise", "clockwise"])
-def test_the_angle_is_counter_clockwise_in_any_axes(written, words):
+def test_the_angle_is_counter_clockwise_in_any_axes(write, words):
     places, phi = marked()
     right, along = np.array(places[::2]), np.array(places[1::2])
     x, y = {"x-along": (along, -right), "x-left": (-right, along), "clockwise": (right, along),
             "y-back,counter-clockwise": (right, -along)}[words]  # fmt: skip
-    throw = load_throw(written(export([x[0], y[0], x[1], y[1]])), axes=words, handle=2)
+    throw = load_throw(write(export([x[0], y[0], x[1], y[1]])), axes=words, handle=2)
     np.testing.assert_allclose(throw.phi - throw.phi[0], phi - phi[0], atol=1e-6)
 
 
-def test_noise_of_both_marks_is_that_of_the_angle(written):
+def test_noise_of_both_marks_is_that_of_the_angle(write):
     """sigma_phi = sqrt(2) sigma / arm to first order; the errors have that size."""
     places, phi = marked(FINE, NOISE)
-    throw = load_throw(written(export(places, FINE)), handle=2)
+    throw = load_throw(write(export(places, FINE)), handle=2)
     expected = np.sqrt(2) * NOISE / ARM
     assert throw.sigma["phi"] == pytest.approx(expected, rel=0.15)
     error = throw.phi - phi
@@ -89,12 +79,12 @@ def test_noise_of_both_marks_is_that_of_the_angle(written):
     assert abs(error.mean()) < 4 * expected / np.sqrt(len(FINE))
 
 
-def test_given_sigmas_are_propagated(written):
+def test_given_sigmas_are_propagated(write):
     places, phi = marked(noise=0.0)
     sigma_x, sigma_y = 0.001, 0.004
     columns = dict(zip(("x", "y", "x_handle", "y_handle"), places, strict=True)) | {"t": T}
     columns |= {"sigma_x": np.full_like(T, sigma_x), "sigma_y": np.full_like(T, sigma_y)}
-    throw = load_throw(written(table(columns)))
+    throw = load_throw(write(table(columns)))
     # the gradient of atan2(dy, dx), by differences
     step = 1e-6
     dx, dy = places[2] - places[0], places[3] - places[1]
@@ -107,40 +97,40 @@ def test_given_sigmas_are_propagated(written):
     np.testing.assert_allclose(np.diff(throw.phi), np.diff(phi), atol=1e-9)
     in_cm = {name: 100 * v if name[0] in "xy" else v for name, v in columns.items()
              if "sigma" not in name}  # fmt: skip
-    again = load_throw(written(table(in_cm)), units="length=cm")
+    again = load_throw(write(table(in_cm)), units="length=cm")
     np.testing.assert_allclose(again.phi, throw.phi, atol=1e-9)
 
 
-def test_marks_in_pixels(written):
+def test_marks_in_pixels(write):
     places, phi = marked()
     u, v = project(places[0], places[1])
     u_handle, v_handle = project(places[2], places[3])
-    points = written(known_points(), "points.csv")
+    points = write(known_points(), "points.csv")
     columns = {"t": T, "x": u, "y": v, "x_handle": u_handle, "y_handle": v_handle}
-    throw = load_throw(written(table(columns)), reference=points)
+    throw = load_throw(write(table(columns)), reference=points)
     np.testing.assert_allclose(np.diff(throw.phi), np.diff(phi), atol=1e-6)
 
 
-def test_gaps_of_either_mark_are_gaps_of_the_angle(written):
+def test_gaps_of_either_mark_are_gaps_of_the_angle(write):
     places, _ = marked()
     places[2][5:8] = places[3][5:8] = np.nan
-    throw = load_throw(written(export(places)), handle=2)
+    throw = load_throw(write(export(places)), handle=2)
     assert np.flatnonzero(np.isnan(throw.phi)).tolist() == [5, 6, 7]
     assert np.isfinite(throw.x).all()
 
 
-def test_marks_that_are_none(written):
+def test_marks_that_are_none(write):
     places, _ = marked()
-    file = written(export(places))
+    file = write(export(places))
     with pytest.raises(InputError, match="--handle 1 is the stone itself; expected another object"):
         load_throw(file, handle=1)
     with pytest.raises(InputError, match="--handle 3: there is no such object; expected one of 1"):
         load_throw(file, handle=3)
     with pytest.raises(DataError, match="the mark is 2 m from the stone, and a stone's diam"):
-        load_throw(written(export(marked(arm=2.0)[0])), handle=2)
-    plain = written(table({"t": T, "x": X, "y": Y}), "plain.csv")
+        load_throw(write(export(marked(arm=2.0)[0])), handle=2)
+    plain = write(table({"t": T, "x": X, "y": Y}), "plain.csv")
     with pytest.raises(InputError, match=r"--handle: .*plain.csv is a table file and holds no obj"):
         load_throw(plain, handle=1)
     both = {"t": T, "x": X, "y": Y, "phi": PHI, "x_mark": X + 0.1, "y_mark": Y}
     with pytest.raises(DataError, match="an angle and a second mark are both given"):
-        load_throw(written(table(both)))
+        load_throw(write(table(both)))

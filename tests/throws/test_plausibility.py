@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,13 +32,8 @@ FOOT = 0.3048
 
 
 @pytest.fixture
-def written(tmp_path):
-    def to_file(columns, head=""):
-        file = tmp_path / "throw.csv"
-        file.write_text(head + table(columns, digits=12))
-        return file
-
-    return to_file
+def written(write):
+    return lambda columns, head="": write(head + table(columns, digits=12))
 
 
 def typed_flag(text, name):
@@ -268,6 +264,56 @@ def sliding(
 def test_odd_throws_of_stones_are_taken(odd):
     for seed in range(20):
         assert require_plausible(sliding(**odd, seed=seed)) == ()
+
+
+def driven(rise=0.0, jump=0.0, at=7.0):
+    """A throw at about 2 m/s whose speed grows evenly within 2 s, or jumps to the side."""
+    t = np.arange(0, 15, 0.05)
+    speed = 2 - 0.1 * t + (rise + 0.2) * np.clip((t - at) / 2, 0, 1)
+    noise = 0.0005 * np.random.default_rng(1).standard_normal((2, len(t)))
+    return Throw.from_arrays(
+        t, jump * np.clip(t - at, 0, None) + noise[0], np.cumsum(speed) * 0.05 + noise[1]
+    )
+
+
+def with_rates(speed=1.0, spin=1.0):
+    """A throw whose speed and spin were measured with wrong factors."""
+    one = sliding(noise=0.001, curl=0)
+    v = speed * np.maximum(2 - 0.0981 * one.t, 0)
+    return replace(one, speed=v, omega=spin * np.ones_like(v))
+
+
+LONG = {"v": 2.3, "until": 23, "noise": 0.001}
+UNITS, UNUSUAL, AXES = [("units", True)], [("units", False)], [("axes", False)]
+
+
+@pytest.mark.parametrize(
+    ("throw", "found"),
+    [
+        (sliding(friction=0.0016, noise=0.001), UNITS),
+        (sliding(friction=0.0027, noise=0.001), []),
+        (sliding(v=3, friction=0.13, until=2, dt=0.02), UNITS),
+        (sliding(v=3, friction=0.08, until=3, dt=0.02), []),
+        (sliding(v=7, friction=0.02, until=3), UNITS),
+        (sliding(v=5.2, friction=0.02, until=3), UNUSUAL),
+        (sliding(v=3.8, friction=0.02, until=3), []),
+        (sliding(v=4, friction=0.0033, until=17, turn=0.5, curl=0), UNUSUAL),
+        (sliding(v=2.6, friction=0.0082, until=32, turn=0.5), []),
+        (sliding(**LONG, curl=5.2), UNUSUAL), (sliding(**LONG, curl=3.2), []),
+        (sliding(turn=15), [("turns", True)]), (sliding(turn=10), [("turns", False)]),
+        (sliding(turn=4.8), [("turns", False)]), (sliding(turn=3.2), []),
+        (driven(rise=0.14), [("growing speed", True)]), (driven(rise=0.08), []),
+        (driven(jump=0.29), [("collision", True)]), (driven(jump=0.23), []),
+        (sliding(**LONG, curl=-0.3), AXES), (sliding(**LONG, curl=-0.16), []),
+        (sliding(**LONG, curl=-1, turn=0.03), AXES), (sliding(**LONG, curl=-1, turn=0.016), []),
+        (with_rates(speed=1.4), UNUSUAL), (with_rates(speed=1.1), []),
+        (with_rates(speed=0.7), UNUSUAL), (with_rates(speed=0.9), []),
+        (with_rates(spin=1.4), UNUSUAL), (with_rates(spin=1.1), []),
+    ],
+)  # fmt: skip
+def test_limits(throw, found):
+    """Throws on either side of each limit, so near that a factor of 1.5 would exchange them."""
+    assert [(finding.kind, finding.refused) for finding in examine(throw)] == found
 
 
 def test_sweeping_is_no_push_and_no_collision():

@@ -14,36 +14,15 @@ from curlfit.throws.readers.columns import parse_header
 PLAIN = "t,x,y,phi\n0,0.1,0,0\n1,0.2,2,1\n2,0.4,3,1.5\n"
 
 
-@pytest.fixture
-def write(tmp_path):
-    def to_file(content: str | bytes):
-        file = tmp_path / "throw.csv"
-        file.write_bytes(content if isinstance(content, bytes) else content.encode())
-        return file
-
-    return to_file
-
-
 @pytest.mark.parametrize(
     "content",
     [
         PLAIN,
         b"\xef\xbb\xbf" + PLAIN.encode(),
-        PLAIN.replace("\n", "\r\n"),
-        PLAIN.replace("\n", "\r"),
-        PLAIN.encode("utf-16"),
-        PLAIN.replace(",", ";"),
-        PLAIN.replace(",", "\t"),
-        PLAIN.replace(",", "  "),
-        PLAIN.replace(",", ";").replace(".", ","),
         PLAIN.replace("\n", "\n\n").replace("0,0.1", "# a comment\n0,0.1"),
         PLAIN.replace("\n", ",\n"),
         'y,"phi",t,x,camera\n0,0,0,0.1,a\n2,1,1,0.2,b\n3,1.5,2,0.4,c\n',
         "time_ms,x_cm,y [mm],angle (rad)\n0,10,0,0\n1000,20,2000,1\n2000,40,3000,1.5\n",
-    ],
-    ids=[
-        "plain", "byte-order mark", "windows", "old mac", "utf-16", "semicolons", "tabs", "spaces",
-        "decimal commas", "blank lines", "trailing comma", "other order", "units",
     ],
 )  # fmt: skip
 def test_the_same_throw_in_many_forms(write, content):
@@ -62,6 +41,9 @@ def test_the_same_throw_in_many_forms(write, content):
         ("theta_rad", "phi", 1), ("angle_deg", "phi", math.pi / 180),
         ("phi_rev", "phi", 2 * math.pi), ("sigma_x", "sigma_x", 1),
         ("sigma_phi_deg", "sigma_phi", math.pi / 180), ("y_err_cm", "sigma_y", 0.01),
+        ("t_phi", "t_phi", 1), ("time_gyro", "t_omega", 1), ("gyro time [ms]", "t_omega", 1e-3),
+        ("t_xy", "t_xy", 1), ("x_px", "u", 1), ("v (m/s)", "speed", 1), ("v [m s^-1]", "speed", 1),
+        ("ω (°/s)", "omega", math.pi / 180),
     ],
 )  # fmt: skip
 def test_column_names(header, quantity, factor):

@@ -33,19 +33,8 @@ from sample_files import (
 import curlfit
 from curlfit import DataError, InputError, Throw, load_throw
 from curlfit.throws.load import detect_format
-from curlfit.throws.readers.axes import LINES, AmbiguousTurnError, parse_axes, unwrap
-from curlfit.throws.readers.columns import parse_header
+from curlfit.throws.readers.axes import LINES, AmbiguousTurnError, unwrap
 from curlfit.throws.readers.homography import homography
-
-
-@pytest.fixture
-def write(tmp_path):
-    def to_file(content: str, name: str = "throw.txt"):
-        file = tmp_path / name
-        file.write_text(content, encoding="utf-8")
-        return file
-
-    return to_file
 
 
 def said(throw: Throw, words: str) -> bool:
@@ -62,15 +51,59 @@ def test_the_format_is_seen(sample, kind):
     assert detect_format(SAMPLES[sample].split("\n")) == kind
 
 
-def test_a_wrong_format_is_refused(write):
-    for kind, words in (
-        ("tracker", "expected a header"), ("digitalcurling", "not a line of JSON"),
-        ("timings", "is not known"), ("video", "expected one of table, tracker"),
-    ):  # fmt: skip
-        text = "frame,1\n" + PLAIN if kind == "tracker" else PLAIN
-        text = text.replace("t,x,y", "t,q,r") if kind == "tracker" else text
-        with pytest.raises(InputError, match=words):
-            load_throw(write(text), format=kind)
+POINTS = known_points()
+METRES = PLAIN.replace("x,y", "x_m,y_m")
+
+
+@pytest.mark.parametrize(
+    ("text", "points", "choices", "words"),
+    [
+        ("frame,1\n" + PLAIN.replace("t,x,y", "t,q,r"), "", "format=tracker", "expected a header"),
+        (PLAIN, "", "format=digitalcurling", "not a line of JSON"),
+        (PLAIN, "", "format=timings", "is not known"),
+        (PLAIN, "", "format=video", "expected one of table, tracker"),
+        (PLAIN, "", "units=mass=kg", "expected QUANTITY=UNIT"),
+        (PLAIN, "", "units=x=kg", "x in 'kg': unknown unit"),
+        (PLAIN, "", "axes=x-up", "unknown word"),
+        (two_masses(), "", "stone_index=3", "no such object; expected one of 1 mass A; 2 mass B"),
+        (log(2), "", "", "2 shots; choose one with `--shot N`: 1 end 0 shot 0; 2"),
+        (log(2), "", "shot=3", "--shot 3: there is no such shot"),
+        ('{"tag": "gam", "log": {"cmd": "update"}}\n', "", "", "no trajectory found"),
+        ('{"tag": "gam"}\n{"tag"\n', "", "", "line 2: not a line of JSON"),
+        ("t,x,y,t_phi,phi\n0,0,0,0,1\n1,0,2,0,2\n", "", "",
+         "line 3, column t_phi: time 0 s is not later than"),
+        ("t,x,y,t_phi,phi\n0,0,0,0,1\n1,0,2,,2\n", "", "",
+         "line 3, column t_phi: the time is missing"),
+        *((f'# axes = "{words}"\n' + PLAIN, "", "", f"line 1: axes '{told}") for words, told in (
+            ("x-up", "x-up': unknown word"),
+            ("x-left,x-right", "x-left,x-right': x points in two directions"),
+            ("x-left,y-right", "x-left,y-right': x and y lie on one line"),
+            ("cw,ccw", "cw,ccw': angles are both clockwise and counter-clockwise"),
+            ("from-hog,from-tee", "from-hog,from-tee': two zeros are given"),
+        )),
+        (PIXELS, "", "", "positions are in pixels; give four or more known points"),
+        (METRES, POINTS, "", "has no positions in pixels"),
+        ("t,u,v\n0,320,-140\n1,320,-150\n", POINTS, "", "horizon"),
+        *((PIXELS, points, "", words) for points, words in (
+            (known_points(3), "3 points; a homography needs four"),
+            ("u,v,x,y\n0,0,0,0\n1,1,1,1\n2,2,2,2\n3,3,3,3\n", "collinear in the image"),
+            ("u,v,x,y\n0,0,0,0\n1,0,1,0\n2,0,2,0\n3,3,3,3\n", "three of the points are collinear"),
+            ("u,v,x,y\n0,0,0,0\n9,0,1,0\n9,9,0,1\n0,9,1,1\n", "in this order"),
+            ("u,v,x\n0,0,0\n", "no column for y"),
+            ("u,v,x,y\n0,0,0,\n", "each point needs four finite numbers"),
+            ("1,2,3,4\n", "begins with numbers"),
+            ("\n", "the file is empty; expected a header u,v"),
+        )),
+    ],
+)  # fmt: skip
+def test_refusals(write, text, points, choices, words):
+    name, _, value = choices.partition("=")
+    chosen = {name: int(value) if value.isdigit() else value} if name else {}
+    if points:
+        chosen["reference"] = write(points, "points.csv")
+    with pytest.raises(InputError) as caught:
+        load_throw(write(text), **chosen)
+    assert words in str(caught.value)
 
 
 # Tracker
@@ -139,8 +172,6 @@ def test_two_objects_side_by_side(write):
     other = load_throw(file, stone_index=2)
     np.testing.assert_allclose(other.x, X[T > 1] + 0.1, atol=1e-8)
     assert said(other, "5 rows without mass B left out")
-    with pytest.raises(InputError, match="no such object; expected one of 1 mass A; 2 mass B"):
-        load_throw(file, stone_index=3)
 
 
 def test_two_objects_without_titles(write):
@@ -170,11 +201,7 @@ def test_the_stone_that_was_hit(write):
 
 def test_a_log_of_several_shots(write):
     file = write(log(2), "server.log")
-    with pytest.raises(DataError, match="2 shots; choose one with `--shot N`: 1 end 0 shot 0; 2"):
-        load_throw(file)
     assert said(load_throw(file, shot=2), "end 0 shot 1")
-    with pytest.raises(InputError, match="--shot 3: there is no such shot"):
-        load_throw(file, shot=3)
 
 
 def test_a_client_sees_the_shot_in_its_last_move(write):
@@ -198,13 +225,6 @@ def test_a_shot_that_cannot_be_read(write, change, words):
     change(entry["log"]["trajectory"])
     with pytest.raises(DataError, match=words):
         load_throw(write(json.dumps(entry)))
-
-
-def test_a_log_without_trajectories(write):
-    with pytest.raises(DataError, match="no trajectory found"):
-        load_throw(write('{"tag": "gam", "log": {"cmd": "update"}}\n'))
-    with pytest.raises(DataError, match="line 2: not a line of JSON"):
-        load_throw(write('{"tag": "gam"}\n{"tag"\n'))
 
 
 # Tables in memory
@@ -291,22 +311,6 @@ def test_axes(write, words, columns):
     assert load_throw(write(f'# axes = "{words}"\n' + file.read_text())).y == pytest.approx(Y)
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        ("x-up", "unknown word"), ("x-left,x-right", "points in two directions"),
-        ("x-left,y-right", "lie on one line"), ("cw,ccw", "both clockwise and counter-clockwise"),
-        ("from-hog,from-tee", "two zeros are given"),
-    ],
-)  # fmt: skip
-def test_axes_that_cannot_be(write, words, told):
-    with pytest.raises(InputError, match=told):
-        parse_axes(words)
-    with pytest.raises(DataError, match=told) as caught:
-        load_throw(write(f'# axes = "{words}"\n' + PLAIN))
-    assert caught.value.line == 1
-
-
 def test_sigma_goes_with_its_axis(write):
     columns = {"t": T, "x": Y, "y": -X, "sigma_x": np.full(N, 0.3), "sigma_y": np.full(N, 0.1)}
     throw = load_throw(write(table(columns)), axes="x-along")
@@ -345,20 +349,6 @@ def test_units_of_the_user(write):
     file = write(table({"t": 1000 * T, "x": 100 * X, "y": Y / 0.3048, "phi": np.degrees(PHI)}))
     throw = load_throw(file, units="t=ms, x=cm, y=ft, angle=deg")
     np.testing.assert_allclose(throw.observed[:3], [X, Y, PHI], atol=1e-12)
-    with pytest.raises(InputError, match="expected QUANTITY=UNIT"):
-        load_throw(file, units="mass=kg")
-    with pytest.raises(InputError, match="x in 'kg': unknown unit"):
-        load_throw(file, units="x=kg")
-
-
-@pytest.mark.parametrize(
-    ("header", "quantity"),
-    [("t_phi", "t_phi"), ("time_gyro", "t_omega"), ("gyro time [ms]", "t_omega"),
-     ("t_xy", "t_xy"), ("x_px", "u"), ("v (m/s)", "speed"), ("v [m s^-1]", "speed"),
-     ("ω (°/s)", "omega")],
-)  # fmt: skip
-def test_more_column_names(header, quantity):
-    assert parse_header(header).quantity == quantity
 
 
 # Pixels
@@ -392,44 +382,9 @@ def test_the_noise_of_pixels_is_carried_over(write):
     assert throw.sigma["y"][-1] > 1.5 * throw.sigma["y"][0]
 
 
-def test_the_residual_of_known_points(write):
-    noisy = load_throw(write(PIXELS), reference=write(known_points(noise=1.0), "points.csv"))
-    (note,) = [note for note in noisy.notes if "rms residual" in note]
-    assert 0.1 < float(note.split("residual ")[1].split(" px")[0]) < 2
-    four = load_throw(write(PIXELS), reference=write(known_points(4), "points.csv"))
-    assert said(four, "four points are fitted exactly")
-
-
-@pytest.mark.parametrize(
-    ("points", "words"),
-    [
-        (known_points(3), "3 points; a homography needs four"),
-        ("u,v,x,y\n0,0,0,0\n1,1,1,1\n2,2,2,2\n3,3,3,3\n", "collinear in the image"),
-        ("u,v,x,y\n0,0,0,0\n1,0,1,0\n2,0,2,0\n3,3,3,3\n", "three of the points are collinear"),
-        ("u,v,x,y\n0,0,0,0\n9,0,1,0\n9,9,0,1\n0,9,1,1\n", "in this order"),
-        ("u,v,x\n0,0,0\n", "no column for y"),
-        ("u,v,x,y\n0,0,0,\n", "each point needs four finite numbers"),
-        ("1,2,3,4\n", "begins with numbers"), ("", "the file is empty; expected a header u,v"),
-    ],
-)  # fmt: skip
-def test_known_points_that_will_not_do(write, points, words):
-    with pytest.raises(DataError, match=words):
-        load_throw(write(PIXELS), reference=write(points, "points.csv"))
-
-
-def test_pixels_and_metres_are_told_apart(write):
-    points = write(known_points(), "points.csv")
-    with pytest.raises(DataError, match="positions are in pixels; give four or more known points"):
-        load_throw(write(PIXELS))
-    with pytest.raises(InputError, match="has no positions in pixels"):
-        load_throw(write(PLAIN.replace("x,y", "x_m,y_m")), reference=points)
-    with pytest.raises(DataError, match="horizon"):
-        load_throw(write("t,u,v\n0,320,-140\n1,320,-150\n"), reference=points)
-
-
 def test_the_homography_is_exact_in_any_units():
     plane = homography(1e4 * project(*KNOWN) + 1e6, 0.01 * KNOWN)
-    assert plane.rms_m < 1e-9
+    assert plane.rms_px < 1e-6
 
 
 @pytest.mark.parametrize("header", ["u_px,v_px", "u [px],v [px]", "u (pixels),v (pixels)", "u,v"])
@@ -567,13 +522,6 @@ def test_a_clock_that_runs_on_alone(write):
     np.testing.assert_allclose(throw.t, [0, 0.5, 1])
     np.testing.assert_allclose(throw.omega, np.pi / 2)
     assert np.isnan(throw.x[1])
-
-
-def test_faults_of_clocks(write):
-    with pytest.raises(DataError, match="line 3, column t_phi: time 0 s is not later than"):
-        load_throw(write("t,x,y,t_phi,phi\n0,0,0,0,1\n1,0,2,0,2\n"))
-    with pytest.raises(DataError, match="line 3, column t_phi: the time is missing"):
-        load_throw(write("t,x,y,t_phi,phi\n0,0,0,0,1\n1,0,2,,2\n"))
 
 
 def test_empty_rows_are_left_out(write):

@@ -19,13 +19,8 @@ THREE = "hog_to_hog = 14.2\nrest = 0.6\n"
 
 
 @pytest.fixture
-def read(tmp_path):
-    def of(text):
-        file = tmp_path / "watch.txt"
-        file.write_text(text, encoding="utf-8")
-        return load_throw(file)
-
-    return of
+def read(write):
+    return lambda text: load_throw(write(text))
 
 
 def values(throw):

@@ -10,7 +10,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
-from curlfit.throws.channels import CHANNELS
+from curlfit.throws.channels import CHANNELS, block_means
 from curlfit.throws.readers.axes import (
     MAX_SPIN,
     AmbiguousTurnError,
@@ -47,7 +47,7 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
     parsed = replace(parsed, notes=list(parsed.notes))
     common = {"name": str(parsed.source), "reference": parsed.reference, "defaults": settings}
     if parsed.events:
-        if reading.reference is not None or not convention.is_standard:
+        if reading.reference is not None or convention != AxisConvention():
             raise InputError(
                 f"{parsed.source}: times between lines have no axes and no pixels; leave out "
                 "--axes and --reference"
@@ -60,7 +60,7 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
         _require_radians(parsed, columns)
     _unwrap(parsed, columns)
     mark = [columns.pop(name) for name in ("x_mark", "y_mark") if name in columns]
-    if not convention.is_standard:
+    if convention != AxisConvention():
         columns = _to_sheet_axes(columns, convention)
         parsed.notes.append(f"axes: {words}")
     elif "from-hack" in words:
@@ -76,35 +76,35 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
         "notes": tuple(parsed.notes),
         "lines": parsed.lines,
         "conventions": Conventions(
-            {s.column.quantity: s.column.unit for s in parsed.series}, words
+            {s.column.quantity: s.column.factor for s in parsed.series}, words
         ),
     }
 
 
-def _drop_empty(parsed: ParsedFile) -> None:
-    """Remove empty columns; columns of positions must not be empty."""
-
-    def is_empty(quantity: str, values: Floats) -> bool:
-        return not quantity.startswith("t") and not np.isfinite(values).any()
-
-    whole = parsed.series
-    parsed.series = [s for s in whole if not is_empty(s.column.quantity, s.values)]
-    if len(parsed.series) == len(whole):
-        return
+def _not_empty(parsed: ParsedFile) -> _Columns:
+    """The columns with a value; those of positions must have one."""
+    empty = [s for s in parsed.series if s.column.base != "t" and not np.isfinite(s.values).any()]
+    parsed.series = [s for s in parsed.series if s.header not in {e.header for e in empty}]
     measured = any(not s.column.quantity.startswith(("t", "sigma_")) for s in parsed.series)
-    for header, column, values in whole:
-        if not is_empty(column.quantity, values):
-            continue
+    for header, column, _ in empty:
         if column.quantity in ("x", "y", "u", "v") or not measured:
             fault = f"no value of {column.quantity}: every cell is empty or NaN"
             raise parsed.error(fault, quantity=header)
         parsed.notes.append(f"column {header} is empty: {column.quantity} is taken as not measured")
+    return {s.column.quantity: s.values for s in parsed.series}
 
 
 def _chosen(parsed: ParsedFile, columns: _Columns, rows: np.ndarray) -> _Columns:
     """Some rows, in another order perhaps."""
     parsed.lines = None if parsed.lines is None else parsed.lines[rows]
     return {name: values[rows] for name, values in columns.items()}
+
+
+def _averaged(parsed: ParsedFile, columns: _Columns) -> _Columns:
+    """Means over the rows of equal time, in order of time."""
+    begin = np.flatnonzero(np.append(True, np.diff(columns["t"]) > 0))
+    means = {name: block_means(values, begin)[0] for name, values in columns.items()}
+    return means | _chosen(parsed, {"t": columns["t"]}, begin)
 
 
 def _on_one_clock(parsed: ParsedFile) -> _Columns:
@@ -114,12 +114,8 @@ def _on_one_clock(parsed: ParsedFile) -> _Columns:
     for _, column, _ in parsed.series:
         if column.factor != 1:
             parsed.notes.append(f"{column.quantity} converted from {column.unit}")
-    _drop_empty(parsed)
-    found = {series.column.quantity: series.values for series in parsed.series}
-    clocks = {name: values for name, values in found.items() if name.split("_")[0] == "t"}
-    columns = {name: values for name, values in found.items() if name not in clocks}
-    if list(clocks) == ["t"] and np.isfinite(clocks["t"]).all():
-        return found
+    columns = _not_empty(parsed)
+    clocks = {name: columns.pop(name) for name in list(columns) if name.split("_")[0] == "t"}
     clock = {name: clock_of(name, clocks) for name in columns}
     used = {
         name: np.any([np.isfinite(columns[c]) for c in columns if clock[c] == name], axis=0)
@@ -131,57 +127,33 @@ def _on_one_clock(parsed: ParsedFile) -> _Columns:
         if late.any():
             fault = "the time is missing; each row needs one"
             raise parsed.error(fault, int(np.argmax(late)), name)
-    n = len(next(iter(found.values())))
-    filled = [*used.values(), *(np.isfinite(clocks[name]) for name in used)]
-    empty = n - int(np.any(filled, axis=0).sum()) if used else 0
+    timed = [np.isfinite(clocks[name]) for name in used]
+    empty = int((~np.any([*used.values(), *timed], axis=0)).sum())
     if empty:
         parsed.notes.append(f"{empty} empty rows left out")
     if len(used) == 1:
-        (name,) = used
-        return _chosen(parsed, {"t": clocks[name], **columns}, np.isfinite(clocks[name]))
-    return _merged(parsed, clocks, columns, clock, used)
-
-
-def _merged(
-    parsed: ParsedFile,
-    clocks: _Columns,
-    columns: _Columns,
-    clock: dict[str, str],
-    used: dict[str, np.ndarray],
-) -> _Columns:
-    """The columns of several clocks. A row of a clock counts only where one of its channels has a
-    value.
-
-    Parameters
-    ----------
-    clock : the clock of each column. used : by clock, whether a row counts.
-    """
+        return _chosen(parsed, {"t": clocks[next(iter(used))], **columns}, timed[0])
+    # A row of a clock counts only where one of its channels has a value.
     for name, rows in used.items():
         bad = np.diff(clocks[name][rows]) <= 0
         if bad.any():
             row = int(np.flatnonzero(rows)[np.argmax(bad) + 1])
             fault = f"time {clocks[name][row]:g} s is not later than the one before"
             raise parsed.error(fault, row, name)
-    every = np.concatenate([clocks[name][rows] for name, rows in used.items()])
     origin = np.concatenate([np.flatnonzero(rows) for rows in used.values()])
-    t, index = np.unique(every, return_index=True)
-    merged = {"t": t}
-    for c, values in columns.items():
-        rows = used[clock[c]]
-        merged[c] = np.full(len(t), np.nan)
-        merged[c][np.searchsorted(t, clocks[clock[c]][rows])] = values[rows]
+    of = np.repeat(list(used), [rows.sum() for rows in used.values()])
+    every = {c: np.where(of == clock[c], v[origin], np.nan) for c, v in columns.items()}
+    every["t"] = np.concatenate([clocks[name][rows] for name, rows in used.items()])
+    _chosen(parsed, {}, origin)
+    merged = _averaged(parsed, _chosen(parsed, every, np.argsort(every["t"], kind="stable")))
     listed = ", ".join(f"{name} ({int(rows.sum())} rows)" for name, rows in used.items())
-    parsed.notes.append(f"clocks {listed} merged to {len(t)} times")
-    _chosen(parsed, {}, origin[index])
+    parsed.notes.append(f"clocks {listed} merged to {len(merged['t'])} times")
     return merged
 
 
 def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
     """The rows sorted by time; repeated rows appear once, rows of equal time are averaged."""
-    step = np.diff(columns["t"])
-    if (step > 0).all():
-        return columns
-    if (step < 0).any():
+    if (np.diff(columns["t"]) < 0).any():
         order = np.argsort(columns["t"], kind="stable")
         columns = _chosen(parsed, columns, order)
         place = np.argsort(order)
@@ -190,14 +162,11 @@ def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
     first = np.append(True, np.diff(columns["t"]) > 0)
     if first.all():
         return columns
-    begin = np.flatnonzero(first)
-    owner = np.cumsum(first) - 1
+    begin, owner = np.flatnonzero(first), np.cumsum(first) - 1
     _require_one_place(parsed, columns, begin, owner)
     same = np.all(
-        [(v == v[begin][owner]) | (np.isnan(v) & np.isnan(v[begin][owner]))
-         for v in columns.values()],
-        axis=0,
-    )  # fmt: skip
+        [np.isclose(v, v[begin][owner], 0, 0, equal_nan=True) for v in columns.values()], axis=0
+    )
     repeated = int((same & ~first).sum())
     means = int((~first).sum()) - repeated
     if repeated:
@@ -207,14 +176,7 @@ def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
             f"{means + len(np.unique(owner[~same]))} rows share their time with others: means over "
             "rows of one time are taken"
         )
-    merged = {}
-    for name, values in columns.items():
-        finite = np.isfinite(values) & (first | ~same)
-        count = np.add.reduceat(finite.astype(float), begin)
-        total = np.add.reduceat(np.where(finite, values, 0.0), begin)
-        merged[name] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-    times = _chosen(parsed, {"t": columns["t"]}, begin)
-    return {**merged, **times}
+    return _averaged(parsed, _chosen(parsed, columns, first | ~same))
 
 
 def _require_one_place(

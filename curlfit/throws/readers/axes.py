@@ -15,21 +15,19 @@ from curlfit.sheet import LINES
 _TURN = 2 * math.pi
 MAX_SPIN = 2 * _TURN
 """rad/s; a thrown stone makes two to four turns, at about 1 rad/s or 60 degrees/s."""
-WORDS = {
-    "y-along": "y points along the throw (as in curlfit)",
-    "y-back": "y points back at the thrower",
-    "y-right": "y points to the right, seen along the throw",
-    "y-left": "y points to the left",
-    "x-along": "x points along the throw",
-    "x-back": "x points back at the thrower",
-    "x-right": "x points to the right (as in curlfit)",
-    "x-left": "x points to the left",
-    "clockwise": "angle and spin are clockwise, seen from above",
-    "counter-clockwise": "angle and spin are counter-clockwise, seen from above",
-    **{f"from-{line}": f"zero lies at the {line.replace('-', ' ')}" for line in LINES},
-}
-_SYNONYMS = {"counterclockwise": "counter-clockwise", "ccw": "counter-clockwise", "cw": "clockwise"}
-_SYNONYMS |= {"from-center": "from-centre"}
+WORDS = (
+    *(f"{axis}-{way}" for axis in "yx" for way in ("along", "back", "right", "left")),
+    "clockwise", "counter-clockwise", *(f"from-{line}" for line in LINES),
+)  # fmt: skip
+"""Where axes point, seen along the throw; how angles count, seen from above; where zero lies."""
+_SYNONYMS = {
+    "counterclockwise": "counter-clockwise", "ccw": "counter-clockwise", "cw": "clockwise",
+    "from-center": "from-centre",
+}  # fmt: skip
+_TWICE = {
+    "x": "x points in two directions", "y": "y points in two directions",
+    "from": "two zeros are given", "turn": "angles are both clockwise and counter-clockwise",
+}  # fmt: skip
 # Direction of a word in (right, along).
 _DIRECTIONS = {"right": (1, 0), "left": (-1, 0), "along": (0, 1), "back": (0, -1)}
 
@@ -48,11 +46,6 @@ class AxisConvention(NamedTuple):
     y: tuple[int, int] = (0, 1)
     turn: int = 1
     zero: float = 0.0
-
-    @property
-    def is_standard(self) -> bool:
-        """Whether these are the axes of curlfit."""
-        return self == AxisConvention()
 
     @property
     def handedness(self) -> int:
@@ -86,9 +79,8 @@ class AxisConvention(NamedTuple):
     @property
     def matrix(self) -> Floats:
         """`to_sheet` as a matrix that acts on (x, y, 1)."""
-        ends = np.stack([*self.to_sheet(np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])),
-                         np.ones(3)])  # fmt: skip
-        return ends - ends[:, 2:] * [1, 1, 0]
+        (a, b), (c, d) = self.x, self.y
+        return np.array([[a, c, 0.0], [b, d, self.zero], [0.0, 0.0, 1.0]])
 
 
 def corrected(text: str, across: int, along: int, turn: int, *, exchanged: bool = False) -> str:
@@ -121,42 +113,30 @@ def parse_axes(text: str | None) -> AxisConvention:
     ------
     InputError : an unknown word, or words that contradict one another.
     """
-    axes: dict[str, tuple[int, int]] = {}
-    turn: int | None = None
-    zero: float | None = None
+    found: dict[str, str] = {}
     for given in (text or "").replace(",", " ").lower().replace("_", "-").split():
         word = _SYNONYMS.get(given, given)
         if word not in WORDS:
             raise InputError(
                 f"axes {quoted(given)}: unknown word; expected some of {', '.join(WORDS)}"
             )
-        name, _, where = word.partition("-")
-        if name in ("x", "y"):
-            if axes.get(name, _DIRECTIONS[where]) != _DIRECTIONS[where]:
-                raise InputError(f"axes {quoted(text)}: {name} points in two directions")
-            axes[name] = _DIRECTIONS[where]
-        elif name == "from":
-            if zero is not None:
-                raise InputError(f"axes {quoted(text)}: two zeros are given")
-            zero = LINES[where]
-        else:
-            if turn is not None:
-                raise InputError(
-                    f"axes {quoted(text)}: angles are both clockwise and counter-clockwise"
-                )
-            turn = -1 if word == "clockwise" else 1
-    x, y = axes.get("x"), axes.get("y")
+        name = word.partition("-")[0]
+        aspect = name if name in _TWICE else "turn"
+        if found.setdefault(aspect, word) != word:
+            raise InputError(f"axes {quoted(text)}: {_TWICE[aspect]}")
+    x, y = (_DIRECTIONS[found[name][2:]] if name in found else None for name in "xy")
     if x is None:
         x = (1, 0) if y is None or y[0] == 0 else (y[1], -y[0])
     if y is None:
         y = (0, 1) if x[1] == 0 else (-x[1], x[0])
-    convention = AxisConvention(x, y, 1, zero or 0.0)
+    convention = AxisConvention(x, y, 1, LINES[found.get("from", "from-hack")[5:]])
     if convention.handedness == 0:
         raise InputError(
             f"axes {quoted(text)}: x and y lie on one line; one runs along the sheet (along, "
             "back), the other across it (right, left)"
         )
-    return convention._replace(turn=convention.handedness if turn is None else turn)
+    senses = {"": convention.handedness, "clockwise": -1, "counter-clockwise": 1}
+    return convention._replace(turn=senses[found.get("turn", "")])
 
 
 class AmbiguousTurnError(Exception):
@@ -192,7 +172,7 @@ def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> tuple[Floats,
     step, dt = np.diff(angle), np.diff(time)
     if (dt <= 0).any():
         return phi, 0, _TURN
-    expected = _integrated_spin(t, omega, time)
+    expected = None if omega is None else _integrated_spin(t, omega, time)
     period, wrapped = _period(angle, step)
     if expected is not None:
         true = step - period * np.round((step - expected) / period)
@@ -260,10 +240,8 @@ def _period(angle: Floats, step: Floats) -> tuple[float, bool]:
     return _TURN, False
 
 
-def _integrated_spin(t: Floats, omega: Floats | None, time: Floats) -> Floats | None:
+def _integrated_spin(t: Floats, omega: Floats, time: Floats) -> Floats | None:
     """Rotation between the times, from the spin; None if it is not known throughout."""
-    if omega is None:
-        return None
     known = np.isfinite(omega)
     if known.sum() < 2 or t[known][0] > time[0] + 1e-9 or t[known][-1] < time[-1] - 1e-9:
         return None
@@ -300,8 +278,6 @@ def _remove_jumps(step: Floats, dt: Floats) -> Floats:
     if len(step) < 5:
         return step
     rate = step / dt
-    if np.abs(step).max() + np.abs(rate).max() * dt.max() < 0.85 * _TURN:
-        return step  # no step is as large as a jump
     padded = np.pad(rate, 2, "edge")
     pace = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
     off = step - pace * dt

@@ -13,28 +13,25 @@ from curlfit.foreign import quoted
 from curlfit.sheet import FOOT
 
 _NAMES = {
-    "t": {"t", "time", "timestamp", "seconds", "elapsed"},
-    "x": {"x", "xpos", "posx", "positionx", "xposition", "xcoord"},
-    "y": {"y", "ypos", "posy", "positiony", "yposition", "ycoord"},
-    "phi": {"phi", "φ", "ϕ", "angle", "theta", "θ", "rotation", "rot", "orientation"},
-    "speed": {"speed", "v", "velocity", "vel"},
-    "omega": {
-        "omega", "ω", "spin", "spinrate", "angularvelocity", "angularspeed", "gyro", "gyroz", "gz",
-        "wz", "rotationrate",
-    },
-    "x_mark": {"xhandle", "handlex", "xmark", "markx"},
-    "y_mark": {"yhandle", "handley", "ymark", "marky"},
-    "u": {"u", "pixelx", "xpixel", "imagex", "ximage"},
-    "v": {"pixely", "ypixel", "imagey", "yimage"},
-}  # fmt: skip
-_SIGMA = {"sigma", "sd", "std", "stdev", "err", "error", "unc", "uncertainty"}
-# Names of clocks of single channels, in addition to the names of the channels.
-_CLOCKS = {
-    "t_xy": {"xy", "pos", "position", "camera", "cam", "video", "tracker"},
-    "t_phi": {"compass", "handle"},
-    "t_speed": {"radar"},
-    "t_omega": {"imu"},
+    "t": "t|time|timestamp|seconds|elapsed",
+    "x": "(pos(ition)?)?x|x(pos(ition)?|coord)",
+    "y": "(pos(ition)?)?y|y(pos(ition)?|coord)",
+    "phi": "phi|φ|ϕ|angle|theta|θ|rot(ation)?|orientation",
+    "speed": "speed|v|vel(ocity)?",
+    "omega": "omega|ω|spin(rate)?|angular(velocity|speed)|gyroz?|[gw]z|rotationrate",
+    "x_mark": "x(handle|mark)|(handle|mark)x",
+    "y_mark": "y(handle|mark)|(handle|mark)y",
+    "u": "u|x(pixel|image)|(pixel|image)x",
+    "v": "y(pixel|image)|(pixel|image)y",
 }
+"""Names of quantities, as patterns."""
+_SIGMA = {"sigma", "sd", "std", "stdev", "err", "error", "unc", "uncertainty"}
+_OF_CLOCKS = {
+    "t_x": _NAMES["x"], "t_y": _NAMES["y"], "t_xy": "xy|pos(ition)?|cam(era)?|video|tracker",
+    "t_phi": _NAMES["phi"] + "|compass|handle", "t_speed": _NAMES["speed"] + "|radar",
+    "t_omega": _NAMES["omega"] + "|imu",
+}  # fmt: skip
+"""What a clock of single channels is named after, beside the word for time."""
 
 _TURN = 2 * math.pi
 _UNITS = {
@@ -83,6 +80,12 @@ class Column(NamedTuple):
     stated: bool = True
     """whether the header names the unit"""
 
+    @property
+    def base(self) -> str:
+        """The quantity in whose units it is: "x" of "sigma_x" and "x_mark", "t" of all clocks."""
+        first, _, last = self.quantity.partition("_")
+        return last if first == "sigma" else first
+
 
 @lru_cache(1024)
 def parse_header(header: str) -> Column | None:
@@ -114,9 +117,8 @@ def parse_header(header: str) -> Column | None:
 def units_of(quantity: str) -> dict[str, float]:
     """Units that a quantity may have, with their factors to SI."""
     base = quantity.removeprefix("sigma_")
-    if base in ("u", "v"):
-        return _UNITS["pixel"]
-    return _UNITS["t"] if base.startswith("t") else _UNITS.get(base, _UNITS["length"])
+    kind = "pixel" if base in ("u", "v") else "t" if base.startswith("t") else base
+    return _UNITS.get(kind, _UNITS["length"])
 
 
 def in_unit(quantity: str, unit: str) -> Column:
@@ -165,36 +167,25 @@ def parse_units(text: str | None) -> dict[str, str]:
     return found
 
 
-def with_units(column: Column, units: Mapping[str, str]) -> Column:
+def with_unit(column: Column, unit: str | None) -> Column:
     """A column in the unit given by the user, if any, instead of that of its header."""
-    base = column.quantity.removeprefix("sigma_")
-    base = "t" if base.startswith("t_") else base
-    if base.endswith("_mark"):
-        return with_units(column._replace(quantity=base[0]), units)._replace(quantity=base)
-    if base not in units:
+    if unit is None:
         return column
-    found = in_unit(base, units[base])
-    quantity = column.quantity[: len(column.quantity) - len(base)] + found.quantity
-    return found._replace(quantity=quantity if base != "t" else column.quantity)
+    found = in_unit(column.base, unit)
+    return found._replace(quantity=column.quantity.replace(column.base, found.quantity, 1))
+
+
+def _named(name: str, patterns: Mapping[str, str]) -> str | None:
+    return next((key for key, names in patterns.items() if re.fullmatch(names, name)), None)
 
 
 def _quantity(words: list[str]) -> str | None:
     rest = [word for word in words if word not in _SIGMA]
-    name = "".join(rest)
-    for quantity, names in _NAMES.items():
-        if name in names:
-            if len(rest) == len(words):
-                return quantity
-            return f"sigma_{quantity}" if quantity != "t" else None
-    if len(rest) == len(words) > 1:
+    quantity = _named("".join(rest), _NAMES)
+    if len(rest) < len(words):
+        return f"sigma_{quantity}" if quantity not in (None, "t") else None
+    if quantity is None and len(words) > 1:
         for clock, other in ((words[0], words[1:]), (words[-1], words[:-1])):
-            if clock in _NAMES["t"] - {"seconds"}:
-                return _clock("".join(other))
-    return None
-
-
-def _clock(name: str) -> str | None:
-    for quantity, names in _NAMES.items():
-        if quantity not in ("t", "u", "v") and name in names:
-            return f"t_{quantity}"
-    return next((clock for clock, names in _CLOCKS.items() if name in names), None)
+            if clock != "seconds" and re.fullmatch(_NAMES["t"], clock):
+                return _named("".join(other), _OF_CLOCKS)
+    return quantity

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import tomllib
 from bisect import bisect_left
-from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
@@ -42,33 +41,27 @@ def begun(
     ------
     DataError : a setting that cannot be read or used.
     """
-    numbers: list[int] = []
-    bodies: list[str] = []
-    notes: list[str] = []
-    unknown = 0
+    found: list[tuple[int, str]] = []
+    unknown: list[str] = []
     for number, line in file.comments(until):
         body = line.lstrip().lstrip("#").strip()
         key = body.split("=", 1)[0].strip().split(".")[0]
         if "=" not in body or not key.isidentifier():
             continue
-        if key not in _SETTINGS:
-            unknown += 1
-            if unknown <= _MOST_NOTES:
-                notes.append(f"line {number}: setting {quoted(key)} is not known and was ignored")
-            continue
-        if len(bodies) == _MOST_SETTINGS:
-            fault = f"more than {_MOST_SETTINGS} settings; expected those of one throw"
-            raise file.error(fault, number - 1)
-        numbers.append(number)
-        bodies.append(body)
-    if unknown > _MOST_NOTES:
-        notes.append(f"{unknown - _MOST_NOTES} more settings are not known and were ignored")
+        if key in _SETTINGS:
+            found.append((number, body))
+        else:
+            unknown.append(f"line {number}: setting {quoted(key)} is not known and was ignored")
+    if len(found) > _MOST_SETTINGS:
+        fault = f"more than {_MOST_SETTINGS} settings; expected those of one throw"
+        raise file.error(fault, found[_MOST_SETTINGS][0] - 1)
+    notes, more = unknown[:_MOST_NOTES], len(unknown) - _MOST_NOTES
+    if more > 0:
+        notes.append(f"{more} more settings are not known and were ignored")
     try:
-        common = _settings(tuple(bodies))
+        settings = _settings([body for _, body in found])
     except (ValueError, RecursionError, InputError):
-        _raise_at_fault(file, numbers, bodies)
-    # A copy: the cached settings are shared by all files with the same comments.
-    settings = {k: dict(v) if isinstance(v, dict) else v for k, v in common.items()}
+        _raise_at_fault(file, found)
     given = settings.pop("reference", None)
     reference = None if given is None else _reference(file, given)
     return ParsedFile(
@@ -76,8 +69,7 @@ def begun(
     )
 
 
-@lru_cache(64)
-def _settings(bodies: tuple[str, ...]) -> dict[str, Any]:
+def _settings(bodies: list[str]) -> dict[str, Any]:
     """The settings in some lines, each of them valid TOML."""
     text = "\n".join(bodies)
     if any(mark in text for mark in ("[", '"""', "'''")):  # values that may extend over lines
@@ -88,24 +80,24 @@ def _settings(bodies: tuple[str, ...]) -> dict[str, Any]:
     return found
 
 
-def _raise_at_fault(file: TextFile, numbers: list[int], bodies: list[str]) -> None:
+def _raise_at_fault(file: TextFile, found: list[tuple[int, str]]) -> NoReturn:
     """Raise `DataError` with the first line that makes the settings unusable."""
 
     def fault(count: int) -> str:
         """What is wrong with the first lines; more lines mend nothing."""
         try:
-            _settings(tuple(bodies[:count]))
+            _settings([body for _, body in found[:count]])
         except InputError as error:
             return str(error)
         except (ValueError, RecursionError):
             return (
-                f"cannot read the setting {quoted(bodies[count - 1])}; expected key = value as in "
-                "TOML, text in quotes, each key once"
+                f"cannot read the setting {quoted(found[count - 1][1])}; expected key = value as "
+                "in TOML, text in quotes, each key once"
             )
         return ""
 
-    last = 1 + bisect_left(range(1, len(bodies)), True, key=lambda count: bool(fault(count)))
-    raise file.error(fault(last), numbers[last - 1] - 1)
+    last = 1 + bisect_left(range(1, len(found)), True, key=lambda count: bool(fault(count)))
+    raise file.error(fault(last), found[last - 1][0] - 1)
 
 
 def _check(settings: dict[str, Any]) -> None:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,10 +104,13 @@ def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedF
     notes.append("a simulated throw: positions are exact to the 32 bits of the log")
     parsed.lines = np.full(int(keep.sum()), chosen.line, np.int64)
     parsed.add("seconds_per_frame", Column("t", "s", 1.0), np.asarray(time[keep]))
-    for k, (header, quantity, unit) in enumerate(
-        (("position.x", "x", "m"), ("position.y", "y", "m"), ("angle", "phi", "rad"))
+    xyz = positions[stone, keep].T
+    for header, column, values in (
+        ("position.x", Column("x", "m", 1.0), xyz[0]),
+        ("position.y", Column("y", "m", 1.0), xyz[1]),
+        ("angle", Column("phi", "rad", 1.0), xyz[2]),
     ):
-        parsed.add(header, Column(quantity, unit, 1.0), np.asarray(positions[stone, keep, k]))
+        parsed.add(header, column, values)
     return parsed
 
 
@@ -181,17 +184,18 @@ def _paths(file: TextFile, shot: Shot) -> tuple[float, Floats, list[str]]:
     start, frames = shot.trajectory.get("start"), shot.trajectory.get("frames")
     if not isinstance(start, dict) or not isinstance(frames, list):
         raise refuse("a trajectory needs a start and frames")
-    teams = [team for team in sorted(start) if isinstance(start[team], list)]
-    slots = [(team, k) for team in teams for k in range(len(start[team]))]
+    slots = [
+        (team, k)
+        for team in sorted(start)
+        if isinstance(start[team], list)
+        for k in range(len(start[team]))
+    ]
     if not slots or len(slots) > 64 or len(slots) * (len(frames) + 1) > _MOST_NUMBERS:
         raise refuse("the start needs some stones by team")
-    index = {slot: k for k, slot in enumerate(slots)}
-    now = np.full((len(slots), 3), math.nan)
-    for (team, k), row in index.items():
-        now[row] = _stone(start[team][k], refuse)
     positions = np.empty((len(slots), len(frames) + 1, 3))
-    positions[:, 0] = now
+    positions[:, 0] = [_stone(start[team][k], refuse) for team, k in slots]
     for count, changes in enumerate(frames, 1):
+        positions[:, count] = positions[:, count - 1]
         if not isinstance(changes, list):
             raise refuse(f"frame {count}: expected a list of changes")
         for change in changes:
@@ -201,24 +205,23 @@ def _paths(file: TextFile, shot: Shot) -> tuple[float, Floats, list[str]]:
             number: Any = change.get("index")
             if isinstance(side, int) and not isinstance(side, bool):
                 side = f"team{side}"
-            slot = (side, number) if isinstance(side, str) and isinstance(number, int) else None
-            if slot not in index:
+            if (side, number) not in slots:
                 raise refuse(f"frame {count}: no stone {quoted(number)} of team {quoted(side)}")
-            now[index[slot]] = _stone(change.get("value"), refuse)
-        positions[:, count] = now
+            stone = slots.index((side, number))
+            positions[stone, count] = _stone(change.get("value"), refuse)
     return float(period), positions, [f"{team} stone {k + 1}" for team, k in slots]
 
 
-def _stone(value: Any, refuse: Any) -> list[float]:
+def _stone(value: Any, refuse: Callable[[str], DataError]) -> list[float]:
     if value is None:
         return [math.nan] * 3
-    place = value.get("position") if isinstance(value, dict) else None
-    numbers = (
-        [place.get("x"), place.get("y"), value.get("angle")] if isinstance(place, dict) else []
-    )
-    if not numbers or not all(is_number(item) for item in numbers):
+    try:
+        numbers = [value["position"]["x"], value["position"]["y"], value["angle"]]
+    except (TypeError, KeyError):
+        numbers = [None]
+    if not all(map(is_number, numbers)):
         raise refuse("a stone needs a position x, y and an angle, all finite numbers")
-    return [float(item) for item in numbers]
+    return [float(number) for number in numbers]
 
 
 def _first_change(stone: Floats) -> int:

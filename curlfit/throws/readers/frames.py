@@ -10,7 +10,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.assemble import assemble
-from curlfit.throws.readers.columns import Column, in_unit, parse_header, parse_units, with_units
+from curlfit.throws.readers.columns import Column, parse_header, parse_units, with_unit
 from curlfit.throws.readers.parsed_file import ParsedFile, columns_of
 from curlfit.throws.readers.several import contents_of
 from curlfit.throws.readers.table import TABLE
@@ -41,8 +41,11 @@ def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, An
         raise parsed.error("no rows")
     for index, column in columns.items():
         header = names[index]
-        if header in stated and column.quantity.removeprefix("sigma_") not in units:
-            column = _with_stated_unit(parsed, header, column, stated[header])
+        if column.base not in units:
+            try:
+                column = with_unit(column, stated.get(header))
+            except InputError as error:
+                raise parsed.error(str(error), quantity=header) from None
         parsed.add(header, column, _numbers(values[header], column, parsed, header))
     words = {names[k]: values[names[k]].tolist() for k in range(len(names)) if k not in columns}
     contents = contents_of(parsed, words)
@@ -56,7 +59,12 @@ def _variables(table: Any, parsed: ParsedFile) -> tuple[dict[str, Any], dict[str
     if hasattr(table, "columns") and hasattr(table, "__getitem__"):
         return _of_frame(table, parsed), {}
     if isinstance(table, Mapping):
-        return {str(key): _fill_masked(table[key]) for key in table}, {}
+        # of masked arrays, of any kind, masked entries are gaps
+        filled = {
+            str(key): np.ma.filled(v.astype(float), np.nan) if np.ma.isMaskedArray(v) else v
+            for key, v in table.items()
+        }
+        return {name: np.asarray(values) for name, values in filled.items()}, {}
     raise InputError(
         f"{type(table).__name__}: expected a DataFrame, a Dataset or a mapping of names to arrays"
     )
@@ -102,16 +110,6 @@ def _is_time(name: str) -> bool:
     return column is not None and column.quantity == "t"
 
 
-def _with_stated_unit(parsed: ParsedFile, header: str, column: Column, unit: str) -> Column:
-    try:
-        return with_units(column, {column.quantity.removeprefix("sigma_"): unit})
-    except InputError:
-        try:
-            return in_unit(column.quantity, unit)
-        except InputError as error:
-            raise parsed.error(str(error), quantity=header) from None
-
-
 def _numbers(values: Any, column: Column, parsed: ParsedFile, header: str) -> np.ndarray:
     """Numbers in the column's unit; dates and durations as seconds."""
     if values.ndim != 1:
@@ -139,10 +137,3 @@ def _numbers(values: Any, column: Column, parsed: ParsedFile, header: str) -> np
 
 def _blank(value: Any) -> bool:
     return value is None or type(value).__name__ == "NAType"  # of pandas
-
-
-def _fill_masked(values: Any) -> np.ndarray:
-    """An array with masked entries as NaN."""
-    if isinstance(values, np.ma.MaskedArray):
-        return np.ma.filled(values.astype(float), np.nan)
-    return np.asarray(values)

@@ -27,8 +27,8 @@ class Homography(NamedTuple):
     Attributes
     ----------
     matrix : shape (3, 3), acting on (u, v, 1); its third coordinate is positive on the ice.
-    points : number of known points. rms_m, rms_px : root mean square error of a coordinate of the
-        known points, on the ice and in the image.
+    points : number of known points. rms_px : root mean square error of a coordinate of the known
+        points in the image, pixels.
     errors : independent errors of the map, each of one standard deviation, shape (8, 3, 3): a place
         (x, y, 1) on the sheet may in truth be at (I + error)(x, y, 1), homogeneous. None for four
         points, which leave no residual.
@@ -36,7 +36,6 @@ class Homography(NamedTuple):
 
     matrix: Floats
     points: int
-    rms_m: float
     rms_px: float
     errors: Floats | None = None
 
@@ -48,13 +47,10 @@ class Homography(NamedTuple):
 
     def jacobian(self, u: Floats, v: Floats) -> Floats:
         """d(x, y)/d(u, v) in m per pixel, shape (2, 2, n)."""
-        x, y = self(u, v)
-        w = self.matrix[2] @ np.stack([u, v, np.ones_like(u)])
-        rows = [
-            [(self.matrix[0, k] - x * self.matrix[2, k]) / w for k in (0, 1)],
-            [(self.matrix[1, k] - y * self.matrix[2, k]) / w for k in (0, 1)],
-        ]
-        return np.array(rows)
+        x, y, w = self.matrix @ np.stack([u, v, np.ones_like(u)])
+        rows = [[(self.matrix[i, k] - at / w * self.matrix[2, k]) / w for k in (0, 1)]
+                for i, at in enumerate((x, y))]  # fmt: skip
+        return np.where(w > 1e-9 * np.abs(self.matrix[2]).max(), np.array(rows), np.nan)
 
 
 def displacements(errors: Floats, x: Floats, y: Floats) -> Floats:
@@ -94,13 +90,13 @@ def load_homography(file: Path) -> Homography:
     missing = [name for name in "uvxy" if name not in columns]
     if missing:
         raise table.error(f"no column for {' and '.join(missing)}; {_EXPECTED}")
-    numbers, found = table.numbers(list(columns.values()))
-    values = dict(zip(columns, found * np.array(factors)[:, None], strict=True))
+    found = np.array(table.numbers(list(columns.values()))) * np.array(factors)[:, None]
+    values = dict(zip(columns, found, strict=True))
     stacked = np.stack([values[name] for name in "uvxy"])
     bad = ~np.isfinite(stacked).all(axis=0) | (np.abs(np.nan_to_num(stacked)) > 1e7).any(axis=0)
     if bad.any():
-        line = int(numbers[np.argmax(bad)])
-        raise table.file.error("each point needs four finite numbers u, v, x, y", line - 1)
+        fault = "each point needs four finite numbers u, v, x, y"
+        raise table.file.error(fault, table.rows[np.argmax(bad)])
     return homography(stacked[:2], stacked[2:], file)
 
 
@@ -137,12 +133,12 @@ def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -
     )
     camera, off, slope = _least_squares(np.linalg.inv(inner * np.sign(depth[0])), a, b)
     matrix = np.linalg.inv(U) @ np.linalg.inv(camera) @ T
-    fitted = Homography(matrix / np.abs(matrix).max(), n, 0.0, 0.0)
-    rms_m, rms_px = _rms(np.stack(fitted(*pixels)) - metres), _rms(off) / T[0, 0]
+    fitted = Homography(matrix / np.abs(matrix).max(), n, _rms(off) / T[0, 0])
+    rms_m = _rms(np.stack(fitted(*pixels)) - metres)
     require(
         bool(np.isfinite(rms_m)) and _rms(off) <= 0.1,
-        f"the points do not fit an image of a plane: rms {rms_px:.3g} pixels ({rms_m:.3g} m); two "
-        "of them may be interchanged",
+        f"the points do not fit an image of a plane: rms {fitted.rms_px:.3g} pixels ({rms_m:.3g} "
+        "m); two of them may be interchanged",
     )
     errors = None
     if n > 4:
@@ -150,7 +146,7 @@ def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -
         scale = np.sqrt((off**2).sum() / (2 * n - 8))
         root = scale * np.linalg.inv(np.linalg.qr(slope.reshape(-1, 8), mode="r"))
         errors = np.linalg.inv(U) @ _generators(root.T) @ U
-    return fitted._replace(rms_m=rms_m, rms_px=rms_px, errors=errors)
+    return fitted._replace(errors=errors)
 
 
 def _direct_linear_transform(image: Floats, sheet: Floats) -> tuple[Floats, bool]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ from curlfit.foreign import LARGEST, quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
 from curlfit.throws.events import Event
-from curlfit.throws.readers.columns import Column, parse_header, parse_units, with_units
+from curlfit.throws.readers.columns import Column, parse_header, parse_units, with_unit
 from curlfit.throws.readers.text import EXPECTED, TextFile
 from curlfit.throws.reference import Reference
 
@@ -60,6 +61,16 @@ class ParsedFile:
             message = f"row {row}: {message}"
         return DataError(message, file=self.source, line=line, column=header)
 
+    def rows(self, rows: np.ndarray) -> ParsedFile:
+        """Some of its rows; the notes and settings are copies."""
+        return replace(
+            self,
+            series=[series._replace(values=series.values[rows]) for series in self.series],
+            lines=None if self.lines is None else self.lines[rows],
+            notes=list(self.notes),
+            settings=dict(self.settings),
+        )
+
     def add(self, header: str, column: Column, values: Floats) -> None:
         """Add a column of values in its unit; refuses values beyond 1e12 in SI."""
         scaled = values
@@ -82,7 +93,7 @@ class Contents(NamedTuple):
     labels : their names; one name without meaning where the file has only one.
     parse : reads the one of an index.
     among : indices of those that are throws by themselves; all, if None.
-    note : on the choice, with places for the number of throws and of the one taken.
+    note : on the one of several that is taken, with places for their number and its own.
     """
 
     labels: Sequence[str]
@@ -147,8 +158,8 @@ class Format(NamedTuple):
         return parsed
 
 
-_FRAME_NUMBERS = ("frame", "frames", "frame number", "frame_number", "frame no", "frame_no")
 _MOST_LISTED = 20
+_FRAME_NUMBERS = re.compile(r"frames?|frame[ _](number|no)")
 
 
 def columns_of(
@@ -168,28 +179,30 @@ def columns_of(
     """
     units, pixels = parse_units(reading.units), reading.reference is not None
     columns: dict[int, Column] = {}
-    ignored: list[str] = []
-    taken: dict[str, str] = {}
     bare = [str(name).strip().lower() for name in names]
     meant = {column.quantity for name in names if (column := parse_header(name)) is not None}
     velocities = not pixels and {"x", "y"} <= meant and "u" in bare
     pixels = pixels or ("u" in bare and "v" in bare and not velocities)
-    counted = "t" not in meant and bool(set(bare) & set(_FRAME_NUMBERS))
+    counted = "t" not in meant and any(map(_FRAME_NUMBERS.fullmatch, bare))
+    taken: dict[str, str] = {}
     for index, (name, word) in enumerate(zip(names, bare, strict=True)):
         column = parse_header(name)
-        if counted and word in _FRAME_NUMBERS and units.get("t", "").endswith("fps"):
+        if counted and _FRAME_NUMBERS.fullmatch(word) and units.get("t", "").endswith("fps"):
             column = Column("t", "s", 1.0, stated=False)
+        if pixels and word in ("v", "sigma_v"):
+            column = Column(word, "px", 1.0)
         if column is None or (velocities and word in ("u", "v")):
-            ignored += [name] if name else []
             continue
-        column = _in_pixels(column, word, units) if pixels else with_units(column, units)
-        quantity = column.quantity
-        if quantity in taken:
+        column = with_unit(column, units.get(column.base))
+        if pixels and not column.stated and column.quantity in ("x", "y", "sigma_x", "sigma_y"):
+            axis = "u" if column.base == "x" else "v"
+            column = Column(column.quantity[:-1] + axis, "px", 1.0)
+        if column.quantity in taken:
             raise error(
-                f"columns {quoted(taken[quantity])} and {quoted(name)} both mean {quantity}; "
-                "rename or remove one"
+                f"columns {quoted(taken[column.quantity])} and {quoted(name)} both mean "
+                f"{column.quantity}; rename or remove one"
             )
-        taken[quantity] = name
+        taken[column.quantity] = name
         columns[index] = column
     if missing := missing_columns(taken):
         remedy = "; `--units t=30fps`, with the camera's rate, makes frames times"
@@ -197,18 +210,7 @@ def columns_of(
             f"no column for {' and '.join(missing)} among {_list_names(names)}; {EXPECTED}"
             + (remedy if counted and "t" in missing else "")
         )
-    return columns, ignored
-
-
-def _in_pixels(column: Column, word: str, units: Mapping[str, str]) -> Column:
-    """A column of a file of pixels; `word` is its header."""
-    if word in ("v", "sigma_v"):
-        column = Column(word, "px", 1.0)
-    column = with_units(column, units)
-    if not column.stated and column.quantity.removeprefix("sigma_") in ("x", "y"):
-        axis = "u" if column.quantity.endswith("x") else "v"
-        column = Column(column.quantity[:-1] + axis, "px", 1.0)
-    return column
+    return columns, [name for k, name in enumerate(names) if name and k not in columns]
 
 
 def missing_columns(quantities: Any) -> list[str]:

@@ -47,7 +47,7 @@ def contents_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Conte
 
     def parse(index: int) -> ParsedFile:
         name, rows = throws[index]
-        found = _rows(parsed, rows)
+        found = parsed.rows(rows)
         found.notes.append(f"{len(throws)} throws; taken: {index + 1} {name}")
         return found
 
@@ -60,14 +60,9 @@ def _by_column(words: Mapping[str, Sequence[Any]], n: int) -> tuple[str, dict[st
         if not may_name_throws(header):
             continue
         names = np.array([str(cell).strip() for cell in cells])
-        first = {name: int(k) for name, k in zip(*np.unique(names, return_index=True), strict=True)}
-        first.pop("", None)
-        if not 2 <= len(first) <= n / _FEWEST:
-            continue
-        return header, {
-            f"{header} {name}": np.flatnonzero(names == name)
-            for name in sorted(first, key=lambda name: first[name])
-        }
+        listed = [name for name in dict.fromkeys(names.tolist()) if name]
+        if 2 <= len(listed) <= n / _FEWEST:
+            return header, {f"{header} {name}": np.flatnonzero(names == name) for name in listed}
     return "", {}
 
 
@@ -90,13 +85,3 @@ def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
         f"from row {rows[0] + 1}" if lines is None else f"from line {lines[rows[0]]}": rows
         for rows in pieces
     }
-
-
-def _rows(parsed: ParsedFile, rows: np.ndarray) -> ParsedFile:
-    return replace(
-        parsed,
-        series=[series._replace(values=series.values[rows]) for series in parsed.series],
-        lines=None if parsed.lines is None else parsed.lines[rows],
-        notes=list(parsed.notes),
-        settings=dict(parsed.settings),
-    )

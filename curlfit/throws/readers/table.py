@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.columns import Column, in_unit
 from curlfit.throws.readers.defaults import begun
@@ -25,11 +27,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     columns, parsed.ignored = columns_of(names, reading, table.error)
     read_columns(parsed, table, columns)
     others = [k for k in range(len(names)) if k not in columns and may_name_throws(names[k])]
-    words: dict[str, list[str]] = {}
-    if others and parsed.lines is not None:
-        split = table.cells_of((parsed.lines - 1).tolist())
-        words = {names[k]: [row[k] for row in split] for k in others}
-    return contents_of(parsed, words)
+    return contents_of(parsed, {names[k]: table.column(k) for k in others})
 
 
 TABLE = Format("table", lambda _: True, _contents, "throw", "stone_index", None, ("stone_index",))
@@ -51,11 +49,12 @@ def read_columns(
     ------
     DataError : with the line and column of the fault.
     """
-    times = [k for k, column in columns.items() if column.quantity.startswith("t")]
-    table, clocks = table.with_seconds(times)
-    for k, begin in clocks.items():
+    clocks = table.clocks(k for k, column in columns.items() if column.base == "t")
+    for k, (begin, _) in clocks.items():
         columns[k] = in_unit(columns[k].quantity, "s")
         parsed.notes.append(f"{table.names[k]}: clock times, taken as seconds since {begin}")
-    parsed.lines, values = table.numbers(list(columns))
-    for (k, column), numbers in zip(units(columns).items(), values, strict=True):
-        parsed.add(table.names[k], column, numbers)
+    plain = [k for k in columns if k not in clocks]
+    values = dict(zip(plain, table.numbers(plain), strict=True))
+    parsed.lines = np.asarray(table.rows, np.int64) + 1
+    for k, column in units(columns).items():
+        parsed.add(table.names[k], column, clocks[k][1] if k in clocks else values[k])

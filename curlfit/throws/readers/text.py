@@ -6,7 +6,9 @@ import csv
 import math
 import re
 from collections.abc import Iterable, Sequence
-from datetime import date
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,8 +25,6 @@ _MOST_BYTES = 50_000_000
 _MOST_IN_HEAD, _MOST_IN_ROW = 1000, 20_000
 _MOST_LINES = 2_000_000
 _CHUNK = 20_000
-# A line that is blank or may be a comment
-_ODD_LINE = re.compile(r"\n[\s#]")
 # "t (s)" in a table separated by spaces
 _UNIT_APART = re.compile(r"[ \t]+([(\[][^()\[\]]*[)\]])")
 
@@ -65,14 +65,15 @@ def _text_of(path: Path, most_bytes: int, what: str) -> str:
     try:
         with path.open("rb") as stream:
             raw = stream.read(most_bytes + 1)
-    except FileNotFoundError:
-        raise DataError("no such file", file=path) from None
-    except IsADirectoryError:
-        raise DataError("this is a folder, expected a file", file=path) from None
-    except OSError as error:
-        raise DataError(f"cannot be read ({error.strerror})", file=path) from None
     except ValueError:
         raise DataError("this is not a file name", file=quoted(str(path))) from None
+    except OSError as error:
+        faults: dict[type, str] = {
+            FileNotFoundError: "no such file",
+            IsADirectoryError: "this is a folder, expected a file",
+        }
+        fault = faults.get(type(error), f"cannot be read ({error.strerror})")
+        raise DataError(fault, file=path) from None
     if len(raw) > most_bytes:
         raise DataError(f"larger than {most_bytes // 1000} kB; expected {what}", file=path)
     if raw.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
@@ -81,16 +82,14 @@ def _text_of(path: Path, most_bytes: int, what: str) -> str:
             file=path,
         )
     encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    marked = encoding == "utf-16" or raw[:3] == b"\xef\xbb\xbf"
     try:
         text = raw.decode(encoding)
     except UnicodeDecodeError:
+        marked = encoding == "utf-16" or raw[:3] == b"\xef\xbb\xbf"
         text = raw.decode(encoding if marked else "cp1252", errors="replace")
     if "\x00" in text:
         raise DataError(f"this is not a text file; {EXPECTED}", file=path)
-    if "\r" in text:
-        text = text.replace("\r\n", "\n").replace("\r", "\n")
-    return text
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 class TextFile(NamedTuple):
@@ -186,18 +185,15 @@ def clock_times(found: Sequence[str | None]) -> tuple[Floats, list[int]]:
     -------
     Seconds, shape (n,), NaN for gaps; and the rows that are not clock times, also NaN.
     """
-    seconds, bad = np.full(len(found), math.nan), []
-    dated = False
+    seconds, bad, dated = np.full(len(found), math.nan), [], False
     for row, cell in enumerate(found):
         if cell is None or cell.lower() in GAPS:
             continue
         match = _CLOCK.fullmatch(cell.strip())
-        value = None if match is None else _seconds(match)
-        if match is None or value is None:
+        seconds[row] = math.nan if match is None else _seconds(match)
+        if math.isnan(seconds[row]):
             bad.append(row)
-            continue
-        seconds[row] = value
-        dated |= match["date"] is not None
+        dated |= match is not None and match["date"] is not None
     known = np.flatnonzero(np.isfinite(seconds))
     if len(known):
         seconds -= seconds[known[0]]
@@ -207,26 +203,21 @@ def clock_times(found: Sequence[str | None]) -> tuple[Floats, list[int]]:
     return np.round(seconds, 9), bad
 
 
-def _seconds(match: re.Match[str]) -> float | None:
-    """A clock time in s; None if its hour, minute, second or date is invalid."""
+def _seconds(match: re.Match[str]) -> float:
+    """A clock time in s; NaN if its hour, minute, second or date is invalid."""
     hours, minutes = int(match["h"] or 0), int(match["m"])
     seconds = float(match["s"].replace(",", "."))
+    try:
+        day = datetime.fromisoformat(f"{match['date'] or '1970-01-01'}T00{match['zone'] or 'Z'}")
+    except ValueError:
+        return math.nan
     if hours > 23 or seconds >= 60 or (match["h"] and minutes > 59):
-        return None
-    day = 0
-    if match["date"]:
-        try:
-            day = date.fromisoformat(match["date"]).toordinal()
-        except ValueError:
-            return None
-    zone = match["zone"] or "Z"
-    ahead = 0
-    if zone != "Z":
-        ahead = (3600 * int(zone[1:3]) + 60 * int(zone[-2:])) * (1 if zone[0] == "+" else -1)
-    return 86400.0 * day + 3600 * hours + 60 * minutes + seconds - ahead
+        return math.nan
+    return day.timestamp() + 3600 * hours + 60 * minutes + seconds
 
 
-class TextTable(NamedTuple):
+@dataclass(frozen=True)
+class TextTable:
     """A table of a file: the index of its header, its separator and the cells of the header."""
 
     file: TextFile
@@ -252,115 +243,88 @@ class TextTable(NamedTuple):
         """An error at the header."""
         return self.file.error(message, self.header)
 
-    def cells_of(self, indices: Iterable[int]) -> list[list[str]]:
-        """The cells of the lines of these indices."""
-        return [cells(self.file.lines[index], self.separator) for index in indices]
-
-    def with_seconds(self, columns: Iterable[int]) -> tuple[TextTable, dict[int, str]]:
-        """The table with clock times as seconds, and the first clock time by column.
-
-        Cells of such a column that are not clock times are left as they are.
-
-        Parameters
-        ----------
-        columns : indices of those that may contain times.
-        """
+    @cached_property
+    def rows(self) -> list[int]:
+        """Indices of its lines, without comments and blank ones. Raises `DataError` for none."""
         lines = self.file.lines
         rows = [k for k in range(self.header + 1, len(lines)) if not is_aside(lines[k])]
-        if not rows or ":" not in lines[rows[0]]:
-            return self, {}
-        split = self.cells_of(rows)
-        begin: dict[int, str] = {}
-        for column in columns:
-            found = [row[column] if column < len(row) else None for row in split]
+        if not rows:
+            raise self.error("a header but no rows of numbers")
+        return rows
+
+    def column(self, place: int) -> list[str]:
+        """The cells of a column."""
+        split = (cells(self.file.lines[index], self.separator) for index in self.rows)
+        return [row[place] if place < len(row) else "" for row in split]
+
+    def clocks(self, columns: Iterable[int]) -> dict[int, tuple[str, Floats]]:
+        """Of those of some columns that hold clock times: the first one, and seconds since then.
+
+        Raises
+        ------
+        DataError : a cell of such a column is not a clock time.
+        """
+        clocks = {}
+        for place in columns if ":" in self.file.lines[self.rows[0]] else ():
+            found = self.column(place)
             seconds, bad = clock_times(found)
             known = np.flatnonzero(np.isfinite(seconds))
-            if not len(known):
-                continue
-            begin[column] = str(found[known[0]])
-            for k in set(range(len(rows))) - set(bad):
-                if found[k] is not None:
-                    split[k][column] = "" if math.isnan(seconds[k]) else repr(float(seconds[k]))
-        if not begin:
-            return self, {}
-        mark, changed = self.separator, list(lines)
-        for k, row in zip(rows, split, strict=True):
-            changed[k] = (
-                " ".join(cell or "nan" for cell in row)
-                if mark is None
-                else mark.join(f'"{cell}"' if mark in cell else cell for cell in row)
-            )
-        return self._replace(file=self.file._replace(lines=changed)), begin
+            if len(known) and bad:
+                fault = f"{quoted(found[bad[0]])} found, expected a clock time as in other rows"
+                raise self.file.error(fault, self.rows[bad[0]], self.names[place])
+            if len(known):
+                clocks[place] = found[known[0]], seconds
+        return clocks
 
-    def numbers(self, columns: Sequence[int]) -> tuple[np.ndarray, list[Floats]]:
-        """Numbers in the columns of these indices, as written; gaps are NaN. Blank lines and
-        comments are skipped.
-
-        Returns
-        -------
-        Line numbers, shape (n,), and an array of shape (n,) for each column.
+    def numbers(self, columns: Sequence[int]) -> list[Floats]:
+        """Numbers in the columns of these indices, as written; gaps are NaN.
 
         Raises
         ------
         DataError : there is no row, a row with a wrong number of cells, or a cell that is not a
             finite number.
         """
-        lines, first = self.file.lines, self.header + 1
-        last = len(lines)
-        while last > first and not lines[last - 1]:
-            last -= 1
-        indices: Sequence[int] = range(first, last)
-        if _ODD_LINE.search("\n".join(["", *lines[first:last]])):
-            indices = [index for index in indices if not is_aside(lines[index])]
-        if not indices:
-            raise self.error("a header but no rows of numbers")
-        decimal_comma = self.separator != "," and any("," in lines[index] for index in indices)
-        parts = []
-        for start in range(0, len(indices), _CHUNK):
-            chunk = indices[start : start + _CHUNK]
+        lines, parts = self.file.lines, []
+        decimal_comma = self.separator != "," and any("," in lines[index] for index in self.rows)
+        for start in range(0, len(self.rows), _CHUNK):
+            chunk = self.rows[start : start + _CHUNK]
             found = self._read_fast([lines[index] for index in chunk], columns, decimal_comma)
             if found is None:
                 found = self._read_cells(chunk, columns, decimal_comma)
             parts.append(found)
-        return np.asarray(indices, np.int64) + 1, list(np.concatenate(parts, axis=1))
+        return list(np.concatenate(parts, axis=1))
 
     def _read_fast(
         self, rows: list[str], columns: Sequence[int], decimal_comma: bool
     ) -> Floats | None:
-        """Rows of numbers and empty cells only, read in one pass; None if there is anything else
-        in the columns."""
-        text, width = "\n".join(rows), len(self.names)
+        """Rows of numbers and empty cells only; None if there is anything else in the columns."""
+        text = "\n".join(rows)
         if '"' in text or "_" in text or (decimal_comma and "." in text):
             return None
         if decimal_comma:
             rows = text.replace(",", ".").split("\n")
+        split = [row.split(self.separator) for row in rows]
+        if any(len(row) != len(self.names) for row in split):
+            return None
+        by_column = list(zip(*split, strict=True))
         try:
-            every = np.loadtxt(rows, delimiter=self.separator, comments=None, ndmin=2)
-            found = every[:, list(columns)].T if every.shape[1] == width else None
-        except ValueError:  # cells are empty, or columns that are not read contain text
-            split = [row.split(self.separator) for row in rows]
-            if any(len(row) != width for row in split):
-                return None
-            by_column = list(zip(*split, strict=True))
-            try:
-                found = np.array([[float(c or "nan") for c in by_column[k]] for k in columns])
-            except ValueError:
-                return None
-        return None if found is None or np.isinf(found).any() else found
+            found = np.array([[float(c or "nan") for c in by_column[k]] for k in columns])
+        except ValueError:
+            return None
+        return None if np.isinf(found).any() else found
 
     def _read_cells(
         self, indices: Sequence[int], columns: Sequence[int], decimal_comma: bool
     ) -> Floats:
         """Rows read cell by cell: any notation, and faults with their location."""
         found, width = np.full((len(columns), len(indices)), math.nan), len(self.names)
-        for row, (index, line) in enumerate(zip(indices, self.cells_of(indices), strict=True)):
+        for row, index in enumerate(indices):
+            line = cells(self.file.lines[index], self.separator)
             if len(line) < width or any(line[width:]):
-                hint = (
-                    "; where numbers have decimal commas, separate the columns by semicolons"
-                    if self.separator == "," and width < len(line) <= 2 * width
-                    else ""
-                )
-                fault = f"{len(line)} cells where the header has {width} columns{hint}"
+                fault = f"{len(line)} cells where the header has {width} columns"
+                if self.separator == "," and width < len(line) <= 2 * width:
+                    fault += "; where numbers have decimal commas, separate the columns by "
+                    fault += "semicolons"
                 raise self.file.error(fault, index)
             for slot, column in enumerate(columns):
                 if (cell := line[column]).lower() in GAPS:

@@ -32,28 +32,33 @@ SIGMA_TURNS = 0.1
 USUAL_SPIN = 1.2
 """Spin in rad/s at the near hog line where it was not measured: that of two and a half turns in
 25 s if it decreases linearly, 2 * 2.5 * 2 pi/25; a judgement."""
-_KINDS = {
-    **dict.fromkeys(TIMES, "t"), "curl": "x", "rest": "y", "turns": "phi", "handle": "word",
-    "hand": "word", "sigma_time": "t", "sigma_rest": "y", "sigma_curl": "x", "sigma_turns": "phi",
+
+
+class _Kind(NamedTuple):
+    """What may be written of a quantity: units, largest size (SI), words; only words if no unit."""
+
+    unit: str
+    limit: float = 600.0
+    words: frozenset[str] = frozenset()
+
+
+# Friction of 0.002, the lowest on any ice, stops a stone from hog line to tee within 54 s.
+_KINDS = dict.fromkeys(TIMES, _Kind("t", 60.0)) | {
+    "curl": _Kind("x", 10.0, frozenset({"left", "right"})),
+    "rest": _Kind("y", 40.0, frozenset({"past", "short"})),
+    "turns": _Kind("phi", 2000 * math.pi, frozenset({"clockwise", "counter-clockwise"})),
+    "handle": _Kind(""), "hand": _Kind(""), "sigma_time": _Kind("t"), "sigma_rest": _Kind("y"),
+    "sigma_curl": _Kind("x"), "sigma_turns": _Kind("phi"),
 }  # fmt: skip
-_ALLOWED = {
-    "curl": {"left", "right"}, "rest": {"past", "short"},
-    "turns": {"clockwise", "counter-clockwise"},
-}  # fmt: skip
+_NEGATIVE = {"left", "short", "clockwise"}
 _ALIASES = {
     "sigma_t": "sigma_time", "spin": "handle", "rotation": "handle", "split": "back_to_hog",
     "h2h": "hog_to_hog", "hog_hog": "hog_to_hog",
 }  # fmt: skip
-# Friction of 0.002, the lowest on any ice, stops a stone from hog line to tee within 54 s.
-_LIMITS = dict.fromkeys(TIMES, 60.0) | {"rest": 40.0, "curl": 10.0, "turns": 1000.0 * 2 * math.pi}
 _EXPECTED = (
     "expected lines such as hog_to_hog = 14.2, back_to_hog = 3.4, hog_to_tee = 18.1, "
     "hog_to_rest = 10.3 (s), curl = 4 ft left, rest = 0.6 (m past the far tee), turns = 2.5 cw, "
     "handle = clockwise, sigma_time = 0.1, sigma_rest = 0.05, sigma_curl = 0.05, sigma_turns = 0.1"
-)
-_SIDE = (
-    "curl = 4 ft left, or curl = 4 ft right, or a line handle = clockwise, handle = "
-    "counter-clockwise, or handle = in-turn right-handed"
 )
 _SPLIT = re.compile(r"[\s_\-./()\[\]]+")
 _LINE = re.compile(r"""\s*["']?([^=:;,\t"']*?)["']?\s*[=:;,\t]\s*(\S.*?)\s*[;,]?\s*$""")
@@ -88,22 +93,17 @@ def _first_line(entries: dict[str, _Entry]) -> int:
 
 def is_table(head: list[str]) -> bool:
     """Whether lines, comments removed, begin with a header of several known quantities."""
-    if not head:
-        return False
-    names = header_cells(head[0], separator_of(head[0]))
-    return sum(_key(name) is not None for name in names) > 1
+    return bool(head) and sum(key is not None for key, _ in _header(head[0])) > 1
 
 
 def _recognizes(head: list[str]) -> bool:
     if is_table(head):
-        return any(key in TIMES for name in _header(head[0]) if (key := name[0]) is not None)
+        return any(key in TIMES for key, _ in _header(head[0]))
     found = [_pair(line) for line in head]
-    keys = [pair[0] for pair in found if pair is not None]
-    if any(key in TIMES for key in keys):
-        return True
-    # the header of a table may begin with such a name too, but has no digits
-    first = found[0] if found else None
-    return first is not None and any(char.isdigit() for char in first[2])
+    # The header of a table may begin with such a name too, but has no digits.
+    return any(pair is not None and pair[0] in TIMES for pair in found) or (
+        found[0] is not None and any(char.isdigit() for char in found[0][2])
+    )
 
 
 TIMINGS = Format("timings", _recognizes, _contents, "row", "shot", 0, ("shot",))
@@ -191,14 +191,17 @@ def _record(file: TextFile, rows: list[dict[str, _Entry]], index: int) -> Parsed
     record = _Record(file, rows[index], _first_line(rows[index]) if several else None)
     parsed.events = record.events()
     record.require_friction(parsed.events)
-    spin, said = record.spin(parsed.events)
+    spin, said = record.spin()
     parsed.assumed = {"omega0": spin}
-    used = sorted({y for event in parsed.events for y in (event.at, event.since) if y is not None})
-    named = {y: line.replace("far-", "far ") for line, y in LINES.items()}
+    crossed = {y for event in parsed.events for y in (event.at, event.since)}
+    places = ", ".join(
+        f"{name.replace('far-', 'far ')} line at {y:.3f} m"
+        for name, y in LINES.items()
+        if y in crossed
+    )
     parsed.notes += [
-        "y from the hack, x from the line of delivery: the stone's centre crosses the "
-        + ", ".join(f"{named[y]} line at {y:.3f} m" for y in used)
-        + f" (far tee {LINES['far-tee']:.3f} m)",
+        f"y from the hack, x from the line of delivery: the stone's centre crosses the {places} "
+        f"(far tee {LINES['far-tee']:.3f} m)",
         said,
     ]
     return parsed
@@ -221,28 +224,25 @@ class _Record:
 
     def __init__(self, file: TextFile, entries: dict[str, _Entry], line: int | None) -> None:
         self.file, self.entries, self.line = file, entries, line
-        self.values = {key: self._read(key) for key in entries}
+        self.found = {key: self._read(key) for key in entries}
 
     def _error(self, key: str, message: str) -> DataError:
         return self.file.error(message, self.entries[key].line - 1, key)
 
     def _read(self, key: str) -> Quantity:
         _, text, unit = self.entries[key]
-        kind = _KINDS[key]
-        per = 2 * math.pi if kind == "phi" else 1.0
+        of, limit, words = _KINDS[key]
         try:
-            found = parse_quantity(text, "x" if kind == "word" else kind, unit, per=per)
+            found = parse_quantity(text, of or "x", unit, per=2 * math.pi if of == "phi" else 1.0)
         except InputError as error:
             raise self._error(key, str(error)) from None
-        if kind == "word":
+        if not of:
             return found
-        value, allowed, fault = found.value, _ALLOWED.get(key, set()), ""
-        limit = _LIMITS.get(key, 600.0)
-        positive = kind == "t" or key.startswith("sigma")
-        if math.isnan(value) or found.words - allowed or len(found.words) > 1:
-            what = f"a number and {' or '.join(sorted(allowed))}" if allowed else "a number"
+        value, fault = found.value, ""
+        if math.isnan(value) or found.words - words or len(found.words) > 1:
+            what = f"a number and {' or '.join(sorted(words))}" if words else "a number"
             fault = f"{quoted(text)} found, expected {what}"
-        elif abs(value) > limit or (positive and value <= 0):
+        elif abs(value) > limit or (value <= 0 and (of == "t" or key.startswith("sigma"))):
             range_of = "above 0" if value <= 0 else f"up to {limit:g}"
             fault = f"{value:g} found, expected a number {range_of}"
         elif found.signed and found.words:
@@ -251,31 +251,37 @@ class _Record:
             raise self._error(key, fault)
         return found
 
-    def _sigma(self, key: str, usual: float) -> float:
-        return self.values[key].value if key in self.values else usual
+    def _value(self, key: str) -> float:
+        """A value with the sign of its word."""
+        value, _, words = self.found[key]
+        return -value if words & _NEGATIVE else value
+
+    def _has_side(self, key: str) -> bool:
+        """Whether a sign or a word says to which side a quantity is counted."""
+        return key in self.found and bool(self.found[key].signed or self.found[key].words)
+
+    def _sigma(self, name: str) -> float:
+        usual = {"time": SIGMA_TIME, "rest": SIGMA_REST, "turns": 2 * math.pi * SIGMA_TURNS}
+        if f"sigma_{name}" in self.found:
+            return self.found[f"sigma_{name}"].value
+        return self._sigma("rest") if name == "curl" else usual[name]
 
     def events(self) -> list[Event]:
         """The measured events."""
-        values, hog = self.values, LINES["hog"]
-        rest = self._sigma("sigma_rest", SIGMA_REST)
         found = [
             Event(
-                key, "time", values[key].value, self._sigma("sigma_time", SIGMA_TIME),
+                key, "time", self.found[key].value, self._sigma("time"),
                 None if to is None else LINES[to], LINES[since],
             )
             for key, (since, to) in TIMES.items()
-            if key in values
+            if key in self.found
         ]  # fmt: skip
-        if "rest" in values:
-            value, _, words = values["rest"]
-            y = LINES["far-tee"] + (-value if "short" in words else value)
-            found.append(Event("rest", "y", y, rest))
-        if "curl" in values:
-            sigma = self._sigma("sigma_curl", rest)
-            found.append(Event("curl", "x", self._curl(), sigma, since=hog))
-        if "turns" in values:
-            sigma = self._sigma("sigma_turns", SIGMA_TURNS * 2 * math.pi)
-            found.append(Event("turns", "phi", self._turns(), sigma, since=hog))
+        if "rest" in self.found:
+            y = LINES["far-tee"] + self._value("rest")
+            found.append(Event("rest", "y", y, self._sigma("rest")))
+        for key, quantity, value in (("curl", "x", self._curl), ("turns", "phi", self._turns)):
+            if key in self.found:
+                found.append(Event(key, quantity, value(), self._sigma(key), since=LINES["hog"]))
         return found
 
     def _handle(self) -> int:
@@ -283,72 +289,69 @@ class _Record:
 
         The in-turn of a right-hander turns clockwise, as does the out-turn of a left-hander.
         """
-        if "handle" not in self.values:
+        if "handle" not in self.found:
             return 0
-        found = self.values["handle"]
-        words = found.words | (self.values["hand"].words if "hand" in self.values else frozenset())
-        if not math.isnan(found.value) and found.signed:
-            return int(math.copysign(1, found.value))
-        if "clockwise" in words or "counter-clockwise" in words:
+        value, signed, words = self.found["handle"]
+        if "hand" in self.found:
+            words |= self.found["hand"].words
+        if signed and not math.isnan(value):
+            return int(math.copysign(1, value))
+        if words & {"clockwise", "counter-clockwise"}:
             return -1 if "clockwise" in words else 1
         turn, hand = words & {"in-turn", "out-turn"}, words & {"left", "right"}
         if len(turn) == 1 and len(hand) == 1:
             return -1 if ("in-turn" in turn) == ("right" in hand) else 1
-        if len(turn) == 1:
-            raise self._error(
-                "handle",
-                f"{next(iter(turn))} of which hand? Expected handle = in-turn right-handed, or "
-                "handle = clockwise",
-            )
         raise self._error(
             "handle",
-            f"{quoted(self.entries['handle'].text)} found, expected clockwise, counter-clockwise, "
-            "or in-turn or out-turn with right-handed or left-handed",
+            f"{next(iter(turn))} of which hand? Expected handle = in-turn right-handed, or "
+            "handle = clockwise"
+            if len(turn) == 1
+            else f"{quoted(self.entries['handle'].text)} found, expected clockwise, "
+            "counter-clockwise, or in-turn or out-turn with right-handed or left-handed",
         )
 
     def _sense(self) -> int:
         """Sense of the spin from the handle or the turns; 0 if neither gives it."""
-        if handle := self._handle():
-            return handle
-        if "turns" not in self.values:
-            return 0
-        value, signed, words = self.values["turns"]
-        if words:
-            return 1 if "counter-clockwise" in words else -1
-        return int(math.copysign(1, value)) if signed else 0
+        sense = self._handle()
+        if not sense and self._has_side("turns"):
+            sense = int(math.copysign(1, self._value("turns")))
+        return sense
 
     def _curl(self) -> float:
         """Curl to the right, m. A stone curls to the side to which its front turns: to the left if
         counter-clockwise."""
-        value, signed, words = self.values["curl"]
-        if words:
-            return -value if "left" in words else value
-        if signed or value == 0:
+        value = self._value("curl")
+        if self._has_side("curl") or value == 0:
             return value
         if not (sense := self._sense()):
-            raise self._error("curl", f"to which side? Expected {_SIDE}")
+            raise self._error(
+                "curl",
+                "to which side? Expected curl = 4 ft left, or curl = 4 ft right, or a line handle "
+                "= clockwise, handle = counter-clockwise, or handle = in-turn right-handed",
+            )
         return -sense * value
 
     def _turns(self) -> float:
         """Angle turned in rad, counter-clockwise."""
-        value = abs(self.values["turns"].value)
-        sense = self._sense()
-        if not sense and "curl" in self.values and (curl := self._curl()):
-            sense = -1 if curl > 0 else 1
+        value = abs(self.found["turns"].value)
+        sense = self._sense() or self._sense_of_curl()
         if not sense and value:
             raise self._error(
                 "turns", "in which sense? Expected turns = 2.5 clockwise or 2.5 counter-clockwise"
             )
         return sense * value
 
-    def spin(self, events: list[Event]) -> tuple[float, str]:
+    def _sense_of_curl(self) -> int:
+        curl = self._curl() if "curl" in self.found else 0.0
+        return (curl < 0) - (curl > 0)
+
+    def spin(self) -> tuple[float, str]:
         """Spin in rad/s at which a fit fixes it if it is not determined, and a note on it."""
-        if "turns" in self.values:
+        if "turns" in self.found:
             return 0.0, "turns are counted from the near hog line"
         sense, why = self._sense(), "by the handle"
-        curl = next((event.value for event in events if event.name == "curl"), 0.0)
-        if not sense and curl:
-            sense, why = (-1 if curl > 0 else 1), "by the side of the curl"
+        if not sense:
+            sense, why = self._sense_of_curl(), "by the side of the curl"
         if not sense:
             return 0.0, "the spin was not measured and is taken to be zero"
         word = "counter-clockwise" if sense > 0 else "clockwise"
@@ -361,26 +364,26 @@ class _Record:
         """Raise `DataError` if the record does not determine friction or is impossible."""
         times = [event for event in events if event.quantity == "time"]
         fault = "" if times else f"no time; {_EXPECTED}"
-        if len(times) == 1 and "rest" not in self.values:
-            keys = [key for key in ("hog_to_hog", "rest", "hog_to_rest") if key not in self.values]
-            others = ", ".join([*keys[:2], "or another time"])
-            fault = f"{times[0].name} alone gives the mean speed and no friction; expected one more"
-            fault += f" of {others}"
+        if len(times) == 1 and "rest" not in self.found:
+            keys = [key for key in ("hog_to_hog", "rest", "hog_to_rest") if key not in self.found]
+            fault = (
+                f"{times[0].name} alone gives the mean speed and no friction; expected one more of "
+                + ", ".join([*keys[:2], "or another time"])
+            )
         if fault:
             raise self.file.error(fault, None if self.line is None else self.line - 1)
-        value = {event.name: event.value for event in times}
+        value = {event.name: event.value for event in events}
         if value.get("hog_to_tee", math.inf) <= value.get("hog_to_hog", 0.0):
             raise self._error(
                 "hog_to_tee",
                 f"{value['hog_to_tee']:g} s found, expected more than hog_to_hog = "
                 f"{value['hog_to_hog']:g} s: the tee line lies behind the far hog line",
             )
-        rest = next((event.value for event in events if event.name == "rest"), math.inf)
-        crossed = {y: e.name for e in times for y in (e.at, e.since) if y is not None}
-        farthest = max(crossed)
+        tee, rest = LINES["far-tee"], value.get("rest", math.inf)
+        farthest, by = max((y, e.name) for e in times for y in (e.at, e.since) if y is not None)
         if rest <= farthest:
             raise self._error(
                 "rest",
-                f"{rest - LINES['far-tee']:.3g} m past the far tee lies before a line that the "
-                f"stone has crossed by {crossed[farthest]} ({farthest - LINES['far-tee']:.3f} m)",
+                f"{rest - tee:.3g} m past the far tee lies before a line that the stone has "
+                f"crossed by {by} ({farthest - tee:.3f} m)",
             )

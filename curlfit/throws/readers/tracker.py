@@ -82,7 +82,13 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         columns, parsed.ignored = _columns(table, objects[index][1], reading)
         columns |= _mark(table, objects, labels, reading.handle, index, columns)
         read_columns(parsed, table, columns, _in_units_of_the_file)
-        _leave_out_blank(parsed, labels[index])
+        # In some frames an object is not marked.
+        own = [s.values for s in parsed.series if not s.column.quantity.endswith("_mark")
+               and s.column.quantity != "t"]  # fmt: skip
+        seen = np.asarray(np.isfinite(own).any(axis=0))
+        if seen.any() and not seen.all():
+            parsed.notes.append(f"{int((~seen).sum())} rows without {labels[index]} left out")
+            parsed = parsed.rows(seen)
         _leave_out_derived(parsed)
         return parsed
 
@@ -109,17 +115,6 @@ def _columns(
     return {indices[k]: column for k, column in columns.items()}, ignored
 
 
-def _leave_out_blank(parsed: ParsedFile, label: str) -> None:
-    """Remove the rows of frames in which an object was not marked."""
-    found = [(s.column.quantity, s.values) for s in parsed.series]
-    own = [v for quantity, v in found if quantity != "t" and not quantity.endswith("_mark")]
-    seen = np.isfinite(own).any(axis=0)
-    if seen.any() and not seen.all() and parsed.lines is not None:
-        parsed.notes.append(f"{int((~seen).sum())} rows without {label} left out")
-        parsed.series = [s._replace(values=s.values[seen]) for s in parsed.series]
-        parsed.lines = parsed.lines[seen]
-
-
 def _mark(
     table: TextTable,
     objects: _Objects,
@@ -141,12 +136,12 @@ def _mark(
     place = choose("object", "--handle", handle, labels, 0)
     if place == stone:
         raise InputError(f"--handle {place + 1} is the stone itself; expected another object")
-    own = {column.quantity: column for column in columns.values()}
+    own = {column.base: column for column in columns.values()}
     found: dict[int, Column] = {}
     for index in objects[place][1]:
         column = parse_header(table.names[index])
-        axis = {"x": "x", "y": "y", "u": "x", "v": "y"}.get("" if column is None else column[0], "")
-        stones = own.get(axis) or own.get({"x": "u", "y": "v"}.get(axis, ""))
+        axis = {"x": "x", "y": "y", "u": "x", "speed": "y"}.get(column.quantity if column else "")
+        stones = own.get(axis or "") or own.get({"x": "u", "y": "v"}.get(axis or "", ""))
         if stones is not None:
             found[index] = stones._replace(quantity=f"{axis}_mark")
     if len(found) != 2:
@@ -229,31 +224,31 @@ def _leave_out_derived(parsed: ParsedFile) -> None:
 
     Tracker computes from more digits than it prints, so the rounding of positions is allowed for.
     """
-    series = {s.column.quantity: s for s in parsed.series}
-    if not {"t", "x", "y"} <= series.keys() or len(series["t"].values) < 5:
+    found = {s.column.quantity: _Rounded(s.values, _rounding(s)) for s in parsed.series}
+    if not {"t", "x", "y"} <= found.keys() or len(found["t"].values) < 5:
         return
-    x, y = (_Rounded(series[axis].values, _rounding(series[axis])) for axis in ("x", "y"))
+    t, x, y = (found[name] for name in ("t", "x", "y"))
+    drop: dict[str, str] = {}
     with np.errstate(divide="ignore", invalid="ignore"):
-        direction = _Rounded(
-            np.arctan2(y.values, x.values), np.hypot(x.half, y.half) / np.hypot(x.values, y.values)
-        )
-        drop: dict[str, str] = {}
-        if "phi" in series and _is_direction(series["phi"], direction):
+        radius = np.hypot(x.values, y.values)
+        direction = _Rounded(np.arctan2(y.values, x.values), np.hypot(x.half, y.half) / radius)
+        velocity = [_rate(t, axis) for axis in (x, y)]
+        speed = _Rounded(*(np.hypot(*parts) for parts in zip(*velocity, strict=True)))
+        stated = any(s.column.stated for s in parsed.series if s.column.quantity == "phi")
+        units = (1.0,) if stated else (1.0, math.pi / 180)
+        if any(_is_direction(found["phi"], direction, unit) for unit in units if "phi" in found):
             drop["phi"] = "the direction from the origin to the stone, not how the stone turns"
-        if "speed" in series:
-            (vx, off_x), (vy, off_y) = _rate(series["t"], x), _rate(series["t"], y)
-            speed = _Rounded(np.hypot(vx, vy), np.hypot(off_x, off_y))
-            if _proportional(series["speed"], speed):
-                drop["speed"] = "computed from the positions"
-        if "omega" in series:
-            if _proportional(series["omega"], _rate(series["t"], direction.unwrapped())):
-                drop["omega"] = "the rate of the direction from the origin to the stone"
-            elif "phi" in series:
-                phi = _Rounded(series["phi"].values, _rounding(series["phi"]))
-                if _proportional(series["omega"], _rate(series["t"], phi.unwrapped())):
-                    drop["omega"] = "computed from the angle"
-    for quantity, why in drop.items():
-        parsed.notes.append(f"{series[quantity].header} left out: {why}")
+        if _proportional(found.get("speed"), speed):
+            drop["speed"] = "computed from the positions"
+        if _proportional(found.get("omega"), _rate(t, direction.unwrapped())):
+            drop["omega"] = "the rate of the direction from the origin to the stone"
+        elif "phi" in found and _proportional(
+            found.get("omega"), _rate(t, found["phi"].unwrapped())
+        ):
+            drop["omega"] = "computed from the angle"
+    for quantity, header in ((s.column.quantity, s.header) for s in parsed.series):
+        if quantity in drop:
+            parsed.notes.append(f"{header} left out: {drop[quantity]}")
     parsed.series = [s for s in parsed.series if s.column.quantity not in drop]
 
 
@@ -271,50 +266,40 @@ class _Rounded(NamedTuple):
         return _Rounded(values, self.half)
 
 
-def _rate(time: Series, of: _Rounded) -> _Rounded:
+def _rate(time: _Rounded, of: _Rounded) -> _Rounded:
     """Central differences, as Tracker takes them; NaN at the ends."""
-    t, half = time.values, _rounding(time)
-    step = np.diff(t)
-    if np.ptp(step) < 1e-6 * np.abs(step).max():
-        half = np.zeros_like(t)  # equal steps are not rounded
+    t, step = time.values, np.diff(time.values)
+    even = np.ptp(step) < 1e-6 * np.abs(step).max()  # equal steps are not rounded
+    half = np.zeros_like(t) if even else time.half
     rate, off = np.full((2, len(t)), np.nan)
     span = t[2:] - t[:-2]
     rate[1:-1] = (of.values[2:] - of.values[:-2]) / span
-    off[1:-1] = (of.half[2:] + of.half[:-2]) / span
-    off[1:-1] += np.abs(rate[1:-1]) * (half[2:] + half[:-2]) / span
+    off[1:-1] = (of.half[2:] + of.half[:-2] + np.abs(rate[1:-1]) * (half[2:] + half[:-2])) / span
     return _Rounded(rate, off)
 
 
-def _proportional(series: Series, computed: _Rounded) -> bool:
+def _proportional(given: _Rounded | None, computed: _Rounded) -> bool:
     """Whether a column agrees with computed values, in some unit."""
-    values, size = series.values, np.abs(computed.values)
-    finite = np.isfinite(values) & np.isfinite(size)
-    if not finite.any():
+    size = np.abs(computed.values)
+    finite = np.isfinite(size) if given is None else np.isfinite(given.values + size)
+    if given is None or not finite.any():
         return False
     scale = float(np.quantile(size[finite], 0.95))
     large = finite & (size > 0.3 * scale)
-    unit = float(np.median(values[large] / computed.values[large])) if large.any() else 0.0
-    if unit <= 0:
+    unit = float(np.median(given.values[large] / computed.values[large])) if large.any() else 0.0
+    limit = unit * (2e-3 * scale + computed.half) + given.half
+    return unit > 0 and _small(given.values - unit * computed.values, limit)
+
+
+def _is_direction(angle: _Rounded, direction: _Rounded, unit: float) -> bool:
+    """Whether an angle is the direction of the position, but for its zero and whole turns."""
+    off = unit * angle.values - direction.values
+    limit = 1e-3 + direction.half + unit * angle.half
+    if not np.isfinite(off + limit).any():
         return False
-    limit = unit * (2e-3 * scale + computed.half) + _rounding(series)
-    return _small(values - unit * computed.values, limit)
-
-
-def _is_direction(series: Series, direction: _Rounded) -> bool:
-    """Whether an angle is the direction of the position, in radians or degrees."""
-    units = (1.0,) if series.column.stated else (1.0, math.pi / 180)
-    half = _rounding(series)
-    for unit in units:
-        off = unit * series.values - direction.values
-        limit = 1e-3 + direction.half + unit * half
-        finite = np.isfinite(off) & np.isfinite(limit)
-        if not finite.any():
-            continue
-        best = np.argmin(np.where(finite, limit, np.inf))
-        off = np.remainder(off - off[best] + np.pi, 2 * np.pi) - np.pi
-        if _small(off, limit + limit[best]):
-            return True
-    return False
+    best = np.nanargmin(np.where(np.isfinite(off), limit, np.nan))
+    off = np.remainder(off - off[best] + np.pi, 2 * np.pi) - np.pi
+    return _small(off, limit + limit[best])
 
 
 def _small(off: Floats, limit: Floats) -> bool:
@@ -333,8 +318,9 @@ def _rounding(series: Series) -> Floats:
     if len(np.unique(values[values != 0])) < _FEW_VALUES:
         return np.zeros_like(values)
     size = 10.0 ** np.floor(np.log10(np.abs(np.where(values == 0, 1.0, values))))
-    half: Floats = 0.5 * factor * np.maximum(_last_place(values), size * _last_place(values / size))
-    return half
+    return np.asarray(
+        0.5 * factor * np.maximum(_last_place(values), size * _last_place(values / size))
+    )
 
 
 def _last_place(values: Floats) -> float:
