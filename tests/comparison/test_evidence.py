@@ -13,8 +13,8 @@ from scipy.stats import halfnorm, lognorm, norm, truncnorm
 import curlfit
 from curlfit.comparison.criteria import log_likelihood
 from curlfit.comparison.evidence import (
-    _log_integral,
     _log_box,
+    _log_integral,
     effective_parameters,
     log_evidence,
 )
