@@ -111,7 +111,7 @@ def _extent(values: Floats, mark: float | None) -> tuple[float, float]:
 def _histogram(axes: Any, item: Estimate, values: Floats) -> None:
     """Histogram of one parameter with its median and 68 % interval."""
     counts, *_ = axes.hist(
-        values, _BINS, axes.get_xlim(), histtype="stepfilled", fc=_SHADES[0],
+        values, _BINS, range=axes.get_xlim(), histtype="stepfilled", fc=_SHADES[0],
         ec=draw.POSTERIOR_COLOR, lw=1,
     )  # fmt: skip
     quantiles = low, middle, high = np.quantile(values, [0.16, 0.5, 0.84]).tolist()

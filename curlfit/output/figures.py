@@ -275,11 +275,11 @@ def weighted_sum(weights: Mapping[str, float], parameters: Mapping[str, Any]) ->
     return text
 
 
-def legend_above(axes: Any) -> None:
-    """A legend in one line above the right end of the axes, where no curve runs, if any."""
+def legend_above(axes: Any, ncols: int | None = None) -> None:
+    """A legend above the right end of the axes, where no curve runs, if any; in one line."""
     if count := len(axes.get_legend_handles_labels()[1]):
         axes.legend(
-            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=count, borderaxespad=0.1,
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=ncols or count, borderaxespad=0.1,
             borderpad=0.2, columnspacing=1.2, handletextpad=0.5,
         )  # fmt: skip
 
