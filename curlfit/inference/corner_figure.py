@@ -125,7 +125,7 @@ def _histogram(axes: Any, item: Estimate, values: Floats) -> None:
         said = item.verdict
     elif item.verdict in ("determined", "prior"):
         said = " \N{PLUS-MINUS SIGN} ".join(format_estimate(middle, (high - low) / 2))
-    text = axes.set_title(said.replace("-", "\N{MINUS SIGN}"), fontsize=7, pad=3)
+    text = axes.set_title(said.replace("-", "\N{MINUS SIGN}"), fontsize=7, pad=3, loc="center")
     draw.shrink(text, axes.get_window_extent().width)
 
 

@@ -299,7 +299,7 @@ def letter(axes: Any, text: str, aside: float = 0.5, up: float = 4) -> None:
 
 
 def title(
-    axes: Any, text: str, *, columns: int = 1, margin: float = 1.0, loc: str = "left"
+    axes: Any, text: str, *, columns: int = 1, margin: float = 1.0, loc: str | None = None
 ) -> None:
     """A title that fits the width of one of `columns` columns, minus a margin in inches."""
     figure = axes.get_figure()

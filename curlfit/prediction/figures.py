@@ -205,5 +205,5 @@ def _residuals(prediction: Prediction, axes: Any, name: str) -> None:
     off = factor * (measured[name] - np.interp(measured["t"], series["t"], series[name]))
     axes.plot(measured["t"], off, **draw.LATER_STYLE)
     axes.set(xlabel="t (s)", ylabel=unit)
-    axes.set_title(f"${draw.CHANNEL_LABEL[name]}$, measured \N{MINUS SIGN} predicted")
+    axes.set_title(f"${draw.CHANNEL_LABEL[name]}$, measured \N{MINUS SIGN} predicted", loc="center")
     axes.margins(x=0.02)

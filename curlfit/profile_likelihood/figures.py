@@ -104,7 +104,7 @@ def _note_rise(profile: Profile, axes: Any) -> None:
     inside = (profile.at >= low) & (profile.at <= high)
     inset = axes.inset_axes((0.12, 0.46, 0.33, 0.3))
     inset.plot(profile.at[inside], profile.delta[inside], color=draw.FIT_COLOR, lw=1.3)
-    inset.set_title(r"the same $\Delta\chi^2$, magnified")
+    inset.set_title(r"the same $\Delta\chi^2$, magnified", loc="center")
     inset.tick_params(labelsize=6)
     inset.locator_params(nbins=4)
     inset.margins(x=0.02)
