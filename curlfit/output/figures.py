@@ -314,8 +314,7 @@ def shrink(text: Any, max_width: float) -> None:
 
 def fix_layout(figure: Figure) -> None:
     """Freeze the layout of a figure: later changes are to take as much room as before."""
-    engine = figure.get_layout_engine()
-    if engine is not None:
+    if engine := figure.get_layout_engine():
         engine.execute(figure)
     figure.set_layout_engine("none")
 
