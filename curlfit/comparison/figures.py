@@ -29,8 +29,9 @@ def comparison_figure(comparison: Comparison) -> Figure:
     some, curves = draw.some_rows(len(t)), _curves(shown, x)
     figure = draw.Picture(figsize=(draw.WIDTH, 4.0 + 0.17 * len(shown)), layout="constrained")
     rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 0.6 + 0.05 * len(shown)))
-    path = rows[0].subgridspec(1, 1).subplots()
-    residual, dots = rows[1].subgridspec(1, 2, width_ratios=(1.3, 1.0)).subplots()
+    path: Any = rows[0].subgridspec(1, 1).subplots()
+    lower: Any = rows[1].subgridspec(1, 2, width_ratios=(1.3, 1.0)).subplots()
+    residual, dots = lower
 
     path.plot(y[some], x[some], **draw.DATA_STYLE, label="data")
     for place, (same, style) in enumerate(zip(curves, draw.line_styles(len(curves)), strict=True)):

@@ -47,7 +47,7 @@ def inline_svg(figure: Figure, prefix: str, title: str) -> Markup:
 def _drawn(figure: Figure) -> str:
     """The figure as written by matplotlib, many markers as an image, which takes less space."""
     for line in (line for axes in figure.axes for line in axes.lines):
-        if line.get_marker() not in (None, "None") and len(line.get_xydata()) > _MAX_MARKERS:
+        if line.get_marker() not in (None, "None") and len(line.get_path()) > _MAX_MARKERS:
             line.set_rasterized(True)
     file = BytesIO()
     with rc_context({"svg.fonttype": "path"}):

@@ -131,8 +131,8 @@ def _histogram(axes: Any, item: Estimate, values: Floats) -> None:
 
 def _density(axes: Any, samples: Floats) -> None:
     """Smallest regions that contain 68 and 95 % of the samples."""
-    extents = axes.get_xlim(), axes.get_ylim()
-    counts, *edges = np.histogram2d(*samples, _BINS, extents)
+    limits = axes.get_xlim(), axes.get_ylim()
+    counts, *edges = np.histogram2d(samples[0], samples[1], _BINS, limits)
     kernel = np.exp(-(np.subtract.outer(range(_BINS), range(_BINS)) ** 2) / (2 * _SMOOTH**2))
     kernel /= kernel.sum(1, keepdims=True)
     density = np.pad(kernel @ counts @ kernel.T, 1)  # closes the contours
@@ -237,7 +237,7 @@ def _said(fit: FitResult) -> list[tuple[str, list[str]]]:
         for name, parameter in fit.parameters.items():
             whole = re.compile(rf"(?<![\w\\{{]){name}\b(?!\$)")
             symbol = f"${draw.math_symbol(parameter.symbol)}$"
-            text = whole.sub(lambda _, symbol=symbol: symbol, text)
+            text = whole.sub(symbol.replace("\\", r"\\"), text)
         return text
 
     known = {} if fit.reference is None else fit.reference.values

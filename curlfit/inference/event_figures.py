@@ -26,9 +26,9 @@ _MOST = 5.0  # sigmas, largest residual shown
 def event_figure(fit: FitResult) -> Figure:
     """The path on the sheet, the crossings in time, the speed, and the residuals."""
     figure = draw.Picture(figsize=(draw.WIDTH, 5.0), layout="constrained")
-    above, below = figure.add_gridspec(2, 1, height_ratios=(1.0, 1.9))
-    on_sheet = figure.add_subplot(above)
-    panels = below.subgridspec(1, 3, width_ratios=(1.3, 1.1, 0.9)).subplots()
+    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 1.9))
+    on_sheet = figure.add_subplot(rows[0])
+    panels: Any = rows[1].subgridspec(1, 3, width_ratios=(1.3, 1.1, 0.9)).subplots()
     events = [
         (Event(**{key: value for key, value in item.items() if key != "fitted"}), item["fitted"])
         for item in fit.events

@@ -78,8 +78,8 @@ def _cells(
         axis.set_ticks(some, [f"{numbers[index]:g}" for index in some])
     axes.set_xlabel("initial speed (m/s)")
     for column, row in {places[index] for index in framed}:
-        corner, style = (column - 0.47, row - 0.47), {"edgecolor": draw.REFERENCE_COLOR, "lw": 2.2}
-        axes.add_patch(Rectangle(corner, 0.94, 0.94, fill=False, **style))
+        corner = column - 0.47, row - 0.47
+        axes.add_patch(Rectangle(corner, 0.94, 0.94, fill=False, ec=draw.REFERENCE_COLOR, lw=2.2))
 
 
 def _number(value: float) -> str:
@@ -117,7 +117,12 @@ def _errors(design: Design) -> Figure:
         "throws": "number of throws\n(optimal for each)",
     }
     rates = {one.rate for one in design.candidates}
-    planned = {"place": {1.0}, "angle": {1.0}, "rate": rates, "throws": {design.throws}}
+    planned: dict[str, set[float]] = {
+        "place": {1.0},
+        "angle": {1.0},
+        "rate": rates,
+        "throws": {design.throws},
+    }
     names = [name for name in about if name in design.curves]
     figure = draw.Picture(figsize=(draw.WIDTH, 3.2), layout="constrained")
     panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
@@ -169,7 +174,7 @@ def _separation(design: Design, separation: Separation) -> Figure:
 
 def _noise_needed(axes: Any, design: Design, separation: Separation, difference: str) -> None:
     scenario, count = separation.scenario("consistent"), design.throws
-    throw, plain = (each[separation.ordinary] for each in (design.candidates, scenario.each))
+    throw, plain = design.candidates[separation.ordinary], scenario.each[separation.ordinary]
     ordinary = f"{count} x ({throw.v0:g} m/s, {throw.omega0:g} rad/s)"
     black, blue, green = draw.PALETTE[6], draw.PALETTE[0], draw.PALETTE[2]
     several = None if plain is None else plain / np.sqrt(count)

@@ -56,8 +56,9 @@ def prediction_figure(prediction: Prediction) -> Figure:
 def _sheet_view(prediction: Prediction, axes: Any) -> None:
     """The sheet from above, thrown toward the right: right of the centre line is below."""
     length, half = sheet.TEE + sheet.LINES["tee"], sheet.WIDTH / 2
-    ice = {"facecolor": "#f6fafc", "edgecolor": "0.55", "lw": 0.8, "zorder": 0}
-    axes.add_patch(Rectangle((0, -half), length, 2 * half, **ice))
+    axes.add_patch(
+        Rectangle((0, -half), length, 2 * half, fc="#f6fafc", ec="0.55", lw=0.8, zorder=0)
+    )
     for tee in (sheet.LINES["tee"], sheet.TEE):
         draw.plot_house(axes, (tee, 0.0))
     axes.hlines(0, 0, length, **draw.LINE)

@@ -181,7 +181,8 @@ def _pair_figure(profile: PairProfile) -> Figure:
     def level(first: Floats) -> Floats:
         return np.interp(first, along.at[some], valley[some])
 
-    for axes, below in zip(panels, (np.zeros_like, level), strict=False):
+    subtracted: list[Callable[[Any], Any]] = [np.zeros_like, level]
+    for axes, below in zip(panels, subtracted, strict=False):
         _regions(profile, axes, below)
         first, second = profile.first[near], (profile.second - below(profile.first))[near]
         axes.set_xlim(_widened(first.min(), first.max(), 0.04))
