@@ -6,7 +6,6 @@ from collections import defaultdict
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from curlfit.comparison.result import Candidate, Comparison
 from curlfit.numerics.arrays import Floats
@@ -16,8 +15,8 @@ from curlfit.output.text import join_words
 _SAME = 0.0075  # fraction of an axis, about a line's width, within which curves coincide
 
 
-@draw.styled
-def comparison_figure(comparison: Comparison) -> Figure:
+@draw.style()
+def comparison_figure(comparison: Comparison) -> draw.Picture:
     """All fitted paths over the data, their residuals of x, and the size of residuals by channel.
 
     Examples
@@ -46,8 +45,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
     residual.axhline(0, **draw.ZERO_LINE)
     residual.set(xlabel="t (s)", ylabel="residual of x (mm)")
     _sizes(dots, shown, "rms" if comparison.loss == "linear" else "bulk")
-    for axes, mark in ((path, "a"), (residual, "b")):
-        draw.letter(axes, mark, 0.45)
+    draw.letters((path, residual), 0.45)
     draw.fix_layout(figure)  # which the note depends on
     draw.note_stretch(path)
     return figure

@@ -18,7 +18,7 @@ _DPI = 110
 class MovingFigure:
     """Path, residuals and spin of a fit, drawn once and then moved."""
 
-    @draw.styled
+    @draw.style()
     def __init__(self, fit: FitResult, curves: Curves) -> None:
         self.figure = draw.Picture(figsize=(draw.WIDTH, 4.8), dpi=_DPI)
         self._canvas = FigureCanvasAgg(self.figure)

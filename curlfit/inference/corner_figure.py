@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from curlfit.inference.fit.result import Estimate, FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain
@@ -26,8 +24,8 @@ _MOST = 40_000  # samples used for the densities
 _DOTS = 2000  # points drawn along a ridge, about
 
 
-@draw.styled
-def corner_figure(fit: FitResult, chain: Chain) -> Figure:
+@draw.style()
+def corner_figure(fit: FitResult, chain: Chain) -> draw.Picture:
     """Corner plot of the posterior of the law's coefficients and the estimated conditions: regions
     that contain 68 and 95 % of the samples, with reference values marked.
 
@@ -68,7 +66,7 @@ def corner_figure(fit: FitResult, chain: Chain) -> Figure:
     return figure
 
 
-def _panels(number: int) -> tuple[Figure, dict[tuple[int, int], Any]]:
+def _panels(number: int) -> tuple[draw.Picture, dict[tuple[int, int], Any]]:
     """The figure, and its panels by row and column; those of a parameter share its axis."""
     count = max(number, 2)
     width = max(draw.WIDTH, _LEFT + _RIGHT + count * (_SMALLEST + _GAP) - _GAP)
@@ -178,7 +176,7 @@ def _within(value: float | None, extent: tuple[float, float]) -> bool:
 
 def _neat_axes(item: Estimate, below: Any, beside: Any, has_row: bool) -> None:
     """Set the same few ticks in all panels of a parameter, and label the outermost."""
-    label = f"${draw.math_symbol(item.symbol)}$", item.unit
+    label = draw.symbol_of(item), item.unit
     neat_axis(below.xaxis, *label, neighbours=True)
     if has_row:
         neat_axis(beside.yaxis, *label, neighbours=True)
@@ -204,7 +202,7 @@ def _mark(axes: Any, value: float | None, extent: tuple[float, float]) -> None:
     )  # fmt: skip
 
 
-def _say_in_corner(fit: FitResult, figure: Figure) -> None:
+def _say_in_corner(fit: FitResult, figure: draw.Picture) -> None:
     """Write what was fitted, combinations and references into the corner free of panels."""
     width, height = figure.get_size_inches()
     heading = draw.heading_of(fit)
@@ -228,25 +226,22 @@ def _said(fit: FitResult) -> list[tuple[str, list[str]]]:
         combination = draw.weighted_sum(item.weights, fit.parameters)
         lines.append(rf"${combination} = {value} \pm {stderr}$")
     for direction in fit.null_directions:
-        pair = (f"${draw.math_symbol(fit.parameters[name].symbol)}$" for name in direction)
+        pair = (draw.symbol_of(fit.parameters[name]) for name in direction)
         lines.append(f"{', '.join(pair)}: not identifiable individually")
     shades = ["dashed: 68 %; shaded: 68 and 95 % of the posterior"]
     said = [("black", lines), (draw.QUIET, shades)]
 
-    def symbols(text: str) -> str:
-        for name, parameter in fit.parameters.items():
-            whole = re.compile(rf"(?<![\w\\{{]){name}\b(?!\$)")
-            symbol = f"${draw.math_symbol(parameter.symbol)}$"
-            text = whole.sub(symbol.replace("\\", r"\\"), text)
-        return text
-
+    symbols = {name: item.symbol for name, item in fit.parameters.items()}
     known = {} if fit.reference is None else fit.reference.values
     if fit.reference is not None:
-        values = [symbols(f"{name} = {value:g}") for name, value in known.items()]
+        values = [draw.in_symbols(f"{name} = {value:g}", symbols) for name, value in known.items()]
         said.append((draw.REFERENCE_COLOR, [draw.literal(fit.reference.source), *values]))
     for other in fit.reference_fits[:1]:
         constants = ", ".join(f"{name} = {value:g} m" for name, value in other["stone"].items())
-        found = [(name, other["values"][name]) for name in known if name in other["values"]]
-        values = [symbols(f"{name} = {value:.4f}") for name, value in found]
+        values = [
+            draw.in_symbols(f"{name} = {other['values'][name]:.4f}", symbols)
+            for name in known
+            if name in other["values"]
+        ]
         said.append((draw.FIT_COLOR, [f"this fit with {constants}", *values]))
     return [(color, lines) for color, lines in said if lines]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from curlfit import sheet
 from curlfit.inference.fit.result import FitResult
@@ -22,8 +21,8 @@ _NAMES = {"back": "back", "hog": "hog", "far-hog": "hog", "far-tee": "tee"}
 _MOST = 5.0  # sigmas, largest residual shown
 
 
-@draw.styled
-def event_figure(fit: FitResult) -> Figure:
+@draw.style()
+def event_figure(fit: FitResult) -> draw.Picture:
     """The path on the sheet, the crossings in time, the speed, and the residuals."""
     figure = draw.Picture(figsize=(draw.WIDTH, 5.0), layout="constrained")
     rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 1.9))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from curlfit.inference.corner_figure import corner_figure
@@ -22,8 +21,8 @@ _IN_A_ROW = 3  # panels of residuals, at most
 _PANEL, _GAP = 3.32 / 3.15, 0.68  # heights of a panel and of what is below it, inches
 
 
-@draw.styled
-def fit_figure(fit: FitResult) -> Figure:
+@draw.style()
+def fit_figure(fit: FitResult) -> draw.Picture:
     """The path with its fit, the residuals of each channel, speed and spin; or timed events.
 
     With a model discrepancy, solid curves show law and discrepancy together, dashed curves the law
@@ -56,8 +55,7 @@ def fit_figure(fit: FitResult) -> Figure:
         axes.set_ylim(0 if low >= 0 else None, 0 if high <= 0 <= -low else None)
     if fit.parameters["omega0"].verdict == "not identifiable":
         spin.set_title("not identifiable", loc="right", color=draw.QUIET)
-    for axes, mark in zip((path, residuals[0], speed, spin), "abcd", strict=True):
-        draw.letter(axes, mark)
+    draw.letters((path, residuals[0], speed, spin))
     return figure
 
 
@@ -121,8 +119,8 @@ def _mark_outliers(axes: Any, fit: FitResult, channel: str, left: Floats, size: 
                 edgecolor="none")  # fmt: skip
 
 
-@draw.styled
-def joint_figure(result: JointResult) -> Figure:
+@draw.style()
+def joint_figure(result: JointResult) -> draw.Picture:
     """All throws with their fits, and the shared coefficients as each throw alone gives them.
 
     Examples

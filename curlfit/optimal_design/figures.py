@@ -19,7 +19,7 @@ _MAX_LABELLED = 80  # cells of a map with a number in each
 _PLANNED: dict[str, Any] = {"color": "0.5", "lw": 0.9, "ls": ":"}
 
 
-@draw.styled
+@draw.style()
 def design_figures(design: Design) -> dict[str, Figure]:
     """The figures by name: a map of single throws, errors against noise, rate and number of throws,
     and, where two coefficients are separable, what that takes.
@@ -29,7 +29,7 @@ def design_figures(design: Design) -> dict[str, Figure]:
     >>> sorted(curlfit.design_figures(plan))
     ['design-errors', 'design-map', 'design-separate']
     """
-    found = {"design-map": _map(design), "design-errors": _errors(design)}
+    found: dict[str, Figure] = {"design-map": _map(design), "design-errors": _errors(design)}
     separation = design.separation
     if separation is not None and separation.scenario("consistent").stderr is not None:
         found["design-separate"] = _separation(design, separation)
@@ -86,7 +86,7 @@ def _number(value: float) -> str:
     return f"{value:.2g}" if value >= 0.01 else f"{value:.1e}".replace("e-0", "e-")
 
 
-def _map(design: Design) -> Figure:
+def _map(design: Design) -> draw.Picture:
     names = list(design.quantities)
     columns = 2 if len(names) == 4 else min(len(names), 3)
     rows = -(-len(names) // columns)
@@ -109,7 +109,7 @@ def _map(design: Design) -> Figure:
     return figure
 
 
-def _errors(design: Design) -> Figure:
+def _errors(design: Design) -> draw.Picture:
     about = {
         "place": f"noise relative to\n{_noise_of(design, ('x', 'y', 'speed'))}",
         "angle": f"noise relative to\n{_noise_of(design, ('phi', 'omega'))}",
@@ -151,7 +151,7 @@ def _noise_of(design: Design, channels: Sequence[str]) -> str:
     return noise_text({name: value for name, value in design.sigma.items() if name in channels})
 
 
-def _separation(design: Design, separation: Separation) -> Figure:
+def _separation(design: Design, separation: Separation) -> draw.Picture:
     """Left: error of the difference against noise. Right: from single throws."""
     figure = draw.Picture(figsize=(draw.WIDTH, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.35, 1.0))

@@ -7,12 +7,13 @@ everywhere; markers, dashes and lightness convey the same without colour.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import lru_cache, wraps
+from functools import lru_cache
 from io import BytesIO
+from os import PathLike
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
+from typing import Any, cast
 from warnings import catch_warnings, filterwarnings
 
 import numpy as np
@@ -25,16 +26,7 @@ from matplotlib.ticker import MaxNLocator
 
 from curlfit import sheet
 from curlfit.foreign import cut, printable
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-
-P = ParamSpec("P")
-R = TypeVar("R")
+from curlfit.numerics.arrays import Floats
 
 WIDTH = 180 / 25.4
 """Width of a figure in inches: two journal columns."""
@@ -73,7 +65,7 @@ MAX_POINTS = 2000  # maximum number drawn of a series
 
 
 @lru_cache(1)
-def _sheet() -> dict[str, Any]:
+def _settings() -> dict[str, Any]:
     """The style sheet, with those of its fonts, one for each script, that are installed."""
     file = FilePath(__file__).with_suffix(".mplstyle")
     settings = dict(rc_params_from_file(file, use_default_template=False))
@@ -84,8 +76,9 @@ def _sheet() -> dict[str, Any]:
 
 
 @contextmanager
-def _style() -> Iterator[None]:
-    with rc_context(cast("Any", _sheet())), catch_warnings():
+def style() -> Iterator[None]:
+    """Draw in the common style, whatever the user's matplotlib settings; also as a decorator."""
+    with rc_context(cast("Any", _settings())), catch_warnings():
         filterwarnings("ignore", message="Glyph .* missing from")
         yield
 
@@ -95,7 +88,7 @@ class Picture(Figure):
 
     def draw(self, renderer: Any) -> None:
         """Draw in the common style: ticks are made only now."""
-        with _style():
+        with style():
             super().draw(renderer)
 
     def savefig(self, fname: Any, *, transparent: bool | None = None, **options: Any) -> None:
@@ -103,24 +96,13 @@ class Picture(Figure):
         format = options.get("format") or FilePath(str(fname)).suffix[1:].lower()
         if format in _UNDATED:
             options["metadata"] = _UNDATED[format] | (options.get("metadata") or {})
-        with _style():
+        with style():
             super().savefig(fname, transparent=transparent, **options)
 
     def _repr_png_(self) -> bytes:
         file = BytesIO()
         self.savefig(file, format="png", dpi=110)
         return file.getvalue()
-
-
-def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Make a function draw in the common style, whatever the user's matplotlib settings."""
-
-    @wraps(draw)
-    def drawn(*args: P.args, **options: P.kwargs) -> R:
-        with _style():
-            return draw(*args, **options)
-
-    return drawn
 
 
 def row(
@@ -256,8 +238,13 @@ def math_symbol(symbol: str) -> str:
     return symbol if drawn else rf"\mathrm{{{re.sub('[^A-Za-z0-9]+', ' ', symbol).strip() or '?'}}}"
 
 
+def symbol_of(item: Any) -> str:
+    """The symbol of an estimate."""
+    return f"${math_symbol(item.symbol)}$"
+
+
 def in_symbols(expression: str, symbols: Mapping[str, str]) -> str:
-    """A sum of parameters with their symbols in place of their names, for matplotlib."""
+    """Words with symbols in place of names of parameters."""
     words = [
         f"${math_symbol(symbols[word])}$" if word in symbols else literal(word)
         for word in expression.split()
@@ -269,10 +256,9 @@ def weighted_sum(weights: Mapping[str, float], parameters: Mapping[str, Any]) ->
     """A combination of parameters in their symbols, for mathematics."""
     text = ""
     for name, weight in weights.items():
-        sign = "-" if weight < 0 else "+" if text else ""
         size = "" if abs(weight) == 1 else f"{abs(weight):.3g}\\,"
-        text += f"{sign}{size}{math_symbol(parameters[name].symbol)}"
-    return text
+        text += f"{'-' if weight < 0 else '+'}{size}{math_symbol(parameters[name].symbol)}"
+    return text.removeprefix("+")
 
 
 def legend_above(axes: Any, ncols: int | None = None) -> None:
@@ -287,15 +273,20 @@ def legend_above(axes: Any, ncols: int | None = None) -> None:
 def note(axes: Any, x: float, y: float, text: str, **style: Any) -> Any:
     """Text inside axes, of which (1, 1) is the upper right corner."""
     style = {"color": QUIET, "ha": "right" if x > 0.5 else "left"} | style
-    return axes.text(x, y, text, transform=axes.transAxes, va="top" if y > 0.5 else None, **style)
+    return axes.text(
+        x, y, text, transform=axes.transAxes, va="top" if y > 0.5 else "baseline", **style
+    )
 
 
-def letter(axes: Any, text: str, aside: float = 0.5, up: float = 4) -> None:
-    """The letter of a panel, `aside` inches left of and `up` points above its upper left corner."""
-    axes.annotate(
-        text, (0, 1), (-72 * aside, up), xycoords="axes fraction", textcoords="offset points",
-        fontsize=9, fontweight="bold", va="bottom", ha="left", annotation_clip=False,
-    )  # fmt: skip
+def letters(
+    panels: Iterable[Any], aside: float = 0.5, up: float = 4, names: str = "abcdef"
+) -> None:
+    """Letters of panels, `aside` inches left of and `up` points above their upper left corners."""
+    for axes, name in zip(panels, names, strict=False):
+        axes.annotate(
+            name, (0, 1), (-72 * aside, up), xycoords="axes fraction", textcoords="offset points",
+            fontsize=9, fontweight="bold", va="bottom", annotation_clip=False,
+        )  # fmt: skip
 
 
 def title(

@@ -3,28 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
+from curlfit.numerics.arrays import Floats
 from curlfit.output.figures import literal
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
 
 _LENGTHS = ((1e3, "km"), (1.0, "m"), (1e-3, "mm"), (1e-6, "\N{MICRO SIGN}m"))
 _ANGLES = ((2 * np.pi, "turns"), (1.0, "rad"), (1e-3, "mrad"), (1e-6, "\N{MICRO SIGN}rad"))
-_UNIT_SIZES = {
-    "x": _LENGTHS,
-    "y": _LENGTHS,
-    "phi": _ANGLES,
-    "speed": tuple((size, f"{unit}/s") for size, unit in _LENGTHS),
-    "omega": tuple((size, f"{unit}/s") for size, unit in _ANGLES),
-}
-
 _MIN_IN_UNIT = 0.1  # size in a unit below which the next smaller unit is used
 _LETTER_WIDTH = 0.065  # inches, in a tick label
 _MAX_RATIO = 1e4  # of a tick to the step; above it, an offset is subtracted from all ticks
@@ -32,9 +20,10 @@ _MAX_RATIO = 1e4  # of a tick to the step; above it, an offset is subtracted fro
 
 def unit_for(size: float, channel: str) -> tuple[float, str]:
     """The unit suited to a size of a channel: its factor to SI and its name."""
-    units = _UNIT_SIZES[channel]
-    label = (one for one in units if size >= one[0] * (1.0 if one[0] >= 1 else _MIN_IN_UNIT))
-    return next(label, units[-1])
+    units = _ANGLES if channel in ("phi", "omega") else _LENGTHS
+    suited = (one for one in units if size >= one[0] * (1.0 if one[0] >= 1 else _MIN_IN_UNIT))
+    factor, unit = next(suited, units[-1])
+    return factor, f"{unit}/s" if channel in ("speed", "omega") else unit
 
 
 def neat_axis(axis: Any, label: str, unit: str = "", *, neighbours: bool = False) -> None:

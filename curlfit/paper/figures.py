@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from curlfit.output import figures as draw
@@ -25,7 +24,7 @@ _SPLIT_NAME = r"$(\mu_{1\eta}, \mu_{2\eta})$"
 
 def _figure(
     height: float, *grid: int, width: float = draw.WIDTH, **options: Any
-) -> tuple[Figure, Any]:
+) -> tuple[draw.Picture, Any]:
     figure = draw.Picture(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(*grid, **options)
 
@@ -40,8 +39,8 @@ def _sign_change(axes: Any, zero: float, name: str = "") -> None:
     _note(axes, f"{name}changes sign at {zero:.1f} s", (zero, 0))
 
 
-@draw.styled
-def eq_14_figure(found: Any) -> Figure:
+@draw.style()
+def eq_14_figure(found: Any) -> draw.Picture:
     """Second derivatives of eq. 12 and eq. 14 as printed."""
     path, (figure, (across, along)) = found.path, _figure(2.7, 1, 2)
     for axes, right, printed, name in (
@@ -59,8 +58,8 @@ def eq_14_figure(found: Any) -> Figure:
     return figure
 
 
-@draw.styled
-def isotropic_figure(found: Any) -> Figure:
+@draw.style()
+def isotropic_figure(found: Any) -> draw.Picture:
     """Force across and along the motion against spin, under consistent load."""
     figure, (across, along) = _figure(5.5, 2, 1, sharex=True, height_ratios=(1.35, 1.0))
     small, large = 1e-8, 3e-4
@@ -90,8 +89,8 @@ def isotropic_figure(found: Any) -> Figure:
     return figure
 
 
-@draw.styled
-def prop_5_figure(found: Any) -> Figure:
+@draw.style()
+def prop_5_figure(found: Any) -> draw.Picture:
     """Direction of the force of eq. 12, and the bound of isotropic friction."""
     path, (figure, (moving, ice)) = found.path, _figure(2.8, 1, 2)
     t = path.t
@@ -114,8 +113,8 @@ def prop_5_figure(found: Any) -> Figure:
     return figure
 
 
-@draw.styled
-def eq_24_figure(found: Any) -> Figure:
+@draw.style()
+def eq_24_figure(found: Any) -> draw.Picture:
     """The combinations of the radial law's coefficients in eq. 24."""
     ring, (figure, axes) = found.ring, _figure(3.2, width=0.8 * draw.WIDTH)
     axes.axhspan(-0.05, 0, color=_RED, alpha=0.07, lw=0)
@@ -136,8 +135,8 @@ def eq_24_figure(found: Any) -> Figure:
     return figure
 
 
-@draw.styled
-def eq_28_figure(found: Any) -> Figure:
+@draw.style()
+def eq_28_figure(found: Any) -> draw.Picture:
     """Eq. 28 by every method, and its posterior over R and rho."""
     rows = [row for row in found.eq28.rows if "eq. 14" not in row.method]
     posterior, heights = found.eq28.posterior, np.arange(len(rows))[::-1]
@@ -183,8 +182,8 @@ def _method_label(row: Any) -> str:
     return "; ".join(filter(None, [method.removeprefix(", "), stone]))
 
 
-@draw.styled
-def split_figure(found: Any) -> Figure:
+@draw.style()
+def split_figure(found: Any) -> draw.Picture:
     """Effect of exchanging mu1_eta and mu2_eta, and singular values of the fit."""
     ring, (figure, (change, spectrum)) = found.ring, _figure(2.8, 1, 2)
     for series, marker, color, label in (

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse, Rectangle
 
 from curlfit import sheet
@@ -20,8 +19,8 @@ _LEVELS = (("2.5", "97.5", 0.3, "95 %"), ("16", "84", 0.6, "68 %"))
 """Percentiles at the ends of the bands, opacity and label."""
 
 
-@draw.styled
-def prediction_figure(prediction: Prediction) -> Figure:
+@draw.style()
+def prediction_figure(prediction: Prediction) -> draw.Picture:
     """The path on the sheet, the resting position in the house, bands of path and measured rows,
     speed and spin.
 
@@ -47,9 +46,8 @@ def prediction_figure(prediction: Prediction) -> Figure:
     file = draw.file_name(prediction.fit["file"])
     of = "extrapolated to rest" if prediction.of == "fitted" else "another throw on this ice"
     draw.title(top, f"{draw.literal(prediction.law)} law fitted to {file}, {of}", margin=0.6)
-    draw.letter(top, "a", 0.38, 5)
-    for axes, mark in zip((house, across, rates[0], *figure.axes[5:6]), "bcde", strict=False):
-        draw.letter(axes, mark)
+    draw.letters([top], 0.38, 5)
+    draw.letters((house, across, rates[0], *figure.axes[5:6]), names="bcde")
     return figure
 
 

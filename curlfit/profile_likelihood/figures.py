@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from curlfit.inference.fit.result import Estimate
@@ -22,8 +20,8 @@ _MAX_SHOWN = 8  # of these
 _THIN = 0.4  # relative width of a valley below which it is also drawn straightened
 
 
-@draw.styled
-def profile_figure(profile: Profile | PairProfile) -> Figure:
+@draw.style()
+def profile_figure(profile: Profile | PairProfile) -> draw.Picture:
     """Chi squared along one parameter and the response of the others, or regions of two.
 
     Examples
@@ -33,7 +31,7 @@ def profile_figure(profile: Profile | PairProfile) -> Figure:
     return _single_figure(profile) if isinstance(profile, Profile) else _pair_figure(profile)
 
 
-def _single_figure(profile: Profile) -> Figure:
+def _single_figure(profile: Profile) -> draw.Picture:
     figure = draw.Picture(figsize=(draw.WIDTH, 5.6), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1.6, 1.0))
     _chi_squared(profile, above)
@@ -116,9 +114,7 @@ def _others(profile: Profile, axes: Any) -> None:
     if profile.verdict != "limited":  # beyond, a bound causes the changes
         shown &= (profile.at >= profile.free[0]) & (profile.at <= profile.free[1])
     at = profile.at[shown]
-    symbols = {
-        name: f"${draw.math_symbol(profile.parameters[name].symbol)}$" for name in profile.others
-    }
+    symbols = {name: draw.symbol_of(profile.parameters[name]) for name in profile.others}
     moves, values = {}, {}
     partners = {name for item in profile.combinations for name in item.weights}
     for name, series in profile.others.items():
@@ -164,10 +160,10 @@ def _others(profile: Profile, axes: Any) -> None:
 def _label(item: Estimate, name: str) -> tuple[str, str]:
     """Label and unit of an axis."""
     named = item.symbol in (name, rf"\mathrm{{{name}}}")  # the latter has no symbol of its own
-    return (name if named else f"${draw.math_symbol(item.symbol)}$, {name}"), item.unit
+    return (name if named else f"{draw.symbol_of(item)}, {name}"), item.unit
 
 
-def _pair_figure(profile: PairProfile) -> Figure:
+def _pair_figure(profile: PairProfile) -> draw.Picture:
     near = np.isfinite(profile.delta) & (profile.delta < _HIGH)
     height = float(np.ptp(profile.second[near]))
     thin = profile.across is not None and 8 * profile.across < _THIN * height
@@ -181,7 +177,7 @@ def _pair_figure(profile: PairProfile) -> Figure:
     def level(first: Floats) -> Floats:
         return np.interp(first, along.at[some], valley[some])
 
-    subtracted: list[Callable[[Any], Any]] = [np.zeros_like, level]
+    subtracted: list[Any] = [np.zeros_like, level]
     for axes, below in zip(panels, subtracted, strict=False):
         _regions(profile, axes, below)
         first, second = profile.first[near], (profile.second - below(profile.first))[near]
@@ -204,7 +200,7 @@ def _pair_figure(profile: PairProfile) -> Figure:
         x = 0.95 if valley[-1] < valley[0] else 0.05
         draw.note(panels[0], x, 0.95, "\n".join(said), color="black")
     figure.draw_without_rendering()  # the layout, which the ticks depend on
-    symbol = f"${draw.math_symbol(other.symbol)}$"
+    symbol = draw.symbol_of(other)
     refitted = f"{symbol} \N{MINUS SIGN} refitted {symbol}", other.unit
     for axes, label in zip(panels, (_label(other, profile.names[1]), refitted), strict=False):
         neat_axis(axes.xaxis, *_label(one, profile.names[0]))
@@ -212,7 +208,7 @@ def _pair_figure(profile: PairProfile) -> Figure:
     return figure
 
 
-def _regions(profile: PairProfile, axes: Any, below: Callable[[Any], Any]) -> None:
+def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
     """Regions, ellipse, samples and valley; `below` is subtracted from the second."""
 
     def plot(first: Any, second: Any, *form: str, **style: Any) -> None:
@@ -228,7 +224,7 @@ def _regions(profile: PairProfile, axes: Any, below: Callable[[Any], Any]) -> No
     if len(profile.samples):
         style = {"color": draw.POSTERIOR_COLOR, "markersize": 2.6, "mew": 0, "zorder": 2}
         plot(*profile.samples.T, ".", rasterized=True, label="posterior", **style)
-    refitted = f"${draw.math_symbol(profile.parameters[profile.names[1]].symbol)}$ refitted"
+    refitted = f"{draw.symbol_of(profile.parameters[profile.names[1]])} refitted"
     style = {"color": draw.FIT_COLOR, "lw": 1.2, "zorder": 4}
     plot(profile.each[0].at, profile.valley, "-.", label=refitted, **style)
     best = np.array(profile.best)

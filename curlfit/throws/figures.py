@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from matplotlib.figure import Figure
-
 from curlfit.output import figures as draw
 from curlfit.throws.throw import UNITS, Throw
 
 
-@draw.styled
-def throw_figure(throw: Throw) -> Figure:
+@draw.style()
+def throw_figure(throw: Throw) -> draw.Picture:
     """Measured channels over time, one panel each."""
     channels = throw.seen
     figure = draw.Picture(figsize=(draw.WIDTH, 1.4 * len(channels) + 0.5), layout="constrained")
