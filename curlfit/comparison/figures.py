@@ -46,7 +46,8 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     residual.set(xlabel="t (s)", ylabel="residual of x (mm)")
     _sizes(dots, shown, "rms" if comparison.loss == "linear" else "bulk")
     draw.letters((path, residual), 0.45)
-    draw.fix_layout(figure)  # which the note depends on
+    figure.draw_without_rendering()  # the note depends on the layout
+    figure.set_layout_engine("none")
     draw.note_stretch(path)
     return figure
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from curlfit.inference.fit.result import Estimate, FitResult, require_fit
+from curlfit.inference.identifiability import Combination
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
@@ -38,8 +39,7 @@ def corner_figure(fit: FitResult, chain: Chain) -> draw.Picture:
     samples = np.stack([chain.of({name: 1.0}) for name in names])
     samples = samples[:, draw.some_rows(samples.shape[1], _MOST)]
     known = {} if fit.reference is None else fit.reference.values
-    marks = [known.get(name) for name in names]
-    extents = [_extent(*pair) for pair in zip(samples, marks, strict=True)]
+    extents = [_extent(*pair) for pair in zip(samples, map(known.get, names), strict=True)]
     figure, grid = _panels(len(names))
     ridges = _ridges(fit, names)
     for (row, column), axes in grid.items():
@@ -48,16 +48,19 @@ def corner_figure(fit: FitResult, chain: Chain) -> draw.Picture:
         axes.set_xlim(extents[column])
         if row == column:
             _histogram(axes, fit.parameters[names[row]], samples[row])
-            _mark(axes, marks[row], extents[row])
+            if names[row] in known:
+                _mark(axes, known[names[row]], *extents[row])
             continue
         axes.set_ylim(extents[row])
-        if (row, column) in ridges:
-            _ridge(axes, fit, ridges[row, column], samples[[column, row]], known)
-        else:
-            _density(axes, samples[[column, row]])
-            for line, place in ((axes.axhline, row), (axes.axvline, column)):
-                if _within(marks[place], extents[place]):
-                    line(marks[place], color=draw.REFERENCE_COLOR, lw=1)
+        if item := ridges.get((row, column)):
+            weights = [item.weights[names[place]] for place in (column, row)]
+            said = draw.weighted_sum(item.weights, fit.parameters)
+            _ridge(axes, said, weights, samples[[column, row]], known.get(item.expression))
+            continue
+        _density(axes, samples[[column, row]])
+        for line, name in ((axes.axhline, names[row]), (axes.axvline, names[column])):
+            if name in known:
+                line(known[name], color=draw.REFERENCE_COLOR, lw=1)
     for place, name in enumerate(names):
         _neat_axes(fit.parameters[name], grid[len(names) - 1, place], grid[place, 0], place > 0)
     for axes in figure.axes:
@@ -142,36 +145,32 @@ def _density(axes: Any, samples: Floats) -> None:
     axes.contour(*middles, density.T, levels=levels[:2], colors="0.3", linewidths=0.5)
 
 
-def _ridges(fit: FitResult, names: list[str]) -> dict[tuple[int, int], dict[str, float]]:
-    """Weights, by row and column, for pairs of which only a combination is determined."""
+def _ridges(fit: FitResult, names: list[str]) -> dict[tuple[int, int], Combination]:
+    """By row and column, the combination of pairs of which only that is determined."""
     found = {}
     for item in fit.combinations:
         if len(item.weights) == 2 and item.weights.keys() <= set(names):
             column, row = sorted(map(names.index, item.weights))
-            found[row, column] = {names[k]: item.weights[names[k]] for k in (column, row)}
+            found[row, column] = item
     return found
 
 
 def _ridge(
-    axes: Any, fit: FitResult, weights: dict[str, float], samples: Floats, known: dict[str, float]
+    axes: Any, said: str, weights: list[float], samples: Floats, value: float | None
 ) -> None:
     """Draw a pair of which only a combination is determined, as points along a line."""
-    first, second = weights.values()
     some = samples[:, :: max(1, samples.shape[1] // _DOTS)]
     axes.plot(*some, ".", color=draw.POSTERIOR_COLOR, markersize=1.5, mew=0, rasterized=True)
-    falling = first * second > 0
-    said = f"only\n${draw.weighted_sum(weights, fit.parameters)}$\nis determined"
-    text = draw.note(axes, 0.95 if falling else 0.05, 0.95, said, color="black", fontsize=7)
-    draw.shrink(text, 0.52 * axes.get_window_extent().width)
-    for item in fit.combinations:
-        value = known.get(item.expression)
-        if value is not None and item.weights.keys() == weights.keys():
-            across = np.array(axes.get_xlim())
-            axes.plot(across, (value - first * across) / second, color=draw.REFERENCE_COLOR, lw=1)
-
-
-def _within(value: float | None, extent: tuple[float, float]) -> bool:
-    return value is not None and extent[0] <= value <= extent[1]
+    x = 0.95 if weights[0] * weights[1] > 0 else 0.05
+    said = f"only\n${said}$\nis determined"
+    draw.shrink(
+        draw.note(axes, x, 0.95, said, color="black", fontsize=7),
+        0.52 * axes.get_window_extent().width,
+    )
+    if value is not None:
+        across = np.array(axes.get_xlim())
+        up = (value - weights[0] * across) / weights[1]
+        axes.plot(across, up, color=draw.REFERENCE_COLOR, lw=1)
 
 
 def _neat_axes(item: Estimate, below: Any, beside: Any, has_row: bool) -> None:
@@ -185,14 +184,12 @@ def _neat_axes(item: Estimate, below: Any, beside: Any, has_row: bool) -> None:
     beside.yaxis.set_label_coords(-0.42 * inch / box.width, 0.5)
 
 
-def _mark(axes: Any, value: float | None, extent: tuple[float, float]) -> None:
+def _mark(axes: Any, value: float, low: float, high: float) -> None:
     """Mark a reference value in a histogram, or point to it where it lies outside."""
-    if value is None:
+    axes.axvline(value, color=draw.REFERENCE_COLOR, lw=1)
+    if low <= value <= high:
         return
-    if _within(value, extent):
-        axes.axvline(value, color=draw.REFERENCE_COLOR, lw=1)
-        return
-    right = value > extent[1]
+    right = value > high
     axes.annotate(
         f"{value:g}", xy=(1.0 if right else 0.0, 0.88), xytext=(0.7 if right else 0.3, 0.88),
         xycoords="axes fraction", textcoords="axes fraction", ha="center", va="center",

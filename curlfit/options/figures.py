@@ -107,13 +107,11 @@ def _unpickled(task: bytes) -> list[Path]:
 
 def _load_matplotlib() -> None:
     """Load everything that a first figure needs, including fonts."""
-    from io import BytesIO
-
     from curlfit.output.figures import Picture
 
     figure = Picture(figsize=(1, 1))
     figure.text(0, 0, "$v_0$ 0")
-    figure.savefig(BytesIO(), format="png")
+    figure._repr_png_()
 
 
 def write_figures(

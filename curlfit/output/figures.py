@@ -303,13 +303,6 @@ def shrink(text: Any, max_width: float) -> None:
         text.set_fontsize(0.95 * text.get_fontsize())
 
 
-def fix_layout(figure: Figure) -> None:
-    """Freeze the layout of a figure: later changes are to take as much room as before."""
-    if engine := figure.get_layout_engine():
-        engine.execute(figure)
-    figure.set_layout_engine("none")
-
-
 def note_stretch(axes: Any) -> None:
     """Note in the label of the horizontal axis by what factor the vertical scale is larger."""
     width, height = axes.get_figure().get_size_inches()

@@ -39,7 +39,7 @@ def _single_figure(profile: Profile) -> draw.Picture:
     draw.title(above, draw.heading_of(profile))
     label = _label(profile.estimate, profile.name)
     neat_axis(below.xaxis, *label)  # for which the layout leaves space
-    draw.fix_layout(figure)
+    figure.draw_without_rendering()
     neat_axis(below.xaxis, *label)  # by the final width
     return figure
 
