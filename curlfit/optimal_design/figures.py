@@ -91,9 +91,8 @@ def _map(design: Design) -> draw.Picture:
     columns = 2 if len(names) == 4 else min(len(names), 3)
     rows = -(-len(names) // columns)
     tall = 0.8 + 0.28 * len({one.omega0 for one in design.candidates})
-    size = draw.WIDTH, max(tall, 1.9) * rows + 0.5
-    figure = draw.Picture(figsize=size, layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).flat
+    figure, grid = draw.panels(max(tall, 1.9) * rows + 0.5, rows, columns, squeeze=False)
+    panels = grid.flat
     best = next(iter(design.best.values())).throws
     for axes, name in zip(panels, names, strict=False):
         _cells(axes, design, [one.stderr[name] for one in design.candidates], best)
@@ -124,8 +123,7 @@ def _errors(design: Design) -> draw.Picture:
         "throws": {design.throws},
     }
     names = [name for name in about if name in design.curves]
-    figure = draw.Picture(figsize=(draw.WIDTH, 3.2), layout="constrained")
-    panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+    figure, (panels,) = draw.panels(3.2, 1, len(names), sharey=True, squeeze=False)
     for axes, name in zip(panels, names, strict=True):
         curve, styles = design.curves[name], draw.line_styles(len(design.quantities))
         for quantity, style in zip(design.quantities, styles, strict=True):
@@ -153,8 +151,7 @@ def _noise_of(design: Design, channels: Sequence[str]) -> str:
 
 def _separation(design: Design, separation: Separation) -> draw.Picture:
     """Left: error of the difference against noise. Right: from single throws."""
-    figure = draw.Picture(figsize=(draw.WIDTH, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
+    figure, (left, right) = draw.panels(4.2, 1, 2, width_ratios=(1.35, 1.0))
     names, scenario = separation.pair, separation.scenario("consistent")
     difference = draw.in_symbols(f"{names[0]} - {names[1]}", design.symbols)
     _noise_needed(left, design, separation, difference)

@@ -105,6 +105,14 @@ class Picture(Figure):
         return file.getvalue()
 
 
+def panels(
+    height: float, rows: int, columns: int, width: float = WIDTH, **options: Any
+) -> tuple[Picture, Any]:
+    """A figure of some height in inches with axes in a grid, as large as their labels permit."""
+    figure = Picture(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots(rows, columns, **options)
+
+
 def row(
     figure: Figure,
     top: float,

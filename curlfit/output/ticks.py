@@ -35,8 +35,8 @@ def neat_axis(axis: Any, label: str, unit: str = "", *, neighbours: bool = False
     inches = axis.axes.get_window_extent().width / axis.axes.get_figure().dpi
     letter_width = _LETTER_WIDTH if axis.axis_name == "x" else 0.0
     unit = "" if unit == "1" else literal(unit).replace("^2", "\N{SUPERSCRIPT TWO}")
-    most, steps = (5, [1, 2, 3, 4, 5, 10]) if neighbours else (7, [1, 2, 5, 10])
-    while True:
+    steps = [1, 2, 3, 4, 5, 10] if neighbours else [1, 2, 5, 10]
+    for most in range(5 if neighbours else 7, 1, -1):
         ticks = np.asarray(MaxNLocator(most, steps=steps).tick_values(low, high))
         step = float(ticks[1] - ticks[0])
         ticks = ticks[(ticks >= low) & (ticks <= high)]
@@ -45,9 +45,8 @@ def neat_axis(axis: Any, label: str, unit: str = "", *, neighbours: bool = False
         label_width = max(0.12, letter_width * letters / inches) * (high - low)
         margin = label_width / 2 if neighbours else 0.0
         inside = (ticks >= low + margin) & (ticks <= high - margin)
-        if step > 1.1 * label_width or most == 2:
+        if step > 1.1 * label_width:
             break
-        most -= 1
     labels = [number for number, shown in zip(numbers, inside, strict=True) if shown]
     axis.set_ticks(ticks[inside], labels=labels)
     ten = f"$10^{{{power}}}$" if power else ""

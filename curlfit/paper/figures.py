@@ -22,13 +22,6 @@ _UNIT: dict[str, Any] = {"color": "0.6", "lw": 1, "ls": "--"}
 _SPLIT_NAME = r"$(\mu_{1\eta}, \mu_{2\eta})$"
 
 
-def _figure(
-    height: float, *grid: int, width: float = draw.WIDTH, **options: Any
-) -> tuple[draw.Picture, Any]:
-    figure = draw.Picture(figsize=(width, height), layout="constrained")
-    return figure, figure.subplots(*grid, **options)
-
-
 def _note(axes: Any, text: str, place: Any, offset: Any = (-8, 9), **style: Any) -> None:
     """Text to the left of a point, at an offset in points."""
     axes.annotate(text, place, offset, textcoords="offset points", ha="right", **style)
@@ -42,7 +35,7 @@ def _sign_change(axes: Any, zero: float, name: str = "") -> None:
 @draw.style()
 def eq_14_figure(found: Any) -> draw.Picture:
     """Second derivatives of eq. 12 and eq. 14 as printed."""
-    path, (figure, (across, along)) = found.path, _figure(2.7, 1, 2)
+    path, (figure, (across, along)) = found.path, draw.panels(2.7, 1, 2)
     for axes, right, printed, name in (
         (across, path.ax, path.ax_printed, "x"), (along, path.ay, path.ay_printed, "y"),
     ):  # fmt: skip
@@ -61,7 +54,7 @@ def eq_14_figure(found: Any) -> draw.Picture:
 @draw.style()
 def isotropic_figure(found: Any) -> draw.Picture:
     """Force across and along the motion against spin, under consistent load."""
-    figure, (across, along) = _figure(5.5, 2, 1, sharex=True, height_ratios=(1.35, 1.0))
+    figure, (across, along) = draw.panels(5.5, 2, 1, sharex=True, height_ratios=(1.35, 1.0))
     small, large = 1e-8, 3e-4
     for (label, omega, t_xi, t_eta, least), color in zip(
         found.isotropic.curves, (_CORRECT, *draw.PALETTE[:5]), strict=True
@@ -92,7 +85,7 @@ def isotropic_figure(found: Any) -> draw.Picture:
 @draw.style()
 def prop_5_figure(found: Any) -> draw.Picture:
     """Direction of the force of eq. 12, and the bound of isotropic friction."""
-    path, (figure, (moving, ice)) = found.path, _figure(2.8, 1, 2)
+    path, (figure, (moving, ice)) = found.path, draw.panels(2.8, 1, 2)
     t = path.t
     moving.fill_between(t, 0, path.limit, color=_BLUE, alpha=0.15, lw=0)
     moving.plot(t, path.limit, color=_BLUE, lw=1.5)
@@ -116,7 +109,7 @@ def prop_5_figure(found: Any) -> draw.Picture:
 @draw.style()
 def eq_24_figure(found: Any) -> draw.Picture:
     """The combinations of the radial law's coefficients in eq. 24."""
-    ring, (figure, axes) = found.ring, _figure(3.2, width=0.8 * draw.WIDTH)
+    ring, (figure, axes) = found.ring, draw.panels(3.2, 1, 1, width=0.8 * draw.WIDTH)
     axes.axhspan(-0.05, 0, color=_RED, alpha=0.07, lw=0)
     axes.axhline(0, **_AXIS)
     names = r"$l_1 = \mu_1 + \mu_2$", r"$l_2 = \mu_3 + \mu_4$", r"$l_3 = \mu_1 + 2\mu_3$"
@@ -140,7 +133,7 @@ def eq_28_figure(found: Any) -> draw.Picture:
     """Eq. 28 by every method, and its posterior over R and rho."""
     rows = [row for row in found.eq28.rows if "eq. 14" not in row.method]
     posterior, heights = found.eq28.posterior, np.arange(len(rows))[::-1]
-    figure, panels = _figure(6.2, 2, 3, height_ratios=(3.2, 1.0), sharex="col")
+    figure, panels = draw.panels(6.2, 2, 3, height_ratios=(3.2, 1.0), sharex="col")
     limits = ((-0.0042, 0.0042), (0.0405, 0.0605), (0.0148, 0.0186))
     marks = {True: ("o", _CORRECT), False: ("s", _BLUE)}  # whether the trajectory is fitted
     for column, (dots, below) in enumerate(panels.T):
@@ -185,7 +178,7 @@ def _method_label(row: Any) -> str:
 @draw.style()
 def split_figure(found: Any) -> draw.Picture:
     """Effect of exchanging mu1_eta and mu2_eta, and singular values of the fit."""
-    ring, (figure, (change, spectrum)) = found.ring, _figure(2.8, 1, 2)
+    ring, (figure, (change, spectrum)) = found.ring, draw.panels(2.8, 1, 2)
     for series, marker, color, label in (
         (np.maximum(ring.split_uniform, 5e-17), "o-", _CORRECT, "uniform load: rounding or less"),
         (np.abs(ring.split_consistent), "s-", _RED, r"consistent load ($T_\eta$)"),

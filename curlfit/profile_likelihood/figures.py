@@ -32,8 +32,7 @@ def profile_figure(profile: Profile | PairProfile) -> draw.Picture:
 
 
 def _single_figure(profile: Profile) -> draw.Picture:
-    figure = draw.Picture(figsize=(draw.WIDTH, 5.6), layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1.6, 1.0))
+    figure, (above, below) = draw.panels(5.6, 2, 1, sharex=True, height_ratios=(1.6, 1.0))
     _chi_squared(profile, above)
     _others(profile, below)
     draw.title(above, draw.heading_of(profile))
@@ -168,8 +167,7 @@ def _pair_figure(profile: PairProfile) -> draw.Picture:
     height = float(np.ptp(profile.second[near]))
     thin = profile.across is not None and 8 * profile.across < _THIN * height
     width = draw.WIDTH * (1 if thin else 0.72)
-    figure = draw.Picture(figsize=(width, 4.2), layout="constrained")
-    panels = figure.subplots(1, 2 if thin else 1, squeeze=False)[0]
+    figure, (panels,) = draw.panels(4.2, 1, 2 if thin else 1, width, squeeze=False)
     one, other = (profile.parameters[name] for name in profile.names)
     along, valley = profile.each[0], profile.valley
     some = np.isfinite(valley)

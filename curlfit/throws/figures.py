@@ -10,11 +10,11 @@ from curlfit.throws.throw import UNITS, Throw
 def throw_figure(throw: Throw) -> draw.Picture:
     """Measured channels over time, one panel each."""
     channels = throw.seen
-    figure = draw.Picture(figsize=(draw.WIDTH, 1.4 * len(channels) + 0.5), layout="constrained")
-    panels = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, name in zip(panels, channels, strict=True):
+    height = 1.4 * len(channels) + 0.5
+    figure, panels = draw.panels(height, len(channels), 1, sharex=True, squeeze=False)
+    for (axes,), name in zip(panels, channels, strict=True):
         axes.plot(throw.t, getattr(throw, name), **draw.DATA_STYLE)
         axes.set_ylabel(f"${draw.CHANNEL_LABEL[name]}$ ({UNITS[name]})")
-    panels[-1].set_xlabel("t (s)")
-    draw.title(panels[0], draw.file_name(throw.name))
+    panels[-1, 0].set_xlabel("t (s)")
+    draw.title(panels[0, 0], draw.file_name(throw.name))
     return figure
