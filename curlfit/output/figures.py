@@ -313,13 +313,10 @@ def shrink(text: Any, max_width: float) -> None:
 
 def note_stretch(axes: Any) -> None:
     """Note in the label of the horizontal axis by what factor the vertical scale is larger."""
-    width, height = axes.get_figure().get_size_inches()
-    box = axes.get_position()
-    across = height * box.height / np.ptp(axes.get_ylim())
-    along = width * box.width / np.ptp(axes.get_xlim())
-    factor = across / along
-    if factor > 1.5:
-        times = float(f"{factor:.2g}")
+    spans = np.ptp([axes.get_xlim(), axes.get_ylim()], axis=1)
+    along, across = axes.get_window_extent().size / spans
+    if across > 1.5 * along:
+        times = float(f"{across / along:.2g}")
         axes.set_xlabel(f"{axes.get_xlabel()}; x is drawn {times:g} times as large")
 
 
