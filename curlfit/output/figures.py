@@ -23,10 +23,12 @@ from matplotlib.font_manager import fontManager
 from matplotlib.mathtext import MathTextParser
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from curlfit import sheet
 from curlfit.foreign import cut, printable
-from curlfit.numerics.arrays import Floats
+
+Floats = NDArray[np.float64]
 
 WIDTH = 180 / 25.4
 """Width of a figure in inches: two journal columns."""

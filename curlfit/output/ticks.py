@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from curlfit.numerics.arrays import Floats
-from curlfit.output.figures import literal
+from curlfit.output.figures import Floats, literal
 
 _LENGTHS = ((1e3, "km"), (1.0, "m"), (1e-3, "mm"), (1e-6, "\N{MICRO SIGN}m"))
 _ANGLES = ((2 * np.pi, "turns"), (1.0, "rad"), (1e-3, "mrad"), (1e-6, "\N{MICRO SIGN}rad"))
