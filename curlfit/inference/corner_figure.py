@@ -2,36 +2,17 @@
 
 from __future__ import annotations
 
-import re
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from curlfit.inference.fit.result import require_fit
-from curlfit.output.figures import (
-    FIT_COLOR,
-    POSTERIOR_COLOR,
-    QUIET,
-    REFERENCE_COLOR,
-    WIDTH,
-    Picture,
-    heading_of,
-    literal,
-    math_symbol,
-    shrink,
-    styled,
-)
+from curlfit.inference.fit.result import Estimate, FitResult, require_fit
+from curlfit.inference.identifiability import Combination
+from curlfit.inference.mcmc.chain import Chain
+from curlfit.numerics.arrays import Floats
+from curlfit.output import figures as draw
 from curlfit.output.text import format_estimate
 from curlfit.output.ticks import neat_axis
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-
-    from curlfit.inference.fit.result import Estimate, FitResult
-    from curlfit.inference.mcmc.chain import Chain
-
-    Floats = NDArray[np.float64]
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.8, 0.12, 0.42, 0.65  # inches around the panels
 _GAP = 0.06  # between them
@@ -39,13 +20,13 @@ _SMALLEST = 0.95  # side of a panel
 _BINS = 30
 _SMOOTH = 1.0  # bins, standard deviation
 _LEVELS = (0.95, 0.68)
-_SHADES = ("#ecd2e0", POSTERIOR_COLOR)
+_SHADES = ("#ecd2e0", draw.POSTERIOR_COLOR)
 _MOST = 40_000  # samples used for the densities
 _DOTS = 2000  # points drawn along a ridge, about
 
 
-@styled
-def corner_figure(fit: FitResult, chain: Chain) -> Figure:
+@draw.style()
+def corner_figure(fit: FitResult, chain: Chain) -> draw.Picture:
     """Corner plot of the posterior of the law's coefficients and the estimated conditions: regions
     that contain 68 and 95 % of the samples, with reference values marked.
 
@@ -55,47 +36,57 @@ def corner_figure(fit: FitResult, chain: Chain) -> Figure:
     """
     require_fit(fit)
     names = _names(fit)
-    samples = np.stack([chain.of({name: 1.0}) for name in names], 1)
-    if len(samples) > _MOST:
-        samples = samples[np.linspace(0, len(samples) - 1, _MOST).astype(int)]
+    samples = np.stack([chain.of({name: 1.0}) for name in names])
+    samples = samples[:, draw.some_rows(samples.shape[1], _MOST)]
     known = {} if fit.reference is None else fit.reference.values
-    count = max(len(names), 2)
-    width = max(WIDTH, _LEFT + _RIGHT + count * (_SMALLEST + _GAP) - _GAP)
-    side = (width - _LEFT - _RIGHT + _GAP) / count
-    height = _TOP + _BOTTOM + len(names) * side - _GAP
-    figure = Picture(figsize=(width, height))
-    grid = {
-        (row, column): figure.add_axes((
-            (_LEFT + column * side) / width, (_BOTTOM + (len(names) - 1 - row) * side) / height,
-            (side - _GAP) / width, (side - _GAP) / height,
-        ))
-        for row in range(len(names))
-        for column in range(row + 1)
-    }  # fmt: skip
-    extents = [_extent(samples[:, k], known.get(name)) for k, name in enumerate(names)]
-    bins = [_bins_of(samples[:, k], *extent) for k, extent in enumerate(extents)]
+    extents = [_extent(*pair) for pair in zip(samples, map(known.get, names), strict=True)]
+    figure, grid = _panels(len(names))
     ridges = _ridges(fit, names)
     for (row, column), axes in grid.items():
         axes.grid(visible=False)
         axes.spines[:].set_visible(True)
         axes.set_xlim(extents[column])
         if row == column:
-            _histogram(axes, fit.parameters[names[row]], samples[:, row], bins[row])
-        else:
-            axes.set_ylim(extents[row])
-            if (row, column) in ridges:
-                weights = ridges[row, column]
-                _ridge(axes, fit, weights, samples[:, column], samples[:, row], known)
-            else:
-                _density(axes, bins[column], bins[row], extents[column], extents[row])
-                _reference_line(axes.axhline, known.get(names[row]), extents[row])
-        if (row, column) not in ridges:
-            _reference_line(axes.axvline, known.get(names[column]), extents[column])
+            _histogram(axes, fit.parameters[names[row]], samples[row])
+            if names[row] in known:
+                _mark(axes, known[names[row]], *extents[row])
+            continue
+        axes.set_ylim(extents[row])
+        if item := ridges.get((row, column)):
+            weights = [item.weights[names[place]] for place in (column, row)]
+            said = draw.weighted_sum(item.weights, fit.parameters)
+            _ridge(axes, said, weights, samples[[column, row]], known.get(item.expression))
+            continue
+        _density(axes, samples[[column, row]])
+        for line, name in ((axes.axhline, names[row]), (axes.axvline, names[column])):
+            if name in known:
+                line(known[name], color=draw.REFERENCE_COLOR, lw=1)
     for place, name in enumerate(names):
-        _neat_panels(fit.parameters[name], grid, place, len(names) - 1)
-        _point_to_mark(grid[place, place], known.get(name), extents[place])
-    _say_in_corner(fit, figure, side)
+        _neat_axes(fit.parameters[name], grid[len(names) - 1, place], grid[place, 0], place > 0)
+    for axes in figure.axes:
+        axes.label_outer()
+    _say_in_corner(fit, figure)
     return figure
+
+
+def _panels(number: int) -> tuple[draw.Picture, dict[tuple[int, int], Any]]:
+    """The figure, and its panels by row and column; those of a parameter share its axis."""
+    count = max(number, 2)
+    width = max(draw.WIDTH, _LEFT + _RIGHT + count * (_SMALLEST + _GAP) - _GAP)
+    side = (width - _LEFT - _RIGHT + _GAP) / count
+    height = _TOP + _BOTTOM + number * side - _GAP
+    figure = draw.Picture(figsize=(width, height))
+    gap = _GAP / (side - _GAP)
+    places = figure.add_gridspec(
+        number, count, wspace=gap, hspace=gap, left=_LEFT / width, right=1 - _RIGHT / width,
+        bottom=_BOTTOM / height, top=1 - _TOP / height,
+    )  # fmt: skip
+    grid: dict[tuple[int, int], Any] = {}
+    for row in range(number):
+        for column in range(row + 1):
+            across, up = grid.get((column, column)), grid.get((row, 0)) if column < row else None
+            grid[row, column] = figure.add_subplot(places[row, column], sharex=across, sharey=up)
+    return figure, grid
 
 
 def _names(fit: FitResult) -> list[str]:
@@ -118,173 +109,136 @@ def _extent(values: Floats, mark: float | None) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _bins_of(values: Floats, low: float, high: float) -> Any:
-    """Index of the bin of each sample; -1 outside all bins."""
-    places = np.floor((values - low) / (high - low) * _BINS).astype(int)
-    return np.where((places >= 0) & (places < _BINS), places, -1)
-
-
-def _histogram(axes: Any, item: Estimate, values: Floats, bins: Any) -> None:
+def _histogram(axes: Any, item: Estimate, values: Floats) -> None:
     """Histogram of one parameter with its median and 68 % interval."""
-    counts = np.bincount(bins[bins >= 0], minlength=_BINS)
-    low, high = axes.get_xlim()
-    axes.stairs(
-        counts, np.linspace(low, high, _BINS + 1), fill=True, facecolor=_SHADES[0],
-        edgecolor=POSTERIOR_COLOR, lw=1,
+    counts, *_ = axes.hist(
+        values, _BINS, range=axes.get_xlim(), histtype="stepfilled", fc=_SHADES[0],
+        ec=draw.POSTERIOR_COLOR, lw=1,
     )  # fmt: skip
-    quantiles = np.quantile(values, [0.16, 0.5, 0.84])
+    quantiles = low, middle, high = np.quantile(values, [0.16, 0.5, 0.84]).tolist()
     axes.vlines(
         quantiles, 0, 1, transform=axes.get_xaxis_transform(), colors="black",
         linestyles=["--", "-", "--"], lw=0.7,
     )  # fmt: skip
-    axes.set_ylim(0, 1.1 * counts.max())
-    axes.set_yticks([])
-    low, middle, high = map(float, quantiles)
+    axes.set(ylim=(0, 1.1 * counts.max()), yticks=[])
     said = f"{low:.3g} .. {high:.3g}"
     if item.verdict == "not identifiable":
-        said = "not identifiable"
+        said = item.verdict
     elif item.verdict in ("determined", "prior"):
         said = " \N{PLUS-MINUS SIGN} ".join(format_estimate(middle, (high - low) / 2))
-    text = axes.set_title(said.replace("-", "\N{MINUS SIGN}"), fontsize=7, pad=3)
-    shrink(text, axes.get_window_extent().width)
+    text = axes.set_title(said.replace("-", "\N{MINUS SIGN}"), fontsize=7, pad=3, loc="center")
+    draw.shrink(text, axes.get_window_extent().width)
 
 
-def _density(
-    axes: Any, across: Any, up: Any, x: tuple[float, float], y: tuple[float, float]
-) -> None:
+def _density(axes: Any, samples: Floats) -> None:
     """Smallest regions that contain 68 and 95 % of the samples."""
-    inside = (across >= 0) & (up >= 0)
-    counts = np.bincount(across[inside] * _BINS + up[inside], minlength=_BINS**2)
+    limits = axes.get_xlim(), axes.get_ylim()
+    counts, *edges = np.histogram2d(samples[0], samples[1], _BINS, limits)
     kernel = np.exp(-(np.subtract.outer(range(_BINS), range(_BINS)) ** 2) / (2 * _SMOOTH**2))
     kernel /= kernel.sum(1, keepdims=True)
-    density = np.pad(kernel @ counts.reshape(_BINS, _BINS) @ kernel.T, 1)  # closes the contours
+    density = np.pad(kernel @ counts @ kernel.T, 1)  # closes the contours
     falling = np.sort(density, axis=None)[::-1]
     share = np.cumsum(falling) / falling.sum()
-    edges = [float(falling[np.searchsorted(share, level)]) for level in _LEVELS]
-    edges.append(float(falling[0]))
-    for index in range(2):
-        edges[index + 1] = max(edges[index + 1], edges[index] * (1 + 1e-6))
-    middles = [
-        low + (np.arange(-1, _BINS + 1) + 0.5) * (high - low) / _BINS for low, high in (x, y)
-    ]
-    axes.contourf(*middles, density.T, levels=edges, colors=_SHADES)
-    axes.contour(*middles, density.T, levels=edges[:2], colors="0.3", linewidths=0.5)
+    levels = falling[[*np.searchsorted(share, _LEVELS), 0]] * (1 + 1e-6 * np.arange(3))  # rise
+    middles = [np.append(edge, 2 * edge[-1] - edge[-2]) - np.diff(edge[:2]) / 2 for edge in edges]
+    axes.contourf(*middles, density.T, levels=levels, colors=_SHADES)
+    axes.contour(*middles, density.T, levels=levels[:2], colors="0.3", linewidths=0.5)
 
 
-def _ridges(fit: FitResult, names: list[str]) -> dict[tuple[int, int], dict[str, float]]:
-    """Weights, by row and column, for pairs of which only a combination is determined."""
+def _ridges(fit: FitResult, names: list[str]) -> dict[tuple[int, int], Combination]:
+    """By row and column, the combination of pairs of which only that is determined."""
     found = {}
     for item in fit.combinations:
         if len(item.weights) == 2 and item.weights.keys() <= set(names):
             column, row = sorted(map(names.index, item.weights))
-            found[row, column] = {names[k]: item.weights[names[k]] for k in (column, row)}
+            found[row, column] = item
     return found
 
 
 def _ridge(
-    axes: Any, fit: FitResult, weights: dict[str, float], x: Floats, y: Floats,
-    known: dict[str, float],
-) -> None:  # fmt: skip
+    axes: Any, said: str, weights: list[float], samples: Floats, value: float | None
+) -> None:
     """Draw a pair of which only a combination is determined, as points along a line."""
-    first, second = weights.values()
-    some = slice(None, None, max(1, len(x) // _DOTS))
-    axes.plot(
-        x[some], y[some], ".", color=POSTERIOR_COLOR, markersize=1.5, mew=0, rasterized=True
-    )  # fmt: skip
-    falling = first * second > 0
-    text = axes.text(
-        0.95 if falling else 0.05, 0.95, f"only\n${_as_math(fit, weights)}$\nis determined",
-        transform=axes.transAxes, ha="right" if falling else "left", va="top", fontsize=7,
-    )  # fmt: skip
-    shrink(text, 0.52 * axes.get_window_extent().width)
-    for item in fit.combinations:
-        value = known.get(item.expression)
-        if value is not None and item.weights.keys() == weights.keys():
-            across = np.array(axes.get_xlim())
-            axes.plot(across, (value - first * across) / second, color=REFERENCE_COLOR, lw=1)
+    some = samples[:, :: max(1, samples.shape[1] // _DOTS)]
+    axes.plot(*some, ".", color=draw.POSTERIOR_COLOR, markersize=1.5, mew=0, rasterized=True)
+    x = 0.95 if weights[0] * weights[1] > 0 else 0.05
+    said = f"only\n${said}$\nis determined"
+    draw.shrink(
+        draw.note(axes, x, 0.95, said, color="black", fontsize=7),
+        0.52 * axes.get_window_extent().width,
+    )
+    if value is not None:
+        across = np.array(axes.get_xlim())
+        up = (value - weights[0] * across) / weights[1]
+        axes.plot(across, up, color=draw.REFERENCE_COLOR, lw=1)
 
 
-def _reference_line(draw: Any, value: float | None, extent: tuple[float, float]) -> None:
-    if value is not None and extent[0] <= value <= extent[1]:
-        draw(value, color=REFERENCE_COLOR, lw=1)
-
-
-def _neat_panels(item: Estimate, grid: Any, place: int, last: int) -> None:
-    """Set the same few ticks in all panels of a parameter, with numbers on the outermost."""
-    below, beside = grid[last, place], grid[place, 0]
-    groups = [(below.xaxis, [grid[row, place].xaxis for row in range(place, last)])]
-    if place:
-        groups.append((beside.yaxis, [grid[place, column].yaxis for column in range(1, place)]))
-    for outer, inner in groups:
-        neat_axis(outer, f"${math_symbol(item.symbol)}$", item.unit, neighbours=True)
-        for axis in inner:
-            axis.set_ticks(outer.get_majorticklocs(), labels=[])
-    box = below.get_window_extent()
-    inch = below.get_figure().dpi
+def _neat_axes(item: Estimate, below: Any, beside: Any, has_row: bool) -> None:
+    """Set the same few ticks in all panels of a parameter, and label the outermost."""
+    label = draw.symbol_of(item), item.unit
+    neat_axis(below.xaxis, *label, neighbours=True)
+    if has_row:
+        neat_axis(beside.yaxis, *label, neighbours=True)
+    box, inch = below.get_window_extent(), below.get_figure().dpi
     below.xaxis.set_label_coords(0.5, -0.24 * inch / box.height)
     beside.yaxis.set_label_coords(-0.42 * inch / box.width, 0.5)
 
 
-def _point_to_mark(axes: Any, value: float | None, extent: tuple[float, float]) -> None:
-    """Point to a reference value that lies outside a histogram."""
-    if value is None or extent[0] <= value <= extent[1]:
+def _mark(axes: Any, value: float, low: float, high: float) -> None:
+    """Mark a reference value in a histogram, or point to it where it lies outside."""
+    axes.axvline(value, color=draw.REFERENCE_COLOR, lw=1)
+    if low <= value <= high:
         return
-    right = value > extent[1]
+    right = value > high
     axes.annotate(
-        f"{value:g}", xy=(1.0 if right else 0.0, 0.88), xycoords="axes fraction",
-        xytext=(0.7 if right else 0.3, 0.88), textcoords="axes fraction", ha="center",
-        va="center", color=REFERENCE_COLOR, fontsize=7,
-        arrowprops={"arrowstyle": "->", "color": REFERENCE_COLOR, "lw": 0.8},
+        f"{value:g}", xy=(1.0 if right else 0.0, 0.88), xytext=(0.7 if right else 0.3, 0.88),
+        xycoords="axes fraction", textcoords="axes fraction", ha="center", va="center",
+        color=draw.REFERENCE_COLOR, fontsize=7,
+        arrowprops={"arrowstyle": "->", "color": draw.REFERENCE_COLOR, "lw": 0.8},
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8},
     )  # fmt: skip
 
 
-def _say_in_corner(fit: FitResult, figure: Figure, side: float) -> None:
+def _say_in_corner(fit: FitResult, figure: draw.Picture) -> None:
     """Write what was fitted, combinations and references into the corner free of panels."""
     width, height = figure.get_size_inches()
-    heading = figure.text(_LEFT / width, 1 - 0.06 / height, heading_of(fit), va="top")
-    shrink(heading, (width - _LEFT - _RIGHT) * figure.dpi)
-    lines = []
-    for item in fit.combinations:
-        value, stderr = format_estimate(item.value, item.stderr)
-        lines.append(rf"${_as_math(fit, item.weights)} = {value} \pm {stderr}$")
-    for direction in fit.null_directions:
-        pair = ", ".join(f"${math_symbol(fit.parameters[name].symbol)}$" for name in direction)
-        lines.append(f"{pair}: not identifiable individually")
-    lines.append("dashed: 68 %; shaded: 68 and 95 % of the posterior")
-    written = [("black", lines[:-1]), (QUIET, lines[-1:])]
-
-    def symbols(text: str) -> str:
-        for name, parameter in fit.parameters.items():
-            whole = re.compile(rf"(?<![\w\\{{]){name}\b(?!\$)")
-            text = whole.sub(f"${math_symbol(parameter.symbol)}$".replace("\\", r"\\"), text)
-        return text
-
-    if fit.reference is not None:
-        found = [symbols(f"{name} = {value:g}") for name, value in fit.reference.values.items()]
-        written.append((REFERENCE_COLOR, [literal(fit.reference.source), *found]))
-    for other in fit.reference_fits[:1]:
-        constants = ", ".join(f"{name} = {value:g} m" for name, value in other["stone"].items())
-        values = [
-            f"{name} = {other['values'][name]:.4f}"
-            for name in (fit.reference.values if fit.reference else {})
-            if name in other["values"]
-        ]
-        written.append((FIT_COLOR, [f"this fit with {constants}", *map(symbols, values)]))
+    heading = draw.heading_of(fit)
+    text = figure.text(_LEFT / width, 1 - 0.06 / height, heading, va="top")
+    draw.shrink(text, (width - _LEFT - _RIGHT) * figure.dpi)
     end, top = 1 - _RIGHT / width, 1 - _TOP / height
-    for color, said in written:
-        if not said:
-            continue
-        style: dict[str, Any] = {"ha": "right", "va": "top", "linespacing": 1.5}
-        text = figure.text(end, top, "\n".join(said), color=color, **style)
-        shrink(text, (end * width - _LEFT - side) * figure.dpi)
+    room = end * figure.bbox.width - figure.axes[0].get_window_extent().x1
+    for color, lines in _said(fit):
+        text = figure.text(
+            end, top, "\n".join(lines), color=color, ha="right", va="top", linespacing=1.5
+        )
+        draw.shrink(text, room)
         top -= text.get_window_extent().height / figure.bbox.height + 0.1 / height
 
 
-def _as_math(fit: FitResult, weights: dict[str, float]) -> str:
-    text = ""
-    for name, weight in weights.items():
-        sign = "-" if weight < 0 else "+" if text else ""
-        size = "" if abs(weight) == 1 else f"{abs(weight):.3g}\\,"
-        text += f"{sign}{size}{math_symbol(fit.parameters[name].symbol)}"
-    return text
+def _said(fit: FitResult) -> list[tuple[str, list[str]]]:
+    """What stands in the corner: colours and lines."""
+    lines = []
+    for item in fit.combinations:
+        value, stderr = format_estimate(item.value, item.stderr)
+        combination = draw.weighted_sum(item.weights, fit.parameters)
+        lines.append(rf"${combination} = {value} \pm {stderr}$")
+    for direction in fit.null_directions:
+        pair = (draw.symbol_of(fit.parameters[name]) for name in direction)
+        lines.append(f"{', '.join(pair)}: not identifiable individually")
+    shades = ["dashed: 68 %; shaded: 68 and 95 % of the posterior"]
+    said = [("black", lines), (draw.QUIET, shades)]
+
+    symbols = {name: item.symbol for name, item in fit.parameters.items()}
+    known = {} if fit.reference is None else fit.reference.values
+    if fit.reference is not None:
+        values = [draw.in_symbols(f"{name} = {value:g}", symbols) for name, value in known.items()]
+        said.append((draw.REFERENCE_COLOR, [draw.literal(fit.reference.source), *values]))
+    for other in fit.reference_fits[:1]:
+        constants = ", ".join(f"{name} = {value:g} m" for name, value in other["stone"].items())
+        values = [
+            draw.in_symbols(f"{name} = {other['values'][name]:.4f}", symbols)
+            for name in known
+            if name in other["values"]
+        ]
+        said.append((draw.FIT_COLOR, [f"this fit with {constants}", *values]))
+    return [(color, lines) for color, lines in said if lines]

@@ -2,36 +2,24 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from curlfit.optimal_design.report import noise_text
-from curlfit.output.figures import (
-    PALETTE,
-    REFERENCE_COLOR,
-    WIDTH,
-    Picture,
-    in_symbols,
-    law_and_load,
-    line_styles,
-    literal,
-    styled,
-)
+from curlfit.optimal_design.result import Design, Separation
+from curlfit.output import figures as draw
 from curlfit.output.text import two_digits
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from matplotlib.figure import Figure
-
-    from curlfit.optimal_design.result import Design, Separation
-
 _MAX_LABELLED = 80  # cells of a map with a number in each
+_PLANNED: dict[str, Any] = {"color": "0.5", "lw": 0.9, "ls": ":"}
 
 
-@styled
+@draw.style()
 def design_figures(design: Design) -> dict[str, Figure]:
     """The figures by name: a map of single throws, errors against noise, rate and number of throws,
     and, where two coefficients are separable, what that takes.
@@ -41,145 +29,118 @@ def design_figures(design: Design) -> dict[str, Figure]:
     >>> sorted(curlfit.design_figures(plan))
     ['design-errors', 'design-map', 'design-separate']
     """
-    found = {"design-map": _map(design), "design-errors": _errors(design)}
+    found: dict[str, Figure] = {"design-map": _map(design), "design-errors": _errors(design)}
     separation = design.separation
     if separation is not None and separation.scenario("consistent").stderr is not None:
         found["design-separate"] = _separation(design, separation)
     return found
 
 
-def _label(design: Design, expression: str) -> str:
-    """A quantity with its symbols, for matplotlib."""
-    return in_symbols(expression, design.symbols)
+def _quantity(design: Design, name: str) -> str:
+    """A quantity in its symbols, with its unit."""
+    units = {design.units[parameter] for parameter in design.quantities[name]}
+    unit = "" if units == {"1"} else f" ({'; '.join(sorted(units))})"
+    return draw.in_symbols(name, design.symbols) + unit.replace("^2", "\N{SUPERSCRIPT TWO}")
 
 
-def _unit(design: Design, weights: Mapping[str, float]) -> str:
-    units = {design.units[name] for name in weights}
-    return (
-        ""
-        if units == {"1"}
-        else f" ({'; '.join(sorted(units))})".replace("^2", "\N{SUPERSCRIPT TWO}")
-    )
-
-
-def _grid(design: Design, values: Sequence[float | None]) -> tuple[list[float], list[float], Any]:
-    """Speeds, spins, and values by both, shape (spins, speeds), at the highest rate."""
+def _cells(
+    axes: Any, design: Design, values: Sequence[float | None], framed: Sequence[int], unit: str = ""
+) -> None:
+    """A cell for each speed and spin at the highest rate, dark where the error is small; those of
+    the selected throws are framed."""
     rate = max(one.rate for one in design.candidates)
     speeds = sorted({one.v0 for one in design.candidates})
     spins = sorted({one.omega0 for one in design.candidates})
+    places = [(speeds.index(one.v0), spins.index(one.omega0)) for one in design.candidates]
     cells = np.full((len(spins), len(speeds)), np.nan)
-    for one, value in zip(design.candidates, values, strict=True):
+    for one, (column, row), value in zip(design.candidates, places, values, strict=True):
         if one.rate == rate and value is not None:
-            cells[spins.index(one.omega0), speeds.index(one.v0)] = value
-    return speeds, spins, cells
-
-
-def _cells(axes: Any, design: Design, values: Sequence[float | None], *, shares: bool) -> None:
-    """A cell for each speed and spin, dark where the error is small."""
-    from matplotlib.colors import LogNorm
-
-    speeds, spins, cells = _grid(design, values)
-    if shares:
-        cells = 100 * cells
+            cells[row, column] = value
     axes.set_facecolor("0.9")
     axes.grid(visible=False)
     known = cells[np.isfinite(cells)]
     low, high = (known.min(), known.max()) if len(known) else (1.0, 1.0)
     if not high > 1.01 * low:
         low, high = low / 1.5, high * 1.5
-    shown = axes.imshow(
-        cells, origin="lower", aspect="auto", cmap="viridis", norm=LogNorm(low, high)
-    )
+    norm = LogNorm(low, high)
+    shown = axes.imshow(cells, origin="lower", aspect="auto", cmap="viridis", norm=norm)
     if cells.size <= _MAX_LABELLED:
         for (row, column), value in np.ndenumerate(cells):
-            dark = np.isfinite(value) and np.log(value / low) < 0.6 * np.log(high / low)
-            text = f"{two_digits(value)} %" if shares else _number(value)
-            axes.text(
-                column, row, text if np.isfinite(value) else "not\ndetermined", ha="center",
-                va="center", fontsize=6, color="white" if dark else "black",
-            )  # fmt: skip
+            text, color = "not\ndetermined", "black"
+            if np.isfinite(value):
+                text = f"{two_digits(value)} %" if unit else _number(value)
+                color = "white" if norm(value) < 0.6 else "black"
+            axes.text(column, row, text, ha="center", va="center", fontsize=6, color=color)
     else:
-        axes.figure.colorbar(shown, ax=axes, label="%" if shares else "")
-    for ticks, numbers, most in ((axes.set_xticks, speeds, 6), (axes.set_yticks, spins, 12)):
+        axes.figure.colorbar(shown, ax=axes, label=unit)
+    for axis, numbers, most in ((axes.xaxis, speeds, 6), (axes.yaxis, spins, 12)):
         some = range(0, len(numbers), -(-len(numbers) // most))
-        ticks(some, [f"{numbers[index]:g}" for index in some])
+        axis.set_ticks(some, [f"{numbers[index]:g}" for index in some])
     axes.set_xlabel("initial speed (m/s)")
+    for column, row in {places[index] for index in framed}:
+        corner = column - 0.47, row - 0.47
+        axes.add_patch(Rectangle(corner, 0.94, 0.94, fill=False, ec=draw.REFERENCE_COLOR, lw=2.2))
 
 
 def _number(value: float) -> str:
     return f"{value:.2g}" if value >= 0.01 else f"{value:.1e}".replace("e-0", "e-")
 
 
-def _frame_selected(axes: Any, design: Design, indices: Sequence[int]) -> None:
-    """Frames around the cells of the selected throws."""
-    from matplotlib.patches import Rectangle
-
-    speeds, spins, _ = _grid(design, [None] * len(design.candidates))
-    for index in Counter(indices):
-        one = design.candidates[index]
-        corner = speeds.index(one.v0) - 0.47, spins.index(one.omega0) - 0.47
-        axes.add_patch(Rectangle(corner, 0.94, 0.94, fill=False, edgecolor=REFERENCE_COLOR, lw=2.2))
-
-
-def _map(design: Design) -> Figure:
+def _map(design: Design) -> draw.Picture:
     names = list(design.quantities)
     columns = 2 if len(names) == 4 else min(len(names), 3)
     rows = -(-len(names) // columns)
     tall = 0.8 + 0.28 * len({one.omega0 for one in design.candidates})
-    figure = Picture(figsize=(WIDTH, max(tall, 1.9) * rows + 0.5), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).reshape(-1)
+    figure, grid = draw.panels(max(tall, 1.9) * rows + 0.5, rows, columns, squeeze=False)
+    panels = grid.flat
     best = next(iter(design.best.values())).throws
     for axes, name in zip(panels, names, strict=False):
-        _cells(axes, design, [one.stderr[name] for one in design.candidates], shares=False)
-        _frame_selected(axes, design, best)
-        axes.set_title(f"{_label(design, name)}{_unit(design, design.quantities[name])}")
+        _cells(axes, design, [one.stderr[name] for one in design.candidates], best)
+        axes.set_title(_quantity(design, name), loc="center")
     for axes in panels[len(names) :]:
         axes.set_visible(False)
     for axes in panels[::columns]:
         axes.set_ylabel("initial spin (rad/s)")
     figure.suptitle(
-        f"{law_and_load(design)}: standard error from one throw\n"
+        f"{draw.law_and_load(design)}: standard error from one throw\n"
         f"noise {noise_text(design.sigma)}; framed: in the optimal {design.throws} throws",
     )
     return figure
 
 
-def _errors(design: Design) -> Figure:
+def _errors(design: Design) -> draw.Picture:
     about = {
         "place": f"noise relative to\n{_noise_of(design, ('x', 'y', 'speed'))}",
         "angle": f"noise relative to\n{_noise_of(design, ('phi', 'omega'))}",
         "rate": "rows per second\n(Hz)",
         "throws": "number of throws\n(optimal for each)",
     }
+    rates = {one.rate for one in design.candidates}
+    planned: dict[str, set[float]] = {
+        "place": {1.0},
+        "angle": {1.0},
+        "rate": rates,
+        "throws": {design.throws},
+    }
     names = [name for name in about if name in design.curves]
-    figure = Picture(figsize=(WIDTH, 3.2), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
+    figure, (panels,) = draw.panels(3.2, 1, len(names), sharey=True, squeeze=False)
     for axes, name in zip(panels, names, strict=True):
-        curve, styles = design.curves[name], line_styles(len(design.quantities))
-        for index, (quantity, weights) in enumerate(design.quantities.items()):
-            values = [np.nan if value is None else value for value in curve[quantity]]
-            axes.plot(
-                curve["at"], values, ".", ms=4, lw=1.2, **styles[index],
-                label=_label(design, quantity) + _unit(design, weights),
-            )  # fmt: skip
+        curve, styles = design.curves[name], draw.line_styles(len(design.quantities))
+        for quantity, style in zip(design.quantities, styles, strict=True):
+            values = np.array(curve[quantity], float)
+            axes.plot(curve["at"], values, ".", ms=4, **style, label=_quantity(design, quantity))
         axes.set(xscale="log", yscale="log", xlabel=about[name])
-        if name in ("place", "angle"):
-            axes.axvline(1.0, color="0.5", lw=0.9, ls=":")
-        if name == "rate":
-            for rate in {one.rate for one in design.candidates}:
-                axes.axvline(rate, color="0.5", lw=0.9, ls=":")
+        for value in planned[name]:
+            axes.axvline(value, **_PLANNED)
         if name == "throws":
-            axes.axvline(design.throws, color="0.5", lw=0.9, ls=":")
             counts = [int(one) for one in curve["at"] if one is not None]
-            axes.set_xticks(counts, [str(one) for one in counts])
+            axes.set_xticks(counts, map(str, counts))
             axes.minorticks_off()
     panels[0].set_ylabel("standard error")
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside lower center",
-        ncols=len(design.quantities),
-    )  # fmt: skip
+    lines = panels[0].get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", ncols=len(design.quantities))
     figure.suptitle(
-        f"{law_and_load(design)}, optimal {design.throws} throws; dotted: as planned",
+        f"{draw.law_and_load(design)}, optimal {design.throws} throws; dotted: as planned"
     )
     return figure
 
@@ -188,76 +149,56 @@ def _noise_of(design: Design, channels: Sequence[str]) -> str:
     return noise_text({name: value for name, value in design.sigma.items() if name in channels})
 
 
-def _separation(design: Design, separation: Separation) -> Figure:
+def _separation(design: Design, separation: Separation) -> draw.Picture:
     """Left: error of the difference against noise. Right: from single throws."""
-    figure = Picture(figsize=(WIDTH, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
-    difference = _label(design, f"{separation.pair[0]} - {separation.pair[1]}")
-    scenario = separation.scenario("consistent")
-    factors = np.array([1e-4, 1e2])
-    draw = design.candidates[separation.ordinary]
-    plain = scenario.each[separation.ordinary]
-    ordinary = f"{draw.v0:g} m/s, {draw.omega0:g} rad/s"
+    figure, (left, right) = draw.panels(4.2, 1, 2, width_ratios=(1.35, 1.0))
+    names, scenario = separation.pair, separation.scenario("consistent")
+    difference = draw.in_symbols(f"{names[0]} - {names[1]}", design.symbols)
+    _noise_needed(left, design, separation, difference)
+    lines = left.get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", ncols=2, title="consistent load")
+    shares = [None if one is None else 100 * one / separation.size for one in scenario.each]
+    _cells(right, design, shares, scenario.throws or (), "%")
+    right.set_ylabel("initial spin (rad/s)")
+    right.set_title(
+        f"{difference} from one throw, % of {separation.size:g}\n"
+        f"consistent load; framed: in the optimal {design.throws} throws",
+        fontsize=7, loc="center",
+    )  # fmt: skip
+    figure.suptitle(f"{draw.literal(design.law)} law: separation of {' and '.join(names)}")
+    return figure
 
-    def line(stderr: float | None, label: str, **style: Any) -> None:
+
+def _noise_needed(axes: Any, design: Design, separation: Separation, difference: str) -> None:
+    scenario, count = separation.scenario("consistent"), design.throws
+    throw, plain = design.candidates[separation.ordinary], scenario.each[separation.ordinary]
+    ordinary = f"{count} x ({throw.v0:g} m/s, {throw.omega0:g} rad/s)"
+    black, blue, green = draw.PALETTE[6], draw.PALETTE[0], draw.PALETTE[2]
+    several = None if plain is None else plain / np.sqrt(count)
+    framed = f"the optimal {count} throws, framed"
+    lines = [(several, ordinary, black, "-", 1.6), (scenario.stderr, framed, blue, "-", 2.2)]
+    changes = [item for item in separation.changes if item.name == "h"]
+    values = sorted(item.value for item in changes)
+    extreme = [item for item in changes if item.value in (*values[:1], *values[-2:])]
+    dashed = [*zip(draw.DASHES[1:], extreme, strict=False)]
+    for dash, item in dashed:
+        lines.append((item.all, f"the same, h = {1000 * item.value:.3g} mm", blue, dash, 1.1))
+    for dash, item in dashed:
+        half = f"{ordinary}, half with h = {1000 * item.value:.3g} mm"
+        lines.append((item.half, half, green, dash, 1.4))
+    factors, wanted = np.array([1e-4, 1e2]), 100 * separation.wanted
+    for stderr, label, color, dash, lw in lines:
         if stderr is not None:
-            left.plot(factors, 100 * factors * stderr / separation.size, label=label, **style)
-
-    count = design.throws
-    if plain is not None:
-        line(plain / np.sqrt(count), f"{count} x ({ordinary})", color=PALETTE[6], lw=1.6)
-    line(scenario.stderr, f"the optimal {count} throws, framed", color=PALETTE[0], lw=2.2)
-    heights = [
-        item
-        for item in separation.changes
-        if item.name == "h" and item.value in _extreme_heights(separation)
-    ]
-    for dash, item in zip(("--", "-.", ":"), heights, strict=False):
-        line(
-            item.all, f"the same, h = {1000 * item.value:.3g} mm", color=PALETTE[0], lw=1.1, ls=dash
-        )
-    for dash, item in zip(("--", "-.", ":"), heights, strict=False):
-        line(
-            item.half, f"{count} x ({ordinary}), half with h = {1000 * item.value:.3g} mm",
-            color=PALETTE[2], lw=1.4, ls=dash,
-        )  # fmt: skip
-    left.axhline(100 * separation.wanted, color=REFERENCE_COLOR, lw=1.4)
-    left.text(
-        1.2e-4,
-        115 * separation.wanted,
-        f"required: {100 * separation.wanted:g} %",
-        color=REFERENCE_COLOR,
-    )
-    left.axvline(1.0, color="0.5", lw=0.9, ls=":")
-    left.set(
+            errors = 100 * factors * stderr / separation.size
+            axes.plot(factors, errors, label=label, color=color, ls=dash, lw=lw)
+    axes.axhline(wanted, color=draw.REFERENCE_COLOR, lw=1.4)
+    axes.text(1.2e-4, 1.15 * wanted, f"required: {wanted:g} %", color=draw.REFERENCE_COLOR)
+    axes.axvline(1.0, **_PLANNED)
+    axes.set(
         xscale="log", yscale="log", xlim=(1e-4, 1e1), ylim=(1e-1, 1e6),
         xlabel=f"noise, times {noise_text(design.sigma)} (dotted: as planned)",
         ylabel=f"error of {difference}, % of {separation.size:g}",
     )  # fmt: skip
     if separation.proof.hidden:
-        left.set_title(
-            "uniform load: not separable, at any noise, with any number of throws",
-            color=REFERENCE_COLOR, fontsize=7,
-        )  # fmt: skip
-    figure.legend(
-        *left.get_legend_handles_labels(), loc="outside lower center", ncols=2,
-        title="consistent load",
-    )  # fmt: skip
-    shares = [None if one is None else one / separation.size for one in scenario.each]
-    _cells(right, design, shares, shares=True)
-    if scenario.throws is not None:
-        _frame_selected(right, design, scenario.throws)
-    right.set_ylabel("initial spin (rad/s)")
-    right.set_title(
-        f"{difference} from one throw, % of {separation.size:g}\n"
-        f"consistent load; framed: in the optimal {count} throws",
-        fontsize=7,
-    )
-    figure.suptitle(f"{literal(design.law)} law: separation of {' and '.join(separation.pair)}")
-    return figure
-
-
-def _extreme_heights(separation: Separation) -> set[float]:
-    """The lowest height of the centre of mass and the two highest."""
-    heights = sorted(item.value for item in separation.changes if item.name == "h")
-    return {*heights[:1], *heights[-2:]}
+        said = "uniform load: not separable, at any noise, with any number of throws"
+        axes.set_title(said, color=draw.REFERENCE_COLOR, fontsize=7, loc="center")

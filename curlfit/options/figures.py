@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
+    Draw = Callable[[], Mapping[str, Figure]]
+
 FORMATS = ("png", "pdf", "svg")
-_Task = Callable[[], list[Path]]
 
 
 class FigureFiles:
@@ -28,7 +29,7 @@ class FigureFiles:
     def __init__(self, formats: tuple[str, ...]) -> None:
         self.formats = formats
         self._second: ProcessPoolExecutor | None = None
-        self._tasks: list[tuple[_Task, _Task]] = []
+        self._tasks: list[tuple[Callable[[], list[Path]], ...]] = []
         self._files: list[Path] = []
 
     @classmethod
@@ -39,19 +40,16 @@ class FigureFiles:
         ------
         InputError : an unknown format, or formats together with `none`.
         """
-        if none and text is not None:
-            raise InputError(f"{flag} {text}: --no-figures draws nothing; give one of them")
-        names = (
-            []
-            if none
-            else [one.strip().lower() for one in (FORMATS[0] if text is None else text).split(",")]
-        )
-        for name in names:
-            if name not in FORMATS:
-                raise InputError(
-                    f"{flag} {text}: expected {', '.join(FORMATS[:-1])} or {FORMATS[-1]}, or "
-                    "several separated by commas"
-                )
+        if none:
+            if text is not None:
+                raise InputError(f"{flag} {text}: --no-figures draws nothing; give one of them")
+            return cls(())
+        names = [one.strip().lower() for one in (FORMATS[0] if text is None else text).split(",")]
+        if not set(names) <= set(FORMATS):
+            raise InputError(
+                f"{flag} {text}: expected {', '.join(FORMATS[:-1])} or {FORMATS[-1]}, or several "
+                "separated by commas"
+            )
         return cls(tuple(dict.fromkeys(names)))
 
     def draw_beside(self) -> None:
@@ -65,9 +63,7 @@ class FigureFiles:
             self._second = worker_processes(1)
             self._second.submit(_load_matplotlib)
 
-    def replace(
-        self, folder: Path, names: Sequence[str], draw: Callable[[], Mapping[str, Figure]]
-    ) -> None:
+    def replace(self, folder: Path, names: Sequence[str], draw: Draw) -> None:
         """Draw figures, by name, and write them in place of all those of an earlier result;
         `written` waits for the files.
 
@@ -81,10 +77,10 @@ class FigureFiles:
             self._files += task()
             return
         try:
-            drawn = self._second.submit(_unpickled, pickle.dumps(task)).result
+            sent = self._second.submit(_unpickled, pickle.dumps(task))
+            self._tasks.append((sent.result, task))
         except Exception:
-            drawn = task
-        self._tasks.append((drawn, task))
+            self._tasks.append((task, task))
 
     def written(self) -> list[Path]:
         """The files of all figures, once they are written; raises what drawing them raised."""
@@ -97,12 +93,7 @@ class FigureFiles:
         return self._files
 
 
-def _replace(
-    folder: Path,
-    names: Sequence[str],
-    formats: Sequence[str],
-    draw: Callable[[], Mapping[str, Figure]],
-) -> list[Path]:
+def _replace(folder: Path, names: Sequence[str], formats: Sequence[str], draw: Draw) -> list[Path]:
     written = write_figures(folder, draw(), formats) if formats else []
     for name in names:
         remove_figure(folder, name, keep=written)
@@ -116,13 +107,11 @@ def _unpickled(task: bytes) -> list[Path]:
 
 def _load_matplotlib() -> None:
     """Load everything that a first figure needs, including fonts."""
-    from io import BytesIO
-
     from curlfit.output.figures import Picture
 
     figure = Picture(figsize=(1, 1))
     figure.text(0, 0, "$v_0$ 0")
-    figure.savefig(BytesIO(), format="png")
+    figure._repr_png_()
 
 
 def write_figures(
@@ -131,17 +120,13 @@ def write_figures(
     """Write figures, by name, in each format; returns the files."""
     from curlfit.output.figures import save_figure
 
-    files = []
-    for name, figure in figures.items():
-        for format in formats:
-            files.append(folder / f"{name}.{format}")
-            save_figure(figure, files[-1])
-    return files
+    files = {folder / f"{name}.{format}": name for name in figures for format in formats}
+    for file, name in files.items():
+        save_figure(figures[name], file)
+    return list(files)
 
 
 def remove_figure(folder: Path, name: str, keep: Sequence[Path] = ()) -> None:
     """Remove a figure of an earlier result in all formats, except for some files."""
-    for format in FORMATS:
-        file = folder / f"{name}.{format}"
-        if file not in keep:
-            file.unlink(missing_ok=True)
+    for file in {folder / f"{name}.{format}" for format in FORMATS}.difference(keep):
+        file.unlink(missing_ok=True)

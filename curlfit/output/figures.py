@@ -7,32 +7,28 @@ everywhere; markers, dashes and lightness convey the same without colour.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import lru_cache, wraps
+from functools import lru_cache
 from io import BytesIO
+from os import PathLike
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
+from typing import Any, cast
 from warnings import catch_warnings, filterwarnings
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import rc_context, rc_params_from_file
 from matplotlib.figure import Figure
+from matplotlib.font_manager import fontManager
 from matplotlib.mathtext import MathTextParser
+from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
+from curlfit import sheet
 from curlfit.foreign import cut, printable
-from curlfit.sheet import FOOT
 
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-
-P = ParamSpec("P")
-R = TypeVar("R")
+Floats = NDArray[np.float64]
 
 WIDTH = 180 / 25.4
 """Width of a figure in inches: two journal columns."""
@@ -41,84 +37,29 @@ DPI = 220
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Colours distinguishable with colour-vision deficiency (Okabe and Ito 2008)."""
-
+FIT_COLOR, REFERENCE_COLOR, _, POSTERIOR_COLOR, COVARIANCE_COLOR, PREDICTION_COLOR, _ = PALETTE
+"""of the fitted law; of published or true values, goals and requirements; of samples; of the
+covariance; of bands and regions of a prediction"""
 DATA_COLOR = "#737373"
-FIT_COLOR = PALETTE[0]
-"""of the fitted law"""
-REFERENCE_COLOR = PALETTE[1]
-"""of published or true values, goals and requirements"""
-PREDICTION_COLOR = PALETTE[5]
-"""of bands and regions of a prediction"""
-POSTERIOR_COLOR = PALETTE[3]
-COVARIANCE_COLOR = PALETTE[4]
-OUTLIER_COLOR = PALETTE[6]
 QUIET = "0.35"
 """of notes"""
 
 DATA_STYLE: dict[str, Any] = {
-    "color": DATA_COLOR,
-    "marker": "o",
-    "markersize": 2.0,
-    "markeredgewidth": 0,
-    "linestyle": "none",
-    "zorder": 1,
-}
+    "color": DATA_COLOR, "marker": "o", "markersize": 2.0, "markeredgewidth": 0,
+    "linestyle": "none", "zorder": 1,
+}  # fmt: skip
 LATER_STYLE = DATA_STYLE | {"markeredgewidth": 0.5, "markerfacecolor": "white", "markersize": 2.6}
 """of data that were not fitted"""
 RINGS = ("#e8ecf0", "#ffffff", "#f5e4e0", "#ffffff")
 """of the rings of a house, from the twelve-foot circle to the button"""
+LINE: dict[str, Any] = {"color": "0.6", "lw": 0.6, "zorder": 1}
+"""of the lines of the sheet"""
 ZERO_LINE: dict[str, Any] = {"color": "0.6", "lw": 0.7, "zorder": 0.9}
 
 DASHES = ("-", "--", "-.", ":")
-CHANNEL_MARKER = {"x": "o", "y": "s", "phi": "^"}
 CHANNEL_LABEL = {"x": "x", "y": "y", "phi": r"\varphi", "speed": "v", "omega": r"\omega"}
-_STYLE: dict[str, Any] = {
-    "mathtext.fontset": "dejavusans",
-    "text.usetex": False,
-    "axes.unicode_minus": True,
-    "axes.formatter.limits": (-4, 4),
-    "font.size": 8,
-    "axes.titlesize": 8,
-    "axes.titlelocation": "center",
-    "axes.titlepad": 4,
-    "axes.labelsize": 8,
-    "axes.labelpad": 2.5,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "xtick.minor.size": 1.5,
-    "ytick.minor.size": 1.5,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.pad": 2.5,
-    "ytick.major.pad": 2.5,
-    "legend.fontsize": 7,
-    "legend.title_fontsize": 7,
-    "legend.frameon": False,
-    "legend.handlelength": 1.8,
-    "axes.linewidth": 0.6,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "grid.color": "0.92",
-    "grid.linewidth": 0.5,
-    "grid.linestyle": "-",
-    "lines.linewidth": 1.2,
-    "lines.solid_capstyle": "butt",
-    "figure.constrained_layout.h_pad": 0.04,
-    "figure.constrained_layout.w_pad": 0.04,
-    "figure.titlesize": 8,
-}
-_OTHER_SCRIPTS = (
-    "Noto Sans CJK JP", "Noto Sans CJK SC", "Source Han Sans", "WenQuanYi Zen Hei", "Hiragino Sans",
-    "PingFang SC", "Apple SD Gothic Neo", "Yu Gothic", "Microsoft YaHei", "Malgun Gothic",
-    "Noto Sans Arabic", "Noto Sans Hebrew", "Noto Sans Thai", "Noto Sans Devanagari",
-)  # fmt: skip
-_FILES = {"pdf.fonttype": 42, "ps.fonttype": 42, "svg.hashsalt": "curlfit"}
-"""Embedded TrueType fonts; the same bytes for the same figure."""
-_UNDATED = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+RATE_LABEL = {"speed": "speed (m/s)", "omega": r"spin $\omega$ (rad/s)"}
+_UNDATED: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
 
 _MIN_FONT_SIZE = 1.0  # points
 _SLOPES = 40  # maximum number estimated from a measured series
@@ -126,18 +67,20 @@ MAX_POINTS = 2000  # maximum number drawn of a series
 
 
 @lru_cache(1)
-def _fonts() -> list[str]:
-    """The font of all text, and those installed for scripts that it lacks."""
-    from matplotlib.font_manager import fontManager
-
-    installed = set(fontManager.get_font_names())
-    return ["DejaVu Sans", *(name for name in _OTHER_SCRIPTS if name in installed)]
+def _settings() -> dict[str, Any]:
+    """The style sheet, with those of its fonts, one for each script, that are installed."""
+    file = FilePath(__file__).with_suffix(".mplstyle")
+    settings = dict(rc_params_from_file(file, use_default_template=False))
+    installed = fontManager.get_font_names()
+    return settings | {
+        "font.family": [name for name in settings["font.family"] if name in installed]
+    }
 
 
 @contextmanager
-def _style(more: Mapping[str, Any] | None = None) -> Iterator[None]:
-    settings = _STYLE | {"font.family": _fonts()} | dict(more or {})
-    with rc_context(cast("Any", settings)), catch_warnings():
+def style() -> Iterator[None]:
+    """Draw in the common style, whatever the user's matplotlib settings; also as a decorator."""
+    with rc_context(cast("Any", _settings())), catch_warnings():
         filterwarnings("ignore", message="Glyph .* missing from")
         yield
 
@@ -147,7 +90,7 @@ class Picture(Figure):
 
     def draw(self, renderer: Any) -> None:
         """Draw in the common style: ticks are made only now."""
-        with _style():
+        with style():
             super().draw(renderer)
 
     def savefig(self, fname: Any, *, transparent: bool | None = None, **options: Any) -> None:
@@ -155,7 +98,7 @@ class Picture(Figure):
         format = options.get("format") or FilePath(str(fname)).suffix[1:].lower()
         if format in _UNDATED:
             options["metadata"] = _UNDATED[format] | (options.get("metadata") or {})
-        with _style(_FILES):
+        with style():
             super().savefig(fname, transparent=transparent, **options)
 
     def _repr_png_(self) -> bytes:
@@ -164,52 +107,32 @@ class Picture(Figure):
         return file.getvalue()
 
 
-def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Make a function draw in the common style, whatever the user's matplotlib settings."""
-
-    @wraps(draw)
-    def drawn(*args: P.args, **options: P.kwargs) -> R:
-        with _style():
-            return draw(*args, **options)
-
-    return drawn
-
-
 def panels(
+    height: float, rows: int, columns: int, width: float = WIDTH, **options: Any
+) -> tuple[Picture, Any]:
+    """A figure of some height in inches with axes in a grid, as large as their labels permit."""
+    figure = Picture(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots(rows, columns, **options)
+
+
+def row(
     figure: Figure,
-    heights: Sequence[float],
-    columns: Sequence[Sequence[float]],
+    top: float,
+    height: float,
+    count: int = 1,
     *,
     left: float = 0.62,
-    right: Sequence[float] = (),
-    top: float = 0.3,
-    bottom: float = 0.42,
-    gap: tuple[float, float] = (0.62, 0.68),
-) -> list[list[Any]]:
-    """Axes in rows at fixed positions: ten times as fast as a layout that measures text.
-
-    Parameters
-    ----------
-    heights : relative heights of the rows.
-    columns : for each row, the relative widths of its columns.
-    left, right, top, bottom : margins, inches; `right` has one for each row.
-    gap : gaps between columns and between rows, inches.
-    """
-    width, height = figure.get_size_inches()
-    free = height - top - bottom - gap[1] * (len(heights) - 1)
-    above, found = top, []
-    margins = right or (0.12,) * len(heights)
-    for share, row, margin in zip(heights, columns, margins, strict=True):
-        tall = free * share / sum(heights)
-        across, places = width - left - margin - gap[0] * (len(row) - 1), []
-        x = left
-        for part in row:
-            wide = across * part / sum(row)
-            places.append(place(figure, x, above, wide, tall))
-            x += wide + gap[0]
-        found.append(places)
-        above += tall + gap[1]
-    return found
+    right: float = 0.12,
+    gap: float = 0.62,
+) -> list[Any]:
+    """Axes side by side at fixed positions, all lengths in inches from the edges of the figure:
+    ten times as fast as a layout that measures text."""
+    across, tall = figure.get_size_inches()
+    width = (across - left - right - gap * (count - 1)) / count
+    return [
+        figure.add_axes((x / across, 1 - (top + height) / tall, width / across, height / tall))
+        for x in left + (width + gap) * np.arange(count)
+    ]
 
 
 def some_rows(n: int, most: int = MAX_POINTS) -> Any:
@@ -217,7 +140,7 @@ def some_rows(n: int, most: int = MAX_POINTS) -> Any:
     return np.unique(np.linspace(0, n - 1, min(n, most)).astype(int))
 
 
-def measured_slopes(t: Floats, *series: Floats) -> tuple[Floats, list[Floats], float]:
+def measured_slopes(t: Floats, *series: Floats) -> tuple[Floats, Floats, float]:
     """Slopes of straight lines through groups of successive rows: measured speeds and spins.
 
     Returns
@@ -225,32 +148,71 @@ def measured_slopes(t: Floats, *series: Floats) -> tuple[Floats, list[Floats], f
     mean times of the groups, slopes of each series there, and the duration of a group, s. There are
     at most 40 groups of at least three rows; rows with a gap in any series are left out.
     """
-    there = np.isfinite(np.array(series)).all(0)
-    t, series = t[there], tuple(one[there] for one in series)
+    there = np.isfinite(series).all(0)
+    t, values = t[there], np.array(series)[:, there]
     number = min(_SLOPES, len(t) // 3)
     if number < 2:
-        return np.zeros(0), [np.zeros(0) for _ in series], 0.0
-    groups = [
-        rows for rows in np.array_split(np.arange(len(t)), number) if np.ptp(t[rows]) > 0
-    ]  # fmt: skip
-    centred = [t[rows] - t[rows].mean() for rows in groups]
-    slopes = [
-        np.array([one[rows] @ dt / (dt @ dt) for rows, dt in zip(groups, centred, strict=True)])
-        for one in series
-    ]
-    durations = [float(np.ptp(t[rows])) for rows in groups]
-    return np.array([t[rows].mean() for rows in groups]), slopes, float(np.median(durations))
+        return np.zeros(0), np.zeros((len(series), 0)), 0.0
+    groups = [rows for rows in np.array_split(np.arange(len(t)), number) if np.ptp(t[rows]) > 0]
+    middles = np.array([t[rows].mean() for rows in groups])
+    slopes = []
+    for rows, middle in zip(groups, middles, strict=True):
+        dt = t[rows] - middle
+        slopes.append(values[:, rows] @ dt / (dt @ dt))
+    return middles, np.transpose(slopes), float(np.median([np.ptp(t[rows]) for rows in groups]))
 
 
-def feet(axes: Any, side: str, label: str = "") -> None:
-    """A second axis in feet, on the "right" or at the "top", in addition to one in metres."""
-    make = axes.secondary_yaxis if side == "right" else axes.secondary_xaxis
-    second = make(side, functions=(lambda metres: metres / FOOT, lambda foot: foot * FOOT))
-    axis = second.yaxis if side == "right" else second.xaxis
-    axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-    axis.set_label_text(f"{label} (ft)".strip())
-    second.spines[side].set_visible(True)
-    axis.grid(visible=False)
+def plot_rate(axes: Any, rows: Mapping[str, Floats], name: str, style: Any = DATA_STYLE) -> None:
+    """Plot the speed or the spin of measured rows, or else the slopes of the path or angle."""
+    path = [rows[one] for one in ({"speed": ("x", "y"), "omega": ("phi",)}[name]) if one in rows]
+    if name in rows:
+        axes.plot(rows["t"], rows[name], **style)
+    elif path:
+        at, slopes, over = measured_slopes(rows["t"], *path)
+        if len(at):
+            rates = np.hypot(*slopes) if name == "speed" else slopes[0]
+            axes.plot(at, rates, **style, label=f"slopes of the data over {over:.2g} s")
+    axes.set(xlabel="t (s)", ylabel=RATE_LABEL[name])
+
+
+def x_along_y(axes: Any, y_label: str = "along the sheet, y (m)") -> None:
+    """Label axes with x along the sheet, as seen from above, thrown to the right; also in feet."""
+    axes.set(xlabel=y_label, ylabel="to the right, x (m)")
+    axes.invert_yaxis()
+    feet(axes)
+
+
+def feet(axes: Any) -> None:
+    """A second vertical axis, in feet, on the right of one in metres."""
+    second = axes.secondary_yaxis(
+        "right", functions=(lambda m: m / sheet.FOOT, lambda ft: ft * sheet.FOOT)
+    )
+    second.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    second.set_ylabel("(ft)")
+    second.spines["right"].set_visible(True)
+    second.grid(visible=False)
+
+
+def plot_house(axes: Any, centre: tuple[float, float]) -> None:
+    """The rings of a house."""
+    for radius, color in zip(sheet.CIRCLES, RINGS, strict=True):
+        axes.add_patch(Circle(centre, radius, fc=color, ec="0.55", lw=0.6, zorder=0.5))
+
+
+def sheet_axes(axes: Any, names: Mapping[str, str], beyond: float, lw: float = 0.6) -> None:
+    """The lines of the sheet to scale, thrown to the right, and the names of some within the ends
+    of the axes, which reach `beyond` the centre line."""
+    half = sheet.WIDTH / 2
+    lines = [y for name, y in sheet.LINES.items() if name not in ("hack", "centre")]
+    axes.vlines([*lines, sheet.TEE + sheet.TEE_TO_BACK], -half, half, **LINE | {"lw": lw})
+    axes.set_aspect("equal")
+    axes.set_ylim(beyond + 0.1, -beyond - 0.1)
+    named = {sheet.LINES[line]: name for line, name in names.items()}
+    shown = [y for y in named if y > axes.get_xlim()[0]]
+    axes.set_xticks(shown, [named[y] for y in shown])
+    axes.set_yticks([-half, 0, half], ["left", "0", "right"])
+    axes.tick_params(length=0)
+    axes.grid(visible=False)
 
 
 def literal(text: str) -> str:
@@ -286,8 +248,13 @@ def math_symbol(symbol: str) -> str:
     return symbol if drawn else rf"\mathrm{{{re.sub('[^A-Za-z0-9]+', ' ', symbol).strip() or '?'}}}"
 
 
+def symbol_of(item: Any) -> str:
+    """The symbol of an estimate."""
+    return f"${math_symbol(item.symbol)}$"
+
+
 def in_symbols(expression: str, symbols: Mapping[str, str]) -> str:
-    """A sum of parameters with their symbols in place of their names, for matplotlib."""
+    """Words with symbols in place of names of parameters."""
     words = [
         f"${math_symbol(symbols[word])}$" if word in symbols else literal(word)
         for word in expression.split()
@@ -295,47 +262,49 @@ def in_symbols(expression: str, symbols: Mapping[str, str]) -> str:
     return " ".join(word.replace("-", "\N{MINUS SIGN}") for word in words)
 
 
-def place(figure: Figure, left: float, top: float, width: float, height: float) -> Any:
-    """Axes at a position in the figure, in inches from its left and top edges."""
-    across, tall = figure.get_size_inches()
-    return figure.add_axes(
-        (left / across, 1 - (top + height) / tall, width / across, height / tall)
-    )  # fmt: skip
+def weighted_sum(weights: Mapping[str, float], parameters: Mapping[str, Any]) -> str:
+    """A combination of parameters in their symbols, for mathematics."""
+    text = ""
+    for name, weight in weights.items():
+        size = "" if abs(weight) == 1 else f"{abs(weight):.3g}\\,"
+        text += f"{'-' if weight < 0 else '+'}{size}{math_symbol(parameters[name].symbol)}"
+    return text.removeprefix("+")
 
 
-def legend_above(axes: Any, **options: Any) -> None:
-    """A legend in one line above the right end of the axes, where no curve runs."""
-    count = len(axes.get_legend_handles_labels()[1])
-    axes.legend(
-        **{
-            "loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": count,
-            "borderaxespad": 0.1, "borderpad": 0.2, "columnspacing": 1.2, "handletextpad": 0.5,
-        }
-        | options
-    )  # fmt: skip
+def legend_above(axes: Any, ncols: int | None = None) -> None:
+    """A legend above the right end of the axes, where no curve runs, if any; in one line."""
+    if count := len(axes.get_legend_handles_labels()[1]):
+        axes.legend(
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=ncols or count, borderaxespad=0.1,
+            borderpad=0.2, columnspacing=1.2, handletextpad=0.5,
+        )  # fmt: skip
 
 
-def letter(axes: Any, text: str, aside: float = 0.5, up: float = 4) -> None:
-    """The letter of a panel, `aside` inches left of and `up` points above its upper left corner."""
-    axes.annotate(
-        text, (0, 1), (-72 * aside, up), xycoords="axes fraction", textcoords="offset points",
-        fontsize=9, fontweight="bold", va="bottom", ha="left", annotation_clip=False,
-    )  # fmt: skip
+def note(axes: Any, x: float, y: float, text: str, **style: Any) -> Any:
+    """Text inside axes, of which (1, 1) is the upper right corner."""
+    style = {"color": QUIET, "ha": "right" if x > 0.5 else "left"} | style
+    return axes.text(
+        x, y, text, transform=axes.transAxes, va="top" if y > 0.5 else "baseline", **style
+    )
+
+
+def letters(
+    panels: Iterable[Any], aside: float = 0.5, up: float = 4, names: str = "abcdef"
+) -> None:
+    """Letters of panels, `aside` inches left of and `up` points above their upper left corners."""
+    for axes, name in zip(panels, names, strict=False):
+        axes.annotate(
+            name, (0, 1), (-72 * aside, up), xycoords="axes fraction", textcoords="offset points",
+            fontsize=9, fontweight="bold", va="bottom", annotation_clip=False,
+        )  # fmt: skip
 
 
 def title(
-    axes: Any,
-    text: str,
-    *,
-    columns: int = 1,
-    margin: float = 1.0,
-    loc: str = "left",
-    size: float = 8,
+    axes: Any, text: str, *, columns: int = 1, margin: float = 1.0, loc: str | None = None
 ) -> None:
     """A title that fits the width of one of `columns` columns, minus a margin in inches."""
     figure = axes.get_figure()
-    label = axes.set_title(text, fontsize=size, loc=loc)
-    shrink(label, figure.bbox.width / columns - margin * figure.dpi)
+    shrink(axes.set_title(text, loc=loc), figure.bbox.width / columns - margin * figure.dpi)
 
 
 def shrink(text: Any, max_width: float) -> None:
@@ -344,23 +313,12 @@ def shrink(text: Any, max_width: float) -> None:
         text.set_fontsize(0.95 * text.get_fontsize())
 
 
-def fix_layout(figure: Figure) -> None:
-    """Freeze the layout of a figure: later changes are to take as much room as before."""
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
-    figure.set_layout_engine("none")
-
-
 def note_stretch(axes: Any) -> None:
     """Note in the label of the horizontal axis by what factor the vertical scale is larger."""
-    width, height = axes.get_figure().get_size_inches()
-    box = axes.get_position()
-    across = height * box.height / np.ptp(axes.get_ylim())
-    along = width * box.width / np.ptp(axes.get_xlim())
-    factor = across / along
-    if factor > 1.5:
-        times = float(f"{factor:.2g}")
+    spans = np.ptp([axes.get_xlim(), axes.get_ylim()], axis=1)
+    along, across = axes.get_window_extent().size / spans
+    if across > 1.5 * along:
+        times = float(f"{across / along:.2g}")
         axes.set_xlabel(f"{axes.get_xlabel()}; x is drawn {times:g} times as large")
 
 

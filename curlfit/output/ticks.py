@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from curlfit.output.figures import literal
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
+from curlfit.output.figures import Floats, literal
 
 _LENGTHS = ((1e3, "km"), (1.0, "m"), (1e-3, "mm"), (1e-6, "\N{MICRO SIGN}m"))
 _ANGLES = ((2 * np.pi, "turns"), (1.0, "rad"), (1e-3, "mrad"), (1e-6, "\N{MICRO SIGN}rad"))
-_UNIT_SIZES = {
-    "x": _LENGTHS,
-    "y": _LENGTHS,
-    "phi": _ANGLES,
-    "speed": tuple((size, f"{unit}/s") for size, unit in _LENGTHS),
-    "omega": tuple((size, f"{unit}/s") for size, unit in _ANGLES),
-}
-
 _MIN_IN_UNIT = 0.1  # size in a unit below which the next smaller unit is used
 _LETTER_WIDTH = 0.065  # inches, in a tick label
 _MAX_RATIO = 1e4  # of a tick to the step; above it, an offset is subtracted from all ticks
@@ -32,9 +19,10 @@ _MAX_RATIO = 1e4  # of a tick to the step; above it, an offset is subtracted fro
 
 def unit_for(size: float, channel: str) -> tuple[float, str]:
     """The unit suited to a size of a channel: its factor to SI and its name."""
-    units = _UNIT_SIZES[channel]
-    label = (one for one in units if size >= one[0] * (1.0 if one[0] >= 1 else _MIN_IN_UNIT))
-    return next(label, units[-1])
+    units = _ANGLES if channel in ("phi", "omega") else _LENGTHS
+    suited = (one for one in units if size >= one[0] * (1.0 if one[0] >= 1 else _MIN_IN_UNIT))
+    factor, unit = next(suited, units[-1])
+    return factor, f"{unit}/s" if channel in ("speed", "omega") else unit
 
 
 def neat_axis(axis: Any, label: str, unit: str = "", *, neighbours: bool = False) -> None:
@@ -46,8 +34,8 @@ def neat_axis(axis: Any, label: str, unit: str = "", *, neighbours: bool = False
     inches = axis.axes.get_window_extent().width / axis.axes.get_figure().dpi
     letter_width = _LETTER_WIDTH if axis.axis_name == "x" else 0.0
     unit = "" if unit == "1" else literal(unit).replace("^2", "\N{SUPERSCRIPT TWO}")
-    most, steps = (5, [1, 2, 3, 4, 5, 10]) if neighbours else (7, [1, 2, 5, 10])
-    while True:
+    steps = [1, 2, 3, 4, 5, 10] if neighbours else [1, 2, 5, 10]
+    for most in range(5 if neighbours else 7, 1, -1):
         ticks = np.asarray(MaxNLocator(most, steps=steps).tick_values(low, high))
         step = float(ticks[1] - ticks[0])
         ticks = ticks[(ticks >= low) & (ticks <= high)]
@@ -56,9 +44,8 @@ def neat_axis(axis: Any, label: str, unit: str = "", *, neighbours: bool = False
         label_width = max(0.12, letter_width * letters / inches) * (high - low)
         margin = label_width / 2 if neighbours else 0.0
         inside = (ticks >= low + margin) & (ticks <= high - margin)
-        if step > 1.1 * label_width or most == 2:
+        if step > 1.1 * label_width:
             break
-        most -= 1
     labels = [number for number, shown in zip(numbers, inside, strict=True) if shown]
     axis.set_ticks(ticks[inside], labels=labels)
     ten = f"$10^{{{power}}}$" if power else ""

@@ -5,174 +5,163 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
-from curlfit.output.figures import (
-    PALETTE,
-    POSTERIOR_COLOR,
-    QUIET,
-    REFERENCE_COLOR,
-    WIDTH,
-    Picture,
-    styled,
-)
+from curlfit.output import figures as draw
 from curlfit.output.ticks import neat_axis
 from curlfit.paper.printed import HALF_DIGIT, PRINTED
 
-_CORRECT = PALETTE[6]
-_COLORS = (_CORRECT, *PALETTE[:5])
-_FAINT = "0.6"
+_BLUE, _RED, _, _PINK, _, _, _CORRECT = draw.PALETTE
+_PLAIN: dict[str, Any] = {"color": _CORRECT, "lw": 1.4}
 _AS_PRINTED: dict[str, Any] = {
-    "color": REFERENCE_COLOR, "lw": 1.5, "ls": "--", "label": "eq. 14 as printed",
+    "color": draw.REFERENCE_COLOR, "lw": 1.5, "ls": "--", "label": "eq. 14 as printed",
 }  # fmt: skip
+_FAINT: dict[str, Any] = {"color": "0.6", "lw": 0.8}
+_AXIS: dict[str, Any] = {"color": "0.4", "lw": 0.8}
+_UNIT: dict[str, Any] = {"color": "0.6", "lw": 1, "ls": "--"}
 _SPLIT_NAME = r"$(\mu_{1\eta}, \mu_{2\eta})$"
 
 
-def _figure(height: float, *grid: int, width: float = WIDTH, **options: Any) -> tuple[Figure, Any]:
-    figure = Picture(figsize=(width, height), layout="constrained")
-    return figure, figure.subplots(*grid, **options)
-
-
-def _note(axes: Any, text: str, place: tuple[float, float], offset: tuple[float, float]) -> None:
+def _note(axes: Any, text: str, place: Any, offset: Any = (-8, 9), **style: Any) -> None:
     """Text to the left of a point, at an offset in points."""
-    axes.annotate(text, place, offset, textcoords="offset points", ha="right")
+    axes.annotate(text, place, offset, textcoords="offset points", ha="right", **style)
 
 
-@styled
-def eq_14_figure(found: Any) -> Figure:
+def _sign_change(axes: Any, zero: float, name: str = "") -> None:
+    axes.plot(zero, 0, "o", color=_CORRECT, ms=5)
+    _note(axes, f"{name}changes sign at {zero:.1f} s", (zero, 0))
+
+
+@draw.style()
+def eq_14_figure(found: Any) -> draw.Picture:
     """Second derivatives of eq. 12 and eq. 14 as printed."""
-    path, (figure, (across, along)) = found.path, _figure(2.7, 1, 2)
+    path, (figure, (across, along)) = found.path, draw.panels(2.7, 1, 2)
     for axes, right, printed, name in (
         (across, path.ax, path.ax_printed, "x"), (along, path.ay, path.ay_printed, "y"),
     ):  # fmt: skip
-        axes.plot(path.t, 1000 * right, color=_CORRECT, lw=1.4, label="derivative of eq. 12")
+        axes.plot(path.t, 1000 * right, **_PLAIN, label="derivative of eq. 12")
         axes.plot(path.t, 1000 * printed, **_AS_PRINTED)
         axes.set(xlabel="t (s)", ylabel=rf"$d^2{name}/dt^2$ (mm/s$^2$)", xlim=(0, 20))
-    zero = path.sign_change
-    across.axhline(0, color=_FAINT, lw=0.8)
-    across.plot(zero, 0, "o", color=_CORRECT, ms=5)
-    _note(across, f"changes sign at {zero:.1f} s", (zero, 0), (-8, 9))
-    across.set_title("across the sheet: a sign is wrong in print", loc="left")
+    across.axhline(0, **_FAINT)
+    _sign_change(across, path.sign_change)
+    across.set_title("across the sheet: a sign is wrong in print")
     title = f"along the sheet: the exponent is {path.y_form[1]:.3f}, not -0.013"
-    along.set_title(title.replace("-", "\N{MINUS SIGN}"), loc="left")
+    along.set_title(title.replace("-", "\N{MINUS SIGN}"))
     across.legend(loc="lower left")
     return figure
 
 
-@styled
-def isotropic_figure(found: Any) -> Figure:
+@draw.style()
+def isotropic_figure(found: Any) -> draw.Picture:
     """Force across and along the motion against spin, under consistent load."""
-    figure, (across, along) = _figure(5.5, 2, 1, sharex=True, height_ratios=(1.35, 1.0))
-    small, large, right, left = 1e-8, 3e-4, _COLORS[1], _COLORS[2]
+    figure, (across, along) = draw.panels(5.5, 2, 1, sharex=True, height_ratios=(1.35, 1.0))
+    small, large = 1e-8, 3e-4
     for (label, omega, t_xi, t_eta, least), color in zip(
-        found.isotropic.curves, _COLORS, strict=True
+        found.isotropic.curves, (_CORRECT, *draw.PALETTE[:5]), strict=True
     ):
         for axes, series in ((across, t_xi), (along, t_eta)):
             axes.plot(omega, series, color=color, lw=1, ls=":")
-            axes.plot(omega, np.where(least > 0, series, np.nan), color=color, lw=1.4)
-        across.plot([], [], color=color, lw=1.4, label=label)
-    across.plot([], [], color=_FAINT, lw=1, ls=":", label=r"dotted: $\mu<0$ somewhere on the ring")
+            axes.plot(omega, np.where(least > 0, series, np.nan), color=color, lw=1.4, label=label)
+    across.plot([], [], color="0.6", lw=1, ls=":", label=r"dotted: $\mu<0$ somewhere on the ring")
     across.set_yscale("symlog", linthresh=small, linscale=0.5)
     across.set(ylim=(-large, large), yticks=[-1e-4, -1e-6, 0, 1e-6, 1e-4])
-    across.axhspan(0, large, color=right, alpha=0.06, lw=0)
-    across.axhspan(-large, 0, color=left, alpha=0.07, lw=0)
-    across.text(0.32, 1.2e-4, "deviates to the right", color=right, va="center")
-    across.text(0.32, -1.2e-4, "deviates to the left", color=left, va="center")
+    for side, sign, color, alpha in (("right", 1, _BLUE, 0.06), ("left", -1, _RED, 0.07)):
+        across.axhspan(0, sign * large, color=color, alpha=alpha, lw=0)
+        across.text(0.32, sign * 1.2e-4, f"deviates to the {side}", color=color, va="center")
     across.set_ylabel(r"force to the right over weight, $T_\xi/mg$")
-    across.set_title("Counter-clockwise stone at 2 m/s, consistent load", loc="left")
+    across.set_title("Counter-clockwise stone at 2 m/s, consistent load")
     along.axhspan(0, 1, color="0.5", alpha=0.1, lw=0)
-    along.text(0.32, 0.0072, "speeds up", color=QUIET, va="center")
+    along.text(0.32, 0.0072, "speeds up", color=draw.QUIET, va="center")
     along.set(ylabel=r"force along over weight, $T_\eta/mg$", xlabel=r"spin $\omega$ (1/s)")
     along.set(xscale="log", xlim=(0.3, 200), ylim=(-0.021, 0.009))
     for axes in (across, along):
-        axes.axvline(2 / 0.065, color=_FAINT, lw=1, ls="--")
-        axes.axhline(0, color="0.4", lw=0.8)
-    along.text(2 / 0.065 * 0.96, -0.0205, r"$\varepsilon = 1$", color=QUIET, ha="right")
+        axes.axvline(2 / 0.065, **_UNIT)
+        axes.axhline(0, **_AXIS)
+    along.text(2 / 0.065 * 0.96, -0.0205, r"$\varepsilon = 1$", color=draw.QUIET, ha="right")
     figure.legend(*across.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
-@styled
-def prop_5_figure(found: Any) -> Figure:
+@draw.style()
+def prop_5_figure(found: Any) -> draw.Picture:
     """Direction of the force of eq. 12, and the bound of isotropic friction."""
-    path, (figure, (moving, ice)) = found.path, _figure(2.8, 1, 2)
-    t, bound = path.t, _COLORS[1]
-    moving.fill_between(t, 0, path.limit, color=bound, alpha=0.15, lw=0)
-    moving.plot(t, path.limit, color=bound, lw=1.5)
-    moving.plot(t, path.ratio, color=_CORRECT, lw=1.4)
+    path, (figure, (moving, ice)) = found.path, draw.panels(2.8, 1, 2)
+    t = path.t
+    moving.fill_between(t, 0, path.limit, color=_BLUE, alpha=0.15, lw=0)
+    moving.plot(t, path.limit, color=_BLUE, lw=1.5)
+    moving.plot(t, path.ratio, **_PLAIN)
     _note(moving, r"required by eq. 12: $a_\xi/a_\eta$", (11, path.ratio[110]), (-6, 14))
     words = "range of isotropic friction:\nat most " r"$\varepsilon/\sqrt{1-\varepsilon^2}$"
-    moving.text(1.0, 0.010, words, color=bound)
+    moving.text(1.0, 0.010, words, color=_BLUE)
     moving.set(xlabel="t (s)", ylabel="force across over force along", xlim=(0, 20), ylim=(0, None))
-    moving.set_title("moving frame: Prop. 5 stands", loc="left")
-    ice.axhline(0, color=_FAINT, lw=0.8)
-    ice.axhline(0.1, color=_COLORS[4], lw=1.2)
-    ice.text(0.3, 0.104, "0.1 of the proof", color=_COLORS[4])
-    ice.plot(t, path.ax / path.ay, color=_CORRECT, lw=1.4, label="derivatives of eq. 12")
+    moving.set_title("moving frame: Prop. 5 stands")
+    ice.axhline(0, **_FAINT)
+    ice.axhline(0.1, color=_PINK, lw=1.2)
+    ice.text(0.3, 0.104, "0.1 of the proof", color=_PINK)
+    ice.plot(t, path.ax / path.ay, **_PLAIN, label="derivatives of eq. 12")
     ice.plot(t, path.ax_printed / path.ay_printed, **_AS_PRINTED)
     ice.set(xlabel="t (s)", ylabel=r"$T_x/T_y$", xlim=(0, 20))
-    ice.set_title(r"ice frame: the proof's $T_x \geq 0.1\,T_y$ does not hold", loc="left")
+    ice.set_title(r"ice frame: the proof's $T_x \geq 0.1\,T_y$ does not hold")
     ice.legend(loc="upper left", bbox_to_anchor=(0, 0.93))
     return figure
 
 
-@styled
-def eq_24_figure(found: Any) -> Figure:
+@draw.style()
+def eq_24_figure(found: Any) -> draw.Picture:
     """The combinations of the radial law's coefficients in eq. 24."""
-    ring, (figure, axes) = found.ring, _figure(3.2, width=0.8 * WIDTH)
-    axes.axhspan(-0.05, 0, color=_COLORS[2], alpha=0.07, lw=0)
-    axes.axhline(0, color="0.4", lw=0.8)
+    ring, (figure, axes) = found.ring, draw.panels(3.2, 1, 1, width=0.8 * draw.WIDTH)
+    axes.axhspan(-0.05, 0, color=_RED, alpha=0.07, lw=0)
+    axes.axhline(0, **_AXIS)
     names = r"$l_1 = \mu_1 + \mu_2$", r"$l_2 = \mu_3 + \mu_4$", r"$l_3 = \mu_1 + 2\mu_3$"
-    for series, fitted, name, color in zip(ring.l, ring.fitted_l, names, _COLORS, strict=False):
+    for series, fitted, name, color in zip(
+        ring.l, ring.fitted_l, names, (_CORRECT, _BLUE, _RED), strict=False
+    ):
         axes.plot(ring.t, series, color=color, lw=1.4)
         axes.plot(20.6, fitted, "D", color=color, ms=5, clip_on=False)
         axes.text(0.4, series[0] - 0.0018, name, color=color, va="top")
-    axes.text(20.9, 0.045, "fit of the trajectory", ha="right", color=QUIET)
-    zero = ring.l1_zero
-    if zero is not None:
-        axes.plot(zero, 0, "o", color=_COLORS[0], ms=5)
-        _note(axes, f"$l_1$ changes sign at {zero:.1f} s", (zero, 0), (-8, 9))
-    words = "no friction: some coefficient is negative"
-    axes.text(10, -0.0465, words, color=_COLORS[2], ha="center")
+    axes.text(20.9, 0.045, "fit of the trajectory", ha="right", color=draw.QUIET)
+    if ring.l1_zero is not None:
+        _sign_change(axes, ring.l1_zero, "$l_1$ ")
+    axes.text(10, -0.0465, "no friction: some coefficient is negative", color=_RED, ha="center")
     axes.set(xlabel="t (s)", ylabel="eq. 24, R = 0.065 m", xlim=(0, 21), ylim=(-0.05, 0.05))
     axes.set_xticks(range(0, 21, 5))
     return figure
 
 
-@styled
-def eq_28_figure(found: Any) -> Figure:
+@draw.style()
+def eq_28_figure(found: Any) -> draw.Picture:
     """Eq. 28 by every method, and its posterior over R and rho."""
     rows = [row for row in found.eq28.rows if "eq. 14" not in row.method]
     posterior, heights = found.eq28.posterior, np.arange(len(rows))[::-1]
-    figure, panels = _figure(6.2, 2, 3, height_ratios=(3.2, 1.0), sharex="col")
+    figure, panels = draw.panels(6.2, 2, 3, height_ratios=(3.2, 1.0), sharex="col")
     limits = ((-0.0042, 0.0042), (0.0405, 0.0605), (0.0148, 0.0186))
-    marks = {True: ("o", _CORRECT), False: ("s", _COLORS[1])}  # whether the trajectory is fitted
+    marks = {True: ("o", _CORRECT), False: ("s", _BLUE)}  # whether the trajectory is fitted
     for column, (dots, below) in enumerate(panels.T):
         low, high = PRINTED[column] + HALF_DIGIT[column] * np.array([-1, 1])
         for axes in (dots, below):
-            axes.axvspan(low, high, color=REFERENCE_COLOR, alpha=0.35, lw=0)
-            axes.axvline(PRINTED[column], color=REFERENCE_COLOR, lw=1)
+            axes.axvspan(low, high, color=draw.REFERENCE_COLOR, alpha=0.35, lw=0)
+            axes.axvline(PRINTED[column], color=draw.REFERENCE_COLOR, lw=1)
         for row, height in zip(rows, heights, strict=True):
             marker, color = marks[row.method.startswith("trajectory")]
             dots.axhline(height, color="0.92", lw=0.8, zorder=0)
             dots.plot(row.mu[column], height, marker, ms=4, zorder=3, color=color)
-        dots.set_title(f"printed: {PRINTED[column]:g}")
+        dots.set_title(f"printed: {PRINTED[column]:g}", loc="center")
         dots.set(ylim=(-0.7, len(rows) - 0.3), yticks=[])
-        below.hist(posterior.mu[:, column], bins=40, color=POSTERIOR_COLOR, density=True)
+        below.hist(posterior.mu[:, column], bins=40, color=draw.POSTERIOR_COLOR, density=True)
         for end in posterior.interval[column]:
             below.axvline(end, color=_CORRECT, lw=1, ls=":")
         below.set(yticks=[], xlim=limits[column])
-    first = panels[0, 0]
-    for fitted, label in ((False, "eq. 27 solved at each t"), (True, "fit of the trajectory")):
-        first.plot([], [], marks[fitted][0], color=marks[fitted][1], ms=6, label=label)
-    label = r"posterior over R 0.0535..0.0545 m, $\rho$ 0.095..0.105 m (dotted: 95 %)"
-    rounding = "eq. 28 within its rounding"
-    first.fill_between([], [], color=REFERENCE_COLOR, alpha=0.35, label=rounding)
-    first.fill_between([], [], color=POSTERIOR_COLOR, label=label)
-    figure.legend(*first.get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    posteriors = r"posterior over R 0.0535..0.0545 m, $\rho$ 0.095..0.105 m (dotted: 95 %)"
+    handles = [
+        *panels[0, 0].plot([], [], "s", color=_BLUE, ms=6, label="eq. 27 solved at each t"),
+        *panels[0, 0].plot([], [], "o", color=_CORRECT, ms=6, label="fit of the trajectory"),
+        Patch(color=draw.REFERENCE_COLOR, alpha=0.35, label="eq. 28 within its rounding"),
+        Patch(color=draw.POSTERIOR_COLOR, label=posteriors),
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=2)
     for axes in panels[:, 0]:
-        axes.axvline(0, color="0.4", lw=0.8)
-    first.set_yticks(heights, [_method_label(row) for row in rows])
+        axes.axvline(0, **_AXIS)
+    panels[0, 0].set_yticks(heights, [_method_label(row) for row in rows])
     figure.draw_without_rendering()  # the layout determines the ticks
     symbols = (r"$\mu_{1\xi}$", r"$\mu_{2\xi}$", r"$\mu_{1\eta}+\mu_{2\eta}$")
     for axes, symbol in zip(panels[1], symbols, strict=True):
@@ -186,32 +175,30 @@ def _method_label(row: Any) -> str:
     return "; ".join(filter(None, [method.removeprefix(", "), stone]))
 
 
-@styled
-def split_figure(found: Any) -> Figure:
+@draw.style()
+def split_figure(found: Any) -> draw.Picture:
     """Effect of exchanging mu1_eta and mu2_eta, and singular values of the fit."""
-    ring, (figure, (change, spectrum)) = found.ring, _figure(2.8, 1, 2)
+    ring, (figure, (change, spectrum)) = found.ring, draw.panels(2.8, 1, 2)
     for series, marker, color, label in (
         (np.maximum(ring.split_uniform, 5e-17), "o-", _CORRECT, "uniform load: rounding or less"),
-        (np.abs(ring.split_consistent), "s-", _COLORS[2], r"consistent load ($T_\eta$)"),
+        (np.abs(ring.split_consistent), "s-", _RED, r"consistent load ($T_\eta$)"),
     ):
         change.loglog(ring.split_epsilon, series, marker, color=color, label=label)
-    change.axvline(1, color=_FAINT, lw=1, ls="--")
+    change.axvline(1, **_UNIT)
     change.set(xlabel=r"$\varepsilon = R\omega/v$", ylabel="relative change of the force")
     change.set_ylim(1e-17, 1)
-    change.set_title(_SPLIT_NAME + " = (0.012, 0.006) exchanged", loc="left")
+    change.set_title(_SPLIT_NAME + " = (0.012, 0.006) exchanged")
     change.legend(loc="center left")
     values = np.array(found.eq28.fit.singular_values)
     order = np.arange(1, len(values) + 1)
     spectrum.semilogy(order[:-1], values[:-1], "o", color=_CORRECT)
-    spectrum.semilogy(order[-1:], values[-1:], "o", color=_COLORS[2])
-    spectrum.axhline(1, color=_FAINT, lw=1, ls="--")
-    spectrum.text(1, 0.3, "below 1 a direction is not determined", color=QUIET, va="top")
-    spectrum.annotate(
-        _SPLIT_NAME + " along $(1, -1)$", (order[-1], values[-1]), (-10, 0), ha="right",
-        textcoords="offset points", va="center", color=_COLORS[2],
-    )  # fmt: skip
+    spectrum.semilogy(order[-1:], values[-1:], "o", color=_RED)
+    spectrum.axhline(1, **_UNIT)
+    spectrum.text(1, 0.3, "below 1 a direction is not determined", color=draw.QUIET, va="top")
+    named, last = _SPLIT_NAME + " along $(1, -1)$", (order[-1], values[-1])
+    _note(spectrum, named, last, (-10, 0), va="center", color=_RED)
     spectrum.set(xlabel="direction in parameter space", ylabel="singular value", xticks=order)
-    spectrum.set_title("singular values, path of eq. 12 (front-back law)", loc="left")
+    spectrum.set_title("singular values, path of eq. 12 (front-back law)")
     return figure
 
 

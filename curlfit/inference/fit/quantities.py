@@ -144,7 +144,10 @@ def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
         return np.array([item.of(motion) for item in wanted])
 
     typical = np.append(parameters.typical, [*off.values()])
-    where, steps = np.append(free, [True] * len(off)), np.repeat([_STEP, _FARTHER], [p, len(off)])
+    where, steps = (
+        np.append(free, np.ones(len(off), bool)),
+        np.repeat([_STEP, _FARTHER], [p, len(off)]),
+    )
     gradients = slopes(at, np.append(fit.values, 0 * typical[p:]), steps * typical, where)
     sizes = np.abs(gradients) * typical[where]
     gradients[sizes < _ROUNDING * sizes.max(-1, keepdims=True, initial=0.0)] = 0.0
