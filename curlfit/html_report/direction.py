@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from curlfit.exploration.curves import CurveModel, Curves
-from curlfit.html_report.document import Block
+from curlfit.html_report.blocks import Block
 from curlfit.html_report.replay import rounded
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
