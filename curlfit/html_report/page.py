@@ -34,7 +34,7 @@ _MARK = '<meta name="generator" content="curlfit'
 _SCRIPTS = ("moving.js", "replay.js", "direction.js", "rests.js")
 _PACKAGES = ("jax", "numpy", "scipy", "matplotlib")
 _LATER = {
-    "throw": "The throw on the sheet",
+    "throw": "On the sheet",
     "draws": "Where it may come to rest",
     "figures": "Figures",
 }

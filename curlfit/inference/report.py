@@ -40,7 +40,6 @@ from curlfit.throws.throw import UNITS
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import Estimate, FitResult, Posterior, Systematics
     from curlfit.inference.identifiability import Combination
-    from curlfit.inference.joint.result import JointResult
 
 _NOTABLE = 0.1  # systematic shift that is reported, over the standard error
 _MOST_NAMED = 6  # outliers that the report lists
@@ -136,17 +135,17 @@ def posterior_document(posterior: Posterior) -> Document:
     )
 
 
-def status_line(result: FitResult | JointResult) -> Said:
-    """Whether a fit converged, as a line."""
+def status_line(result: Any) -> Said:
+    """Whether a fit, of one throw or several, converged, as a line."""
     return Said(result.status[:1].upper() + result.status[1:], style=style_of(result))
 
 
-def style_of(result: FitResult | JointResult) -> str:
+def style_of(result: Any) -> str:
     """The style of the status of a fit."""
     return "green" if result.converged else "bold red"
 
 
-def lines_of(result: FitResult | JointResult) -> list[str]:
+def lines_of(result: Any) -> list[str]:
     """Coefficients and determined combinations in a line, and what is not identifiable."""
     unseen = [
         name for name, item in result.coefficients.items() if item.verdict == "not identifiable"
@@ -243,7 +242,7 @@ def _beside_reference(fit: FitResult) -> PlainTable | None:
     return PlainTable(rows, caption, note=Text(text))
 
 
-def reported(result: FitResult | JointResult) -> dict[str, tuple[float, float | None]]:
+def reported(result: Any) -> dict[str, tuple[float, float | None]]:
     """Value and standard error of coefficients and determined combinations."""
     found = {name: (item.value, item.stderr) for name, item in result.coefficients.items()}
     return found | {item.expression: (item.value, item.stderr) for item in result.combinations}
@@ -292,7 +291,7 @@ def _student(fit: FitResult) -> PlainTable | None:
     return PlainTable(rows, "Intervals at 95 %", note=Text(text))
 
 
-def systematics(result: FitResult | JointResult) -> str:
+def systematics(result: Any) -> str:
     """The largest systematic error of each coefficient or combination, and that due to the
     calibration of a camera, in sentences."""
     found, named = result.systematics, dict[str, list[str]]()
@@ -543,7 +542,7 @@ def command_of(fit: FitResult) -> str:
     return command_line("fit", *words)
 
 
-def with_derived(flags: Sequence[str], result: FitResult | JointResult) -> list[str]:
+def with_derived(flags: Sequence[str], result: Any) -> list[str]:
     """The flags, with those of quantities that were derived later."""
     return list(dict.fromkeys([*flags, *(f"--derive={one.expression}" for one in result.derived)]))
 

@@ -87,6 +87,11 @@ class Document:
         """The first lines of a report."""
         return (self.headline or self.subject, *self.about)
 
+    @property
+    def introduction(self) -> list[str]:
+        """The same without what the finding or the lines say."""
+        return [str(line) for line in self.heading if not isinstance(line, Said)]
+
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """The whole on a terminal."""
         yield from map(_text, (*self.heading, ""))

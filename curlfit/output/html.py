@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from curlfit.output.console import Items
-from curlfit.output.document import Document, Said
+from curlfit.output.document import Document
 
 COLORS = {"green": "#2c8a4b", "yellow": "#a87000", "red": "#d9483b"}
 """Colours of words, by their names on a terminal."""
@@ -30,10 +30,9 @@ _STYLES = Console()  # nothing is printed on it
 def brief(document: Document, name: str) -> str:
     """The main sections of a document as one self-contained block of HTML, the finding first;
     `name` is that of the class."""
-    about = (text for text in document.heading if not isinstance(text, Said))
     parts = [
         Text(f"{name}, ", style="bold").append(document.finding, style=document.style),
-        *(Text(str(text), style="dim") for text in about),
+        *(Text(line, style="dim") for line in document.introduction),
         *(part for section in document.sections if section.brief for part in section),
         *document.warned(),
     ]

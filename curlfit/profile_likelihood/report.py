@@ -153,15 +153,15 @@ def describe_pair(profile: PairProfile) -> str:
 
 def _about(profile: Profile | PairProfile) -> tuple[str, str]:
     """The data, and the values at which the others were fitted again."""
-    one, points, span = profile, 0, ""
     if isinstance(profile, PairProfile):
-        one, points = profile.each[0], int(profile.delta.size)
+        one, values = profile.each[0], f"{profile.delta.size} values"
     else:
-        points, span = profile.at.size, f", {_span(profile, profile.at[0], profile.at[-1])}"
+        one = profile
+        values = f"{one.at.size} values, {_span(one, one.at[0], one.at[-1])}"
     fitted = f"chi squared of the best fit {one.chi_squared:.4g}, of {one.n_observations} values"
     return (
         "; ".join(filter(None, (rows_text(one.data), fitted))),
-        f"All other parameters fitted again at {points} values{span}",
+        f"All other parameters fitted again at {values}",
     )
 
 

@@ -45,6 +45,7 @@ def document(result: JointResult) -> Document:
     """Shared coefficients, how the throws differ in them, and each throw's own parameters."""
     throws = f"{len(result.throws)} throws together"
     differing = [item.expression for item in result.differences if item.significant]
+    hidden = result.rank < result.parameters
     determined = f"The throws determine {result.rank} of {result.parameters} parameters."
     return Document(
         finding=lower(result.status),
@@ -64,7 +65,7 @@ def document(result: JointResult) -> Document:
                 "coefficients", "Coefficients",
                 (_shared(result), derived_table(result.derived), _throws(result)),
             ),
-            Section("determined", "What the throws determine", (determined,)),
+            Section("determined", f"What the throws{' do not' * hidden} determine", (determined,)),
             Section("quality", "Systematic errors", (systematics(result),), brief=False),
         ),
         warnings=result.warnings,
