@@ -93,8 +93,11 @@ def plot(
     formats = FigureFiles.of(format, "--format").formats
     kind, result, chain = _load(folder)
     target = out or (folder if folder.is_dir() else folder.parent)
-    drawn = getattr(curlfit, KINDS[kind].draw)(result)
-    figures: dict[str, Figure] = drawn if kind == "design" else {kind: drawn}
+    figures: dict[str, Figure]
+    if kind == "design":
+        figures = curlfit.design_figures(result)
+    else:
+        figures = {kind: getattr(curlfit, f"{KINDS[kind].noun}_figure")(result)}
     if chain is not None:
         figures["corner"] = curlfit.corner_figure(result, chain)
     written = write_figures(prepare_folder(target), figures, formats)
@@ -145,7 +148,7 @@ def _load(folder: Path, flag: str = "", law: str | None = None) -> tuple[str, An
     if kind != "fit":
         if flag and kind != "joint":
             raise InputError(f"{flag}: {folder} is no fit; expected the folder of a fit")
-        return kind, getattr(curlfit, KINDS[kind].load)(folder), None
+        return kind, getattr(curlfit, f"load_{KINDS[kind].noun}")(folder), None
     result, chain = load_fit_and_chain(folder, law)
     if result.sampling == "unfinished":
         from curlfit.inference.mcmc.summary import unfinished_posterior

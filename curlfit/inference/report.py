@@ -335,13 +335,10 @@ def systematics(result: Any) -> str:
 def _quality(fit: FitResult) -> PlainTable:
     rows = []
     for name, rms in fit.rms.items():
-        origin = fit.data["sigma"][name]
-        noise = f"{fit.sigma[name]:.3g} {UNITS[name]}" if origin == "estimated" else "by row"
-        if origin == "estimated" and (by_row := fit.observed.get(f"sigma_{name}")) is not None:
-            noise = f"{fit.sigma[name]:.3g} to {by_row.max():.3g} {UNITS[name]}"
         row = {
-            "channel": name, ">rms": f"{rms:.3g}", "unit": UNITS[name], "noise assumed": noise,
-            "": origin, "lag-1 correlation": _two(fit.lag1.get(name)),
+            "channel": name, ">rms": f"{rms:.3g}", "unit": UNITS[name],
+            "noise assumed": _sigma(fit, name), "": fit.data["sigma"][name],
+            "lag-1 correlation": _two(fit.lag1.get(name)),
         }  # fmt: skip
         if fit.noise.kind != "white":
             after = fit.independence.get(name)
@@ -349,6 +346,15 @@ def _quality(fit: FitResult) -> PlainTable:
             row["lag-1 after whitening"] = _two(None if after is None else after.lag1)
         rows.append(row)
     return PlainTable(rows, "Residuals by channel")
+
+
+def _sigma(fit: FitResult, name: str) -> str:
+    """The noise of a channel."""
+    if fit.data["sigma"][name] != "estimated":
+        return "by row"
+    by_row = fit.observed.get(f"sigma_{name}")
+    most = "" if by_row is None else f" to {by_row.max():.3g}"
+    return f"{fit.sigma[name]:.3g}{most} {UNITS[name]}"
 
 
 def _events(fit: FitResult) -> PlainTable:
@@ -512,6 +518,9 @@ def settings_of(fit: FitResult) -> dict[str, str]:
         "Data": f"{fit.data['file']}, {rows_text(fit.data) or 'timed events alone'}",
         "Stone": stone_text(fit.stone),
         "Loss, noise": f"{fit.loss}, {fit.noise.kind}",
+        "Sigma": ", ".join(
+            f"{name} {_sigma(fit, name)} ({fit.data['sigma'][name]})" for name in fit.rms
+        ),
         "Held": ", ".join(f"{name} = {item.value:g}" for name, item in held.items()),
         "Priors": ", ".join(
             f"{name} {item.prior}" for name, item in fit.parameters.items() if item.prior

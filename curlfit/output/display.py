@@ -16,37 +16,23 @@ class Kind(NamedTuple):
     ----------
     records : names of its classes.
     report : module of its function `document`.
-    load, print, draw : public names of what loads, prints and draws it.
+    noun : of the public names of what loads, prints and draws it, such as `load_fit`, `print_fit`
+        and `fit_figure`.
     """
 
     records: tuple[str, ...]
     report: str
-    load: str
-    print: str
-    draw: str
+    noun: str
 
 
 KINDS = {
-    "fit": Kind(("FitResult",), "inference.report", "load_fit", "print_fit", "fit_figure"),
-    "compare": Kind(
-        ("Comparison",), "comparison.report", "load_comparison", "print_comparison",
-        "comparison_figure",
-    ),
-    "joint": Kind(
-        ("JointResult",), "inference.joint.report", "load_joint", "print_joint", "joint_figure"
-    ),
-    "predict": Kind(
-        ("Prediction",), "prediction.report", "load_prediction", "print_prediction",
-        "prediction_figure",
-    ),
-    "profile": Kind(
-        ("Profile", "PairProfile"), "profile_likelihood.report", "load_profile", "print_profile",
-        "profile_figure",
-    ),
-    "design": Kind(
-        ("Design",), "optimal_design.report", "load_design", "print_design", "design_figures"
-    ),
-}  # fmt: skip
+    "fit": Kind(("FitResult",), "inference.report", "fit"),
+    "compare": Kind(("Comparison",), "comparison.report", "comparison"),
+    "joint": Kind(("JointResult",), "inference.joint.report", "joint"),
+    "predict": Kind(("Prediction",), "prediction.report", "prediction"),
+    "profile": Kind(("Profile", "PairProfile"), "profile_likelihood.report", "profile"),
+    "design": Kind(("Design",), "optimal_design.report", "design"),
+}
 """By the names of their JSON files."""
 
 
@@ -72,7 +58,7 @@ class Displayed:
         """A few lines."""
         kind = kind_of_record(self)
         return self._document().as_text(
-            type(self).__name__, f"curlfit.{KINDS[kind].print}" if kind else ""
+            type(self).__name__, f"curlfit.print_{KINDS[kind].noun}" if kind else ""
         )
 
     def _repr_html_(self) -> str:

@@ -71,7 +71,7 @@ def document(result: JointResult) -> Document:
         warnings=result.warnings,
         title=f"{throws}: {result.law} law",
         settings=settings_of(result.throws[0])
-        | {"Data": ", ".join(_files(result)), "In common": ", ".join(result.share)},
+        | {"Data": ", ".join(_files(result)), "Sigma": "", "In common": ", ".join(result.share)},
         command=_command(result),
         names=result.throws[0].parameters,
     )  # fmt: skip
