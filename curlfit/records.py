@@ -38,8 +38,6 @@ from curlfit.output.files import atomic_write
 
 SCHEMA = 1
 """The version mark of records."""
-KINDS = ("fit", "compare", "joint", "predict", "profile", "design")
-"""Kinds of saved results; a folder's kind is the name of its JSON file."""
 _LARGEST, _MOST_PARTS = 32_000_000, 1_000_000  # bytes; lists and objects
 
 AGAIN = "fit again"

@@ -25,7 +25,7 @@ import numpy as np
 from damaged_files import Tally, damaged_text, forked
 
 from curlfit.cli import main
-from curlfit.records import KINDS
+from curlfit.output.display import KINDS
 
 _VALUES = [
     None, True, False, 0, 1, -1, 2, 10**6, 10**30, 10**400, 0.5, -0.5, 1e-320, 1e99, 1e300, "", "x",

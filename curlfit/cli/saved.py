@@ -14,24 +14,14 @@ import curlfit
 from curlfit.errors import CurlfitError, DataError, InputError
 from curlfit.foreign import say
 from curlfit.options.figures import FigureFiles, write_figures
-from curlfit.options.output import figures_by
 from curlfit.options.settings import LawOfFit, chain_beside, kind_of, load_fit_and_chain
+from curlfit.output.display import KINDS, document_of
 from curlfit.settings.forms import PATH, SWITCH, TEXT, TEXTS, option
 
 if TYPE_CHECKING:
-    from curlfit.inference.fit.result import FitResult
+    from matplotlib.figure import Figure
+
     from curlfit.inference.mcmc.chain import Chain
-
-
-_KINDS = {
-    "joint": ("load_joint", "print_joint", "joint_figure"),
-    "compare": ("load_comparison", "print_comparison", "comparison_figure"),
-    "predict": ("load_prediction", "print_prediction", "prediction_figure"),
-    "profile": ("load_profile", "print_profile", "profile_figure"),
-    "design": ("load_design", "print_design", "design_figures"),
-    "fit": ("load_fit", "print_fit", "fit_figure"),
-}
-"""Public names of what loads, prints and draws a result."""
 
 
 Verb = TypeVar("Verb", bound=Callable[..., Any])
@@ -73,21 +63,13 @@ def show(
     """
     from curlfit.output.console import terminal
 
-    kind = kind_of(folder)
-    load, printer, _ = _KINDS[kind]
-    result: Any
-    if kind == "fit":
-        result, chain = _load_fit(folder)
-        result = result.with_derived(derive, chain) if derive else result
-    else:
-        if derive and kind != "joint":
-            raise InputError(f"--derive: {folder} is no fit; expected the folder of a fit")
-        result = getattr(curlfit, load)(folder)
-        result = result.with_derived(derive) if derive else result
+    kind, result, chain = _load(folder, "--derive" * bool(derive))
+    if derive:
+        result = result.with_derived(derive, *[chain] * (kind == "fit"))
     if as_json:
         print(json.dumps(result.summary(), indent=1))
     else:
-        getattr(curlfit, printer)(result, terminal())
+        terminal().print(document_of(result))
 
 
 @of_record
@@ -109,13 +91,15 @@ def plot(
     from curlfit.output.files import prepare_folder
 
     formats = FigureFiles.of(format, "--format").formats
-    kind = kind_of(folder)
+    kind, result, chain = _load(folder)
     target = out or (folder if folder.is_dir() else folder.parent)
-    load, _, draw = _KINDS[kind]
-    result, chain = _load_fit(folder) if kind == "fit" else (getattr(curlfit, load)(folder), None)
-    figures = figures_by(draw, result)
+    figures: dict[str, Figure]
+    if kind == "design":
+        figures = curlfit.design_figures(result)
+    else:
+        figures = {kind: getattr(curlfit, f"{KINDS[kind].noun}_figure")(result)}
     if chain is not None:
-        figures |= figures_by("corner_figure", result, chain)
+        figures["corner"] = curlfit.corner_figure(result, chain)
     written = write_figures(prepare_folder(target), figures, formats)
     say("Written: " + ", ".join(map(str, written)))
 
@@ -150,26 +134,24 @@ def report(
 @of_record
 def write_page(folder: Path, out: Path | None = None, law: Any = None) -> Path:
     """Write the page of a saved result; returns the file."""
-    kind = kind_of(folder)
-    result: Any
-    chain = None
-    if kind == "fit":
-        result, chain = _load_fit(folder, law)
-    else:
-        result = getattr(curlfit, _KINDS[kind][0])(folder)
-        if law is not None and kind != "joint":
-            raise InputError(f"--law: {folder} is no fit; expected the folder of a fit")
-        result = result.with_law(law) if kind == "joint" else result
+    kind, result, chain = _load(folder, "--law" * (law is not None), law)
+    if law is not None and kind == "joint":
+        result = result.with_law(law)
     file = out or (folder if folder.is_dir() else folder.parent) / "report.html"
     curlfit.write_report(result, file, chain=chain)
     return file
 
 
-def _load_fit(folder: Path, law: str | None = None) -> tuple[FitResult, Chain | None]:
-    """A saved fit and its chain, or the chain so far if its sampling was interrupted."""
+def _load(folder: Path, flag: str = "", law: str | None = None) -> tuple[str, Any, Chain | None]:
+    """Kind, result and chain, that so far if sampling was interrupted; `flag` needs a fit."""
+    kind = kind_of(folder)
+    if kind != "fit":
+        if flag and kind != "joint":
+            raise InputError(f"{flag}: {folder} is no fit; expected the folder of a fit")
+        return kind, getattr(curlfit, f"load_{KINDS[kind].noun}")(folder), None
     result, chain = load_fit_and_chain(folder, law)
     if result.sampling == "unfinished":
         from curlfit.inference.mcmc.summary import unfinished_posterior
 
-        return unfinished_posterior(result, chain_beside(folder)) or (result, None)
-    return result, chain
+        result, chain = unfinished_posterior(result, chain_beside(folder)) or (result, None)
+    return kind, result, chain

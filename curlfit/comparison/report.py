@@ -1,17 +1,17 @@
-"""Report of a comparison of laws as text. Nothing is computed here."""
+"""What a comparison of laws says. Nothing is computed here."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console, Group, RenderableType
-from rich.padding import Padding
+from rich.console import Console
 from rich.text import Text
 
-from curlfit.output.console import Items, terminal
-from curlfit.output.display import Overview
-from curlfit.output.text import STYLE, compact, join_words, plain_table
+from curlfit.output.console import Items, PlainTable
+from curlfit.output.document import Document, Said, Section, command_line, show
+from curlfit.output.text import STYLE, compact, join_words, rows_text, stone_text
 
 if TYPE_CHECKING:
     from curlfit.comparison.result import Candidate, Comparison
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 _NEIGHBOURS = "it would predict a row of correlated noise from its neighbours, whatever the law."
 _PROBABLE = 0.01  # weight of a law that is named
 _FIRST = 3  # laws named in a line
-_WARNING = "Warning: "
 _ELPD = 4.0  # below which differences and their errors are unreliable (Sivula, Magnusson, Matamoros
 # and Vehtari 2020, Uncertainty in Bayesian leave-one-out)
 
@@ -33,96 +32,65 @@ def print_comparison(comparison: Comparison, console: Console | None = None) -> 
     >>> curlfit.print_comparison(comparison)
     2 fits to ...
     """
-    console = console or terminal()
-    console.print(report(comparison))
+    show(document(comparison), console)
 
 
-def report(comparison: Comparison) -> RenderableType:
-    """The report of a comparison: ranks, coefficients, and what follows from them."""
-    parts: list[RenderableType] = [_heading(comparison), _ranks(comparison)]
-    parts.append(_coefficients(comparison))
-    parts += [Padding(Text(line), (0, 0, 1, 0)) for line in conclusions(comparison)]
-    return Group(*parts)
-
-
-def overview(comparison: Comparison) -> Overview:
-    """A comparison at a glance: the ranks and the conclusions."""
-    heading = _heading(comparison).plain.splitlines()
-    said = conclusions(comparison)
-    warnings = [line for line in said if line.startswith(_WARNING)]
-    findings = [line for line in said if line not in warnings]
+def document(comparison: Comparison) -> Document:
+    """Ranks, coefficients, and what follows from them."""
+    data = comparison.data
     ranked = [item for item in comparison.candidates if item.rank is not None]
     order = ", ".join(f"{item.label} ({_difference(item.delta_bic)})" for item in ranked[:_FIRST])
     more = f" and {len(ranked) - _FIRST} more" if len(ranked) > _FIRST else ""
-    return Overview(
-        f"{ranked[0].label} ranks first{', not reliably' * bool(comparison.effective)}"
+    first, *others = conclusions(comparison)
+    count = len(comparison.candidates)
+    loss = "" if comparison.loss == "linear" else f", {comparison.loss} loss"
+    noise = "" if comparison.noise == "white" else f", {join_words(comparison.noises)} noise"
+    bend = f"to the {comparison.side}" if comparison.side else "no more than its scatter"
+    curl = f"curls {bend}: {comparison.curl:.3g} m (rms) off a straight line"
+    fits = f"{count} fit{'s' * (count != 1)} to {data['file']}{loss}{noise}"
+    return Document(
+        finding=f"{ranked[0].label} ranks first{', not reliably' * bool(comparison.effective)}"
         if ranked
         else "no law is ranked",
-        f"{heading[0]}; {heading[2][:1].lower()}{heading[2][1:]}",
-        [f"dBIC: {order}{more}" if ranked else "", findings[0] if findings else ""],
-        [_ranks(comparison), *findings],
-        [line.removeprefix(_WARNING).rstrip(".") for line in warnings],
+        subject=f"{fits}; the path {curl}",
+        headline=Text(fits, style="bold"),
+        about=(
+            f"{rows_text(data)}; stone {stone_text(comparison.stone, mass=False)}",
+            f"The path {curl}",
+        ),
+        lines=[f"dBIC: {order}{more}" if ranked else "", first],
+        sections=(
+            Section("laws", "The laws", (_ranks(comparison),)),
+            Section("coefficients", "Coefficients", (_coefficients(comparison),), brief=False),
+            Section("conclusions", "What follows", (Said(first), *others)),
+        ),
+        warnings=[_about_correlation(comparison)] if comparison.effective else (),
+        title=f"{Path(data['file']).name}: which law?",
+        settings={
+            "Data": f"{data['file']}, {rows_text(data)}",
+            "Stone": stone_text(comparison.stone),
+            "Loss, noise": f"{comparison.loss}, {comparison.noise}",
+        },
+        command=command_line("compare", data["file"], *data.get("flags", ())),
     )
 
 
-def _heading(comparison: Comparison) -> Text:
-    data, stone = comparison.data, comparison.stone
-    text, count = Text(), len(comparison.candidates)
-    loss = "" if comparison.loss == "linear" else f", {comparison.loss} loss"
-    noise = "" if comparison.noise == "white" else f", {join_words(list(comparison.noises))} noise"
-    text.append(f"{count} fit{'s' * (count != 1)} to {data['file']}{loss}{noise}\n", style="bold")
-    text.append(
-        f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s; stone R = {stone.R:g} m, "
-        f"rho = {stone.rho:g} m, h = {stone.h:g} m\n"
-    )
-    bend = (
-        f"curls to the {comparison.side}" if comparison.side else "curls no more than its scatter"
-    )
-    text.append(f"The path {bend}: {comparison.curl:.3g} m (rms) off a straight line")
-    return text
-
-
-def _ranks(comparison: Comparison) -> RenderableType:
+def _ranks(comparison: Comparison) -> PlainTable:
     several = len(comparison.noises) > 1
-    table = plain_table(keys=4 if several else 3)
-    table.add_column("", justify="right", no_wrap=True)
-    for head in ("law", "load", *["noise"] * several):
-        table.add_column(head, no_wrap=True)
-    with_evidence = any(item.log_evidence is not None for item in comparison.candidates)
-    with_elpd = any(item.delta_elpd is not None for item in comparison.candidates)
-    right = (
-        "k", "dBIC", "dlnZ" if with_evidence else "dAICc", *["delpd"] * with_elpd,
-        "x (mm)", "y (mm)", "phi (mrad)", "curl",
-    )  # fmt: skip
-    for head in right:
-        table.add_column(head, justify="right", no_wrap=True)
-    table.add_column("follows", no_wrap=True)
-    table.add_column("ccw curls", no_wrap=True)
+    evidence = any(item.log_evidence is not None for item in comparison.candidates)
+    elpd = any(item.delta_elpd is not None for item in comparison.candidates)
+    rows = []
     for item in comparison.candidates:
-        rank = "-" if item.rank is None else str(item.rank)
         name = Text(item.law)
         if item.signs_free:
             name.append(" any sign", style="dim")
-        if item.rms is None:
-            empty = [""] * len(right)
-            keys = (item.load, *[item.noise] * several)
-            table.add_row(rank, name, *keys, *empty, Text("no fit", style="red"))
-            continue
-        size = item.residual_size
-        table.add_row(
-            rank,
-            name,
-            item.load,
-            *[item.noise] * several,
-            "" if item.n_parameters is None else f"{item.n_parameters:.3g}",
-            _difference(item.delta_bic),
-            _difference(item.delta_evidence if with_evidence else item.delta_aicc),
-            *[_with_error(item)] * with_elpd,
-            *(f"{1000 * size[c]:.3g}" if c in size else "" for c in ("x", "y", "phi")),
-            "" if item.curl_explained is None else _share(item.curl_explained),
-            _FOLLOWS[item.follows],
-            " or ".join(item.sides) or "neither way",
-        )
+        rows.append(
+            {
+                ">": "-" if item.rank is None else str(item.rank), "law": name, "load": item.load,
+                "noise": item.noise * several,
+            }
+            | _fitted(item, evidence=evidence)
+        )  # fmt: skip
     measure, by = "rms", ""
     if comparison.loss != "linear":
         measure = "robust scale"
@@ -130,10 +98,10 @@ def _ranks(comparison: Comparison) -> RenderableType:
             f" BIC and AICc are those of the noise distribution of the {comparison.loss} loss, for "
             "which leave-one-out has no closed form."
         )
-    elif with_evidence and comparison.noise != "white":
+    elif evidence and comparison.noise != "white":
         by = f" Leave-one-out is not given: {_NEIGHBOURS}"
-    criteria = "dlnZ: log evidence minus the largest; " if with_evidence else ""
-    if with_elpd:
+    criteria = "dlnZ: log evidence minus the largest; " if evidence else ""
+    if elpd:
         criteria += (
             "delpd: expected log predictive density of leave-one-out (elpd_loo) minus the largest, "
             "with the standard error of that in its last two digits; "
@@ -146,7 +114,26 @@ def _ranks(comparison: Comparison) -> RenderableType:
         f"or the noise, nor five times that of another law.{by}",
         style="dim",
     )
-    return Padding(Group(table, note), (1, 0))
+    return PlainTable(rows, "The laws, best first by BIC", keys=4 if several else 3, note=note)
+
+
+def _fitted(item: Candidate, *, evidence: bool) -> dict[str, Any]:
+    """Cells of the criteria and residuals of a fit."""
+    if item.rms is None:
+        return {"follows": Text("no fit", style="red")}
+    size = item.residual_size
+    criterion, other = ("dlnZ", item.delta_evidence) if evidence else ("dAICc", item.delta_aicc)
+    return {
+        ">k": "" if item.n_parameters is None else f"{item.n_parameters:.3g}",
+        ">dBIC": _difference(item.delta_bic), f">{criterion}": _difference(other),
+        ">delpd": _with_error(item),
+        **{
+            f">{name} ({unit})": f"{1000 * size[name]:.3g}" if name in size else ""
+            for name, unit in (("x", "mm"), ("y", "mm"), ("phi", "mrad"))
+        },
+        ">curl": "" if item.curl_explained is None else _share(item.curl_explained),
+        "follows": _FOLLOWS[item.follows], "ccw curls": " or ".join(item.sides) or "neither way",
+    }  # fmt: skip
 
 
 _FOLLOWS = {
@@ -171,29 +158,30 @@ def _share(value: float) -> str:
     return f"{percent:.0f} %" if percent < 99 else f"{min(percent, 99.99):.2f} %"
 
 
-def _coefficients(comparison: Comparison) -> RenderableType:
-    table = plain_table()
-    table.add_column("law, load", no_wrap=True)
-    table.add_column("coefficients")
-    for item in comparison.candidates:
-        if item.coefficients is None:
-            table.add_row(item.label, Text(item.status, style="red"))
+def _coefficients(comparison: Comparison) -> PlainTable:
+    return PlainTable(
+        ({"law, load": item.label, "~coefficients": _said(item)} for item in comparison.candidates),
+        "Coefficients of each law, with standard errors",
+    )
+
+
+def _said(item: Candidate) -> Text | Items:
+    """The coefficients of a candidate, side by side."""
+    status = Text(item.status, style="red")
+    if item.coefficients is None:
+        return status
+    said = []
+    for name, found in item.coefficients.items():
+        if found["verdict"] == "not identifiable":
             continue
-        said = []
-        for name, found in item.coefficients.items():
-            if found["verdict"] == "not identifiable":
-                continue
-            said.append(Text(f"{name} = {_value(found)}"))
-            if found["verdict"] not in ("determined", "fixed"):
-                said[-1].append(f" {found['verdict']}", style=STYLE[found["verdict"]])
-        said += [Text(f"{one['expression']} = {_value(one)}") for one in item.combinations]
-        if item.not_identifiable:
-            hidden = f"{join_words(list(item.not_identifiable))} not identifiable"
-            said.append(Text(hidden, style=STYLE["not identifiable"]))
-        if not item.converged:
-            said.append(Text(item.status, style="red"))
-        table.add_row(item.label, Items(said))
-    return Padding(table, (0, 0, 1, 0))
+        said.append(Text(f"{name} = {_value(found)}"))
+        if found["verdict"] not in ("determined", "fixed"):
+            said[-1].append(f" {found['verdict']}", style=STYLE[found["verdict"]])
+    said += [Text(f"{one['expression']} = {_value(one)}") for one in item.combinations]
+    if item.not_identifiable:
+        hidden = f"{join_words(item.not_identifiable)} not identifiable"
+        said.append(Text(hidden, style=STYLE["not identifiable"]))
+    return Items(said if item.converged else [*said, status])
 
 
 def _value(found: dict[str, Any]) -> str:
@@ -228,8 +216,7 @@ def conclusions(comparison: Comparison) -> list[str]:
     for item in fitted:
         if item.negative and item.follows:
             lines.append(
-                f"{item.label}: follows the path only with negative "
-                f"{join_words(list(item.negative))}."
+                f"{item.label}: follows the path only with negative {join_words(item.negative)}."
             )
     if weights := [item for item in within if item.weight is not None]:
         lines.append(_about_evidence(weights))
@@ -237,8 +224,6 @@ def conclusions(comparison: Comparison) -> list[str]:
         lines.append(_about_predictions(predicted))
     if len(comparison.noises) > 1:
         lines.append(_about_noise(comparison))
-    if comparison.effective:
-        lines.append(_about_correlation(comparison))
     return lines
 
 
@@ -303,15 +288,15 @@ def _about_correlation(comparison: Comparison) -> str:
         for name, count in comparison.effective.items()
     )
     return (
-        f"{_WARNING}the ranking is not reliable. Even the law that fits best leaves residuals that "
+        "the ranking is not reliable. Even the law that fits best leaves residuals that "
         "are correlated from row to row. The likelihoods in dBIC and dAICc are weighted by "
         f"effective sample sizes ({worth}), an approximation; correlated noise alone can put a "
-        "wrong law first. "
+        "wrong law first"
         + (
             ""
             if len(comparison.noises) > 1
-            else "The log evidence and leave-one-out, which assume independent residuals, are not "
-            "given. Use --noise white,ar1 to compare noise models."
+            else ". The log evidence and leave-one-out, which assume independent residuals, are "
+            "not given. Use --noise white,ar1 to compare noise models"
         )
     )
 

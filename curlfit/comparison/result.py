@@ -143,9 +143,6 @@ class Comparison(Record):
     ['front-back', 'coulomb']
     """
 
-    _report: ClassVar[str] = "curlfit.comparison.report"
-    _printer: ClassVar[str] = "curlfit.print_comparison"
-
     kind: ClassVar[str] = "compare"
 
     data: DataOfFit

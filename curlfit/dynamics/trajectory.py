@@ -20,9 +20,10 @@ from curlfit.environment import Environment
 from curlfit.errors import InputError, require_kind
 from curlfit.friction import Law, Load, check_load, find_law
 from curlfit.numerics.compiled import compiled
-from curlfit.output.display import Displayed, Overview
+from curlfit.output.console import PlainTable
+from curlfit.output.display import Displayed
+from curlfit.output.document import Document, Section
 from curlfit.output.frames import frame
-from curlfit.output.text import plain_table
 from curlfit.stone import Stone
 
 _REST_TIME = 1e30  # s, by when every stone is at rest
@@ -108,24 +109,27 @@ class Trajectory(Displayed):
         names = ("t", "x", "y", "phi", "vx", "vy", "omega", "speed")
         return frame({name: np.asarray(getattr(self, name)) for name in names})
 
-    def _overview(self) -> Overview:
+    def _document(self) -> Document:
         shape = jnp.shape(self.x)
         arrays = [getattr(self, item.name) for item in fields(self)]
         if len(shape) != 1 or not shape[0] or any(isinstance(x, jax.core.Tracer) for x in arrays):
-            return Overview(f"shape {shape}", "motion of a stone")
-        table = plain_table()
-        for head in ("", "t (s)", "x (m)", "y (m)", "phi (rad)", "speed (m/s)", "omega (rad/s)"):
-            table.add_column(head, justify="right" if head else "left")
-        names = ("t", "x", "y", "phi", "speed", "omega")
-        series = [np.asarray(getattr(self, name)) for name in names]
-        for label, row in (("first", 0), ("last", -1)):
-            table.add_row(label, *(f"{values[row] + 0.0:.5g}" for values in series))
+            return Document(finding=f"shape {shape}", subject="motion of a stone")
+        units = {"t": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
+        series = {name: np.asarray(getattr(self, name)) for name in units}
+        table = PlainTable(
+            {"": label}
+            | {f">{name} ({units[name]})": f"{x[row] + 0.0:.5g}" for name, x in series.items()}
+            for label, row in (("first", 0), ("last", -1))
+        )
         rest = float(self.rest)
-        finding = f"at rest at {rest:.5g} s" if math.isfinite(rest) else "does not come to rest"
-        t, x, y = series[:3]
-        subject = f"motion of a stone at {len(t)} times, t = {t[0]:.5g} .. {t[-1]:.5g} s"
+        t, x, y = series["t"], series["x"], series["y"]
         ends = f"from ({x[0]:.4g}, {y[0]:.4g}) m to ({x[-1]:.4g}, {y[-1]:.4g}) m"
-        return Overview(finding, subject, [f"x, y {ends}"], [table])
+        return Document(
+            finding=f"at rest at {rest:.5g} s" if math.isfinite(rest) else "does not come to rest",
+            subject=f"motion of a stone at {len(t)} times, t = {t[0]:.5g} .. {t[-1]:.5g} s",
+            lines=[f"x, y {ends}"],
+            sections=[Section("ends", "Ends of the path", [table])],
+        )
 
     def to_numpy(self) -> Trajectory:
         """The trajectory with NumPy arrays."""

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from curlfit.export.tables import Row, rows_of
 from curlfit.foreign import printable
-from curlfit.output.text import compact
+from curlfit.output.console import PlainTable
+from curlfit.output.text import compact, from_to
 from curlfit.version import __version__
 
 if TYPE_CHECKING:
@@ -24,46 +25,43 @@ def estimates_table(result: FitResult | JointResult) -> str:
     """Coefficients, initial state, combinations and derived quantities of a fit, as a `table` with
     `booktabs`: values with standard errors in units of the last digits."""
     rows = rows_of(result, in_words=True)
-    systematic = any(row.systematic for row in rows)
     posterior = getattr(result, "posterior", None)
-    columns = "l l" + " l" * systematic + " l" * (posterior is not None) + " l"
-    head = ["parameter", "estimate"] + ["systematic"] * systematic
-    head += [r"68\,\% of posterior"] * (posterior is not None) + ["unit"]
     symbols = {row.name: _symbol(row) for row in rows if row.symbol}
-    lines = []
-    for row in rows:
-        cells = [_label(row, symbols), _estimate(row)]
-        if systematic:
-            cells.append("" if row.systematic is None else _number(f"{row.systematic:.2g}"))
-        if posterior is not None:
-            cells.append(_interval(posterior, row))
-        cells.append(_unit(row.unit))
-        lines.append("    " + " & ".join(cells) + r" \\")
-    return _table(columns, head, lines, _caption(result))
+    cells = (
+        {
+            "parameter": _label(row, symbols), "estimate": _estimate(row),
+            "systematic": _rounded(row.systematic, ".2g"),
+            r"68\,\% of posterior": _interval(posterior, row), "unit": _unit(row.unit),
+        }
+        for row in rows
+    )  # fmt: skip
+    return _drawn(PlainTable(cells, _caption(result)))
 
 
 def candidates_table(comparison: Any) -> str:
     """The candidates of a comparison, as a `table` with `booktabs`."""
-    head = ["law", "load", "$k$", r"$\Delta$BIC", r"$\Delta$AICc", "$x$ (mm)", "$y$ (mm)",
-            r"$\varphi$ (mrad)", "follows"]  # fmt: skip
-    lines = []
-    for one in comparison.candidates:
-        sizes = [(one.residual_size or {}).get(name) for name in ("x", "y", "phi")]
-        follows = "unclear" if one.follows is None else "yes" if one.follows else "no"
-        cells = [
-            escaped(one.law + (" (any sign)" if one.signs_free else "")),
-            "--" if one.load == "-" else escaped(one.load),
-            "" if one.n_parameters is None else f"{one.n_parameters:.0f}",
-            *("" if v is None else _number(f"{v:.1f}") for v in (one.delta_bic, one.delta_aicc)),
-            *("" if v is None else _number(f"{1000 * v:.3g}") for v in sizes),
-            follows if one.converged else "no fit",
-        ]
-        lines.append("    " + " & ".join(cells) + r" \\")
+    sizes = {">$x$ (mm)": "x", ">$y$ (mm)": "y", r">$\varphi$ (mrad)": "phi"}
+    follows = {True: "yes", False: "no", None: "unclear"}
+    rows = (
+        {
+            "law": escaped(one.law + " (any sign)" * one.signs_free),
+            "load": "--" if one.load == "-" else escaped(one.load),
+            ">$k$": "" if one.n_parameters is None else f"{one.n_parameters:.0f}",
+            r">$\Delta$BIC": _rounded(one.delta_bic, ".1f"),
+            r">$\Delta$AICc": _rounded(one.delta_aicc, ".1f"),
+            **{
+                head: _rounded((one.residual_size or {}).get(name), ".3g", 1000)
+                for head, name in sizes.items()
+            },
+            "follows": follows[one.follows] if one.converged else "no fit",
+        }
+        for one in comparison.candidates
+    )  # fmt: skip
     caption = (
         f"Friction laws fitted to {_file(comparison.data['file'])}, by BIC: number of parameters "
         rf"$k$, rms of the residuals, and whether the law follows the path. {_software()}"
     )
-    return _table("l l r r r r r r l", head, lines, caption)
+    return _drawn(PlainTable(rows, caption))
 
 
 def escaped(text: str) -> str:
@@ -71,24 +69,36 @@ def escaped(text: str) -> str:
     return "".join(_SPECIAL.get(character, character) for character in printable(str(text)))
 
 
-def _table(columns: str, head: list[str], lines: list[str], caption: str) -> str:
+def _drawn(table: PlainTable) -> str:
+    """A table whose caption and cells are LaTeX."""
+    columns = table.columns
+    lines = [
+        [str(one.header) for one in columns],
+        *zip(*(one.cells for one in columns), strict=True),
+    ]
+    head, *rows = ("    " + " & ".join(map(str, line)) + r" \\" for line in lines)
+    sides = " ".join("r" if one.justify == "right" else "l" for one in columns)
     return "\n".join(
         [
             r"% needs \usepackage{booktabs}",
             r"\begin{table}",
             r"  \centering",
-            rf"  \caption{{{caption}}}",
-            rf"  \begin{{tabular}}{{@{{}}{columns}@{{}}}}",
+            rf"  \caption{{{table.called}}}",
+            rf"  \begin{{tabular}}{{@{{}}{sides}@{{}}}}",
             r"    \toprule",
-            "    " + " & ".join(head) + r" \\",
+            head,
             r"    \midrule",
-            *lines,
+            *rows,
             r"    \bottomrule",
             r"  \end{tabular}",
             r"\end{table}",
             "",
         ]
     )
+
+
+def _rounded(value: float | None, digits: str, scale: float = 1) -> str:
+    return "" if value is None else _number(f"{scale * value:{digits}}")
 
 
 def _caption(result: FitResult | JointResult) -> str:
@@ -167,11 +177,9 @@ def _number(text: str) -> str:
 
 
 def _interval(posterior: Any, row: Row) -> str:
-    found = posterior.quantiles.get(row.name)
-    if found is None:
+    found = posterior and posterior.quantiles.get(row.name)
+    if not found:
         return ""
-    from curlfit.output.text import from_to
-
     low, _, high = from_to(found["16"], found["84"]).partition(" .. ")
     return rf"{_number(low)} to {_number(high)}"
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from curlfit.exploration.curves import CurveModel, Curves
-from curlfit.html_report.document import Block
+from curlfit.html_report.blocks import Block
 from curlfit.html_report.replay import rounded
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
@@ -91,8 +91,12 @@ def _direction(
     )  # fmt: skip
     sides = ("y", "x") if {"x", "y"} <= fit.rms.keys() else ("t", next(iter(fit.rms)))
     some = some_rows(len(best.t), _INSTANTS)
-    curves = [[_series(one, name)[some] for name in sides] for one in along]
-    others = [[_series(one, name)[some] for name in sides] for one in alone]
+
+    def series(one: Curves, name: str) -> Floats:
+        return (one.t if name == "t" else one.path[name])[some]
+
+    curves = [[series(one, name) for name in sides] for one in along]
+    others = [[series(one, name) for name in sides] for one in alone]
     whole = np.array(curves + others)
     low, high = np.nanmin(whole, axis=(0, 2)), np.nanmax(whole, axis=(0, 2))
     size = np.where(high > low, high - low, 1.0)
@@ -144,7 +148,7 @@ def _direction(
             "width": _WIDTH, "height": _HEIGHT, "margin": _MARGIN,
             "axes": _axes(fit, sides, low, high, len(models)),
             "points": _drawn(
-                np.array([_observed(fit, name)[some_rows(len(fit.observed["t"]), 200)]
+                np.array([fit.observed[name][some_rows(len(fit.observed["t"]), 200)]
                           for name in sides]), origin, scale
             ),
             "path": _drawn(np.array(curves[data["start"]]), origin, scale),
@@ -161,14 +165,6 @@ def _constant(fit: FitResult, names: list[str]) -> str:
         if set(item.weights) <= set(names)
     ]
     return join_words(said) if said else ""
-
-
-def _series(curves: Curves, name: str) -> Floats:
-    return curves.t if name == "t" else curves.path[name]
-
-
-def _observed(fit: FitResult, name: str) -> Floats:
-    return fit.observed[name]
 
 
 def _axes(fit: FitResult, sides: tuple[str, str], low: Floats, high: Floats, throws: int) -> str:

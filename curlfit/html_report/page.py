@@ -5,9 +5,11 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Callable
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
-from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +19,10 @@ from markupsafe import Markup
 
 from curlfit import sheet
 from curlfit.errors import InputError
-from curlfit.html_report.document import Page, marked
+from curlfit.html_report.additions import ADDITIONS, Additions
+from curlfit.html_report.blocks import Block, blocks_of, bullets, marked, rows, sentence
+from curlfit.output.display import document_of, kind_of_record
+from curlfit.output.document import Document
 from curlfit.output.files import atomic_write, prepare_folder, require_replaceable
 from curlfit.records import plain
 from curlfit.version import __version__
@@ -27,16 +32,23 @@ if TYPE_CHECKING:
 
 _MARK = '<meta name="generator" content="curlfit'
 _SCRIPTS = ("moving.js", "replay.js", "direction.js", "rests.js")
-_KINDS = {
-    "FitResult": "fit",
-    "JointResult": "joint",
-    "Comparison": "comparison",
-    "Profile": "profile",
-    "PairProfile": "profile",
-    "Prediction": "prediction",
-    "Design": "design",
+_PACKAGES = ("jax", "numpy", "scipy", "matplotlib")
+_LATER = {
+    "throw": "On the sheet",
+    "draws": "Where it may come to rest",
+    "figures": "Figures",
 }
-"""Module `of_...` of this package that makes the page of a record, by the record's class name."""
+"""Sections that follow those of the document, by id."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """A result as a page: its document, sections of blocks by id and heading, and the data of the
+    interactive parts, by id."""
+
+    document: Document
+    sections: Mapping[tuple[str, str], Sequence[Block]]
+    data: dict[str, Any]
 
 
 def write_report(result: Any, path: str | PathLike[str], *, chain: Chain | None = None) -> None:
@@ -71,14 +83,43 @@ def write_report(result: Any, path: str | PathLike[str], *, chain: Chain | None 
 
 def page_of(result: Any, chain: Chain | None = None) -> Page:
     """A result as a page, not yet rendered. Raises `InputError` for other objects."""
-    name = _KINDS.get(type(result).__name__)
-    if name is None:
+    kind = kind_of_record(result)
+    if not kind:
         raise InputError(
             f"a {type(result).__name__} has no report; expected a fit, a comparison, a profile, a "
             "prediction or a design"
         )
-    make: Callable[..., Page] = import_module(f"curlfit.html_report.of_{name}").page_of
-    return make(result, chain) if name == "fit" else make(result)
+    document = document_of(result)
+    added = Additions()
+    ADDITIONS[kind](added, result, chain)
+    sections = {
+        (one.id, one.heading): [*blocks_of(one), *added.blocks.get(one.id, ())]
+        for one in document.sections
+    }
+    warnings = [sentence(text, document.names) for text in document.warnings]
+    notes = [sentence(text, document.names) for text in document.notes]
+    words = " and ".join(["warnings"] * bool(warnings) + ["notes"] * bool(notes))
+    sections["warnings", words.capitalize()] = [
+        *bullets(warnings, "warning"), *bullets(notes, "note"),
+    ]  # fmt: skip
+    for id, heading in _LATER.items():
+        sections[id, heading] = added.blocks.get(id, [])
+    commands = {"lines": (document.command,), "notes": (document.remark,) * bool(document.remark)}
+    sections["made", "How to reproduce this result"] = [
+        Block("commands", commands), rows("Settings", document.settings),
+        rows("Versions that wrote this page", _versions()),
+    ]  # fmt: skip
+    return Page(document, sections, added.data)
+
+
+def _versions() -> dict[str, str]:
+    found = {"curlfit": __version__, "Python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
 
 
 def render(page: Page) -> str:
@@ -87,6 +128,7 @@ def render(page: Page) -> str:
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return _templates().get_template("page.html.j2").render(
         page=page,
+        document=page.document,
         style=Markup(_source("report.css")),
         script=Markup(script),
         digest=digest,
@@ -113,7 +155,7 @@ def _templates() -> Environment:
         lstrip_blocks=True,
     )
     found.globals["sheet"] = sheet
-    found.filters["marked"] = marked
+    found.filters |= {"marked": marked, "sentence": sentence}
     return found
 
 

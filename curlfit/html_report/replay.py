@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.html_report.document import Block
+from curlfit.html_report.blocks import Block
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
 from curlfit.output.figures import DATA_COLOR, some_rows

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.html_report.document import Block
+from curlfit.html_report.blocks import Block
 from curlfit.html_report.replay import rounded
 from curlfit.prediction.result import Prediction
 from curlfit.sheet import HOUSE, STONE_RADIUS, TEE

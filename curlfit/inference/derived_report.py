@@ -4,45 +4,45 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-
-from rich.console import RenderableType
-from rich.padding import Padding
-from rich.text import Text
+from typing import Any
 
 from curlfit.inference.derived import Derived, scaled, to_its_side
-from curlfit.output.text import STYLE, compact, format_estimate, from_to, plain_table
+from curlfit.output.console import PlainTable
+from curlfit.output.text import compact, format_estimate, from_to, judged, labelled
 from curlfit.sheet import FOOT
 
 
-def derived_table(items: Sequence[Derived]) -> list[RenderableType]:
-    """Derived quantities with their errors; empty if there are none."""
-    return [_table("derived", items, verdicts=True)] if items else []
+def derived_table(items: Sequence[Derived]) -> PlainTable:
+    """Derived quantities with their errors."""
+    return PlainTable(
+        (_row("derived", item) | {"verdict": judged(item.verdict)} | _posterior(item)
+         for item in items),
+        "Derived quantities",
+    )  # fmt: skip
 
 
-FITTED, OF_LAW = "along the fitted path", "along the path of the law"
-"""Headings of the quantities of a path, without and beside a model discrepancy."""
-
-
-def quantities_table(
-    quantities: Mapping[str, Derived], *, discrepancy: bool = False
-) -> list[RenderableType]:
-    """Quantities of the fitted path within the record; empty if there are none."""
-    if not quantities:
-        return []
+def quantities_table(quantities: Mapping[str, Derived], *, discrepancy: bool) -> PlainTable:
+    """Quantities of the fitted path within the record, or of that of the law without the model
+    discrepancy."""
+    path = "path of the law" if discrepancy else "fitted path"
     rows = []
     for name, item in quantities.items():
         item = to_its_side(item)
         rows.append(item)
         if name == "curl":
             rows.append(scaled(replace(item, unit="ft"), 1 / FOOT))
-    found: list[RenderableType] = [_table(OF_LAW if discrepancy else FITTED, rows, verdicts=False)]
-    if "draw_time" in quantities and "curl" in quantities:
-        time, curl = quantities["draw_time"].value, abs(quantities["curl"].value) / FOOT
-        text = (
-            f"{time:.1f} s / {curl:.1f} ft: time of the draw from the near hog line, and its curl."
-        )
-        found.append(Padding(Text(text), (0, 0, 1, 0)))
-    return found
+    return PlainTable(
+        (_row(f"along the {path}", item) | _posterior(item) for item in rows),
+        f"Along the {path}" + ", without the discrepancy" * discrepancy,
+    )
+
+
+def draw_text(quantities: Mapping[str, Derived]) -> str:
+    """Time and curl of a draw, as curlers state them."""
+    if not {"draw_time", "curl"} <= quantities.keys():
+        return ""
+    time, curl = quantities["draw_time"].value, abs(quantities["curl"].value) / FOOT
+    return f"{time:.1f} s / {curl:.1f} ft: time of the draw from the near hog line, and its curl."
 
 
 def quantities_line(quantities: Mapping[str, Derived]) -> str:
@@ -58,32 +58,16 @@ def quantities_line(quantities: Mapping[str, Derived]) -> str:
     return ", ".join(parts)
 
 
-def _table(head: str, items: Sequence[Derived], *, verdicts: bool) -> RenderableType:
-    table = plain_table()
-    table.add_column(head, no_wrap=True)
-    for name in ("estimate", "std. error"):
-        table.add_column(name, justify="right", no_wrap=True)
-    systematic = any(item.systematic for item in items)
-    if systematic:
-        table.add_column("systematic", justify="right", no_wrap=True)
-    if verdicts:
-        table.add_column("verdict", no_wrap=True)
-    posterior = any(item.quantiles for item in items)
-    if posterior:
-        table.add_column("68 % of posterior", no_wrap=True)
-    for item in items:
-        hidden = item.verdict == "not identifiable"
-        shown = ("-", "-") if hidden else format_estimate(item.value, item.stderr)
-        label = item.meaning or item.expression
-        cells: list[str | Text] = [
-            f"{label} ({item.unit})" if item.unit not in ("", "1") else label, *shown,
-        ]  # fmt: skip
-        if systematic:
-            cells.append("-" if item.systematic is None else f"{item.systematic:.2g}")
-        if verdicts:
-            cells.append(Text(item.verdict, style=STYLE[item.verdict]))
-        if posterior:
-            found = item.quantiles
-            cells.append(from_to(found["16"], found["84"]) if found else "")
-        table.add_row(*cells)
-    return Padding(table, (0, 0, 1, 0))
+def _row(head: str, item: Derived) -> dict[str, Any]:
+    hidden = item.verdict == "not identifiable"
+    value, stderr = ("-", "-") if hidden else format_estimate(item.value, item.stderr)
+    return {
+        head: labelled(item.meaning or item.expression, item.unit),
+        ">estimate": value, ">std. error": stderr,
+        ">systematic": None if item.systematic is None else f"{item.systematic:.2g}",
+    }  # fmt: skip
+
+
+def _posterior(item: Derived) -> dict[str, str]:
+    found = item.quantiles
+    return {"68 % of posterior": from_to(found["16"], found["84"]) if found else ""}

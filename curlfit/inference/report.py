@@ -1,26 +1,36 @@
-"""Report of a fit as text, made from a `FitResult` alone; nothing is computed here."""
+"""What a fit says, made from a `FitResult` alone; nothing is computed here."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console, Group, RenderableType
-from rich.padding import Padding
+from rich.console import Console
 from rich.text import Text
 
 from curlfit.inference.conditions import CALIBRATION, if_off
-from curlfit.inference.derived_report import derived_table, quantities_table
+from curlfit.inference.derived_report import (
+    derived_table,
+    draw_text,
+    quantities_line,
+    quantities_table,
+)
 from curlfit.inference.parameters import START
-from curlfit.output.console import terminal
+from curlfit.output.console import PlainTable
+from curlfit.output.document import Document, Said, Section, command_line, show
 from curlfit.output.text import (
-    STYLE,
+    compact,
     decimals,
     format_estimate,
     from_to,
     join_words,
-    plain_table,
+    judged,
+    labelled,
+    lower,
+    rows_text,
+    stone_text,
     two_digits,
 )
 from curlfit.stone import UNITS as STONE_UNITS
@@ -29,6 +39,7 @@ from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import Estimate, FitResult, Posterior, Systematics
+    from curlfit.inference.identifiability import Combination
 
 _NOTABLE = 0.1  # systematic shift that is reported, over the standard error
 _MOST_NAMED = 6  # outliers that the report lists
@@ -42,6 +53,7 @@ _PLURAL = {
 _WORDS = {
     "x": "x", "y": "y", "phi": "the angle", "speed": "the speed", "omega": "the spin",
 }  # fmt: skip
+_SEEN = ("determined", "prior", "fixed")
 
 
 def print_fit(fit: FitResult, console: Console | None = None) -> None:
@@ -52,82 +64,151 @@ def print_fit(fit: FitResult, console: Console | None = None) -> None:
     >>> curlfit.print_fit(fit)
     front-back law, uniform load, fitted to ...
     """
-    console = console or terminal()
-    console.print(report(fit))
+    show(document(fit), console)
 
 
-def report(fit: FitResult) -> RenderableType:
-    """The report of a fit, for a rich console."""
-    return Group(*(part for parts in sections(fit).values() for part in parts))
-
-
-def sections(fit: FitResult) -> dict[str, list[RenderableType]]:
-    """The parts of the report by name, in their order; some are empty."""
-    said = systematics(fit.systematics, _reported(fit))
-    posterior = fit.posterior
-    return {
-        "heading": [_heading(fit)],
-        "estimates": [_coefficients(fit), *_student(fit)],
-        "derived": derived_table(fit.derived),
-        "path": quantities_table(fit.quantities, discrepancy=bool(fit.noise.sizes)),
-        "systematics": [_spaced(said)] * bool(said),
-        "reference": _beside_reference(fit),
-        "quality": [_quality(fit)] * bool(fit.rms),
-        "events": [_events(fit)] * bool(fit.events),
-        "identifiability": [_spaced(identifiability(fit))],
-        "posterior": []
-        if posterior is None
-        else [Padding(about_posterior(posterior), (0, 0, 1, 0))],
-        "outliers": [_spaced(outliers(fit))] * bool(fit.outliers),
-        "sampling": [_spaced(_UNFINISHED, "bold yellow")] * (fit.sampling == "unfinished"),
-        "warnings": [_spaced(f"Warning: {warning}.", "yellow") for warning in fit.warnings],
-        "notes": [Text(f"Note: {note}.", style="dim") for note in fit.data["notes"]],
-    }
-
-
-def _spaced(text: str, style: str = "") -> RenderableType:
-    return Padding(Text(text, style=style), (0, 0, 1, 0))
-
-
-def _heading(fit: FitResult) -> RenderableType:
-    data, stone = fit.data, fit.stone
-    lines = Text()
-    lines.append(f"{fit.law} law", style="bold")
+def document(fit: FitResult) -> Document:
+    """What a fit says."""
+    data = fit.data
     loss = "" if fit.loss == "linear" else f", {fit.loss} loss"
     noise = "" if fit.noise.kind == "white" else f", {fit.noise.kind} noise"
-    lines.append(f", {fit.load} load{loss}{noise}, fitted to {data['file']}\n")
-    lines.append(
-        f"{extent(data, len(fit.events))}; "
-        f"stone R = {stone.R:g} m, rho = {stone.rho:g} m, h = {stone.h:g} m, m = {stone.m:g} kg\n"
+    hidden = any(item.verdict not in _SEEN for item in fit.parameters.values())
+    unfinished = Text(_UNFINISHED * (fit.sampling == "unfinished"), style="bold yellow")
+    sections = (
+        Section(
+            "coefficients", "Coefficients",
+            (_estimates(fit), _student(fit), derived_table(fit.derived)),
+        ),
+        Section(
+            "path", "The path",
+            (quantities_table(fit.quantities, discrepancy=bool(fit.noise.sizes)),
+             draw_text(fit.quantities)),
+        ),
+        Section(
+            "quality", "Systematic errors and residuals",
+            (systematics(fit), _beside_reference(fit), _quality(fit), _events(fit)),
+            brief=False,
+        ),
+        Section(
+            "determined", f"What the path {'does not determine' if hidden else 'determines'}",
+            (identifiability(fit),),
+        ),
+        Section("posterior", "The posterior", (_posterior(fit), unfinished)),
+        Section("outliers", "Outliers", (outliers(fit),), brief=False),
+    )  # fmt: skip
+    return Document(
+        finding=lower(fit.status),
+        style=style_of(fit),
+        subject=Text.assemble(
+            (f"{fit.law} law", "bold"), f", {fit.load} load{loss}{noise}, fitted to {data['file']}"
+        ),
+        about=(f"{extent(fit)}; stone {stone_text(fit.stone)}", status_line(fit)),
+        lines=[*lines_of(fit), quantities_line(fit.quantities)],
+        sections=sections,
+        warnings=fit.warnings,
+        notes=data["notes"],
+        title=f"{Path(data['file']).name}: {fit.law} law",
+        settings=settings_of(fit),
+        command=command_of(fit),
+        names=fit.parameters,
     )
-    lines.append(
-        fit.status[:1].upper() + fit.status[1:], style="green" if fit.converged else "bold red"
-    )
-    return lines
 
 
-def extent(data: Mapping[str, Any], events: int) -> str:
+def posterior_document(posterior: Posterior) -> Document:
+    """What a posterior says."""
+    spans = {">68 %": ("16", "84"), ">95 %": ("2.5", "97.5")}
+    table = PlainTable(
+        {"quantity": name}
+        | {
+            head: from_to(found[low], found[high], (found["84"] - found["16"]) / 3)
+            for head, (low, high) in spans.items()
+        }
+        for name, found in posterior.quantiles.items()
+    )
+    said = _sampled(posterior)
+    return Document(
+        finding=posterior.status,
+        style=_style(posterior),
+        subject=f"{len(posterior.ess)} parameters",
+        lines=[said],
+        sections=[Section("quantiles", "Quantiles", (table, said))],
+    )
+
+
+def status_line(result: Any) -> Said:
+    """Whether a fit, of one throw or several, converged, as a line."""
+    return Said(result.status[:1].upper() + result.status[1:], style=style_of(result))
+
+
+def style_of(result: Any) -> str:
+    """The style of the status of a fit."""
+    return "green" if result.converged else "bold red"
+
+
+def lines_of(result: Any) -> list[str]:
+    """Coefficients and determined combinations in a line, and what is not identifiable."""
+    unseen = [
+        name for name, item in result.coefficients.items() if item.verdict == "not identifiable"
+    ]
+    known = [
+        f"{name} = {compact(item.value, item.stderr)}"
+        + ("" if item.verdict == "determined" else f" ({item.verdict})")
+        for name, item in result.coefficients.items()
+        if name not in unseen
+    ]
+    known += [f"{one.expression} = {compact(one.value, one.stderr)}" for one in result.combinations]
+    return [", ".join(known), f"not identifiable: {', '.join(unseen)}" if unseen else ""]
+
+
+def extent(fit: FitResult) -> str:
     """Number of data, and the time that they span."""
-    rows = f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s"
-    others = f"{events} events at lines and at rest"
-    return "; ".join([rows] * bool(data["rows"]) + [others] * bool(events))
+    events = f"{len(fit.events)} events at lines and at rest" * bool(fit.events)
+    return "; ".join(filter(None, (rows_text(fit.data), events)))
 
 
-def _beside_reference(fit: FitResult) -> list[RenderableType]:
+def estimate_cells(
+    name: str, item: Estimate | Combination, systematics: Systematics, head: str = "parameter"
+) -> dict[str, Any]:
+    """Cells of a row of a table of estimates."""
+    verdict = getattr(item, "verdict", "determined")
+    hidden = verdict == "not identifiable"
+    value, stderr = ("-", "-") if hidden else format_estimate(item.value, item.stderr)
+    error = systematics.errors.get(name)
+    return {
+        head: labelled(name, getattr(item, "unit", "")),
+        ">estimate": value, ">std. error": stderr,
+        ">systematic": None if error is None else f"{error:.2g}",
+        "verdict": judged(verdict),
+    }  # fmt: skip
+
+
+def _estimates(fit: FitResult) -> PlainTable:
+    reference, rows = fit.reference, []
+    combinations = [(one.expression, one, one.weights) for one in fit.combinations]
+    items: list[tuple[str, Any, dict[str, float]]] = []
+    for name, item in fit.parameters.items():
+        items += combinations * (name == START[0].name)
+        items.append((name, item, {name: 1.0}))
+    for name, item, weights in items:
+        row = estimate_cells(name, item, fit.systematics)
+        found = fit.posterior and fit.posterior.quantiles.get(name)
+        row["68 % of posterior"] = from_to(found["16"], found["84"]) if found else ""
+        if reference is not None:
+            known = reference.of(name, weights)
+            row[f">{reference.source}"] = "" if known is None else f"{known:g}"
+        rows.append(row)
+    return PlainTable(rows, "Estimates with standard errors")
+
+
+def _beside_reference(fit: FitResult) -> PlainTable | None:
     """How the estimates vary with the stone's constants if those of a reference are rounded."""
     reference, fits = fit.reference, fit.reference_fits
     if reference is None or not fits:
-        return []
-    now, table = fit.stone.as_dict(), plain_table()
-    table.add_column("refitted parameter", no_wrap=True)
-    table.add_column("std. error", justify="right", no_wrap=True)
-    for item in fits:
-        table.add_column(f"shift, {_changes(item['stone'], now)}", justify="right", no_wrap=True)
-    table.add_column(f"with {_constants(fits[0]['stone'])}", justify="right", no_wrap=True)
-    table.add_column(reference.source, justify="right", no_wrap=True)
+        return None
+    now, rows = fit.stone.as_dict(), []
     agree, there = True, []
     places = max(map(_places, reference.values.values()))
-    for name, (value, stderr) in _reported(fit).items():
+    for name, (value, stderr) in reported(fit).items():
         known = reference.values.get(name)
         if known is None or any(name not in item["values"] for item in fits):
             continue
@@ -135,13 +216,19 @@ def _beside_reference(fit: FitResult) -> list[RenderableType]:
         shifts = [item["values"][name] - value for item in fits]
         agree &= abs(again - known) <= 0.5 * 10.0 ** -_places(known) + sum(map(abs, shifts[1:]))
         there.append(f"{again:.{places}f}")
-        table.add_row(
-            name, format_estimate(value, stderr)[1],
-            *(f"{round(shift, places + 1) + 0.0:+.{places + 1}f}" for shift in shifts),
-            there[-1], f"{known:g}",
+        shifted = {
+            f">shift, {_changes(item['stone'], now)}":
+                f"{round(shift, places + 1) + 0.0:+.{places + 1}f}"
+            for item, shift in zip(fits, shifts, strict=True)
+        }  # fmt: skip
+        rows.append(
+            {"refitted parameter": name, ">std. error": format_estimate(value, stderr)[1]}
+            | shifted
+            | {f">with {_constants(fits[0]['stone'])}": there[-1],
+               f">{reference.source}": f"{known:g}"}
         )  # fmt: skip
-    if not there:
-        return []
+    if not rows:
+        return None
     flags = ",".join(f"{name}={value:g}" for name, value in fits[0]["stone"].items())
     verdict = (
         f"which agree with {reference.source} within the rounding of its digits and of the stone's "
@@ -151,13 +238,14 @@ def _beside_reference(fit: FitResult) -> list[RenderableType]:
     )
     text = f"{reference.source}: {reference.note}. " if reference.note else ""
     text += f"`--stone {flags}` gives {join_words(there)}, {verdict}."
-    return [Padding(Group(table, Text(text)), (0, 0, 1, 0))]
+    caption = "Shift of the estimates with the constants of the stone"
+    return PlainTable(rows, caption, note=Text(text))
 
 
-def _reported(fit: FitResult) -> dict[str, tuple[float, float | None]]:
+def reported(result: Any) -> dict[str, tuple[float, float | None]]:
     """Value and standard error of coefficients and determined combinations."""
-    found = {name: (item.value, item.stderr) for name, item in fit.coefficients.items()}
-    return found | {item.expression: (item.value, item.stderr) for item in fit.combinations}
+    found = {name: (item.value, item.stderr) for name, item in result.coefficients.items()}
+    return found | {item.expression: (item.value, item.stderr) for item in result.combinations}
 
 
 def _changes(constants: dict[str, float], now: dict[str, Any]) -> str:
@@ -178,86 +266,36 @@ def _places(value: float) -> int:
 _FEW = 30.0  # degrees of freedom from which Student's t is Gaussian to within 4 %
 
 
-def _student(fit: FitResult) -> list[RenderableType]:
+def _student(fit: FitResult) -> PlainTable | None:
     """95 % intervals where sigma was estimated from few values."""
     items = {name: item for name, item in fit.coefficients.items() if item.stderr is not None}
-    both = items | {item.expression: item for item in fit.combinations}
+    both: dict[str, Any] = items | {item.expression: item for item in fit.combinations}
     if min((item.dof or math.inf for item in both.values()), default=math.inf) >= _FEW:
-        return []
-    table = plain_table()
-    table.add_column("", no_wrap=True)
-    table.add_column("95 % interval (Student's t)", no_wrap=True)
-    table.add_column("degrees of freedom", justify="right", no_wrap=True)
+        return None
+    rows = []
     for name, item in both.items():
         interval = item.interval()
         if interval is None:
             continue
         digits = decimals(item.stderr or 0.0)
         low, high = (f"{end:.{digits}f}" for end in interval)
-        table.add_row(name, f"{low} .. {high}", "-" if item.dof is None else f"{item.dof:.0f}")
+        rows.append(
+            {
+                "": name, "95 % interval (Student's t)": f"{low} .. {high}",
+                ">degrees of freedom": "-" if item.dof is None else f"{item.dof:.0f}",
+            }
+        )  # fmt: skip
     text = "Sigma is estimated from few values, so that 95 % intervals exceed 1.96 standard errors."
     if fit.posterior is not None:
         text += " The posterior holds sigma fixed; its intervals are correspondingly too narrow."
-    return [Padding(Group(table, Text(text)), (0, 0, 1, 0))]
+    return PlainTable(rows, "Intervals at 95 %", note=Text(text))
 
 
-def _interval(posterior: Posterior, name: str) -> str:
-    found = posterior.quantiles.get(name)
-    if found is None:
-        return ""
-    return from_to(found["16"], found["84"])
-
-
-def _coefficients(fit: FitResult) -> RenderableType:
-    table = plain_table()
-    table.add_column("parameter", no_wrap=True)
-    table.add_column("estimate", justify="right", no_wrap=True)
-    table.add_column("std. error", justify="right", no_wrap=True)
-    errors = fit.systematics.errors
-    if errors:
-        table.add_column("systematic", justify="right", no_wrap=True)
-    table.add_column("verdict", no_wrap=True)
-    posterior, reference = fit.posterior, fit.reference
-    if posterior is not None:
-        table.add_column("68 % of posterior", no_wrap=True)
-    if reference is not None:
-        table.add_column(reference.source, justify="right", no_wrap=True)
-
-    def row(
-        name: str, unit: str, value: str, stderr: str, verdict: str, weights: dict[str, float]
-    ) -> None:
-        label = f"{name} ({unit})" if unit not in ("", "1") else name
-        cells: list[str | Text] = [label, value, stderr]
-        if errors:
-            cells.append(f"{errors[name]:.2g}" if name in errors else "-")
-        cells.append(Text(verdict, style=STYLE[verdict]))
-        if posterior is not None:
-            cells.append(_interval(posterior, name))
-        if reference is not None:
-            known = reference.of(name, weights)
-            cells.append("" if known is None else f"{known:g}")
-        table.add_row(*cells)
-
-    first_start = START[0].name
-    for name, item in fit.parameters.items():
-        if name == first_start:
-            for one in fit.combinations:
-                shown = format_estimate(one.value, one.stderr)
-                row(one.expression, "", *shown, "determined", one.weights)
-        row(name, item.unit, *_estimate(item), item.verdict, {name: 1.0})
-    return Padding(table, (1, 0))
-
-
-def systematics(found: Systematics, reported: Mapping[str, tuple[float, float | None]]) -> str:
+def systematics(result: Any) -> str:
     """The largest systematic error of each coefficient or combination, and that due to the
-    calibration of a camera, in sentences.
-
-    Parameters
-    ----------
-    reported : value and standard error by name.
-    """
-    named: dict[str, list[str]] = {}
-    for name, (_, stderr) in reported.items():
+    calibration of a camera, in sentences."""
+    found, named = result.systematics, dict[str, list[str]]()
+    for name, (_, stderr) in reported(result).items():
         shifts = {
             condition: shift
             for condition, shift in found.shifts.get(name, {}).items()
@@ -283,7 +321,7 @@ def systematics(found: Systematics, reported: Mapping[str, tuple[float, float | 
         )
     calibration = [
         f"{found.of_calibration.get(name, 0.0):.2g} to {name}"
-        for name, (_, stderr) in reported.items()
+        for name, (_, stderr) in reported(result).items()
         if stderr and found.of_calibration.get(name, 0.0) >= _NOTABLE * stderr
     ]
     if calibration:
@@ -294,47 +332,46 @@ def systematics(found: Systematics, reported: Mapping[str, tuple[float, float | 
     return text.strip()
 
 
-def _estimate(item: Estimate) -> tuple[str, str]:
-    if item.verdict == "not identifiable":
-        return "-", "-"
-    return format_estimate(item.value, item.stderr)
-
-
-def _quality(fit: FitResult) -> RenderableType:
-    table = plain_table()
-    white = fit.noise.kind == "white"
-    heads = ["channel", "rms", "unit", "noise assumed", "", "lag-1 correlation"]
-    for head in heads if white else [*heads, "noise model", "lag-1 after whitening"]:
-        table.add_column(head, justify="right" if head == "rms" else "left", no_wrap=True)
+def _quality(fit: FitResult) -> PlainTable:
+    rows = []
     for name, rms in fit.rms.items():
-        origin = fit.data["sigma"][name]
-        noise = f"{fit.sigma[name]:.3g} {UNITS[name]}" if origin == "estimated" else "by row"
-        if origin == "estimated" and (by_row := fit.observed.get(f"sigma_{name}")) is not None:
-            noise = f"{fit.sigma[name]:.3g} to {by_row.max():.3g} {UNITS[name]}"
-        lag1 = fit.lag1.get(name)
-        cells = [name, f"{rms:.3g}", UNITS[name], noise, origin, _two(lag1)]
-        if not white:
+        row = {
+            "channel": name, ">rms": f"{rms:.3g}", "unit": UNITS[name],
+            "noise assumed": _sigma(fit, name), "": fit.data["sigma"][name],
+            "lag-1 correlation": _two(fit.lag1.get(name)),
+        }  # fmt: skip
+        if fit.noise.kind != "white":
             after = fit.independence.get(name)
-            cells += [_memory(fit, name), _two(None if after is None else after.lag1)]
-        table.add_row(*cells)
-    return Padding(table, (0, 0, 1, 0))
+            row["noise model"] = _memory(fit, name)
+            row["lag-1 after whitening"] = _two(None if after is None else after.lag1)
+        rows.append(row)
+    return PlainTable(rows, "Residuals by channel")
 
 
-def _events(fit: FitResult) -> RenderableType:
+def _sigma(fit: FitResult, name: str) -> str:
+    """The noise of a channel."""
+    if fit.data["sigma"][name] != "estimated":
+        return "by row"
+    by_row = fit.observed.get(f"sigma_{name}")
+    most = "" if by_row is None else f" to {by_row.max():.3g}"
+    return f"{fit.sigma[name]:.3g}{most} {UNITS[name]}"
+
+
+def _events(fit: FitResult) -> PlainTable:
     """Values measured at lines and at rest, with the fitted ones."""
-    table = plain_table()
-    for head in ("measured", "value", "sigma", "unit", "fit", "measured - fit"):
-        justify = "left" if head in ("measured", "unit") else "right"
-        table.add_column(head, justify=justify, no_wrap=True)  # type: ignore[arg-type]
+    rows = []
     for item in fit.events:
         event = Event(**{key: value for key, value in item.items() if key != "fitted"})
         digits = max(decimals(event.sigma), 2)
         off = (event.value - item["fitted"]) / event.sigma
-        table.add_row(
-            event.name, f"{event.value:.{digits}f}", f"{event.sigma:.2g}", event.unit,
-            f"{item['fitted']:.{digits}f}", f"{off + 0.0:.1f} sigma",
+        rows.append(
+            {
+                "measured": event.name, ">value": f"{event.value:.{digits}f}",
+                ">sigma": f"{event.sigma:.2g}", "unit": event.unit,
+                ">fit": f"{item['fitted']:.{digits}f}", ">measured - fit": f"{off + 0.0:.1f} sigma",
+            }
         )  # fmt: skip
-    return Padding(table, (0, 0, 1, 0))
+    return PlainTable(rows, "Timed events")
 
 
 def _two(value: float | None) -> str:
@@ -402,17 +439,13 @@ def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:
     """Measurements that would determine some parameters, as a sentence."""
     names, channels = remedy["parameters"], [_WORDS[name] for name in remedy["measure"]]
     if channels:
-        also = join_words(channels) if remedy["all"] else _either(channels)
+        also = join_words(channels) if remedy["all"] else join_words(channels, "or")
         return f"Measuring {also} as well would determine {join_words(names)}."
     text = f"No further measurement along this path would determine {join_words(names)}"
     own = [name for name in names if name in fit.coefficients]
     if fit.data["law_file"] or len(own) != 2:
         return text + "."
     return text + f"; `curlfit design --separate {own[0]},{own[1]}` searches for throws that would."
-
-
-def _either(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
 
 
 def _instead(fit: FitResult, names: list[str]) -> str:
@@ -424,6 +457,8 @@ def _instead(fit: FitResult, names: list[str]) -> str:
 
 def outliers(fit: FitResult) -> str:
     """The values far from the fit, by channel and time, the farthest first."""
+    if not fit.outliers:
+        return ""
     named = []
     for item in fit.outliers[:_MOST_NAMED]:
         line = "" if item["line"] is None else f" (line {item['line']})"
@@ -449,19 +484,78 @@ def _change(direction: dict[str, float]) -> str:
     return join_words(parts)
 
 
-def about_posterior(found: Posterior) -> Text:
-    """How a posterior was sampled, and how well."""
+def _posterior(fit: FitResult) -> Text | None:
+    """How the posterior was sampled, and how well."""
+    found = fit.posterior
+    if found is None:
+        return None
+    return Text.assemble("Posterior: ", (found.status, _style(found)), f"; {_sampled(found)}")
+
+
+def _style(found: Posterior) -> str:
+    return "green" if found.converged else "bold yellow"
+
+
+def _sampled(found: Posterior) -> str:
     sizes = []
     for part, ess in (("bulk", found.ess), ("tail", found.ess_tail)):
         if ess:  # records of earlier versions have none of the tails
             least = min(ess, key=ess.__getitem__)
             sizes.append(f"{ess[least]:.0f} in the {part} ({least})")
     worst = max(found.r_hat, key=found.r_hat.__getitem__)
-    text = Text("Posterior: ")
-    text.append(found.status, style="green" if found.converged else "bold yellow")
-    text.append(
-        f"; {found.samples} samples ({found.ensembles} ensembles, {found.walkers} walkers, "
+    return (
+        f"{found.samples} samples ({found.ensembles} ensembles, {found.walkers} walkers, "
         f"{found.steps} steps), effective sample size at least {' and '.join(sizes)}, "
         f"R-hat at most {found.r_hat[worst]:.4f} ({worst}), acceptance {found.acceptance:.0%}."
     )
-    return text
+
+
+def settings_of(fit: FitResult) -> dict[str, str]:
+    """The settings of a fit, by name."""
+    held = {name: item for name, item in fit.parameters.items() if item.verdict == "fixed"}
+    found = {
+        "Law, load": f"{fit.law}, {fit.load}",
+        "Data": f"{fit.data['file']}, {rows_text(fit.data) or 'timed events alone'}",
+        "Stone": stone_text(fit.stone),
+        "Loss, noise": f"{fit.loss}, {fit.noise.kind}",
+        "Sigma": ", ".join(
+            f"{name} {_sigma(fit, name)} ({fit.data['sigma'][name]})" for name in fit.rms
+        ),
+        "Held": ", ".join(f"{name} = {item.value:g}" for name, item in held.items()),
+        "Priors": ", ".join(
+            f"{name} {item.prior}" for name, item in fit.parameters.items() if item.prior
+        ),
+        "Bounds": ", ".join(
+            f"{name} {item.lower:g} .. {item.upper:g}"
+            for name, item in fit.coefficients.items() if name not in held
+        ),
+        "Standard uncertainty of what is held": ", ".join(
+            f"{name} {value:g}" for name, value in fit.systematics.settings.items() if value
+        ),
+    }  # fmt: skip
+    if (posterior := fit.posterior) is not None:
+        found["Posterior"] = (
+            f"{posterior.samples} samples, {posterior.walkers} walkers, {posterior.steps} steps, "
+            f"seed {posterior.seed}"
+        )
+    return found
+
+
+def command_of(fit: FitResult) -> str:
+    """The command that makes a fit."""
+    words = [file_of(fit), *with_derived(fit.data.get("flags", ()), fit)]
+    if fit.posterior is not None:
+        words.append(f"--seed={fit.posterior.seed}")
+    elif fit.sampling == "none":
+        words.append("--no-sample")
+    return command_line("fit", *words)
+
+
+def with_derived(flags: Sequence[str], result: Any) -> list[str]:
+    """The flags, with those of quantities that were derived later."""
+    return list(dict.fromkeys([*flags, *(f"--derive={one.expression}" for one in result.derived)]))
+
+
+def file_of(fit: FitResult) -> str:
+    """The file of a throw, from a name that may include a row of the file."""
+    return str(fit.data["file"]).partition(" row ")[0]

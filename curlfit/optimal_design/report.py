@@ -1,4 +1,4 @@
-"""The report of a design. Nothing is computed here."""
+"""What a design says. Nothing is computed here."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from rich.console import Console, Group, JustifyMethod, RenderableType
-from rich.padding import Padding
+from rich.console import Console
 from rich.text import Text
 
 from curlfit.inference.conditions import WIDTHS, if_off
-from curlfit.output.console import terminal
-from curlfit.output.display import Overview
-from curlfit.output.text import STYLE, join_words, plain_table, two_digits
+from curlfit.output.console import PlainTable
+from curlfit.output.document import Document, Part, Said, Section, command_line, exact, show
+from curlfit.output.text import join_words, judged, labelled, lower, stone_text, two_digits
 
 if TYPE_CHECKING:
     from curlfit.optimal_design.result import (
@@ -51,38 +50,50 @@ def print_design(design: Design, console: Console | None = None) -> None:
     front-back law, uniform load: expected errors of 3 throws selected from 4
     ...
     """
-    console = console or terminal()
-    console.print(report(design))
+    show(document(design), console)
 
 
-def report(design: Design) -> RenderableType:
-    """The report of a design, for a rich console."""
-    parts: list[RenderableType] = [_heading(design), _best(design)]
-    parts += [_paragraph(line) for line in _summary(design)]
-    if design.scenarios:
-        parts += [Text("Systematic errors of these throws", style="bold"), _scenarios(design)]
-        parts.append(_paragraph(_recommended(design.scenarios)))
-    parts += [Text("Expected errors from a single throw", style="bold"), _single_throws(design)]
-    if design.separation is not None:
-        parts += _separation(design, design.separation)
-    parts += [Text(f"Note: {note}.", style="dim") for note in design.notes]
-    return Group(*parts)
-
-
-def overview(design: Design) -> Overview:
-    """A design at a glance: the best throws and the errors that they give."""
-    title, about = _heading(design).plain.splitlines()
+def document(design: Design) -> Document:
+    """The best throws and the errors that they give."""
     best, *others = _summary(design)
-    return Overview(
-        best[:1].lower() + best[1:].rstrip("."),
-        title,
-        [about, *others],
-        [about, _best(design), *others, *(f"Note: {note}." for note in design.notes)],
+    law = f"{design.law} law"
+    about = (
+        f", {design.load} load: expected errors of {_throws(design.throws)} selected from "
+        f"{len(design.candidates)}"
     )
-
-
-def _paragraph(text: str, style: str = "") -> RenderableType:
-    return Padding(Text(text, style=style), (0, 0, 1, 0))
+    measured, scenarios = _measured(design), design.scenarios
+    return Document(
+        finding=lower(best).rstrip("."),
+        subject=Text.assemble((law, "bold"), about),
+        about=(measured,),
+        lines=[measured, *others],
+        sections=(
+            Section(
+                "errors", "Expected errors", (_best(design), Said(best), *map(Said, others))
+            ),
+            Section(
+                "systematic", "Systematic errors of these throws",
+                (_scenarios(design), _recommended(scenarios)) if scenarios else (),
+                titled=True, brief=False,
+            ),
+            Section(
+                "single", "Expected errors from a single throw", (_single_throws(design),),
+                titled=True, brief=False,
+            ),
+            *([] if design.separation is None else [_separation(design, design.separation)]),
+        ),
+        notes=design.notes,
+        title=f"Design: {law}",
+        settings={
+            "Law, load": f"{design.law}, {design.load}",
+            "Coefficients": ", ".join(f"{name} = {v:g}" for name, v in design.coefficients.items()),
+            "Stone": stone_text(design.stone),
+            "Noise": noise_text(design.sigma),
+            "Throws": str(design.throws),
+        },
+        command=_command(design),
+        names=design.coefficients,
+    )  # fmt: skip
 
 
 def noise_text(sigma: dict[str, float], factor: float = 1.0) -> str:
@@ -122,37 +133,27 @@ def _throws(count: int) -> str:
     return "1 throw" if count == 1 else f"{count} throws"
 
 
-def _heading(design: Design) -> Text:
-    stone, until = design.stone, design.until
-    rates = sorted({one.rate for one in design.candidates})
-    text = Text()
-    text.append(f"{design.law} law", style="bold")
-    text.append(f", {design.load} load: expected errors of ")
-    text.append(f"{_throws(design.throws)} selected from {len(design.candidates)}\n")
-    text.append(
-        f"{', '.join(f'{rate:g}' for rate in rates)} Hz "
-        f"{'until the stone is at rest' if until is None else f'for {until:g} s'}, independent "
-        f"noise of {noise_text(design.sigma)}"
-        + (
-            f", a discrepancy of {100 * design.discrepancy:.2g} % of what friction does"
-            if design.discrepancy
-            else ""
-        )
-        + f"; stone R = {stone.R:g} m, rho = {stone.rho:g} m, "
-        f"h = {stone.h:g} m"
+def _measured(design: Design) -> str:
+    """What is measured of each throw, in a line."""
+    rates = ", ".join(f"{rate:g}" for rate in sorted({one.rate for one in design.candidates}))
+    end = "until the stone is at rest" if design.until is None else f"for {design.until:g} s"
+    discrepancy = f", a discrepancy of {100 * design.discrepancy:.2g} % of what friction does"
+    return (
+        f"{rates} Hz {end}, independent noise of {noise_text(design.sigma)}"
+        f"{discrepancy * bool(design.discrepancy)}; stone {stone_text(design.stone, mass=False)}"
     )
-    return text
 
 
-def _scenarios(design: Design) -> RenderableType:
+def _scenarios(design: Design) -> PlainTable:
     """The systematic error of each quantity in each scenario."""
-    table = plain_table()
-    table.add_column("coefficient", no_wrap=True)
-    for one in design.scenarios:
-        table.add_column(one.name, justify="right", no_wrap=True)
-    for name in design.quantities:
-        table.add_row(name, *(two_digits(one.systematic[name]) for one in design.scenarios))
-    return Padding(table, (1, 0))
+    return PlainTable(
+        (
+            {"coefficient": name}
+            | {f">{one.name}": two_digits(one.systematic[name]) for one in design.scenarios}
+            for name in design.quantities
+        ),
+        "Systematic errors by how the throws are divided",
+    )
 
 
 def _recommended(scenarios: Sequence[Scenario]) -> str:
@@ -182,30 +183,28 @@ def _recommended(scenarios: Sequence[Scenario]) -> str:
     )
 
 
-def _best(design: Design) -> RenderableType:
-    table = plain_table()
-    table.add_column("coefficient", no_wrap=True)
-    table.add_column("assumed", justify="right", no_wrap=True)
-    same_throws = len({item.throws for item in design.best.values()}) == 1
-    shown = dict(list(design.best.items())[:1]) if same_throws else design.best
-    for name in shown:
-        by = "" if same_throws else f" by {name}"
-        table.add_column(
-            f"std. error, best {_throws(design.throws)}{by}", justify="right", no_wrap=True
-        )
-    table.add_column("verdict", no_wrap=True)
-    first = next(iter(design.best.values()))
+def _best(design: Design) -> PlainTable:
+    first, *others = design.best.values()
+    if all(item.throws == first.throws for item in others):
+        shown = {"": first}
+    else:
+        shown = {f" by {name}": item for name, item in design.best.items()}
+    rows = []
     for name in first.stderr:
-        known = name in design.coefficients
-        verdict = first.verdicts.get(name, "determined")
-        unit = design.units.get(name, "1")
-        table.add_row(
-            name if unit == "1" else f"{name} ({unit})",
-            f"{design.coefficients[name] if known else _value(first, name):.6g}",
-            *(_error(item.stderr.get(name)) for item in shown.values()),
-            Text(verdict, style=STYLE[verdict]),
+        known = design.coefficients.get(name)
+        errors = {
+            f">std. error, best {_throws(design.throws)}{by}": _error(item.stderr.get(name))
+            for by, item in shown.items()
+        }
+        rows.append(
+            {
+                "coefficient": labelled(name, design.units.get(name, "1")),
+                ">assumed": f"{_value(first, name) if known is None else known:.6g}",
+                **errors,
+                "verdict": judged(first.verdicts.get(name, "determined")),
+            }
         )
-    return Padding(table, (1, 0))
+    return PlainTable(rows, "The best throws: expected standard errors")
 
 
 def _value(found: ExpectedErrors, expression: str) -> float:
@@ -243,25 +242,20 @@ def _summary(design: Design) -> list[str]:
     return lines
 
 
-def _single_throws(design: Design) -> RenderableType:
-    table = plain_table(keys=2)
+def _single_throws(design: Design) -> PlainTable:
     rates = len({one.rate for one in design.candidates}) > 1
-    heads = ["v0\n(m/s)", "omega0\n(rad/s)", *(["rate\n(Hz)"] if rates else []), "rows"]
-    for head in (*heads, "at rest\n(s)", "after\n(m)"):
-        table.add_column(head, justify="right", no_wrap=True)
-    for name in design.quantities:
-        table.add_column(f"error of\n{name}", justify="right", no_wrap=True)
-    for one in design.candidates[:_MAX_LISTED]:
-        table.add_row(
-            f"{one.v0:g}", f"{one.omega0:g}", *([f"{one.rate:g}"] if rates else []),
-            str(one.rows), f"{one.rest:.1f}", f"{one.distance:.1f}",
-            *(_error(one.stderr[name]) for name in design.quantities),
-        )  # fmt: skip
+    rows = [
+        {
+            ">v0\n(m/s)": f"{one.v0:g}", ">omega0\n(rad/s)": f"{one.omega0:g}",
+            ">rate\n(Hz)": f"{one.rate:g}" * rates, ">rows": str(one.rows),
+            ">at rest\n(s)": f"{one.rest:.1f}", ">after\n(m)": f"{one.distance:.1f}",
+            **{f">error of\n{name}": _error(one.stderr[name]) for name in design.quantities},
+        }
+        for one in design.candidates[:_MAX_LISTED]
+    ]  # fmt: skip
     more = len(design.candidates) - _MAX_LISTED
-    parts: list[RenderableType] = [table]
-    if more > 0:
-        parts.append(Text(f"and {more} more (in design.json)", style="dim"))
-    return Padding(Group(*parts), (1, 0))
+    note = Text(f"and {more} more (in design.json)", style="dim") if more > 0 else None
+    return PlainTable(rows, "Expected errors from a single throw", keys=2, note=note)
 
 
 def target_text(separation: Separation) -> str:
@@ -270,27 +264,26 @@ def target_text(separation: Separation) -> str:
     return f"{100 * separation.wanted:g} % of {reference}, {separation.size:g}"
 
 
-def _separation(design: Design, separation: Separation) -> list[RenderableType]:
+def _separation(design: Design, separation: Separation) -> Section:
     a, b = separation.pair
-    parts: list[RenderableType] = [
-        Text(f"Separation of {a} and {b}", style="bold"),
-        _paragraph(
-            f"Required: standard error of {a} - {b} {separation.wanted * separation.size:.2g}, "
-            f"{target_text(separation)}."
-        ),
+    proof = separation.proof
+    parts: list[Part] = [
+        f"Required: standard error of {a} - {b} {separation.wanted * separation.size:.2g}, "
+        f"{target_text(separation)}."
     ]
-    if separation.proof.hidden:
-        parts.append(_paragraph("Uniform load: no throw can separate them.", "bold red"))
-        if separation.proof.because:
-            parts.append(_paragraph(f"{separation.proof.because}."))
-        parts.append(_paragraph(_proof(separation.proof)))
+    if proof.hidden:
+        parts += [
+            Text("Uniform load: no throw can separate them.", style="bold red"),
+            f"{proof.because}." if proof.because else "",
+            _proof(proof),
+        ]
     for scenario in separation.ways:
-        if scenario.load == "uniform" and separation.proof.hidden:
-            continue
-        parts += _scenario(design, separation, scenario)
+        if not (scenario.load == "uniform" and proof.hidden):
+            parts += _scenario(design, separation, scenario)
     if separation.changes:
-        parts += _changes(design, separation)
-    return parts
+        parts += [_about_changes(separation), _changes(design, separation)]
+    heading = f"Separation of {a} and {b}"
+    return Section("separation", heading, parts, titled=True, brief=False)
 
 
 def _proof(proof: Proof) -> str:
@@ -310,30 +303,39 @@ def _proof(proof: Proof) -> str:
     )
 
 
-def _scenario(
-    design: Design, separation: Separation, scenario: LoadScenario
-) -> list[RenderableType]:
+def _scenario(design: Design, separation: Separation, scenario: LoadScenario) -> list[Part]:
     name = f"{scenario.load.capitalize()} load" + (
         " (eq. 8-9)" if scenario.load == "consistent" else ""
     )
     if scenario.throws is None or scenario.stderr is None:
-        return [_paragraph(f"{name}: none of these throws can separate them.", "bold red")]
+        return [Text(f"{name}: none of these throws can separate them.", style="bold red")]
     weak = scenario.stderr > _WEAK * separation.size
-    table = plain_table(keys=2)
-    for head in (
-        "omega0\n(rad/s)", "v0\n(m/s)", "error from\none throw", "relative",
-        "noise for the\nrequired error", "or throws at\nthis noise",
-    ):  # fmt: skip
-        side: JustifyMethod = "left" if head.startswith("noise") else "right"
-        table.add_column(head, justify=side, no_wrap=True)
+    rows = []
     for index in _by_spin(design, scenario):
         one, stderr = design.candidates[index], scenario.each[index]
         assert stderr is not None
-        table.add_row(
-            f"{one.omega0:g}", f"{one.v0:g}", f"{stderr:.2g}", percent(stderr / separation.size),
-            noise_text(design.sigma, separation.noise_factor(stderr)),
-            _count(separation.throws_needed(stderr, 1)),
+        rows.append(
+            {
+                ">omega0\n(rad/s)": f"{one.omega0:g}", ">v0\n(m/s)": f"{one.v0:g}",
+                ">error from\none throw": f"{stderr:.2g}",
+                ">relative": percent(stderr / separation.size),
+                "noise for the\nrequired error": noise_text(
+                    design.sigma, separation.noise_factor(stderr)
+                ),
+                ">or throws at\nthis noise": _count(separation.throws_needed(stderr, 1)),
+            }
         )  # fmt: skip
+    return [
+        Text(f"{name}: the difference is {'weakly ' * weak}determined.", style="bold yellow"),
+        PlainTable(rows, f"{name}: the best throw of each spin", keys=2),
+        _optimal(design, separation, scenario),
+    ]
+
+
+def _optimal(design: Design, separation: Separation, scenario: LoadScenario) -> str:
+    """The optimal throws for a separation, and what they would need."""
+    assert scenario.throws is not None
+    assert scenario.stderr is not None
     factor = separation.noise_factor(scenario.stderr)
     text = (
         f"The optimal {_throws(design.throws)}: {throws_text(design, scenario.throws)}. Error "
@@ -353,13 +355,7 @@ def _scenario(
             "such a change of the ice between throws has the same effect as the required error. "
             "The errors of single throws, above, do not depend on it."
         )
-    return [
-        Text(
-            f"{name}: the difference is {'weakly ' if weak else ''}determined.", style="bold yellow"
-        ),
-        Padding(table, (1, 0)),
-        _paragraph(text),
-    ]
+    return text
 
 
 def _by_spin(design: Design, scenario: LoadScenario) -> list[int]:
@@ -381,35 +377,31 @@ def _count(number: float) -> str:
     return str(whole) if whole < 1000 else two_digits(number)
 
 
-def _changes(design: Design, separation: Separation) -> list[RenderableType]:
+def _changes(design: Design, separation: Separation) -> PlainTable:
     scenario, draw = separation.scenario("consistent"), design.candidates[separation.ordinary]
     assert scenario.stderr is not None
-    count = _throws(design.throws)
-    table = plain_table()
-    for head in (
-        "stone", f"error, {count}\nas above", "relative",
-        f"error, {count} of\n{draw.v0:g} m/s, {draw.omega0:g} rad/s,\nhalf with each stone",
-        "relative", "ice constant\nto", f"throws, ice\nscatter {percent(_SCATTER)}",
-    ):  # fmt: skip
-        table.add_column(head, justify="left" if head == "stone" else "right", no_wrap=True)
+    count, alone = _throws(design.throws), scenario.each[separation.ordinary]
 
-    def shown(stderr: float | None) -> tuple[str, str]:
-        return _error(stderr), "-" if stderr is None else percent(stderr / separation.size)
+    def row(stone: str, whole: float | None, half: float | None) -> dict[str, str]:
+        relative = ["-" if one is None else percent(one / separation.size) for one in (whole, half)]
+        kind = f"{draw.v0:g} m/s, {draw.omega0:g} rad/s"
+        return {
+            "stone": stone,
+            f">error, {count}\nas above": _error(whole), ">relative": relative[0],
+            f">error, {count} of\n{kind},\nhalf with each stone": _error(half),
+            "> relative": relative[1],
+        }  # fmt: skip
 
-    alone = scenario.each[separation.ordinary]
-    table.add_row(
-        "original", *shown(scenario.stderr),
-        *shown(None if alone is None else alone / math.sqrt(design.throws)), "", "",
-    )  # fmt: skip
+    single = None if alone is None else alone / math.sqrt(design.throws)
+    rows = [row("original", scenario.stderr, single)]
     for item in separation.changes:
-        steady = item.steady
-        table.add_row(
-            f"{item.name} = {1000 * item.value:.3g} mm", *shown(item.all), *shown(item.half),
-            *("--" if steady is None else (
-                percent(steady), _count(separation.throws_for_scatter(_SCATTER, steady))
-            )),
+        averaged = item.steady and _count(separation.throws_for_scatter(_SCATTER, item.steady))
+        rows.append(
+            row(f"{item.name} = {1000 * item.value:.3g} mm", item.all, item.half)
+            | {">ice constant\nto": percent(item.steady) if item.steady else "--",
+               f">throws, ice\nscatter {percent(_SCATTER)}": averaged or "--"}
         )  # fmt: skip
-    return [_paragraph(_about_changes(separation)), Padding(table, (0, 0, 1, 0))]
+    return PlainTable(rows, "Changes of the stone")
 
 
 def _about_changes(separation: Separation) -> str:
@@ -423,3 +415,27 @@ def _about_changes(separation: Separation) -> str:
         "number of throws, alternately with one stone and the other, that averages out a scatter "
         f"of the ice of {percent(_SCATTER)} from throw to throw."
     )
+
+
+def _command(design: Design) -> str:
+    """The command of a design, as far as it is recorded."""
+    stone = ",".join(f"{name}={exact(value)}" for name, value in design.stone.as_dict().items())
+    words = [f"--law={design.law}", f"--load={design.load}", f"--stone={stone}"]
+    words += [f"--set={name}={exact(value)}" for name, value in design.coefficients.items()]
+    for flag, name in (("xy", "x"), ("phi", "phi"), ("speed", "speed"), ("omega", "omega")):
+        if name in design.sigma:
+            words.append(f"--sigma-{flag}={exact(design.sigma[name])}")
+        elif flag in ("xy", "phi"):
+            words.append(f"--sigma-{flag}=none")
+    for name in ("v0", "omega0", "rate"):
+        values = dict.fromkeys(getattr(one, name) for one in design.candidates)
+        words.append(f"--{name}=" + ",".join(map(exact, values)))
+    if design.until is not None:
+        words.append(f"--until={exact(design.until)}")
+    words.append(f"--throws={design.throws}")
+    if design.discrepancy:
+        words.append(f"--discrepancy={exact(design.discrepancy)}")
+    if design.separation is not None:
+        words.append("--separate=" + ",".join(design.separation.pair))
+        words.append(f"--relative-error={exact(design.separation.wanted)}")
+    return command_line("design", *words)

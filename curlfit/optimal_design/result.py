@@ -114,9 +114,6 @@ class Design(Record):
     (4, 2)
     """
 
-    _report: ClassVar[str] = "curlfit.optimal_design.report"
-    _printer: ClassVar[str] = "curlfit.print_design"
-
     kind: ClassVar[str] = "design"
 
     law: str

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook, RenderResult
 from rich.measure import Measurement
@@ -21,6 +22,9 @@ _MIN_TEXT_WIDTH = 24  # columns of a wrapped cell
 _UNLIMITED = 10_000
 _GAP = "   "
 _RUNS = re.compile(r"(?: *[^ \n])+| +|\n")
+_PLAIN: dict[str, Any] = {
+    "box": None, "pad_edge": False, "padding": (0, 2, 0, 0), "show_edge": False,
+}  # fmt: skip
 
 
 def terminal(*, quiet: bool = False, highlight: bool = True) -> Console:
@@ -88,11 +92,39 @@ class Items:
 
 class PlainTable(Table):
     """A table without rules that is never truncated: if it is wider than the terminal, its columns
-    are printed in blocks, one below the other, each repeating the first `keys` columns."""
+    are printed in blocks, one below the other, each repeating the first `keys` columns.
 
-    def __init__(self, keys: int = 1) -> None:
-        super().__init__(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_edge=False)
-        self.keys = keys
+    Parameters
+    ----------
+    rows : cells by heading, "-" for None. Columns whose heading begins with > are aligned to the
+        right, cells of those that begin with ~ may be wrapped; columns without content, or with
+        None alone, are left out.
+    caption : what the table shows, for pages; a terminal and a notebook do without.
+    note : a text directly below.
+    """
+
+    def __init__(
+        self,
+        rows: Iterable[Mapping[str, Any]] = (),
+        caption: str = "",
+        *,
+        keys: int = 1,
+        note: Text | None = None,
+    ) -> None:
+        super().__init__(**_PLAIN)
+        self.keys, self.called, self.note = keys, caption, note
+        rows = list(rows)
+        heads = dict.fromkeys(head for row in rows for head in row)
+        shown = [head for head in heads if any(row.get(head, "") not in ("", None) for row in rows)]
+        for head in shown:
+            side: Any = "right" if head.startswith(">") else "left"
+            self.add_column(head.lstrip(">~ "), justify=side, no_wrap=not head.startswith("~"))
+        for row in rows:
+            cells = (row.get(head, "") for head in shown)
+            self.add_row(*("-" if cell is None else cell for cell in cells))
+
+    def __bool__(self) -> bool:
+        return bool(self.columns)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """The table, or its blocks."""
@@ -107,12 +139,14 @@ class PlainTable(Table):
                     replace(column, no_wrap=column.no_wrap and fits, overflow="fold", _cells=[])
                     for column in (self.columns[index] for index in block)
                 ),
-                box=None, pad_edge=False, padding=(0, 2, 0, 0), show_edge=False,
-            )  # fmt: skip
+                **_PLAIN,
+            )
             for row in zip(*(self.columns[index].cells for index in block), strict=True):
                 if len(blocks) == 1 or any(map(str, row[self.keys :])):
                     part.add_row(*row)
             yield part
+        if self.note is not None:
+            yield self.note
 
     def _widths(self, console: Console, options: ConsoleOptions) -> list[int]:
         """Width that each column needs, in characters."""
@@ -122,7 +156,7 @@ class PlainTable(Table):
             whole = max(size.maximum for size in sizes)
             words = max(size.minimum for size in sizes)
             least = whole if column.no_wrap else min(whole, max(words, _MIN_TEXT_WIDTH))
-            widths.append(max(least, column.min_width or 0))
+            widths.append(least)
         return widths
 
     def _blocks(self, widths: list[int], max_width: int) -> list[list[int]]:

@@ -1,73 +1,66 @@
-"""Display of results: a few lines of text, and a table in a notebook."""
+"""Kinds of results, and how each is shown: a few lines of text, and tables in a notebook."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, ClassVar
-
-from rich.text import Text
+from typing import NamedTuple
 
 from curlfit.output import html
+from curlfit.output.document import Document
 
-_LONG = 110  # maximum number of characters in a first line
 
-
-@dataclass(frozen=True)
-class Overview:
-    """A result at a glance.
+class Kind(NamedTuple):
+    """A kind of saved results.
 
     Attributes
     ----------
-    finding : whether the result is usable, or what it shows, in a few words.
-    subject : what it is about.
-    lines : the numbers, in one or two lines of text.
-    parts : the same for HTML: texts and tables.
-    warnings : sentences without a full stop.
-    style : style of the finding.
+    records : names of its classes.
+    report : module of its function `document`.
+    noun : of the public names of what loads, prints and draws it, such as `load_fit`, `print_fit`
+        and `fit_figure`.
     """
 
-    finding: str
-    subject: str
-    lines: Sequence[str] = ()
-    parts: Sequence[Any] = ()
-    warnings: Sequence[str] = ()
-    style: str = ""
+    records: tuple[str, ...]
+    report: str
+    noun: str
 
-    def as_text(self, name: str, more: str) -> str:
-        """A few lines; `name` is that of the class, `more` that of what shows everything."""
-        gap = " " if len(name + self.finding + self.subject) < _LONG else "\n"
-        lines = [f"{name}, {self.finding}:{gap}{self.subject}", *filter(None, self.lines)]
-        if self.warnings:
-            count = len(self.warnings)
-            also = f", see {more}" if more else ""
-            lines.append(f"{count} warning{'s' if count > 1 else ''}{also}")
-        return "\n".join(lines)
 
-    def as_html(self, name: str) -> str:
-        """A self-contained block of HTML, the finding first."""
-        heading = Text(f"{name}, ", style="bold").append(self.finding, style=self.style)
-        warnings = [Text(f"Warning: {one}.", style="yellow") for one in self.warnings]
-        return html.page([heading, Text(self.subject, style="dim"), *self.parts, *warnings])
+KINDS = {
+    "fit": Kind(("FitResult",), "inference.report", "fit"),
+    "compare": Kind(("Comparison",), "comparison.report", "comparison"),
+    "joint": Kind(("JointResult",), "inference.joint.report", "joint"),
+    "predict": Kind(("Prediction",), "prediction.report", "prediction"),
+    "profile": Kind(("Profile", "PairProfile"), "profile_likelihood.report", "profile"),
+    "design": Kind(("Design",), "optimal_design.report", "design"),
+}
+"""By the names of their JSON files."""
+
+
+def kind_of_record(result: object) -> str:
+    """The kind of a result; empty for other objects."""
+    return next((kind for kind in KINDS if type(result).__name__ in KINDS[kind].records), "")
+
+
+def document_of(result: object) -> Document:
+    """What a saved result says."""
+    module = import_module(f"curlfit.{KINDS[kind_of_record(result)].report}")
+    found: Document = module.document(result)
+    return found
 
 
 class Displayed:
-    """Base of results, shown as a few lines by `repr` and as a table in a notebook."""
+    """Base of results, shown as a few lines by `repr` and as tables in a notebook."""
 
-    _report: ClassVar[str] = ""
-    """module with a function `overview` of the result; loaded when the result is shown"""
-    _printer: ClassVar[str] = ""
-    """function that prints the whole result"""
-
-    def _overview(self) -> Overview:
-        found: Overview = import_module(self._report).overview(self)
-        return found
+    def _document(self) -> Document:
+        return document_of(self)
 
     def __repr__(self) -> str:
         """A few lines."""
-        return self._overview().as_text(type(self).__name__, self._printer)
+        kind = kind_of_record(self)
+        return self._document().as_text(
+            type(self).__name__, f"curlfit.print_{KINDS[kind].noun}" if kind else ""
+        )
 
     def _repr_html_(self) -> str:
-        """A table, for notebooks."""
-        return self._overview().as_html(type(self).__name__)
+        """Tables, for notebooks."""
+        return html.brief(self._document(), type(self).__name__)

@@ -10,12 +10,12 @@ from collections.abc import Iterable
 from html import escape
 from typing import Any
 
-from rich.console import Console, Group
-from rich.padding import Padding
+from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from curlfit.output.console import Items
+from curlfit.output.document import Document
 
 COLORS = {"green": "#2c8a4b", "yellow": "#a87000", "red": "#d9483b"}
 """Colours of words, by their names on a terminal."""
@@ -27,20 +27,23 @@ _CELL = (
 _STYLES = Console()  # nothing is printed on it
 
 
-def page(parts: Iterable[Any]) -> str:
-    """Texts, tables, and groups of them as one self-contained block of HTML."""
+def brief(document: Document, name: str) -> str:
+    """The main sections of a document as one self-contained block of HTML, the finding first;
+    `name` is that of the class."""
+    parts = [
+        Text(f"{name}, ", style="bold").append(document.finding, style=document.style),
+        *(Text(line, style="dim") for line in document.introduction),
+        *(part for section in document.sections if section.brief for part in section),
+        *document.warned(),
+    ]
     return f'<div style="max-width: 60em">{"".join(map(_block, parts))}</div>'
 
 
-def _block(part: Any) -> str:
-    if isinstance(part, Padding):
-        return _block(part.renderable)
-    if isinstance(part, Group):
-        return "".join(map(_block, part.renderables))
+def _block(part: Text | Table) -> str:
     if isinstance(part, Table):
-        return _table(part)
-    text = inline(part).strip()
-    return f'<p style="margin: 0.4em 0; text-align: left">{text}</p>' if text else ""
+        note = getattr(part, "note", None)
+        return _table(part) + (_block(note) if note else "")
+    return f'<p style="margin: 0.4em 0; text-align: left">{inline(part)}</p>'
 
 
 def inline(part: Any) -> str:

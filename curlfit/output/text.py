@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from curlfit.output.console import PlainTable
+from rich.text import Text
+
+from curlfit.stone import UNITS, Stone
 
 STYLE = {
     "determined": "green",
@@ -29,9 +33,26 @@ def two_digits(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
-def plain_table(keys: int = 1) -> PlainTable:
-    """A table without rules; if too wide for the terminal, split and repeating `keys` columns."""
-    return PlainTable(keys)
+def judged(verdict: str) -> Text:
+    """A verdict on a parameter in its colour."""
+    return Text(verdict, style=STYLE[verdict])
+
+
+def labelled(name: str, unit: str) -> str:
+    """A name with its unit in parentheses, if it has one."""
+    return name if unit in ("", "1") else f"{name} ({unit})"
+
+
+def stone_text(stone: Stone, *, mass: bool = True) -> str:
+    """Constants of a stone."""
+    names = ("R", "rho", "h", *["m"] * mass)
+    return ", ".join(f"{name} = {getattr(stone, name):g} {UNITS[name]}" for name in names)
+
+
+def rows_text(data: Mapping[str, Any]) -> str:
+    """Number of the rows used of a file, and the times that they span; empty without rows."""
+    said = [f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s"] * bool(data["rows"])
+    return ", ".join([*said, *(f"without {a:g} .. {b:g} s" for a, b in data.get("exclude") or ())])
 
 
 def format_estimate(value: float, stderr: float | None) -> tuple[str, str]:
@@ -86,6 +107,11 @@ def p_text(p_value: float) -> str:
     return f"p < {_LEAST_P:g}" if p_value < _LEAST_P else f"p = {p_value:.2g}"
 
 
-def join_words(words: list[str]) -> str:
+def join_words(words: Sequence[str], last: str = "and") -> str:
     """Words as in "a, b and c"."""
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
+
+
+def lower(text: str) -> str:
+    """A text with a lower-case initial."""
+    return text[:1].lower() + text[1:]

@@ -6,7 +6,8 @@ from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from curlfit.output.display import Overview
+from curlfit.output.document import Document, Section
+from curlfit.output.text import lower
 
 Verdict = Literal["holds", "holds with a correction", "does not hold"]
 
@@ -81,16 +82,16 @@ def verdicts(claims: tuple[Claim, ...]) -> str:
     )
 
 
-def overview(found: Any) -> Overview:
+def document(found: Any) -> Document:
     """The verdicts and the table of claims of a `Reproduction`."""
     by_verdict: dict[str, list[str]] = {}
     for one in found.claims:
         by_verdict.setdefault(one.verdict, []).append(one.id)
-    return Overview(
-        "o" + verdicts(found.claims)[1:].rstrip("."),
-        "claims of Ivanov and Shuvalov (2012), recomputed",
-        [f"{name}: {', '.join(ids)}" for name, ids in by_verdict.items()],
-        [claims_table(found.claims)],
+    return Document(
+        finding=lower(verdicts(found.claims)).rstrip("."),
+        subject="claims of Ivanov and Shuvalov (2012), recomputed",
+        lines=[f"{name}: {', '.join(ids)}" for name, ids in by_verdict.items()],
+        sections=[Section("claims", "Claims", [claims_table(found.claims)])],
     )
 
 

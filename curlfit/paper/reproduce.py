@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
 from curlfit.numerics.threads import in_threads
 from curlfit.output.display import Displayed
+from curlfit.output.document import Document
 from curlfit.paper import anisotropic as ring
 from curlfit.paper import isotropic as path
-from curlfit.paper.claim import Claim
+from curlfit.paper.claim import Claim, document
 
 STUDIES: dict[str, tuple[str, Callable[[], SimpleNamespace]]] = {
     "path": ("eq. 12 and its derivatives", path.study_path),
@@ -40,13 +41,14 @@ class Reproduction(Displayed):
     'holds'
     """
 
-    _report: ClassVar[str] = "curlfit.paper.claim"
-
     claims: tuple[Claim, ...]
     path: Any
     isotropic: Any
     eq28: Any
     ring: Any
+
+    def _document(self) -> Document:
+        return document(self)
 
     def claim(self, name: str) -> Claim:
         """The claim with that id."""

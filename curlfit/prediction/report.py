@@ -1,21 +1,27 @@
-"""Report of a prediction as text."""
+"""What a prediction says."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Any
 
-from rich.console import Console, Group, RenderableType
-from rich.padding import Padding
+from rich.console import Console
 from rich.text import Text
 
-from curlfit.output.console import terminal
-from curlfit.output.display import Overview
-from curlfit.output.text import format_estimate, plain_table, sided
+from curlfit.output.console import PlainTable
+from curlfit.output.document import (
+    FOLDER_OF_FIT,
+    Document,
+    Said,
+    Section,
+    command_line,
+    exact,
+    show,
+)
+from curlfit.output.text import format_estimate, labelled, lower, rows_text, sided, stone_text
+from curlfit.prediction.result import OUTCOMES, QUANTITIES, HeldOut, Prediction, Quantity
 from curlfit.sheet import FOOT, STONE_RADIUS, TEE_TO_BACK
-
-if TYPE_CHECKING:
-    from curlfit.prediction.result import HeldOut, Prediction, Quantity
 
 _LINES = {
     "hack": "at the hack", "back": "on the near back line", "tee": "on the near tee line",
@@ -26,6 +32,7 @@ _LINES = {
 _START = {
     "v0": "speed", "omega0": "spin", "heading": "heading", "x0": "x", "y0": "y", "phi0": "angle",
 }  # fmt: skip
+_PLACE = ("x0", "y0", "phi0")
 _CHANGES = {"v0": "m/s more speed", "heading": "rad of heading", "omega0": "rad/s more spin"}
 _SIDES = ("right of", "left of")
 
@@ -38,40 +45,62 @@ def print_prediction(prediction: Prediction, console: Console | None = None) -> 
     >>> curlfit.print_prediction(prediction)
     front-back law, uniform load, fitted to ...
     """
-    console = console or terminal()
-    console.print(report(prediction))
+    show(document(prediction), console)
 
 
-def report(prediction: Prediction) -> RenderableType:
-    """The report of a prediction, for a rich console."""
-    parts: list[RenderableType] = [_heading(prediction), _quantities(prediction)]
-    parts += [Padding(Text(line), (0, 0, 1, 0)) for line in _sentences(prediction)]
-    if prediction.check is not None:
-        parts += [_check(prediction.check)]
-    parts += [
-        Padding(Text(f"Warning: {warning}.", style="yellow"), (0, 0, 1, 0))
-        for warning in prediction.warnings
-    ]
-    parts += [Text(f"Note: {note}.", style="dim") for note in prediction.notes]
-    return Group(*parts)
+def document(prediction: Prediction) -> Document:
+    """Where the stone comes to rest, the quantities and their errors."""
+    fit, draws, check = prediction.fit, prediction.draws, prediction.check
+    rest, curl = describe_rest(prediction)
+    fitted = prediction.of == "fitted"
+    what = "the fitted throw, extrapolated to rest" if fitted else "another throw on this ice"
+    aim = [] if prediction.goal is None else [_aim(prediction)]
+    source = (
+        "the chain" if draws["source"] == "chain" else "the covariance of the fit (there is no "
+        "chain.h5): Gaussian along determined directions, uniform along the others"
+    )  # fmt: skip
+    return Document(
+        finding=lower(rest).rstrip("."),
+        subject=Text.assemble(
+            (f"{prediction.law} law", "bold"),
+            f", {prediction.load} load, fitted to {fit['file']}: {what}",
+        ),
+        about=(
+            _start(prediction), *(Said(line, style="bold") for line in aim),
+            f"Bands from {draws['used']} draws of {source}",
+        ),
+        lines=[*aim, curl],
+        sections=(
+            Section(
+                "predicted", "What is predicted",
+                (_quantities(prediction), Said(f"{rest} {curl}"), _outcomes(prediction),
+                 _sensitivity(prediction)),
+            ),
+            Section(
+                "held-out", "Rows that were not fitted", _check(check) if check else (), brief=False
+            ),
+        ),
+        warnings=prediction.warnings,
+        notes=prediction.notes,
+        title=f"{Path(fit['file']).name}: {'the throw to rest' if fitted else 'another throw'}",
+        settings={
+            "Law, load": f"{prediction.law}, {prediction.load}",
+            "Fit": f"{fit['file']}, {rows_text(fit)}",
+            "Stone": stone_text(prediction.stone),
+            "Start": ", ".join(
+                f"{name} = {item['value']:.6g} {item['unit']} ({item['origin']})"
+                for name, item in prediction.start.items()
+            ),
+            "Draws": f"{draws['used']} of {draws['number']}, seed {draws['seed']}",
+        },
+        command=_command(prediction),
+        remark=FOLDER_OF_FIT,
+        names=prediction.start,
+    )  # fmt: skip
 
 
-def overview(prediction: Prediction) -> Overview:
-    """A prediction at a glance: where the stone comes to rest, the quantities and their errors."""
-    rest, *others = _sentences(prediction)
-    where, _, curl = rest.partition(". It ")
-    title, start, *aim = _heading(prediction).plain.splitlines()[:-1]
-    return Overview(
-        where[:1].lower() + where[1:],
-        title,
-        [*aim, f"It {curl}"],
-        [start, *aim, _quantities(prediction), f"It {curl}", *others],
-        prediction.warnings,
-    )
-
-
-def describe_rest(prediction: Prediction) -> str:
-    """Position and time of rest, as a sentence."""
+def describe_rest(prediction: Prediction) -> tuple[str, str]:
+    """Position and time of rest, and the curl, as a sentence each."""
     found = prediction.quantities
     curl, turns = found["curl"].value, found["turns"].value
     far = found["rest_y"].value > TEE_TO_BACK + STONE_RADIUS
@@ -80,12 +109,12 @@ def describe_rest(prediction: Prediction) -> str:
     text += " counter-clockwise" if turns > 0 else " clockwise" if turns < 0 else ""
     text += (
         f", {_off(found['rest_y'].value, ('beyond', 'before'))} the tee line and "
-        f"{_off(found['rest_x'].value, _SIDES)} the centre line"
+        f"{_off(found['rest_x'].value, _SIDES)} the centre line."
     )
     side = "right" if curl > 0 else "left"
     if abs(curl) < 0.005:
-        return f"{text}. It does not curl."
-    return f"{text}. It curls {abs(curl):.2f} m ({abs(curl) / FOOT:.2f} ft) to the {side}."
+        return text, "It does not curl."
+    return text, f"It curls {abs(curl):.2f} m ({abs(curl) / FOOT:.2f} ft) to the {side}."
 
 
 def _off(value: float, sides: tuple[str, str]) -> str:
@@ -93,34 +122,14 @@ def _off(value: float, sides: tuple[str, str]) -> str:
     return "on" if abs(value) < 0.005 else f"{abs(value):.2f} m {sides[value < 0]}"
 
 
-def _heading(prediction: Prediction) -> Text:
-    text = Text()
-    text.append(f"{prediction.law} law", style="bold")
-    text.append(f", {prediction.load} load, fitted to {prediction.fit['file']}: ")
-    text.append(
-        "the fitted throw, extrapolated to rest\n"
-        if prediction.of == "fitted"
-        else "another throw on this ice\n"
-    )
-    text.append(f"It starts {_LINES[prediction.line]}: ")
-    shown = []
-    for name, label in _START.items():
-        item = prediction.start[name]
-        if name in ("x0", "y0", "phi0") and item["origin"] != "given":
-            continue
-        unit = item["unit"]
-        shown.append(f"{label} {item['value']:.5g} {unit} ({item['origin']})")
-    text.append(", ".join(shown) + "\n")
-    goal = prediction.goal
-    if goal is not None:
-        text.append(_aim(prediction) + "\n", style="bold")
-    draws = prediction.draws
-    source = (
-        "the chain" if draws["source"] == "chain" else "the covariance of the fit (there is no "
-        "chain.h5): Gaussian along determined directions, uniform along the others"
-    )  # fmt: skip
-    text.append(f"Bands from {draws['used']} draws of {source}")
-    return text
+def _start(prediction: Prediction) -> str:
+    """Where and how the throw starts."""
+    shown = [
+        f"{label} {item['value']:.5g} {item['unit']} ({item['origin']})"
+        for name, label in _START.items()
+        if (item := prediction.start[name])["origin"] == "given" or name not in _PLACE
+    ]
+    return f"It starts {_LINES[prediction.line]}: {', '.join(shown)}"
 
 
 def _aim(prediction: Prediction) -> str:
@@ -144,53 +153,49 @@ def _aim(prediction: Prediction) -> str:
     return f"With {' and '.join(found)} it passes {place} at {goal['speed']:g} m/s"
 
 
-def _quantities(prediction: Prediction) -> RenderableType:
-    from curlfit.prediction.result import QUANTITIES
-
-    shown = prediction.quantities
-    partly = any(item.share < 1 for item in shown.values())
-    table = plain_table()
-    table.add_column("", no_wrap=True)
-    for head in ("best", "parameters", "model"):
-        table.add_column(head, justify="right", no_wrap=True)
-    for head in ("68 %", "95 %", *(["of draws"] if partly else [])):
-        table.add_column(head, no_wrap=True)
-    for name, item in shown.items():
+def _quantities(prediction: Prediction) -> PlainTable:
+    rows = []
+    for name, item in prediction.quantities.items():
         meaning, unit = QUANTITIES[name]
         meaning, sign = sided(meaning, item.value)
         share = "" if item.share == 1 else f"{100 * item.share:.3g} %"
-        table.add_row(f"{meaning} ({unit})" if unit else meaning, *_row(item, sign), share)
-    return Padding(table, (1, 0, 1, 0))
+        rows.append({"": labelled(meaning, unit)} | _row(item, sign) | {"of draws": share})
+    return PlainTable(
+        rows,
+        "Predicted quantities: best estimate, standard deviations by the errors of the parameters "
+        "and by the model discrepancy, intervals by both",
+    )
 
 
-def _row(item: Quantity, sign: float) -> list[str]:
+def _row(item: Quantity, sign: float) -> dict[str, str]:
     """Best value, both errors, and the intervals, to two digits of the larger error."""
     size = max(item.parameter_sd, item.model_sd)
     digits = 4 if size < 1e-9 else min(len(format_estimate(0.0, size)[1].partition(".")[2]), 4)
-    best = "-" if math.isnan(item.value) else f"{sign * item.value:.{digits}f}"
     own = [
         f"{part:.{digits + 1}f}" if part > 1e-9 else "-"
         for part in (item.parameter_sd, item.model_sd)
     ]
     ends = sorted(sign * value for value in item.quantiles.values())
     q = {level: f"{value:.{digits}f}" for level, value in zip(item.quantiles, ends, strict=True)}
-    if size < 1e-9:
-        return [best, *own, "", ""]
-    return [best, *own, f"{q['16']} .. {q['84']}", f"{q['2.5']} .. {q['97.5']}"]
+    known = size >= 1e-9
+    return {
+        ">best": "-" if math.isnan(item.value) else f"{sign * item.value:.{digits}f}",
+        ">parameters": own[0], ">model": own[1],
+        "68 %": f"{q['16']} .. {q['84']}" * known, "95 %": f"{q['2.5']} .. {q['97.5']}" * known,
+    }  # fmt: skip
 
 
-def _sentences(prediction: Prediction) -> list[str]:
-    from curlfit.prediction.result import OUTCOMES
-
-    found = [describe_rest(prediction)]
+def _outcomes(prediction: Prediction) -> str:
     likely = [
         f"in {100 * chance:.3g} % of the draws it {OUTCOMES[name]}"
         for name, chance in prediction.chances.items()
         if chance > 0
     ]
-    if likely:
-        text = "; ".join(likely)
-        found.append(f"{text[0].upper()}{text[1:]}.")
+    text = "; ".join(likely)
+    return f"{text[0].upper()}{text[1:]}." if text else ""
+
+
+def _sensitivity(prediction: Prediction) -> str:
     changes = []
     for name, words in _CHANGES.items():
         item = prediction.sensitivity.get(name)
@@ -203,26 +208,48 @@ def _sentences(prediction: Prediction) -> list[str]:
             if abs(size) >= 0.001
         ]
         changes.append(f"{item['by']:g} {words}: {', '.join(moves) or 'no change'}")
-    if changes:
-        found.append("Sensitivity of the resting position: " + "; ".join(changes) + ".")
-    return found
+    return f"Sensitivity of the resting position: {'; '.join(changes)}." if changes else ""
 
 
-def _check(check: HeldOut) -> RenderableType:
-    table = plain_table()
-    table.add_column("held out", no_wrap=True)
-    for head in ("rows", "rms", "within 68 %", "within 95 %", "error at end", "std. dev."):
-        table.add_column(head, justify="right", no_wrap=True)
+def _check(check: HeldOut) -> tuple[PlainTable, str]:
+    rows: list[dict[str, Any]] = []
     for name, item in check.channels.items():
-        unit = "rad" if name == "phi" else "m"
         off, expected = format_estimate(item["end"], item["end_sd"])
-        table.add_row(
-            f"{name} ({unit})", f"{item['rows']:.0f}", f"{item['rms']:.3g}",
-            f"{item['inside_68']:.0%}", f"{item['inside_95']:.0%}", off, expected,
+        rows.append(
+            {
+                "held out": f"{name} ({'rad' if name == 'phi' else 'm'})",
+                ">rows": f"{item['rows']:.0f}", ">rms": f"{item['rms']:.3g}",
+                ">within 68 %": f"{item['inside_68']:.0%}",
+                ">within 95 %": f"{item['inside_95']:.0%}",
+                ">error at end": off, ">std. dev.": expected,
+            }
         )  # fmt: skip
-    remark = Text(
+    remark = (
         f"Rows of {check.file} from t = {check.first:g} to {check.last:g} s were not fitted; "
         "the bands include noise. Differences within one throw are correlated: a path that is off "
         "by one standard deviation has hardly a row within 68 %."
     )
-    return Group(table, Padding(remark, (1, 0, 1, 0)))
+    return PlainTable(rows, "Rows that were not fitted"), remark
+
+
+def _command(prediction: Prediction) -> str:
+    """The command of a prediction, from a fit under its default name."""
+    goal, draws = prediction.goal, prediction.draws
+    words = [f"{Path(prediction.fit['file']).stem}-fit"]
+    words += [
+        f"--{name}={exact(item['value'])}"
+        for name, item in prediction.start.items()
+        if item["origin"] == "given"
+    ]
+    words += [f"--from={prediction.line}"] * bool(prediction.line)
+    if goal is not None:
+        if goal["words"] in ("draw", "guard", "takeout"):
+            words.append(f"--weight={goal['words']}")
+            words += [f"--tee-speed={exact(goal['speed'])}"] * (goal["words"] == "takeout")
+        elif goal["words"] == "to the tee":
+            words.append("--to-tee")
+        else:
+            words.append(f"--target={exact(goal['x'])},{exact(goal['y'])}")
+    words += [f"--draws={draws['number']}", f"--seed={draws['seed']}"]
+    words += [f"--check={prediction.check.file}"] if prediction.check else []
+    return command_line("predict", *words)

@@ -152,9 +152,6 @@ class Prediction(Record):
     ['t', 'x', 'y', 'phi']
     """
 
-    _report: ClassVar[str] = "curlfit.prediction.report"
-    _printer: ClassVar[str] = "curlfit.print_prediction"
-
     kind: ClassVar[str] = "predict"
 
     law: str

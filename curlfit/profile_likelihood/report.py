@@ -1,23 +1,24 @@
-"""Report of a profile likelihood as text."""
+"""What a profile likelihood says."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console, Group, RenderableType
-from rich.padding import Padding
+from rich.console import Console
 from rich.text import Text
 
-from curlfit.output.console import terminal
-from curlfit.output.display import Overview
+from curlfit.output.console import PlainTable
+from curlfit.output.document import FOLDER_OF_FIT, Document, Said, Section, command_line, show
 from curlfit.output.text import (
     STYLE,
     compact,
     format_estimate,
     from_to,
     join_words,
-    plain_table,
+    labelled,
+    rows_text,
 )
 from curlfit.profile_likelihood.result import Interval, PairProfile, Profile
 
@@ -38,56 +39,47 @@ def print_profile(profile: Profile | PairProfile, console: Console | None = None
     >>> curlfit.print_profile(profile)
     Profile of mu1_xi: front-back law, uniform load, fitted to ...
     """
-    console = console or terminal()
-    console.print(report(profile))
+    show(document(profile), console)
 
 
-def report(profile: Profile | PairProfile) -> RenderableType:
-    """The report of a profile, for a rich console."""
-    each = [profile] if isinstance(profile, Profile) else list(profile.each)
-    parts: list[RenderableType] = [_heading(profile)]
+def document(profile: Profile | PairProfile) -> Document:
+    """The intervals of a profile, or why there are none."""
+    pair = isinstance(profile, PairProfile)
+    each = list(profile.each) if isinstance(profile, PairProfile) else [profile]
+    one, names = each[0], profile.names
+    lines, remarks = [], list[str | Text]()
     if isinstance(profile, PairProfile):
-        parts.append(_region(profile))
-        parts.append(Padding(Text(describe_pair(profile)), (0, 0, 1, 0)))
-    else:
-        parts.append(_intervals(profile))
-    for one in each:
-        remarks = _limits(one) if isinstance(profile, Profile) else []
-        remarks = remarks if one.verdict == "limited" else [describe_undetermined(one)]
-        style = _STYLE.get(one.verdict, STYLE["weak"])
-        parts += [Padding(Text(line, style=style), (0, 0, 1, 0)) for line in remarks]
-    warnings = dict.fromkeys(line for one in each for line in one.warnings)
-    parts += [
-        Padding(Text(f"Warning: {warning}.", style="yellow"), (0, 0, 1, 0)) for warning in warnings
-    ]
-    parts += [Text(f"Note: {note}.", style="dim") for note in _notes(each)]
-    return Group(*parts)
-
-
-def overview(profile: Profile | PairProfile) -> Overview:
-    """A profile at a glance: its intervals, or why there are none."""
-    title, about, points = _heading(profile).plain.splitlines()
-    if isinstance(profile, PairProfile):
-        each, table = list(profile.each), _region(profile)
-        remarks = [describe_pair(profile)]
-    else:
-        each, table, remarks = [profile], _intervals(profile), []
-    finding = ", ".join(f"{one.name} {_FINDINGS[one.verdict]}" for one in each)
-    lines = list(remarks)
-    for one in each:
-        if one.verdict == "limited":
-            ends = zip(one.intervals, one.levels, strict=True)
-            digits = _scale(one)
-            said = ", ".join(f"{_ends(item, digits)} ({level.name})" for item, level in ends)
-            lines.append(f"{one.name}: {said}")
-            remarks += _limits(one) if isinstance(profile, Profile) else []
+        lines.append(describe_pair(profile))
+        remarks.append(Said(lines[0]))
+    for item in each:
+        if item.verdict == "limited":
+            lines.append(_limited(item))
+            remarks += [] if pair else _limits(item)
         else:
-            lines.append(describe_undetermined(one))
-            remarks.append(lines[-1])
-    warnings = list(dict.fromkeys(line for one in each for line in one.warnings))
-    notes = [f"Note: {note}." for note in _notes(each)]
-    return Overview(
-        finding, title.partition(": ")[2], lines, [about, points, table, *remarks, *notes], warnings
+            lines.append(describe_undetermined(item))
+            remarks.append(Said(lines[-1], style=_STYLE.get(item.verdict, STYLE["weak"])))
+    loss = "" if one.loss == "linear" else f", {one.loss} loss"
+    fitted = f"{one.law} law, {one.load} load{loss}, fitted to {one.data['file']}"
+    return Document(
+        finding=", ".join(f"{item.name} {_FINDINGS[item.verdict]}" for item in each),
+        subject=fitted,
+        headline=Text.assemble((f"Profile of {' and '.join(names)}", "bold"), f": {fitted}"),
+        about=_about(profile),
+        lines=lines,
+        sections=(Section("intervals", "Intervals", (_table(profile), *remarks)),),
+        warnings=list(dict.fromkeys(line for item in each for line in item.warnings)),
+        notes=_notes(each),
+        title=f"{Path(one.data['file']).name}: profile of {join_words(names)}",
+        settings={
+            "Law, load": f"{one.law}, {one.load}",
+            "Data": f"{one.data['file']}, {rows_text(one.data) or 'timed events alone'}",
+            "Loss": one.loss,
+        },
+        command=command_line(
+            "profile", f"{Path(one.data['file']).stem}-fit", *(f"--param={name}" for name in names)
+        ),
+        remark=FOLDER_OF_FIT,
+        names=names,
     )
 
 
@@ -129,7 +121,7 @@ def describe_undetermined(profile: Profile) -> str:
     for end, names in zip(profile.free, profile.stops, strict=True):
         if names:
             come = "reaches its bound" if len(names) == 1 else "reach their bounds"
-            text += f" The profile ends at {_short(end)}, where {join_words(list(names))} {come}."
+            text += f" The profile ends at {_short(end)}, where {join_words(names)} {come}."
     return text + _open_ends(profile)
 
 
@@ -159,43 +151,58 @@ def describe_pair(profile: PairProfile) -> str:
     return text
 
 
-def _heading(profile: Profile | PairProfile) -> Text:
-    one = profile if isinstance(profile, Profile) else profile.each[0]
-    text = Text()
-    text.append(f"Profile of {' and '.join(profile.names)}", style="bold")
-    loss = "" if one.loss == "linear" else f", {one.loss} loss"
-    text.append(f": {one.law} law, {one.load} load{loss}, fitted to {one.data['file']}\n")
-    rows = f"{one.data['rows']} rows, t = {one.data['from']:g} .. {one.data['to']:g} s; "
-    text.append(rows if one.data["rows"] else "")
-    text.append(
-        f"chi squared of the best fit {one.chi_squared:.4g}, of {one.n_observations} values\n"
+def _about(profile: Profile | PairProfile) -> tuple[str, str]:
+    """The data, and the values at which the others were fitted again."""
+    if isinstance(profile, PairProfile):
+        one, values = profile.each[0], f"{profile.delta.size} values"
+    else:
+        one = profile
+        values = f"{one.at.size} values, {_span(one, one.at[0], one.at[-1])}"
+    fitted = f"chi squared of the best fit {one.chi_squared:.4g}, of {one.n_observations} values"
+    return (
+        "; ".join(filter(None, (rows_text(one.data), fitted))),
+        f"All other parameters fitted again at {values}",
     )
-    points = one.at.size if isinstance(profile, Profile) else int(profile.delta.size)
-    text.append(f"All other parameters fitted again at {points} values")
-    if isinstance(profile, Profile):
-        text.append(f", {_span(one, one.at[0], one.at[-1])}")
-    return text
 
 
-def _intervals(profile: Profile) -> RenderableType:
-    item = profile.estimate
+def _limited(profile: Profile) -> str:
+    """The intervals of a parameter that the data limit."""
+    ends = zip(profile.intervals, profile.levels, strict=True)
+    scale = _scale(profile)
+    said = ", ".join(f"{_ends(item, scale)} ({level.name})" for item, level in ends)
+    return f"{profile.name}: {said}"
+
+
+def _table(profile: Profile | PairProfile) -> PlainTable | None:
+    """The intervals of a parameter, or the extents of the region of two."""
+    if isinstance(profile, PairProfile):
+        rows = []
+        for index, one in enumerate(profile.each):
+            cells = {level.name: "-" for level in profile.levels}
+            if one.verdict == "limited":
+                extents = {name: profile.extent[name][index] for name in cells}
+                cells = {name: _ends(item, _scale(one)) for name, item in extents.items()}
+            rows.append({"region spans": labelled(one.name, one.estimate.unit)} | cells)
+        return PlainTable(rows, "Extent of the regions of both parameters")
     if profile.verdict != "limited":
-        return Text("")
-    unit = "" if item.unit in ("", "1") else f" ({item.unit})"
-    table = plain_table()
-    table.add_column(f"{profile.name}{unit}", no_wrap=True)
-    for level in profile.levels:
-        table.add_column(level.name, no_wrap=True)
-    digits = _scale(profile)
-    table.add_row("profile", *(_ends(interval, digits) for interval in profile.intervals))
-    table.add_row("covariance", *(_gaussian(item, level, digits) for level in profile.levels))
-    if profile.quantiles:
-        found = profile.quantiles
-        rows = [
-            (found[low], found[high]) for low, high in (item.quantiles for item in profile.levels)
-        ]
-        table.add_row("posterior", *(from_to(low, high, digits) for low, high in rows))
-    return Padding(table, (1, 0, 1, 0))
+        return None
+    head, scale = labelled(profile.name, profile.estimate.unit), _scale(profile)
+    found = profile.quantiles
+    sources = {
+        "profile": [_ends(interval, scale) for interval in profile.intervals],
+        "covariance": [_gaussian(profile.estimate, level, scale) for level in profile.levels],
+    }
+    if found:
+        ends = (level.quantiles for level in profile.levels)
+        sources["posterior"] = [from_to(found[low], found[high], scale) for low, high in ends]
+    return PlainTable(
+        (
+            {head: source}
+            | {level.name: cell for level, cell in zip(profile.levels, cells, strict=True)}
+            for source, cells in sources.items()
+        ),
+        "Intervals of the profile, the covariance and the posterior",
+    )
 
 
 def _limits(profile: Profile) -> list[str]:
@@ -238,7 +245,7 @@ def _limits(profile: Profile) -> list[str]:
         if names and profile.free[0] < profile.free[1] and widest.low <= end <= widest.high:
             bound = "is at its bound" if len(names) == 1 else "are at their bounds"
             remarks.append(
-                f"{side} {_short(end)} {join_words(list(names))} {bound}, which makes the profile "
+                f"{side} {_short(end)} {join_words(names)} {bound}, which makes the profile "
                 "steeper there."
             )
     return remarks
@@ -261,21 +268,6 @@ def _no_limit(side: str, end: float) -> str:
     """That no limit was found up to an end of the range examined."""
     way = "down" if side == "lower" else "up"
     return f"No {side} limit within the range examined, {way} to {_short(end)}."
-
-
-def _region(profile: PairProfile) -> RenderableType:
-    table = plain_table()
-    table.add_column("region spans", no_wrap=True)
-    for level in profile.levels:
-        table.add_column(level.name, no_wrap=True)
-    for index, one in enumerate(profile.each):
-        unit = "" if one.estimate.unit in ("", "1") else f" ({one.estimate.unit})"
-        cells = ["-", "-"]
-        if one.verdict == "limited":
-            digits = _scale(one)
-            cells = [_ends(profile.extent[level.name][index], digits) for level in profile.levels]
-        table.add_row(f"{one.name}{unit}", *cells)
-    return Padding(table, (1, 0, 1, 0))
 
 
 def _notes(each: list[Profile]) -> list[str]:

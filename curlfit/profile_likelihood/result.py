@@ -121,9 +121,6 @@ class Profile(Record):
     ['mu1_xi', 'delta_chi2']
     """
 
-    _report: ClassVar[str] = "curlfit.profile_likelihood.report"
-    _printer: ClassVar[str] = "curlfit.print_profile"
-
     kind: ClassVar[str] = "profile"
     marks: ClassVar[dict[str, str]] = {"kind": "one"}
 
@@ -247,9 +244,6 @@ class PairProfile(Record):
     >>> pair.names, pair.delta.shape == pair.first.shape
     (('mu1_xi', 'mu2_xi'), True)
     """
-
-    _report: ClassVar[str] = "curlfit.profile_likelihood.report"
-    _printer: ClassVar[str] = "curlfit.print_profile"
 
     kind: ClassVar[str] = "profile"
     marks: ClassVar[dict[str, str]] = {"kind": "two"}

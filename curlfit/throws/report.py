@@ -76,31 +76,28 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 
 
 def _columns(parsed: ParsedFile) -> PlainTable:
-    table = PlainTable()
-    for name in ("column", "quantity", "unit", "factor", "rows", "gaps", "range in the file"):
-        right = name in ("factor", "rows", "gaps")
-        table.add_column(name, justify="right" if right else "left", no_wrap=True)
+    rows = []
     for header, column, values in parsed.series:
         finite = values[np.isfinite(values)] / column.factor
         span = f"{finite.min():.6g} .. {finite.max():.6g}" if len(finite) else "-"
-        cells = (
-            header, column.quantity, column.unit, f"{column.factor:.6g}", str(len(values)),
-            str(int((~np.isfinite(values)).sum())), span,
-        )  # fmt: skip
-        table.add_row(*map(Text, cells))
-    return table
+        cells = {
+            "column": header, "quantity": column.quantity, "unit": column.unit,
+            ">factor": f"{column.factor:.6g}", ">rows": str(len(values)),
+            ">gaps": str(int((~np.isfinite(values)).sum())), "range in the file": span,
+        }  # fmt: skip
+        rows.append({head: Text(cell) for head, cell in cells.items()})
+    return PlainTable(rows)
 
 
 def _events(throw: Throw) -> PlainTable:
-    table = PlainTable()
-    for name in ("measured", "value", "sigma", "unit", "at y (m)", "since y (m)"):
-        table.add_column(name, justify="left" if name in ("measured", "unit") else "right")
-    for event in throw.events:
-        at = "rest" if event.at is None else f"{event.at:.3f}"
-        since = "" if event.since is None else f"{event.since:.3f}"
-        cells = (event.name, f"{event.value:.6g}", f"{event.sigma:.3g}", event.unit, at, since)
-        table.add_row(*map(Text, cells))
-    return table
+    return PlainTable(
+        {
+            "measured": event.name, ">value": f"{event.value:.6g}", ">sigma": f"{event.sigma:.3g}",
+            "unit": event.unit, ">at y (m)": "rest" if event.at is None else f"{event.at:.3f}",
+            ">since y (m)": "" if event.since is None else f"{event.since:.3f}",
+        }
+        for event in throw.events
+    )  # fmt: skip
 
 
 def facts(throw: Throw, inspection: Inspection, settings: Mapping[str, Any]) -> Iterator[str]:

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from curlfit.errors import DataError, InputError, require_kind
 from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.output.display import Displayed, Overview
+from curlfit.output.console import PlainTable
+from curlfit.output.display import Displayed
+from curlfit.output.document import Document, Section
 from curlfit.output.frames import frame
-from curlfit.output.text import plain_table
 from curlfit.settings.choices import Reading, takes
 from curlfit.throws.channels import CHANNELS, UNITS, block_means, last_motion, scatter
 from curlfit.throws.events import Event, lines_of, sketch
@@ -246,25 +247,26 @@ class Throw(Displayed):
 
     __hash__ = None  # type: ignore[assignment]  # arrays are mutable
 
-    def _overview(self) -> Overview:
-        table = plain_table()
-        for head in ("channel", "unit", "values", "from", "to", "sigma"):
-            table.add_column(head, justify="left" if head in ("channel", "unit") else "right")
+    def _document(self) -> Document:
+        rows = []
         for name in ("t", *self.seen):
             values, sigma = getattr(self, name), self.sigma.get(name)
             seen = values[np.isfinite(values)]
-            noise = "" if sigma is None else f"{np.nanmedian(sigma):.3g}"
-            ends = (f"{end:.5g}" for end in (seen.min(), seen.max()))
-            table.add_row(name, UNITS[name], str(len(seen)), *ends, noise)
-        given = [name for name in CHANNELS if name in self.sigma]
-        return Overview(
-            f"{len(self)} rows",
-            f"{self.name}, t = {self.t[0]:.6g} .. {self.t[-1]:.6g} s",
-            [
-                f"channels {', '.join(self.seen)}; "
-                + (f"sigma given for {', '.join(given)}" if given else "no sigma given")
-            ],
-            [table, *(f"Note: {note}." for note in self.notes)],
+            rows.append(
+                {
+                    "channel": name, "unit": UNITS[name], ">values": str(len(seen)),
+                    ">from": f"{seen.min():.5g}", ">to": f"{seen.max():.5g}",
+                    ">sigma": "" if sigma is None else f"{np.nanmedian(sigma):.3g}",
+                }
+            )  # fmt: skip
+        given = ", ".join(name for name in CHANNELS if name in self.sigma)
+        said = f"sigma given for {given}" if given else "no sigma given"
+        return Document(
+            finding=f"{len(self)} rows",
+            subject=f"{self.name}, t = {self.t[0]:.6g} .. {self.t[-1]:.6g} s",
+            lines=[f"channels {', '.join(self.seen)}; {said}"],
+            sections=[Section("channels", "Channels", [PlainTable(rows)])],
+            notes=self.notes,
         )
 
     @cached_property

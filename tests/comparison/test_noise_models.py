@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 
 import curlfit
 from curlfit.cli import main
-from curlfit.comparison.report import conclusions, print_comparison
+from curlfit.comparison.report import conclusions, document, print_comparison
 from curlfit.comparison.result import load_comparison
 from curlfit.errors import InputError
 from curlfit.settings.choices import Comparing
@@ -144,7 +144,7 @@ def test_correlated_residuals_count_effective_values_less_those_spent(folder):
         minus_two += (np.log(2 * np.pi * rms**2) + 1) * (counts[name] - spent)
     expected = minus_two + k * np.log(sum(counts.values()))
     assert found.best.bic == pytest.approx(expected, rel=1e-9)
-    assert "which assume independent residuals, are not given" in " ".join(conclusions(found))
+    assert "which assume independent residuals, are not given" in document(found).warnings[0]
 
 
 def test_what_a_prior_says_is_not_counted_as_what_the_data_determine(folder):

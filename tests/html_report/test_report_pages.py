@@ -20,8 +20,8 @@ from conftest import Reference, front_back
 import curlfit
 from curlfit.cli import app
 from curlfit.html_report.page import page_of, render
-from curlfit.html_report.provenance import fit_command
 from curlfit.html_report.replay import replay_of_fit
+from curlfit.inference.report import command_of
 from curlfit.settings.choices import Fitting
 
 KINDS = ("fit", "joint", "comparison", "profile", "prediction", "design")
@@ -365,7 +365,7 @@ def test_the_command_on_the_page_makes_the_fit_again(eq12, folder, typed):
         fix={"heading": -0.001}, bounds={"mu": (0, 0.5)}, loss="student",
         systematics={"drag": 0.4},
     )  # fmt: skip
-    line = fit_command(fit)
+    line = command_of(fit)
     assert line.replace(" ", "</span> <span>") in html.unescape(render(page_of(fit)))
     typed(*shlex.split(line)[1:], "--no-figures", "--quiet", "--out", "again")
     again = curlfit.load_fit(folder / "again")

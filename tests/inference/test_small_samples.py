@@ -16,7 +16,7 @@ from curlfit.inference.fit.covariance import Covariance, satterthwaite
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.residuals import outlier_warning
 from curlfit.inference.likelihood import SIGMA_FLOOR
-from curlfit.inference.report import identifiability, report
+from curlfit.inference.report import identifiability, print_fit
 from curlfit.profile_likelihood.result import levels_of
 
 SIGMA = {"x": 0.005, "y": 0.005, "phi": 0.01}
@@ -121,7 +121,7 @@ def test_a_gross_outlier_is_found_in_few_rows(rows, sigmas):
 def test_few_rows_have_their_interval_in_the_report():
     def text(fit):
         console = Console(width=100, file=StringIO())
-        console.print(report(fit))
+        print_fit(fit, console)
         return console.file.getvalue()
 
     few, many = curlfit.fit(thrown(1, 12)), curlfit.fit(thrown(1, 150))

@@ -425,7 +425,7 @@ def test_a_law_that_cannot_curl_names_the_measured_curl():
     assert not any("cannot curl" in item for item in curlfit.fit(times).warnings)
     predicted = curlfit.predict(found, start={"v0": 2.2}, draws=100)
     assert said in predicted.warnings
-    assert "It does not curl." in describe_rest(predicted)
+    assert describe_rest(predicted)[1] == "It does not curl."
     (joint,) = (
         item for item in fit_together([times, times], "coulomb").warnings if "cannot" in item
     )

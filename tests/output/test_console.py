@@ -140,18 +140,14 @@ def printed(table, width):
     return console.file.getvalue()
 
 
-def a_table(keys=1):
-    table = PlainTable(keys)
-    heads = ["name", "some estimate", "std. error", "interval of the estimate", "more"]
-    for head in heads:
-        table.add_column(head, no_wrap=head != "more")
+def a_table():
+    heads = ["name", ">some estimate", ">std. error", "interval of the estimate", "~more"]
     rows = [
         [f"row {k}", f"{k}.123456", f"0.{k:06d}", f"{k}.1 .. {k}.2", f"all that is said of {k}" * 2]
         for k in range(3)
     ]
-    for row in rows:
-        table.add_row(*row)
-    return table, heads, rows
+    table = PlainTable(dict(zip(heads, row, strict=True)) for row in rows)
+    return table, [head.lstrip(">~") for head in heads], rows
 
 
 @pytest.mark.parametrize("width", [32, 40, 60, 80, 100, 120])
@@ -166,24 +162,27 @@ def test_a_table_keeps_its_headers_and_numbers(width):
 
 
 def test_blocks_repeat_the_keys_and_leave_out_empty_rows():
-    table = PlainTable(2)
-    for head in ("a", "b", "first one", "second one"):
-        table.add_column(head, no_wrap=True)
-    table.add_row("1", "x", "100", "200")
-    table.add_row("2", "y", "300", "")
+    heads = ("a", "b", "first one", "second one")
+    rows = (("1", "x", "100", "200"), ("2", "y", "300", ""))
+    table = PlainTable((dict(zip(heads, row, strict=True)) for row in rows), keys=2)
     first, second = printed(table, 20).split("\n\n")
     assert first.split() == ["a", "b", "first", "one", "1", "x", "100", "2", "y", "300"]
     assert second.split() == ["a", "b", "second", "one", "1", "x", "200"]
 
 
 def test_a_word_wider_than_the_terminal_is_folded():
-    table = PlainTable()
-    table.add_column("file", no_wrap=True)
-    table.add_column("value", no_wrap=True)
-    table.add_row("x" * 50, "1.25")
+    table = PlainTable([{"file": "x" * 50, "value": "1.25"}])
     text = printed(table, 30)
     assert text.count("x") == 50
     assert "1.25" in text
+
+
+def test_columns_without_content_are_left_out():
+    rows = [{"name": "a", ">error": None, "note": ""}, {"name": "b", ">size": None}]
+    assert printed(PlainTable(rows), 40).split() == ["name", "a", "b"]
+    rows[1][">error"] = "2"
+    assert printed(PlainTable(rows), 40).split() == ["name", "error", "a", "-", "b", "2"]
+    assert not PlainTable([])
 
 
 def test_styles_and_blanks_within_a_line_stay():

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
+from importlib import import_module
 from os import PathLike
 from typing import Annotated, Any, ClassVar
 
@@ -25,6 +26,7 @@ from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.priors import parse_priors
 from curlfit.numerics.arrays import Floats
 from curlfit.output.display import Displayed
+from curlfit.output.document import Document
 from curlfit.output.frames import frame
 from curlfit.records import SERIES, Choice, Names, Record, keys, require, require_rows
 from curlfit.stone import Stone
@@ -128,8 +130,6 @@ class Posterior(Displayed):
     ['2.5', '16', '50', '84', '97.5']
     """
 
-    _report: ClassVar[str] = "curlfit.inference.overview"
-
     samples: int
     steps: int
     discarded: int
@@ -146,6 +146,10 @@ class Posterior(Displayed):
     correlation: dict[str, dict[str, float]]
     converged: bool
     status: str
+
+    def _document(self) -> Document:
+        found: Document = import_module("curlfit.inference.report").posterior_document(self)
+        return found
 
 
 @dataclass(frozen=True)
@@ -307,9 +311,6 @@ class FitResult(NamedEstimates):
     >>> fit.to_frame().loc["mu2_xi", ["value", "stderr"]].round(6).tolist()
     [0.055627, 2.5e-05]
     """
-
-    _report: ClassVar[str] = "curlfit.inference.overview"
-    _printer: ClassVar[str] = "curlfit.print_fit"
 
     kind: ClassVar[str] = "fit"
     groups: ClassVar[dict[str, tuple[str, ...]]] = {

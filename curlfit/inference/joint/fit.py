@@ -237,12 +237,12 @@ def _of_throw(
         name: analysis.estimate(item, int(joint))
         for joint, (name, item) in zip(index, single.parameters.items(), strict=True)
     }
-    own = dict(zip((layout.names[joint] for joint in index), estimates, strict=True))
-    shifts = {name: systematic[joint] for joint, name in own.items() if joint in systematic}
+    named = dict(zip((layout.names[joint] for joint in index), estimates, strict=True))
+    shifts = {name: systematic[joint] for joint, name in named.items() if joint in systematic}
     combinations = []
     for item in known.combinations:
-        if set(item.weights) <= own.keys():  # not of what other throws have for themselves
-            weights = {own[joint]: weight for joint, weight in item.weights.items()}
+        if set(item.weights) <= named.keys():  # not of what other throws have for themselves
+            weights = {named[joint]: weight for joint, weight in item.weights.items()}
             combinations.append(replace(item, expression=expression(weights), weights=weights))
             shifts[combinations[-1].expression] = systematic[item.expression]
     result = single

@@ -1,21 +1,33 @@
-"""Report of a joint fit as text. Nothing is computed here."""
+"""What a joint fit says. Nothing is computed here."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console, Group, RenderableType
-from rich.padding import Padding
+from rich.console import Console
 from rich.text import Text
 
 from curlfit.inference.derived_report import derived_table
-from curlfit.inference.report import systematics
-from curlfit.output.console import terminal
-from curlfit.output.text import STYLE, compact, format_estimate, plain_table
+from curlfit.inference.report import (
+    estimate_cells,
+    file_of,
+    lines_of,
+    settings_of,
+    status_line,
+    style_of,
+    systematics,
+    with_derived,
+)
+from curlfit.output.console import PlainTable
+from curlfit.output.document import Document, Section, command_line, show
+from curlfit.output.text import compact, format_estimate, lower
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
     from curlfit.inference.joint.result import Difference, JointResult
+
+_HIDDEN = ("x0", "y0", "phi0", "heading")
 
 
 def print_joint(result: JointResult, console: Console | None = None) -> None:
@@ -26,68 +38,61 @@ def print_joint(result: JointResult, console: Console | None = None) -> None:
     >>> curlfit.print_joint(joint)
     front-back law, uniform load, 2 throws together; shared: mu1_xi, ...
     """
-    console = console or terminal()
-    console.print(report(result))
+    show(document(result), console)
 
 
-def report(result: JointResult) -> RenderableType:
+def document(result: JointResult) -> Document:
     """Shared coefficients, how the throws differ in them, and each throw's own parameters."""
-    heading = Text()
-    heading.append(f"{result.law} law", style="bold")
-    heading.append(f", {result.load} load, {len(result.throws)} throws together; shared: ")
-    heading.append(f"{', '.join(result.share)}\n")
-    heading.append(
-        result.status[:1].upper() + result.status[1:],
-        style="green" if result.converged else "bold red",
-    )
-    parts: list[RenderableType] = [heading, _shared(result)]
-    parts += [*derived_table(result.derived), _throws(result)]
-    parts.append(
-        Padding(
-            Text(f"The throws determine {result.rank} of {result.parameters} parameters."),
-            (0, 0, 1, 0),
-        )
-    )
-    known = {name: (item.value, item.stderr) for name, item in result.coefficients.items()}
-    known |= {item.expression: (item.value, item.stderr) for item in result.combinations}
-    if said := systematics(result.systematics, known):
-        parts.append(Padding(Text(said), (0, 0, 1, 0)))
-    parts += [
-        Padding(Text(f"Warning: {warning}.", style="yellow"), (0, 0, 1, 0))
-        for warning in result.warnings
-    ]
-    return Group(*parts)
+    throws = f"{len(result.throws)} throws together"
+    differing = [item.expression for item in result.differences if item.significant]
+    hidden = result.rank < result.parameters
+    determined = f"The throws determine {result.rank} of {result.parameters} parameters."
+    return Document(
+        finding=lower(result.status),
+        style=style_of(result),
+        subject=f"{result.law} law, {result.load} load, {throws}",
+        headline=Text.assemble(
+            (f"{result.law} law", "bold"),
+            f", {result.load} load, {throws}; shared: {', '.join(result.share)}",
+        ),
+        about=(status_line(result),),
+        lines=[
+            *lines_of(result),
+            f"Differs between throws: {', '.join(differing)}." if differing else "",
+        ],
+        sections=(
+            Section(
+                "coefficients", "Coefficients",
+                (_shared(result), derived_table(result.derived), _throws(result)),
+            ),
+            Section("determined", f"What the throws{' do not' * hidden} determine", (determined,)),
+            Section("quality", "Systematic errors", (systematics(result),), brief=False),
+        ),
+        warnings=result.warnings,
+        title=f"{throws}: {result.law} law",
+        settings=settings_of(result.throws[0])
+        | {"Data": ", ".join(_files(result)), "Sigma": "", "In common": ", ".join(result.share)},
+        command=_command(result),
+        names=result.throws[0].parameters,
+    )  # fmt: skip
 
 
-def _shared(result: JointResult) -> RenderableType:
-    table = plain_table()
-    heads = [("shared", "left"), ("estimate", "right"), ("std. error", "right")]
-    errors = result.systematics.errors
-    for head, justify in heads + [("systematic", "right")] * bool(errors):
-        table.add_column(head, justify=justify, no_wrap=True, min_width=10)  # type: ignore[arg-type]
-    table.add_column("verdict", no_wrap=True, min_width=16)
-    table.add_column("differs between throws")
+def _shared(result: JointResult) -> PlainTable:
     differences = {item.expression: item for item in result.differences}
-    for name, item in result.coefficients.items():
-        hidden = item.verdict == "not identifiable"
-        shown = ("-", "-") if hidden else format_estimate(item.value, item.stderr)
-        verdict = Text(item.verdict, style=STYLE[item.verdict])
-        table.add_row(name, *shown, *_error(errors, name), verdict, _said(differences.get(name)))
-    for one in result.combinations:
-        verdict = Text("determined", style=STYLE["determined"])
-        said = _said(differences.get(one.expression))
-        shown = format_estimate(one.value, one.stderr)
-        table.add_row(one.expression, *shown, *_error(errors, one.expression), verdict, said)
-    return Padding(table, (1, 0))
+    items: dict[str, Any] = {one.expression: one for one in result.combinations}
+    return PlainTable(
+        (
+            estimate_cells(name, item, result.systematics, "shared")
+            | {"~differs between throws": _said(differences.get(name))}
+            for name, item in (result.coefficients | items).items()
+        ),
+        "What the throws have in common, with standard errors",
+    )
 
 
-def _error(errors: dict[str, float], name: str) -> list[str]:
-    return [f"{errors[name]:.2g}" if name in errors else "-"] if errors else []
-
-
-def _said(item: Difference | None) -> Text:
+def _said(item: Difference | None) -> Text | str:
     if item is None:
-        return Text("")
+        return ""
     if not item.significant:
         return Text(f"no ({item.p_text})", style="green")
     return Text(
@@ -96,27 +101,38 @@ def _said(item: Difference | None) -> Text:
     )
 
 
-def _throws(result: JointResult) -> RenderableType:
+def _throws(result: JointResult) -> PlainTable:
+    first = result.throws[0]
     own = [
         name
-        for name in result.throws[0].parameters
-        if name not in result.share and result.throws[0].parameters[name].verdict != "fixed"
+        for name, item in first.parameters.items()
+        if name not in (*result.share, *_HIDDEN) and item.verdict != "fixed"
     ]
-    shown = [name for name in own if name not in ("x0", "y0", "phi0", "heading")]
-    expressions = [item.expression for item in result.differences]
-    table = plain_table()
-    table.add_column("throw", no_wrap=True)
-    for name in (*shown, *(f"{text} alone" for text in expressions)):
-        table.add_column(name, justify="right", min_width=13 if " alone" in name else 8)
-    channels = list(result.throws[0].rms)
-    for name in channels:
-        table.add_column(f"{name}\n(m{UNITS[name]})", justify="right", min_width=6)
+    rows = []
     for place, one in enumerate(result.throws):
-        estimates = [one.parameters[name] for name in shown]
-        row = [format_estimate(item.value, item.stderr)[0] for item in estimates]
-        for item in result.differences:
-            alone = item.each[place]
-            row.append("" if alone is None else compact(*alone))
-        row += [f"{1000 * one.rms[name]:.3g}" if name in one.rms else "" for name in channels]
-        table.add_row(one.data["file"].rpartition("/")[2], *row)
-    return Padding(table, (0, 0, 1, 0))
+        row = {"throw": Path(one.data["file"]).name}
+        for name in own:
+            item = one.parameters[name]
+            row[f">{name}"] = format_estimate(item.value, item.stderr)[0]
+        for difference in result.differences:
+            alone = difference.each[place]
+            row[f">{difference.expression} alone"] = "" if alone is None else compact(*alone)
+        for name in first.rms:
+            rms = one.rms.get(name)
+            row[f">{name}\n(m{UNITS[name]})"] = "" if rms is None else f"{1000 * rms:.3g}"
+        rows.append(row)
+    return PlainTable(rows, "Each throw, with what it says alone")
+
+
+def _files(result: JointResult) -> list[str]:
+    """The files of the throws, each once."""
+    return list(dict.fromkeys(map(file_of, result.throws)))
+
+
+def _command(result: JointResult) -> str:
+    """The command of a joint fit: with the flags that all throws have in common."""
+    first, *others = (one.data.get("flags", ()) for one in result.throws)
+    flags = [flag for flag in first if all(flag in one for one in others)]
+    if tuple(result.share) != tuple(result.throws[0].coefficients):
+        flags.append("--share=" + ",".join(result.share))
+    return command_line("fit", *_files(result), *with_derived(flags, result))

@@ -93,9 +93,6 @@ class JointResult(NamedEstimates):
     2
     """
 
-    _report: ClassVar[str] = "curlfit.inference.overview"
-    _printer: ClassVar[str] = "curlfit.print_joint"
-
     kind: ClassVar[str] = "joint"
     groups: ClassVar[dict[str, tuple[str, ...]]] = {"identifiability": ("rank", "parameters")}
 

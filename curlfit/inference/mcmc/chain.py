@@ -20,10 +20,12 @@ from curlfit.friction import LAWS, Law
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
-from curlfit.output.display import Displayed, Overview
+from curlfit.output.console import PlainTable
+from curlfit.output.display import Displayed
+from curlfit.output.document import Document, Section
 from curlfit.output.files import atomic_write
 from curlfit.output.frames import frame, optional
-from curlfit.output.text import from_to, plain_table
+from curlfit.output.text import from_to
 from curlfit.records import structured
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
@@ -101,25 +103,21 @@ class Chain(Displayed):
         split = kept.reshape(len(kept), self.ensembles, walkers // self.ensembles, *rest)
         return np.moveaxis(split, 0, 2)
 
-    def _overview(self) -> Overview:
+    def _document(self) -> Document:
         steps, walkers, _ = self.values.shape
-        table = plain_table()
-        for head in ("parameter", "68 %", "95 %"):
-            table.add_column(head, justify="left" if head == "parameter" else "right")
-        shown = []
+        rows = []
         for name, samples in zip(self.names, self.flat.T, strict=True):
             if len(samples) and np.ptp(samples) > 0:
                 lowest, low, high, highest = np.quantile(samples, _LEVELS).tolist()
-                inner = from_to(low, high)
                 outer = from_to(lowest, highest, (high - low) / 3)
-                table.add_row(name, inner, outer)
-                shown.append(f"{name} {inner}")
-        return Overview(
-            f"{len(self.flat)} samples",
-            f"{self.ensembles} ensembles, {walkers} walkers, {steps} steps, of which the first "
-            f"{self.discarded} are left out",
-            [f"68 %: {', '.join(shown[:_SHOWN])}{' ...' if len(shown) > _SHOWN else ''}"],
-            [table],
+                rows.append({"parameter": name, ">68 %": from_to(low, high), ">95 %": outer})
+        shown = ", ".join(f"{row['parameter']} {row['>68 %']}" for row in rows[:_SHOWN])
+        return Document(
+            finding=f"{len(self.flat)} samples",
+            subject=f"{self.ensembles} ensembles, {walkers} walkers, {steps} steps, of which the "
+            f"first {self.discarded} are left out",
+            lines=[f"68 %: {shown}{' ...' if len(rows) > _SHOWN else ''}"],
+            sections=[Section("quantiles", "Quantiles", [PlainTable(rows)])],
         )
 
     def to_frame(self) -> Any:

@@ -1,0 +1,158 @@
+"""What the page of each kind of result has beside its document: figures and interactive parts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from curlfit.errors import CurlfitError
+from curlfit.html_report.blocks import Block, paragraph, rows
+from curlfit.html_report.drawings import inline_svg
+from curlfit.output.text import join_words
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from curlfit.comparison.result import Comparison
+    from curlfit.inference.fit.result import FitResult
+    from curlfit.inference.joint.result import JointResult
+    from curlfit.inference.mcmc.chain import Chain
+    from curlfit.optimal_design.result import Design
+    from curlfit.prediction.result import Prediction
+    from curlfit.profile_likelihood.result import PairProfile, Profile
+
+_MOVING = 6  # animated throws in a page
+_DESIGN = {
+    "design-map": "What a single throw would tell, over speed and spin",
+    "design-errors": "Errors against noise, rate and number of throws",
+    "design-separate": "Separation of two coefficients",
+}
+_OLD = "This record was written without draws of the posterior; `curlfit predict` adds them."
+
+
+@dataclass
+class Additions:
+    """Blocks by section: of a section of the document, at its end, or of one that follows.
+
+    `data` are of the interactive parts, by id.
+    """
+
+    blocks: dict[str, list[Block]] = field(default_factory=dict)
+    data: dict[str, Any] = field(default_factory=dict)
+
+    def add(self, section: str, *blocks: Block) -> None:
+        """Add to a section."""
+        self.blocks.setdefault(section, []).extend(blocks)
+
+    def draw(self, figure: Figure, name: str, caption: str) -> None:
+        """Add a figure."""
+        svg = inline_svg(figure, f"{name}-", caption)
+        self.add("figures", Block("drawing", {"svg": svg, "caption": caption}))
+
+    def move(self, section: str, found: tuple[Block, dict[str, Any]] | None) -> None:
+        """Add an interactive part, if there is one, with its data."""
+        if found is not None:
+            self.add(section, found[0])
+            self.data[found[0].shows["id"]] = found[1]
+
+    def directions(self, fits: Sequence[FitResult], found: Sequence[dict[str, float]]) -> None:
+        """Add the null directions of fits."""
+        if not found or not all(fit.converged for fit in fits):
+            return
+        try:
+            fits[0].law_class  # noqa: B018  (a user's law is read from its file)
+        except CurlfitError as error:
+            self.add("determined", paragraph(f"The paths along it are not here: {error}.", "note"))
+            return
+        from curlfit.html_report.direction import directions_of
+
+        for one in directions_of(fits, found, "direction"):
+            self.move("determined", one)
+
+    def throws(self, fits: Sequence[FitResult]) -> None:
+        """Add the animated throws."""
+        from curlfit.html_report.replay import replay_of_fit
+
+        for place, fit in enumerate(fits):
+            label = Path(fit.data["file"]).name if len(fits) > 1 else ""
+            self.move("throw", replay_of_fit(fit, f"replay-{place}", label))
+
+
+def _of_fit(page: Additions, fit: FitResult, chain: Chain | None) -> None:
+    from curlfit.inference.figures import corner_figure, fit_figure
+
+    page.directions([fit], fit.null_directions)
+    page.throws([fit])
+    path = "The path with its fit, residuals by channel, speed and spin"
+    page.draw(fit_figure(fit), "fit", path if fit.rms else "Timed events beside the fit")
+    if chain is not None:
+        figure = corner_figure(fit, chain)
+        page.draw(figure, "corner", "Posterior of the coefficients, pair by pair")
+
+
+def _of_joint(page: Additions, joint: JointResult, _: object) -> None:
+    from curlfit.inference.derived_report import quantities_line
+    from curlfit.inference.figures import joint_figure
+    from curlfit.inference.report import extent
+
+    throws, count = joint.throws, len(joint.throws)
+    measured = {
+        Path(one.data["file"]).name: "; ".join(
+            filter(None, (extent(one), quantities_line(one.quantities)))
+        )
+        for one in throws
+    }
+    page.add("coefficients", rows("The throws", measured))
+    page.directions(
+        throws, [one for one in throws[0].null_directions if set(one) <= set(joint.share)]
+    )
+    if count > _MOVING:
+        page.add("throw", paragraph(f"The first {_MOVING} of {count} throws.", "note"))
+    page.throws(throws[:_MOVING])
+    caption = "All throws with their fits, and what each alone says of what they have in common"
+    page.draw(joint_figure(joint), "joint", caption)
+
+
+def _of_comparison(page: Additions, comparison: Comparison, _: object) -> None:
+    from curlfit.comparison.figures import comparison_figure
+
+    caption = "All paths over the data, their residuals, and the size of these by channel"
+    page.draw(comparison_figure(comparison), "comparison", caption)
+
+
+def _of_prediction(page: Additions, prediction: Prediction, _: object) -> None:
+    from curlfit.html_report.replay import replay_of_prediction
+    from curlfit.html_report.rests import rests_of
+    from curlfit.prediction.figures import prediction_figure
+
+    page.move("throw", replay_of_prediction(prediction, "replay-0"))
+    page.move("draws", rests_of(prediction, "rests"))
+    if not prediction.sample:
+        page.add("draws", paragraph(_OLD, "note"))
+    caption = "The path on the sheet, the resting position, the bands, speed and spin"
+    page.draw(prediction_figure(prediction), "prediction", caption)
+
+
+def _of_profile(page: Additions, profile: Profile | PairProfile, _: object) -> None:
+    from curlfit.profile_likelihood.figures import profile_figure
+
+    one: Profile = getattr(profile, "each", [profile])[0]
+    what = "Chi squared" if one.loss == "linear" else "Minus twice the log-likelihood"
+    caption = f"{what} over {join_words(profile.names)}, all other parameters fitted again"
+    page.draw(profile_figure(profile), "profile", caption)
+
+
+def _of_design(page: Additions, design: Design, _: object) -> None:
+    from curlfit.optimal_design.figures import design_figures
+
+    for name, figure in design_figures(design).items():
+        page.draw(figure, name, _DESIGN[name])
+
+
+ADDITIONS: dict[str, Callable[[Additions, Any, Chain | None], None]] = {
+    "fit": _of_fit, "joint": _of_joint, "compare": _of_comparison, "predict": _of_prediction,
+    "profile": _of_profile, "design": _of_design,
+}  # fmt: skip
+"""By kind of result."""

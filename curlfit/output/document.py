@@ -1,0 +1,141 @@
+"""What a result says, once: sections of texts and tables, for a terminal, a notebook or a page."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.table import Table
+from rich.text import Text
+
+from curlfit.output.console import terminal
+
+Part = str | Text | Table | None
+
+LONG = 110  # maximum number of characters in a first line
+FOLDER_OF_FIT = (
+    "The folder of the fit has the name that `curlfit fit` gives it, unless --out said otherwise."
+)
+
+
+class Said(Text):
+    """A text whose content is also in the finding or the lines, which a page shows first."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """Texts and tables under a heading.
+
+    Attributes
+    ----------
+    id : by which a page adds its figures.
+    parts : of which empty ones are left out.
+    titled : whether the heading is printed on a terminal.
+    brief : whether the section is shown in a notebook.
+    """
+
+    id: str
+    heading: str
+    parts: Sequence[Part] = ()
+    titled: bool = False
+    brief: bool = True
+
+    def __iter__(self) -> Iterator[Text | Table]:
+        """The parts that are not empty."""
+        return (Text(part) if isinstance(part, str) else part for part in self.parts if part)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Document:
+    """A result in words and tables.
+
+    Attributes
+    ----------
+    finding : whether the result is usable, or what it shows, in a few words.
+    style : of the finding.
+    subject : what the result is about.
+    headline : the same as the first line of a report, if it is not the subject.
+    about : the lines below.
+    lines : the numbers, in one or two lines of text.
+    warnings, notes : sentences without a full stop.
+    title : of a page.
+    settings : how the result was made, by name.
+    command : that makes it again; empty if there is none.
+    remark : on the command.
+    names : words that keep a lower-case initial.
+    """
+
+    finding: str
+    subject: str | Text
+    style: str = ""
+    headline: str | Text = ""
+    about: Sequence[str | Text] = ()
+    lines: Sequence[str] = ()
+    sections: Sequence[Section] = ()
+    warnings: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    title: str = ""
+    settings: Mapping[str, str] = field(default_factory=dict)
+    command: str = ""
+    remark: str = ""
+    names: Collection[str] = ()
+
+    @property
+    def heading(self) -> tuple[str | Text, ...]:
+        """The first lines of a report."""
+        return (self.headline or self.subject, *self.about)
+
+    @property
+    def introduction(self) -> list[str]:
+        """The same without what the finding or the lines say."""
+        return [str(line) for line in self.heading if not isinstance(line, Said)]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """The whole on a terminal."""
+        yield from map(_text, (*self.heading, ""))
+        for section in self.sections:
+            parts = list(section)
+            title = [Text(section.heading, style="bold")] * (section.titled and bool(parts))
+            for part in (*title, *parts):
+                yield part
+                yield Text("")
+        yield from self.warned(spaced=True)
+
+    def warned(self, *, spaced: bool = False) -> Iterator[Text]:
+        """Warnings and notes as paragraphs."""
+        for warning in self.warnings:
+            yield Text(f"Warning: {warning}.", style="yellow")
+            if spaced:
+                yield Text("")
+        yield from (Text(f"Note: {note}.", style="dim") for note in self.notes)
+
+    def as_text(self, name: str, more: str) -> str:
+        """A few lines; `name` is that of the class, `more` that of what shows everything."""
+        gap = " " if len(f"{name}{self.finding}{self.subject}") < LONG else "\n"
+        lines = [f"{name}, {self.finding}:{gap}{self.subject}", *filter(None, self.lines)]
+        if self.warnings:
+            count = len(self.warnings)
+            also = f", see {more}" if more else ""
+            lines.append(f"{count} warning{'s' if count > 1 else ''}{also}")
+        return "\n".join(lines)
+
+
+def _text(part: str | Text) -> Text:
+    return Text(part) if isinstance(part, str) else part
+
+
+def show(document: RenderableType, console: Console | None = None) -> None:
+    """Print a document on a console, by default the terminal."""
+    (console or terminal()).print(document)
+
+
+def command_line(*words: str) -> str:
+    """A command of curlfit as it is typed."""
+    return shlex.join(["curlfit", *words])
+
+
+def exact(value: float) -> str:
+    """A number of a command."""
+    return f"{value:.10g}"
