@@ -21,7 +21,7 @@ from curlfit import sheet
 from curlfit.errors import InputError
 from curlfit.html_report.additions import ADDITIONS, Additions
 from curlfit.html_report.blocks import Block, blocks_of, bullets, marked, rows, sentence
-from curlfit.output.display import document_of, kind_of_record
+from curlfit.output.display import document_of, kind_of
 from curlfit.output.document import Document
 from curlfit.output.files import atomic_write, prepare_folder, require_replaceable
 from curlfit.records import plain
@@ -83,7 +83,7 @@ def write_report(result: Any, path: str | PathLike[str], *, chain: Chain | None 
 
 def page_of(result: Any, chain: Chain | None = None) -> Page:
     """A result as a page, not yet rendered. Raises `InputError` for other objects."""
-    kind = kind_of_record(result)
+    kind = kind_of(result)
     if not kind:
         raise InputError(
             f"a {type(result).__name__} has no report; expected a fit, a comparison, a profile, a "

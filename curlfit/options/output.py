@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 from cyclopts import Group, Parameter
 
 from curlfit.options.figures import FigureFiles
+from curlfit.output.display import document_of
 from curlfit.settings.choices import Choices
 from curlfit.settings.forms import PATH, SWITCH, TEXT, option
 
@@ -103,7 +104,7 @@ class Output(Choices):
         result.save(written[0])
         drawn.replace(folder, names or [result.kind], partial(figures_by, figure, result))
         console = self.console()
-        _public(result._printer)(result, console)
+        console.print(document_of(result))
         for remark in remarks:
             console.print(f"Warning: {remark}.", style="yellow", markup=False)
         return self.written(folder, written + drawn.written(), console, more)
@@ -120,13 +121,9 @@ class Output(Choices):
 
 def figures_by(function: str, *given: Any) -> dict[str, Figure]:
     """The figures by a public function of a result, by name."""
-    found = _public(function)(*given)
+    found = getattr(import_module("curlfit"), function)(*given)
     kind = "corner" if given[1:] else given[0].kind
     return found if isinstance(found, dict) else {kind: found}
-
-
-def _public(name: str) -> Any:
-    return getattr(import_module("curlfit"), name.removeprefix("curlfit."))
 
 
 def progress_line(console: Console, *columns: str | ProgressColumn) -> Progress:

@@ -14,36 +14,35 @@ class Kind(NamedTuple):
 
     Attributes
     ----------
-    records : names of its classes.
     report : module of its function `document`.
     noun : of the public names of what loads, prints and draws it, such as `load_fit`, `print_fit`
         and `fit_figure`.
     """
 
-    records: tuple[str, ...]
     report: str
     noun: str
 
 
 KINDS = {
-    "fit": Kind(("FitResult",), "inference.report", "fit"),
-    "compare": Kind(("Comparison",), "comparison.report", "comparison"),
-    "joint": Kind(("JointResult",), "inference.joint.report", "joint"),
-    "predict": Kind(("Prediction",), "prediction.report", "prediction"),
-    "profile": Kind(("Profile", "PairProfile"), "profile_likelihood.report", "profile"),
-    "design": Kind(("Design",), "optimal_design.report", "design"),
+    "fit": Kind("inference.report", "fit"),
+    "compare": Kind("comparison.report", "comparison"),
+    "joint": Kind("inference.joint.report", "joint"),
+    "predict": Kind("prediction.report", "prediction"),
+    "profile": Kind("profile_likelihood.report", "profile"),
+    "design": Kind("optimal_design.report", "design"),
 }
 """By the names of their JSON files."""
 
 
-def kind_of_record(result: object) -> str:
+def kind_of(result: object) -> str:
     """The kind of a result; empty for other objects."""
-    return next((kind for kind in KINDS if type(result).__name__ in KINDS[kind].records), "")
+    kind = getattr(type(result), "kind", "")
+    return kind if kind in KINDS else ""
 
 
 def document_of(result: object) -> Document:
     """What a saved result says."""
-    module = import_module(f"curlfit.{KINDS[kind_of_record(result)].report}")
+    module = import_module(f"curlfit.{KINDS[kind_of(result)].report}")
     found: Document = module.document(result)
     return found
 
@@ -56,7 +55,7 @@ class Displayed:
 
     def __repr__(self) -> str:
         """A few lines."""
-        kind = kind_of_record(self)
+        kind = kind_of(self)
         return self._document().as_text(
             type(self).__name__, f"curlfit.print_{KINDS[kind].noun}" if kind else ""
         )
