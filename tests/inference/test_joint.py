@@ -225,7 +225,9 @@ def test_throws_of_different_lengths_and_channels_go_together(three):
 def test_the_scatter_of_speed_and_spin_has_their_units(three):
     joint = fit_together(three)
     rms = dict.fromkeys(("x", "phi", "speed", "omega"), 0.002)
-    joint = replace(joint, throws=tuple(replace(one, rms=rms) for one in joint.throws))
+    data = joint.throws[0].data | {"sigma": dict.fromkeys(rms, "estimated")}
+    known = {"rms": rms, "sigma": rms, "data": data}
+    joint = replace(joint, throws=tuple(replace(one, **known) for one in joint.throws))
     text = StringIO()
     curlfit.print_joint(joint, Console(width=140, file=text))
     for unit in ("(mm)", "(mrad)", "(mm/s)", "(mrad/s)"):
