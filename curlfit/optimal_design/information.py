@@ -24,7 +24,7 @@ from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import r_factor, visible
 from curlfit.inference.least_squares import Indices
-from curlfit.inference.likelihood import linearize_once, predict_many, prepare_many
+from curlfit.inference.likelihood import linearize, predict_many, prepare_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.parameters import START
@@ -88,7 +88,7 @@ def prepare_information(
     problems = _problems([(0, np.arange(2.0))] * _BATCH, own, channels)
     values = np.stack([_vector(coefficients, one) for one in own])
     prepare_many(Model(law, load), values, problems)
-    linearize_once.prepare(Model(law, load), values, problems)
+    linearize.prepare(Model(law, load), values, problems)
 
 
 def record_information(
@@ -147,7 +147,7 @@ def record_information(
         own = [throws[index] for index, _ in batch]
         values = np.stack([_vector(coefficients, throw) for throw in own])
         problems, model = _problems(batch, own, channels), Model(law, load)
-        _, found = linearize_once(model, values, problems)
+        _, found = linearize(model, values, problems)
         jacobian = np.asarray(found) * typical
         if widths:
             paths = predict_many(model, values, problems, _BATCH)
