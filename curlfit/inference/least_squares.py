@@ -7,7 +7,7 @@ steps are therefore interrupted and grouped anew.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -54,6 +54,7 @@ class Control(NamedTuple):
     remaining: float
     """share of chi squared that the step after it might gain"""
     most: int = _MOST_STEPS
+    """evaluations"""
 
 
 _PRECISE = Control(1e-2, 1e-14, 1e-18)  # for one throw
@@ -106,12 +107,13 @@ class Tasks(NamedTuple):
     """of the parameters of each throw, shape (throws, parameters of a throw); None with one"""
 
     @classmethod
-    def of(cls, parameters: ParameterSet, problem: Problem, start: Floats | None = None) -> Tasks:
-        """One throw."""
-        lower, upper, penalty = parameters.lower, parameters.upper, parameters.penalty
-        first = np.zeros(len(parameters)) if start is None else start
-        one = stacked([cls(problem, first, lower, upper, parameters.typical, penalty)])
-        return one._replace(typical=parameters.typical)
+    def of(cls, throws: Iterable[tuple[ParameterSet, Problem, Floats]]) -> Tasks:
+        """Single throws: the parameters, the problem and the initial values of each."""
+        each = [
+            cls(problem, start, own.lower, own.upper, own.typical, own.penalty)
+            for own, problem, start in throws
+        ]
+        return stacked(each)._replace(typical=each[0].typical)
 
     def at(self, which: Indices) -> Tasks:
         """Some of the problems."""
@@ -163,8 +165,7 @@ def _solve(
     ) -> Solution:
         solver = bounded.BoundedLeastSquares(
             bounded.BoundedDescent(lower, upper, typical), bounded.GainRatio(control.damping),
-            bounded.RelativeOffset(control.extrapolated, control.remaining), control.most, blocks,
-            penalty,
+            control, blocks, penalty,
         )  # fmt: skip
         found: Any = optx.least_squares(
             residual, solver, start, problem, max_steps=None, throw=False
@@ -183,16 +184,16 @@ _solve_often = compiled("model", "loss", optimize=True)(_solve)
 
 
 def solve(
-    model: Model, tasks: Tasks, choices: Control = _PRECISE, batch: int = 1, *, once: bool = True
+    model: Model, tasks: Tasks, how: Control = _PRECISE, batch: int = 1, *, once: bool = True
 ) -> Solution:
-    """The optima of problems of one loss, a batch of them side by side.
+    """The optima of problems, a batch of them side by side.
 
     Parameters
     ----------
     once : whether a program compiled quickly is better than a fast one.
     """
     program = _solve_once if once else _solve_often
-    law, loss, *stacks, typical, blocks, control = tasks.arguments(model, choices)
+    law, loss, *stacks, typical, blocks, control = tasks.arguments(model, how)
     found: Solution = in_batches(
         lambda *some: program(law, loss, *some, typical, blocks, control), tuple(stacks), batch
     )
@@ -202,22 +203,20 @@ def solve(
     return found
 
 
-def prepare_minimize(model: Model, parameters: ParameterSet, problem: Problem) -> None:
-    """Begin to compile what `minimize` needs."""
-    _solve_once.prepare(*Tasks.of(parameters, problem).arguments(model, _PRECISE))
-
-
-def prepare_minimize_few(model: Model, parameters: ParameterSet, problem: Problem) -> None:
-    """Begin to compile what `minimize_many` needs for few problems like this one."""
-    tasks = Tasks.of(parameters, problem).at(np.zeros(_FEW, int))
-    _solve_once.prepare(*tasks.arguments(model, _QUICK))
+def prepare_minimize(
+    model: Model, parameters: ParameterSet, problem: Problem, *, few: bool = False
+) -> None:
+    """Begin to compile what `minimize` needs, or `minimize_many` for few problems like this one."""
+    batch, control = (_FEW, _QUICK) if few else (1, _PRECISE)
+    tasks = Tasks.of([(parameters, problem, np.zeros(len(parameters)))] * batch)
+    _solve_once.prepare(*tasks.arguments(model, control))
 
 
 def minimize(
     model: Model, start: Floats, parameters: ParameterSet, problem: Problem
 ) -> Solution | None:
     """The optimum reached from one set of initial values; None if chi squared is not finite."""
-    found = solve(model, Tasks.of(parameters, problem, start))
+    found = solve(model, Tasks.of([(parameters, problem, start)]))
     one: Solution = jax.tree.map(itemgetter(0), found)
     return one if np.isfinite(one.chi_squared) else None
 

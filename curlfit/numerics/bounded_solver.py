@@ -138,21 +138,6 @@ class GainRatio(optx.AbstractSearch):
         return 1 / found.damping, accept, optx.RESULTS.successful, found
 
 
-class RelativeOffset(eqx.Module):
-    """Shares of the loss at which a solve has converged."""
-
-    extrapolated: Array
-    """that the last step, which is not evaluated, may gain"""
-    remaining: Array
-    """that the step after it might gain"""
-
-    def last(self, loss: Array, previous: Array, reduction: Array) -> Array:
-        """Whether a step is the last, from its reduction and that of the previous one."""
-        ratio = jnp.where(jnp.isfinite(previous), reduction / jnp.maximum(previous, 1e-300), 1.0)
-        after = reduction * jnp.where(ratio < 1, ratio, 1.0)
-        return (reduction <= self.extrapolated * loss) & (after <= self.remaining * loss)
-
-
 class SolverState(eqx.Module):
     """A solve; model, residual and Jacobian are those at the best values."""
 
@@ -179,9 +164,9 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
 
     descent: BoundedDescent
     search: GainRatio
-    termination: RelativeOffset
-    most: Array
-    """evaluations"""
+    control: Any
+    """with `extrapolated`, the share of the loss that the last step, which is not evaluated, may
+    gain; `remaining`, the share that the step after it might gain; and the `most` evaluations"""
     blocks: Array
     """indices of the parameters of each block, shape (blocks, parameters of a block)"""
     penalty: Any
@@ -216,7 +201,7 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
             best, (y, state.model, state.residual, state.jacobian),
         )  # fmt: skip
         evaluations, loss = state.evaluations + 1, model.f
-        failed = ~jnp.isfinite(loss) | (evaluations >= self.most)
+        failed = ~jnp.isfinite(loss) | (evaluations >= self.control.most)
         descent = self.descent.query(y, model, None)
 
         def uphill(damping: Array, _: Array, reduction: Array) -> Array:
@@ -233,8 +218,12 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
         failed |= damping > _MOST_DAMPING
 
         light = damping <= _HEAVY
-        last = self.termination.last(loss, search.reduction, reduction) & light & ~failed
-        not_shrinking = (search.reduction <= _ROUNDING * loss) & (reduction >= search.reduction)
+        previous = search.reduction
+        ratio = jnp.where(jnp.isfinite(previous), reduction / jnp.maximum(previous, 1e-300), 1.0)
+        after = reduction * jnp.where(ratio < 1, ratio, 1.0)
+        last = reduction <= self.control.extrapolated * loss
+        last &= (after <= self.control.remaining * loss) & light & ~failed
+        not_shrinking = (previous <= _ROUNDING * loss) & (reduction >= previous)
         share = jnp.abs(change) / (self.descent.typical + jnp.abs(y))
         small = (share <= _SMALL).all() & (damping <= self.search.first)
         # If the model is not smooth, trials may be rejected however short the steps are.

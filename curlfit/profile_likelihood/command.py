@@ -100,9 +100,9 @@ def profile(
         parameters = request.parameters
 
         def make_fit() -> tuple[FitResult, Chain | None]:
-            from curlfit.inference.least_squares import prepare_minimize_few
+            from curlfit.inference.least_squares import prepare_minimize
 
-            prepare_minimize_few(*request.problem())
+            prepare_minimize(*request.problem(), few=True)
             return request.fit(), None
 
     from curlfit.profile_likelihood.result import require_usable

@@ -9,6 +9,7 @@ import optimistix as optx
 import pytest
 from scipy.optimize import least_squares
 
+from curlfit.inference.least_squares import Control
 from curlfit.numerics import bounded_solver as bounded
 
 LOWER, UPPER = np.array([0, -0.005, -0.3, 0]), np.array([np.inf, 0.005, 0.3, np.inf])
@@ -26,13 +27,13 @@ def problem(seed):
     return residual
 
 
-def solved(residual, start=np.zeros(4), lower=LOWER, upper=UPPER, blocks=None):
+def solved(residual, start=(0.0,) * 4, lower=LOWER, upper=UPPER, blocks=None):
     """The optimum of a function of the values, by optimistix."""
     start, lower, upper = map(jnp.asarray, (start, lower, upper))
     blocks = jnp.arange(start.size)[None] if blocks is None else blocks
     solver = bounded.BoundedLeastSquares(
         bounded.BoundedDescent(lower, upper, jnp.ones(start.size)), bounded.GainRatio(1e-2),
-        bounded.RelativeOffset(1e-14, 1e-18), 200, blocks, None,
+        Control(1e-2, 1e-14, 1e-18), blocks, None,
     )  # fmt: skip
     return optx.least_squares(lambda z, _: residual(z), solver, start, max_steps=None, throw=False)
 
