@@ -164,8 +164,9 @@ def _solve(
         start: Array, lower: Array, upper: Array, penalty: Penalty | None, problem: Problem
     ) -> Solution:
         solver = bounded.BoundedLeastSquares(
-            bounded.BoundedDescent(lower, upper, typical), bounded.GainRatio(control.damping),
-            control, blocks, penalty,
+            descent=bounded.BoundedDescent(lower, upper, typical),
+            search=bounded.GainRatio(control.damping), control=control, blocks=blocks,
+            penalty=penalty,
         )  # fmt: skip
         found: Any = optx.least_squares(
             residual, solver, start, problem, max_steps=None, throw=False

@@ -34,8 +34,9 @@ _STALLED = 1e-6  # share of the loss, or of values, left to gain where no trial 
 _SMALL = 1e-10  # negligible step, relative to the size of the values
 _REGULAR = 1e-14  # damping that keeps the normal matrix nonsingular on an exact ridge
 
-Quadratic = optx.FunctionInfo.EvalGradHessian
-"""The Gauss-Newton model of the loss, half the sum of squares, about some values."""
+Quadratic = Any
+"""The Gauss-Newton model of the loss, half the sum of squares, about some values: an
+`EvalGradHessian` of optimistix."""
 
 
 class BoundedDescent(optx.AbstractDescent):
@@ -59,7 +60,7 @@ class BoundedDescent(optx.AbstractDescent):
         hessian = f_info.hessian.as_matrix() * (self.typical[:, None] * self.typical)
         return y, f_info.grad * self.typical, hessian
 
-    def step(self, step_size: Any, state: Any) -> tuple[Array, optx.RESULTS]:
+    def step(self, step_size: Any, state: Any) -> tuple[Array, Any]:
         """The step whose damping is one over the step size."""
         values, gradient, hessian = state
         lower, upper = ((end - values) / self.typical for end in (self.lower, self.upper))
@@ -105,7 +106,7 @@ class Damping(NamedTuple):
 class GainRatio(optx.AbstractSearch):
     """Damping by the ratio of the actual to the predicted reduction (Nielsen 1999)."""
 
-    first: Array
+    first: Any
     """damping of the first step"""
 
     def init(self, y: Array, f_info_struct: Any) -> Damping:
@@ -120,7 +121,7 @@ class GainRatio(optx.AbstractSearch):
     def step(
         self, first_step: Array, y: Array, y_eval: Array, f_info: Quadratic,
         f_eval_info: Quadratic, state: Damping,
-    ) -> tuple[Array, Array, optx.RESULTS, Damping]:  # fmt: skip
+    ) -> tuple[Array, Array, Any, Damping]:  # fmt: skip
         """Judge the trial; the reduction becomes inf where it is rejected."""
         before, now = f_info.f, f_eval_info.f
         rounding = (state.reduction <= _ROUNDING * before) & (now <= (1 + _ROUNDING) * before)
@@ -171,9 +172,17 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
     """indices of the parameters of each block, shape (blocks, parameters of a block)"""
     penalty: Any
     """adds to the loss, by `added_to(loss, gradient, hessian, values)`; None for nothing"""
-    rtol: float = 0.0
-    atol: float = 0.0
-    norm: Callable[..., Any] = optx.max_norm
+    rtol: float
+    atol: float
+    norm: Callable[..., Any]
+
+    def __init__(
+        self, descent: BoundedDescent, search: GainRatio, control: Any, blocks: Array, penalty: Any
+    ) -> None:
+        self.descent, self.search, self.control = descent, search, control
+        self.blocks, self.penalty = blocks, penalty
+        self.rtol = self.atol = 0.0  # required by optimistix
+        self.norm = optx.max_norm
 
     def init(
         self, fn: Any, y: Array, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any
@@ -279,7 +288,9 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
 
 
 def _quadratic(loss: Array, gradient: Array, hessian: Array) -> Quadratic:
-    return Quadratic(loss, gradient, lx.MatrixLinearOperator(hessian, lx.positive_semidefinite_tag))
+    return optx.FunctionInfo.EvalGradHessian(
+        loss, gradient, lx.MatrixLinearOperator(hessian, lx.positive_semidefinite_tag)
+    )
 
 
 def _solution(matrix: Array, right: Array) -> Array:

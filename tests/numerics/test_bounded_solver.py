@@ -32,8 +32,9 @@ def solved(residual, start=(0.0,) * 4, lower=LOWER, upper=UPPER, blocks=None):
     start, lower, upper = map(jnp.asarray, (start, lower, upper))
     blocks = jnp.arange(start.size)[None] if blocks is None else blocks
     solver = bounded.BoundedLeastSquares(
-        bounded.BoundedDescent(lower, upper, jnp.ones(start.size)), bounded.GainRatio(1e-2),
-        Control(1e-2, 1e-14, 1e-18), blocks, None,
+        descent=bounded.BoundedDescent(lower, upper, jnp.ones(start.size)),
+        search=bounded.GainRatio(1e-2), control=Control(1e-2, 1e-14, 1e-18), blocks=blocks,
+        penalty=None,
     )  # fmt: skip
     return optx.least_squares(lambda z, _: residual(z), solver, start, max_steps=None, throw=False)
 
