@@ -94,7 +94,7 @@ class Layout:
         added = -count % _TOGETHER
         own = self.index[-1] != self.index[0]
         blocks = np.concatenate([self.index, np.repeat(self.index[-1:], added, 0)])
-        blocks[count:, own] = size + np.arange(added * own.sum()).reshape(added, -1)
+        blocks[count:, own] = size + np.arange(added * own.sum()).reshape(added, own.sum())
         rows = np.concatenate([np.arange(size), np.tile(self.index[-1, own], added)])
         start, lower, upper, typical = (part[rows] for part in (start, *self.bounds))
         lower[size:] = upper[size:] = start[size:]
@@ -171,5 +171,5 @@ def minimize_jointly(
         np.full(count, steps), np.full(count, success), np.zeros(count),
     )  # fmt: skip
     if progress is not None:
-        progress(steps, float(whole.objective.sum()))
+        progress(steps, float(whole.chi_squared.sum() + whole.penalty))
     return JointSolution(values, each, steps, success)
