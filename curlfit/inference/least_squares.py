@@ -177,7 +177,14 @@ def _solve(
             found.value, state.residual, state.jacobian, state.evaluations, state.success, priors
         )
 
-    return jax.vmap(solved)(starts, lower, upper, penalties, problems)
+    stacks = starts, lower, upper, penalties, problems
+    if len(starts) > 1:
+        found: Solution = jax.vmap(solved)(*stacks)
+        return found
+    # Under vmap, both branches of each condition would be computed.
+    alone = solved(*jax.tree.map(lambda leaf: leaf[0], stacks))
+    found = jax.tree.map(lambda leaf: leaf[None], alone)
+    return found
 
 
 _solve_once = compiled("model", "loss")(_solve)
