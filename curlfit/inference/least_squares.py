@@ -178,12 +178,12 @@ def _solve(
         )
 
     stacks = starts, lower, upper, penalties, problems
+    found: Solution
     if len(starts) > 1:
-        found: Solution = jax.vmap(solved)(*stacks)
-        return found
-    # Under vmap, both branches of each condition would be computed.
-    alone = solved(*jax.tree.map(lambda leaf: leaf[0], stacks))
-    found = jax.tree.map(lambda leaf: leaf[None], alone)
+        found = jax.vmap(solved)(*stacks)
+    else:  # under vmap, both branches of each condition would be computed
+        alone = solved(*jax.tree.map(lambda leaf: leaf[0], stacks))
+        found = jax.tree.map(lambda leaf: leaf[None], alone)
     return found
 
 
