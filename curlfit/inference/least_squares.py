@@ -1,40 +1,40 @@
-"""The optimum of one throw or of many, by the Levenberg-Marquardt method within bounds.
+"""The optimum of one throw, of many, or of several with common parameters, within bounds.
 
-One throw is fitted by a single program of optimistix; many go through the same `advance` side by
-side: each pass evaluates the residuals and Jacobians of a batch of unfinished throws, which costs
-far less than one throw after another. A finished throw leaves the batch and the next takes its
-place, so that none waits for another.
+One compiled program of optimistix serves all. It solves a batch of problems side by side, which
+costs far less than one after another. The solves of a batch end together; those that take many
+steps are therefore interrupted and grouped anew.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
 from curlfit.inference.identifiability import inverted
 from curlfit.inference.initial_values import SmoothPath, default_guess, start_values_of_sides
-from curlfit.inference.likelihood import linearize, linearize_once, weighted_residuals
+from curlfit.inference.likelihood import weighted_residuals
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
-from curlfit.numerics import levenberg_marquardt as lm
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import BATCH, in_batches, stacked
 from curlfit.numerics.compiled import compiled
 
 Indices = NDArray[np.intp]
 
-_PRECISE = lm.Control(1e-2, 1e-14, 1e-18)  # for one throw
-_QUICK = lm.Control(1e-4, 1e-8, 1e-10)  # for many: within 1e-5 standard errors
+_MOST_STEPS = 200
+_FIRST_STEPS = 12  # of many problems, until those that are not done are grouped anew
+_MIXED = "mixed"  # in place of the name of a loss
 _FEW = 16  # problems in a batch
 _NOTHING = 1e-7  # length of a column, over the longest, below which it is rounding error
 _ROUNDING = 1e-12  # eigenvalue, with columns of length 1, that may be rounding error
@@ -42,6 +42,23 @@ _SAME_START = 1e-3  # typical sizes within which initial values are the same
 _EQUAL = 4.0  # chi squared within which optima fit equally: two standard deviations ...
 _APART = 9.0  # ... if the linearized problem expects this much of their distance
 _POOR = (3.0, 0.02)  # rms over that of a polynomial, and over the range, of a poor fit
+
+
+class Control(NamedTuple):
+    """How a solve begins, and when it has converged."""
+
+    damping: float
+    """of the first step, relative to the squared columns: the larger, the more cautious"""
+    extrapolated: float
+    """share of chi squared that the last step, which is not evaluated, may gain"""
+    remaining: float
+    """share of chi squared that the step after it might gain"""
+    most: int = _MOST_STEPS
+    """evaluations"""
+
+
+_PRECISE = Control(1e-2, 1e-14, 1e-18)  # for one throw
+_QUICK = Control(1e-4, 1e-8, 1e-10)  # for many: within 1e-5 standard errors
 
 
 class Solution(NamedTuple):
@@ -71,74 +88,185 @@ class Solution(NamedTuple):
         return self.chi_squared + self.penalty
 
 
-@compiled("model", "loss")
-def _minimize(
-    model: Model, loss: str, start: Array, lower: Array, upper: Array, typical: Array,
-    problem: Problem, penalty: Penalty | None,
+class Tasks(NamedTuple):
+    """Problems of one shape, their initial values and bounds, along the first axis.
+
+    A problem is a throw, or several throws along its first axis that have parameters in common.
+    """
+
+    problems: Problem
+    start: Floats
+    """shape (problems, parameters), as the next two"""
+    lower: Floats
+    upper: Floats
+    typical: Floats
+    """shape (parameters,)"""
+    penalty: Penalty | None = None
+    """each field of the shape of `start`"""
+    blocks: Indices | None = None
+    """of the parameters of each throw, shape (throws, parameters of a throw); None with one"""
+
+    @classmethod
+    def of(cls, throws: Iterable[tuple[ParameterSet, Problem, Floats]]) -> Tasks:
+        """Single throws: the parameters, the problem and the initial values of each."""
+        each = [
+            cls(problem, start, own.lower, own.upper, own.typical, own.penalty)
+            for own, problem, start in throws
+        ]
+        return stacked(each)._replace(typical=each[0].typical)
+
+    def at(self, which: Indices) -> Tasks:
+        """Some of the problems."""
+        problems, start, lower, upper, penalty = jax.tree.map(
+            itemgetter(as_slice(which)),
+            (self.problems, self.start, self.lower, self.upper, self.penalty),
+        )
+        return Tasks(problems, start, lower, upper, self.typical, penalty, self.blocks)
+
+    @property
+    def _loss(self) -> str:
+        index, *others = np.unique(self.problems.loss)
+        return _MIXED if others else LOSSES[index]
+
+    def arguments(self, model: Model, control: Control) -> tuple[Any, ...]:
+        """Of the programs that solve them."""
+        penalty, typical = self.penalty, self.typical
+        if model.family is not None:
+            pad = partial(model.family.padded, model.law)
+            penalty, typical = jax.tree.map(pad, penalty), pad(typical, 1.0)
+        blocks = np.arange(len(typical))[None] if self.blocks is None else self.blocks
+        return (
+            model.of_program, self._loss,
+            *map(model.vector, (self.start, self.lower, self.upper)),
+            penalty, self.problems, typical, blocks, control,
+        )  # fmt: skip
+
+
+def _solve(
+    model: Model, loss: str, starts: Array, lower: Array, upper: Array, penalties: Penalty | None,
+    problems: Problem, typical: Array, blocks: Array, control: Control,
 ) -> Solution:  # fmt: skip
-    # Imported only to compile the program: it takes as long to load as everything else together.
+    # Imported only to compile the program: it takes half as long to load as JAX.
     import optimistix as optx
 
-    from curlfit.numerics.bounded_solver import BoundedLevenbergMarquardt
+    from curlfit.numerics import bounded_solver as bounded
 
     def residual(values: Array, problem: Problem) -> Array:
-        return weighted_residuals(model, values, problem._replace(loss=LOSSES.index(loss)))
+        def one(values: Array, problem: Problem) -> Array:
+            if loss != _MIXED:
+                problem = problem._replace(loss=LOSSES.index(loss))
+            return weighted_residuals(model, values, problem)
 
-    found: Any = optx.least_squares(
-        residual,
-        BoundedLevenbergMarquardt(lm.Bounds(lower, upper, typical), _PRECISE, penalty),
-        start,
-        args=problem,
-        max_steps=lm.MOST_EVALUATIONS,
-        throw=False,
+        together = problem.observed.ndim > 2
+        return jax.vmap(one)(values[blocks], problem) if together else one(values, problem)
+
+    def solved(
+        start: Array, lower: Array, upper: Array, penalty: Penalty | None, problem: Problem
+    ) -> Solution:
+        solver = bounded.BoundedLeastSquares(
+            descent=bounded.BoundedDescent(lower, upper, typical),
+            search=bounded.GainRatio(control.damping), control=control, blocks=blocks,
+            penalty=penalty,
+        )  # fmt: skip
+        found: Any = optx.least_squares(
+            residual, solver, start, problem, max_steps=None, throw=False
+        )
+        priors = jnp.zeros(()) if penalty is None else penalty.chi_squared(found.value)
+        state = found.state
+        return Solution(
+            found.value, state.residual, state.jacobian, state.evaluations, state.success, priors
+        )
+
+    stacks = starts, lower, upper, penalties, problems
+    found: Solution
+    if len(starts) > 1:
+        found = jax.vmap(solved)(*stacks)
+    else:  # under vmap, both branches of each condition would be computed
+        alone = solved(*jax.tree.map(lambda leaf: leaf[0], stacks))
+        found = jax.tree.map(lambda leaf: leaf[None], alone)
+    return found
+
+
+_solve_once = compiled("model", "loss")(_solve)
+_solve_often = compiled("model", "loss", optimize=True)(_solve)
+
+
+def solve(
+    model: Model, tasks: Tasks, how: Control = _PRECISE, batch: int = 1, *, once: bool = True
+) -> Solution:
+    """The optima of problems, a batch of them side by side.
+
+    Parameters
+    ----------
+    once : whether a program compiled quickly is better than a fast one.
+    """
+    program = _solve_once if once else _solve_often
+    law, loss, *stacks, typical, blocks, control = tasks.arguments(model, how)
+    found: Solution = in_batches(
+        lambda *some: program(law, loss, *some, typical, blocks, control), tuple(stacks), batch
     )
-    shape = problem.observed.shape
-    return Solution(
-        values=found.value,
-        residual=found.state.residual.reshape(shape),
-        jacobian=found.state.jacobian.reshape(*shape, -1),
-        steps=found.stats["num_steps"],
-        success=found.result == optx.RESULTS.successful,
-        penalty=0.0 if penalty is None else penalty.chi_squared(found.value),
-    )
-
-
-def prepare_minimize(model: Model, parameters: ParameterSet, problem: Problem) -> None:
-    """Begin to compile what `minimize` needs."""
-    _minimize.prepare(*_arguments(model, np.zeros(len(parameters)), parameters, problem))
-
-
-def prepare_minimize_few(model: Model, parameters: ParameterSet, problem: Problem) -> None:
-    """Begin to compile what `minimize_many` needs for few problems like this one."""
-    linearize_once.prepare(model, np.zeros((_FEW, len(parameters))), stacked([problem] * _FEW))
-
-
-def _arguments(
-    model: Model, start: Floats, parameters: ParameterSet, problem: Problem
-) -> tuple[Any, ...]:
-    penalty, typical = parameters.penalty, parameters.typical
     if model.family is not None:
-        pad = partial(model.family.padded, model.law)
-        penalty, typical = jax.tree.map(pad, penalty), pad(typical, 1.0)
-    bounded = map(model.vector, (start, parameters.lower, parameters.upper))
-    return (
-        model.of_program, LOSSES[int(problem.loss)], *bounded, typical,
-        problem._replace(loss=None), penalty,
-    )  # fmt: skip
+        own = model.columns(tasks.start.shape[-1])
+        found = found._replace(values=found.values[:, own], jacobian=found.jacobian[..., own])
+    return found
+
+
+def prepare_minimize(
+    model: Model, parameters: ParameterSet, problem: Problem, *, few: bool = False
+) -> None:
+    """Begin to compile what `minimize` needs, or `minimize_many` for few problems like this one."""
+    batch, control = (_FEW, _QUICK) if few else (1, _PRECISE)
+    tasks = Tasks.of([(parameters, problem, np.zeros(len(parameters)))] * batch)
+    _solve_once.prepare(*tasks.arguments(model, control))
 
 
 def minimize(
     model: Model, start: Floats, parameters: ParameterSet, problem: Problem
 ) -> Solution | None:
     """The optimum reached from one set of initial values; None if chi squared is not finite."""
-    found = _minimize(*_arguments(model, start, parameters, problem))
-    solution: Solution = jax.tree.map(np.asarray, found)
-    if model.family is not None:
-        own = model.columns(len(start))
-        solution = solution._replace(
-            values=solution.values[own], jacobian=solution.jacobian[..., own]
-        )
-    return solution if np.isfinite(solution.chi_squared) else None
+    found = solve(model, Tasks.of([(parameters, problem, start)]))
+    one: Solution = jax.tree.map(itemgetter(0), found)
+    return one if np.isfinite(one.chi_squared) else None
+
+
+def minimize_many(
+    model: Model, tasks: Tasks, progress: Callable[[int], None] | None = None, *, few: bool = False
+) -> Solution:
+    """The optima of many problems.
+
+    Parameters
+    ----------
+    progress : called with the number of problems that are done.
+    few : whether they are so few that a program compiled quickly is better than a fast one.
+    """
+    batch, most = _FEW if few else BATCH, _FIRST_STEPS
+    tasks = tasks._replace(start=np.array(tasks.start))
+    count, loss = len(tasks.start), tasks.problems.loss
+    due, interrupted = np.arange(count), np.zeros(count, bool)
+    whole: Any = None
+    while len(due):
+        now = due[loss[due] == loss[due[0]]][:batch]
+        found = solve(model, tasks.at(now), _QUICK._replace(most=most), batch, once=few)
+        if whole is None:
+            whole = jax.tree.map(lambda leaf: np.zeros((count, *leaf.shape[1:]), leaf.dtype), found)
+        steps = whole.steps[now] + found.steps
+        put(whole, now, found._replace(steps=steps))
+        tasks.start[now] = found.values
+        interrupted[now] = ~found.success & (found.steps >= most) & (steps < _MOST_STEPS)
+        due = np.setdiff1d(due, now)
+        if progress is not None:
+            progress(count - len(due) - int(interrupted.sum()))
+        if not len(due):
+            due, most = np.flatnonzero(interrupted), 2 * most
+            interrupted[:] = False
+    solution: Solution = whole
+    return solution
+
+
+def put(whole: Solution, which: Indices, part: Solution) -> None:
+    """Replace some of many solutions."""
+    for leaf, new in zip(whole, part, strict=True):
+        leaf[as_slice(which)] = new
 
 
 def starts(
@@ -241,73 +369,6 @@ def residual_sigma(solutions: Solution, problems: Problem, free: Booleans) -> ND
     return np.where(largest > 0, rms / np.where(largest > 0, largest, 1.0), 0.0)
 
 
-class Tasks(NamedTuple):
-    """Problems of one shape, their initial values and bounds; throws along the first axis."""
-
-    problems: Problem
-    start: Floats
-    """shape (throws, parameters), as the next two"""
-    lower: Floats
-    upper: Floats
-    typical: Floats
-    """shape (parameters,)"""
-    penalty: Penalty | None = None
-    """each field of the shape of `start`"""
-    revised_penalty: Penalty | None = None
-    """the penalty once a problem is revised; needed where there is a penalty and a revision"""
-
-
-class Revision(NamedTuple):
-    """Throws to be fitted again, with other weights or another noise model."""
-
-    throws: Indices
-    problems: Problem
-    """their new problems, along the first axis"""
-    scale: Floats | None
-    """new over old weights, shape (throws, channels, n), where nothing else has changed"""
-
-
-Revise = Callable[[Indices, Solution], list[Revision]]
-"""Revisions from throws that are done and their optima."""
-
-
-def minimize_many(
-    model: Model,
-    tasks: Tasks,
-    revise: Revise | None = None,
-    progress: Callable[[int], None] | None = None,
-    *,
-    few: bool = False,
-) -> Solution:
-    """The optima of many problems.
-
-    Parameters
-    ----------
-    revise : returns which of the throws that are done to fit again, and how.
-    progress : called with the number of throws that need no further fit.
-    few : whether throws are so few that a program compiled quickly is better than a fast one.
-    """
-    program, batch = (linearize_once, _FEW) if few else (linearize, BATCH)
-    searches = _Searches(tasks)
-    going = np.ones(len(tasks.start), bool)
-    while going.any():
-        now = np.flatnonzero(going)[:batch]
-        trial, problems = searches.trials(now)
-        found = in_batches(partial(program, model), (trial, problems), batch)
-        done = now[searches.advance(now, *found)]
-        while revise is not None and len(done):
-            going[done] = False
-            revisions = revise(done, searches.solution(done))
-            again = [revision.throws[searches.revise(revision)] for revision in revisions]
-            for revision in revisions:
-                going[revision.throws] = True
-            done = np.sort(np.concatenate(again)) if again else done[:0]
-        going[done] = False
-        if progress is not None:
-            progress(int((~going).sum()))
-    return searches.solution(np.arange(len(going)))
-
-
 def best_of_sides(model: Model, tasks: Tasks, sides: Floats) -> dict[int, Floats]:
     """Set the initial values of each of many throws to the best optimum of those that may fit
     equally, and return other optima that do, by throw.
@@ -318,12 +379,7 @@ def best_of_sides(model: Model, tasks: Tasks, sides: Floats) -> dict[int, Floats
     throws = np.flatnonzero(apart.any((0, 2)))
     if not len(throws):
         return {}
-    some: Tasks = tasks._replace(
-        **{
-            name: jax.tree.map(itemgetter(throws), getattr(tasks, name))
-            for name in ("problems", "start", "lower", "upper", "penalty")
-        }
-    )
+    some = tasks.at(throws)
     found = [
         minimize_many(model, some._replace(start=start))
         for start in (some.start, *sides[1:, throws])
@@ -345,99 +401,3 @@ def as_slice(indices: Indices) -> Indices | slice:
     if len(indices) and indices[-1] - indices[0] == len(indices) - 1:
         return slice(indices[0], indices[-1] + 1)
     return indices
-
-
-class _Searches:
-    """Searches side by side, with residuals and Jacobians at their best values."""
-
-    def __init__(self, tasks: Tasks) -> None:
-        self.problems: Problem = jax.tree.map(np.array, tasks.problems)
-        self.bounds = lm.Bounds(tasks.lower, tasks.upper, tasks.typical)
-        self.penalty: Penalty | None = jax.tree.map(np.array, tasks.penalty)
-        self.revised_penalty = tasks.revised_penalty
-        self.state = lm.begin(tasks.start, self.bounds, _QUICK)
-        shape = self.problems.observed.shape
-        self.residual = np.full(shape, np.nan)
-        self.jacobian = np.full((*shape, len(tasks.typical)), np.nan)
-
-    def trials(self, now: Indices) -> tuple[Floats, Problem]:
-        """Parameter vectors to evaluate, and their problems."""
-        return self.state.trial[now], jax.tree.map(itemgetter(as_slice(now)), self.problems)
-
-    def advance(self, now: Indices, residual: Floats, jacobian: Floats) -> Booleans:
-        """Process the results of a pass; return which of the searches are done."""
-        state, bounds = self._of(as_slice(now))
-        with np.errstate(invalid="ignore", over="ignore"):  # where there is no path
-            model = self._model(as_slice(now), state.trial, residual, jacobian)
-            state, outcome = lm.advance(state, model, bounds, _QUICK)
-        better = outcome.accepted
-        if not better.all():
-            residual, jacobian = residual[better], jacobian[better]
-        throws = as_slice(now[better])
-        self.residual[throws], self.jacobian[throws] = residual, jacobian
-        return self._put(now, state, outcome)
-
-    def revise(self, revision: Revision) -> Booleans:
-        """Restart revised searches from their best values; return which are done immediately."""
-        now, problems, scale = revision
-        throws = as_slice(now)
-        state, bounds = self._of(throws)
-        if self.penalty is not None and self.revised_penalty is not None:
-            for part, new in zip(self.penalty, self.revised_penalty, strict=True):
-                part[throws] = new[throws]
-        if scale is None:
-            for leaf, new in zip(*map(jax.tree.leaves, (self.problems, problems)), strict=True):
-                leaf[throws] = new
-            return self._put(now, lm.begin(state.values, bounds, _QUICK), None)
-        self.problems.weight[throws] = problems.weight
-        self.residual[throws] *= scale
-        self.jacobian[throws] *= scale[..., None]
-        model = self._model(throws, state.values, self.residual[throws], self.jacobian[throws])
-        return self._put(now, *lm.reweighted(state, model, bounds, _QUICK))
-
-    def solution(self, which: Indices) -> Solution:
-        """The best solutions so far; arrays may be views, valid until a search advances."""
-        throws = as_slice(which)
-        return Solution(
-            self.state.values[throws], self.residual[throws], self.jacobian[throws],
-            self.state.evaluations[throws], self.state.success[throws],
-            self._penalty_chi_squared(throws),
-        )  # fmt: skip
-
-    def _of(self, throws: Indices | slice) -> tuple[lm.Search, lm.Bounds]:
-        lower, upper, typical = self.bounds
-        state: lm.Search = jax.tree.map(itemgetter(throws), self.state)
-        return state, lm.Bounds(lower[throws], upper[throws], typical)
-
-    def _penalty(self, throws: Indices | slice) -> Penalty | None:
-        found: Penalty | None = jax.tree.map(itemgetter(throws), self.penalty)
-        return found
-
-    def _penalty_chi_squared(self, throws: Indices | slice) -> Floats:
-        penalty, values = self._penalty(throws), self.state.values[throws]
-        return np.zeros(len(values)) if penalty is None else penalty.chi_squared(values)
-
-    def _model(
-        self, throws: Indices | slice, values: Floats, residual: Floats, jacobian: Floats
-    ) -> lm.QuadraticModel:
-        count, channels, rows, size = jacobian.shape
-        model = lm.quadratic_model(
-            residual.reshape(count, channels * rows),
-            jacobian.reshape(count, channels * rows, size),
-            self.bounds.typical,
-        )
-        penalty = self._penalty(throws)
-        if penalty is None:
-            return model
-        found: lm.QuadraticModel = penalty.added_to(model, values, self.bounds.typical)
-        return found
-
-    def _put(self, now: Indices, state: lm.Search, outcome: lm.Outcome | None) -> Booleans:
-        throws = as_slice(now)
-        for leaf, new in zip(*map(jax.tree.leaves, (self.state, state)), strict=True):
-            leaf[throws] = new
-        if outcome is not None and (last := outcome.extrapolation.any(1)).any():
-            move = outcome.extrapolation[last][:, None, :, None]
-            throws = as_slice(now[last])
-            self.residual[throws] += (self.jacobian[throws] @ move)[..., 0]
-        return np.asarray(state.done)

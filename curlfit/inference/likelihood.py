@@ -189,7 +189,8 @@ def _under_losses(residual: Array, losses: Array) -> tuple[Array, Array]:
     return jax.lax.cond((losses > 0).any(), robust, squared, residual)
 
 
-def _linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, Array]:
+@compiled("model")
+def linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, Array]:
     """Residuals of throws, shape (throws, channels, n), and their Jacobian by the parameters."""
 
     def one(values: Array, problem: Problem) -> tuple[Array, Array]:
@@ -202,11 +203,6 @@ def _linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, A
     jacobian, found = jax.vmap(one)(values, problems)
     found, slope = _under_losses(found, problems.loss)
     return found, slope[..., None] * jacobian
-
-
-linearize = compiled("model", optimize=True)(_linearize)
-"""For many throws, or many evaluations."""
-linearize_once = compiled("model")(_linearize)
 
 
 def log_likelihood(model: Model, values: Array, problem: Problem) -> Array:

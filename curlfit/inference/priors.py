@@ -134,16 +134,11 @@ class Penalty(NamedTuple):
         """Sum of the squared residuals."""
         return (self.residual_and_slope(values)[0] ** 2).sum(-1)
 
-    def added_to(self, model: Any, values: Any, typical: Any) -> Any:
-        """A `QuadraticModel` of the data about some values, with the priors added."""
-        xp = values.__array_namespace__()
+    def added_to(self, loss: Any, gradient: Any, hessian: Any, values: Any) -> tuple[Any, Any, Any]:
+        """Half a sum of squares about some values, and its derivatives, with the priors added."""
         residual, slope = self.residual_and_slope(values)
-        slope = slope * typical
-        return model._replace(
-            chi_squared=model.chi_squared + (residual**2).sum(-1),
-            gradient=model.gradient + slope * residual,
-            hessian=model.hessian + xp.eye(values.shape[-1]) * (slope**2)[..., None],
-        )
+        diagonal = (slope**2)[..., None] * np.eye(values.shape[-1])
+        return loss + (residual**2).sum(-1) / 2, gradient + slope * residual, hessian + diagonal
 
 
 NO_PRIOR = Prior("normal", (0.0, math.inf))

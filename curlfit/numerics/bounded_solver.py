@@ -1,88 +1,283 @@
-"""The Levenberg-Marquardt method with bounds as a solver of optimistix."""
+"""Least squares within bounds: a descent, a search and a solver of optimistix.
+
+Bounds are enforced by projection (Kanzow, Yamashita and Fukushima 2004). Damping is scaled by the
+columns of the Jacobian (Marquardt 1963), which makes the steps independent of units.
+
+A solve has converged when the residual is orthogonal to all changes that a step could make, by the
+relative offset of Bates and Watts (1981): the length of the part of the residual that the next step
+removes, relative to that of the residual. The reductions of the last two steps predict that of the
+next, so the last step needs no evaluation of its own. Near the end, steps gain less than the
+rounding error of the loss, which then shows neither whether a step was good nor when to stop.
+There, steps are taken as long as they become shorter.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import optimistix as optx
 from jax import Array
 
-from curlfit.numerics.levenberg_marquardt import (
-    Bounds,
-    Control,
-    Search,
-    advance,
-    begin,
-    quadratic_model,
-)
+_LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e8  # relative to the squared columns (Marquardt)
+_LESS, _MORE = 0.1, 3.0  # factors of the damping after a step as predicted, and a rejected one ...
+_FASTER = 2.0  # ... and of that factor after each further rejection
+_ROUNDING = 1e-10  # share of the loss up to which a change may be rounding error
+_STEEPER = 30.0  # factor of the damping of a step that leads uphill
+_UPHILL = 1e-8  # share of the loss by which a projected step may lead uphill
+_HEAVY = 1.0  # damping above which a small reduction says nothing about the optimum
+_STALLED = 1e-6  # share of the loss, or of values, left to gain where no trial is accepted
+_SMALL = 1e-10  # negligible step, relative to the size of the values
+_REGULAR = 1e-14  # damping that keeps the normal matrix nonsingular on an exact ridge
+
+Quadratic = Any
+"""The Gauss-Newton model of the loss, half the sum of squares, about some values: an
+`EvalGradHessian` of optimistix."""
+
+
+class BoundedDescent(optx.AbstractDescent):
+    """The damped step within the bounds, by active sets.
+
+    A parameter at a bound that is pushed against it is held there. One that would pass its bound
+    is set to the bound, and the others are solved for again.
+    """
+
+    lower: Array
+    upper: Array
+    typical: Array
+    """sizes of the parameters"""
+
+    def init(self, y: Array, f_info_struct: Any) -> Any:
+        """Required by optimistix."""
+        return y, f_info_struct
+
+    def query(self, y: Array, f_info: Quadratic, state: Any) -> Any:
+        """The values, and the gradient and Hessian there in parameters over typical sizes."""
+        hessian = f_info.hessian.as_matrix() * (self.typical[:, None] * self.typical)
+        return y, f_info.grad * self.typical, hessian
+
+    def step(self, step_size: Any, state: Any) -> tuple[Array, Any]:
+        """The step whose damping is one over the step size."""
+        values, gradient, hessian = state
+        lower, upper = ((end - values) / self.typical for end in (self.lower, self.upper))
+        held = (lower >= 0) & (gradient >= 0) | (upper <= 0) & (gradient <= 0) | (lower >= upper)
+        square = jnp.where(held, 0.0, jnp.diagonal(hessian))
+        size = jnp.sqrt(jnp.maximum(square, 1e-24 * square.max() + 1e-300))
+
+        def outside(held: Array, step: Array) -> Array:
+            return ~held & ((step < lower) | (step > upper))
+
+        def narrower(held: Array, step: Array) -> tuple[Array, Array]:
+            held = held | outside(held, step)
+            step = jnp.where(held, jnp.clip(step, lower, upper), 0.0)
+            free = jnp.where(held, 0.0, 1 / size)
+            # Scaled to unit diagonal, so that the damping keeps it nonsingular.
+            diagonal = jnp.where(held, 1.0, 1 / step_size + _REGULAR)
+            matrix = hessian * (free[:, None] * free) + jnp.diag(diagonal)
+            right = -(gradient + hessian @ step) * free
+            return held, jnp.where(held, step, _solution(matrix, right) * free)
+
+        start = held, jnp.zeros_like(values)
+        _, step = _repeated(narrower, lambda *sets: outside(*sets).any(), start)
+        change = jnp.clip(step * self.typical, self.lower - values, self.upper - values)
+        return change, optx.RESULTS.successful
+
+    def moved(self, y: Array, change: Array) -> Array:
+        """The values after a step, which reaches a bound exactly."""
+        at_lower, at_upper = change <= self.lower - y, change >= self.upper - y
+        moved = jnp.where(at_upper, self.upper, y + change)
+        return jnp.clip(jnp.where(at_lower, self.lower, moved), self.lower, self.upper)
+
+
+class Damping(NamedTuple):
+    """State of the search."""
+
+    damping: Array
+    growth: Array
+    """factor of the damping if the trial is rejected"""
+    reduction: Array
+    """of the loss, predicted for the step to the trial; inf before the first"""
+
+
+class GainRatio(optx.AbstractSearch):
+    """Damping by the ratio of the actual to the predicted reduction (Nielsen 1999)."""
+
+    first: Any
+    """damping of the first step"""
+
+    def init(self, y: Array, f_info_struct: Any) -> Damping:
+        """Required by optimistix."""
+        return Damping(*map(jnp.asarray, (self.first, _MORE, jnp.inf)))
+
+    def predicted(self, change: Array, f_info: Quadratic) -> Array:
+        """Reduction of the loss by a step, not as a difference of two losses, which is lost to
+        rounding near the optimum."""
+        return -(f_info.grad @ change) - f_info.hessian.mv(change) @ change / 2
+
+    def step(
+        self, first_step: Array, y: Array, y_eval: Array, f_info: Quadratic,
+        f_eval_info: Quadratic, state: Damping,
+    ) -> tuple[Array, Array, Any, Damping]:  # fmt: skip
+        """Judge the trial; the reduction becomes inf where it is rejected."""
+        before, now = f_info.f, f_eval_info.f
+        rounding = (state.reduction <= _ROUNDING * before) & (now <= (1 + _ROUNDING) * before)
+        accept = (now <= before) | rounding
+        accept &= jnp.isfinite(now) & jnp.isfinite(f_eval_info.hessian.as_matrix()).all()
+        known = jnp.isfinite(before) & jnp.isfinite(now) & ~rounding
+        fall = jnp.where(known, before, 1.0) - jnp.where(known, now, 0.0)
+        gain = jnp.where(known, fall / jnp.maximum(state.reduction, 1e-300), 1.0)
+        factor = jnp.where(accept, jnp.clip(1 - (2 * gain - 1) ** 3, _LESS, 2.0), state.growth)
+        found = Damping(
+            jnp.maximum(state.damping * factor, _LEAST_DAMPING),
+            jnp.where(accept, _MORE, state.growth * _FASTER),
+            jnp.where(accept, state.reduction, jnp.inf),
+        )
+        return 1 / found.damping, accept, optx.RESULTS.successful, found
 
 
 class SolverState(eqx.Module):
-    """A search, and the residual and Jacobian at its best values."""
+    """A solve; model, residual and Jacobian are those at the best values."""
 
-    search: Search
+    trial: Array
+    """where to evaluate next"""
+    model: Quadratic
     residual: Array
-    """shape (n,)"""
     jacobian: Array
-    """shape (n, parameters)"""
+    """shape (*residual, parameters of a block)"""
+    search: Damping
+    settled: Array
+    """whether the first, least damped step from the best values was predicted to gain little"""
+    evaluations: Array
+    done: Array
+    success: Array
 
 
-class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
-    """The method as a solver of optimistix, for residuals in a single array."""
+class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
+    """The Levenberg-Marquardt method within bounds.
 
-    bounds: Bounds
-    control: Control
+    The Jacobian may consist of blocks of rows, each of which depends on some of the parameters, so
+    that one tangent serves a parameter of every block.
+    """
+
+    descent: BoundedDescent
+    search: GainRatio
+    control: Any
+    """with `extrapolated`, the share of the loss that the last step, which is not evaluated, may
+    gain; `remaining`, the share that the step after it might gain; and the `most` evaluations"""
+    blocks: Array
+    """indices of the parameters of each block, shape (blocks, parameters of a block)"""
     penalty: Any
-    """adds a term to chi squared, by `added_to(model, values, typical)`; None for no term"""
+    """adds to the loss, by `added_to(loss, gradient, hessian, values)`; None for nothing"""
     rtol: float
     atol: float
     norm: Callable[..., Any]
 
-    def __init__(self, bounds: Bounds, control: Control, penalty: Any = None) -> None:
-        self.bounds, self.control, self.penalty = bounds, control, penalty
-        self.rtol = self.atol = control.remaining  # required by optimistix
+    def __init__(
+        self, descent: BoundedDescent, search: GainRatio, control: Any, blocks: Array, penalty: Any
+    ) -> None:
+        self.descent, self.search, self.control = descent, search, control
+        self.blocks, self.penalty = blocks, penalty
+        self.rtol = self.atol = 0.0  # required by optimistix
         self.norm = optx.max_norm
 
     def init(
         self, fn: Any, y: Array, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any
     ) -> SolverState:
         """Required by optimistix."""
-        size = f_struct.size
-        unknown = jnp.full((size, 1 + y.size), jnp.nan)
-        return SolverState(begin(y, self.bounds, self.control), unknown[:, 0], unknown[:, 1:])
+        size, width = y.size, self.blocks.shape[-1]
+        model = _quadratic(jnp.full((), jnp.inf), jnp.zeros(size), jnp.zeros((size, size)))
+        no, unknown = jnp.zeros((), bool), jnp.full((*f_struct.shape, 1 + width), jnp.nan)
+        return SolverState(
+            self.descent.moved(y, jnp.zeros_like(y)), model, unknown[..., 0], unknown[..., 1:],
+            self.search.init(y, model), no, jnp.zeros((), int), no, no,
+        )  # fmt: skip
 
     def step(
         self, fn: Any, y: Array, args: Any, options: Any, state: SolverState, tags: Any
     ) -> tuple[Array, SolverState, Any]:
-        """Required by optimistix."""
+        """Evaluate the trial, judge it, and choose the next or the last step."""
+        *here, aux = self._evaluated(lambda values: fn(values, args), state.trial)
+        _, accept, _, search = self.search.step(
+            state.evaluations == 0, y, state.trial, state.model, here[0], state.search
+        )
+        best = state.trial, *here
+        y, model, residual, jacobian = jax.tree.map(
+            lambda new, old: jnp.where(accept, new, old),
+            best, (y, state.model, state.residual, state.jacobian),
+        )  # fmt: skip
+        evaluations, loss = state.evaluations + 1, model.f
+        failed = ~jnp.isfinite(loss) | (evaluations >= self.control.most)
+        descent = self.descent.query(y, model, None)
 
-        def residual_of(values: Array) -> tuple[Array, Any]:
-            residual, aux = fn(values, args)
-            return residual.reshape(-1), (residual.reshape(-1), aux)
+        def uphill(damping: Array, _: Array, reduction: Array) -> Array:
+            return ~failed & (reduction < -_UPHILL * loss) & (damping <= _MOST_DAMPING)
 
-        jacobian, (residual, aux) = jax.jacfwd(residual_of, has_aux=True)(state.search.trial)
-        model = quadratic_model(residual, jacobian, self.bounds.typical)
+        def shorter(damping: Array, change: Array, reduction: Array) -> tuple[Array, Array, Array]:
+            damping = jnp.where(uphill(damping, change, reduction), damping * _STEEPER, damping)
+            change, _ = self.descent.step(1 / damping, descent)
+            return damping, change, self.search.predicted(change, model)
+
+        # A step to a bound may lead uphill; a shorter one does not.
+        begin = search.damping, jnp.zeros_like(y), jnp.zeros(())
+        damping, change, reduction = _repeated(shorter, uphill, begin)
+        failed |= damping > _MOST_DAMPING
+
+        light = damping <= _HEAVY
+        previous = search.reduction
+        ratio = jnp.where(jnp.isfinite(previous), reduction / jnp.maximum(previous, 1e-300), 1.0)
+        after = reduction * jnp.where(ratio < 1, ratio, 1.0)
+        last = reduction <= self.control.extrapolated * loss
+        last &= (after <= self.control.remaining * loss) & light & ~failed
+        not_shrinking = (previous <= _ROUNDING * loss) & (reduction >= previous)
+        share = jnp.abs(change) / (self.descent.typical + jnp.abs(y))
+        small = (share <= _SMALL).all() & (damping <= self.search.first)
+        # If the model is not smooth, trials may be rejected however short the steps are.
+        negligible = (reduction <= _STALLED * loss) | (share <= _STALLED).all()
+        settled = jnp.where(accept, negligible, state.settled)
+        stalled = (damping > _MOST_DAMPING) & settled
+        success = (~failed & (last | (not_shrinking & light) | small)) | stalled
+
+        step = jnp.where(last, change, 0.0)
+        along = step[self.blocks].reshape(-1, *(1,) * (residual.ndim - 1), jacobian.shape[-1])
+        residual = residual + (jacobian * along).sum(-1)
+        state = SolverState(
+            self.descent.moved(y, change), model, residual, jacobian,
+            Damping(damping, search.growth, reduction), settled, evaluations,
+            failed | success, success,
+        )  # fmt: skip
+        return self.descent.moved(y, step), state, aux
+
+    def _evaluated(self, function: Any, values: Array) -> tuple[Quadratic, Array, Array, Any]:
+        count, width = self.blocks.shape
+        seeds = jnp.zeros((values.size, width)).at[self.blocks, jnp.arange(width)].set(1.0)
+
+        def along(seed: Array) -> Any:
+            return jax.jvp(function, (values,), (seed,), has_aux=True)
+
+        residual, jacobian, aux = jax.vmap(along, 1, (None, -1, None))(seeds)
+        rows = residual.reshape(count, -1, 1)
+        columns = jacobian.reshape(count, -1, width)
+        gradient = jnp.zeros(values.size).at[self.blocks].add((columns.mT @ rows)[..., 0])
+        place = self.blocks[:, :, None], self.blocks[:, None, :]
+        hessian = jnp.zeros((values.size,) * 2).at[place].add(columns.mT @ columns)
+        terms = (residual**2).sum() / 2, gradient, hessian
         if self.penalty is not None:
-            model = self.penalty.added_to(model, state.search.trial, self.bounds.typical)
-        search, outcome = advance(state.search, model, self.bounds, self.control)
-        residual = jnp.where(outcome.accepted, residual, state.residual)
-        jacobian = jnp.where(outcome.accepted, jacobian, state.jacobian)
-        residual = residual + jacobian @ outcome.extrapolation
-        return search.values, SolverState(search, residual, jacobian), aux
+            terms = self.penalty.added_to(*terms, values)
+        return _quadratic(*terms), residual, jacobian, aux
 
     def terminate(
         self, fn: Any, y: Array, args: Any, options: Any, state: SolverState, tags: Any
-    ) -> tuple[Array, Any]:
+    ) -> tuple[Array, optx.RESULTS]:
         """Required by optimistix."""
-        failed = state.search.done & ~state.search.success
+        failed = state.done & ~state.success
         result = optx.RESULTS.where(
             failed, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful
         )
-        return state.search.done, result
+        return state.done, result
 
     def postprocess(
         self, fn: Any, y: Array, aux: Any, args: Any, options: Any, state: SolverState, tags: Any,
@@ -90,3 +285,34 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     ) -> tuple[Array, Any, dict[str, Any]]:  # fmt: skip
         """Required by optimistix."""
         return y, aux, {}
+
+
+def _quadratic(loss: Array, gradient: Array, hessian: Array) -> Quadratic:
+    return optx.FunctionInfo.EvalGradHessian(
+        loss, gradient, lx.MatrixLinearOperator(hessian, lx.positive_semidefinite_tag)
+    )
+
+
+def _solution(matrix: Array, right: Array) -> Array:
+    """Solution of a positive-definite system, by elimination without pivoting: LAPACK, which JAX
+    would otherwise call, takes a tenth of a second to load."""
+
+    def eliminated(k: Any, system: Array) -> Array:
+        row = jax.lax.dynamic_index_in_dim(system, k, -2)
+        row = row / jax.lax.dynamic_index_in_dim(row, k, -1)
+        rest = system - jax.lax.dynamic_index_in_dim(system, k, -1) * row
+        return jnp.where(jnp.arange(len(matrix))[:, None] == k, row, rest)
+
+    system = jnp.concatenate([matrix, right[:, None]], -1)
+    return jax.lax.fori_loop(0, len(matrix), eliminated, system)[:, -1]
+
+
+def _repeated(body: Callable[..., Any], condition: Callable[..., Any], carry: Any) -> Any:
+    """Run the body once, and again as long as the condition holds. The program contains the body
+    only once; a first run before the loop would duplicate it."""
+    _, carry = jax.lax.while_loop(
+        lambda state: state[0] | condition(*state[1]),
+        lambda state: (jnp.zeros((), bool), body(*state[1])),
+        (jnp.ones((), bool), carry),
+    )
+    return carry

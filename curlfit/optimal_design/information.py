@@ -26,7 +26,7 @@ from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import Bounded, confined, r_factor, visible
 from curlfit.inference.least_squares import Indices
-from curlfit.inference.likelihood import linearize_once, predict_many, prepare_many
+from curlfit.inference.likelihood import linearize, predict_many, prepare_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.parameters import START, ParameterSet
@@ -155,7 +155,7 @@ def prepare_information(assumed: Assumptions, load: Load, throw: PlannedThrow) -
     some = [(throw, np.arange(2.0))] * _BATCH
     values, problems = _stacked(assumed, some, assumed.channels)
     prepare_many(Model(assumed.law, load), values, problems)
-    linearize_once.prepare(Model(assumed.law, load), values, problems)
+    linearize.prepare(Model(assumed.law, load), values, problems)
 
 
 def record_information(
@@ -205,7 +205,7 @@ def record_information(
         some = parts[first : first + _BATCH]
         batch = some + [some[-1]] * (_BATCH - len(some))
         values, problems = _stacked(assumed, [(throws[k], clock) for k, clock in batch], channels)
-        jacobian = np.asarray(linearize_once(model, values, problems)[1]) * typical
+        jacobian = np.asarray(linearize(model, values, problems)[1]) * typical
         if widths:
             paths = predict_many(model, values, problems, _BATCH)
             changes = residual_changes(model, problems, values, paths, widths, "linear", _BATCH)

@@ -100,9 +100,9 @@ def profile(
     errors = Console(stderr=True, quiet=output.quiet)
     with status_line(errors, f"Fitting {COMPILES}") as say:
         if request is not None:
-            from curlfit.inference.least_squares import prepare_minimize_few
+            from curlfit.inference.least_squares import prepare_minimize
 
-            prepare_minimize_few(*request.problem())
+            prepare_minimize(*request.problem(), few=True)
             fit, chain = request.fit(), None
         require_usable(parameters, param, points, limits, parameters.values_of(fit.values))
         folder = prepare_folder(

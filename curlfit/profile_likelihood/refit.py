@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from curlfit.errors import UnusableFitError
@@ -73,13 +72,7 @@ class Refit:
         return np.asarray(self.solution.values)
 
     def _solved(self, tasks: Iterable[tuple[ParameterSet, Floats]]) -> list[Solution | None]:
-        sets, starts = zip(*tasks, strict=True)
-        everywhere = jax.tree.map(
-            lambda leaf: np.broadcast_to(leaf, (len(sets), *np.shape(leaf))), self.problem
-        )
-        lower, upper = (np.stack([getattr(one, end) for one in sets]) for end in ("lower", "upper"))
-        penalty = jax.tree.map(lambda *parts: np.stack(parts), *(one.penalty for one in sets))
-        work = Tasks(everywhere, np.stack(starts), lower, upper, self.parameters.typical, penalty)
+        work = Tasks.of((own, self.problem, start) for own, start in tasks)
         before = self.done
 
         def arrived(count: int) -> None:

@@ -75,9 +75,10 @@ def test_throws_at_different_rounds_go_through_one_each(throws):
     rounds._rounds = [
         lambda now, _, number=number: called.append((number, now.tolist())) for number in range(3)
     ]
-    rounds._next = np.array([0, 1, 0, 2])
-    rounds.revise(np.arange(4), Solution(*np.zeros((6, 4, 1))))
-    assert called == [(0, [0, 2]), (1, [1]), (2, [3])]
+    rounds._next = np.array([0, 1, 0, 3])
+    again = rounds.revise(np.arange(4), Solution(*np.zeros((6, 4, 1))))
+    assert again.tolist() == [0, 1, 2]
+    assert called == [(0, [0, 2]), (1, [1])]
     assert rounds._next.tolist() == [1, 2, 1, 3]
 
 

@@ -98,7 +98,7 @@ def test_a_spinning_stone_crosses_lines_where_its_path_does(problem):
 
 
 def slopes(problem, values):
-    """Residuals and Jacobians at some parameter vectors, in passes of the shape of a joint fit."""
+    """Residuals and Jacobians at some parameter vectors, in passes of eight."""
     many = stacked([problem] * len(values))
     found = in_batches(partial(linearize, MODEL), (values, many), 8)
     return tuple(np.asarray(part)[:, -1, : len(EVENTS)] for part in found)

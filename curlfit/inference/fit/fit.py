@@ -28,9 +28,6 @@ from curlfit.inference.fit.summary import LeastSquaresFit, summarize, summarize_
 from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.initial_values import smooth, start_values_of_sides
 from curlfit.inference.least_squares import (
-    Indices,
-    Revision,
-    Solution,
     Tasks,
     as_slice,
     best_of_sides,
@@ -40,6 +37,7 @@ from curlfit.inference.least_squares import (
     multistart,
     needs_restart,
     prepare_minimize,
+    put,
     starts,
 )
 from curlfit.inference.likelihood import prepare_channels
@@ -168,7 +166,7 @@ def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSqu
         )
     solution, rivals = found[0], [one for one in found[1:] if fits_equally(found[0], one)][:1]
     only = np.zeros(1, int)
-    while rounds.revise(only, stacked([solution])):
+    while len(rounds.revise(only, stacked([solution]))):
         (problem,) = unstacked(rounds.problems)
         solution, *rivals = (
             minimize(model, one.values, parameters, problem) or one for one in (solution, *rivals)
@@ -282,24 +280,15 @@ def _fitted_together(
         begin = np.stack(
             [one.with_start(values, start) for one, values in zip(throws, begin, strict=True)]
         )
-    poor, checked_once = np.zeros(len(throws), bool), np.zeros(len(throws), bool)
-
-    def revise(which: Indices, solutions: Solution) -> list[Revision]:
-        if not checked_once[which].all():
-            here = jax.tree.map(itemgetter(as_slice(which)), (paths, rounds.problems))
-            bad = needs_restart(solutions, *here)
-            poor[which] |= bad & ~checked_once[which]
-            checked_once[which] = True
-        if poor[which].any():
-            good = ~poor[which]
-            which, solutions = which[good], jax.tree.map(itemgetter(good), solutions)
-        return rounds.revise(which, solutions) if len(which) else []
-
     typical = throws[0].parameters.typical
-    priors = penalties(throws, first=True), penalties(throws)
-    tasks = Tasks(rounds.problems, begin, lower, upper, typical, *priors)
+    tasks = Tasks(rounds.problems, begin, lower, upper, typical, penalties(throws, first=True))
     rivals = best_of_sides(model, tasks, sides)
-    solutions = minimize_many(model, tasks, revise)
+    solutions = minimize_many(model, tasks)
+    poor = needs_restart(solutions, paths, rounds.problems)
+    tasks, due = tasks._replace(penalty=penalties(throws)), np.flatnonzero(~poor)
+    while len(due := rounds.revise(due, jax.tree.map(itemgetter(as_slice(due)), solutions))):
+        again = tasks._replace(start=solutions.values).at(due)
+        put(solutions, due, minimize_many(model, again))
     each = unstacked(solutions)
     usable = np.flatnonzero(solutions.success & ~poor)
     return {

@@ -26,7 +26,6 @@ from curlfit.inference.fit.prepared import PreparedThrow, local_bounds
 from curlfit.inference.fit.summary import LeastSquaresFit
 from curlfit.inference.least_squares import (
     Indices,
-    Revision,
     Solution,
     as_slice,
     residual_sigma,
@@ -111,23 +110,22 @@ class Rounds:
         self.noises = [Noise(noise)] * len(throws)
         self.failures: dict[int, InputError] = {}
         robust = _ROBUST_FITS if loss != "linear" else 0
-        self._rounds: list[Callable[[Indices, Solution], Revision]] = [
+        self._rounds: list[Callable[[Indices, Solution], None]] = [
             self._estimate_sigma, self._tighten, *[self._estimate_robust_sigma] * robust,
             *[self._estimate_noise] * (noise != "white"),
         ]  # fmt: skip
         self._next = np.where(self.unknown.any(1), 0, _WITH_SIGMA)
 
-    def revise(self, which: Indices, solutions: Solution) -> list[Revision]:
-        """The throws to fit again, and how; empty where the fits are done."""
-        revisions = []
+    def revise(self, which: Indices, solutions: Solution) -> Indices:
+        """Revise the problems of throws that are due for a further fit; return these throws."""
         due = self._next[which]  # a copy: each throw goes through one round
-        for number in np.unique(due):
-            if number < len(self._rounds):
-                here = due == number
-                self._next[which[here]] += 1
-                found = jax.tree.map(itemgetter(here), solutions)
-                revisions.append(self._rounds[number](which[here], found))
-        return revisions
+        again = np.zeros(len(which), bool)
+        for number in np.unique(due[due < len(self._rounds)]):
+            here = due == number
+            self._next[which[here]] += 1
+            self._rounds[number](which[here], jax.tree.map(itemgetter(here), solutions))
+            again |= here
+        return which[again & [index not in self.failures for index in which]]
 
     def record(
         self, index: int, solution: Solution, tried: int = 1, rival: Floats | None = None
@@ -149,13 +147,13 @@ class Rounds:
             rival=rival,
         )
 
-    def _estimate_sigma(self, now: Indices, solutions: Solution) -> Revision:
+    def _estimate_sigma(self, now: Indices, solutions: Solution) -> None:
         sigma = residual_sigma(solutions, self._problems_of(now), self.free[now])
         self._estimated[now] = np.where(self.unknown[now], sigma + SIGMA_FLOOR, 0.0)
         self.sigma[now] = np.where(self.unknown[now], self._estimated[now].max(1)[:, None], 0.0)
-        return self._tighten(now, solutions)
+        self._tighten(now, solutions)
 
-    def _tighten(self, now: Indices, _: Solution) -> Revision:
+    def _tighten(self, now: Indices, _: Solution) -> None:
         """Continue toward the estimated sigmas, from equal ones.
 
         An angle has a kink at rest. If it is fitted almost exactly, chi squared has a wall where
@@ -165,9 +163,9 @@ class Rounds:
         self.sigma[now] = np.maximum(self._estimated[now], _TIGHTER * self.sigma[now])
         there = (self.sigma[now] == self._estimated[now]).all(1)
         self._next[now] = np.where(there, _WITH_SIGMA, _WITH_SIGMA - 1)
-        return self._reweighted(now, rescaled=True)
+        self._reweight(now)
 
-    def _estimate_robust_sigma(self, now: Indices, solutions: Solution) -> Revision:
+    def _estimate_robust_sigma(self, now: Indices, solutions: Solution) -> None:
         problems = self._problems_of(now)
         residual = whitened_residuals_of_many(self.model, solutions.values, problems, self.batch)
         for place, throw in enumerate(now):
@@ -177,9 +175,9 @@ class Rounds:
                 self.sigma[throw, row] = bulk * self.sigma[throw, row] + SIGMA_FLOOR
         self.problems.loss[now] = LOSSES.index(self.loss)
         self._next[now[~self.unknown[now].any(1)]] = _WITH_SIGMA + _ROBUST_FITS  # without sigmas
-        return self._reweighted(now)
+        self._reweight(now)
 
-    def _estimate_noise(self, now: Indices, solutions: Solution) -> Revision:
+    def _estimate_noise(self, now: Indices, solutions: Solution) -> None:
         problems = self._problems_of(now)
         paths = predict_many(self.model, solutions.values, problems, self.batch)
         estimated: dict[int, Linearized] = {}
@@ -204,7 +202,7 @@ class Rounds:
             self.sigma[index] = scale * self.sigma[index] + SIGMA_FLOOR * self.unknown[index]
             estimated[int(index)] = data
         now = np.array(list(estimated), int)
-        self._reweighted(now)
+        self._reweight(now)
         for index, data in estimated.items():
             whitener = Whitener.of(
                 self.noises[index], self.problems.times[index], self.problems.weight[index],
@@ -213,7 +211,6 @@ class Rounds:
             pairs = zip(*map(jax.tree.leaves, (self.problems.whitener, whitener)), strict=True)
             for leaf, new in pairs:
                 leaf[index] = new
-        return Revision(now, self._problems_of(now), None)
 
     def _linearized(
         self, index: int, problem: Problem, solution: Solution, path: Floats
@@ -234,15 +231,13 @@ class Rounds:
             typical, adjustable, len(self.model.law.coefficients()),
         )  # fmt: skip
 
-    def _reweighted(self, now: Indices, *, rescaled: bool = False) -> Revision:
+    def _reweight(self, now: Indices) -> None:
         before = self.problems.weight[now]
         there = before > 0
         sigma = np.where(self.unknown[now], self.sigma[now], 1.0)[..., None]
         relative = before / np.maximum(before.max(-1, keepdims=True), np.finfo(float).tiny)
         weight = np.where(there & self.unknown[now][..., None], relative / sigma, before)
         self.problems.weight[now] = weight
-        scale = weight / np.where(there, before, 1.0) if rescaled else None
-        return Revision(now, self._problems_of(now), scale)
 
     def _problems_of(self, now: Indices) -> Problem:
         found: Problem = jax.tree.map(itemgetter(as_slice(now)), self.problems)

@@ -105,7 +105,7 @@ def fit_together(
     best = layout.joined(np.stack(initial))
     solution = minimize_jointly(model, rounds.problems, first, best, progress)
     every = np.arange(len(prepared))
-    while np.isfinite(solution.chi_squared) and rounds.revise(every, solution.each):
+    while np.isfinite(solution.chi_squared) and len(rounds.revise(every, solution.each)):
         best = solution.values
         solution = minimize_jointly(model, rounds.problems, layout, best, progress)
     for failure in rounds.failures.values():

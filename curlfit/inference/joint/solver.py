@@ -2,33 +2,38 @@
 
 The normal matrix has the shape of an arrow: each throw depends on the shared coefficients and its
 own parameters only. The normal equations of each throw are formed separately and added up, so that
-a step for a dozen throws costs little more than their paths. The search is that for single throws,
-see `curlfit.numerics.levenberg_marquardt`.
+a step for a dozen throws costs little more than their paths.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from curlfit.inference.identifiability import r_factors
-from curlfit.inference.least_squares import Solution
-from curlfit.inference.likelihood import linearize
+from curlfit.inference.least_squares import Control, Solution, Tasks, solve
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
-from curlfit.numerics import levenberg_marquardt as lm
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import in_batches
+from curlfit.numerics.batches import stacked
 
 Progress = Callable[[int, float], None]
 
 _TOGETHER = 4  # throws are computed in multiples of this many, so that few shapes are compiled
-_CONTROL = lm.Control(1e-3, 1e-12, 1e-16)
+_CONTROL = Control(1e-3, 1e-12, 1e-16)
+
+
+class Bounds(NamedTuple):
+    """Bounds of the joint vector, and the typical sizes of its parameters."""
+
+    lower: Floats
+    upper: Floats
+    typical: Floats
 
 
 class Layout:
@@ -54,7 +59,7 @@ class Layout:
                     self.index[throw, column] = len(names)
                     names.append(f"{name}[{throw + 1}]")
         self.names = tuple(names)
-        self.bounds = lm.Bounds(
+        self.bounds = Bounds(
             self._intersection([item.lower for item in sets], np.maximum),
             self._intersection([item.upper for item in sets], np.minimum),
             self.joined(np.stack([item.typical for item in sets])),
@@ -81,6 +86,26 @@ class Layout:
         infinite = ~np.isfinite(values)
         found[self.index[infinite]] = values[infinite]
         return found
+
+    def tasks(self, problems: Problem, start: Floats) -> Tasks:
+        """The joint problem, with throws of no weight, whose parameters are fixed, added to a
+        multiple of `_TOGETHER`."""
+        count, size = len(self.index), len(start)
+        added = -count % _TOGETHER
+        own = self.index[-1] != self.index[0]
+        blocks = np.concatenate([self.index, np.repeat(self.index[-1:], added, 0)])
+        blocks[count:, own] = size + np.arange(added * own.sum()).reshape(added, own.sum())
+        rows = np.concatenate([np.arange(size), np.tile(self.index[-1, own], added)])
+        start, lower, upper, typical = (part[rows] for part in (start, *self.bounds))
+        lower[size:] = upper[size:] = start[size:]
+        penalty = None if self.penalty is None else Penalty(*(part[rows] for part in self.penalty))
+        if penalty is not None:
+            penalty.weight[size:] = 0.0
+        throws = np.minimum(np.arange(count + added), count - 1)
+        padded: Problem = jax.tree.map(lambda leaf: leaf[throws], problems)
+        padded.weight[count:] = 0.0
+        whole = stacked([Tasks(padded, start, lower, upper, typical, penalty)])
+        return whole._replace(typical=typical, blocks=blocks)
 
     def _intersection(self, ends: Sequence[Floats], choose: Any) -> Floats:
         found = self.joined(np.stack(ends))
@@ -135,41 +160,16 @@ def minimize_jointly(
     Parameters
     ----------
     problems : throws along the first axis.
-    progress : called with the number of steps done and chi squared.
+    progress : called at the end with the number of steps and chi squared.
     """
-    count, p = layout.index.shape
-    batch = -(-count // _TOGETHER) * _TOGETHER
-    rows, columns = layout.index[:, :, None], layout.index[:, None, :]
-    typical = layout.bounds.typical
-    search = lm.begin(start, layout.bounds, _CONTROL)
-    residual = np.full(problems.observed.shape, np.nan)
-    jacobian = np.full((*residual.shape, p), np.nan)
-    while not search.done:
-        here: tuple[Floats, Floats] = in_batches(
-            partial(linearize, model), (search.trial[layout.index], problems), batch
-        )
-        with np.errstate(invalid="ignore", over="ignore"):  # where there is no path
-            each = lm.quadratic_model(
-                here[0].reshape(count, -1), here[1].reshape(count, -1, p), typical[layout.index]
-            )
-            gradient, hessian = np.zeros(len(typical)), np.zeros((len(typical), len(typical)))
-            np.add.at(gradient, layout.index, each.gradient)
-            np.add.at(hessian, (rows, columns), each.hessian)
-            whole = lm.QuadraticModel(each.chi_squared.sum(), gradient, hessian)
-            if layout.penalty is not None:
-                whole = layout.penalty.added_to(whole, search.trial, typical)
-            search, outcome = lm.advance(search, whole, layout.bounds, _CONTROL)
-        if outcome.accepted:
-            residual, jacobian = here
-        if outcome.extrapolation.any():
-            move = outcome.extrapolation[layout.index]
-            residual = residual + (jacobian @ move[:, None, :, None])[..., 0]
-        if progress is not None:
-            progress(int(search.evaluations), float(search.model.chi_squared))
-    steps, success = int(search.evaluations), bool(search.success)
-    each_values = search.values[layout.index]
-    solutions = Solution(
-        each_values, residual, jacobian, np.full(count, steps), np.full(count, success),
-        np.zeros(count),
+    found = solve(model, layout.tasks(problems, start), _CONTROL, once=False)
+    whole: Solution = jax.tree.map(lambda leaf: leaf[0], found)
+    count, values = len(layout.index), whole.values[: len(start)]
+    steps, success = int(whole.steps), bool(whole.success)
+    each = Solution(
+        values[layout.index], whole.residual[:count], whole.jacobian[:count],
+        np.full(count, steps), np.full(count, success), np.zeros(count),
     )  # fmt: skip
-    return JointSolution(search.values, solutions, steps, success)
+    if progress is not None:
+        progress(steps, float(whole.chi_squared.sum() + whole.penalty))
+    return JointSolution(values, each, steps, success)

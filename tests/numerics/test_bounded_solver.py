@@ -1,0 +1,130 @@
+"""The bounded solver: scipy, many problems beside one, and models that are not smooth."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import pytest
+from scipy.optimize import least_squares
+
+from curlfit.inference.least_squares import Control
+from curlfit.numerics import bounded_solver as bounded
+
+LOWER, UPPER = np.array([0, -0.005, -0.3, 0]), np.array([np.inf, 0.005, 0.3, np.inf])
+
+
+def problem(seed):
+    """Residuals of four parameters of very different sizes, not linear."""
+    random = np.random.default_rng(seed)
+    matrix = random.standard_normal((30, 4)) * [1, 100, 1, 0.01]
+    right = matrix @ (random.standard_normal(4) * [1, 0.01, 1, 100])
+
+    def residual(z, xp=np):
+        return xp.concatenate([matrix @ z - right, 0.1 * (z[:1] ** 3 - z[2:3])])
+
+    return residual
+
+
+def solved(residual, start=(0.0,) * 4, lower=LOWER, upper=UPPER, blocks=None):
+    """The optimum of a function of the values, by optimistix."""
+    start, lower, upper = map(jnp.asarray, (start, lower, upper))
+    blocks = jnp.arange(start.size)[None] if blocks is None else blocks
+    solver = bounded.BoundedLeastSquares(
+        descent=bounded.BoundedDescent(lower, upper, jnp.ones(start.size)),
+        search=bounded.GainRatio(1e-2), control=Control(1e-2, 1e-14, 1e-18), blocks=blocks,
+        penalty=None,
+    )  # fmt: skip
+    return optx.least_squares(lambda z, _: residual(z), solver, start, max_steps=None, throw=False)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_optimum_within_bounds_is_that_of_scipy(seed):
+    residual = problem(seed)
+    found = solved(lambda z: residual(z, jnp))
+    start = np.clip(np.zeros(4), LOWER + 1e-6, UPPER - 1e-6)
+    scipys = least_squares(
+        residual, start, bounds=(LOWER, UPPER), xtol=1e-15, ftol=1e-15, gtol=1e-15,
+        x_scale=[1, 0.01, 1, 100], max_nfev=5000,
+    )  # fmt: skip
+    ours = float((residual(np.asarray(found.value)) ** 2).sum() / 2)
+    assert ours <= scipys.cost * (1 + 1e-8) + 1e-12
+    assert (found.value >= LOWER).all()
+    assert (found.value <= UPPER).all()
+    assert found.stats["num_steps"] <= 8
+    np.testing.assert_allclose(found.state.residual, residual(np.asarray(found.value)), atol=1e-6)
+
+
+def test_problems_side_by_side_take_the_steps_of_each_alone():
+    starts = np.array([[0.0, 0, 0, 0], [5, 0, 0.3, 200], [0, 0.005, -0.3, 0]])
+    residual = problem(2)
+    many = jax.vmap(lambda start: solved(lambda z: residual(z, jnp), start))(starts)
+    for row, start in enumerate(starts):
+        alone = solved(lambda z: residual(z, jnp), start)
+        assert many.state.evaluations[row] == alone.state.evaluations
+        np.testing.assert_allclose(many.value[row], alone.value, rtol=1e-9, atol=1e-12)
+
+
+def test_blocks_with_common_parameters_have_the_optimum_of_all_rows():
+    """Two blocks share their first two parameters; one tangent serves a parameter of both."""
+    one, other = problem(0), problem(1)
+    blocks = jnp.array([[0, 1, 2, 3], [0, 1, 4, 5]])
+    lower, upper = (np.append(end, end[2:]) for end in (LOWER, UPPER))
+
+    def rows(z):
+        return jnp.stack([one(z[blocks[0]], jnp), other(z[blocks[1]], jnp)])
+
+    found = solved(rows, np.zeros(6), lower, upper, blocks)
+    whole = solved(lambda z: rows(z).reshape(-1), np.zeros(6), lower, upper)
+    assert found.state.success
+    np.testing.assert_allclose(found.value, whole.value, rtol=1e-9, atol=1e-12)
+    jacobian = jax.jacfwd(rows)(found.value)
+    for block in range(2):
+        np.testing.assert_allclose(
+            found.state.jacobian[block], jacobian[block][:, blocks[block]], atol=1e-6
+        )
+
+
+def test_a_model_that_is_not_smooth_ends_at_the_best_values_met():
+    """A ripple of 1e-5 in the residuals, which their derivative does not know: no trial is
+    accepted in the end."""
+    residual = problem(1)
+
+    @jax.custom_jvp
+    def rippled(z):
+        return residual(z, jnp) + 1e-5 * jnp.sin(1e9 * z.sum() * (1 + jnp.arange(31)))
+
+    rippled.defjvp(
+        lambda at, along: (rippled(*at), jax.jvp(lambda z: residual(z, jnp), at, along)[1])
+    )
+    noisy, exact = solved(rippled), solved(lambda z: residual(z, jnp))
+    assert noisy.state.success
+    assert float(noisy.state.model.f) == pytest.approx(float(exact.state.model.f), rel=1e-3)
+
+
+def test_a_start_without_a_path_is_no_success():
+    nowhere = solved(lambda z: jnp.full(31, jnp.nan) * z[0])
+    assert nowhere.state.done
+    assert not nowhere.state.success
+
+
+def test_a_start_without_a_derivative_has_no_residual():
+    """Where it is not known, nothing finite may stand for it."""
+    found = solved(lambda z: jnp.sqrt(jnp.abs(z)) + 1)
+    assert found.result != optx.RESULTS.successful
+    assert np.isnan(found.state.residual).all()
+
+
+def test_elimination_solves_as_lapack_does_and_needs_none_of_it():
+    random = np.random.default_rng(0)
+    factor = random.normal(size=(10, 10)) * 10.0 ** random.uniform(-3, 0, 10)
+    matrix = factor @ factor.T
+    size = np.sqrt(np.diagonal(matrix))
+    matrix = matrix / np.outer(size, size) + 1e-10 * np.eye(10)
+    right = random.normal(size=10)
+    program = jax.jit(bounded._solution).lower(matrix, right)
+    assert "custom_call" not in program.as_text()
+    found, expected = program.compile()(matrix, right), np.linalg.solve(matrix, right)
+    allowed = 10 * np.finfo(float).eps * np.linalg.cond(matrix)
+    assert np.linalg.norm(found - expected) < allowed * np.linalg.norm(expected)
