@@ -60,8 +60,7 @@ def load_throw(file: str | PathLike[str], **choices: Any) -> Throw:
     (230, ('x', 'y', 'phi'))
     """
     reading = Reading.of(**choices)
-    throw = throw_of(read(file, reading), reading)
-    return replace(throw, read_with=tuple(reading.words()))
+    return throw_of(read(file, reading), reading)
 
 
 class Part(NamedTuple):
@@ -119,7 +118,8 @@ def parts_of(file: str | PathLike[str], reading: Reading) -> list[Part]:
 def throw_of(parsed: ParsedFile, reading: Reading) -> Throw:
     """The throw in a parsed file. Raises `DataError` or `InputError` with the place of a fault."""
     make: Callable[..., Throw] = Throw.from_events if parsed.events else Throw.from_arrays
-    return make(**assemble(parsed, reading))
+    given = Reading(**{name: getattr(reading, name) for name in Reading.forms()})
+    return replace(make(**assemble(parsed, reading)), read_with=tuple(given.words()))
 
 
 def _beginning(file: str | PathLike[str]) -> list[str]:

@@ -179,7 +179,8 @@ def test_a_table_has_a_throw_in_each_row(tmp_path):
     chosen = load_throw(file, shot=2)
     assert values(chosen) == values(second)
     assert any("taken: 2 (--shot selects another)" in note for note in chosen.notes)
-    assert [part.shot for part in load_throws(file, shot=3)] == [3]
+    (third,) = load_throws(file, shot=3)
+    assert (third.shot, third.throw.read_with) == (3, ("--shot=3",))
     with pytest.raises(InputError, match="there is no such row; expected one of 1 line 3; 2"):
         load_throw(file, shot=9)
 
