@@ -136,7 +136,7 @@ def prepare_all(
     names = [file.name for file in files]
     alike = Counter(map(folder_name, names))
     names = [
-        f"{file.resolve().parent.name}/{name}" if alike[folder_name(name)] > 1 else name
+        f"{file.resolve().parent.name}-{name}" if alike[folder_name(name)] > 1 else name
         for file, name in zip(files, names, strict=True)
     ]
     folders = [*map(folder_name, names)]

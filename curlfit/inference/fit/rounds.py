@@ -125,7 +125,7 @@ class Rounds:
             self._next[which[here]] += 1
             self._rounds[number](which[here], jax.tree.map(itemgetter(here), solutions))
             again |= here
-        return which[again & [index not in self.failures for index in which]]
+        return which[again & ~np.isin(which, [*self.failures])]
 
     def record(
         self, index: int, solution: Solution, tried: int = 1, rival: Floats | None = None

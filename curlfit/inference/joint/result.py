@@ -184,8 +184,7 @@ _Throws = keys(throws=list[Annotated[dict[str, Any], keys(file=str)]])
 def folder_name(throw: str) -> str:
     """The folder of a throw beside `joint.json`: `evening-3` for row 3 of `evening.csv`."""
     row = re.fullmatch(r"(.*) row (\d+)", throw)
-    file, number = (throw, "") if row is None else (row[1], f"-{row[2]}")
-    return safe_name("-".join(Path(file).with_suffix("").parts) + number)
+    return safe_name(Path(throw).stem if row is None else f"{Path(row[1]).stem}-{row[2]}")
 
 
 def load_joint(file: str | PathLike[str]) -> JointResult:
