@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar
 
@@ -130,35 +128,28 @@ def prepare_all(
     InputError : as `prepare`; two files have the same name.
     """
     from curlfit.errors import CurlfitError
-    from curlfit.inference.joint.result import folder_name
+    from curlfit.inference.joint.result import folder_names
     from curlfit.throws.load import holds_timed_rows, load_throw, parts_of
 
-    names = [file.name for file in files]
-    alike = Counter(map(folder_name, names))
-    names = [
-        f"{file.resolve().parent.name}-{name}" if alike[folder_name(name)] > 1 else name
-        for file, name in zip(files, names, strict=True)
-    ]
-    folders = [*map(folder_name, names)]
-    for index, folder in enumerate(folders):
-        if folder in folders[:index]:
-            raise InputError(
-                f"{files[folders.index(folder)]}, {files[index]}: two files of the same name; "
-                "results are stored by name"
-            )
-    found = {}
     configured = read_config(config)
     chosen = Reading.of(configured, vars(reading))
-    for file, name, folder in zip(files, names, folders, strict=True):
+    throws: list[Throw] = []
+    for file in files:
         if not holds_timed_rows(file, reading.format):
-            throw = replace(load_throw(file, **vars(chosen)), name=name)
-            found[folder] = apply_settings(throw, configured, flags)
+            throws.append(load_throw(file, **vars(chosen)))
             continue
         for part in parts_of(file, chosen):
             if isinstance(part.throw, CurlfitError):
                 raise part.throw
-            throw = replace(part.throw, name=name + part.throw.name.removeprefix(str(file)))
-            found[folder_name(throw.name)] = apply_settings(throw, configured, flags)
+            throws.append(part.throw)
+    found: dict[str, ConfiguredThrow[Chosen]] = {}
+    for name, throw in zip(folder_names([one.name for one in throws]), throws, strict=True):
+        if name in found:
+            raise InputError(
+                f"{found[name].throw.name}, {throw.name}: two files of the same name; results are "
+                "stored by name"
+            )
+        found[name] = apply_settings(throw, configured, flags)
     return found
 
 

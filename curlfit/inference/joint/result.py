@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
@@ -164,7 +165,8 @@ class JointResult(NamedEstimates):
     def _from_file(cls, entries: dict[str, Any], folder: Path) -> JointResult:
         found = super()._from_file(entries, folder)
         files = structured(entries, _Throws)["throws"]
-        throws = tuple(load_fit(folder / folder_name(one["file"])) for one in files)
+        names = folder_names([one["file"] for one in files])
+        throws = tuple(load_fit(folder / name) for name in names)
         return replace(found, throws=throws)
 
     def require_consistent(self) -> None:
@@ -179,6 +181,16 @@ class JointResult(NamedEstimates):
 
 
 _Throws = keys(throws=list[Annotated[dict[str, Any], keys(file=str)]])
+
+
+def folder_names(throws: Sequence[str]) -> list[str]:
+    """The folders of throws beside `joint.json`: `evening-3` for row 3 of `evening.csv`; before
+    names that are alike stands the folder of the file."""
+    alike = Counter(map(folder_name, set(throws)))
+    return [
+        safe_name(f"{Path(throw).parent.name}-{name}") if alike[name] > 1 else name
+        for throw, name in ((throw, folder_name(throw)) for throw in throws)
+    ]
 
 
 def folder_name(throw: str) -> str:
