@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Self
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.scipy.linalg import solve_triangular
+from jax.scipy.linalg import cho_solve, solve_triangular
 
 from curlfit.inference.identifiability import directions
 from curlfit.inference.noise.accelerations import amplitude_root
@@ -110,14 +110,16 @@ class Linearized(NamedTuple):
         """Derivatives of the path by the amplitudes while the parameters adjust."""
         return self.responses - self.jacobian @ self.coupling
 
-    def regression(self, own: KalmanFilter, scale: Any) -> Regression:
+    def regression(self, noise: KalmanFilter, scale: Any) -> Regression:
         """After a filter of the noise, with sigma times `scale` by channel."""
-        p, columns = len(self.held.T), own.innovations(self.columns) / scale[:, None, None]
-        sums = jnp.einsum("cnk,cnl->kl", columns, columns)
-        precision = sums[:p, :p] + jnp.diag(jnp.where(jnp.diag(sums)[:p] > 0, 0.0, 1.0))
-        lower = jnp.linalg.cholesky(precision)
-        along = solve_triangular(lower, sums[:p, p:], lower=True)
-        return Regression(sums[p:, p:] - along.T @ along, precision, self.held @ self.coupling)
+        p, columns = len(self.held.T), noise.innovations(self.columns) / scale[:, None, None]
+        columns = columns.reshape(-1, columns.shape[-1])
+        own, others = columns[:, :p], columns[:, p:]
+        precision = own.T @ own
+        precision += jnp.diag(jnp.where(jnp.diag(precision) > 0, 0.0, 1.0))
+        # The products of what is left, not a difference of products: rounding keeps it positive.
+        left = others - own @ cho_solve((jnp.linalg.cholesky(precision), True), own.T @ others)
+        return Regression(left.T @ left, precision, self.held @ self.coupling)
 
     def covariance(self, noise: Noise, times: Floats, scale: Floats) -> Floats:
         """Of the least-squares estimates of the directions under noise with sigma times `scale`."""

@@ -161,14 +161,20 @@ class _Search:
         shortest = math.log(_SHORTEST * gap)
         return shortest, max(math.log(_LONGEST * float(self.data.span)), shortest)
 
+    @cached_property
+    def rms(self) -> Floats:
+        """Logarithm of the rms residual over sigma, by channel."""
+        data = self.data
+        count = np.maximum((data.weight > 0).sum(1), 1)
+        found: Floats = np.log(np.sqrt(((data.weight * data.residual) ** 2).sum(1) / count) + 1e-10)
+        return found
+
     def maximum(self, memory: float | None, correlated: Booleans) -> _Maximum:
         """From an initial correlation time over the time of motion; None: of independent noise."""
         from scipy.optimize import minimize  # slow to load
 
         data, free = self.data, self.free
-        count = np.maximum((data.weight > 0).sum(1), 1)
-        rms = np.sqrt(((data.weight * data.residual) ** 2).sum(1) / count)
-        scale = np.where(free, np.log(rms + 1e-10), 0.0)
+        scale = np.where(free, self.rms, 0.0)
         ends = np.array(self.ends if memory else self.ends[:1] * 2)
         time = math.log((memory or 1e-9) * float(data.span))
         smallest, far = math.log(SIZES[0]), _FAR * free
@@ -194,8 +200,8 @@ class _Search:
         return _Maximum(found.x, correlated, -float(found.fun), likelihood)
 
     def rough(self, found: _Maximum) -> Booleans:
-        """Channels whose residuals are as rough as noise; others are due to the law, or to a file
-        without noise."""
+        """Channels whose residuals are as rough as noise, and of a size; others are due to the law,
+        or to a file without noise."""
         data = self.data
         left = data.residual
         if self.sizes:
@@ -203,7 +209,8 @@ class _Search:
             sizes = np.exp(found.logs[-self.sizes :])
             left = left - np.asarray(data.paid) @ regression.mean(sizes)
         series = zip(data.weight * left, data.weight > 0, strict=True)
-        return np.array([is_rough(values[seen]) for values, seen in series])
+        sized = ~self.free | (found.logs[: len(self.free)] > self.rms - _FAR)
+        return sized & [is_rough(values[seen]) for values, seen in series]
 
     def widened(self, best: _Maximum) -> _Maximum:
         """With the mean variance of the noise at low frequencies in place of the most probable.
