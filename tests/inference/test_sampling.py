@@ -171,6 +171,41 @@ def test_ridge_move_leaves_its_target_as_it_is():
     assert stats.kstest((chain[::40].sum(1) - 2) / np.sqrt(2) / 0.25, "norm").pvalue > 1e-3
 
 
+def test_the_density_of_a_ridge_is_a_density():
+    """Student, uniform and exponential in combinations of the parameters."""
+    seen, spread = np.array([[1.0, 0.5, 0.2, 0.0], [0.3, -1.0, 0.0, 0.4]]), np.array([0.3, 2.0])
+    proposal = RidgeProposal(
+        np.zeros(4), np.ones(4), seen, spread, np.array([2]), np.array([-1.0]), np.array([2.0]),
+        np.array([3]), np.array([-0.7]),
+    )  # fmt: skip
+    values = proposal.draw(5, np.random.RandomState(0))
+    rows = np.concatenate([seen, np.eye(4)[2:]])
+    expected = stats.multivariate_t(shape=np.diag(spread**2), df=8).logpdf(values @ seen.T)
+    expected += stats.expon.logpdf(-values[:, 3], scale=0.7) - np.log(3)
+    expected += np.linalg.slogdet(rows)[1]
+    np.testing.assert_allclose(proposal.log_density(values), expected)
+
+
+def test_a_curved_ridge_is_sampled_from_end_to_end():
+    """Without an angle, `omega0` is known neither in sign nor size. Turning the other way, with
+    front and back exchanged, leads along the same path."""
+    random, times = np.random.default_rng(3), np.linspace(0, 18, 61)
+    law = curlfit.find_law("front-back")(0.004, 0.05)
+    start = curlfit.InitialState(v=2.1, omega=1.2)
+    path = curlfit.simulate(law, curlfit.Stone(), start, times).to_numpy()
+    throw = curlfit.Throw.from_arrays(
+        times, *(channel + 0.003 * random.standard_normal(61) for channel in (path.x, path.y))
+    )
+    fit, chain = curlfit.sample(curlfit.fit(throw, details=False), effective=1000)
+    assert fit.posterior.converged
+    kept = chain.values[chain.discarded :].reshape(-1, len(chain.names))
+    omega = kept[:, chain.names.index("omega0")]
+    assert np.quantile(np.abs(omega), 0.05) < 1.2 < np.quantile(np.abs(omega), 0.95)
+    sides = [np.abs(omega[side])[:: len(omega) // 2000] for side in (omega > 0, omega < 0)]
+    assert len(sides[0]) / sum(map(len, sides)) == pytest.approx(0.5, abs=0.06)
+    assert stats.ks_2samp(*sides).pvalue > 1e-3
+
+
 def _walk(random, steps, memory, walkers=128):
     """Stationary normal chains, shape (steps, walkers, parameters), with these autocorrelations."""
     memory = np.array(memory)

@@ -7,28 +7,63 @@ along the determined directions, and uniform over the prior along the null direc
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.errors import UnusableFitError
+from curlfit.friction.base import START_NAMES
+from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import directions
-from curlfit.numerics.arrays import Floats
+from curlfit.inference.least_squares import Solution, Tasks, minimize_many
+from curlfit.inference.parameters import ParameterSet
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.batches import unstacked
 from curlfit.output.text import join_words
 
 Indices = NDArray[np.int64]
 
 _MARGIN = 4.0  # standard errors by which the proposal extends beyond the ridge's ends
 _DEGREES = 8.0  # of freedom of the Student distribution: heavier tails than any Gaussian posterior
+_REACH = 8.0  # standard errors of a weakly determined parameter, along which optima are sought
+_CELLS, _PASSES = 96, 6  # intervals of it, and how often they are chosen anew
+_ROUGH = 0.2  # of the probability, to be shared as if intervals were as dense as their neighbours
+_NOTHING = 1e-6  # probability of an interval that is given up
+_NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
+
+
+class Proposal(ABC):
+    """An independent proposal of parameter vectors, of known density."""
+
+    @abstractmethod
+    def draw(self, n: int, random: Any) -> Floats:
+        """n parameter vectors, shape (n, p)."""
+
+    @abstractmethod
+    def log_density(self, values: Floats) -> Floats:
+        """Log-density of the proposal up to a constant, shape (n,)."""
+
+    def propose(self, coords: Floats, random: Any) -> tuple[Floats, Floats]:
+        """Proposals for emcee's Metropolis-Hastings move, and the log of their factors in its
+        ratio."""
+        new, back = self.draw(len(coords), random), self.log_density(coords)
+        # A walker outside the support of the proposal can only be moved by the other moves.
+        reachable = np.isfinite(back)
+        return new, np.where(
+            reachable, np.where(reachable, back, 0) - self.log_density(new), -np.inf
+        )
 
 
 @dataclass(frozen=True)
-class RidgeProposal:
+class RidgeProposal(Proposal):
     """Student along determined directions, uniform along null directions, exponential away from the
     bounds that parameters are pushed against.
 
@@ -77,51 +112,164 @@ class RidgeProposal:
         value = -(_DEGREES + rank) / 2 * np.log1p((along**2).sum(1) / _DEGREES)
         across, off = z[:, self.pivots], z[:, self.pushed] / self.scale
         within = ((across >= self.low) & (across <= self.high)).all(1) & (off >= 0).all(1)
-        return np.where(within, value - off.sum(1), -np.inf)
+        return np.where(within, value - off.sum(1) - self.log_volume, -np.inf)
 
-    def propose(self, coords: Floats, random: Any) -> tuple[Floats, Floats]:
-        """Proposals for emcee's Metropolis-Hastings move, and the log of their factors in its
-        ratio."""
-        new, back = self.draw(len(coords), random), self.log_density(coords)
-        # A walker outside the support of the proposal can only be moved by the other moves.
-        reachable = np.isfinite(back)
-        return new, np.where(
-            reachable, np.where(reachable, back, 0) - self.log_density(new), -np.inf
-        )
+    @cached_property
+    def log_volume(self) -> float:
+        """Inverse of the density at the centre, in `z`."""
+        rank, half = len(self.seen), _DEGREES / 2
+        student = math.lgamma(half) - math.lgamma(half + rank / 2)
+        student += rank / 2 * math.log(_DEGREES * math.pi)
+        sizes = [*self.spread, *(self.high - self.low), *np.abs(self.scale)]
+        return float(student + np.log(sizes).sum() + np.linalg.slogdet(self._inverse)[1])
 
 
 def ridge_proposal(fit: FitResult) -> RidgeProposal:
     """The proposal from the estimates and information matrix of a fit."""
-    parameters = fit.parameter_set
+    free = fit.parameter_set.free
+    verdicts = [fit.parameters[name].verdict for name in fit.information["names"]]
+    return _about(
+        fit.parameter_set, fit.values[free], np.array(fit.information["matrix"]),
+        np.array(fit.information["gradient"]), np.array(verdicts) == "at bound",
+    )  # fmt: skip
+
+
+def _about(
+    parameters: ParameterSet, centre: Floats, information: Floats, gradient: Floats,
+    at_bound: Booleans, cell: tuple[int, float, float] | None = None,
+) -> RidgeProposal:  # fmt: skip
+    """The proposal about an optimum of the free parameters.
+
+    Parameters
+    ----------
+    gradient : of the log-likelihood.
+    cell : a parameter that is held there, and the interval of its values.
+    """
     free = parameters.free
     typical = parameters.typical[free]
-    centre = fit.values[free]
     lower = (parameters.lower[free] - centre) / typical
     upper = (parameters.upper[free] - centre) / typical
-    information = typical[:, None] * np.array(fit.information["matrix"]) * typical
-    gradient = np.array(fit.information["gradient"]) * typical
-    verdicts = [fit.parameters[name].verdict for name in fit.information["names"]]
-    at_bound = np.array([verdict == "at bound" for verdict in verdicts])
-    pushed, open_ = np.flatnonzero(at_bound), np.flatnonzero(~at_bound)
+    information = typical[:, None] * information * typical
+    gradient = gradient * typical
+    held = np.zeros(len(centre), bool)
+    if cell is not None:
+        held[cell[0]] = True
+    pushed, open_ = np.flatnonzero(at_bound & ~held), np.flatnonzero(~at_bound & ~held)
 
     block = information[np.ix_(open_, open_)]
     seen, singular, null = directions(block, np.ones(len(open_)))
     spread = 1 / singular
     rows = np.zeros((len(seen), len(centre)))
     rows[:, open_] = seen
-    # As a pushed parameter leaves its bound, the others follow along their regression on it.
-    rows[:, pushed] = (seen @ information[np.ix_(open_, pushed)]) / singular[:, None] ** 2
+    # As another parameter moves, the open ones follow along their regression on it.
+    others = np.flatnonzero(at_bound | held)
+    rows[:, others] = (seen @ information[np.ix_(open_, others)]) / singular[:, None] ** 2
     wide = np.zeros((len(null), len(centre)))
     wide[:, open_] = null
     reach = np.zeros(len(centre))
     reach[open_] = _MARGIN * np.sqrt(((seen.T * spread) ** 2).sum(1))
     names = np.array(parameters.names_where(free))
     pivots, low, high = _pivots(wide, lower, upper, reach, names)
+    if cell is not None:
+        index, *ends = cell
+        begin, end = (np.array(ends) - centre[index]) / typical[index]
+        pivots, low, high = np.append(pivots, index), np.append(low, begin), np.append(high, end)
     # Away from the bound the log-posterior falls by its slope and curvature, which set the scale.
     curvature = np.diag(information)[pushed] - ((rows[:, pushed] * singular[:, None]) ** 2).sum(0)
     push = np.abs(gradient[pushed]) + np.sqrt(np.maximum(curvature, 0.0))
     off = -np.sign(gradient[pushed]) / push
     return RidgeProposal(centre, typical, rows, spread, pivots, low, high, pushed, off)
+
+
+@dataclass(frozen=True)
+class CurvedRidge(Proposal):
+    """Proposals about optima along a curved ridge, and their probabilities."""
+
+    parts: Sequence[RidgeProposal]
+    shares: Floats
+
+    def draw(self, n: int, random: Any) -> Floats:
+        """n parameter vectors, shape (n, p)."""
+        which = random.choice(len(self.parts), n, p=self.shares)
+        return np.concatenate([self.parts[index].draw(1, random) for index in which])
+
+    def log_density(self, values: Floats) -> Floats:
+        """Log-density of the proposal up to a constant, shape (n,)."""
+        # The intervals of the held parameter do not overlap: a part is 0 outside its own.
+        pairs = zip(self.parts, self.shares, strict=True)
+        found: Floats = np.logaddexp.reduce(
+            [part.log_density(values) + np.log(share) for part, share in pairs if share > 0]
+        )
+        return found
+
+
+def posterior_proposal(fit: FitResult) -> Proposal:
+    """The proposal about the estimates of a fit; where some are weakly determined, about the optima
+    with one of them held, since such a ridge is curved."""
+    weakness = {
+        name: item.stderr / item.typical
+        for name, item in fit.parameters.items()
+        if item.verdict == "weak" and item.stderr is not None
+    }
+    if not weakness:
+        return ridge_proposal(fit)
+    whole, (problem, origin) = fit.parameter_set, problem_of(fit)
+    # Of the initial state rather than of the law: two coefficients may exchange their values.
+    name = max(weakness, key=lambda name: (name in START_NAMES, weakness[name]))
+    offset, place = origin.offset(len(whole)), whole.index(name)
+    local, item = whole.shifted(-offset), fit.parameters[name]
+    reach = _REACH * weakness[name] * item.typical
+    ends = np.clip([item.value - reach, item.value + reach], whole.lower[place], whole.upper[place])
+    borders, starts = (
+        np.linspace(ends[0], ends[1], _CELLS + 1),
+        np.tile(fit.values - offset, (_CELLS, 1)),
+    )
+    for _ in range(_PASSES):
+        held = (borders[:-1] + borders[1:]) / 2 - offset[place]
+        tasks = [
+            (local.with_fixed(name, value), problem, start)
+            for value, start in zip(held, starts, strict=True)
+        ]
+        optima = minimize_many(fit.model, Tasks.of(tasks), few=True)
+        parts = [
+            _about_solution(whole, offset, one, (place, low, high))
+            for one, (low, high) in zip(unstacked(optima), pairwise(borders), strict=True)
+        ]
+        # Laplace's approximation to the probability of each interval, and, since that of a wide one
+        # where the probability ends is rough, a part as if it were as dense as its neighbours
+        logs = np.array([part.log_volume for part in parts]) - optima.objective / 2
+        shares, width = np.nan_to_num(np.exp(logs - np.nanmax(logs))), np.diff(borders)
+        dense = np.pad(shares / width, 1)
+        dense = np.maximum.reduce([dense[:-2], dense[1:-1], dense[2:]]) * width
+        shares = (1 - _ROUGH) * shares / shares.sum() + _ROUGH * dense / dense.sum()
+        proposal = CurvedRidge(parts, shares)
+        # The next intervals follow the root of the density, which makes them narrow in its tails
+        # too, and are narrowest where a parameter reaches its bound.
+        turns = [list(one.pushed) != list(other.pushed) for one, other in pairwise(parts)]
+        here = np.logical_or([False, *turns], [*turns, False])
+        flat = np.sqrt(width * np.where(shares > _NOTHING, shares, 0.0)) * np.where(here, 4, 1)
+        below = np.cumsum([0.0, *flat])
+        borders = np.interp(np.linspace(0, below[-1], _CELLS + 1), below, borders)
+        middle = (borders[:-1] + borders[1:]) / 2 - offset[place]
+        starts = np.array([np.interp(middle, held, column) for column in optima.values.T]).T
+    return proposal
+
+
+def _about_solution(
+    parameters: ParameterSet, offset: Floats, optimum: Solution, cell: tuple[int, float, float]
+) -> RidgeProposal:
+    """The proposal about an optimum with one parameter held."""
+    free, values = parameters.free, optimum.values + offset
+    jacobian = optimum.jacobian.reshape(-1, len(values))
+    gradient, information = optimum.residual.ravel() @ jacobian, jacobian.T @ jacobian
+    if parameters.penalty is not None:
+        _, gradient, information = parameters.penalty.added_to(0.0, gradient, information, values)
+    ends = np.stack([parameters.lower, parameters.upper])
+    at_bound = (np.abs(values - ends) < _NEAR * parameters.typical).any(0)
+    return _about(
+        parameters, values[free], information[np.ix_(free, free)], -gradient[free], at_bound[free],
+        (int(free[: cell[0]].sum()), *cell[1:]),
+    )  # fmt: skip
 
 
 def _pivots(
@@ -163,7 +311,7 @@ def _extent(along: Floats, walls: Floats, room: Floats) -> tuple[float, float]:
 
 
 def first_walkers(
-    proposal: RidgeProposal,
+    proposal: Proposal,
     log_prob: Callable[[Floats], Floats],
     walkers: int,
     lower: Floats,

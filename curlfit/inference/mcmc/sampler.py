@@ -19,7 +19,7 @@ from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.likelihood import log_posterior
 from curlfit.inference.mcmc.chain import Chain, load_chain, require_same, subject_of
-from curlfit.inference.mcmc.ridge import first_walkers, ridge_proposal
+from curlfit.inference.mcmc.ridge import first_walkers, posterior_proposal
 from curlfit.inference.mcmc.summary import (
     Diagnosis,
     is_test_due,
@@ -79,7 +79,7 @@ class _Run:
         self._offset = origin.offset(len(parameters))
         local = parameters.shifted(-self._offset)
         self._posterior = local.lower, local.upper, self._problem, local.penalty
-        self._proposal = ridge_proposal(fit)
+        self._proposal = posterior_proposal(fit)
         self._walkers = _walkers(parameters)
         self._interrupted = False
         self._first: Any = None
