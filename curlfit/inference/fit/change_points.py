@@ -135,9 +135,11 @@ def sudden_change(fit: LeastSquaresFit) -> str | None:
     return min(sure, key=fitted.left_by).warning if sure else None
 
 
-def _speed_dependence(fitted: _Fitted, since: Floats, times: Floats) -> _Cause:
+def _speed_dependence(fitted: _Fitted, since: Floats, times: Floats) -> _Cause | None:
     """Friction times a power of the speed."""
     speed = np.interp((times[1:] + times[:-1]) / 2, fitted.t, fitted.speed)
+    if not (speed > 0).all():
+        return None
     response = (np.log(speed) @ (since[:-1] - since[1:]))[None]
     gain, (exponent,) = fitted.amplitudes(response)
     return _Cause(
