@@ -36,9 +36,9 @@ class BatchSettings(Fitting, Reading):
     seed : of the sampling.
     """
 
-    any_swept: Annotated[bool, option(SWITCH, "")] = False
-    posterior: Annotated[bool, option(SWITCH, "")] = False
-    seed: Annotated[int, option(SEED, "")] = 0
+    any_swept: Annotated[bool, option(SWITCH)] = False
+    posterior: Annotated[bool, option(SWITCH)] = False
+    seed: Annotated[int, option(SEED)] = 0
 
     def checked(self) -> type[Law]:
         """The law. Raises InputError if the settings are impossible for any throw."""

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from curlfit.foreign import say
 
@@ -15,17 +12,17 @@ _FIRST = "data/jensen_shegelski_2004.csv"
 
 
 def example(
-    folder: Annotated[
-        Path,
-        Parameter(
-            help="Destination folder; created if it does not exist. [default: curlfit-examples]"
-        ),
-    ] = Path("curlfit-examples"),
+    folder: Path = Path("curlfit-examples"),
     /,
 ) -> None:
     """Copy the example data and the notebooks to a folder of your own.
 
     Files that are there already are left as they are.
+
+    Parameters
+    ----------
+    folder
+        Destination folder; created if it does not exist. [default: curlfit-examples]
     """
     from curlfit.errors import InputError
     from curlfit.output.files import atomic_write, prepare_folder

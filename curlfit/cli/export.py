@@ -8,8 +8,6 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Parameter
-
 import curlfit
 from curlfit.cli.saved import of_record
 from curlfit.errors import InputError
@@ -43,24 +41,11 @@ _LOADERS = {"joint": "load_joint", "compare": "load_comparison", "fit": "load_fi
 
 @of_record
 def export(
-    folder: Annotated[
-        Path, Parameter(help="Folder of a fit, a joint fit or a comparison, or the JSON in it.")
-    ],
+    folder: Path,
     /,
     *,
-    to: Annotated[
-        list[Form],
-        Parameter(
-            help="csv: parameters, and the path with its residuals. netcdf: the sampled posterior "
-            "for ArviZ. json: what `curlfit show --json` prints. latex: a table with booktabs. "
-            "table, c, js: the accelerations of the stone by speed and spin, as JSON, C header and "
-            "JavaScript module, for games and simulators; game: all three."
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        option(PATH, "Folder for the files. [default: the result's name with -export]", "DIR"),
-    ] = None,
+    to: list[Form],
+    out: Annotated[Path | None, option(PATH, "DIR")] = None,
     law: s.LawOfFit = None,
 ) -> None:
     """Export a saved fit, joint fit or comparison to other programs and papers.
@@ -70,6 +55,18 @@ def export(
     `curlfit export throw-fit --to csv --to latex`: parameters.csv, path.csv, table.tex
 
     `curlfit export throw-fit --to game --out game`: accelerations.json, curlfit_stone.h, .mjs
+
+    Parameters
+    ----------
+    folder
+        Folder of a fit, a joint fit or a comparison, or the JSON in it.
+    to
+        csv: parameters, and the path with its residuals. netcdf: the sampled posterior for ArviZ.
+        json: what `curlfit show --json` prints. latex: a table with booktabs. table, c, js: the
+        accelerations of the stone by speed and spin, as JSON, C header and JavaScript module, for
+        games and simulators; game: all three.
+    out
+        Folder for the files. [default: the result's name with -export]
     """
     from curlfit.output.files import atomic_write, prepare_folder
 

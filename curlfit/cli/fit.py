@@ -35,47 +35,29 @@ if TYPE_CHECKING:
 @Parameter(name="*", group="Sampling")
 @dataclass(frozen=True, kw_only=True)
 class Sampling(Choices):
-    """How the posterior is sampled."""
+    """How the posterior is sampled.
 
-    no_sample: Annotated[bool, option(SWITCH, "Least squares only; no posterior.")] = False
-    effective: Annotated[
-        int | None,
-        option(
-            whole(100), "Effective sample size required for every parameter. [default: 4000]", "N"
-        ),
-    ] = None
-    max_steps: Annotated[
-        int | None, option(whole(40), "Maximum number of sampling steps. [default: 2000]", "N")
-    ] = None
-    seed: Annotated[int | None, option(SEED, "Seed of the sampling. [default: 0]", "N")] = None
-    resume: Annotated[
-        bool,
-        option(
-            SWITCH,
-            "Continue an earlier run in that folder, finished or interrupted: its least-squares "
-            "result is reused (`--start` then has no effect) and its chain is continued.",
-        ),
-    ] = False
+    Attributes
+    ----------
+    no_sample : Least squares only; no posterior.
+    effective : Effective sample size required for every parameter. [default: 4000]
+    max_steps : Maximum number of sampling steps. [default: 2000]
+    seed : Seed of the sampling. [default: 0]
+    resume : Continue an earlier run in that folder, finished or interrupted: its least-squares
+        result is reused (`--start` then has no effect) and its chain is continued.
+    """
+
+    no_sample: Annotated[bool, option(SWITCH)] = False
+    effective: Annotated[int | None, option(whole(100), "N")] = None
+    max_steps: Annotated[int | None, option(whole(40), "N")] = None
+    seed: Annotated[int | None, option(SEED, "N")] = None
+    resume: Annotated[bool, option(SWITCH)] = False
 
 
 def fit(
-    *data: Annotated[
-        Path,
-        Parameter(
-            help="Table with a header: t, x, y and if possible phi (s, m, m, rad; other units as "
-            "y_ft, angle_deg ...). Leading lines `# key = value` are its defaults. Several files "
-            "are fitted jointly."
-        ),
-    ],
+    *data: Path,
     flags: Fitting = Fitting(),
-    share: Annotated[
-        str | None,
-        option(
-            TEXT,
-            "With several files: coefficients common to all throws. [default: all]",
-            "all|NAME,...",
-        ),
-    ] = None,
+    share: Annotated[str | None, option(TEXT, "all|NAME,...")] = None,
     reading: Reading = Reading(),
     config: s.Config = None,
     sampling: Sampling = Sampling(),
@@ -88,6 +70,15 @@ def fit(
     Ctrl-C during sampling keeps the chain so far; `--resume` continues it.
 
     Example: `curlfit fit data/jensen_shegelski_2004.csv --stone rho=0.1025`
+
+    Parameters
+    ----------
+    data
+        Table with a header: t, x, y and if possible phi (s, m, m, rad; other units as y_ft,
+        angle_deg ...). Leading lines `# key = value` are its defaults. Several files are fitted
+        jointly.
+    share
+        With several files: coefficients common to all throws. [default: all]
     """
     from curlfit.options.figures import remove_figure
     from curlfit.output.files import prepare_folder

@@ -8,8 +8,6 @@ from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-from cyclopts import Parameter
-
 import curlfit
 from curlfit.errors import CurlfitError, DataError, InputError
 from curlfit.foreign import say
@@ -48,18 +46,24 @@ def of_record(verb: Verb) -> Verb:
 
 @of_record
 def show(
-    folder: Annotated[Path, Parameter(help="Folder of results, or the JSON file in it.")],
+    folder: Path,
     /,
     *,
-    as_json: Annotated[bool, option(SWITCH, "Print the JSON record.", name="--json")] = False,
-    derive: Annotated[
-        Sequence[str],
-        option(TEXTS, "A quantity derived from the parameters, as in `curlfit fit`.", "EXPRESSION"),
-    ] = (),
+    as_json: Annotated[bool, option(SWITCH, name="--json")] = False,
+    derive: Annotated[Sequence[str], option(TEXTS, "EXPRESSION")] = (),
 ) -> None:
     """Print the report of a saved fit, joint fit, comparison, prediction, profile or design.
 
     Example: `curlfit show throw-fit --derive "mu2_xi - mu1_xi"`
+
+    Parameters
+    ----------
+    folder
+        Folder of results, or the JSON file in it.
+    as_json
+        Print the JSON record.
+    derive
+        A quantity derived from the parameters, as in `curlfit fit`.
     """
     from curlfit.output.console import terminal
 
@@ -74,20 +78,23 @@ def show(
 
 @of_record
 def plot(
-    folder: Annotated[Path, Parameter(help="Folder of results, or the JSON file in it.")],
+    folder: Path,
     /,
     *,
-    out: Annotated[
-        Path | None, option(PATH, "Folder for the figures. [default: that of the results]", "DIR")
-    ] = None,
-    format: Annotated[
-        str,
-        option(
-            TEXT, "`png`, `pdf` or `svg`; several separated by commas. [default: png]", "FORMAT"
-        ),
-    ] = "png",
+    out: Annotated[Path | None, option(PATH, "DIR")] = None,
+    format: Annotated[str, option(TEXT, "FORMAT")] = "png",
 ) -> None:
-    """Draw the figures again of a saved fit, joint fit, comparison, prediction, profile, design."""
+    """Draw the figures again of a saved fit, joint fit, comparison, prediction, profile, design.
+
+    Parameters
+    ----------
+    folder
+        Folder of results, or the JSON file in it.
+    out
+        Folder for the figures. [default: that of the results]
+    format
+        `png`, `pdf` or `svg`; several separated by commas. [default: png]
+    """
     from curlfit.output.files import prepare_folder
 
     formats = FigureFiles.of(format, "--format").formats
@@ -105,14 +112,11 @@ def plot(
 
 
 def report(
-    folder: Annotated[Path, Parameter(help="Folder of results, or the JSON file in it.")],
+    folder: Path,
     /,
     *,
-    out: Annotated[
-        Path | None,
-        option(PATH, "The file. [default: report.html among the results]", "FILE.html"),
-    ] = None,
-    show_it: Annotated[bool, option(SWITCH, "Open it in the browser.", name="--open")] = False,
+    out: Annotated[Path | None, option(PATH, "FILE.html")] = None,
+    show_it: Annotated[bool, option(SWITCH, name="--open")] = False,
     law: LawOfFit = None,
 ) -> None:
     """Write a saved result as one HTML file to send: numbers, figures, warnings, animations.
@@ -122,6 +126,15 @@ def report(
     determine, and the draws of a prediction.
 
     Example: `curlfit report throw-fit --open`
+
+    Parameters
+    ----------
+    folder
+        Folder of results, or the JSON file in it.
+    out
+        The file. [default: report.html among the results]
+    show_it
+        Open it in the browser.
     """
     file = write_page(folder, out, law)
     say(f"Written: {file}")

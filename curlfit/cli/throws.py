@@ -30,19 +30,26 @@ if TYPE_CHECKING:
 
 
 def check(
-    data: Annotated[Path, Parameter(help="Data as for `curlfit fit`.")],
+    data: Path,
     /,
     *,
     reading: Reading = Reading(),
     rows: Rows = Rows(),
     config: s.Config = None,
-    out: Annotated[Path | None, option(PATH, "Draw the data to this file.", "CHECK.png")] = None,
+    out: Annotated[Path | None, option(PATH, "CHECK.png")] = None,
 ) -> None:
     """Show how a data file is read: columns, units, scatter, rest, what is implausible.
 
     Exit status 0 if the file can be read and is plausible, 2 otherwise.
 
     Example: `curlfit check data/jensen_shegelski_2004.csv`
+
+    Parameters
+    ----------
+    data
+        Data as for `curlfit fit`.
+    out
+        Draw the data to this file.
     """
     from curlfit.inference.parameters import FEWEST_ROWS
     from curlfit.throws.inspection import inspect_throw
@@ -124,10 +131,10 @@ class Conditions(Choices):
         otherwise.
     """
 
-    slope_x: Annotated[float | None, option(NUMBER, metavar="V")] = None
-    slope_y: Annotated[float | None, option(NUMBER, metavar="V")] = None
-    drag: Annotated[float | None, option(NUMBER, metavar="V")] = None
-    sweep: Annotated[Any, option(_SWEPT, metavar="A:B=V")] = None
+    slope_x: Annotated[float | None, option(NUMBER, "V")] = None
+    slope_y: Annotated[float | None, option(NUMBER, "V")] = None
+    drag: Annotated[float | None, option(NUMBER, "V")] = None
+    sweep: Annotated[Any, option(_SWEPT, "A:B=V")] = None
 
     def environment(self) -> dict[str, float]:
         """Those that are given, as fields of `Environment`."""
@@ -153,41 +160,17 @@ class Simulated(LawValues):
 
 def simulate(
     *,
-    fit: Annotated[
-        Path | None,
-        option(
-            PATH,
-            "Saved fit that supplies law, load, stone, conditions and initial state unless given "
-            "here.",
-            "FIT",
-        ),
-    ] = None,
+    fit: Annotated[Path | None, option(PATH, "FIT")] = None,
     given: Simulated = Simulated(),
     start: Start = Start(),
-    line: Annotated[
-        str | None,
-        option(
-            TEXT,
-            "Start on a line of the sheet: `hack`, `back`, `tee`, `hog` (the near ones), `centre` "
-            "or `far-hog`; y is then measured from the hack.",
-            "NAME",
-            group="Start",
-        ),
-    ] = None,
+    line: Annotated[str | None, option(TEXT, "NAME", group="Start")] = None,
     conditions: Conditions = Conditions(),
-    until: Annotated[
-        float | None,
-        option(TIME, "Last time, s. [default: 20; of a fit, as long as its record]", "S"),
-    ] = None,
-    dt: Annotated[float, option(NUMBER, "Time between rows, s. [default: 0.1]", "S")] = 0.1,
-    noise_xy: Annotated[
-        float, option(NUMBER, "Standard deviation on x and y, m. [default: 0]", "V")
-    ] = 0.0,
-    noise_phi: Annotated[
-        float, option(NUMBER, "Standard deviation on phi, rad. [default: 0]", "V")
-    ] = 0.0,
-    seed: Annotated[int, option(SEED, "Seed of the noise. [default: 0]", "N")] = 0,
-    out: Annotated[Path | None, option(PATH, "File to write. [default: print]", "FILE.csv")] = None,
+    until: Annotated[float | None, option(TIME, "S")] = None,
+    dt: Annotated[float, option(NUMBER, "S")] = 0.1,
+    noise_xy: Annotated[float, option(NUMBER, "V")] = 0.0,
+    noise_phi: Annotated[float, option(NUMBER, "V")] = 0.0,
+    seed: Annotated[int, option(SEED, "N")] = 0,
+    out: Annotated[Path | None, option(PATH, "FILE.csv")] = None,
 ) -> None:
     """Simulate a throw under a friction law, in the format that `curlfit fit` reads.
 
@@ -198,6 +181,26 @@ def simulate(
     `curlfit simulate --line hog --v0 2.3 --slope-x 2e-4 --drag 0.8 --sweep 8:14=0.9 --out b.csv`
 
     `curlfit simulate --fit a-fit --omega0=-1.2 --until 30 --out c.csv`: another throw of a fit
+
+    Parameters
+    ----------
+    fit
+        Saved fit that supplies law, load, stone, conditions and initial state unless given here.
+    line
+        Start on a line of the sheet: `hack`, `back`, `tee`, `hog` (the near ones), `centre` or
+        `far-hog`; y is then measured from the hack.
+    until
+        Last time, s. [default: 20; of a fit, as long as its record]
+    dt
+        Time between rows, s. [default: 0.1]
+    noise_xy
+        Standard deviation on x and y, m. [default: 0]
+    noise_phi
+        Standard deviation on phi, rad. [default: 0]
+    seed
+        Seed of the noise. [default: 0]
+    out
+        File to write. [default: print]
     """
     from curlfit.environment import Environment
     from curlfit.errors import warn_once

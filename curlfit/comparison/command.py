@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from curlfit.options import settings as s
 from curlfit.options.output import Output, Saved, progress_line
@@ -13,7 +10,7 @@ from curlfit.settings.choices import FLAGS, Comparing, Reading
 
 
 def compare(
-    data: Annotated[Path, Parameter(help="Data as for `curlfit fit`.")],
+    data: Path,
     /,
     *,
     flags: Comparing = Comparing(),
@@ -32,6 +29,11 @@ def compare(
     Writes `compare.json` and `compare.png`.
 
     Example: `curlfit compare data/jensen_shegelski_2004.csv --load both`
+
+    Parameters
+    ----------
+    data
+        Data as for `curlfit fit`.
     """
     from curlfit.friction import LAWS, find_law
     from curlfit.inference.parameters import ParameterSet, options_of, require_known

@@ -37,38 +37,25 @@ class Saved(NamedTuple):
 @Parameter(name="*", group=OUTPUT)
 @dataclass(frozen=True, kw_only=True)
 class Output(Choices):
-    """Where and how results are written."""
+    """Where and how results are written.
 
-    out: Annotated[
-        Path | None,
-        option(
-            PATH,
-            "Folder for the results. [default: the name of DATA or FIT, with the numbers given by "
-            "--shot and --stone-index, and the verb]",
-            "DIR",
-        ),
-    ] = None
-    figures: Annotated[
-        str | None,
-        option(
-            TEXT,
-            "Format of the figures, `png`, `pdf` or `svg`; several separated by commas. [default: "
-            "png]",
-            "FORMAT",
-        ),
-    ] = None
-    no_figures: Annotated[bool, option(SWITCH, "Draw no figures.")] = False
-    report: Annotated[
-        bool,
-        option(
-            SWITCH,
-            "Also write `report.html`, the result as one self-contained page, as `curlfit report` "
-            "does.",
-        ),
-    ] = False
-    quiet: Annotated[bool, option(SWITCH, "Print nothing but errors.", name=["--quiet", "-q"])] = (
-        False
-    )
+    Attributes
+    ----------
+    out : Folder for the results. [default: the name of DATA or FIT, with the numbers given by
+        --shot and --stone-index, and the verb]
+    figures : Format of the figures, `png`, `pdf` or `svg`; several separated by commas. [default:
+        png]
+    no_figures : Draw no figures.
+    report : Also write `report.html`, the result as one self-contained page, as `curlfit report`
+        does.
+    quiet : Print nothing but errors.
+    """
+
+    out: Annotated[Path | None, option(PATH, "DIR")] = None
+    figures: Annotated[str | None, option(TEXT, "FORMAT")] = None
+    no_figures: Annotated[bool, option(SWITCH)] = False
+    report: Annotated[bool, option(SWITCH)] = False
+    quiet: Annotated[bool, option(SWITCH, name=["--quiet", "-q"])] = False
 
     def drawn(self) -> FigureFiles:
         """The figures to be drawn. Raises `InputError` for an unknown format."""

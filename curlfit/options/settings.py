@@ -35,14 +35,11 @@ _KEYS = {FLAGS.get(name, name).removeprefix("--"): name for name in _FORMS} | {"
 Chosen = TypeVar("Chosen", bound=Estimation)
 ModelChoices = TypeVar("ModelChoices", bound=Modelling)
 LawOfFit = Annotated[
-    Any,
-    option(
-        LAW, "The law of the saved fit, if it is one of your own.", "FILE.py:CLASS", name="--law"
-    ),
+    Any, option(LAW, "FILE.py:CLASS", help="The law of the saved fit, if it is one of your own.")
 ]
 Config = Annotated[
     Path | None,
-    option(PATH, "TOML file of settings, by the names of flags; flags override it.", "TOML"),
+    option(PATH, "TOML", help="TOML file of settings, by the names of flags; flags override it."),
 ]
 
 

@@ -28,31 +28,26 @@ _FIGURES = {
 
 def reproduce(
     *,
-    out: Annotated[
-        Path,
-        option(
-            PATH,
-            "Folder for claims.json, claims.md and its figures. [default: reproduction]",
-            "DIR",
-        ),
-    ] = Path("reproduction"),
-    figures: Annotated[
-        str | None,
-        option(
-            TEXT,
-            "Format of the figures: `png`, `pdf`, `svg`; several with commas between.",
-            "FORMAT",
-        ),
-    ] = None,
-    quiet: Annotated[bool, option(SWITCH, "Print nothing.", name=["--quiet", "-q"])] = False,
-    as_json: Annotated[
-        bool, option(SWITCH, "Print claims.json in place of the table.", name="--json")
-    ] = False,
+    out: Annotated[Path, option(PATH, "DIR")] = Path("reproduction"),
+    figures: Annotated[str | None, option(TEXT, "FORMAT")] = None,
+    quiet: Annotated[bool, option(SWITCH, name=["--quiet", "-q"])] = False,
+    as_json: Annotated[bool, option(SWITCH, name="--json")] = False,
 ) -> None:
     """Recompute every numbered claim of Ivanov and Shuvalov (2012) and give a verdict on each.
 
     Eq. 12 is differentiated, friction is integrated over the ring, and the laws are fitted.
     Takes about a minute on the first run of a machine.
+
+    Parameters
+    ----------
+    out
+        Folder for claims.json, claims.md and its figures. [default: reproduction]
+    figures
+        Format of the figures: `png`, `pdf`, `svg`; several with commas between.
+    quiet
+        Print nothing.
+    as_json
+        Print claims.json in place of the table.
     """
     from curlfit.output.files import atomic_write, prepare_folder
 

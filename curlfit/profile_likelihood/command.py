@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Parameter
-
 from curlfit.errors import InputError
 from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved, status_line
@@ -19,37 +17,12 @@ _RANGES = Several(numbers(2, "LOW,HIGH"), "pairs of numbers", "LOW,HIGH", commas
 
 
 def profile(
-    data: Annotated[
-        Path,
-        Parameter(
-            help="Data as for `curlfit fit`; or a saved fit: its folder, or the fit.json in it."
-        ),
-    ],
+    data: Path,
     /,
     *,
-    param: Annotated[
-        Sequence[str],
-        option(
-            NAMES,
-            "A fitted parameter: a coefficient, or one of x0 y0 heading v0 phi0 omega0. Given "
-            "twice: two parameters jointly.",
-            "NAME",
-        ),
-    ],
-    points: Annotated[
-        int | None,
-        option(COUNT, "Values of each parameter. [default: 41; 25 of each of two]", "N"),
-    ] = None,
-    ranges: Annotated[
-        Sequence[tuple[float, float]],
-        option(
-            _RANGES,
-            "Range; given twice, of the first and the second parameter. [default: 4 standard "
-            "errors to either side; where there are none, up to the limits]",
-            "LO,HI",
-            name="--range",
-        ),
-    ] = (),
+    param: Annotated[Sequence[str], option(NAMES, "NAME")],
+    points: Annotated[int | None, option(COUNT, "N")] = None,
+    ranges: Annotated[Sequence[tuple[float, float]], option(_RANGES, "LO,HI", name="--range")] = (),
     flags: Modelling = Modelling(),
     reading: Reading = Reading(),
     config: s.Config = None,
@@ -66,6 +39,19 @@ def profile(
     `curlfit profile throw.csv --param mu1_xi`
 
     `curlfit profile throw-fit --param mu1_eta --param mu2_eta`: two of a saved fit
+
+    Parameters
+    ----------
+    data
+        Data as for `curlfit fit`; or a saved fit: its folder, or the fit.json in it.
+    param
+        A fitted parameter: a coefficient, or one of x0 y0 heading v0 phi0 omega0. Given twice: two
+        parameters jointly.
+    points
+        Values of each parameter. [default: 41; 25 of each of two]
+    ranges
+        Range; given twice, of the first and the second parameter. [default: 4 standard errors to
+        either side; where there are none, up to the limits]
     """
     from curlfit.output.files import prepare_folder
 
