@@ -17,10 +17,10 @@ from curlfit.options.output import (
     COMPILES,
     Output,
     Saved,
-    figures_by,
     progress_line,
     status_line,
 )
+from curlfit.output.display import corner_of, figures_of
 from curlfit.settings.choices import SEED, Choices, Fitting, Reading
 from curlfit.settings.forms import SWITCH, TEXT, option, whole
 
@@ -134,7 +134,7 @@ def fit(
     if saved is None:
         remove_figure(folder, "corner")  # of an earlier fit
         (folder / "chain.h5").unlink(missing_ok=True)
-    drawn.replace(folder, ["fit"], partial(figures_by, "fit_figure", result))
+    drawn.replace(folder, ["fit"], partial(figures_of, result))
     if not no_sample:
         chain_file = folder / "chain.h5"
         try:
@@ -152,7 +152,7 @@ def fit(
             raise
         result.save(folder / "fit.json")
         written.append(chain_file)
-        drawn.replace(folder, ["corner"], partial(figures_by, "corner_figure", result, chain))
+        drawn.replace(folder, ["corner"], partial(corner_of, result, chain))
     else:
         remove_figure(folder, "corner")
         (folder / "chain.h5").unlink(missing_ok=True)
@@ -161,8 +161,8 @@ def fit(
 
     print_fit(result, console)
     done = output.written(folder, written + drawn.written(), console)
-    if result.converged:
-        _warn_of_posterior(result)
+    if result.converged and result.posterior is not None and not result.posterior.converged:
+        say(f"curlfit: warning: posterior {result.posterior.status}", error=True)
     return _finish(result, done)
 
 
@@ -199,11 +199,6 @@ def _finish(result: FitResult | JointResult, done: Saved) -> Saved:
         return done
     say(f"curlfit: the fit is not usable: {result.status}", error=True)
     return done._replace(status=1)
-
-
-def _warn_of_posterior(result: FitResult) -> None:
-    if result.posterior is not None and not result.posterior.converged:
-        say(f"curlfit: warning: posterior {result.posterior.status}", error=True)
 
 
 def _sample(
@@ -286,9 +281,9 @@ def _fit_jointly(
     for name, one in zip(named, result.throws, strict=True):
         own_folder = prepare_folder(folder / name)
         one.save(own_folder / "fit.json")
-        drawn.replace(own_folder, ["fit"], partial(figures_by, "fit_figure", one))
+        drawn.replace(own_folder, ["fit"], partial(figures_of, one))
     folders = list(named)
     if len(folders) > 3:
         folders[1:-1] = ["..."]
     each_in = f", and in {folder}/ a folder for each throw: {', '.join(folders)}"
-    return _finish(result, output.finish(result, folder, drawn, "joint_figure", more=each_in))
+    return _finish(result, output.finish(result, folder, drawn, more=each_in))

@@ -13,12 +13,10 @@ from curlfit.errors import CurlfitError, DataError, InputError
 from curlfit.foreign import say
 from curlfit.options.figures import FigureFiles, write_figures
 from curlfit.options.settings import LawOfFit, chain_beside, kind_of, load_fit_and_chain
-from curlfit.output.display import KINDS, document_of
+from curlfit.output.display import KINDS, corner_of, document_of, figures_of
 from curlfit.settings.forms import PATH, SWITCH, TEXT, TEXTS, option
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from curlfit.inference.mcmc.chain import Chain
 
 
@@ -98,15 +96,11 @@ def plot(
     from curlfit.output.files import prepare_folder
 
     formats = FigureFiles.of(format, "--format").formats
-    kind, result, chain = _load(folder)
+    _, result, chain = _load(folder)
     target = out or (folder if folder.is_dir() else folder.parent)
-    figures: dict[str, Figure]
-    if kind == "design":
-        figures = curlfit.design_figures(result)
-    else:
-        figures = {kind: getattr(curlfit, f"{KINDS[kind].noun}_figure")(result)}
+    figures = figures_of(result)
     if chain is not None:
-        figures["corner"] = curlfit.corner_figure(result, chain)
+        figures |= corner_of(result, chain)
     written = write_figures(prepare_folder(target), figures, formats)
     say("Written: " + ", ".join(map(str, written)))
 

@@ -69,4 +69,4 @@ def compare(
         from curlfit.comparison.compare import compare as compare_laws
 
         found = compare_laws(throw, progress=show_progress, **vars(chosen))
-    return output.finish(found, folder, drawn, "comparison_figure", remarks=unusual)
+    return output.finish(found, folder, drawn, remarks=unusual)

@@ -18,8 +18,6 @@ from curlfit.options.start import LawValues
 from curlfit.settings.choices import COUNT, Choices
 from curlfit.settings.forms import NAMES, NUMBER, NUMBERS, PATH, TIME, Form, option
 
-_FIGURES = ("design-map", "design-errors", "design-separate")
-
 _SIZE = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
@@ -187,4 +185,4 @@ def design(
             **grid.given(),
         )
     folder = prepare_folder(output.out or Path("design"))
-    return output.finish(result, folder, drawn, "design_figures", names=_FIGURES)
+    return output.finish(result, folder, drawn)

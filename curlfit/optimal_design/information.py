@@ -97,10 +97,16 @@ class Assumptions:
     """
 
     law: type[Law]
+    load: Load
     values: Floats
     sigma: Mapping[str, float]
     until: float | None = None
     discrepancy: float = 0.0
+
+    @property
+    def model(self) -> Model:
+        """Law and load."""
+        return Model(self.law, self.load)
 
     @property
     def channels(self) -> int:
@@ -150,17 +156,16 @@ class Assumptions:
         return replace(self, sigma=sigma | {name: factor * sigma[name] for name in channels})
 
 
-def prepare_information(assumed: Assumptions, load: Load, throw: PlannedThrow) -> None:
+def prepare_information(assumed: Assumptions, throw: PlannedThrow) -> None:
     """Begin compiling the programs that `record_information` needs."""
     some = [(throw, np.arange(2.0))] * _BATCH
     values, problems = _stacked(assumed, some, assumed.channels)
-    prepare_many(Model(assumed.law, load), values, problems)
-    linearize.prepare(Model(assumed.law, load), values, problems)
+    prepare_many(assumed.model, values, problems)
+    linearize.prepare(assumed.model, values, problems)
 
 
 def record_information(
     assumed: Assumptions,
-    load: Load,
     throws: Sequence[PlannedThrow],
     widths: Mapping[str, float] | None = None,
 ) -> list[RecordInformation]:
@@ -175,9 +180,9 @@ def record_information(
     InputError : a stone that does not come to rest, or for which there is no motion; a record
         with fewer than two rows or more than `MOST_ROWS`.
     """
-    model, channels = Model(assumed.law, load), assumed.channels
+    model, channels = assumed.model, assumed.channels
     typical = np.array([item.typical for item in (*assumed.law.coefficients(), *START)])
-    clocks, ends = [], _rests(assumed, load, throws)
+    clocks, ends = [], _rests(assumed, throws)
     for throw, (rest, _) in zip(throws, ends, strict=True):
         end = rest if assumed.until is None else assumed.until
         rows = math.floor(end * throw.rate + 1e-9) + 1
@@ -189,7 +194,7 @@ def record_information(
     responses: list[Responses] = []
     if assumed.discrepancy:  # to accelerations of the size of the friction
         even = [np.linspace(0.0, clock[-1], _ROWS) for clock in clocks]
-        paths = _paths(assumed, load, throws, even)
+        paths = _paths(assumed, throws, even)
         responses = [
             Responses.of(clock, path, throw.stone)
             for clock, path, throw in zip(even, paths, throws, strict=True)
@@ -212,7 +217,7 @@ def record_information(
             jacobian = np.concatenate([jacobian, np.stack(list(changes.values()), -1)], -1)
         for column, (index, _) in enumerate(some):
             if not np.isfinite(own := jacobian[column]).all():
-                raise _no_motion(assumed, load, throws[index])
+                raise _no_motion(assumed, throws[index])
             if responses:
                 here = problems.times[column]
                 lacking = np.stack([responses[index].at(here, row) for row in range(channels)])
@@ -229,11 +234,11 @@ def record_information(
 
 
 def _paths(
-    assumed: Assumptions, load: Load, throws: Sequence[PlannedThrow], clocks: Iterable[Floats]
+    assumed: Assumptions, throws: Sequence[PlannedThrow], clocks: Iterable[Floats]
 ) -> Floats:
     """x, y, phi, speed and spin of throws at `_ROWS` times of each, shape (throws, 5, times)."""
     values, problems = _stacked(assumed, list(zip(throws, clocks, strict=True)), 3)
-    return predict_many(Model(assumed.law, load), values, problems, _BATCH)
+    return predict_many(assumed.model, values, problems, _BATCH)
 
 
 def _stacked(
@@ -256,9 +261,7 @@ def _stacked(
     return values, Problem(times, np.zeros_like(weight), weight, stone, level, np.zeros(n, int))
 
 
-def _rests(
-    assumed: Assumptions, load: Load, throws: Sequence[PlannedThrow]
-) -> list[tuple[float, float]]:
+def _rests(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> list[tuple[float, float]]:
     """Time of rest (s), above `LONGEST` only where the records end before, and distance (m) of
     throws."""
     # The first time at rest, on successively finer grids.
@@ -266,10 +269,10 @@ def _rests(
     moves = np.zeros(len(throws), bool)
     for _ in range(_REFINEMENTS):
         clocks = np.linspace(early, late, _ROWS, axis=-1)
-        paths = _paths(assumed, load, throws, clocks)
+        paths = _paths(assumed, throws, clocks)
         speed = paths[:, 3]
         if (lost := np.isnan(speed).any(1)).any():
-            raise _no_motion(assumed, load, throws[int(np.argmax(lost))])
+            raise _no_motion(assumed, throws[int(np.argmax(lost))])
         moves |= (speed > 0).all(1)
         first = np.maximum(np.argmax(speed == 0, 1), 1)[:, None]
         early, late = (np.take_along_axis(clocks, first - k, 1)[:, 0] for k in (1, 0))
@@ -285,11 +288,16 @@ def _rests(
     return list(zip(times.tolist(), distances.tolist(), strict=True))
 
 
-def _no_motion(assumed: Assumptions, load: Load, throw: PlannedThrow) -> InputError:
+def _no_motion(assumed: Assumptions, throw: PlannedThrow) -> InputError:
     return InputError(
-        f"law {assumed.law.name} with {load} load admits no motion from {throw.v0:g} m/s and "
-        f"{throw.omega0:g} rad/s{no_motion_because(load)}"
+        f"law {assumed.law.name} with {assumed.load} load admits no motion from {throw.v0:g} m/s "
+        f"and {throw.omega0:g} rad/s{no_motion_because(assumed.load)}"
     )
+
+
+def marginal_factors(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> list[Floats]:
+    """R factor of the information of each throw on the free coefficients."""
+    return [marginal_factor(assumed, one) for one in record_information(assumed, throws)]
 
 
 def marginal_factor(

@@ -35,6 +35,8 @@ class CandidateSet(NamedTuple):
     """of each candidate, shape (candidates, rank, rank); their sum is the identity matrix"""
     basis: Floats
     """whitened directions in coefficients over their typical sizes, shape (free, rank)"""
+    factors: Sequence[Floats]
+    """R factor of the information of each candidate"""
 
     @property
     def rank(self) -> int:
@@ -48,7 +50,11 @@ class CandidateSet(NamedTuple):
         mask = visible(singular)
         basis = right[mask].T / singular[mask]
         whitened = np.stack([factor @ basis for factor in factors])
-        return cls(np.swapaxes(whitened, 1, 2) @ whitened, basis)
+        return cls(np.swapaxes(whitened, 1, 2) @ whitened, basis, factors)
+
+    def together(self, indices: Sequence[int]) -> Floats:
+        """R factor of the information of some candidates together."""
+        return combined([self.factors[index] for index in indices])
 
 
 def d_criterion(information: Floats) -> Floats:

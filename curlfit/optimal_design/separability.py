@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -29,8 +30,7 @@ from curlfit.optimal_design.information import (
     Assumptions,
     PlannedThrow,
     combined,
-    marginal_factor,
-    record_information,
+    marginal_factors,
     standard_error,
 )
 from curlfit.optimal_design.result import LoadScenario, Proof, Separation, StoneChange
@@ -195,8 +195,7 @@ def analyse_separation(
     """
 
     def factors(load: Load, throws: Sequence[PlannedThrow]) -> list[Floats]:
-        records = record_information(assumed, load, throws)
-        return [marginal_factor(assumed, one) for one in records]
+        return marginal_factors(replace(assumed, load=load), throws)
 
     stone = candidates[0].stone
     progress("the proof for the uniform load")
@@ -253,18 +252,12 @@ def analyse_separation(
 def _load_scenario(
     pair: CoefficientPair, load: Load, factors: Sequence[Floats], throws: int, required: float
 ) -> LoadScenario:
-    each = tuple(standard_error(factor, pair.difference) for factor in factors)
-    best = None
+    each, best = tuple(standard_error(factor, pair.difference) for factor in factors), None
+    candidates = CandidateSet.from_factors(factors)
     if standard_error(combined(factors), pair.difference) is not None:
-        candidate_set = CandidateSet.from_factors(factors)
-        best = select_design(candidate_set, c_criterion(candidate_set, pair.difference), throws)
+        best = select_design(candidates, c_criterion(candidates, pair.difference), throws)
     if best is None:
         return LoadScenario(load, each, None, None, None)
-    made = [factors[index] for index in best]
-    return LoadScenario(
-        load,
-        each,
-        best,
-        standard_error(combined(made), pair.difference),
-        pair.tolerated_change(made, required),
-    )
+    stderr = standard_error(candidates.together(best), pair.difference)
+    steady = pair.tolerated_change([factors[index] for index in best], required)
+    return LoadScenario(load, each, best, stderr, steady)

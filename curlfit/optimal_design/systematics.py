@@ -14,9 +14,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from curlfit.friction import Load
 from curlfit.inference.fit.systematics import shifts, widths_of
-from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.optimal_design.information import (
     Assumptions,
@@ -39,7 +37,6 @@ SCENARIOS = {
 
 def scenarios(
     assumed: Assumptions,
-    load: Load,
     throws: Sequence[PlannedThrow],
     quantities: Mapping[str, Mapping[str, float]],
 ) -> tuple[Scenario, ...]:
@@ -49,14 +46,14 @@ def scenarios(
     """
     typical, n = assumed.typical, len(assumed.free)
     rows = {name: assumed.weights(weights) for name, weights in quantities.items()}
-    count, widths = Counter(throws), widths_of(Model(assumed.law, load))
+    count, widths = Counter(throws), widths_of(assumed.model)
     ways = SCENARIOS["both spins and directions"]
     varied = [
         one._replace(omega0=sense * one.omega0, heading=heading)
         for one in count
         for sense, heading in ways
     ]
-    records = record_information(assumed, load, varied, widths)
+    records = record_information(assumed, varied, widths)
     conditions = len(assumed.values) + len(START) + np.arange(len(widths))
     columns = np.concatenate([assumed.free, conditions])
     factors = [marginal_factor(assumed, one, columns) for one in records]

@@ -6,19 +6,17 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from cyclopts import Group, Parameter
 
 from curlfit.options.figures import FigureFiles
-from curlfit.output.display import document_of
+from curlfit.output.display import KINDS, document_of, figures_of
 from curlfit.settings.choices import Choices
 from curlfit.settings.forms import PATH, SWITCH, TEXT, option
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.console import Console
     from rich.progress import Progress, ProgressColumn
 
@@ -72,24 +70,22 @@ class Output(Choices):
         result: Any,
         folder: Path,
         drawn: FigureFiles,
-        figure: str,
         *,
-        names: Sequence[str] = (),
         files: Sequence[Path] = (),
         remarks: Sequence[object] = (),
         more: str = "",
     ) -> Saved:
-        """Save a result, draw its figure, print it, and say what was written.
+        """Save a result, draw its figures, print it, and say what was written.
 
         Parameters
         ----------
-        figure : the public function that draws it. names : of all figures that it may draw.
         files : written already. remarks : warnings to be printed beneath the result.
         more : end of the last line.
         """
         written = [folder / f"{result.kind}.json", *files]
         result.save(written[0])
-        drawn.replace(folder, names or [result.kind], partial(figures_by, figure, result))
+        names = KINDS[result.kind].figures or (result.kind,)
+        drawn.replace(folder, names, partial(figures_of, result))
         console = self.console()
         console.print(document_of(result))
         for remark in remarks:
@@ -104,13 +100,6 @@ class Output(Choices):
         if not self.report:
             (folder / "report.html").unlink(missing_ok=True)
         return Saved(folder if self.report else None, self.quiet)
-
-
-def figures_by(function: str, *given: Any) -> dict[str, Figure]:
-    """The figures by a public function of a result, by name."""
-    found = getattr(import_module("curlfit"), function)(*given)
-    kind = "corner" if given[1:] else given[0].kind
-    return found if isinstance(found, dict) else {kind: found}
 
 
 def progress_line(console: Console, *columns: str | ProgressColumn) -> Progress:

@@ -114,4 +114,4 @@ def predict(
     table = folder / "predict.csv"
     with atomic_write(table) as temporary:
         temporary.write_text(found.table())
-    return output.finish(found, folder, drawn, "prediction_figure", files=[table])
+    return output.finish(found, folder, drawn, files=[table])

@@ -108,4 +108,4 @@ def profile(
             ranges=limits,
             progress=lambda done: say(f"Fitting the other parameters again: {done} fits"),
         )
-    return output.finish(found, folder, drawn, "profile_figure")
+    return output.finish(found, folder, drawn)

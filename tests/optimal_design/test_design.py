@@ -20,7 +20,7 @@ from curlfit.optimal_design.information import (
     Assumptions,
     PlannedThrow,
     combined,
-    marginal_factor,
+    marginal_factors,
     record_information,
     standard_error,
 )
@@ -44,9 +44,7 @@ DIFFERENCE = np.array([0.0, 0.0, 0.01, -0.01])  # by typical sizes
 
 def factor_of(throws, load="uniform", until=None, sigma=NOISE):
     """Of the information of some throws together."""
-    assumed = Assumptions(LAW, TRUE, sigma, until)
-    records = record_information(assumed, load, throws)
-    return combined([marginal_factor(assumed, one) for one in records])
+    return combined(marginal_factors(Assumptions(LAW, load, TRUE, sigma, until), throws))
 
 
 @pytest.fixture(scope="module")
@@ -239,7 +237,7 @@ def test_a_record_until_rest_has_the_row_of_coming_to_rest(plain):
 def test_the_parts_of_a_long_record_make_the_whole():
     """601 rows, in three parts: the rows at whole multiples, and those between."""
     throw = PlannedThrow(2.0, 1.5, 30.0, STONE)
-    (whole,) = record_information(Assumptions(LAW, TRUE, NOISE, 20.0), "uniform", [throw])
+    (whole,) = record_information(Assumptions(LAW, "uniform", TRUE, NOISE, 20.0), [throw])
     assert whole.rows == 601
 
     def path(values):
@@ -361,7 +359,7 @@ def test_the_proof_is_rounding_and_nothing_else(plain):
 
 
 def test_the_proof_does_not_hold_for_others():
-    assumed = Assumptions(LAW, TRUE, NOISE)
+    assumed = Assumptions(LAW, "uniform", TRUE, NOISE)
     split = CoefficientPair(assumed, ("mu1_xi", "mu2_xi"))
     factors = [factor_of([PlannedThrow(2.0, 1.5, 10.0, STONE)])]
     found = prove_unidentifiable(assumed, split, STONE, factors)
