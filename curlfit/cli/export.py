@@ -135,8 +135,7 @@ def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, bytes]
 
 def _game(fit: FitResult) -> tuple[dict[Form, str], str]:
     """The stone for games in each form, and what of the fit it does not include."""
-    from curlfit.export.accelerations import tabulate
-    from curlfit.export.game import c_header, javascript_module, not_included
+    from curlfit.export.accelerations import c_header, javascript_module, not_included, tabulate
 
     table = tabulate(fit)
     return {

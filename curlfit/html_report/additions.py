@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from matplotlib.figure import Figure
+
 from curlfit.errors import CurlfitError
 from curlfit.html_report.blocks import Block, paragraph, rows
 from curlfit.html_report.drawings import inline_svg
@@ -94,8 +96,7 @@ def _of_joint(page: Additions, joint: JointResult) -> None:
 
 
 def _of_prediction(page: Additions, prediction: Prediction) -> None:
-    from curlfit.html_report.replay import replay_of_prediction
-    from curlfit.html_report.rests import rests_of
+    from curlfit.html_report.replay import replay_of_prediction, rests_of
 
     page.move("throw", replay_of_prediction(prediction, "replay-0"))
     page.move("draws", rests_of(prediction, "rests"))

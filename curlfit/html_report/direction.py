@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.exploration.curves import CurveModel, Curves
+from curlfit.exploration.explore import CurveModel, Curves
 from curlfit.html_report.blocks import Block
 from curlfit.html_report.replay import rounded
 from curlfit.inference.fit.result import FitResult

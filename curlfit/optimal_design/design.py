@@ -3,11 +3,17 @@
 Standard errors are the Cramer-Rao bound (J^T W J)^-1 at the assumed values, with a separate initial
 state for each throw and common coefficients. They are valid for noise that is independent from row
 to row and a correct law; the discrepancy of a law does not average out.
+
+Where the ice slopes, throws with opposite spins or in opposite directions are affected in opposite
+ways. For throws as planned, and with equal shares of them thrown otherwise, the shift of the
+coefficients by each condition is that of the joint least-squares fit, to first order
+(`curlfit.inference.fit.systematics`).
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
@@ -18,28 +24,28 @@ from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.friction import Law, Load, check_load
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.fit.systematics import shifts, widths_of
 from curlfit.inference.identifiability import Identifiability, analyse
 from curlfit.inference.linearized_problem import classify
+from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.optimal_design.information import (
     Assumptions,
+    CandidateSet,
     PlannedThrow,
     RecordInformation,
+    a_criterion,
     combined,
+    d_criterion,
     marginal_factor,
     marginal_factors,
     prepare_information,
     record_information,
-)
-from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors
-from curlfit.optimal_design.selection import (
-    CandidateSet,
-    a_criterion,
-    d_criterion,
     select_design,
+    standard_error,
 )
+from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors, Scenario
 from curlfit.optimal_design.separability import CoefficientPair, analyse_separation
-from curlfit.optimal_design.systematics import scenarios
 from curlfit.sheet import LINES, TEE, TEE_TO_BACK
 from curlfit.stone import Stone
 from curlfit.throws.synthetic import law_with
@@ -51,6 +57,13 @@ SPINS = (0.5, 1.0, 2.0, 5.0, 10.0)
 NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01}
 """Noise of a camera above the ice, m and rad."""
 
+SCENARIOS = {
+    "as planned": ((1, 0.0),),
+    "both spins": ((1, 0.0), (-1, 0.0)),
+    "both directions": ((1, 0.0), (1, math.pi)),
+    "both spins and directions": ((1, 0.0), (-1, 0.0), (1, math.pi), (-1, math.pi)),
+}
+"""Sense of spin and heading (rad) of equal shares of the throws."""
 _MAX_CANDIDATES = 500
 _MAX_THROWS = 1000
 _FACTORS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # factors on the noise, for the curves
@@ -185,7 +198,10 @@ def design(
         until=until,
         throws=throws,
         candidates=tuple(
-            Candidate(*throw[:3], *one[:4], assumed.errors(factor, quantities))
+            Candidate(
+                *throw[:3], one.rows, one.last, one.rest, one.distance,
+                assumed.errors(factor, quantities),
+            )
             for throw, one, factor in zip(planned, records, factors, strict=True)
         ),
         quantities=quantities,
@@ -197,7 +213,7 @@ def design(
         notes=_notes(rates, until, records, discrepancy),
         discrepancy=discrepancy,
         scenarios=found,
-    )
+    )  # fmt: skip
 
 
 def _identifiability(assumed: Assumptions, factor: Floats) -> Identifiability:
@@ -359,3 +375,51 @@ def _notes(
             f"the far back line there are {_LONGEST_DISTANCE:.1f} m"
         )
     return tuple(notes)
+
+
+def scenarios(
+    assumed: Assumptions,
+    throws: Sequence[PlannedThrow],
+    quantities: Mapping[str, Mapping[str, float]],
+) -> tuple[Scenario, ...]:
+    """Expected errors of throws as planned, and with equal shares of them thrown otherwise.
+
+    `quantities` are coefficients and combinations as weights.
+    """
+    typical, n = assumed.typical, len(assumed.free)
+    rows = {name: assumed.weights(weights) for name, weights in quantities.items()}
+    count, widths = Counter(throws), widths_of(assumed.model)
+    ways = SCENARIOS["both spins and directions"]
+    varied = [
+        one._replace(omega0=sense * one.omega0, heading=heading)
+        for one in count
+        for sense, heading in ways
+    ]
+    records = record_information(assumed, varied, widths)
+    conditions = len(assumed.values) + len(START) + np.arange(len(widths))
+    columns = np.concatenate([assumed.free, conditions])
+    factors = [marginal_factor(assumed, one, columns) for one in records]
+    found = []
+    for name, chosen in SCENARIOS.items():
+        whole = combined(
+            [
+                factors[len(ways) * index + ways.index(way)] * math.sqrt(number / len(chosen))
+                for index, number in enumerate(count.values())
+                for way in chosen
+            ]
+        )
+        factor = whole[:, :n]
+        gradients = {
+            condition: factor.T @ whole[:, n + k] / typical for k, condition in enumerate(widths)
+        }
+        by_condition = shifts(factor / typical, gradients, typical)
+        by_quantity = {
+            quantity: {
+                condition: float(row @ (shift / typical))
+                for condition, shift in by_condition.items()
+            }
+            for quantity, row in rows.items()
+        }
+        stderr = {quantity: standard_error(factor, row) for quantity, row in rows.items()}
+        found.append(Scenario(name, stderr, by_quantity))
+    return tuple(found)

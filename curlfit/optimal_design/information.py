@@ -1,4 +1,4 @@
-"""Fisher information of planned throws, from exact derivatives.
+"""Fisher information of planned throws, from exact derivatives, and the best choice of N of them.
 
 The information is J^T W J, with J the derivatives of the trajectory with respect to coefficients
 and initial state, and W = 1/sigma^2 of independent Gaussian noise. It is stored as its factor R, an
@@ -8,14 +8,22 @@ The QR of the stacked factors of several throws or channels gives the factor of 
 information.
 
 Columns are scaled by typical sizes of the parameters, as in `curlfit.inference.identifiability`.
+
+Throws are chosen with repetition. D: largest determinant of the information, that is the smallest
+volume of the confidence ellipsoid. A: smallest sum of squared standard errors over typical sizes
+(Atkinson, Donev and Tobias 2007). C: smallest standard error of one linear combination. Where all
+candidates together do not determine all directions, D and A refer to the subspace that they
+determine.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations_with_replacement
+from math import comb
 from typing import NamedTuple
 
 import jax
@@ -31,11 +39,16 @@ from curlfit.inference.model import Model
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
 
+_MAX_ENUMERATED = 20_000  # designs; for more, exchanges of one throw at a time
+_MAX_ROUNDS = 50
+_SINGULAR = 1e-12  # share of the information of all candidates in an undetermined direction
+
+Criterion = Callable[[Floats], Floats]
 LONGEST = 120.0
 """Seconds within which a stone must come to rest if the end of the record is not given."""
 MOST_ROWS = 50_000
@@ -362,3 +375,92 @@ def standard_error(factor: Floats, weights: Floats) -> float | None:
     if np.linalg.norm(weights - right[mask].T @ along) > _UNDETERMINED * np.linalg.norm(weights):
         return None
     return float(np.linalg.norm(along / singular[mask]))
+
+
+class CandidateSet(NamedTuple):
+    """The information of candidates, whitened by that of all of them together."""
+
+    information: Floats
+    """of each candidate, shape (candidates, rank, rank); their sum is the identity matrix"""
+    basis: Floats
+    """whitened directions in coefficients over their typical sizes, shape (free, rank)"""
+    factors: Sequence[Floats]
+    """R factor of the information of each candidate"""
+
+    @property
+    def rank(self) -> int:
+        """Number of directions that the candidates together determine."""
+        return self.basis.shape[1]
+
+    @classmethod
+    def from_factors(cls, factors: Sequence[Floats]) -> CandidateSet:
+        """The set from the R factors of the information of each candidate."""
+        _, singular, right = np.linalg.svd(combined(factors))
+        mask = visible(singular)
+        basis = right[mask].T / singular[mask]
+        whitened = np.stack([factor @ basis for factor in factors])
+        return cls(np.swapaxes(whitened, 1, 2) @ whitened, basis, factors)
+
+    def together(self, indices: Sequence[int]) -> Floats:
+        """R factor of the information of some candidates together."""
+        return combined([self.factors[index] for index in indices])
+
+
+def d_criterion(information: Floats) -> Floats:
+    """D: minus the logarithm of the determinant, up to a constant."""
+    sign, size = np.linalg.slogdet(information)
+    return np.where(_nonsingular(information) & (sign > 0), -size, np.inf)
+
+
+def a_criterion(candidates: CandidateSet) -> Criterion:
+    """A: sum of the squared standard errors over typical sizes."""
+    return lambda information: _trace(information, candidates.basis.T @ candidates.basis)
+
+
+def c_criterion(candidates: CandidateSet, weights: Floats) -> Criterion:
+    """C: squared standard error of a linear combination (weights by typical sizes, (free,))."""
+    along = candidates.basis.T @ weights
+    return lambda information: _trace(information, np.outer(along, along))
+
+
+def _nonsingular(information: Floats) -> Booleans:
+    return np.linalg.eigvalsh(information)[..., 0] > _SINGULAR
+
+
+def _trace(information: Floats, of: Floats) -> Floats:
+    nonsingular = _nonsingular(information)
+    safe = np.where(nonsingular[..., None, None], information, np.eye(information.shape[-1]))
+    return np.where(nonsingular, np.trace(np.linalg.solve(safe, of), axis1=-2, axis2=-1), np.inf)
+
+
+def select_design(
+    candidates: CandidateSet, criterion: Criterion, throws: int
+) -> tuple[int, ...] | None:
+    """Indices of the optimal throws, sorted; None if no choice determines all directions.
+
+    Small sets of designs are enumerated; otherwise throws are exchanged one at a time (Fedorov
+    1972), from a greedy start.
+    """
+    n = len(candidates.information)
+    if comb(n + throws - 1, throws) <= _MAX_ENUMERATED:
+        choices = np.array(list(combinations_with_replacement(range(n), throws)))
+        value = criterion(candidates.information[choices].sum(1))
+        best = int(np.argmin(value))
+        return tuple(map(int, choices[best])) if np.isfinite(value[best]) else None
+    # A small multiple of the total information keeps the criterion finite at first.
+    total = 1e-6 * candidates.information.sum(0)
+    indices: list[int] = []
+    for _ in range(throws):
+        indices.append(int(np.argmin(criterion(total + candidates.information))))
+        total = total + candidates.information[indices[-1]]
+    total = candidates.information[indices].sum(0)
+    for _ in range(_MAX_ROUNDS):
+        previous = list(indices)
+        for position, index in enumerate(indices):
+            rest = total - candidates.information[index]
+            indices[position] = int(np.argmin(criterion(rest + candidates.information)))
+            total = rest + candidates.information[indices[position]]
+        if indices == previous:
+            break
+    value = criterion(candidates.information[indices].sum(0))
+    return tuple(sorted(indices)) if np.isfinite(value) else None

@@ -28,13 +28,15 @@ from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
 from curlfit.optimal_design.information import (
     Assumptions,
+    CandidateSet,
     PlannedThrow,
+    c_criterion,
     combined,
     marginal_factors,
+    select_design,
     standard_error,
 )
 from curlfit.optimal_design.result import LoadScenario, Proof, Separation, StoneChange
-from curlfit.optimal_design.selection import CandidateSet, c_criterion, select_design
 from curlfit.stone import GRAVITY, Stone
 
 HIDDEN = (

@@ -18,18 +18,16 @@ from curlfit.inference.noise.accelerations import Responses
 from curlfit.optimal_design.design import design
 from curlfit.optimal_design.information import (
     Assumptions,
-    PlannedThrow,
-    combined,
-    marginal_factors,
-    record_information,
-    standard_error,
-)
-from curlfit.optimal_design.selection import (
     CandidateSet,
+    PlannedThrow,
     a_criterion,
     c_criterion,
+    combined,
     d_criterion,
+    marginal_factors,
+    record_information,
     select_design,
+    standard_error,
 )
 from curlfit.optimal_design.separability import CoefficientPair, prove_unidentifiable
 
