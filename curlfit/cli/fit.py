@@ -13,13 +13,7 @@ from cyclopts import Parameter
 from curlfit.errors import InputError
 from curlfit.foreign import say
 from curlfit.options import settings as s
-from curlfit.options.output import (
-    COMPILES,
-    Output,
-    Saved,
-    progress_line,
-    status_line,
-)
+from curlfit.options.output import COMPILES, Output, Saved, progress_line
 from curlfit.output.display import corner_of, figures_of
 from curlfit.settings.choices import SEED, Choices, Fitting, Reading
 from curlfit.settings.forms import SWITCH, TEXT, option, whole
@@ -119,7 +113,7 @@ def fit(
         console.print(f"Nothing to resume in {folder}; this is a first run.", soft_wrap=True)
     drawn.draw_beside()
     if saved is None:
-        with status_line(console, f"Fitting {COMPILES}"):
+        with output.status(f"Fitting {COMPILES}"):
             if not no_sample:
                 from curlfit.inference.mcmc.sampler import prepare_sampling
 

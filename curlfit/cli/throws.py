@@ -11,18 +11,8 @@ from cyclopts import Group, Parameter
 from curlfit.errors import InputError
 from curlfit.foreign import say
 from curlfit.options import settings as s
-from curlfit.options.start import LawValues, Start
 from curlfit.settings.choices import SEED, Choices, Modelling, Reading, Rows
-from curlfit.settings.forms import (
-    NUMBER,
-    PATH,
-    PERIOD,
-    SWITCH,
-    TEXT,
-    TIME,
-    Form,
-    option,
-)
+from curlfit.settings.forms import NUMBER, PATH, PERIOD, SWITCH, TEXT, TIME, Form, option
 
 if TYPE_CHECKING:
     from curlfit.errors import DataError
@@ -147,7 +137,7 @@ class Conditions(Choices):
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
-class Simulated(LawValues):
+class Simulated(s.LawValues):
     """The model of a simulated throw.
 
     Attributes
@@ -162,7 +152,7 @@ def simulate(
     *,
     fit: Annotated[Path | None, option(PATH, "FIT")] = None,
     given: Simulated = Simulated(),
-    start: Start = Start(),
+    start: s.Start = s.Start(),
     line: Annotated[str | None, option(TEXT, "NAME", group="Start")] = None,
     conditions: Conditions = Conditions(),
     until: Annotated[float | None, option(TIME, "S")] = None,

@@ -13,8 +13,7 @@ from cyclopts import Group, Parameter
 from curlfit.errors import InputError
 from curlfit.foreign import is_size
 from curlfit.options import settings as s
-from curlfit.options.output import COMPILES, Output, Saved, status_line
-from curlfit.options.start import LawValues
+from curlfit.options.output import COMPILES, Output, Saved
 from curlfit.settings.choices import COUNT, Choices
 from curlfit.settings.forms import NAMES, NUMBER, NUMBERS, PATH, TIME, Form, option
 
@@ -45,7 +44,7 @@ def _quantity(name: str) -> Form:
 
 @Parameter(name="*", group=Group("Assumed values", sort_key=0))
 @dataclass(frozen=True, kw_only=True)
-class Assumed(LawValues):
+class Assumed(s.LawValues):
     """The law and the stone that a design assumes.
 
     Attributes
@@ -158,11 +157,8 @@ def design(
     from curlfit.stone import Stone
 
     known = load_fit(fit).with_law(assumed.law) if fit is not None else None
-
-    from rich.console import Console
-
     drawn.draw_beside()
-    with status_line(Console(stderr=True, quiet=output.quiet), "Reading") as say:
+    with output.status("Reading") as say:
 
         def progress(text: str) -> None:
             say(f"Computing {text} {COMPILES}")

@@ -65,6 +65,18 @@ class Output(Choices):
 
         return terminal(quiet=self.quiet)
 
+    @contextmanager
+    def status(self, text: str) -> Iterator[Callable[[str], None]]:
+        """A line on the terminal that says what is done, and a function that changes it."""
+        from rich.console import Console
+
+        console = Console(stderr=True, quiet=self.quiet)
+        if self.quiet or not console.is_terminal:
+            yield lambda text: None
+            return
+        with console.status(text) as status:
+            yield status.update
+
     def finish(
         self,
         result: Any,
@@ -108,13 +120,3 @@ def progress_line(console: Console, *columns: str | ProgressColumn) -> Progress:
 
     hidden = console.quiet or not console.is_terminal
     return Progress(*columns, console=console, disable=hidden, transient=True)
-
-
-@contextmanager
-def status_line(console: Console, text: str) -> Iterator[Callable[[str], None]]:
-    """A line that says what is done, on a terminal, and a function that changes it."""
-    if console.quiet or not console.is_terminal:
-        yield lambda text: None
-        return
-    with console.status(text) as status:
-        yield status.update

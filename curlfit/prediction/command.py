@@ -10,8 +10,7 @@ from cyclopts import Group, Parameter
 
 from curlfit.errors import InputError
 from curlfit.options import settings as s
-from curlfit.options.output import COMPILES, Output, Saved, status_line
-from curlfit.options.start import Start
+from curlfit.options.output import COMPILES, Output, Saved
 from curlfit.settings.choices import COUNT, SEED, Choices, Reading
 from curlfit.settings.forms import NUMBER, PATH, SWITCH, TEXT, numbers, option
 
@@ -49,7 +48,7 @@ def predict(
     /,
     *,
     line: Annotated[str | None, option(TEXT, "LINE", name="--from")] = None,
-    start: Start = Start(),
+    start: s.Start = s.Start(),
     goal: Goal = Goal(),
     check: Annotated[Path | None, option(PATH, "DATA", group=_CHECK)] = None,
     reading: Reading = Reading(),
@@ -102,7 +101,7 @@ def predict(
 
         throw = load_throw(check, **vars(reading))
     drawn.draw_beside()
-    with status_line(output.console(), f"Simulating the draws {COMPILES}"):
+    with output.status(f"Simulating the draws {COMPILES}"):
         from curlfit.prediction.predict import predict as prediction_of
 
         found = prediction_of(

@@ -43,20 +43,9 @@ from curlfit.prediction.diagnostics import (
     thin,
 )
 from curlfit.prediction.discrepancy import discrepancy_posterior
-from curlfit.prediction.ensemble import (
-    VARIED,
-    ThrowFamily,
-    TrajectoryEnsemble,
-    prepare_ensemble,
-)
+from curlfit.prediction.ensemble import VARIED, ThrowFamily, TrajectoryEnsemble, prepare_ensemble
 from curlfit.prediction.request import ThrowRequest, ThrowStart, start_of
-from curlfit.prediction.result import (
-    PREDICTED,
-    QUANTITIES,
-    Discrepancy,
-    Prediction,
-    Quantity,
-)
+from curlfit.prediction.result import PREDICTED, QUANTITIES, Discrepancy, Prediction, Quantity
 from curlfit.sheet import END, HOUSE, LINES, STONE_RADIUS, TEE
 from curlfit.throws.throw import CHANNELS, Throw
 

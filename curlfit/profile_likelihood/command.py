@@ -9,7 +9,7 @@ from typing import Annotated
 
 from curlfit.errors import InputError
 from curlfit.options import settings as s
-from curlfit.options.output import COMPILES, Output, Saved, status_line
+from curlfit.options.output import COMPILES, Output, Saved
 from curlfit.settings.choices import COUNT, Modelling, Reading
 from curlfit.settings.forms import NAMES, Several, numbers, option
 
@@ -62,12 +62,11 @@ def profile(
     saved = data.is_dir() or data.name == "fit.json"
     request = None
     if saved:
-        words = [
+        if words := [
             *replace(flags, law=None).words(),
             *reading.words(),
-            *(["--config"] if config else []),
-        ]
-        if words:
+            *["--config"] * bool(config),
+        ]:
             option_of = words[0].partition("=")[0]
             raise InputError(f"{option_of}: a saved fit has its own; give the data to fit again")
         fit, chain = s.load_fit_and_chain(data, flags.law)
@@ -81,22 +80,15 @@ def profile(
     kind = f"profile-{'-'.join(param)}"
     drawn.draw_beside()
 
-    from rich.console import Console
-
-    errors = Console(stderr=True, quiet=output.quiet)
-    with status_line(errors, f"Fitting {COMPILES}") as say:
+    with output.status(f"Fitting {COMPILES}") as say:
         if request is not None:
             from curlfit.inference.least_squares import prepare_minimize
 
             prepare_minimize(*request.problem(), few=True)
             fit, chain = request.fit(), None
         require_usable(parameters, param, points, limits, parameters.values_of(fit.values))
-        folder = prepare_folder(
-            output.out
-            or (
-                Path(f"{s.name_of(data)}-{kind}") if saved else s.result_folder(data, kind, reading)
-            )
-        )
+        usual = Path(f"{s.name_of(data)}-{kind}") if saved else s.result_folder(data, kind, reading)
+        folder = prepare_folder(output.out or usual)
 
         from curlfit.profile_likelihood.profile import profile as compute_profile
 

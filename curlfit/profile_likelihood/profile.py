@@ -8,7 +8,7 @@ quadratic; the profile of a parameter that the data do not determine is flat.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -22,7 +22,7 @@ from curlfit.inference.fit.fit import fit as least_squares
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.numerics.arrays import Floats
-from curlfit.profile_likelihood.refit import ConstrainedFit, ConstrainedFits, Point, Progress, Refit
+from curlfit.profile_likelihood.refit import ConstrainedFit, ConstrainedFits, Progress, Refit
 from curlfit.profile_likelihood.result import Interval, Level, PairProfile, Profile, require_usable
 from curlfit.throws.throw import Throw
 
@@ -55,8 +55,7 @@ def profile_one(
     chain: Chain | None,
 ) -> Profile:
     """The profile of one parameter."""
-    fit = refit.fit
-    fits = ConstrainedFits(refit, [name])
+    fit, fits = refit.fit, ConstrainedFits(refit, [name])
     index = refit.parameters.index(name)
     offset, best = refit.offset[index], float(fits.best.held[0])
     if chosen is None:
@@ -64,37 +63,21 @@ def profile_one(
     else:
         low, high = min(chosen[0] - offset, best), max(chosen[1] - offset, best)
     line = np.unique([*np.linspace(low, high, points), best])
-    fits.reach(line[:, None])
-    fits.settle(_neighbours(line[:, None, None]))
+    fits.settle(line[:, None, None])
     for _ in range(ROUNDS):
-        delta = np.array([fits.delta([value]) for value in line])
-        more = _refinement(line, delta, best, fits.levels)
+        more = _refinement(line, fits.delta(line[:, None]), best, fits.levels)
         if not len(more):
             break
-        fits.reach(more[:, None])
         line = np.unique([*line, *more])
-    fits.settle(_neighbours(line[:, None, None]))
+    fits.settle(line[:, None, None])
 
-    delta = np.array([fits.delta([value]) for value in line])
+    found, delta = fits.at(line[:, None]), fits.delta(line[:, None])
     nowhere = np.full(len(refit.parameters), np.nan)
-    found = [fits.at([value]) for value in line]
     values = np.stack([nowhere if item is None else item.values for item in found])
     free, stops = _unconstrained_part(refit, line, values, best, index)
     inside = (line >= free[0]) & (line <= free[1])
-    rise = float(np.nanmax(np.maximum(delta[inside], 0.0)))
-    bounds = float(refit.parameters.lower[index]), float(refit.parameters.upper[index])
-    intervals = tuple(
-        interval_at(line, delta, best, level.delta_chi2, level.name, free, bounds)
-        for level in fits.levels
-    )
-    cut = chosen is not None and any(
-        end == edge and edge != bound
-        for end, edge, bound in zip(free, (low, high), bounds, strict=True)
-    )
-    cut &= fit.parameters[name].verdict != "not identifiable"
-    soft = free[1] - free[0] > _LARGE_PART * (intervals[0].high - intervals[0].low)
     everywhere = values + refit.offset
-    return Profile(
+    made = Profile(
         name=name,
         best=best + offset,
         law=fit.law,
@@ -111,18 +94,27 @@ def profile_one(
             for row, other in enumerate(refit.parameters.names)
             if refit.parameters.free[row] and other != name
         },
-        intervals=tuple(
-            replace(item, low=item.low + offset, high=item.high + offset) for item in intervals
-        ),
+        intervals=(),
         free=(free[0] + offset, free[1] + offset),
         stops=stops,
-        rise=rise,
-        verdict=_verdict(rise, fits.levels[-1].delta_chi2, soft=soft, cut=cut),
+        rise=float(np.nanmax(np.maximum(delta[inside], 0.0))),
+        verdict="",
         combinations=tuple(item for item in fit.combinations if name in item.weights),
         posterior=None if chain is None else _marginal(fit, chain, name, line + offset, delta),
         quantiles={} if fit.posterior is None else fit.posterior.quantiles.get(name, {}),
-        warnings=_warnings(fits, found, intervals, line + offset, delta),
+        warnings=(),
     )
+    intervals = tuple(interval_of(made, level.name, level.delta_chi2) for level in fits.levels)
+    bounds = refit.parameters.lower[index], refit.parameters.upper[index]
+    cut = chosen is not None and any(
+        end == edge and edge != bound
+        for end, edge, bound in zip(free, (low, high), bounds, strict=True)
+    )
+    cut &= fit.parameters[name].verdict != "not identifiable"
+    soft = free[1] - free[0] > _LARGE_PART * (intervals[0].high - intervals[0].low)
+    verdict = _verdict(made.rise, fits.levels[-1].delta_chi2, soft=soft, cut=cut)
+    warnings = _warnings(fits, found, intervals[-1], made)
+    return replace(made, intervals=intervals, verdict=verdict, warnings=warnings)
 
 
 def _search_range(fits: ConstrainedFits, name: str) -> tuple[float, float]:
@@ -143,7 +135,7 @@ def _search_range(fits: ConstrainedFits, name: str) -> tuple[float, float]:
         if math.isfinite(bound):
             ladder = np.where(steps >= farthest, bound, ladder)
         ladders.append(np.unique(ladder)[:: int(sense)] if farthest > 0 else ladder[:0])
-    fits.reach(np.concatenate([ladder[:parallel] for ladder in ladders] or [[]])[:, None])
+    fits.at(np.concatenate([ladder[:parallel] for ladder in ladders])[:, None])
     sharp = parallel > 1
     low, high = (_search_end(fits, best, ladder, parallel, sharp=sharp) for ladder in ladders)
     return low, high
@@ -153,28 +145,21 @@ def _search_end(
     fits: ConstrainedFits, best: float, ladder: Floats, parallel: int, *, sharp: bool
 ) -> float:
     """First step of a ladder away from the best value where chi squared is high, or the last."""
-    inside = best
+    inside, limit = best, HIGH * fits.levels[-1].delta_chi2_pair
     for first in range(0, len(ladder), parallel):
         part = ladder[first : first + parallel]
-        fits.reach(part[:, None])
-        for value in map(float, part):
-            if fits.delta([value]) < HIGH * fits.levels[-1].delta_chi2_pair:
-                inside = value
-                continue
-            outside = value
-            while sharp and abs(outside - inside) > _SHARP * abs(outside - best):
-                line = np.linspace(inside, outside, _SECTION + 1)[1:-1]
-                fits.reach(line[:, None])
-                low = [
-                    value
-                    for value in map(float, line)
-                    if fits.delta([value]) < HIGH * fits.levels[-1].delta_chi2_pair
-                ]
-                inside = low[-1] if low else inside
-                beyond = [value for value in (*map(float, line), outside)
-                          if abs(value - best) > abs(inside - best)]  # fmt: skip
-                outside = beyond[0]
-            return outside if math.isfinite(fits.delta([outside])) else inside
+        low = part[np.logical_and.accumulate(fits.delta(part[:, None]) < limit)]
+        inside = float(low[-1]) if len(low) else inside
+        if len(low) == len(part):
+            continue
+        outside = float(part[len(low)])
+        while sharp and abs(outside - inside) > _SHARP * abs(outside - best):
+            line = np.linspace(inside, outside, _SECTION + 1)[1:-1]
+            low = line[fits.delta(line[:, None]) < limit]
+            inside = float(low[-1]) if len(low) else inside
+            beyond = np.array([*line, outside])
+            outside = float(beyond[np.argmax(np.abs(beyond - best) > abs(inside - best))])
+        return outside if np.isfinite(fits.delta(np.array([[outside]]))).all() else inside
     return inside
 
 
@@ -211,23 +196,20 @@ def _unconstrained_part(
     return (ends[0], ends[1]), (stops[0], stops[1])
 
 
-def interval_at(
-    line: Floats, delta: Floats, best: float, threshold: float, level: str,
-    free: tuple[float, float], bounds: tuple[float, float],
-) -> Interval:  # fmt: skip
+def interval_of(profile: Profile, level: str, threshold: float) -> Interval:
     """Interval between the crossings of a threshold on either side of the best value."""
-    finite = np.isfinite(delta)
-    line, delta = line[finite], delta[finite]
+    finite = np.isfinite(profile.delta)
+    line, delta, best = profile.at[finite], profile.delta[finite], profile.best
     root = np.sign(line - best) * np.sqrt(np.maximum(delta, 0.0))
     # nearly linear except at bounds, where it must not overshoot
     curve = PchipInterpolator(line, root)
-    ends = []
-    for sense, limit, bound in zip((-1, 1), free, bounds, strict=True):
+    ends, bounds = [], (profile.estimate.lower, profile.estimate.upper)
+    for sense, limit, bound in zip((-1, 1), profile.free, bounds, strict=True):
         outward = np.flatnonzero(sense * (line - best) >= 0)[::sense]
         over = outward[delta[outward] >= threshold]
         if not len(over):
             end = float(line[outward[-1]])
-            ends.append((end, "bound" if end == bound else "range"))
+            ends.append((end, "bound" if math.isclose(end, bound, rel_tol=1e-12) else "range"))
             continue
         first = over[0]
         target = sense * math.sqrt(threshold)
@@ -248,10 +230,9 @@ def _verdict(rise: float, threshold: float, *, soft: bool, cut: bool) -> str:
 
 
 def _warnings(
-    fits: ConstrainedFits, found: Sequence[ConstrainedFit | None], intervals: Sequence[Interval],
-    at: Floats, delta: Floats,
-) -> tuple[str, ...]:  # fmt: skip
-    refit, fit = fits.refit, fits.refit.fit
+    fits: ConstrainedFits, found: Sequence[ConstrainedFit | None], widest: Interval, made: Profile
+) -> tuple[str, ...]:
+    refit, fit, at, delta = fits.refit, fits.refit.fit, made.at, made.delta
     warnings = list(fit.warnings)
     decrease = refit.first - refit.chi_squared
     if decrease > _BETTER:
@@ -270,10 +251,8 @@ def _warnings(
     failed = sum(item is None for item in found)
     if failed:
         warnings.append(f"at {failed} of {len(found)} values the law admits no motion")
-    widest = intervals[-1]
     outside = (at < widest.low) | (at > widest.high)
     outside &= delta < fits.levels[-1].delta_chi2 - 0.1
-    outside &= np.isfinite(delta)
     if outside.any():
         warnings.append(
             f"chi squared falls again near {at[outside][np.argmin(delta[outside])]:.4g}: the "
@@ -352,31 +331,24 @@ def profile(
         fit = subject
         if choices:
             raise InputError(f"{', '.join(choices)}: a fit has its own; give a throw to fit anew")
-    require_usable(
-        fit.parameter_set,
-        selected,
-        points,
-        ranges or {},
-        fit.parameter_set.values_of(fit.values),
-    )
+    parameters, ranges = fit.parameter_set, ranges or {}
+    require_usable(parameters, selected, points, ranges, parameters.values_of(fit.values))
     count = (POINTS, POINTS_OF_PAIR)[len(selected) - 1] if points is None else points
     if not fit.converged:
         raise UnusableFitError(f"the fit is not usable: {fit.status}")
-    if chain is not None and chain.names != fit.parameter_set.names:
+    if chain is not None and chain.names != parameters.names:
         raise InputError("the chain is of another fit: its parameters differ")
     refit = Refit(fit, progress)
+    found: Profile | PairProfile
     for _ in range(3):
-        found = [
-            profile_one(refit, name, count, (ranges or {}).get(name), chain) for name in selected
+        found, *second = [
+            profile_one(refit, name, count, ranges.get(name), chain) for name in selected
         ]
-        pair = (
-            None
-            if len(found) == 1
-            else _profile_pair(refit, found[0], found[1], count, ranges, chain)
-        )
+        if second:
+            found = _profile_pair(refit, found, second[0], count, ranges, chain)
         if not refit.improved():
             break
-    return found[0] if pair is None else pair
+    return found
 
 
 def _profile_pair(
@@ -384,7 +356,7 @@ def _profile_pair(
     one: Profile,
     other: Profile,
     points: int,
-    ranges: Mapping[str, tuple[float, float]] | None,
+    ranges: Collection[str],
     chain: Chain | None,
 ) -> PairProfile:
     """The profile of two parameters, along the valley that the profile of the first follows."""
@@ -396,16 +368,11 @@ def _profile_pair(
     typical = fit.parameters[other.name].typical
     across = 1 / stiff if stiff * typical > _NO_RESPONSE else None
     bounds = refit.parameters.lower[index[1]], refit.parameters.upper[index[1]]
-    edges = (
-        []
-        if across is None
-        else [
-            bound + sense * REACH * across + offset[1]
-            for bound, sense in zip(bounds, (1, -1), strict=True)
-        ]
-    )
+    edges: list[float] = []
+    if across is not None:
+        edges = [bounds[0] + REACH * across + offset[1], bounds[1] - REACH * across + offset[1]]
     first = _columns(one, other.name, edges, points) - offset[0]
-    if across is None or other.name in (ranges or {}):
+    if across is None or other.name in ranges:
         ends = other.at[0] - offset[1], other.at[-1] - offset[1]
         second = np.tile(np.linspace(*ends, points), (len(first), 1))
     else:
@@ -414,10 +381,9 @@ def _profile_pair(
         valley = np.interp(first + offset[0], one.at[finite], values) - offset[1]
         second = _across_valley(fits, first, valley, across, bounds, points)
     second = np.clip(second, *bounds)
-    grid = np.stack([np.broadcast_to(first[:, None], second.shape), second], -1)
-    fits.reach(grid.reshape(-1, 2))
-    fits.settle(_neighbours(grid))
-    delta = np.array([fits.delta(point) for point in grid.reshape(-1, 2)]).reshape(second.shape)
+    grid = _grid(first, second)
+    fits.settle(grid)
+    delta = fits.delta(grid)
     covariance = _covariance(fit, names)
     ellipse = None
     if covariance is not None:
@@ -427,10 +393,10 @@ def _profile_pair(
         within = (expected <= fits.levels[-1].delta_chi2_pair) & np.isfinite(delta)
         if within.any():
             ellipse = float(np.abs(delta - expected)[within].max())
-    extent = {
+    extent = {  # crossings of the threshold by each profile alone
         level.name: (
-            _extent(one, level.delta_chi2_pair, level.name),
-            _extent(other, level.delta_chi2_pair, level.name),
+            interval_of(one, level.name, level.delta_chi2_pair),
+            interval_of(other, level.name, level.delta_chi2_pair),
         )
         for level in fits.levels
     }
@@ -477,46 +443,26 @@ def _across_valley(
     bounds: tuple[float, float], points: int,
 ) -> Floats:  # fmt: skip
     """Values of the second about the bottom of the valley, scaled by its local width."""
-    bottom = np.stack([first, valley], -1)
-    steps = np.linspace(-REACH, REACH, points | 1)
-    wide = np.full((len(first), 2), across)
-    sides = [np.clip(valley + sense * across, *bounds) for sense in (-1, 1)]
-    fits.reach(np.concatenate([bottom, *(np.stack([first, side], -1) for side in sides)]))
-    for column, side in enumerate(sides):
-        for row, value in enumerate(side):
-            away = abs(value - valley[row]) / across
-            rise = fits.delta([first[row], value]) - fits.delta([first[row], valley[row]])
-            if away > _MIN_STEP and math.isfinite(rise):
-                wide[row, column] *= away / math.sqrt(max(rise, (away / _WIDEST) ** 2))
+    steps, sense = np.linspace(-REACH, REACH, points | 1), np.array([-1, 1])
+    valley = valley[:, None]
+    sides = np.clip(valley + sense * across, *bounds)
+    bottom, *delta = fits.delta(_grid(first, np.hstack([valley, sides]))).T
+    away, rise = np.abs(sides - valley) / across, np.transpose(delta - bottom)
+    quick = np.sqrt(np.fmax(rise, (np.maximum(away, _MIN_STEP) / _WIDEST) ** 2))
+    wide = across * np.where((away > _MIN_STEP) & np.isfinite(rise), away / quick, 1.0)
     for _ in range(ROUNDS):  # wider where chi squared is not quadratic
-        ends = np.clip(valley[:, None] + REACH * np.array([-1, 1]) * wide, *bounds)
-        fits.reach(np.stack([np.broadcast_to(first[:, None], ends.shape), ends], -1).reshape(-1, 2))
-        above = np.array(
-            [[fits.delta([a, b]) for b in row] for a, row in zip(first, ends, strict=True)]
-        )
-        inside = (ends > bounds[0]) & (ends < bounds[1])
-        low = inside & (above < HIGH * fits.levels[-1].delta_chi2_pair)
+        ends = np.clip(valley + REACH * sense * wide, *bounds)
+        low = fits.delta(_grid(first, ends)) < HIGH * fits.levels[-1].delta_chi2_pair
+        low &= (ends > bounds[0]) & (ends < bounds[1])
         if not low.any():
             break
         wide[low] *= _WIDENING
-    return np.asarray(valley[:, None] + steps * np.where(steps < 0, wide[:, :1], wide[:, 1:]))
+    return np.asarray(valley + steps * np.where(steps < 0, wide[:, :1], wide[:, 1:]))
 
 
-def _neighbours(grid: Floats) -> list[tuple[Point, Point]]:
-    """Pairs of neighbouring points of a grid, shape (n, m, held), along rows and columns."""
-    points = [[tuple(point) for point in row] for row in grid.tolist()]
-    pairs = [pair for row in points for pair in pairwise(row)]
-    pairs += [pair for column in zip(*points, strict=True) for pair in pairwise(column)]
-    return [(one, other) for one, other in pairs if one != other]
-
-
-def _extent(profile: Profile, threshold: float, level: str) -> Interval:
-    """Extent of a region in a parameter: crossings of its threshold by that profile alone."""
-    item = profile.estimate
-    bounds = item.lower, item.upper
-    return interval_at(
-        profile.at, profile.delta, profile.best, threshold, level, profile.free, bounds
-    )
+def _grid(first: Floats, second: Floats) -> Floats:
+    """Points of columns of values of the second of two parameters, shape (n, m, 2)."""
+    return np.stack(np.broadcast_arrays(first[:, None], second), -1)
 
 
 def _covariance(fit: FitResult, names: Sequence[str]) -> Floats | None:
