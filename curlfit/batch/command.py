@@ -78,7 +78,7 @@ def batch(
     )  # fmt: skip
     names = columns(plan)
 
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
 
     from curlfit.output.console import terminal
 
@@ -86,22 +86,23 @@ def batch(
     with Table(out, names, plan.to_json(), files, again=again) as table:
         from curlfit.batch.executor import executor
 
-        if len(table.todo) < len(files):
-            console.print(f"{len(files) - len(table.todo)} of {len(files)} files are in {out}.")
-        progress = progress_line(
-            console, TextColumn("Fitting"), BarColumn(), MofNCompleteColumn(), TextColumn("files"),
-            TimeRemainingColumn(), TextColumn(COMPILES),
-        )  # fmt: skip
-        task = progress.add_task("", total=len(files), completed=len(files) - len(table.todo))
+        if done := len(files) - len(table.todo):
+            console.print(f"{done} of {len(files)} files are in {out}.")
+        bar = "Fitting", BarColumn(), MofNCompleteColumn(), "files", TimeRemainingColumn(), COMPILES
         try:
-            with progress, executor(plan, workers=workers, dask=dask) as fitted:
+            with (
+                progress_line(console, *bar) as show,
+                executor(plan, workers=workers, dask=dask) as fitted,
+            ):
+                show("", done, len(files))
                 for rows in fitted(table.todo):
                     table.add(rows)
-                    progress.advance(task, len({row["file"] for row in rows}))
+                    done += len({row["file"] for row in rows})
+                    show("", done, len(files))
         except BrokenExecutor:
             raise CurlfitError(
                 "a process was killed, perhaps for lack of memory; "
-                f"{progress.tasks[task].completed:.0f} of {len(files)} files are in {out}, and the "
+                f"{done} of {len(files)} files are in {out}, and the "
                 "same command continues"
             ) from None
     counts = table.counts

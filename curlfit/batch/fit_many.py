@@ -89,8 +89,8 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
 
         sampled, _ = sample(result, seed=plan.seed)
         assert sampled.posterior is not None
-        for name, quantiles in sampled.posterior.quantiles.items():
-            if name in sums or name in result.parameters:
-                gap = " " if name in sums else "_"
-                row |= {f"{name}{gap}{q}": quantiles[q] for q in QUANTILES}
+        quantiles = sampled.posterior.quantiles
+        for name in quantiles.keys() & {*sums, *result.parameters}:
+            gap = " " if name in sums else "_"
+            row |= {f"{name}{gap}{q}": quantiles[name][q] for q in QUANTILES}
     return row

@@ -71,16 +71,12 @@ class BatchSettings(Fitting, Reading):
 def columns(plan: BatchSettings) -> list[str]:
     """Columns of the table of results; those of text, which may contain commas, come last."""
     plan.checked()
-    names = plan.parameter_set().names
     found = ["file", "shot", "stone_index", "status", "n_observations", "rms_x", "rms_y", "rms_phi"]
-    quantiles = QUANTILES if plan.posterior else ()
-    systematic = bool(plan.systematics)
-    for name in names:
-        found += [name, f"{name}_stderr", f"{name}_verdict", *(f"{name}_{q}" for q in quantiles)]
-        found += [f"{name}_systematic"] * systematic
+    more = [*QUANTILES] * plan.posterior + ["systematic"] * bool(plan.systematics)
+    for name in plan.parameter_set().names:
+        found += [name, *(f"{name}_{what}" for what in ("stderr", "verdict", *more))]
     for name in plan.sums():
-        found += [name, f"{name} stderr", *(f"{name} {q}" for q in quantiles)]
-        found += [f"{name} systematic"] * systematic
+        found += [name, *(f"{name} {what}" for what in ("stderr", *more))]
     for text in plan.derive:
         found += [text, f"{text} stderr"]
     return [*found, "combinations", "warnings", "reason"]

@@ -198,23 +198,20 @@ def _finish(result: FitResult | JointResult, done: Saved) -> Saved:
 def _sample(
     console: Console, result: FitResult, *, effective: int, **choices: Any
 ) -> tuple[FitResult, Chain]:
-    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, TimeRemainingColumn
 
     from curlfit.inference.mcmc.sampler import sample
 
-    with progress_line(
-        console, TextColumn("Sampling the posterior"), BarColumn(),
-        TextColumn("{task.completed:.0f}/{task.total} effective samples"), TimeRemainingColumn(),
-        TextColumn("{task.fields[state]}"),
-    ) as progress:  # fmt: skip
-        task = progress.add_task("", total=effective, state="compiling")
+    count = "{task.completed:.0f}/{task.total} effective samples"
+    columns = "Sampling the posterior", BarColumn(), count, TimeRemainingColumn()
+    with progress_line(console, *columns, "{task.description}") as show:
+        show("compiling", 0, effective)
 
         def show_state(samples: float, steps: int, r_hat: float) -> None:
-            progress.update(
-                task, completed=min(samples, effective), state=f"{steps} steps, R-hat {r_hat:.3f}"
-            )
+            show(f"{steps} steps, R-hat {r_hat:.3f}", min(samples, effective))
 
-        shown = None if progress.disable else show_state  # R-hat takes time
+        hidden = console.quiet or not console.is_terminal  # R-hat takes time
+        shown = None if hidden else show_state
         return sample(result, effective=effective, progress=shown, **choices)
 
 
@@ -258,20 +255,14 @@ def _fit_jointly(
     folder = prepare_folder(output.out or Path("joint-fit"))
     drawn.draw_beside()
 
-    from rich.progress import TextColumn
-
-    with progress_line(
-        output.console(), TextColumn(f"Fitting {len(jobs)} throws {COMPILES}"),
-        TextColumn("{task.fields[state]}"),
-    ) as progress:  # fmt: skip
-        task = progress.add_task("", state="")
-
-        def show_step(step: int, chi_squared: float) -> None:
-            progress.update(task, state=f"step {step}, chi squared {chi_squared:.6g}")
-
+    columns = f"Fitting {len(jobs)} throws {COMPILES}", "{task.description}"
+    with progress_line(output.console(), *columns) as show:
         from curlfit.inference.joint.fit import fit_together
 
-        result = fit_together(throws, share=names, progress=show_step, **common)
+        result = fit_together(
+            throws, share=names, **common,
+            progress=lambda step, chi_squared: show(f"step {step}, chi squared {chi_squared:.6g}"),
+        )  # fmt: skip
     for name, one in zip(named, result.throws, strict=True):
         own_folder = prepare_folder(folder / name)
         one.save(own_folder / "fit.json")

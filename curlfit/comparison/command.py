@@ -54,19 +54,13 @@ def compare(
     require_path(cut)
     folder = prepare_folder(output.out or s.result_folder(data, "compare", reading))
 
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+    from rich.progress import BarColumn, MofNCompleteColumn
 
     drawn.draw_beside()
-    with progress_line(
-        output.console(), TextColumn("Fitting {task.description}"), BarColumn(),
-        MofNCompleteColumn(), TextColumn("(a first run on a machine compiles each law)"),
-    ) as progress:  # fmt: skip
-        task = progress.add_task("", total=None)
-
-        def show_progress(name: str, done: int, total: int) -> None:
-            progress.update(task, description=name, completed=done, total=total)
-
+    compiles = "(a first run on a machine compiles each law)"
+    columns = "Fitting {task.description}", BarColumn(), MofNCompleteColumn(), compiles
+    with progress_line(output.console(), *columns) as show:
         from curlfit.comparison.compare import compare as compare_laws
 
-        found = compare_laws(throw, progress=show_progress, **vars(chosen))
+        found = compare_laws(throw, progress=show, **vars(chosen))
     return output.finish(found, folder, drawn, remarks=unusual)

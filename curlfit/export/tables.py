@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.joint.result import JointResult
 
-_HEAD = (
-    "name", "value", "stderr", "systematic", "low_95", "high_95", "dof", "verdict", "unit", "prior",
-)  # fmt: skip
 _CANDIDATE = (
     "rank", "law", "load", "signs_free", "converged", "n_parameters", "bic", "delta_bic", "aicc",
     "delta_aicc", "log_evidence", "delta_evidence", "weight", "curl_explained", "follows",
@@ -32,18 +29,23 @@ class Row(NamedTuple):
     """None where it is not identifiable"""
     stderr: float | None
     systematic: float | None
-    interval: tuple[float, float] | None
-    """of 95 %"""
+    low_95: float | None
+    high_95: float | None
     dof: float | None
     verdict: str
     unit: str
+    prior: str
     symbol: str
     """LaTeX; empty where it has none of its own"""
     weights: dict[str, float]
     """of a combination"""
-    prior: str = ""
-    meaning: str = ""
+    meaning: str
     """of a quantity of the path"""
+
+    @property
+    def cells(self) -> tuple[Any, ...]:
+        """What of it is in a CSV table: all up to the prior."""
+        return tuple(self)[:10]
 
 
 def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[Row]:
@@ -65,6 +67,7 @@ def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[
         **quoted,
     }  # fmt: skip
     for name, item in everything.items():
+        low, high = item.interval() or (None, None)
         verdict = "determined" if isinstance(item, Combination) else item.verdict
         found.append(
             Row(
@@ -72,13 +75,14 @@ def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[
                 value=None if verdict == "not identifiable" else item.value,
                 stderr=item.stderr,
                 systematic=item.systematic if isinstance(item, Derived) else errors.get(name),
-                interval=item.interval(),
+                low_95=low,
+                high_95=high,
                 dof=item.dof,
                 verdict=verdict,
                 unit="" if isinstance(item, Combination) else item.unit,
+                prior=item.prior if isinstance(item, Estimate) else "",
                 symbol=item.symbol if isinstance(item, Estimate) else "",
                 weights=item.weights if isinstance(item, Combination) else {},
-                prior=item.prior if isinstance(item, Estimate) else "",
                 meaning=item.meaning if isinstance(item, Derived) else "",
             )
         )
@@ -90,22 +94,15 @@ def parameters_csv(result: FitResult | JointResult) -> str:
     determined. For a joint fit with the parameters of each throw; the first column names the throw.
     """
     throws: Sequence[FitResult] = getattr(result, "throws", ())
+    head, rows = Row._fields[:10], rows_of(result)
     if not throws:
-        return csv_lines([_HEAD, *map(_cells, rows_of(result))])
-    lines = [("all", *_cells(row)) for row in rows_of(result)]
-    shared = {row.name for row in rows_of(result)}
+        return csv_lines([head, *(row.cells for row in rows)])
+    lines = [("all", *row.cells) for row in rows]
+    shared = {row.name for row in rows}
     for one in throws:
         own = (row for row in rows_of(one) if row.name not in shared)
-        lines += [(one.data["file"], *_cells(row)) for row in own]
-    return csv_lines([("throw", *_HEAD), *lines])
-
-
-def _cells(row: Row) -> tuple[Any, ...]:
-    low, high = row.interval or (None, None)
-    return (
-        row.name, row.value, row.stderr, row.systematic, low, high, row.dof, row.verdict, row.unit,
-        row.prior,
-    )  # fmt: skip
+        lines += [(one.data["file"], *row.cells) for row in own]
+    return csv_lines([("throw", *head), *lines])
 
 
 def path_csv(fits: Sequence[FitResult]) -> str:

@@ -5,26 +5,23 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.text import Text
 
 from curlfit.inference.conditions import WIDTHS, if_off
+from curlfit.optimal_design.result import (
+    Candidate,
+    Design,
+    ExpectedErrors,
+    LoadScenario,
+    Proof,
+    Scenario,
+    Separation,
+)
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Part, Said, Section, command_line, exact, show
 from curlfit.output.text import join_words, judged, labelled, lower, stone_text, two_digits
-
-if TYPE_CHECKING:
-    from curlfit.optimal_design.result import (
-        Candidate,
-        Design,
-        ExpectedErrors,
-        LoadScenario,
-        Proof,
-        Scenario,
-        Separation,
-    )
 
 _CRITERIA = {
     "D": "smallest volume of the confidence ellipsoid (D-optimal)",

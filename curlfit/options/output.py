@@ -18,7 +18,9 @@ from curlfit.settings.forms import PATH, SWITCH, TEXT, option
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress, ProgressColumn
+    from rich.progress import ProgressColumn
+
+    Show = Callable[..., None]
 
 OUTPUT = Group("Output", sort_key=2)
 COMPILES = "(a first run on a machine compiles the model)"
@@ -114,9 +116,16 @@ class Output(Choices):
         return Saved(folder if self.report else None, self.quiet)
 
 
-def progress_line(console: Console, *columns: str | ProgressColumn) -> Progress:
-    """A line of progress, on a terminal."""
+@contextmanager
+def progress_line(console: Console, *columns: str | ProgressColumn) -> Iterator[Show]:
+    """A line of progress, on a terminal, and a function that shows a text and how much is done."""
     from rich.progress import Progress
 
     hidden = console.quiet or not console.is_terminal
-    return Progress(*columns, console=console, disable=hidden, transient=True)
+    with Progress(*columns, console=console, disable=hidden, transient=True) as progress:
+        task = progress.add_task("", total=None)
+
+        def show(text: str = "", done: float = 0, total: float | None = None) -> None:
+            progress.update(task, description=text, completed=done, total=total)
+
+        yield show

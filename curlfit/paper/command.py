@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,9 +14,7 @@ from curlfit.settings.forms import PATH, SWITCH, TEXT, option
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from rich.console import Console
 
-    from curlfit.paper.reproduce import Reproduction
 
 _FIGURES = {
     "path": ("eq14", "prop5"), "isotropic": ("isotropic",), "eq28": ("eq28",),
@@ -65,7 +62,14 @@ def reproduce(
         for name in _FIGURES[study]:
             drawn.replace(folder, [name], partial(_figure, name, found))
 
-    result = _computed(console, draw)
+    from rich.progress import BarColumn, TimeElapsedColumn
+
+    columns = "{task.description}", BarColumn(), TimeElapsedColumn()
+    with progress_line(console, *columns) as show:
+        show("compiling")
+        from curlfit.paper.reproduce import reproduce as recompute
+
+        result = recompute(show, draw)
 
     from curlfit.paper.claim import claims_table, page, verdicts
 
@@ -86,18 +90,3 @@ def _figure(name: str, found: Any) -> dict[str, Figure]:
     from curlfit.paper.figures import FIGURES
 
     return {name: FIGURES[name](found)}
-
-
-def _computed(console: Console, arrived: Callable[[str, Any], None]) -> Reproduction:
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-
-    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
-    with progress_line(console, *columns) as line:
-        task = line.add_task("compiling", total=None)
-
-        def progress(part: str, done: int, total: int) -> None:
-            line.update(task, description=part, completed=done, total=total)
-
-        from curlfit.paper.reproduce import reproduce
-
-        return reproduce(progress, arrived)
