@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -92,10 +92,9 @@ def fit(
     if len(jobs) > 1:
         if resume:
             raise InputError("--resume continues the sampling of one throw; give one file")
-        for name in ("effective", "max_steps", "seed"):
-            if getattr(sampling, name) is not None:
-                flag = name.replace("_", "-")
-                raise InputError(f"--{flag}: several throws are fitted without sampling")
+        if words := replace(sampling, no_sample=False).words():
+            flag = words[0].partition("=")[0]
+            raise InputError(f"{flag}: several throws are fitted without sampling")
         return _fit_jointly(jobs, share, output)
     (file,) = data
     if share is not None:
@@ -121,35 +120,27 @@ def fit(
             result = request.fit()
     else:
         result = saved.with_derived(request.chosen.derive)
-    written = [folder / "fit.json"]
+    written, chain_file = [folder / "fit.json"], folder / "chain.h5"
     if not no_sample:
         result = result.before_sampling()
     result.save(written[0])
     if saved is None:
         remove_figure(folder, "corner")  # of an earlier fit
-        (folder / "chain.h5").unlink(missing_ok=True)
+        chain_file.unlink(missing_ok=True)
     drawn.replace(folder, ["fit"], partial(figures_of, result))
     if not no_sample:
-        chain_file = folder / "chain.h5"
         try:
             result, chain = _sample(
-                console,
-                result,
-                seed=seed or 0,
-                effective=sampling.effective or 4000,
-                most_steps=sampling.max_steps or 2000,
-                checkpoint=chain_file,
+                console, result, seed=seed or 0, effective=sampling.effective or 4000,
+                most_steps=sampling.max_steps or 2000, checkpoint=chain_file,
                 resume=saved is not None,
-            )
+            )  # fmt: skip
         except KeyboardInterrupt:
             drawn.written()
             raise
         result.save(folder / "fit.json")
         written.append(chain_file)
         drawn.replace(folder, ["corner"], partial(corner_of, result, chain))
-    else:
-        remove_figure(folder, "corner")
-        (folder / "chain.h5").unlink(missing_ok=True)
 
     from curlfit.inference.report import print_fit
 
