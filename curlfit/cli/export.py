@@ -106,18 +106,17 @@ def export(
 
 def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, bytes]:
     """What to write, by file name."""
+    from curlfit.export import tables
+
+    if form is Form.csv and kind == "compare":
+        return {"candidates.csv": tables.candidates_csv(result).encode()}
     if form is Form.csv:
-        from curlfit.export.tables import candidates_csv, parameters_csv, path_csv
-
-        if kind == "compare":
-            return {"candidates.csv": candidates_csv(result).encode()}
-        fits = result.throws if kind == "joint" else (result,)
-        tables = {"parameters.csv": parameters_csv(result), "path.csv": path_csv(fits)}
-        return {name: text.encode() for name, text in tables.items()}
+        path = tables.path_csv(result.throws if kind == "joint" else (result,))
+        return {
+            "parameters.csv": tables.parameters_csv(result).encode(), "path.csv": path.encode(),
+        }  # fmt: skip
     if form is Form.latex:
-        from curlfit.export.latex import candidates_table, estimates_table
-
-        table = candidates_table if kind == "compare" else estimates_table
+        table = tables.candidates_table if kind == "compare" else tables.estimates_table
         return {"table.tex": table(result).encode()}
     if form is Form.json:
         return {f"{kind}.json": (json.dumps(result.summary(), indent=1) + "\n").encode()}

@@ -34,9 +34,9 @@ from curlfit.optimal_design.information import (
     CandidateSet,
     PlannedThrow,
     RecordInformation,
-    a_criterion,
     combined,
     d_criterion,
+    error_criterion,
     marginal_factor,
     marginal_factors,
     prepare_information,
@@ -156,9 +156,10 @@ def design(
         for name, unseen in zip(assumed.names, together.unseen, strict=True)
         if not unseen
     } | {item.expression: item.weights for item in together.combinations}
+    a_criterion = error_criterion(candidates, np.eye(len(assumed.free)))
     best = {
         name: _expected(assumed, indices, candidates.together(indices))
-        for name, criterion in (("D", d_criterion), ("A", a_criterion(candidates)))
+        for name, criterion in (("D", d_criterion), ("A", a_criterion))
         if (indices := select_design(candidates, criterion, throws)) is not None
     }
     if not best:

@@ -412,15 +412,11 @@ def d_criterion(information: Floats) -> Floats:
     return np.where(_nonsingular(information) & (sign > 0), -size, np.inf)
 
 
-def a_criterion(candidates: CandidateSet) -> Criterion:
-    """A: sum of the squared standard errors over typical sizes."""
-    return lambda information: _trace(information, candidates.basis.T @ candidates.basis)
-
-
-def c_criterion(candidates: CandidateSet, weights: Floats) -> Criterion:
-    """C: squared standard error of a linear combination (weights by typical sizes, (free,))."""
-    along = candidates.basis.T @ weights
-    return lambda information: _trace(information, np.outer(along, along))
+def error_criterion(candidates: CandidateSet, weights: Floats) -> Criterion:
+    """Sum of the squared standard errors of linear combinations (rows of weights by typical sizes):
+    A for the coefficients themselves, C for one combination."""
+    along = np.atleast_2d(weights) @ candidates.basis
+    return lambda information: _trace(information, along.T @ along)
 
 
 def _nonsingular(information: Floats) -> Booleans:

@@ -30,8 +30,8 @@ from curlfit.optimal_design.information import (
     Assumptions,
     CandidateSet,
     PlannedThrow,
-    c_criterion,
     combined,
+    error_criterion,
     marginal_factors,
     select_design,
     standard_error,
@@ -257,7 +257,7 @@ def _load_scenario(
     each, best = tuple(standard_error(factor, pair.difference) for factor in factors), None
     candidates = CandidateSet.from_factors(factors)
     if standard_error(combined(factors), pair.difference) is not None:
-        best = select_design(candidates, c_criterion(candidates, pair.difference), throws)
+        best = select_design(candidates, error_criterion(candidates, pair.difference), throws)
     if best is None:
         return LoadScenario(load, each, None, None, None)
     stderr = standard_error(candidates.together(best), pair.difference)
