@@ -53,6 +53,24 @@ not follow a path: 4.1 for the front-back law on the path of eq. 12, 7.7 where f
 the speed to the power -0.25."""
 
 
+class Fitted(NamedTuple):
+    """A candidate, with its fit and the log-likelihood of each channel where there is one."""
+
+    candidate: Candidate
+    result: FitResult | None = None
+    likelihood: Mapping[str, float] = {}
+
+    def having(self, **fields: Any) -> Fitted:
+        """The same with some fields of the candidate replaced."""
+        return self._replace(candidate=replace(self.candidate, **fields))
+
+    @property
+    def counts(self) -> bool:
+        """Whether it is ranked."""
+        item = self.candidate
+        return item.bic is not None and item.converged and not item.signs_free
+
+
 def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[Law], str]]:
     """Laws and loads to be fitted; `load` may be "both".
 
@@ -227,24 +245,6 @@ def _needed_negative(result: FitResult) -> tuple[str, ...]:
 
 def _with_verdict(result: FitResult, verdict: str) -> tuple[str, ...]:
     return tuple(name for name, item in result.coefficients.items() if item.verdict == verdict)
-
-
-class Fitted(NamedTuple):
-    """A candidate, with its fit and the log-likelihood of each channel where there is one."""
-
-    candidate: Candidate
-    result: FitResult | None = None
-    likelihood: Mapping[str, float] = {}
-
-    def having(self, **fields: Any) -> Fitted:
-        """The same with some fields of the candidate replaced."""
-        return self._replace(candidate=replace(self.candidate, **fields))
-
-    @property
-    def counts(self) -> bool:
-        """Whether it is ranked."""
-        item = self.candidate
-        return item.bic is not None and item.converged and not item.signs_free
 
 
 def ranked(found: list[Fitted]) -> Comparison:

@@ -32,9 +32,9 @@ _NO_RESPONSE = 1e-3  # change of the residuals by a typical size that counts as 
 _MIN_STEP, _WIDEST = 0.05, 30.0  # smallest step and largest width, over that at the best fit
 _WIDENING = 1.6  # factor
 _MAX_SAMPLES = 1500
-REACH = 4.0  # standard errors to either side of the best value
-HIGH = 1.5  # delta chi squared at the ends of a range, over that of a 95 % region of two
-ROUNDS = 8
+_REACH = 4.0  # standard errors to either side of the best value
+_HIGH = 1.5  # delta chi squared at the ends of a range, over that of a 95 % region of two
+_ROUNDS = 8
 _FIRST, _LAST = 1e-3, 30.0  # first and last step of the search, in typical sizes
 _PARALLEL = 6  # points of the search fitted at a time
 _SECTION = 10  # parts of an interval that is searched or refined
@@ -47,7 +47,76 @@ _BETTER = 1e-3  # decrease of chi squared that makes another fit the better one
 _BINS = 24
 
 
-def profile_one(
+def profile(
+    subject: FitResult | Throw,
+    names: str | Sequence[str],
+    *,
+    chain: Chain | None = None,
+    points: int | None = None,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    progress: Progress | None = None,
+    **choices: Any,
+) -> Profile | PairProfile:
+    """The profile likelihood of a parameter, or of two.
+
+    Parameters
+    ----------
+    subject : a converged fit, or a throw, which is then fitted first.
+    names : one free parameter or two, of the law, the conditions or the initial state.
+    chain : a posterior sample of the fit, for comparison.
+    points : values of each parameter, by default `POINTS` for one and `POINTS_OF_PAIR` for two;
+        more are added where the profile is steep.
+    ranges : (low, high) by name. By default four standard errors to either side where the fit
+        determines the parameter; otherwise to where chi squared is 9 higher, or to its bounds (30
+        typical sizes away where it has none).
+    progress : called with the number of fits done.
+    choices : of `curlfit.fit`, for a throw.
+
+    Returns
+    -------
+    Profile for one name, PairProfile for two.
+
+    Raises
+    ------
+    InputError : an unknown, fixed or repeated name; more than two; a range that is empty, outside
+        the bounds or without the best estimate; a chain of another law; choices given with a fit.
+    UnusableFitError : the fit did not converge.
+
+    Examples
+    --------
+    >>> profile = curlfit.profile(fit, "mu1_xi", points=21)
+    >>> profile.verdict
+    'limited'
+    """
+    selected = (names,) if isinstance(names, str) else tuple(names)
+    if isinstance(subject, Throw):
+        fit = least_squares(subject, **choices)
+    else:
+        require_fit(subject)
+        fit = subject
+        if choices:
+            raise InputError(f"{', '.join(choices)}: a fit has its own; give a throw to fit anew")
+    parameters, ranges = fit.parameter_set, ranges or {}
+    require_usable(parameters, selected, points, ranges, parameters.values_of(fit.values))
+    count = (POINTS, POINTS_OF_PAIR)[len(selected) - 1] if points is None else points
+    if not fit.converged:
+        raise UnusableFitError(f"the fit is not usable: {fit.status}")
+    if chain is not None and chain.names != parameters.names:
+        raise InputError("the chain is of another fit: its parameters differ")
+    refit = Refit(fit, progress)
+    found: Profile | PairProfile
+    for _ in range(3):
+        found, *second = [
+            _profile_one(refit, name, count, ranges.get(name), chain) for name in selected
+        ]
+        if second:
+            found = _profile_pair(refit, found, second[0], count, ranges, chain)
+        if not refit.improved():
+            break
+    return found
+
+
+def _profile_one(
     refit: Refit,
     name: str,
     points: int,
@@ -64,7 +133,7 @@ def profile_one(
         low, high = min(chosen[0] - offset, best), max(chosen[1] - offset, best)
     line = np.unique([*np.linspace(low, high, points), best])
     fits.settle(line[:, None, None])
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         more = _refinement(line, fits.delta(line[:, None]), best, fits.levels)
         if not len(more):
             break
@@ -104,7 +173,7 @@ def profile_one(
         quantiles={} if fit.posterior is None else fit.posterior.quantiles.get(name, {}),
         warnings=(),
     )
-    intervals = tuple(interval_of(made, level.name, level.delta_chi2) for level in fits.levels)
+    intervals = tuple(_interval_of(made, level.name, level.delta_chi2) for level in fits.levels)
     bounds = refit.parameters.lower[index], refit.parameters.upper[index]
     cut = chosen is not None and any(
         end == edge and edge != bound
@@ -124,7 +193,7 @@ def _search_range(fits: ConstrainedFits, name: str) -> tuple[float, float]:
     bounds = fits.refit.parameters.lower[index], fits.refit.parameters.upper[index]
     best = float(fits.best.held[0])
     if item.verdict in ("determined", "prior") and item.stderr:
-        step, most, parallel = REACH * item.stderr, _LAST * item.typical, 1
+        step, most, parallel = _REACH * item.stderr, _LAST * item.typical, 1
     else:
         step, most, parallel = _FIRST * item.typical, _LAST * item.typical, _PARALLEL
     ladders = []
@@ -145,7 +214,7 @@ def _search_end(
     fits: ConstrainedFits, best: float, ladder: Floats, parallel: int, *, sharp: bool
 ) -> float:
     """First step of a ladder away from the best value where chi squared is high, or the last."""
-    inside, limit = best, HIGH * fits.levels[-1].delta_chi2_pair
+    inside, limit = best, _HIGH * fits.levels[-1].delta_chi2_pair
     for first in range(0, len(ladder), parallel):
         part = ladder[first : first + parallel]
         low = part[np.logical_and.accumulate(fits.delta(part[:, None]) < limit)]
@@ -196,7 +265,7 @@ def _unconstrained_part(
     return (ends[0], ends[1]), (stops[0], stops[1])
 
 
-def interval_of(profile: Profile, level: str, threshold: float) -> Interval:
+def _interval_of(profile: Profile, level: str, threshold: float) -> Interval:
     """Interval between the crossings of a threshold on either side of the best value."""
     finite = np.isfinite(profile.delta)
     line, delta, best = profile.at[finite], profile.delta[finite], profile.best
@@ -282,75 +351,6 @@ def _marginal(
     return {"at": centre[some], "height": height + shift, "error": error}
 
 
-def profile(
-    subject: FitResult | Throw,
-    names: str | Sequence[str],
-    *,
-    chain: Chain | None = None,
-    points: int | None = None,
-    ranges: Mapping[str, tuple[float, float]] | None = None,
-    progress: Progress | None = None,
-    **choices: Any,
-) -> Profile | PairProfile:
-    """The profile likelihood of a parameter, or of two.
-
-    Parameters
-    ----------
-    subject : a converged fit, or a throw, which is then fitted first.
-    names : one free parameter or two, of the law, the conditions or the initial state.
-    chain : a posterior sample of the fit, for comparison.
-    points : values of each parameter, by default `POINTS` for one and `POINTS_OF_PAIR` for two;
-        more are added where the profile is steep.
-    ranges : (low, high) by name. By default four standard errors to either side where the fit
-        determines the parameter; otherwise to where chi squared is 9 higher, or to its bounds (30
-        typical sizes away where it has none).
-    progress : called with the number of fits done.
-    choices : of `curlfit.fit`, for a throw.
-
-    Returns
-    -------
-    Profile for one name, PairProfile for two.
-
-    Raises
-    ------
-    InputError : an unknown, fixed or repeated name; more than two; a range that is empty, outside
-        the bounds or without the best estimate; a chain of another law; choices given with a fit.
-    UnusableFitError : the fit did not converge.
-
-    Examples
-    --------
-    >>> profile = curlfit.profile(fit, "mu1_xi", points=21)
-    >>> profile.verdict
-    'limited'
-    """
-    selected = (names,) if isinstance(names, str) else tuple(names)
-    if isinstance(subject, Throw):
-        fit = least_squares(subject, **choices)
-    else:
-        require_fit(subject)
-        fit = subject
-        if choices:
-            raise InputError(f"{', '.join(choices)}: a fit has its own; give a throw to fit anew")
-    parameters, ranges = fit.parameter_set, ranges or {}
-    require_usable(parameters, selected, points, ranges, parameters.values_of(fit.values))
-    count = (POINTS, POINTS_OF_PAIR)[len(selected) - 1] if points is None else points
-    if not fit.converged:
-        raise UnusableFitError(f"the fit is not usable: {fit.status}")
-    if chain is not None and chain.names != parameters.names:
-        raise InputError("the chain is of another fit: its parameters differ")
-    refit = Refit(fit, progress)
-    found: Profile | PairProfile
-    for _ in range(3):
-        found, *second = [
-            profile_one(refit, name, count, ranges.get(name), chain) for name in selected
-        ]
-        if second:
-            found = _profile_pair(refit, found, second[0], count, ranges, chain)
-        if not refit.improved():
-            break
-    return found
-
-
 def _profile_pair(
     refit: Refit,
     one: Profile,
@@ -370,7 +370,7 @@ def _profile_pair(
     bounds = refit.parameters.lower[index[1]], refit.parameters.upper[index[1]]
     edges: list[float] = []
     if across is not None:
-        edges = [bounds[0] + REACH * across + offset[1], bounds[1] - REACH * across + offset[1]]
+        edges = [bounds[0] + _REACH * across + offset[1], bounds[1] - _REACH * across + offset[1]]
     first = _columns(one, other.name, edges, points) - offset[0]
     if across is None or other.name in ranges:
         ends = other.at[0] - offset[1], other.at[-1] - offset[1]
@@ -395,8 +395,8 @@ def _profile_pair(
             ellipse = float(np.abs(delta - expected)[within].max())
     extent = {  # crossings of the threshold by each profile alone
         level.name: (
-            interval_of(one, level.name, level.delta_chi2_pair),
-            interval_of(other, level.name, level.delta_chi2_pair),
+            _interval_of(one, level.name, level.delta_chi2_pair),
+            _interval_of(other, level.name, level.delta_chi2_pair),
         )
         for level in fits.levels
     }
@@ -443,16 +443,16 @@ def _across_valley(
     bounds: tuple[float, float], points: int,
 ) -> Floats:  # fmt: skip
     """Values of the second about the bottom of the valley, scaled by its local width."""
-    steps, sense = np.linspace(-REACH, REACH, points | 1), np.array([-1, 1])
+    steps, sense = np.linspace(-_REACH, _REACH, points | 1), np.array([-1, 1])
     valley = valley[:, None]
     sides = np.clip(valley + sense * across, *bounds)
     bottom, *delta = fits.delta(_grid(first, np.hstack([valley, sides]))).T
     away, rise = np.abs(sides - valley) / across, np.transpose(delta - bottom)
     quick = np.sqrt(np.fmax(rise, (np.maximum(away, _MIN_STEP) / _WIDEST) ** 2))
     wide = across * np.where((away > _MIN_STEP) & np.isfinite(rise), away / quick, 1.0)
-    for _ in range(ROUNDS):  # wider where chi squared is not quadratic
-        ends = np.clip(valley + REACH * sense * wide, *bounds)
-        low = fits.delta(_grid(first, ends)) < HIGH * fits.levels[-1].delta_chi2_pair
+    for _ in range(_ROUNDS):  # wider where chi squared is not quadratic
+        ends = np.clip(valley + _REACH * sense * wide, *bounds)
+        low = fits.delta(_grid(first, ends)) < _HIGH * fits.levels[-1].delta_chi2_pair
         low &= (ends > bounds[0]) & (ends < bounds[1])
         if not low.any():
             break
