@@ -108,22 +108,16 @@ class CoefficientPair:
     def tolerated_change(self, factors: Sequence[Floats], required: float) -> float | None:
         """Relative change of the sum between throws with the same effect as the required error of
         the difference; None if no change has it."""
-        ratios = [self._compensation(factor) for factor in factors]
-        determined = [one for one in ratios if one is not None]
-        if len(determined) < len(ratios):
+        _, singular, right = np.linalg.svd(np.stack(factors))
+        if (singular[:, -1] < _ROUNDING * singular[:, 0]).any():
             return None
-        spread = max(determined) - min(determined)
-        if spread < _EQUAL_RATIOS * max(map(abs, determined)):
+        # the change of the sum that compensates a unit difference, from a column of the covariance
+        column = (((right @ self.difference) / singular**2)[:, None] @ right)[:, 0]
+        ratios = (column @ self.sum) / (column @ self.difference)
+        spread = float(np.ptp(ratios))
+        if spread < _EQUAL_RATIOS * np.abs(ratios).max():
             return None
         return spread * required * self.size / abs(self.total)
-
-    def _compensation(self, factor: Floats) -> float | None:
-        """Change of the sum that compensates a unit difference; None if it is undetermined."""
-        _, singular, right = np.linalg.svd(factor)
-        if singular[-1] < _ROUNDING * singular[0]:
-            return None
-        covariance_column = right.T @ ((right @ self.difference) / singular**2)
-        return float(self.sum @ covariance_column / (self.difference @ covariance_column))
 
 
 @compiled("law")
