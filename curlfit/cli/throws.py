@@ -55,8 +55,7 @@ def check(
     reading = Reading.of(configured, vars(reading))
     parsed = read(data, reading)
     job = s.apply_settings(throw_of(parsed, reading), configured, Modelling(**vars(rows)))
-    throw, chosen, _ = job
-    cut = job.cut
+    throw, chosen, cut = job.throw, job.chosen, job.cut
     cut.require_motion()
     if out is not None and not throw.has_path:
         raise InputError(f"--out: {data} has timed events only, and no path to draw")
@@ -69,8 +68,7 @@ def check(
     console = terminal(highlight=False)
     print_inspection(parsed, throw, inspect_throw(throw), shown, console)
     print_findings(examine(cut), console)
-    refused = _refusal(cut, chosen)
-    if refused is not None:
+    if (refused := _refusal(cut, chosen)) is not None:
         if len(cut) < FEWEST_ROWS:
             raise refused
         console.print(f"\nNo fit as set: {refused}", style="yellow")

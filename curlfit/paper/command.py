@@ -64,8 +64,7 @@ def reproduce(
 
     from rich.progress import BarColumn, TimeElapsedColumn
 
-    columns = "{task.description}", BarColumn(), TimeElapsedColumn()
-    with progress_line(console, *columns) as show:
+    with progress_line(console, "{task.description}", BarColumn(), TimeElapsedColumn()) as show:
         show("compiling")
         from curlfit.paper.reproduce import reproduce as recompute
 
