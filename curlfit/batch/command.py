@@ -83,7 +83,7 @@ def batch(
     from curlfit.output.console import terminal
 
     console = terminal(quiet=quiet)
-    with Table(out, names, plan.to_json(), files, again=again) as table:
+    with Table(out, names, dict(plan), files, again=again) as table:
         from curlfit.batch.executor import executor
 
         if done := len(files) - len(table.todo):

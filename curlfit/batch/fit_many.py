@@ -10,6 +10,7 @@ from curlfit.batch.settings import QUANTILES, BatchSettings, columns
 from curlfit.errors import CurlfitError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
+from curlfit.settings.choices import Fitting
 from curlfit.throws.load import Part, parts_of
 from curlfit.throws.throw import Throw
 
@@ -26,13 +27,9 @@ def fit_files(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list
     """
     rows, names, parts = [], columns(plan), _read(files, plan)
     throws = [part.throw for _, part in parts if isinstance(part.throw, Throw)]
-    fits = iter(
-        fit_throws(
-            throws,
-            curves=bool(plan.systematics),
-            **plan.fitting | {"systematics": plan.systematics or None},
-        )
-    )
+    choices = {name: getattr(plan, name) for name in Fitting.forms()}
+    choices["systematics"] = plan.systematics or None
+    fits = iter(fit_throws(throws, curves=bool(plan.systematics), **choices))
     sums = tuple(plan.sums())
     for file, part in parts:
         row: dict[str, Any] = dict.fromkeys(names)

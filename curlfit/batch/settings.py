@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from curlfit.errors import CurlfitError, InputError
 from curlfit.friction import Law, NetLaw, find_law
@@ -47,11 +47,6 @@ class BatchSettings(Fitting, Reading):
         self.parameter_set()
         return find_law(self.law)
 
-    @property
-    def fitting(self) -> dict[str, Any]:
-        """How throws are fitted, as arguments of `fit_throws`."""
-        return {name: getattr(self, name) for name in Fitting.forms()}
-
     def parameter_set(self) -> ParameterSet:
         """Parameters of each throw's fit. Raises InputError for a choice that cannot be used."""
         return checked_parameters(self, others_swept=self.any_swept)
@@ -62,10 +57,6 @@ class BatchSettings(Fitting, Reading):
         if self.load != "uniform" and not issubclass(law, NetLaw):
             return {}
         return {" + ".join(names): names for names in law.sums if not set(names) & set(self.fix)}
-
-    def to_json(self) -> dict[str, Any]:
-        """The plan as plain values."""
-        return dict(self)
 
 
 def columns(plan: BatchSettings) -> list[str]:
