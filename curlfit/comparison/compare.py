@@ -269,15 +269,13 @@ def ranked(found: list[Fitted]) -> Comparison:
         found = _with_predictions(found)
     best = [one for one in found if one.counts and not _misses(one, followed)] or found[:1]
     for name, (difference, best_of) in _DIFFERENCES.items():
-        values = [getattr(one.candidate, name) for one in best]
-        known = [value for value in values if value is not None]
-        if known:
-            found = [
-                one.having(**{difference: value - best_of(known)})
-                if (value := getattr(one.candidate, name)) is not None
-                else one
-                for one in found
-            ]
+        known = [value for one in best if (value := getattr(one.candidate, name)) is not None]
+        found = [
+            one.having(**{difference: value - best_of(known)})
+            if known and (value := getattr(one.candidate, name)) is not None
+            else one
+            for one in found
+        ]
     place = itertools.count(1)
     odds = [
         math.exp(one.candidate.delta_evidence)
