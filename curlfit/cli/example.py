@@ -43,7 +43,6 @@ def example(
             if target.exists():
                 say(f"Left as it is: {target}")
             elif file.is_file():
-                with atomic_write(target) as temporary:
-                    temporary.write_bytes(file.read_bytes())
+                atomic_write(target, file.read_bytes())
                 say(f"Written: {target}")
     say(f"\nTry: cd {folder} && curlfit fit {_FIRST}")

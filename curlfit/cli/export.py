@@ -97,8 +97,7 @@ def export(
             made |= _files(form, result, kind, folder)
     target = prepare_folder(out or Path(f"{s.name_of(folder)}-export"))
     for name, data in made.items():
-        with atomic_write(target / name) as temporary:
-            temporary.write_bytes(data)
+        atomic_write(target / name, data)
     say("Written: " + ", ".join(str(target / name) for name in made))
     if note:
         say(note)

@@ -217,8 +217,7 @@ def simulate(
     if not out.parent.is_dir():
         raise InputError(f"{out}: the folder {out.parent} does not exist")
     require_replaceable(out, "a simulated throw", SIMULATED)
-    with atomic_write(out) as temporary:
-        temporary.write_text(text)
+    atomic_write(out, text)
     say(f"Written: {out}")
 
 

@@ -76,9 +76,7 @@ def write_report(result: Any, path: str | PathLike[str], *, chain: Chain | None 
     if file.suffix not in (".html", ".htm"):
         raise InputError(f"{file}: expected a name that ends in .html")
     prepare_folder(file.parent)
-    text = render(page)
-    with atomic_write(file) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    atomic_write(file, render(page))
 
 
 def page_of(result: Any, chain: Chain | None = None) -> Page:

@@ -75,8 +75,7 @@ def reproduce(
     claims = json.dumps([claim.as_dict() for claim in result.claims], indent=1)
     written = [folder / "claims.json", folder / "claims.md"]
     for file, text in zip(written, (claims + "\n", page(result, drawn.formats[0])), strict=True):
-        with atomic_write(file) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        atomic_write(file, text)
     if as_json:
         print(claims)
     console.print(claims_table(result.claims))

@@ -111,6 +111,5 @@ def predict(
         )  # fmt: skip
     folder = prepare_folder(output.out or Path(f"{s.name_of(fit)}-predict"))
     table = folder / "predict.csv"
-    with atomic_write(table) as temporary:
-        temporary.write_text(found.table())
+    atomic_write(table, found.table())
     return output.finish(found, folder, drawn, files=[table])
