@@ -412,8 +412,7 @@ def _refuse(constant: str) -> None:
 def write_json(record: dict[str, Any], file: Path) -> None:
     """Write plain values atomically, as JSON that any program can read."""
     text = json.dumps(record, indent=1, allow_nan=False)
-    with atomic_write(file) as temporary:
-        temporary.write_text(_compact_series(text) + "\n", encoding="utf-8")
+    atomic_write(file, _compact_series(text) + "\n")
 
 
 def _compact_series(text: str) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Parameter
-
 from curlfit.foreign import say
 from curlfit.options.output import COMPILES, Saved, progress_line
 from curlfit.settings.choices import COUNT, SEED, Fitting, Reading
@@ -14,44 +12,16 @@ from curlfit.settings.forms import PATH, SWITCH, TEXT, option
 
 
 def batch(
-    *data: Annotated[
-        str,
-        Parameter(
-            help="Folders, files or patterns like `'season/*.csv'`; each file as for `curlfit "
-            "fit`. A folder stands for its .csv, .tsv, .txt, .json and .jsonl files."
-        ),
-    ],
-    out: Annotated[
-        Path,
-        option(
-            PATH,
-            "Table of results, one row per throw; its settings are written beside it, as "
-            "results.settings.json. [default: results.csv]",
-            "FILE.csv",
-        ),
-    ] = Path("results.csv"),
+    *data: str,
+    out: Annotated[Path, option(PATH, "FILE.csv")] = Path("results.csv"),
     flags: Fitting = Fitting(),
     reading: Reading = Reading(),
-    posterior: Annotated[
-        bool, option(SWITCH, "Quantiles of each throw's posterior as well; far slower.")
-    ] = False,
-    seed: Annotated[int, option(SEED, "Seed of the posterior sampling. [default: 0]", "N")] = 0,
-    workers: Annotated[
-        int | None, option(COUNT, "Number of processes. [default: one per core]", "N")
-    ] = None,
-    dask: Annotated[
-        str | None,
-        option(
-            TEXT,
-            "Use the workers of a Dask scheduler, which see the same files. Whoever can connect to "
-            "it can run code as its owner. Needs `pip install 'curlfit[dask]'`.",
-            "tcp://...",
-        ),
-    ] = None,
-    again: Annotated[bool, option(SWITCH, "Start again, overwriting the table.")] = False,
-    quiet: Annotated[
-        bool, option(SWITCH, "Print nothing but errors.", name=["--quiet", "-q"])
-    ] = False,
+    posterior: Annotated[bool, option(SWITCH)] = False,
+    seed: Annotated[int, option(SEED, "N")] = 0,
+    workers: Annotated[int | None, option(COUNT, "N")] = None,
+    dask: Annotated[str | None, option(TEXT, "tcp://...")] = None,
+    again: Annotated[bool, option(SWITCH)] = False,
+    quiet: Annotated[bool, option(SWITCH, name=["--quiet", "-q"])] = False,
 ) -> Saved:
     """Fit a friction law to many throws, each by itself, into one table.
 
@@ -65,6 +35,28 @@ def batch(
     could be read, or the command itself is refused.
 
     Example: `curlfit batch season/ --stone R=0.054 --out season.csv`
+
+    Parameters
+    ----------
+    data
+        Folders, files or patterns like `'season/*.csv'`; each file as for `curlfit fit`. A folder
+        stands for its .csv, .tsv, .txt, .json and .jsonl files.
+    out
+        Table of results, one row per throw; its settings are written beside it, as
+        results.settings.json. [default: results.csv]
+    posterior
+        Quantiles of each throw's posterior as well; far slower.
+    seed
+        Seed of the posterior sampling. [default: 0]
+    workers
+        Number of processes. [default: one per core]
+    dask
+        Use the workers of a Dask scheduler, which see the same files. Whoever can connect to it can
+        run code as its owner. Needs `pip install 'curlfit[dask]'`.
+    again
+        Start again, overwriting the table.
+    quiet
+        Print nothing but errors.
     """
     from concurrent.futures import BrokenExecutor
 
@@ -86,30 +78,31 @@ def batch(
     )  # fmt: skip
     names = columns(plan)
 
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
 
     from curlfit.output.console import terminal
 
     console = terminal(quiet=quiet)
-    with Table(out, names, plan.to_json(), files, again=again) as table:
+    with Table(out, names, dict(plan), files, again=again) as table:
         from curlfit.batch.executor import executor
 
-        if len(table.todo) < len(files):
-            console.print(f"{len(files) - len(table.todo)} of {len(files)} files are in {out}.")
-        progress = progress_line(
-            console, TextColumn("Fitting"), BarColumn(), MofNCompleteColumn(), TextColumn("files"),
-            TimeRemainingColumn(), TextColumn(COMPILES),
-        )  # fmt: skip
-        task = progress.add_task("", total=len(files), completed=len(files) - len(table.todo))
+        if done := len(files) - len(table.todo):
+            console.print(f"{done} of {len(files)} files are in {out}.")
+        bar = "Fitting", BarColumn(), MofNCompleteColumn(), "files", TimeRemainingColumn(), COMPILES
         try:
-            with progress, executor(plan, workers=workers, dask=dask) as fitted:
+            with (
+                progress_line(console, *bar) as show,
+                executor(plan, workers=workers, dask=dask) as fitted,
+            ):
+                show("", done, len(files))
                 for rows in fitted(table.todo):
                     table.add(rows)
-                    progress.advance(task, len({row["file"] for row in rows}))
+                    done += len({row["file"] for row in rows})
+                    show("", done, len(files))
         except BrokenExecutor:
             raise CurlfitError(
                 "a process was killed, perhaps for lack of memory; "
-                f"{progress.tasks[task].completed:.0f} of {len(files)} files are in {out}, and the "
+                f"{done} of {len(files)} files are in {out}, and the "
                 "same command continues"
             ) from None
     counts = table.counts

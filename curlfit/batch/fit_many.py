@@ -10,6 +10,7 @@ from curlfit.batch.settings import QUANTILES, BatchSettings, columns
 from curlfit.errors import CurlfitError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
+from curlfit.settings.choices import Fitting
 from curlfit.throws.load import Part, parts_of
 from curlfit.throws.throw import Throw
 
@@ -26,13 +27,9 @@ def fit_files(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list
     """
     rows, names, parts = [], columns(plan), _read(files, plan)
     throws = [part.throw for _, part in parts if isinstance(part.throw, Throw)]
-    fits = iter(
-        fit_throws(
-            throws,
-            curves=bool(plan.systematics),
-            **plan.fitting | {"systematics": plan.systematics or None},
-        )
-    )
+    choices = {name: getattr(plan, name) for name in Fitting.forms()}
+    choices["systematics"] = plan.systematics or None
+    fits = iter(fit_throws(throws, curves=bool(plan.systematics), **choices))
     sums = tuple(plan.sums())
     for file, part in parts:
         row: dict[str, Any] = dict.fromkeys(names)
@@ -89,8 +86,8 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
 
         sampled, _ = sample(result, seed=plan.seed)
         assert sampled.posterior is not None
-        for name, quantiles in sampled.posterior.quantiles.items():
-            if name in sums or name in result.parameters:
-                gap = " " if name in sums else "_"
-                row |= {f"{name}{gap}{q}": quantiles[q] for q in QUANTILES}
+        quantiles = sampled.posterior.quantiles
+        for name in quantiles.keys() & {*sums, *result.parameters}:
+            gap = " " if name in sums else "_"
+            row |= {f"{name}{gap}{q}": quantiles[name][q] for q in QUANTILES}
     return row

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from curlfit.errors import CurlfitError, InputError
 from curlfit.friction import Law, NetLaw, find_law
@@ -36,9 +36,9 @@ class BatchSettings(Fitting, Reading):
     seed : of the sampling.
     """
 
-    any_swept: Annotated[bool, option(SWITCH, "")] = False
-    posterior: Annotated[bool, option(SWITCH, "")] = False
-    seed: Annotated[int, option(SEED, "")] = 0
+    any_swept: Annotated[bool, option(SWITCH)] = False
+    posterior: Annotated[bool, option(SWITCH)] = False
+    seed: Annotated[int, option(SEED)] = 0
 
     def checked(self) -> type[Law]:
         """The law. Raises InputError if the settings are impossible for any throw."""
@@ -46,11 +46,6 @@ class BatchSettings(Fitting, Reading):
         check_reading(self)
         self.parameter_set()
         return find_law(self.law)
-
-    @property
-    def fitting(self) -> dict[str, Any]:
-        """How throws are fitted, as arguments of `fit_throws`."""
-        return {name: getattr(self, name) for name in Fitting.forms()}
 
     def parameter_set(self) -> ParameterSet:
         """Parameters of each throw's fit. Raises InputError for a choice that cannot be used."""
@@ -63,24 +58,16 @@ class BatchSettings(Fitting, Reading):
             return {}
         return {" + ".join(names): names for names in law.sums if not set(names) & set(self.fix)}
 
-    def to_json(self) -> dict[str, Any]:
-        """The plan as plain values."""
-        return dict(self)
-
 
 def columns(plan: BatchSettings) -> list[str]:
     """Columns of the table of results; those of text, which may contain commas, come last."""
     plan.checked()
-    names = plan.parameter_set().names
     found = ["file", "shot", "stone_index", "status", "n_observations", "rms_x", "rms_y", "rms_phi"]
-    quantiles = QUANTILES if plan.posterior else ()
-    systematic = bool(plan.systematics)
-    for name in names:
-        found += [name, f"{name}_stderr", f"{name}_verdict", *(f"{name}_{q}" for q in quantiles)]
-        found += [f"{name}_systematic"] * systematic
+    more = [*QUANTILES] * plan.posterior + ["systematic"] * bool(plan.systematics)
+    for name in plan.parameter_set().names:
+        found += [name, *(f"{name}_{what}" for what in ("stderr", "verdict", *more))]
     for name in plan.sums():
-        found += [name, f"{name} stderr", *(f"{name} {q}" for q in quantiles)]
-        found += [f"{name} systematic"] * systematic
+        found += [name, *(f"{name} {what}" for what in ("stderr", *more))]
     for text in plan.derive:
         found += [text, f"{text} stderr"]
     return [*found, "combinations", "warnings", "reason"]

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from curlfit.foreign import say
 
@@ -15,17 +12,17 @@ _FIRST = "data/jensen_shegelski_2004.csv"
 
 
 def example(
-    folder: Annotated[
-        Path,
-        Parameter(
-            help="Destination folder; created if it does not exist. [default: curlfit-examples]"
-        ),
-    ] = Path("curlfit-examples"),
+    folder: Path = Path("curlfit-examples"),
     /,
 ) -> None:
     """Copy the example data and the notebooks to a folder of your own.
 
     Files that are there already are left as they are.
+
+    Parameters
+    ----------
+    folder
+        Destination folder; created if it does not exist. [default: curlfit-examples]
     """
     from curlfit.errors import InputError
     from curlfit.output.files import atomic_write, prepare_folder
@@ -46,7 +43,6 @@ def example(
             if target.exists():
                 say(f"Left as it is: {target}")
             elif file.is_file():
-                with atomic_write(target) as temporary:
-                    temporary.write_bytes(file.read_bytes())
+                atomic_write(target, file.read_bytes())
                 say(f"Written: {target}")
     say(f"\nTry: cd {folder} && curlfit fit {_FIRST}")

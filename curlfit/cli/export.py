@@ -8,8 +8,6 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Parameter
-
 import curlfit
 from curlfit.cli.saved import of_record
 from curlfit.errors import InputError
@@ -43,24 +41,11 @@ _LOADERS = {"joint": "load_joint", "compare": "load_comparison", "fit": "load_fi
 
 @of_record
 def export(
-    folder: Annotated[
-        Path, Parameter(help="Folder of a fit, a joint fit or a comparison, or the JSON in it.")
-    ],
+    folder: Path,
     /,
     *,
-    to: Annotated[
-        list[Form],
-        Parameter(
-            help="csv: parameters, and the path with its residuals. netcdf: the sampled posterior "
-            "for ArviZ. json: what `curlfit show --json` prints. latex: a table with booktabs. "
-            "table, c, js: the accelerations of the stone by speed and spin, as JSON, C header and "
-            "JavaScript module, for games and simulators; game: all three."
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        option(PATH, "Folder for the files. [default: the result's name with -export]", "DIR"),
-    ] = None,
+    to: list[Form],
+    out: Annotated[Path | None, option(PATH, "DIR")] = None,
     law: s.LawOfFit = None,
 ) -> None:
     """Export a saved fit, joint fit or comparison to other programs and papers.
@@ -70,6 +55,18 @@ def export(
     `curlfit export throw-fit --to csv --to latex`: parameters.csv, path.csv, table.tex
 
     `curlfit export throw-fit --to game --out game`: accelerations.json, curlfit_stone.h, .mjs
+
+    Parameters
+    ----------
+    folder
+        Folder of a fit, a joint fit or a comparison, or the JSON in it.
+    to
+        csv: parameters, and the path with its residuals. netcdf: the sampled posterior for ArviZ.
+        json: what `curlfit show --json` prints. latex: a table with booktabs. table, c, js: the
+        accelerations of the stone by speed and spin, as JSON, C header and JavaScript module, for
+        games and simulators; game: all three.
+    out
+        Folder for the files. [default: the result's name with -export]
     """
     from curlfit.output.files import atomic_write, prepare_folder
 
@@ -100,8 +97,7 @@ def export(
             made |= _files(form, result, kind, folder)
     target = prepare_folder(out or Path(f"{s.name_of(folder)}-export"))
     for name, data in made.items():
-        with atomic_write(target / name) as temporary:
-            temporary.write_bytes(data)
+        atomic_write(target / name, data)
     say("Written: " + ", ".join(str(target / name) for name in made))
     if note:
         say(note)
@@ -109,18 +105,17 @@ def export(
 
 def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, bytes]:
     """What to write, by file name."""
+    from curlfit.export import tables
+
+    if form is Form.csv and kind == "compare":
+        return {"candidates.csv": tables.candidates_csv(result).encode()}
     if form is Form.csv:
-        from curlfit.export.tables import candidates_csv, parameters_csv, path_csv
-
-        if kind == "compare":
-            return {"candidates.csv": candidates_csv(result).encode()}
-        fits = result.throws if kind == "joint" else (result,)
-        tables = {"parameters.csv": parameters_csv(result), "path.csv": path_csv(fits)}
-        return {name: text.encode() for name, text in tables.items()}
+        path = tables.path_csv(result.throws if kind == "joint" else (result,))
+        return {
+            "parameters.csv": tables.parameters_csv(result).encode(), "path.csv": path.encode(),
+        }  # fmt: skip
     if form is Form.latex:
-        from curlfit.export.latex import candidates_table, estimates_table
-
-        table = candidates_table if kind == "compare" else estimates_table
+        table = tables.candidates_table if kind == "compare" else tables.estimates_table
         return {"table.tex": table(result).encode()}
     if form is Form.json:
         return {f"{kind}.json": (json.dumps(result.summary(), indent=1) + "\n").encode()}
@@ -138,8 +133,7 @@ def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, bytes]
 
 def _game(fit: FitResult) -> tuple[dict[Form, str], str]:
     """The stone for games in each form, and what of the fit it does not include."""
-    from curlfit.export.accelerations import tabulate
-    from curlfit.export.game import c_header, javascript_module, not_included
+    from curlfit.export.accelerations import c_header, javascript_module, not_included, tabulate
 
     table = tabulate(fit)
     return {

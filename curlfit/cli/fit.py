@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,14 +13,8 @@ from cyclopts import Parameter
 from curlfit.errors import InputError
 from curlfit.foreign import say
 from curlfit.options import settings as s
-from curlfit.options.output import (
-    COMPILES,
-    Output,
-    Saved,
-    figures_by,
-    progress_line,
-    status_line,
-)
+from curlfit.options.output import COMPILES, Output, Saved, progress_line
+from curlfit.output.display import corner_of, figures_of
 from curlfit.settings.choices import SEED, Choices, Fitting, Reading
 from curlfit.settings.forms import SWITCH, TEXT, option, whole
 
@@ -35,47 +29,29 @@ if TYPE_CHECKING:
 @Parameter(name="*", group="Sampling")
 @dataclass(frozen=True, kw_only=True)
 class Sampling(Choices):
-    """How the posterior is sampled."""
+    """How the posterior is sampled.
 
-    no_sample: Annotated[bool, option(SWITCH, "Least squares only; no posterior.")] = False
-    effective: Annotated[
-        int | None,
-        option(
-            whole(100), "Effective sample size required for every parameter. [default: 4000]", "N"
-        ),
-    ] = None
-    max_steps: Annotated[
-        int | None, option(whole(40), "Maximum number of sampling steps. [default: 2000]", "N")
-    ] = None
-    seed: Annotated[int | None, option(SEED, "Seed of the sampling. [default: 0]", "N")] = None
-    resume: Annotated[
-        bool,
-        option(
-            SWITCH,
-            "Continue an earlier run in that folder, finished or interrupted: its least-squares "
-            "result is reused (`--start` then has no effect) and its chain is continued.",
-        ),
-    ] = False
+    Attributes
+    ----------
+    no_sample : Least squares only; no posterior.
+    effective : Effective sample size required for every parameter. [default: 4000]
+    max_steps : Maximum number of sampling steps. [default: 2000]
+    seed : Seed of the sampling. [default: 0]
+    resume : Continue an earlier run in that folder, finished or interrupted: its least-squares
+        result is reused (`--start` then has no effect) and its chain is continued.
+    """
+
+    no_sample: Annotated[bool, option(SWITCH)] = False
+    effective: Annotated[int | None, option(whole(100), "N")] = None
+    max_steps: Annotated[int | None, option(whole(40), "N")] = None
+    seed: Annotated[int | None, option(SEED, "N")] = None
+    resume: Annotated[bool, option(SWITCH)] = False
 
 
 def fit(
-    *data: Annotated[
-        Path,
-        Parameter(
-            help="Table with a header: t, x, y and if possible phi (s, m, m, rad; other units as "
-            "y_ft, angle_deg ...). Leading lines `# key = value` are its defaults. Several files "
-            "are fitted jointly."
-        ),
-    ],
+    *data: Path,
     flags: Fitting = Fitting(),
-    share: Annotated[
-        str | None,
-        option(
-            TEXT,
-            "With several files: coefficients common to all throws. [default: all]",
-            "all|NAME,...",
-        ),
-    ] = None,
+    share: Annotated[str | None, option(TEXT, "all|NAME,...")] = None,
     reading: Reading = Reading(),
     config: s.Config = None,
     sampling: Sampling = Sampling(),
@@ -88,6 +64,15 @@ def fit(
     Ctrl-C during sampling keeps the chain so far; `--resume` continues it.
 
     Example: `curlfit fit data/jensen_shegelski_2004.csv --stone rho=0.1025`
+
+    Parameters
+    ----------
+    data
+        Table with a header: t, x, y and if possible phi (s, m, m, rad; other units as y_ft,
+        angle_deg ...). Leading lines `# key = value` are its defaults. Several files are fitted
+        jointly.
+    share
+        With several files: coefficients common to all throws. [default: all]
     """
     from curlfit.options.figures import remove_figure
     from curlfit.output.files import prepare_folder
@@ -107,10 +92,9 @@ def fit(
     if len(jobs) > 1:
         if resume:
             raise InputError("--resume continues the sampling of one throw; give one file")
-        for name in ("effective", "max_steps", "seed"):
-            if getattr(sampling, name) is not None:
-                flag = name.replace("_", "-")
-                raise InputError(f"--{flag}: several throws are fitted without sampling")
+        if words := replace(sampling, no_sample=False).words():
+            flag = words[0].partition("=")[0]
+            raise InputError(f"{flag}: several throws are fitted without sampling")
         return _fit_jointly(jobs, share, output)
     (file,) = data
     if share is not None:
@@ -128,7 +112,7 @@ def fit(
         console.print(f"Nothing to resume in {folder}; this is a first run.", soft_wrap=True)
     drawn.draw_beside()
     if saved is None:
-        with status_line(console, f"Fitting {COMPILES}"):
+        with output.status(f"Fitting {COMPILES}"):
             if not no_sample:
                 from curlfit.inference.mcmc.sampler import prepare_sampling
 
@@ -136,42 +120,34 @@ def fit(
             result = request.fit()
     else:
         result = saved.with_derived(request.chosen.derive)
-    written = [folder / "fit.json"]
+    written, chain_file = [folder / "fit.json"], folder / "chain.h5"
     if not no_sample:
         result = result.before_sampling()
     result.save(written[0])
     if saved is None:
         remove_figure(folder, "corner")  # of an earlier fit
-        (folder / "chain.h5").unlink(missing_ok=True)
-    drawn.replace(folder, ["fit"], partial(figures_by, "fit_figure", result))
+        chain_file.unlink(missing_ok=True)
+    drawn.replace(folder, ["fit"], partial(figures_of, result))
     if not no_sample:
-        chain_file = folder / "chain.h5"
         try:
             result, chain = _sample(
-                console,
-                result,
-                seed=seed or 0,
-                effective=sampling.effective or 4000,
-                most_steps=sampling.max_steps or 2000,
-                checkpoint=chain_file,
+                console, result, seed=seed or 0, effective=sampling.effective or 4000,
+                most_steps=sampling.max_steps or 2000, checkpoint=chain_file,
                 resume=saved is not None,
-            )
+            )  # fmt: skip
         except KeyboardInterrupt:
             drawn.written()
             raise
         result.save(folder / "fit.json")
         written.append(chain_file)
-        drawn.replace(folder, ["corner"], partial(figures_by, "corner_figure", result, chain))
-    else:
-        remove_figure(folder, "corner")
-        (folder / "chain.h5").unlink(missing_ok=True)
+        drawn.replace(folder, ["corner"], partial(corner_of, result, chain))
 
     from curlfit.inference.report import print_fit
 
     print_fit(result, console)
     done = output.written(folder, written + drawn.written(), console)
-    if result.converged:
-        _warn_of_posterior(result)
+    if result.converged and result.posterior is not None and not result.posterior.converged:
+        say(f"curlfit: warning: posterior {result.posterior.status}", error=True)
     return _finish(result, done)
 
 
@@ -210,31 +186,23 @@ def _finish(result: FitResult | JointResult, done: Saved) -> Saved:
     return done._replace(status=1)
 
 
-def _warn_of_posterior(result: FitResult) -> None:
-    if result.posterior is not None and not result.posterior.converged:
-        say(f"curlfit: warning: posterior {result.posterior.status}", error=True)
-
-
 def _sample(
     console: Console, result: FitResult, *, effective: int, **choices: Any
 ) -> tuple[FitResult, Chain]:
-    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, TimeRemainingColumn
 
     from curlfit.inference.mcmc.sampler import sample
 
-    with progress_line(
-        console, TextColumn("Sampling the posterior"), BarColumn(),
-        TextColumn("{task.completed:.0f}/{task.total} effective samples"), TimeRemainingColumn(),
-        TextColumn("{task.fields[state]}"),
-    ) as progress:  # fmt: skip
-        task = progress.add_task("", total=effective, state="compiling")
+    count = "{task.completed:.0f}/{task.total} effective samples"
+    columns = "Sampling the posterior", BarColumn(), count, TimeRemainingColumn()
+    with progress_line(console, *columns, "{task.description}") as show:
+        show("compiling", 0, effective)
 
         def show_state(samples: float, steps: int, r_hat: float) -> None:
-            progress.update(
-                task, completed=min(samples, effective), state=f"{steps} steps, R-hat {r_hat:.3f}"
-            )
+            show(f"{steps} steps, R-hat {r_hat:.3f}", min(samples, effective))
 
-        shown = None if progress.disable else show_state  # R-hat takes time
+        hidden = console.quiet or not console.is_terminal  # R-hat takes time
+        shown = None if hidden else show_state
         return sample(result, effective=effective, progress=shown, **choices)
 
 
@@ -278,26 +246,20 @@ def _fit_jointly(
     folder = prepare_folder(output.out or Path("joint-fit"))
     drawn.draw_beside()
 
-    from rich.progress import TextColumn
-
-    with progress_line(
-        output.console(), TextColumn(f"Fitting {len(jobs)} throws {COMPILES}"),
-        TextColumn("{task.fields[state]}"),
-    ) as progress:  # fmt: skip
-        task = progress.add_task("", state="")
-
-        def show_step(step: int, chi_squared: float) -> None:
-            progress.update(task, state=f"step {step}, chi squared {chi_squared:.6g}")
-
+    columns = f"Fitting {len(jobs)} throws {COMPILES}", "{task.description}"
+    with progress_line(output.console(), *columns) as show:
         from curlfit.inference.joint.fit import fit_together
 
-        result = fit_together(throws, share=names, progress=show_step, **common)
+        result = fit_together(
+            throws, share=names, **common,
+            progress=lambda step, chi_squared: show(f"step {step}, chi squared {chi_squared:.6g}"),
+        )  # fmt: skip
     for name, one in zip(named, result.throws, strict=True):
         own_folder = prepare_folder(folder / name)
         one.save(own_folder / "fit.json")
-        drawn.replace(own_folder, ["fit"], partial(figures_by, "fit_figure", one))
+        drawn.replace(own_folder, ["fit"], partial(figures_of, one))
     folders = list(named)
     if len(folders) > 3:
         folders[1:-1] = ["..."]
     each_in = f", and in {folder}/ a folder for each throw: {', '.join(folders)}"
-    return _finish(result, output.finish(result, folder, drawn, "joint_figure", more=each_in))
+    return _finish(result, output.finish(result, folder, drawn, more=each_in))

@@ -7,8 +7,6 @@ import textwrap
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import Parameter
-
 from curlfit.settings.forms import SWITCH, option
 
 if TYPE_CHECKING:
@@ -16,21 +14,24 @@ if TYPE_CHECKING:
 
 
 def laws(
-    *names: Annotated[str, Parameter(help="Only these; FILE.py:CLASS for a law of your own.")],
-    conditions: Annotated[
-        bool,
-        option(
-            SWITCH,
-            "The conditions that a fit holds (level ice, still air, the stone, the scales), and "
-            "their standard uncertainties.",
-        ),
-    ] = False,
-    as_json: Annotated[bool, option(SWITCH, "As JSON, for programs.", name="--json")] = False,
+    *names: str,
+    conditions: Annotated[bool, option(SWITCH)] = False,
+    as_json: Annotated[bool, option(SWITCH, name="--json")] = False,
 ) -> None:
     """List the friction laws: formula, coefficients, source, direction of curl.
 
     n is the normal load at a point of the ring, n0 its mean, v the sliding velocity there, xi to
     the right of the stone's motion and eta along it.
+
+    Parameters
+    ----------
+    names
+        Only these; FILE.py:CLASS for a law of your own.
+    conditions
+        The conditions that a fit holds (level ice, still air, the stone, the scales), and their
+        standard uncertainties.
+    as_json
+        As JSON, for programs.
     """
     from curlfit.errors import InputError
     from curlfit.friction import LAWS, find_law

@@ -8,19 +8,15 @@ from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-from cyclopts import Parameter
-
 import curlfit
 from curlfit.errors import CurlfitError, DataError, InputError
 from curlfit.foreign import say
 from curlfit.options.figures import FigureFiles, write_figures
 from curlfit.options.settings import LawOfFit, chain_beside, kind_of, load_fit_and_chain
-from curlfit.output.display import KINDS, document_of
+from curlfit.output.display import KINDS, corner_of, document_of, figures_of
 from curlfit.settings.forms import PATH, SWITCH, TEXT, TEXTS, option
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from curlfit.inference.mcmc.chain import Chain
 
 
@@ -48,18 +44,24 @@ def of_record(verb: Verb) -> Verb:
 
 @of_record
 def show(
-    folder: Annotated[Path, Parameter(help="Folder of results, or the JSON file in it.")],
+    folder: Path,
     /,
     *,
-    as_json: Annotated[bool, option(SWITCH, "Print the JSON record.", name="--json")] = False,
-    derive: Annotated[
-        Sequence[str],
-        option(TEXTS, "A quantity derived from the parameters, as in `curlfit fit`.", "EXPRESSION"),
-    ] = (),
+    as_json: Annotated[bool, option(SWITCH, name="--json")] = False,
+    derive: Annotated[Sequence[str], option(TEXTS, "EXPRESSION")] = (),
 ) -> None:
     """Print the report of a saved fit, joint fit, comparison, prediction, profile or design.
 
     Example: `curlfit show throw-fit --derive "mu2_xi - mu1_xi"`
+
+    Parameters
+    ----------
+    folder
+        Folder of results, or the JSON file in it.
+    as_json
+        Print the JSON record.
+    derive
+        A quantity derived from the parameters, as in `curlfit fit`.
     """
     from curlfit.output.console import terminal
 
@@ -74,45 +76,41 @@ def show(
 
 @of_record
 def plot(
-    folder: Annotated[Path, Parameter(help="Folder of results, or the JSON file in it.")],
+    folder: Path,
     /,
     *,
-    out: Annotated[
-        Path | None, option(PATH, "Folder for the figures. [default: that of the results]", "DIR")
-    ] = None,
-    format: Annotated[
-        str,
-        option(
-            TEXT, "`png`, `pdf` or `svg`; several separated by commas. [default: png]", "FORMAT"
-        ),
-    ] = "png",
+    out: Annotated[Path | None, option(PATH, "DIR")] = None,
+    format: Annotated[str, option(TEXT, "FORMAT")] = "png",
 ) -> None:
-    """Draw the figures again of a saved fit, joint fit, comparison, prediction, profile, design."""
+    """Draw the figures again of a saved fit, joint fit, comparison, prediction, profile, design.
+
+    Parameters
+    ----------
+    folder
+        Folder of results, or the JSON file in it.
+    out
+        Folder for the figures. [default: that of the results]
+    format
+        `png`, `pdf` or `svg`; several separated by commas. [default: png]
+    """
     from curlfit.output.files import prepare_folder
 
     formats = FigureFiles.of(format, "--format").formats
-    kind, result, chain = _load(folder)
+    _, result, chain = _load(folder)
     target = out or (folder if folder.is_dir() else folder.parent)
-    figures: dict[str, Figure]
-    if kind == "design":
-        figures = curlfit.design_figures(result)
-    else:
-        figures = {kind: getattr(curlfit, f"{KINDS[kind].noun}_figure")(result)}
+    figures = figures_of(result)
     if chain is not None:
-        figures["corner"] = curlfit.corner_figure(result, chain)
+        figures |= corner_of(result, chain)
     written = write_figures(prepare_folder(target), figures, formats)
     say("Written: " + ", ".join(map(str, written)))
 
 
 def report(
-    folder: Annotated[Path, Parameter(help="Folder of results, or the JSON file in it.")],
+    folder: Path,
     /,
     *,
-    out: Annotated[
-        Path | None,
-        option(PATH, "The file. [default: report.html among the results]", "FILE.html"),
-    ] = None,
-    show_it: Annotated[bool, option(SWITCH, "Open it in the browser.", name="--open")] = False,
+    out: Annotated[Path | None, option(PATH, "FILE.html")] = None,
+    show_it: Annotated[bool, option(SWITCH, name="--open")] = False,
     law: LawOfFit = None,
 ) -> None:
     """Write a saved result as one HTML file to send: numbers, figures, warnings, animations.
@@ -122,6 +120,15 @@ def report(
     determine, and the draws of a prediction.
 
     Example: `curlfit report throw-fit --open`
+
+    Parameters
+    ----------
+    folder
+        Folder of results, or the JSON file in it.
+    out
+        The file. [default: report.html among the results]
+    show_it
+        Open it in the browser.
     """
     file = write_page(folder, out, law)
     say(f"Written: {file}")

@@ -11,18 +11,8 @@ from cyclopts import Group, Parameter
 from curlfit.errors import InputError
 from curlfit.foreign import say
 from curlfit.options import settings as s
-from curlfit.options.start import LawValues, Start
 from curlfit.settings.choices import SEED, Choices, Modelling, Reading, Rows
-from curlfit.settings.forms import (
-    NUMBER,
-    PATH,
-    PERIOD,
-    SWITCH,
-    TEXT,
-    TIME,
-    Form,
-    option,
-)
+from curlfit.settings.forms import NUMBER, PATH, PERIOD, SWITCH, TEXT, TIME, Form, option
 
 if TYPE_CHECKING:
     from curlfit.errors import DataError
@@ -30,19 +20,26 @@ if TYPE_CHECKING:
 
 
 def check(
-    data: Annotated[Path, Parameter(help="Data as for `curlfit fit`.")],
+    data: Path,
     /,
     *,
     reading: Reading = Reading(),
     rows: Rows = Rows(),
     config: s.Config = None,
-    out: Annotated[Path | None, option(PATH, "Draw the data to this file.", "CHECK.png")] = None,
+    out: Annotated[Path | None, option(PATH, "CHECK.png")] = None,
 ) -> None:
     """Show how a data file is read: columns, units, scatter, rest, what is implausible.
 
     Exit status 0 if the file can be read and is plausible, 2 otherwise.
 
     Example: `curlfit check data/jensen_shegelski_2004.csv`
+
+    Parameters
+    ----------
+    data
+        Data as for `curlfit fit`.
+    out
+        Draw the data to this file.
     """
     from curlfit.inference.parameters import FEWEST_ROWS
     from curlfit.throws.inspection import inspect_throw
@@ -58,8 +55,7 @@ def check(
     reading = Reading.of(configured, vars(reading))
     parsed = read(data, reading)
     job = s.apply_settings(throw_of(parsed, reading), configured, Modelling(**vars(rows)))
-    throw, chosen, _ = job
-    cut = job.cut
+    throw, chosen, cut = job.throw, job.chosen, job.cut
     cut.require_motion()
     if out is not None and not throw.has_path:
         raise InputError(f"--out: {data} has timed events only, and no path to draw")
@@ -72,8 +68,7 @@ def check(
     console = terminal(highlight=False)
     print_inspection(parsed, throw, inspect_throw(throw), shown, console)
     print_findings(examine(cut), console)
-    refused = _refusal(cut, chosen)
-    if refused is not None:
+    if (refused := _refusal(cut, chosen)) is not None:
         if len(cut) < FEWEST_ROWS:
             raise refused
         console.print(f"\nNo fit as set: {refused}", style="yellow")
@@ -124,10 +119,10 @@ class Conditions(Choices):
         otherwise.
     """
 
-    slope_x: Annotated[float | None, option(NUMBER, metavar="V")] = None
-    slope_y: Annotated[float | None, option(NUMBER, metavar="V")] = None
-    drag: Annotated[float | None, option(NUMBER, metavar="V")] = None
-    sweep: Annotated[Any, option(_SWEPT, metavar="A:B=V")] = None
+    slope_x: Annotated[float | None, option(NUMBER, "V")] = None
+    slope_y: Annotated[float | None, option(NUMBER, "V")] = None
+    drag: Annotated[float | None, option(NUMBER, "V")] = None
+    sweep: Annotated[Any, option(_SWEPT, "A:B=V")] = None
 
     def environment(self) -> dict[str, float]:
         """Those that are given, as fields of `Environment`."""
@@ -140,7 +135,7 @@ class Conditions(Choices):
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
-class Simulated(LawValues):
+class Simulated(s.LawValues):
     """The model of a simulated throw.
 
     Attributes
@@ -153,41 +148,17 @@ class Simulated(LawValues):
 
 def simulate(
     *,
-    fit: Annotated[
-        Path | None,
-        option(
-            PATH,
-            "Saved fit that supplies law, load, stone, conditions and initial state unless given "
-            "here.",
-            "FIT",
-        ),
-    ] = None,
+    fit: Annotated[Path | None, option(PATH, "FIT")] = None,
     given: Simulated = Simulated(),
-    start: Start = Start(),
-    line: Annotated[
-        str | None,
-        option(
-            TEXT,
-            "Start on a line of the sheet: `hack`, `back`, `tee`, `hog` (the near ones), `centre` "
-            "or `far-hog`; y is then measured from the hack.",
-            "NAME",
-            group="Start",
-        ),
-    ] = None,
+    start: s.Start = s.Start(),
+    line: Annotated[str | None, option(TEXT, "NAME", group="Start")] = None,
     conditions: Conditions = Conditions(),
-    until: Annotated[
-        float | None,
-        option(TIME, "Last time, s. [default: 20; of a fit, as long as its record]", "S"),
-    ] = None,
-    dt: Annotated[float, option(NUMBER, "Time between rows, s. [default: 0.1]", "S")] = 0.1,
-    noise_xy: Annotated[
-        float, option(NUMBER, "Standard deviation on x and y, m. [default: 0]", "V")
-    ] = 0.0,
-    noise_phi: Annotated[
-        float, option(NUMBER, "Standard deviation on phi, rad. [default: 0]", "V")
-    ] = 0.0,
-    seed: Annotated[int, option(SEED, "Seed of the noise. [default: 0]", "N")] = 0,
-    out: Annotated[Path | None, option(PATH, "File to write. [default: print]", "FILE.csv")] = None,
+    until: Annotated[float | None, option(TIME, "S")] = None,
+    dt: Annotated[float, option(NUMBER, "S")] = 0.1,
+    noise_xy: Annotated[float, option(NUMBER, "V")] = 0.0,
+    noise_phi: Annotated[float, option(NUMBER, "V")] = 0.0,
+    seed: Annotated[int, option(SEED, "N")] = 0,
+    out: Annotated[Path | None, option(PATH, "FILE.csv")] = None,
 ) -> None:
     """Simulate a throw under a friction law, in the format that `curlfit fit` reads.
 
@@ -198,6 +169,26 @@ def simulate(
     `curlfit simulate --line hog --v0 2.3 --slope-x 2e-4 --drag 0.8 --sweep 8:14=0.9 --out b.csv`
 
     `curlfit simulate --fit a-fit --omega0=-1.2 --until 30 --out c.csv`: another throw of a fit
+
+    Parameters
+    ----------
+    fit
+        Saved fit that supplies law, load, stone, conditions and initial state unless given here.
+    line
+        Start on a line of the sheet: `hack`, `back`, `tee`, `hog` (the near ones), `centre` or
+        `far-hog`; y is then measured from the hack.
+    until
+        Last time, s. [default: 20; of a fit, as long as its record]
+    dt
+        Time between rows, s. [default: 0.1]
+    noise_xy
+        Standard deviation on x and y, m. [default: 0]
+    noise_phi
+        Standard deviation on phi, rad. [default: 0]
+    seed
+        Seed of the noise. [default: 0]
+    out
+        File to write. [default: print]
     """
     from curlfit.environment import Environment
     from curlfit.errors import warn_once
@@ -226,8 +217,7 @@ def simulate(
     if not out.parent.is_dir():
         raise InputError(f"{out}: the folder {out.parent} does not exist")
     require_replaceable(out, "a simulated throw", SIMULATED)
-    with atomic_write(out) as temporary:
-        temporary.write_text(text)
+    atomic_write(out, text)
     say(f"Written: {out}")
 
 

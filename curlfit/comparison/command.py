@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from curlfit.options import settings as s
 from curlfit.options.output import Output, Saved, progress_line
@@ -13,7 +10,7 @@ from curlfit.settings.choices import FLAGS, Comparing, Reading
 
 
 def compare(
-    data: Annotated[Path, Parameter(help="Data as for `curlfit fit`.")],
+    data: Path,
     /,
     *,
     flags: Comparing = Comparing(),
@@ -32,6 +29,11 @@ def compare(
     Writes `compare.json` and `compare.png`.
 
     Example: `curlfit compare data/jensen_shegelski_2004.csv --load both`
+
+    Parameters
+    ----------
+    data
+        Data as for `curlfit fit`.
     """
     from curlfit.friction import LAWS, find_law
     from curlfit.inference.parameters import ParameterSet, options_of, require_known
@@ -52,19 +54,13 @@ def compare(
     require_path(cut)
     folder = prepare_folder(output.out or s.result_folder(data, "compare", reading))
 
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+    from rich.progress import BarColumn, MofNCompleteColumn
 
     drawn.draw_beside()
-    with progress_line(
-        output.console(), TextColumn("Fitting {task.description}"), BarColumn(),
-        MofNCompleteColumn(), TextColumn("(a first run on a machine compiles each law)"),
-    ) as progress:  # fmt: skip
-        task = progress.add_task("", total=None)
-
-        def show_progress(name: str, done: int, total: int) -> None:
-            progress.update(task, description=name, completed=done, total=total)
-
+    compiles = "(a first run on a machine compiles each law)"
+    columns = "Fitting {task.description}", BarColumn(), MofNCompleteColumn(), compiles
+    with progress_line(output.console(), *columns) as show:
         from curlfit.comparison.compare import compare as compare_laws
 
-        found = compare_laws(throw, progress=show_progress, **vars(chosen))
-    return output.finish(found, folder, drawn, "comparison_figure", remarks=unusual)
+        found = compare_laws(throw, progress=show, **vars(chosen))
+    return output.finish(found, folder, drawn, remarks=unusual)

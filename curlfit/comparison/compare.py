@@ -4,23 +4,31 @@ Each law is fitted within its own bounds. Where a coefficient is then at zero an
 follow the path, it is fitted once more with either sign allowed, to show what it would need; such
 a fit is listed but not ranked.
 
-The ranking is in `ranking`, its criteria in `criteria`, and the test of whether a law follows the
-path in `adequacy`.
+Fits are ranked by BIC, first those of laws that follow the path; the criteria are in `criteria`,
+and the test of whether a law follows the path in `adequacy`.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.comparison.adequacy import adequacy, sizes
-from curlfit.comparison.capability import opposes_sliding, sides_of_curl
-from curlfit.comparison.criteria import log_likelihood, number_of_parameters, residuals_of
-from curlfit.comparison.ranking import Fitted, ranked
+from curlfit.comparison.adequacy import adequacy, bend, opposes_sliding, sides_of_curl, sizes
+from curlfit.comparison.criteria import (
+    criteria,
+    effective_values,
+    leave_one_out,
+    log_evidence,
+    log_likelihood,
+    number_of_parameters,
+    residuals_of,
+    standard_error,
+)
 from curlfit.comparison.result import PLACE, Candidate, Comparison
 from curlfit.errors import UnusableFitError
 from curlfit.friction import LAWS, Law, NetLaw, find_law
@@ -35,10 +43,32 @@ from curlfit.records import plain
 from curlfit.settings.choices import Comparing, takes
 from curlfit.throws.throw import Throw, require_path, require_throw
 
+_DIFFERENCES: dict[str, tuple[str, Callable[[list[float]], float]]] = {
+    "aicc": ("delta_aicc", min), "bic": ("delta_bic", min), "log_evidence": ("delta_evidence", max),
+}  # fmt: skip
+"""The difference from the best by each criterion, and which value is the best."""
 _FAR = 5.0
 """Times the residuals of another law, or the noise of an ordinary tracker, beyond which a law does
 not follow a path: 4.1 for the front-back law on the path of eq. 12, 7.7 where friction depends on
 the speed to the power -0.25."""
+
+
+class Fitted(NamedTuple):
+    """A candidate, with its fit and the log-likelihood of each channel where there is one."""
+
+    candidate: Candidate
+    result: FitResult | None = None
+    likelihood: Mapping[str, float] = {}
+
+    def having(self, **fields: Any) -> Fitted:
+        """The same with some fields of the candidate replaced."""
+        return self._replace(candidate=replace(self.candidate, **fields))
+
+    @property
+    def counts(self) -> bool:
+        """Whether it is ranked."""
+        item = self.candidate
+        return item.bic is not None and item.converged and not item.signs_free
 
 
 def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[Law], str]]:
@@ -215,3 +245,105 @@ def _needed_negative(result: FitResult) -> tuple[str, ...]:
 
 def _with_verdict(result: FitResult, verdict: str) -> tuple[str, ...]:
     return tuple(name for name, item in result.coefficients.items() if item.verdict == verdict)
+
+
+def ranked(found: list[Fitted]) -> Comparison:
+    """The comparison of fits to one throw, given in the order of the request.
+
+    Raises
+    ------
+    UnusableFitError : there is no fit at all.
+    """
+    fits = [one.result for one in found if one.result is not None]
+    if not fits:
+        raise UnusableFitError("; ".join(one.candidate.status for one in found))
+    effective = effective_values(most_likely(found))
+    found = [
+        one.having(**criteria(one.result, one.likelihood, effective)) if one.result else one
+        for one in found
+    ]
+    followed = any(one.counts and one.candidate.follows for one in found)
+    found = sorted(found, key=lambda one: _order(one, followed))
+    noises = list(dict.fromkeys(one.noise.kind for one in fits))
+    if not effective.number and len(noises) == 1:
+        found = _with_predictions(found)
+    best = [one for one in found if one.counts and not _misses(one, followed)] or found[:1]
+    for name, (difference, best_of) in _DIFFERENCES.items():
+        known = [value for one in best if (value := getattr(one.candidate, name)) is not None]
+        found = [
+            one.having(**{difference: value - best_of(known)})
+            if known and (value := getattr(one.candidate, name)) is not None
+            else one
+            for one in found
+        ]
+    place = itertools.count(1)
+    odds = [
+        math.exp(one.candidate.delta_evidence)
+        if one.counts and one.candidate.delta_evidence is not None
+        else None
+        for one in found
+    ]
+    total = sum(filter(None, odds))
+    first, (curl, side) = fits[0], bend(fits[0])
+    return Comparison(
+        data=first.data,
+        stone=first.stone,
+        curl=curl,
+        side=side,
+        candidates=tuple(
+            replace(one.candidate, rank=next(place), weight=odd and odd / total)
+            if one.counts
+            else one.candidate
+            for one, odd in zip(found, odds, strict=True)
+        ),
+        observed={name: first.observed[name].tolist() for name in ("t", *PLACE)},
+        fits=tuple(one.result for one in found),
+        loss=first.loss,
+        noise=",".join(noises),
+        effective=effective.number,
+    )
+
+
+def most_likely(found: list[Fitted]) -> FitResult:
+    """The fit of greatest likelihood among those that may be ranked."""
+    there = [one for one in found if one.result is not None]
+    usable = [
+        one for one in there if one.candidate.converged and not one.candidate.signs_free
+    ] or there
+    best = max(usable, key=lambda one: sum(one.likelihood.values())).result
+    assert best is not None
+    return best
+
+
+def _order(one: Fitted, followed: bool) -> tuple[bool, bool, bool, bool, float]:
+    item = one.candidate
+    # Differences below a tenth are meaningless: the order of the request is kept.
+    bic = round(item.bic or 0.0, 1)
+    return item.bic is None, item.signs_free, not item.converged, _misses(one, followed), bic
+
+
+def _misses(one: Fitted, followed: bool) -> bool:
+    """Whether a law does not follow a path that another follows: with a flexible noise model its
+    likelihood may be greater all the same."""
+    return followed and one.candidate.follows is False
+
+
+def _with_predictions(found: list[Fitted]) -> list[Fitted]:
+    """The same with evidence and leave-one-out, which are valid for independent residuals only: a
+    small effective sample size does not determine the shape of a likelihood, and a row that is
+    correlated with its neighbours is predicted from them whatever the law."""
+    scores = [None if one.result is None else leave_one_out(one.result) for one in found]
+    usable = [score for one, score in zip(found, scores, strict=True) if score and one.counts]
+    best = max(usable, key=lambda score: score.elpd, default=None)
+    predicting = []
+    for one, score in zip(found, scores, strict=True):
+        fields: dict[str, float] = {}
+        if one.result is not None:
+            fields["log_evidence"] = log_evidence(one.result, sum(one.likelihood.values()))
+        if score is not None:
+            fields |= {"elpd_loo": score.elpd, "elpd_loo_se": score.stderr, "p_loo": score.p_loo}
+            if best is not None:
+                fields["delta_elpd"] = score.elpd - best.elpd
+                fields["delta_elpd_se"] = standard_error(score.left_out - best.left_out)
+        predicting.append(one.having(**fields))
+    return predicting

@@ -1,8 +1,8 @@
-"""Information criteria: log-likelihoods, and effective numbers of values and parameters.
+"""Criteria by which laws are ranked: AICc and BIC, evidence, and leave-one-out cross-validation.
 
 The number of parameters is that of what the path determines, not of what the law has or a prior
-says: their effective number (see `evidence`), plus one for each estimated parameter of the noise.
-Likelihoods are densities of the data in SI units, with the determinant of the covariance for
+says: their effective number (`effective_parameters`), plus one for each estimated parameter of the
+noise. Likelihoods are densities of the data in SI units, with the determinant of the covariance for
 correlated noise, so that AICc and BIC compare noise models as well as laws.
 
 Where the residuals of the fit of greatest likelihood are correlated from row to row, the
@@ -13,23 +13,71 @@ for all candidates alike. This is an approximation, and the report says so.
 
 Under a robust loss the likelihood is that of the corresponding noise distribution, at its most
 likely sigma (see `losses.log_density`); all laws are fitted and ranked under the same loss.
+
+Evidence
+--------
+The likelihood of a law, averaged over the prior of its parameters. A parameter with a prior in the
+fit keeps it. Any other coefficient has a normal density about zero, truncated at its bounds, whose
+standard deviation is three times the larger of its typical size and its default: it specifies only
+the order of magnitude. The initial state, and conditions without a prior, have a flat density
+common to all laws, so that evidences for one throw are comparable and their ratios are Bayes
+factors (Kass and Raftery 1995).
+
+Chi squared is taken as quadratic (Laplace), which leaves a Gaussian integral over the box of the
+bounds. It is exact along ridges, where only the prior limits it, and at bounds: a parameter that
+the data push against its bound contributes the integral over its half-line, and the others the
+probability of the box under their joint normal density. A parameter p with a lognormal prior is
+replaced by its logarithm, q = p1 (1 + ln(p/p1)) about the estimate p1: the prior is normal in q,
+and the integral exact both where the data determine p and where only the prior does (MacKay 1998).
+
+Leave-one-out
+-------------
+How well a law predicts rows that it was not fitted to. The expected log pointwise predictive
+density, elpd_loo = sum_i log p(y_i | y_-i), its standard error and the effective number of
+parameters p_loo = sum_i [log p(y_i | y) - log p(y_i | y_-i)] are those of Vehtari, Gelman and Gabry
+(2017, Statistics and Computing 27, 1413), eqs. 4, 23 and 24. A point i is a row, with all channels
+that were measured in it. Priors are those of the evidence.
+
+If the path is linear in the parameters within their errors, no row has to be left out explicitly.
+For residuals e in units of their sigma and the hat matrix H of all rows,
+
+    e_-i = (I - H_ii)^-1 e_i,    cov(e_-i) = (I - H_ii)^-1
+
+are the residual of a row from the fit to all others and its covariance (Cook and Weisberg 1982,
+sect. 2.2). Where sigma is estimated, the density is Student's t with n_c - p_c - 1 degrees of
+freedom in channel c, p_c being the sum of the leverages of its values, and sigma is estimated
+without the row. The bound that a parameter is pushed against is replaced by a normal factor that
+gives its density the same mean and variance (expectation propagation: Minka 2001).
+
+If residuals are correlated from row to row, a row is predicted from its neighbours, whatever the
+law; a robust loss has no closed form; and a row that alone determines a parameter is not predicted
+by the others at all.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import gammaln, log_ndtr
 
-from curlfit.comparison.evidence import effective_parameters
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import SIGMA_FLOOR
+from curlfit.inference.likelihood import SIGMA_FLOOR, predict_channels
 from curlfit.inference.noise.losses import likeliest_sigma, log_density
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.differences import slopes
 from curlfit.throws.throw import CHANNELS
+
+_STEP = 0.1  # standard errors of a parameter with all others known, of differences
+_NULL = 1e-13  # of the largest singular value
+_HARD = 50.0  # standard deviations by which a parameter is pushed against its bound
+_ALONE = 1e-9  # 1 - leverage of a row, below which it alone determines a parameter
+_ORDER = 3.0  # standard deviation of a coefficient's prior over its typical size or default
+_FAR = 8.0  # standard deviations within which a bound matters
+_LEAST = 1e-12  # smallest probability of a box
 
 
 class EffectiveValues(NamedTuple):
@@ -146,3 +194,340 @@ def criteria(
         "aicc": 2 * k - twice + 2 * k * (k + 1) / max(n - k - 1, 1),
         "bic": k * math.log(effective.total(rows)) - twice,
     }
+
+
+class PriorTerms(NamedTuple):
+    """Prior of some parameters, normal where it is not flat; a lognormal one about the estimate, in
+    the coordinate of the module docstring."""
+
+    mean: Floats
+    precision: Floats
+    """0 where the density is flat"""
+    log_density: float
+    """of the flat priors, and the normalization of the truncated normal ones"""
+
+
+def log_evidence(result: FitResult, log_likelihood: float) -> float:
+    """Logarithm of the evidence, up to a constant that is the same for all laws, from the
+    log-likelihood at the fit."""
+    names = result.information["names"]
+    values = np.array([result.parameters[name].value for name in names])
+    lower, upper = np.array([_bounds(result, name) for name in names]).T
+    prior, (information, gradient) = prior_terms(result, names), _of_data(result, names)
+    off = prior.mean - values
+    pushed = np.array([result.parameters[name].verdict == "at bound" for name in names])
+    constant = log_likelihood + prior.log_density - 0.5 * float(off @ (prior.precision * off))
+    return constant + _log_integral(
+        gradient + prior.precision * off, information + np.diag(prior.precision), lower - values,
+        upper - values, pushed,
+    )  # fmt: skip
+
+
+def effective_parameters(result: FitResult) -> float:
+    """Number of parameters away from their bounds that the data rather than the prior determine:
+    the trace of J^T J (J^T J + P)^-1, P the precision of the prior."""
+    names = result.information["names"]
+    free = [
+        index for index, name in enumerate(names) if result.parameters[name].verdict != "at bound"
+    ]
+    information = _of_data(result, names)[0][np.ix_(free, free)]
+    prior = prior_terms(result, names).precision[free]
+    size = np.sqrt(np.maximum(np.diag(information) + prior, 1e-300))
+    scaled, own = information / np.outer(size, size), np.diag(prior / size**2)
+    return float(np.trace(np.linalg.lstsq(scaled + own, scaled, rcond=1e-13)[0]))
+
+
+def prior_terms(result: FitResult, names: list[str]) -> PriorTerms:
+    """The prior of parameters by name, as described in the module docstring."""
+    coefficients = {item.name: item for item in result.law_class.coefficients()}
+    priors = result.parameter_set.priors
+    mean, precision = np.zeros((2, len(names)))
+    log_density = 0.0
+    for index, name in enumerate(names):
+        known, item = priors.get(name), result.parameters[name]
+        if known is not None and known.kind == "uniform":
+            log_density -= math.log(item.upper - item.lower)
+            continue
+        if known is not None and known.kind == "lognormal":
+            median, sigma = known.values
+            mean[index], sd = _logarithmic(median, item.value), sigma * item.value
+        elif known is not None:
+            mean[index], sd = known.mode, known.values[-1]
+        elif name in coefficients:
+            sd = _ORDER * max(coefficients[name].typical, abs(coefficients[name].default))
+        else:
+            continue
+        precision[index] = 1 / sd**2
+        ends = (np.array(_bounds(result, name)) - mean[index]) / sd
+        log_density -= math.log(sd) + 0.5 * math.log(2 * math.pi) + _log_between(*ends)
+    return PriorTerms(mean, precision, log_density)
+
+
+def _bounds(result: FitResult, name: str) -> tuple[float, float]:
+    """The bounds of a parameter, in its coordinate of the module docstring."""
+    item, prior = result.parameters[name], result.parameter_set.priors.get(name)
+    if prior is None or prior.kind != "lognormal":
+        return item.lower, item.upper
+    return _logarithmic(item.lower, item.value), _logarithmic(item.upper, item.value)
+
+
+def _logarithmic(p: float, estimate: float) -> float:
+    """p1 (1 + ln(p/p1)): the logarithm of p, scaled so as to equal p to first order about p1."""
+    return estimate * (1 + math.log(p / estimate)) if p > 0 else -math.inf
+
+
+def _log_between(low: float, high: float) -> float:
+    """Logarithm of the probability of an interval under the standard normal density."""
+    if low > 0:
+        low, high = -high, -low
+    return float(log_ndtr(high) + np.log1p(-np.exp(log_ndtr(low) - log_ndtr(high))))
+
+
+def _of_data(result: FitResult, names: list[str]) -> tuple[Floats, Floats]:
+    """Information and gradient of the log-likelihood, without the priors of the fit."""
+    information = np.array(result.information["matrix"])
+    gradient = np.array(result.information["gradient"])
+    penalty = result.parameter_set.penalty
+    if penalty is None:
+        return information, gradient
+    free = [result.parameter_set.index(name) for name in names]
+    residual, slope = penalty.residual_and_slope(result.values)
+    return information - np.diag(slope[free] ** 2), gradient + (residual * slope)[free]
+
+
+def _log_integral(
+    linear: Floats, precision: Floats, lower: Floats, upper: Floats, pushed: Booleans
+) -> float:
+    """Logarithm of the integral of exp(b d - d A d/2) over a box of d, parameters minus estimates.
+
+    b is `linear`, A `precision`.
+    """
+    inner, outer = np.flatnonzero(~pushed), np.flatnonzero(pushed)
+    size = np.sqrt(np.maximum(np.diag(precision), 1e-300))
+    matrix = precision / np.outer(size, size)
+    linear = linear / size
+    block = matrix[np.ix_(inner, inner)]
+    squares, axes = np.linalg.eigh(block)
+    seen = squares > 1e-14 * squares.max(initial=0.0)
+    inverse = (axes[:, seen] / squares[seen]) @ axes[:, seen].T
+    mean = inverse @ linear[inner]
+    total = 0.5 * float(linear[inner] @ mean)
+    total += 0.5 * (seen.sum() * math.log(2 * math.pi) - float(np.log(squares[seen]).sum()))
+    total -= float(np.log(size[inner]).sum())
+    total += _log_box(mean, inverse, (lower * size)[inner], (upper * size)[inner])
+    # Each pushed parameter over its half-line, with the others following.
+    for index in outer:
+        cross = matrix[index, inner]
+        stiffness = max(float(matrix[index, index] - cross @ inverse @ cross), 1e-12)
+        push = abs(float(linear[index] - cross @ mean))
+        root = math.sqrt(stiffness)
+        total += push**2 / (2 * stiffness) + float(log_ndtr(-push / root))
+        total += 0.5 * math.log(2 * math.pi / stiffness) - math.log(size[index])
+    return total
+
+
+def _log_box(mean: Floats, covariance: Floats, lower: Floats, upper: Floats) -> float:
+    """Logarithm of the probability of a box."""
+    sd = np.sqrt(np.diag(covariance))
+    near = (lower > mean - _FAR * sd) | (upper < mean + _FAR * sd)
+    if not near.any():
+        return 0.0
+    if near.sum() == 1:
+        ends = (np.array([lower[near][0], upper[near][0]]) - mean[near]) / sd[near]
+        return max(_log_between(*ends), math.log(_LEAST))
+    from scipy.stats import multivariate_normal  # slow to load, and few boxes need it
+
+    some = np.ix_(near, near)
+    found = multivariate_normal(mean[near], covariance[some], allow_singular=True, seed=1).cdf(
+        upper[near], lower_limit=lower[near]
+    )
+    return math.log(max(float(found), _LEAST))
+
+
+class LeaveOneOut(NamedTuple):
+    """Log predictive densities by row, in SI units."""
+
+    left_out: Floats
+    """log p(y_i | y_-i), shape (rows,)"""
+    fitted: Floats
+    """log p(y_i | y), of the same shape"""
+
+    @property
+    def elpd(self) -> float:
+        """Expected log pointwise predictive density."""
+        return float(self.left_out.sum())
+
+    @property
+    def p_loo(self) -> float:
+        """Effective number of parameters."""
+        return float((self.fitted - self.left_out).sum())
+
+    @property
+    def stderr(self) -> float:
+        """Standard error of `elpd`."""
+        return standard_error(self.left_out)
+
+
+def standard_error(pointwise: Floats) -> float:
+    """Standard error of a sum over rows, from their scatter; 0 for a single row."""
+    n = len(pointwise)
+    return float(np.sqrt(n * pointwise.var(ddof=1))) if n > 1 else 0.0
+
+
+def leave_one_out(result: FitResult) -> LeaveOneOut | None:
+    """Cross-validation of a fit; None under a robust loss or correlated noise, where a row alone
+    determines a parameter, and where the law admits no motion near the fit."""
+    if result.loss != "linear" or result.noise.kind != "white":
+        return None
+    free, where = result.information["names"], result.parameter_set.free
+    problem, origin = problem_of(result)
+    n, channels = len(result.observed["t"]), problem.observed.shape[0]
+    weight = problem.weight[:, :n]
+    there = weight > 0
+    offset = origin.offset(len(result.values))
+    values, parameters = result.values - offset, result.parameter_set.shifted(-offset)
+    known = np.sqrt(np.diag(np.array(result.information["matrix"])))
+    step = _STEP * parameters.typical
+    step[where] = _STEP / np.maximum(known, 1 / parameters.typical[where])
+
+    def weighted(values: Floats) -> Floats:
+        path = np.asarray(predict_channels(result.model, values, problem))[:channels, :n]
+        return np.where(there, path * weight, 0.0)
+
+    residual = problem.observed[:, :n] * weight - weighted(values)
+    jacobian = slopes(weighted, values, step, where, lower=parameters.lower, upper=parameters.upper)
+    if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
+        return None
+    prior = prior_terms(result, free)
+    away = prior.mean - np.array([result.parameters[name].value for name in free])
+    design = jacobian.reshape(-1, len(free))
+    factors = _bound_factors(
+        design.T @ design + np.diag(prior.precision),
+        design.T @ residual.ravel() + prior.precision * away, _inward(result, free),
+    )  # fmt: skip
+    roots = np.sqrt(np.stack([prior.precision, factors.precision]))
+    return densities(
+        residual, jacobian, weight, (roots[..., None] * np.eye(len(free))).reshape(-1, len(free)),
+        (roots * np.stack([away, factors.mean])).ravel(),
+        np.array([name in result.sigma for name in CHANNELS[:channels]]),
+    )  # fmt: skip
+
+
+def _inward(result: FitResult, names: list[str]) -> Floats:
+    """Sign of the direction in which each parameter leaves its bound; 0 away from bounds."""
+    found = np.zeros(len(names))
+    for row, name in enumerate(names):
+        item = result.parameters[name]
+        if item.verdict == "at bound":
+            found[row] = 1.0 if item.value - item.lower < item.upper - item.value else -1.0
+    return found
+
+
+class _Factors(NamedTuple):
+    """Normal factors of the density of each parameter minus its estimate."""
+
+    mean: Floats
+    precision: Floats
+    """0 where there is none"""
+
+
+def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> _Factors:
+    """Normal factors that replace the bounds of parameters at a bound.
+
+    With all others integrated out, the density of the distance d from the bound is proportional to
+    exp(-push d - s d^2/2), d > 0: with a = push/sqrt(s) and l = phi(a)/Phi(-a), its mean is
+    (l - a)/sqrt(s) and its variance (1 - l (l - a))/s.
+
+    Parameters
+    ----------
+    precision, gradient : of the log-posterior, by the parameters.
+    inward : see `_inward`.
+    """
+    found = _Factors(np.zeros(len(inward)), np.zeros(len(inward)))
+    size = np.sqrt(np.maximum(np.diag(precision), 1e-300))
+    scaled, slope = precision / np.outer(size, size), gradient / size
+    inner = inward == 0
+    for row in np.flatnonzero(inward):
+        gain = np.linalg.lstsq(scaled[np.ix_(inner, inner)], scaled[inner, row], rcond=_NULL)[0]
+        stiffness = max(float(1 - gain @ scaled[inner, row]), _ALONE)
+        push = max(-inward[row] * float(slope[row] - gain @ slope[inner]), 0.0)
+        a = push / np.sqrt(stiffness)
+        ratio = np.exp(_log_normal(a) - log_ndtr(-a))
+        mean, variance = (ratio - a) / np.sqrt(stiffness), (1 - ratio * (ratio - a)) / stiffness
+        if a > _HARD:  # an exponential density, without the rounding error of ratio - a
+            mean, variance = 1 / push, 1 / push**2
+        extra = 1 / variance - stiffness
+        found.precision[row] = extra * size[row] ** 2
+        found.mean[row] = inward[row] * (mean / variance + push) / extra / size[row]
+    return found
+
+
+# Not from `scipy.stats`, which is slow to load.
+def _log_normal(u: Any) -> Any:
+    """Log density of the standard normal distribution."""
+    return -(u**2) / 2 - np.log(2 * np.pi) / 2
+
+
+def _log_student(u: Floats, dof: Floats) -> Floats:
+    """Log density of Student's t distribution."""
+    norm = gammaln((dof + 1) / 2) - gammaln(dof / 2) - np.log(np.pi * dof) / 2
+    density: Floats = norm - (dof + 1) / 2 * np.log1p(u**2 / dof)
+    return density
+
+
+def densities(
+    residual: Floats, jacobian: Floats, weight: Floats,
+    prior_rows: Floats, prior_residual: Floats, estimated: Booleans,
+) -> LeaveOneOut | None:  # fmt: skip
+    """Log predictive densities in a linear model; None where a row alone determines a parameter.
+
+    Parameters
+    ----------
+    residual, jacobian : measured - fitted over sigma, and the derivative of fitted over sigma by
+        the parameters; shapes (channels, n) and (channels, n, parameters), 0 where not observed.
+    weight : 1/sigma, 0 where not observed, shape (channels, n).
+    prior_rows, prior_residual : the same of the prior, shapes (rows, parameters) and (rows,).
+    estimated : channels whose sigma is estimated.
+    """
+    channels, n, count = jacobian.shape
+    there = weight > 0
+    # Orthonormal columns: J^T J without a row is then 1 - Q_i^T Q_i.
+    design = np.concatenate([jacobian.reshape(-1, count), prior_rows])
+    size = np.sqrt((design**2).sum(0))
+    left, singular, _ = np.linalg.svd(design / np.where(size > 0, size, 1.0), full_matrices=False)
+    basis = left[:, singular > _NULL * singular.max(initial=0.0)]
+    away = np.concatenate([residual.ravel(), prior_residual])
+    e = (away - basis @ (basis.T @ away))[: channels * n].reshape(channels, n)
+    q = basis[: channels * n].reshape(channels, n, -1)
+    hat = np.einsum("cik,dik->icd", q, q)
+    left_over = np.eye(channels) - hat
+    if np.linalg.eigvalsh(left_over).min() < _ALONE:
+        return None
+    covariance = np.linalg.inv(left_over)
+    e_out = np.einsum("icd,di->ci", covariance, e)
+    # Without row i the parameters change by -Q_i^T e_-i, and the sums of squares accordingly.
+    change = np.einsum("cik,ci->ik", q, e_out)
+    gradient = np.einsum("cik,ci->ck", q, e)
+    information = np.einsum("cik,cil->ckl", q, q)
+    squares = (e**2).sum(1)
+    others = squares[:, None] + 2 * gradient @ change.T - e_out**2
+    others += np.einsum("ik,ckl,il->ci", change, information, change)
+    spent = np.einsum("icc->c", hat)
+    floor = (SIGMA_FLOOR * weight.max(1, initial=0.0)) ** 2
+
+    def log_density(off: Floats, cov: Floats, squares: Floats, dof: Floats) -> Floats:
+        dof = np.maximum(dof, 1.0)
+        scale = np.sqrt(np.where(estimated, np.maximum(squares / dof, floor), 1.0))
+        lower = np.linalg.cholesky(cov)
+        u = np.linalg.solve(lower, off.T[..., None])[..., 0] / scale
+        found = np.where(estimated, _log_student(u, dof), _log_normal(u))
+        found -= np.log(scale * np.diagonal(lower, axis1=1, axis2=2))
+        logs = np.log(np.where(there, weight, 1.0)).T
+        return np.where(there.T, found + logs, 0.0).sum(1)
+
+    dof = there.sum(1) - spent
+    seen = there.any(0)
+    return LeaveOneOut(
+        log_density(e_out, covariance, others.T, dof - 1)[seen],
+        log_density(e, np.eye(channels) + hat, squares, dof)[seen],
+    )

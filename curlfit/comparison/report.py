@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.comparison.result import Candidate, Comparison
 from curlfit.output.console import Items, PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
 from curlfit.output.text import STYLE, compact, join_words, rows_text, stone_text
-
-if TYPE_CHECKING:
-    from curlfit.comparison.result import Candidate, Comparison
-
 
 _NEIGHBOURS = "it would predict a row of correlated noise from its neighbours, whatever the law."
 _PROBABLE = 0.01  # weight of a law that is named

@@ -41,7 +41,7 @@ class Candidate:
     coefficients : by name, {"value", "stderr", "verdict", "unit"}; see `FitResult`.
     combinations : expression and value, where single coefficients are not identifiable.
     noise, noise_model : the noise model's name, and its parameters as in `fit.json`.
-    n_parameters : effective number (see `curlfit.comparison.evidence`), including the estimated
+    n_parameters : effective number (see `curlfit.comparison.criteria`), including the estimated
         ones of the noise.
     rms : by channel, m, m, rad. bulk : the scale of the bulk of the residuals (1.4826 times their
         median size), under a robust loss.
@@ -57,7 +57,7 @@ class Candidate:
     log_evidence : of the likelihood averaged over the prior, up to a constant common to all; None
         where residuals are correlated from row to row, or if noise models are compared.
     elpd_loo, elpd_loo_se, p_loo : expected log predictive density of leave-one-out, its standard
-        error, and its effective number of parameters (see `curlfit.comparison.cross_validation`);
+        error, and its effective number of parameters (see `curlfit.comparison.criteria`);
         None where residuals are correlated from row to row, under a robust loss and for noise
         other than white.
     delta_aicc, delta_bic : aicc and bic minus the smallest of the ranked candidates.

@@ -1,27 +1,84 @@
-"""Sliders for the parameters of a fit, with the resulting path, residuals and spin."""
+"""Paths under the law of a fit at other values of its parameters, and sliders for these."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from io import BytesIO
 from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from curlfit.exploration.curves import CurveModel, Curves
+from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import Estimate, FitResult
+from curlfit.inference.likelihood import chi_squared_of_many, predict_channels
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.batches import stacked
 from curlfit.output import figures as draw
 from curlfit.output.frames import optional
 from curlfit.output.text import decimals
 from curlfit.output.ticks import unit_for
+from curlfit.throws.throw import CHANNELS
 
 _STEPS = 500  # of a slider
 _HALF = 0.5  # half the range of a slider, relative to the value or its typical size
 _SIGMAS = 5.0  # standard errors that half a range contains at least
 _HALF_RANGES = {"x0": 0.5, "y0": 0.5, "phi0": 0.5, "v0": 0.5, "heading": 0.05}  # m, rad, m/s
 _DPI = 110
+
+
+@dataclass(frozen=True)
+class Curves:
+    """A path and the residuals of the data.
+
+    Attributes
+    ----------
+    t : evenly spaced times over the data, s.
+    path : x, y, phi, speed and omega at these times (SI, rad), NaN where the law admits no motion.
+    residuals : measured minus computed, by measured channel, at the times of the data.
+    chi_squared : of the data, under the noise model and the loss of the fit.
+    """
+
+    t: Floats
+    path: dict[str, Floats]
+    residuals: dict[str, Floats]
+    chi_squared: float
+
+
+class CurveModel:
+    """The curves of a fit, as a function of its parameters."""
+
+    def __init__(self, fit: FitResult) -> None:
+        self.fit, self._model = fit, fit.model
+        self._problem, origin = problem_of(fit)
+        self._offset, self._place = origin.offset(len(fit.parameters)), origin.place[:, None]
+        observed = fit.observed["t"]
+        self._rows = len(observed)
+        # As many times as padded rows: the program for the data also computes the curves.
+        count = len(self._problem.times)
+        self._t = np.linspace(observed[0], observed[-1], count)
+        none = np.zeros_like(self._problem.weight)
+        self._path = self._problem._replace(events=None)
+        self._evenly = self._path._replace(times=self._t - origin.t, weight=none)
+
+    def at(self, values: Floats) -> Curves:
+        """The curves at a parameter vector, in the order of the fit's parameters."""
+        local = np.asarray(values, float) - self._offset
+        path, rows = (
+            np.asarray(predict_channels(self._model, local, problem)) + self._place
+            for problem in (self._evenly, self._path)
+        )
+        (chi_squared,) = chi_squared_of_many(
+            self._model, local[None], stacked([self._problem]), batch=1
+        )
+        computed = dict(zip(CHANNELS, rows[:, : self._rows], strict=True))
+        return Curves(
+            self._t,
+            dict(zip(CHANNELS, path, strict=True)),
+            {name: self.fit.observed[name] - computed[name] for name in self.fit.rms},
+            float(chi_squared),
+        )
 
 
 class MovingFigure:
@@ -81,7 +138,7 @@ class Explorer:
     Attributes
     ----------
     sliders : by name of the parameter; moving one, or setting its `value`, moves the curves.
-    curves : as shown, see `curlfit.exploration.curves.Curves`.
+    curves : as shown, see `curlfit.exploration.explore.Curves`.
     widget : the whole display, for layouts of one's own.
     """
 

@@ -1,23 +1,29 @@
-"""Tables as CSV: estimates, the path with its residuals, candidates of a comparison."""
+"""Tables: estimates, the path with its residuals and candidates of a comparison as CSV; estimates
+and candidates as the table of a paper, in LaTeX with booktabs."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from curlfit.foreign import csv_lines
+from curlfit.foreign import csv_lines, printable
 from curlfit.inference.derived import Derived, to_its_side
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.identifiability import Combination
+from curlfit.output.console import PlainTable
+from curlfit.output.text import compact, from_to
+from curlfit.version import __version__
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.joint.result import JointResult
 
-_HEAD = (
-    "name", "value", "stderr", "systematic", "low_95", "high_95", "dof", "verdict", "unit", "prior",
-)  # fmt: skip
+_SPECIAL = {
+    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "&": r"\&", "%": r"\%", "$": r"\$",
+    "#": r"\#", "_": r"\_", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+}  # fmt: skip
 _CANDIDATE = (
     "rank", "law", "load", "signs_free", "converged", "n_parameters", "bic", "delta_bic", "aicc",
     "delta_aicc", "log_evidence", "delta_evidence", "weight", "curl_explained", "follows",
@@ -32,18 +38,23 @@ class Row(NamedTuple):
     """None where it is not identifiable"""
     stderr: float | None
     systematic: float | None
-    interval: tuple[float, float] | None
-    """of 95 %"""
+    low_95: float | None
+    high_95: float | None
     dof: float | None
     verdict: str
     unit: str
+    prior: str
     symbol: str
     """LaTeX; empty where it has none of its own"""
     weights: dict[str, float]
     """of a combination"""
-    prior: str = ""
-    meaning: str = ""
+    meaning: str
     """of a quantity of the path"""
+
+    @property
+    def cells(self) -> tuple[Any, ...]:
+        """What of it is in a CSV table: all up to the prior."""
+        return tuple(self)[:10]
 
 
 def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[Row]:
@@ -65,6 +76,7 @@ def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[
         **quoted,
     }  # fmt: skip
     for name, item in everything.items():
+        low, high = item.interval() or (None, None)
         verdict = "determined" if isinstance(item, Combination) else item.verdict
         found.append(
             Row(
@@ -72,13 +84,14 @@ def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[
                 value=None if verdict == "not identifiable" else item.value,
                 stderr=item.stderr,
                 systematic=item.systematic if isinstance(item, Derived) else errors.get(name),
-                interval=item.interval(),
+                low_95=low,
+                high_95=high,
                 dof=item.dof,
                 verdict=verdict,
                 unit="" if isinstance(item, Combination) else item.unit,
+                prior=item.prior if isinstance(item, Estimate) else "",
                 symbol=item.symbol if isinstance(item, Estimate) else "",
                 weights=item.weights if isinstance(item, Combination) else {},
-                prior=item.prior if isinstance(item, Estimate) else "",
                 meaning=item.meaning if isinstance(item, Derived) else "",
             )
         )
@@ -90,22 +103,15 @@ def parameters_csv(result: FitResult | JointResult) -> str:
     determined. For a joint fit with the parameters of each throw; the first column names the throw.
     """
     throws: Sequence[FitResult] = getattr(result, "throws", ())
+    head, rows = Row._fields[:10], rows_of(result)
     if not throws:
-        return csv_lines([_HEAD, *map(_cells, rows_of(result))])
-    lines = [("all", *_cells(row)) for row in rows_of(result)]
-    shared = {row.name for row in rows_of(result)}
+        return csv_lines([head, *(row.cells for row in rows)])
+    lines = [("all", *row.cells) for row in rows]
+    shared = {row.name for row in rows}
     for one in throws:
         own = (row for row in rows_of(one) if row.name not in shared)
-        lines += [(one.data["file"], *_cells(row)) for row in own]
-    return csv_lines([("throw", *_HEAD), *lines])
-
-
-def _cells(row: Row) -> tuple[Any, ...]:
-    low, high = row.interval or (None, None)
-    return (
-        row.name, row.value, row.stderr, row.systematic, low, high, row.dof, row.verdict, row.unit,
-        row.prior,
-    )  # fmt: skip
+        lines += [(one.data["file"], *row.cells) for row in own]
+    return csv_lines([("throw", *head), *lines])
 
 
 def path_csv(fits: Sequence[FitResult]) -> str:
@@ -137,3 +143,179 @@ def candidates_csv(comparison: Any) -> str:
         )
         lines.append((*(getattr(one, name) for name in _CANDIDATE), *rms, coefficients))
     return csv_lines([(*_CANDIDATE, "rms_x", "rms_y", "rms_phi", "coefficients"), *lines])
+
+
+def estimates_table(result: FitResult | JointResult) -> str:
+    """Coefficients, initial state, combinations and derived quantities of a fit, as a `table` with
+    `booktabs`: values with standard errors in units of the last digits."""
+    rows = rows_of(result, in_words=True)
+    posterior = getattr(result, "posterior", None)
+    symbols = {row.name: _symbol(row) for row in rows if row.symbol}
+    cells = (
+        {
+            "parameter": _label(row, symbols), "estimate": _estimate(row),
+            "systematic": _rounded(row.systematic, ".2g"),
+            r"68\,\% of posterior": _interval(posterior, row), "unit": _unit(row.unit),
+        }
+        for row in rows
+    )  # fmt: skip
+    return _drawn(PlainTable(cells, _caption(result)))
+
+
+def candidates_table(comparison: Any) -> str:
+    """The candidates of a comparison, as a `table` with `booktabs`."""
+    sizes = {">$x$ (mm)": "x", ">$y$ (mm)": "y", r">$\varphi$ (mrad)": "phi"}
+    follows = {True: "yes", False: "no", None: "unclear"}
+    rows = (
+        {
+            "law": escaped(one.law + " (any sign)" * one.signs_free),
+            "load": "--" if one.load == "-" else escaped(one.load),
+            ">$k$": "" if one.n_parameters is None else f"{one.n_parameters:.0f}",
+            r">$\Delta$BIC": _rounded(one.delta_bic, ".1f"),
+            r">$\Delta$AICc": _rounded(one.delta_aicc, ".1f"),
+            **{
+                head: _rounded((one.residual_size or {}).get(name), ".3g", 1000)
+                for head, name in sizes.items()
+            },
+            "follows": follows[one.follows] if one.converged else "no fit",
+        }
+        for one in comparison.candidates
+    )  # fmt: skip
+    caption = (
+        f"Friction laws fitted to {_file(comparison.data['file'])}, by BIC: number of parameters "
+        rf"$k$, rms of the residuals, and whether the law follows the path. {_software()}"
+    )
+    return _drawn(PlainTable(rows, caption))
+
+
+def escaped(text: str) -> str:
+    """Text with the special characters of TeX and control characters escaped."""
+    return "".join(_SPECIAL.get(character, character) for character in printable(str(text)))
+
+
+def _drawn(table: PlainTable) -> str:
+    """A table whose caption and cells are LaTeX."""
+    columns = table.columns
+    lines = [
+        [str(one.header) for one in columns],
+        *zip(*(one.cells for one in columns), strict=True),
+    ]
+    head, *rows = ("    " + " & ".join(map(str, line)) + r" \\" for line in lines)
+    sides = " ".join("r" if one.justify == "right" else "l" for one in columns)
+    return "\n".join(
+        [
+            r"% needs \usepackage{booktabs}",
+            r"\begin{table}",
+            r"  \centering",
+            rf"  \caption{{{table.called}}}",
+            rf"  \begin{{tabular}}{{@{{}}{sides}@{{}}}}",
+            r"    \toprule",
+            head,
+            r"    \midrule",
+            *rows,
+            r"    \bottomrule",
+            r"  \end{tabular}",
+            r"\end{table}",
+            "",
+        ]
+    )
+
+
+def _rounded(value: float | None, digits: str, scale: float = 1) -> str:
+    return "" if value is None else _number(f"{scale * value:{digits}}")
+
+
+def _caption(result: FitResult | JointResult) -> str:
+    throws = getattr(result, "throws", ())
+    first: FitResult = throws[0] if throws else result  # type: ignore[assignment]
+    what = (
+        f"{len(throws)} throws together" if throws
+        else f"{_file(first.data['file'])} ({first.data['rows']} rows)"
+    )  # fmt: skip
+    stone = first.stone
+    text = (
+        f"Estimates of the {escaped(result.law)} law under {escaped(result.load)} load, fitted to "
+        f"{what}; stone $R = {stone.R:g}$\\,m, $\\rho = {stone.rho:g}$\\,m, $h = {stone.h:g}$\\,m, "
+        f"$m = {stone.m:g}$\\,kg. Standard errors in parentheses, in units of the last digits"
+    )
+    if result.systematics.errors:
+        text += "; systematic errors come from conditions that the fit holds fixed"
+    if first.noise.kind != "white":
+        text += f"; noise model {escaped(first.noise.kind)}"
+    return f"{text}. {_software()}"
+
+
+def _file(name: str) -> str:
+    return escaped(re.split(r"[\\/]", name)[-1])
+
+
+def _software() -> str:
+    return f"Computed with curlfit {escaped(__version__)}."
+
+
+def _symbol(row: Row) -> str:
+    from curlfit.output.figures import math_symbol
+
+    # The symbol of a coefficient without one is its name, upright.
+    inner = re.fullmatch(r"\\mathrm\{(\w+)\}", row.symbol)
+    return rf"\mathrm{{{escaped(inner[1])}}}" if inner else math_symbol(row.symbol)
+
+
+def _label(row: Row, symbols: dict[str, str]) -> str:
+    if row.name in symbols:
+        return f"${symbols[row.name]}$"
+    if row.weights:
+        text = ""
+        for name, weight in row.weights.items():
+            sign = ("-" if weight < 0 else "") if not text else (" - " if weight < 0 else " + ")
+            size = "" if abs(weight) == 1 else rf"{abs(weight):.4g}\,"
+            text += f"{sign}{size}{symbols.get(name, escaped(name))}"
+        return f"${text}$"
+    return escaped(row.meaning) or _expression(row.name, symbols)
+
+
+def _expression(text: str, symbols: dict[str, str]) -> str:
+    """Sums, products and quotients of parameters in symbols; other expressions verbatim."""
+    parts = re.split(r"(\w+)", text.replace(" ", ""))
+    words, signs = parts[1::2], "".join(parts[::2])
+    plain = all(word in symbols or re.fullmatch(r"\d+", word) for word in words)
+    if not plain or "**" in signs or not set(signs) <= set("+-*/()"):
+        return rf"\texttt{{{escaped(text)}}}"
+    shown = (symbols.get(part, part).replace("*", r"\,") for part in parts)
+    return f"${''.join(shown)}$"
+
+
+def _estimate(row: Row) -> str:
+    if row.value is None:
+        return "not identifiable"
+    text = _number(compact(row.value, row.stderr))
+    note = {"fixed": "fixed", "at bound": "at bound", "weak": "weak", "prior": "with prior"}
+    return text + (f" ({note[row.verdict]})" if row.verdict in note else "")
+
+
+def _number(text: str) -> str:
+    """A number as written by `compact`, in math mode."""
+    text = text.replace("+-", r"\pm")
+    text = re.sub(r"e([-+]?)0*(\d+)", lambda m: rf" \times 10^{{{m[1].strip('+')}{m[2]}}}", text)
+    return f"${text}$"
+
+
+def _interval(posterior: Any, row: Row) -> str:
+    found = posterior and posterior.quantiles.get(row.name)
+    if not found:
+        return ""
+    low, _, high = from_to(found["16"], found["84"]).partition(" .. ")
+    return rf"{_number(low)} to {_number(high)}"
+
+
+def _unit(unit: str) -> str:
+    """A unit such as "rad/s^2", upright and with negative powers."""
+    if unit in ("", "1"):
+        return ""
+    above, *below = unit.split("/")
+    parts = [] if above == "1" else [rf"\mathrm{{{escaped(above)}}}"]
+    for part in below:
+        name, _, power = part.partition("^")
+        parts.append(rf"\mathrm{{{escaped(name)}}}^{{-{escaped(power) or 1}}}")
+    joined = r"\,".join(parts)
+    return f"${joined}$" if parts else ""

@@ -7,28 +7,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from matplotlib.figure import Figure
+
 from curlfit.errors import CurlfitError
 from curlfit.html_report.blocks import Block, paragraph, rows
 from curlfit.html_report.drawings import inline_svg
+from curlfit.output.display import corner_of, figures_of
 from curlfit.output.text import join_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from curlfit.comparison.result import Comparison
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.joint.result import JointResult
     from curlfit.inference.mcmc.chain import Chain
-    from curlfit.optimal_design.result import Design
     from curlfit.prediction.result import Prediction
-    from curlfit.profile_likelihood.result import PairProfile, Profile
 
 _MOVING = 6  # animated throws in a page
-_DESIGN = {
-    "design-map": "What a single throw would tell, over speed and spin",
-    "design-errors": "Errors against noise, rate and number of throws",
-    "design-separate": "Separation of two coefficients",
-}
 _OLD = "This record was written without draws of the posterior; `curlfit predict` adds them."
 
 
@@ -80,21 +75,8 @@ class Additions:
             self.move("throw", replay_of_fit(fit, f"replay-{place}", label))
 
 
-def _of_fit(page: Additions, fit: FitResult, chain: Chain | None) -> None:
-    from curlfit.inference.figures import corner_figure, fit_figure
-
-    page.directions([fit], fit.null_directions)
-    page.throws([fit])
-    path = "The path with its fit, residuals by channel, speed and spin"
-    page.draw(fit_figure(fit), "fit", path if fit.rms else "Timed events beside the fit")
-    if chain is not None:
-        figure = corner_figure(fit, chain)
-        page.draw(figure, "corner", "Posterior of the coefficients, pair by pair")
-
-
-def _of_joint(page: Additions, joint: JointResult, _: object) -> None:
+def _of_joint(page: Additions, joint: JointResult) -> None:
     from curlfit.inference.derived_report import quantities_line
-    from curlfit.inference.figures import joint_figure
     from curlfit.inference.report import extent
 
     throws, count = joint.throws, len(joint.throws)
@@ -111,48 +93,54 @@ def _of_joint(page: Additions, joint: JointResult, _: object) -> None:
     if count > _MOVING:
         page.add("throw", paragraph(f"The first {_MOVING} of {count} throws.", "note"))
     page.throws(throws[:_MOVING])
-    caption = "All throws with their fits, and what each alone says of what they have in common"
-    page.draw(joint_figure(joint), "joint", caption)
 
 
-def _of_comparison(page: Additions, comparison: Comparison, _: object) -> None:
-    from curlfit.comparison.figures import comparison_figure
-
-    caption = "All paths over the data, their residuals, and the size of these by channel"
-    page.draw(comparison_figure(comparison), "comparison", caption)
-
-
-def _of_prediction(page: Additions, prediction: Prediction, _: object) -> None:
-    from curlfit.html_report.replay import replay_of_prediction
-    from curlfit.html_report.rests import rests_of
-    from curlfit.prediction.figures import prediction_figure
+def _of_prediction(page: Additions, prediction: Prediction) -> None:
+    from curlfit.html_report.replay import replay_of_prediction, rests_of
 
     page.move("throw", replay_of_prediction(prediction, "replay-0"))
     page.move("draws", rests_of(prediction, "rests"))
     if not prediction.sample:
         page.add("draws", paragraph(_OLD, "note"))
-    caption = "The path on the sheet, the resting position, the bands, speed and spin"
-    page.draw(prediction_figure(prediction), "prediction", caption)
 
 
-def _of_profile(page: Additions, profile: Profile | PairProfile, _: object) -> None:
-    from curlfit.profile_likelihood.figures import profile_figure
-
-    one: Profile = getattr(profile, "each", [profile])[0]
-    what = "Chi squared" if one.loss == "linear" else "Minus twice the log-likelihood"
-    caption = f"{what} over {join_words(profile.names)}, all other parameters fitted again"
-    page.draw(profile_figure(profile), "profile", caption)
+def _of_fit(page: Additions, fit: FitResult) -> None:
+    page.directions([fit], fit.null_directions)
+    page.throws([fit])
 
 
-def _of_design(page: Additions, design: Design, _: object) -> None:
-    from curlfit.optimal_design.figures import design_figures
-
-    for name, figure in design_figures(design).items():
-        page.draw(figure, name, _DESIGN[name])
-
-
-ADDITIONS: dict[str, Callable[[Additions, Any, Chain | None], None]] = {
-    "fit": _of_fit, "joint": _of_joint, "compare": _of_comparison, "predict": _of_prediction,
-    "profile": _of_profile, "design": _of_design,
+_PARTS: dict[str, Callable[[Additions, Any], None]] = {
+    "fit": _of_fit, "joint": _of_joint, "predict": _of_prediction,
 }  # fmt: skip
-"""By kind of result."""
+_CAPTIONS = {
+    "fit": "The path with its fit, residuals by channel, speed and spin",
+    "corner": "Posterior of the coefficients, pair by pair",
+    "joint": "All throws with their fits, and what each alone says of what they have in common",
+    "compare": "All paths over the data, their residuals, and the size of these by channel",
+    "predict": "The path on the sheet, the resting position, the bands, speed and spin",
+    "design-map": "What a single throw would tell, over speed and spin",
+    "design-errors": "Errors against noise, rate and number of throws",
+    "design-separate": "Separation of two coefficients",
+}
+
+
+def _caption(result: Any, name: str) -> str:
+    """What a figure of a result shows."""
+    if name == "profile":
+        loss = getattr(result, "each", [result])[0].loss
+        what = "Chi squared" if loss == "linear" else "Minus twice the log-likelihood"
+        return f"{what} over {join_words(result.names)}, all other parameters fitted again"
+    return "Timed events beside the fit" if name == "fit" and not result.rms else _CAPTIONS[name]
+
+
+def additions_of(result: Any, chain: Chain | None) -> Additions:
+    """The figures of a result, with that of its chain, and its interactive parts."""
+    page = Additions()
+    if result.kind in _PARTS:
+        _PARTS[result.kind](page, result)
+    figures = figures_of(result)
+    if chain is not None:
+        figures |= corner_of(result, chain)
+    for name, figure in figures.items():
+        page.draw(figure, name, _caption(result, name))
+    return page

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.exploration.curves import CurveModel, Curves
+from curlfit.exploration.explore import CurveModel, Curves
 from curlfit.html_report.blocks import Block
 from curlfit.html_report.replay import rounded
 from curlfit.inference.fit.result import FitResult
@@ -80,23 +80,22 @@ def _direction(
         values = np.clip(values, fit.parameter_set.lower, fit.parameter_set.upper)
         return model.at(values)
 
-    everywhere = [[at(one, float(step), len(names)) for step in steps] for one in models]
-    elsewhere = [[at(one, float(step), 1) for step in steps] for one in models]
+    everywhere, elsewhere = (
+        [[at(model, step, count) for model in models] for step in steps.tolist()]
+        for count in (len(names), 1)
+    )
     start = int(np.flatnonzero(steps == 0)[0])
-    along, alone, best = everywhere[0], elsewhere[0], everywhere[0][start]
     changes, apart = (
-        [_change([one[place] for one in curves], [one[start] for one in everywhere], models)
-         for place in range(len(steps))]
-        for curves in (everywhere, elsewhere)
-    )  # fmt: skip
+        [_change(curves, everywhere[start], models) for curves in whole]
+        for whole in (everywhere, elsewhere)
+    )
+    best = everywhere[start][0]
     sides = ("y", "x") if {"x", "y"} <= fit.rms.keys() else ("t", next(iter(fit.rms)))
     some = some_rows(len(best.t), _INSTANTS)
-
-    def series(one: Curves, name: str) -> Floats:
-        return (one.t if name == "t" else one.path[name])[some]
-
-    curves = [[series(one, name) for name in sides] for one in along]
-    others = [[series(one, name) for name in sides] for one in alone]
+    curves, others = (
+        [[(one.t if name == "t" else one.path[name])[some] for name in sides] for one, *_ in whole]
+        for whole in (everywhere, elsewhere)
+    )
     whole = np.array(curves + others)
     low, high = np.nanmin(whole, axis=(0, 2)), np.nanmax(whole, axis=(0, 2))
     size = np.where(high > low, high - low, 1.0)
@@ -104,44 +103,32 @@ def _direction(
     origin = low
     if sides[1] == "x":  # seen from above, thrown to the right: left of the throw is up
         origin, scale[1] = np.array([low[0], high[1]]), -scale[1]
-    sizes = {
-        name: max(abs(fit.parameters[name].value + step * direction[name]) for step in steps)
-        for name in names
-    }
+    values = np.array([fit.parameters[name].value for name in names]) + np.outer(steps, weights)
+    sizes = np.abs(values).max(0)
     what = "the path" if sides[0] == "y" else "what was measured"
     data = {
         "kind": "direction",
         "what": what,
         "names": names,
-        "values": [
-            rounded(np.array([fit.parameters[name].value for name in names]) + step * weights, 9)
-            for step in steps
-        ],
-        "sizes": [sizes[name] or 1.0 for name in names],
+        "values": [rounded(row, 9) for row in values],
+        "sizes": np.where(sizes > 0, sizes, 1.0).tolist(),
         "origin": origin.tolist(), "scale": scale, "margin": _MARGIN,
         "paths": [[rounded(values, 8) for values in one] for one in curves],
         "alone": [[rounded(values, 4) for values in one] for one in others],
         "changes": changes,
         "apart": apart,
-        "chi_squared": [
-            _number(sum(one[place].chi_squared for one in everywhere))
-            for place in range(len(steps))
-        ],
+        "chi_squared": [_number(sum(one.chi_squared for one in curves)) for curves in everywhere],
         "start": start,
         "t": rounded(best.t[some], 6),
     }  # fmt: skip
-    last = len(steps) - 1
     largest = max((one for one in changes if one), key=lambda one: one["size"])
     far = [one for one in apart if one]
     block = Block(
         "direction",
         {
-            "id": id, "what": what, "names": names, "start": data["start"], "last": last,
-            "values": dict(zip(names, data["values"][data["start"]], strict=True)),
-            "shares": [
-                100 * abs(value) / size
-                for value, size in zip(data["values"][data["start"]], data["sizes"], strict=True)
-            ],
+            "id": id, "what": what, "names": names, "start": start, "last": len(steps) - 1,
+            "values": dict(zip(names, data["values"][start], strict=True)),
+            "shares": (100 * np.abs(values[start]) / data["sizes"]).tolist(),
             "sum": _constant(fit, names),
             "largest": largest["text"], "joined": join_words(names),
             "apart": max(far, key=lambda one: one["size"])["text"] if far else "",
@@ -151,7 +138,7 @@ def _direction(
                 np.array([fit.observed[name][some_rows(len(fit.observed["t"]), 200)]
                           for name in sides]), origin, scale
             ),
-            "path": _drawn(np.array(curves[data["start"]]), origin, scale),
+            "path": _drawn(np.array(curves[start]), origin, scale),
         },
     )  # fmt: skip
     return block, data

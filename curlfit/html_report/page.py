@@ -19,7 +19,7 @@ from markupsafe import Markup
 
 from curlfit import sheet
 from curlfit.errors import InputError
-from curlfit.html_report.additions import ADDITIONS, Additions
+from curlfit.html_report.additions import additions_of
 from curlfit.html_report.blocks import Block, blocks_of, bullets, marked, rows, sentence
 from curlfit.output.display import document_of, kind_of
 from curlfit.output.document import Document
@@ -76,22 +76,18 @@ def write_report(result: Any, path: str | PathLike[str], *, chain: Chain | None 
     if file.suffix not in (".html", ".htm"):
         raise InputError(f"{file}: expected a name that ends in .html")
     prepare_folder(file.parent)
-    text = render(page)
-    with atomic_write(file) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    atomic_write(file, render(page))
 
 
 def page_of(result: Any, chain: Chain | None = None) -> Page:
     """A result as a page, not yet rendered. Raises `InputError` for other objects."""
-    kind = kind_of(result)
-    if not kind:
+    if not kind_of(result):
         raise InputError(
             f"a {type(result).__name__} has no report; expected a fit, a comparison, a profile, a "
             "prediction or a design"
         )
     document = document_of(result)
-    added = Additions()
-    ADDITIONS[kind](added, result, chain)
+    added = additions_of(result, chain)
     sections = {
         (one.id, one.heading): [*blocks_of(one), *added.blocks.get(one.id, ())]
         for one in document.sections

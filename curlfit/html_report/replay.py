@@ -1,4 +1,4 @@
-"""A throw animated in the page: its path on the sheet, and the residuals at each time."""
+"""Throws animated in the page: a path on the sheet with residuals, and draws of a prediction."""
 
 from __future__ import annotations
 
@@ -15,8 +15,11 @@ from curlfit.output.figures import DATA_COLOR, some_rows
 from curlfit.output.text import decimals, join_words
 from curlfit.output.ticks import unit_for
 from curlfit.prediction.result import Prediction
-from curlfit.sheet import LINES, STONE_RADIUS, TEE, WIDTH
+from curlfit.sheet import HOUSE, LINES, STONE_RADIUS, TEE, WIDTH
 
+_BEYOND = 0.6  # m drawn around the house
+_CLOSE = 1.6  # half the height of the close view, relative to the spread of the resting positions
+_SMALLEST = 0.25  # m, lower limit of half its height
 _MOST = 600  # times of a path in a page
 _NAMES = {
     "x": ("to the right", "m"), "y": ("along the sheet", "m"), "phi": ("angle", "turns"),
@@ -161,3 +164,38 @@ def _last(found: dict[str, Any] | None) -> str:
 def _step(span: float) -> float:
     """Step of the slider, s: 100 to 1000 steps in the whole."""
     return float(10.0 ** math.floor(math.log10(max(span, 1e-3) / 100)))
+
+
+def rests_of(prediction: Prediction, id: str) -> tuple[Block, dict[str, Any]] | None:
+    """The throws of the posterior sample; None for a record without one."""
+    sample = prediction.sample
+    if not sample:
+        return None
+    x, y, phi = (sample[name] for name in ("x", "y", "phi"))
+    ends = np.stack([x[:, -1], y[:, -1] - TEE], 1)
+    inside = np.hypot(*ends.T) < HOUSE + STONE_RADIUS
+    reach = HOUSE + _BEYOND
+    low = np.minimum(ends.min(0) - _BEYOND, -reach)
+    high = np.maximum(ends.max(0) + _BEYOND, reach)
+    middle = np.median(ends, axis=0)
+    half = max(_SMALLEST, _CLOSE * float(np.abs(ends - middle).max()))
+    data = {
+        "kind": "rests",
+        "t": rounded(sample["t"], 3),
+        "x": [rounded(row, 4) for row in x],
+        "y": [rounded(row, 4) for row in y],
+        "phi": [rounded(row, 3) for row in phi],
+        "rest": rounded(sample["rest"], 3),
+        "tee": TEE,
+        "inside": inside.tolist(),
+    }
+    block = Block(
+        "rests",
+        {
+            "id": id, "number": len(x), "ends": ends.tolist(), "inside": int(inside.sum()),
+            "view": (low[0], -high[1], high[0] - low[0], high[1] - low[1]),
+            "close": (middle[0] - half, -middle[1] - half, 2 * half, 2 * half),
+            "radius": STONE_RADIUS, "half": half, "used": prediction.draws["used"],
+        },
+    )  # fmt: skip
+    return block, data

@@ -87,8 +87,7 @@ def read(file: Path) -> bytes | None:
 def write(file: Path, content: bytes) -> None:
     """Write a file, and make room for it; nothing happens where that is not possible."""
     with suppress(InputError, OSError):
-        with atomic_write(file, private=True) as temporary:
-            temporary.write_bytes(sha256(content).digest() + content)
+        atomic_write(file, sha256(content).digest() + content, private=True)
         used = sorted(((p.stat().st_mtime_ns, p) for p in file.parent.iterdir()), reverse=True)
         total = 0
         for _, path in used:

@@ -13,13 +13,9 @@ from cyclopts import Group, Parameter
 from curlfit.errors import InputError
 from curlfit.foreign import is_size
 from curlfit.options import settings as s
-from curlfit.options.output import COMPILES, Output, Saved, status_line
-from curlfit.options.start import LawValues
+from curlfit.options.output import COMPILES, Output, Saved
 from curlfit.settings.choices import COUNT, Choices
 from curlfit.settings.forms import NAMES, NUMBER, NUMBERS, PATH, TIME, Form, option
-
-_FIGURES = ("design-map", "design-errors", "design-separate")
-_UNMEASURED = "`none`: not measured."
 
 _SIZE = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
@@ -48,83 +44,57 @@ def _quantity(name: str) -> Form:
 
 @Parameter(name="*", group=Group("Assumed values", sort_key=0))
 @dataclass(frozen=True, kw_only=True)
-class Assumed(LawValues):
-    """The law and the stone that a design assumes."""
+class Assumed(s.LawValues):
+    """The law and the stone that a design assumes.
 
-    fit: Annotated[
-        Path | None,
-        option(PATH, "A saved fit, for its law, coefficients, load and stone.", "FIT"),
-    ] = None
+    Attributes
+    ----------
+    fit : A saved fit, for its law, coefficients, load and stone.
+    """
+
+    fit: Annotated[Path | None, option(PATH, "FIT")] = None
 
 
 @Parameter(name="*", group=Group("The throws", sort_key=1))
 @dataclass(frozen=True, kw_only=True)
 class Grid(Choices):
-    """The candidates."""
+    """The candidates.
 
-    v0: Annotated[
-        Sequence[float], option(NUMBERS, "Speeds, m/s. [default: 1.6,1.9,2.2]", "V,V")
-    ] = ()
-    omega0: Annotated[
-        Sequence[float],
-        option(
-            NUMBERS,
-            "Spins, rad/s, counter-clockwise positive. [default: 0.5,1,2,5,10, from a draw to a "
-            "hard spinner]",
-            "V,V",
-        ),
-    ] = ()
-    rate: Annotated[
-        Sequence[float], option(NUMBERS, "Rows per second, Hz. [default: 30]", "V,V")
-    ] = ()
+    Attributes
+    ----------
+    v0 : Speeds, m/s. [default: 1.6,1.9,2.2]
+    omega0 : Spins, rad/s, counter-clockwise positive. [default: 0.5,1,2,5,10, from a draw to a hard
+        spinner]
+    rate : Rows per second, Hz. [default: 30]
+    """
+
+    v0: Annotated[Sequence[float], option(NUMBERS, "V,V")] = ()
+    omega0: Annotated[Sequence[float], option(NUMBERS, "V,V")] = ()
+    rate: Annotated[Sequence[float], option(NUMBERS, "V,V")] = ()
 
 
 @Parameter(name="*", group=Group("The record", sort_key=2))
 @dataclass(frozen=True, kw_only=True)
 class Record(Choices):
-    """What is measured of each throw."""
+    """What is measured of each throw.
 
-    until: Annotated[
-        float | None,
-        option(TIME, "Length of the record, s. [default: until the stone is at rest]", "S"),
-    ] = None
-    sigma_xy: Annotated[
-        float | None,
-        option(
-            _quantity("x"),
-            f"Noise of x, y: 0.005, 5mm, 0.2in. {_UNMEASURED} [default: 5mm]",
-            "V",
-        ),
-    ] = 0.005
-    sigma_phi: Annotated[
-        float | None,
-        option(
-            _quantity("phi"),
-            f"Noise of the angle: 0.01, 10mrad, 0.5deg. {_UNMEASURED} [default: 10mrad]",
-            "V",
-        ),
-    ] = 0.01
-    sigma_speed: Annotated[
-        float | None,
-        option(
-            _quantity("speed"), "Noise of a directly measured speed. [default: not measured]", "V"
-        ),
-    ] = None
-    sigma_omega: Annotated[
-        float | None,
-        option(
-            _quantity("omega"), "Noise of a directly measured spin. [default: not measured]", "V"
-        ),
-    ] = None
-    discrepancy: Annotated[
-        float,
-        option(
-            NUMBER,
-            "Size of the accelerations that the law may lack, over the friction, such as 0.05. "
-            "[default: 0, an exact law]",
-            "V",
-        ),
-    ] = 0.0
+    Attributes
+    ----------
+    until : Length of the record, s. [default: until the stone is at rest]
+    sigma_xy : Noise of x, y: 0.005, 5mm, 0.2in. `none`: not measured. [default: 5mm]
+    sigma_phi : Noise of the angle: 0.01, 10mrad, 0.5deg. `none`: not measured. [default: 10mrad]
+    sigma_speed : Noise of a directly measured speed. [default: not measured]
+    sigma_omega : Noise of a directly measured spin. [default: not measured]
+    discrepancy : Size of the accelerations that the law may lack, over the friction, such as 0.05.
+        [default: 0, an exact law]
+    """
+
+    until: Annotated[float | None, option(TIME, "S")] = None
+    sigma_xy: Annotated[float | None, option(_quantity("x"), "V")] = 0.005
+    sigma_phi: Annotated[float | None, option(_quantity("phi"), "V")] = 0.01
+    sigma_speed: Annotated[float | None, option(_quantity("speed"), "V")] = None
+    sigma_omega: Annotated[float | None, option(_quantity("omega"), "V")] = None
+    discrepancy: Annotated[float, option(NUMBER, "V")] = 0.0
 
     def sigma(self) -> dict[str, float]:
         """Noise of each channel that is measured."""
@@ -139,33 +109,10 @@ def design(
     *,
     assumed: Assumed = Assumed(),
     grid: Grid = Grid(),
-    throws: Annotated[
-        int,
-        option(
-            COUNT,
-            "Number of throws, chosen among the candidates, with repetition. [default: 3]",
-            "N",
-            group="The throws",
-        ),
-    ] = 3,
+    throws: Annotated[int, option(COUNT, "N", group="The throws")] = 3,
     record: Record = Record(),
-    separate: Annotated[
-        Sequence[str],
-        option(
-            NAMES,
-            "Two coefficients to be separated. [default: two of which only the sum is determined "
-            "under uniform load]",
-            "A,B",
-        ),
-    ] = (),
-    relative_error: Annotated[
-        float,
-        option(
-            NUMBER,
-            "Required, of their difference, or of their mean where they are equal. [default: 0.2]",
-            "V",
-        ),
-    ] = 0.2,
+    separate: Annotated[Sequence[str], option(NAMES, "A,B")] = (),
+    relative_error: Annotated[float, option(NUMBER, "V")] = 0.2,
     output: Output = Output(),
 ) -> Saved:
     """Optimal design: the expected errors of a law's coefficients, and the best choice of throws.
@@ -187,6 +134,16 @@ def design(
     `curlfit design --load consistent --separate mu1_eta,mu2_eta --stone h=0.1`
 
     `curlfit design --fit throw-fit --until 12`: for the ice of a fitted throw
+
+    Parameters
+    ----------
+    throws
+        Number of throws, chosen among the candidates, with repetition. [default: 3]
+    separate
+        Two coefficients to be separated. [default: two of which only the sum is determined under
+        uniform load]
+    relative_error
+        Required, of their difference, or of their mean where they are equal. [default: 0.2]
     """
     from curlfit.output.files import prepare_folder
 
@@ -200,11 +157,8 @@ def design(
     from curlfit.stone import Stone
 
     known = load_fit(fit).with_law(assumed.law) if fit is not None else None
-
-    from rich.console import Console
-
     drawn.draw_beside()
-    with status_line(Console(stderr=True, quiet=output.quiet), "Reading") as say:
+    with output.status("Reading") as say:
 
         def progress(text: str) -> None:
             say(f"Computing {text} {COMPILES}")
@@ -227,4 +181,4 @@ def design(
             **grid.given(),
         )
     folder = prepare_folder(output.out or Path("design"))
-    return output.finish(result, folder, drawn, "design_figures", names=_FIGURES)
+    return output.finish(result, folder, drawn)

@@ -3,11 +3,17 @@
 Standard errors are the Cramer-Rao bound (J^T W J)^-1 at the assumed values, with a separate initial
 state for each throw and common coefficients. They are valid for noise that is independent from row
 to row and a correct law; the discrepancy of a law does not average out.
+
+Where the ice slopes, throws with opposite spins or in opposite directions are affected in opposite
+ways. For throws as planned, and with equal shares of them thrown otherwise, the shift of the
+coefficients by each condition is that of the joint least-squares fit, to first order
+(`curlfit.inference.fit.systematics`).
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
@@ -18,27 +24,28 @@ from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.friction import Law, Load, check_load
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.fit.systematics import shifts, widths_of
 from curlfit.inference.identifiability import Identifiability, analyse
 from curlfit.inference.linearized_problem import classify
+from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.optimal_design.information import (
     Assumptions,
+    CandidateSet,
     PlannedThrow,
     RecordInformation,
     combined,
+    d_criterion,
+    error_criterion,
     marginal_factor,
+    marginal_factors,
     prepare_information,
     record_information,
-)
-from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors
-from curlfit.optimal_design.selection import (
-    CandidateSet,
-    a_criterion,
-    d_criterion,
     select_design,
+    standard_error,
 )
+from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors, Scenario
 from curlfit.optimal_design.separability import CoefficientPair, analyse_separation
-from curlfit.optimal_design.systematics import scenarios
 from curlfit.sheet import LINES, TEE, TEE_TO_BACK
 from curlfit.stone import Stone
 from curlfit.throws.synthetic import law_with
@@ -50,6 +57,13 @@ SPINS = (0.5, 1.0, 2.0, 5.0, 10.0)
 NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01}
 """Noise of a camera above the ice, m and rad."""
 
+SCENARIOS = {
+    "as planned": ((1, 0.0),),
+    "both spins": ((1, 0.0), (-1, 0.0)),
+    "both directions": ((1, 0.0), (1, math.pi)),
+    "both spins and directions": ((1, 0.0), (-1, 0.0), (1, math.pi), (-1, math.pi)),
+}
+"""Sense of spin and heading (rad) of equal shares of the throws."""
 _MAX_CANDIDATES = 500
 _MAX_THROWS = 1000
 _FACTORS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # factors on the noise, for the curves
@@ -114,39 +128,40 @@ def design(
     sigma = _noise(NOISE if sigma is None else sigma)
     rates = (rate,) if isinstance(rate, int | float) else tuple(rate)
     _check(v0, omega0, rates, until, throws, relative_error)
-    assumed = Assumptions(kind, values, sigma, until, discrepancy)
+    assumed = Assumptions(kind, load, values, sigma, until, discrepancy)
     pair = None if separate is None else CoefficientPair(assumed, separate)
-    candidates = [
+    planned = [
         PlannedThrow(float(v), float(w), float(hertz), stone)
         for v, w, hertz in product(v0, omega0, rates)
     ]
-    if len(candidates) > _MAX_CANDIDATES:
+    if len(planned) > _MAX_CANDIDATES:
         raise InputError(
-            f"{len(v0)} speeds, {len(omega0)} spins and {len(rates)} rates make {len(candidates)} "
+            f"{len(v0)} speeds, {len(omega0)} spins and {len(rates)} rates make {len(planned)} "
             f"candidates; expected at most {_MAX_CANDIDATES}"
         )
     if not 0 <= discrepancy < math.inf:
         raise InputError(f"discrepancy = {discrepancy:g}; expected 0 or more, over the friction")
     for one_load in ("uniform", "consistent") if kind.sums or separate else (load,):
-        prepare_information(assumed, check_load(one_load), candidates[0])
+        prepare_information(replace(assumed, load=check_load(one_load)), planned[0])
     progress("the information of each throw")
-    records = record_information(assumed, load, candidates)
+    records = record_information(assumed, planned)
     factors = [marginal_factor(assumed, one) for one in records]
-    candidate_set = CandidateSet.from_factors(factors)
-    if not candidate_set.rank:
+    candidates = CandidateSet.from_factors(factors)
+    if not candidates.rank:
         raise InputError(f"these throws determine no coefficient of law {kind.name}")
-    together = _identifiability(assumed, factors)
+    together = _identifiability(assumed, combined(factors))
     # The determined coefficients and combinations.
     quantities = {
         name: {name: 1.0}
         for name, unseen in zip(assumed.names, together.unseen, strict=True)
         if not unseen
     } | {item.expression: item.weights for item in together.combinations}
-    best = {}
-    for name, criterion in (("D", d_criterion), ("A", a_criterion(candidate_set))):
-        indices = select_design(candidate_set, criterion, throws)
-        if indices is not None:
-            best[name] = _expected(assumed, indices, factors)
+    a_criterion = error_criterion(candidates, np.eye(len(assumed.free)))
+    best = {
+        name: _expected(assumed, indices, candidates.together(indices))
+        for name, criterion in (("D", d_criterion), ("A", a_criterion))
+        if (indices := select_design(candidates, criterion, throws)) is not None
+    }
     if not best:
         raise InputError(
             f"no {throws} of these throws determine what all of them together do; increase "
@@ -157,20 +172,19 @@ def design(
     if pair is None:
         if load == "consistent":
             progress("the directions hidden under uniform load")
-            hidden = record_information(exact, "uniform", candidates)
-            by_load["uniform"] = [marginal_factor(exact, one) for one in hidden]
-            together = _identifiability(assumed, by_load["uniform"])
+            by_load["uniform"] = marginal_factors(replace(exact, load="uniform"), planned)
+            together = _identifiability(assumed, combined(by_load["uniform"]))
         names = _undetermined_pair(together)
         pair = None if names is None else CoefficientPair(exact, names)
     progress("errors against noise, rate and number of throws")
     made = next(iter(best.values())).throws
-    curves = _curves(assumed, load, candidates, records, made, quantities)
+    curves = _curves(assumed, planned, records, candidates, made, quantities)
     progress("systematic errors")
-    found = scenarios(assumed, load, [candidates[index] for index in made], quantities)
+    found = scenarios(assumed, [planned[index] for index in made], quantities)
     separation = None
     if pair is not None:
         separation = analyse_separation(
-            exact, pair, candidates, throws, relative_error, by_load, progress
+            exact, pair, planned, throws, relative_error, by_load, progress
         )
     items = {item.name: item for item in kind.coefficients()}
     return Design(
@@ -186,13 +200,13 @@ def design(
         throws=throws,
         candidates=tuple(
             Candidate(
-                planned.v0, planned.omega0, planned.rate, one.rows, one.last, one.rest,
-                one.distance, assumed.errors(factor, quantities),
+                *throw[:3], one.rows, one.last, one.rest, one.distance,
+                assumed.errors(factor, quantities),
             )
-            for planned, one, factor in zip(candidates, records, factors, strict=True)
+            for throw, one, factor in zip(planned, records, factors, strict=True)
         ),
         quantities=quantities,
-        rank=candidate_set.rank,
+        rank=candidates.rank,
         free=len(assumed.free),
         best=best,
         curves=curves,
@@ -203,18 +217,17 @@ def design(
     )  # fmt: skip
 
 
-def _identifiability(assumed: Assumptions, factors: Sequence[Floats]) -> Identifiability:
-    """What some throws together determine."""
+def _identifiability(assumed: Assumptions, factor: Floats) -> Identifiability:
+    """What an R factor of information determines."""
     return analyse(
-        combined(factors) / assumed.typical, assumed.names, assumed.bounded.values,
-        assumed.typical, bounded=assumed.bounded,
+        factor / assumed.typical, assumed.names, assumed.bounded.values, assumed.typical,
+        bounded=assumed.bounded,
     )  # fmt: skip
 
 
-def _expected(
-    assumed: Assumptions, indices: Sequence[int], factors: Sequence[Floats]
-) -> ExpectedErrors:
-    found = _identifiability(assumed, [factors[index] for index in indices])
+def _expected(assumed: Assumptions, indices: tuple[int, ...], factor: Floats) -> ExpectedErrors:
+    """The errors expected from some candidates, with their information together."""
+    found = _identifiability(assumed, factor)
     every = [item.name for item in assumed.law.coefficients()]
     judged = dict.fromkeys(every, (None, "fixed")) | {
         name: classify(float(assumed.typical[index]), False, found, index)
@@ -222,7 +235,7 @@ def _expected(
     }
     stderr = {name: error for name, (error, _) in judged.items()}
     return ExpectedErrors(
-        throws=tuple(indices),
+        throws=indices,
         stderr=stderr | {item.expression: item.stderr for item in found.combinations},
         verdicts={name: verdict for name, (_, verdict) in judged.items()},
         combinations=found.combinations,
@@ -294,17 +307,13 @@ def _undetermined_pair(found: Identifiability) -> tuple[str, str] | None:
 
 def _curves(
     assumed: Assumptions,
-    load: Load,
-    candidates: Sequence[PlannedThrow],
+    planned: Sequence[PlannedThrow],
     records: Sequence[RecordInformation],
+    candidates: CandidateSet,
     made: Sequence[int],
     quantities: Mapping[str, Mapping[str, float]],
 ) -> dict[str, dict[str, list[float | None]]]:
     """Standard errors against noise of position, noise of angle, rate and number of throws."""
-
-    def together(assumed: Assumptions, records: Mapping[int, RecordInformation]) -> Floats:
-        """The information of the throws that are made."""
-        return combined([marginal_factor(assumed, records[index]) for index in made])
 
     def series(at: Iterable[float], factors: Iterable[Floats]) -> dict[str, list[float | None]]:
         rows = [assumed.errors(factor, quantities) for factor in factors]
@@ -312,26 +321,27 @@ def _curves(
             name: [row[name] for row in rows] for name in quantities
         }
 
-    known = dict(enumerate(records))
+    def together(other: Assumptions) -> Floats:
+        return combined([marginal_factor(other, records[index]) for index in made])
+
     found = {}
     for name, channels in (("place", _POSITION), ("angle", _ANGLE)):
         if noisy := assumed.sigma.keys() & channels:
             others = (assumed.noisier(noisy, factor) for factor in _FACTORS)
-            found[name] = series(_FACTORS, [together(other, known) for other in others])
+            found[name] = series(_FACTORS, map(together, others))
     at_rate = []
     for rate in _RATES:
-        distinct = {index: candidates[index]._replace(rate=rate) for index in made}
-        resampled = record_information(assumed, load, list(distinct.values()))
-        at_rate.append(together(assumed, dict(zip(distinct, resampled, strict=True))))
+        distinct = {index: planned[index]._replace(rate=rate) for index in made}
+        factors = marginal_factors(assumed, list(distinct.values()))
+        known = dict(zip(distinct, factors, strict=True))
+        at_rate.append(combined([known[index] for index in made]))
     found["rate"] = series(_RATES, at_rate)
-    factors = [marginal_factor(assumed, one) for one in records]
-    candidate_set = CandidateSet.from_factors(factors)
-    chosen = {float(n): select_design(candidate_set, d_criterion, n) for n in _COUNTS}
-    chosen = {count: indices for count, indices in chosen.items() if indices is not None}
-    found["throws"] = series(
-        chosen,
-        [combined([factors[index] for index in indices or ()]) for indices in chosen.values()],
-    )
+    chosen = {
+        float(count): indices
+        for count in _COUNTS
+        if (indices := select_design(candidates, d_criterion, count)) is not None
+    }
+    found["throws"] = series(chosen, map(candidates.together, chosen.values()))
     return found
 
 
@@ -366,3 +376,51 @@ def _notes(
             f"the far back line there are {_LONGEST_DISTANCE:.1f} m"
         )
     return tuple(notes)
+
+
+def scenarios(
+    assumed: Assumptions,
+    throws: Sequence[PlannedThrow],
+    quantities: Mapping[str, Mapping[str, float]],
+) -> tuple[Scenario, ...]:
+    """Expected errors of throws as planned, and with equal shares of them thrown otherwise.
+
+    `quantities` are coefficients and combinations as weights.
+    """
+    typical, n = assumed.typical, len(assumed.free)
+    rows = {name: assumed.weights(weights) for name, weights in quantities.items()}
+    count, widths = Counter(throws), widths_of(assumed.model)
+    ways = SCENARIOS["both spins and directions"]
+    varied = [
+        one._replace(omega0=sense * one.omega0, heading=heading)
+        for one in count
+        for sense, heading in ways
+    ]
+    records = record_information(assumed, varied, widths)
+    conditions = len(assumed.values) + len(START) + np.arange(len(widths))
+    columns = np.concatenate([assumed.free, conditions])
+    factors = [marginal_factor(assumed, one, columns) for one in records]
+    found = []
+    for name, chosen in SCENARIOS.items():
+        whole = combined(
+            [
+                factors[len(ways) * index + ways.index(way)] * math.sqrt(number / len(chosen))
+                for index, number in enumerate(count.values())
+                for way in chosen
+            ]
+        )
+        factor = whole[:, :n]
+        gradients = {
+            condition: factor.T @ whole[:, n + k] / typical for k, condition in enumerate(widths)
+        }
+        by_condition = shifts(factor / typical, gradients, typical)
+        by_quantity = {
+            quantity: {
+                condition: float(row @ (shift / typical))
+                for condition, shift in by_condition.items()
+            }
+            for quantity, row in rows.items()
+        }
+        stderr = {quantity: standard_error(factor, row) for quantity, row in rows.items()}
+        found.append(Scenario(name, stderr, by_quantity))
+    return tuple(found)

@@ -115,13 +115,8 @@ def _errors(design: Design) -> draw.Picture:
         "rate": "rows per second\n(Hz)",
         "throws": "number of throws\n(optimal for each)",
     }
-    rates = {one.rate for one in design.candidates}
-    planned: dict[str, set[float]] = {
-        "place": {1.0},
-        "angle": {1.0},
-        "rate": rates,
-        "throws": {design.throws},
-    }
+    rates = sorted({one.rate for one in design.candidates})
+    planned = {"place": [1.0], "angle": [1.0], "rate": rates, "throws": [float(design.throws)]}
     names = [name for name in about if name in design.curves]
     figure, (panels,) = draw.panels(3.2, 1, len(names), sharey=True, squeeze=False)
     for axes, name in zip(panels, names, strict=True):

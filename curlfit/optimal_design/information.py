@@ -1,4 +1,4 @@
-"""Fisher information of planned throws, from exact derivatives.
+"""Fisher information of planned throws, from exact derivatives, and the best choice of N of them.
 
 The information is J^T W J, with J the derivatives of the trajectory with respect to coefficients
 and initial state, and W = 1/sigma^2 of independent Gaussian noise. It is stored as its factor R, an
@@ -8,14 +8,22 @@ The QR of the stacked factors of several throws or channels gives the factor of 
 information.
 
 Columns are scaled by typical sizes of the parameters, as in `curlfit.inference.identifiability`.
+
+Throws are chosen with repetition. D: largest determinant of the information, that is the smallest
+volume of the confidence ellipsoid. A: smallest sum of squared standard errors over typical sizes
+(Atkinson, Donev and Tobias 2007). C: smallest standard error of one linear combination. Where all
+candidates together do not determine all directions, D and A refer to the subspace that they
+determine.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations_with_replacement
+from math import comb
 from typing import NamedTuple
 
 import jax
@@ -31,11 +39,16 @@ from curlfit.inference.model import Model
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
 
+_MAX_ENUMERATED = 20_000  # designs; for more, exchanges of one throw at a time
+_MAX_ROUNDS = 50
+_SINGULAR = 1e-12  # share of the information of all candidates in an undetermined direction
+
+Criterion = Callable[[Floats], Floats]
 LONGEST = 120.0
 """Seconds within which a stone must come to rest if the end of the record is not given."""
 MOST_ROWS = 50_000
@@ -97,10 +110,16 @@ class Assumptions:
     """
 
     law: type[Law]
+    load: Load
     values: Floats
     sigma: Mapping[str, float]
     until: float | None = None
     discrepancy: float = 0.0
+
+    @property
+    def model(self) -> Model:
+        """Law and load."""
+        return Model(self.law, self.load)
 
     @property
     def channels(self) -> int:
@@ -150,17 +169,16 @@ class Assumptions:
         return replace(self, sigma=sigma | {name: factor * sigma[name] for name in channels})
 
 
-def prepare_information(assumed: Assumptions, load: Load, throw: PlannedThrow) -> None:
+def prepare_information(assumed: Assumptions, throw: PlannedThrow) -> None:
     """Begin compiling the programs that `record_information` needs."""
     some = [(throw, np.arange(2.0))] * _BATCH
     values, problems = _stacked(assumed, some, assumed.channels)
-    prepare_many(Model(assumed.law, load), values, problems)
-    linearize.prepare(Model(assumed.law, load), values, problems)
+    prepare_many(assumed.model, values, problems)
+    linearize.prepare(assumed.model, values, problems)
 
 
 def record_information(
     assumed: Assumptions,
-    load: Load,
     throws: Sequence[PlannedThrow],
     widths: Mapping[str, float] | None = None,
 ) -> list[RecordInformation]:
@@ -175,9 +193,9 @@ def record_information(
     InputError : a stone that does not come to rest, or for which there is no motion; a record
         with fewer than two rows or more than `MOST_ROWS`.
     """
-    model, channels = Model(assumed.law, load), assumed.channels
+    model, channels = assumed.model, assumed.channels
     typical = np.array([item.typical for item in (*assumed.law.coefficients(), *START)])
-    clocks, ends = [], _rests(assumed, load, throws)
+    clocks, ends = [], _rests(assumed, throws)
     for throw, (rest, _) in zip(throws, ends, strict=True):
         end = rest if assumed.until is None else assumed.until
         rows = math.floor(end * throw.rate + 1e-9) + 1
@@ -189,7 +207,7 @@ def record_information(
     responses: list[Responses] = []
     if assumed.discrepancy:  # to accelerations of the size of the friction
         even = [np.linspace(0.0, clock[-1], _ROWS) for clock in clocks]
-        paths = _paths(assumed, load, throws, even)
+        paths = _paths(assumed, throws, even)
         responses = [
             Responses.of(clock, path, throw.stone)
             for clock, path, throw in zip(even, paths, throws, strict=True)
@@ -212,7 +230,7 @@ def record_information(
             jacobian = np.concatenate([jacobian, np.stack(list(changes.values()), -1)], -1)
         for column, (index, _) in enumerate(some):
             if not np.isfinite(own := jacobian[column]).all():
-                raise _no_motion(assumed, load, throws[index])
+                raise _no_motion(assumed, throws[index])
             if responses:
                 here = problems.times[column]
                 lacking = np.stack([responses[index].at(here, row) for row in range(channels)])
@@ -229,11 +247,11 @@ def record_information(
 
 
 def _paths(
-    assumed: Assumptions, load: Load, throws: Sequence[PlannedThrow], clocks: Iterable[Floats]
+    assumed: Assumptions, throws: Sequence[PlannedThrow], clocks: Iterable[Floats]
 ) -> Floats:
     """x, y, phi, speed and spin of throws at `_ROWS` times of each, shape (throws, 5, times)."""
     values, problems = _stacked(assumed, list(zip(throws, clocks, strict=True)), 3)
-    return predict_many(Model(assumed.law, load), values, problems, _BATCH)
+    return predict_many(assumed.model, values, problems, _BATCH)
 
 
 def _stacked(
@@ -256,9 +274,7 @@ def _stacked(
     return values, Problem(times, np.zeros_like(weight), weight, stone, level, np.zeros(n, int))
 
 
-def _rests(
-    assumed: Assumptions, load: Load, throws: Sequence[PlannedThrow]
-) -> list[tuple[float, float]]:
+def _rests(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> list[tuple[float, float]]:
     """Time of rest (s), above `LONGEST` only where the records end before, and distance (m) of
     throws."""
     # The first time at rest, on successively finer grids.
@@ -266,10 +282,10 @@ def _rests(
     moves = np.zeros(len(throws), bool)
     for _ in range(_REFINEMENTS):
         clocks = np.linspace(early, late, _ROWS, axis=-1)
-        paths = _paths(assumed, load, throws, clocks)
+        paths = _paths(assumed, throws, clocks)
         speed = paths[:, 3]
         if (lost := np.isnan(speed).any(1)).any():
-            raise _no_motion(assumed, load, throws[int(np.argmax(lost))])
+            raise _no_motion(assumed, throws[int(np.argmax(lost))])
         moves |= (speed > 0).all(1)
         first = np.maximum(np.argmax(speed == 0, 1), 1)[:, None]
         early, late = (np.take_along_axis(clocks, first - k, 1)[:, 0] for k in (1, 0))
@@ -285,11 +301,16 @@ def _rests(
     return list(zip(times.tolist(), distances.tolist(), strict=True))
 
 
-def _no_motion(assumed: Assumptions, load: Load, throw: PlannedThrow) -> InputError:
+def _no_motion(assumed: Assumptions, throw: PlannedThrow) -> InputError:
     return InputError(
-        f"law {assumed.law.name} with {load} load admits no motion from {throw.v0:g} m/s and "
-        f"{throw.omega0:g} rad/s{no_motion_because(load)}"
+        f"law {assumed.law.name} with {assumed.load} load admits no motion from {throw.v0:g} m/s "
+        f"and {throw.omega0:g} rad/s{no_motion_because(assumed.load)}"
     )
+
+
+def marginal_factors(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> list[Floats]:
+    """R factor of the information of each throw on the free coefficients."""
+    return [marginal_factor(assumed, one) for one in record_information(assumed, throws)]
 
 
 def marginal_factor(
@@ -354,3 +375,88 @@ def standard_error(factor: Floats, weights: Floats) -> float | None:
     if np.linalg.norm(weights - right[mask].T @ along) > _UNDETERMINED * np.linalg.norm(weights):
         return None
     return float(np.linalg.norm(along / singular[mask]))
+
+
+class CandidateSet(NamedTuple):
+    """The information of candidates, whitened by that of all of them together."""
+
+    information: Floats
+    """of each candidate, shape (candidates, rank, rank); their sum is the identity matrix"""
+    basis: Floats
+    """whitened directions in coefficients over their typical sizes, shape (free, rank)"""
+    factors: Sequence[Floats]
+    """R factor of the information of each candidate"""
+
+    @property
+    def rank(self) -> int:
+        """Number of directions that the candidates together determine."""
+        return self.basis.shape[1]
+
+    @classmethod
+    def from_factors(cls, factors: Sequence[Floats]) -> CandidateSet:
+        """The set from the R factors of the information of each candidate."""
+        _, singular, right = np.linalg.svd(combined(factors))
+        mask = visible(singular)
+        basis = right[mask].T / singular[mask]
+        whitened = np.stack([factor @ basis for factor in factors])
+        return cls(np.swapaxes(whitened, 1, 2) @ whitened, basis, factors)
+
+    def together(self, indices: Sequence[int]) -> Floats:
+        """R factor of the information of some candidates together."""
+        return combined([self.factors[index] for index in indices])
+
+
+def d_criterion(information: Floats) -> Floats:
+    """D: minus the logarithm of the determinant, up to a constant."""
+    sign, size = np.linalg.slogdet(information)
+    return np.where(_nonsingular(information) & (sign > 0), -size, np.inf)
+
+
+def error_criterion(candidates: CandidateSet, weights: Floats) -> Criterion:
+    """Sum of the squared standard errors of linear combinations (rows of weights by typical sizes):
+    A for the coefficients themselves, C for one combination."""
+    along = np.atleast_2d(weights) @ candidates.basis
+    return lambda information: _trace(information, along.T @ along)
+
+
+def _nonsingular(information: Floats) -> Booleans:
+    return np.linalg.eigvalsh(information)[..., 0] > _SINGULAR
+
+
+def _trace(information: Floats, of: Floats) -> Floats:
+    nonsingular = _nonsingular(information)
+    safe = np.where(nonsingular[..., None, None], information, np.eye(information.shape[-1]))
+    return np.where(nonsingular, np.trace(np.linalg.solve(safe, of), axis1=-2, axis2=-1), np.inf)
+
+
+def select_design(
+    candidates: CandidateSet, criterion: Criterion, throws: int
+) -> tuple[int, ...] | None:
+    """Indices of the optimal throws, sorted; None if no choice determines all directions.
+
+    Small sets of designs are enumerated; otherwise throws are exchanged one at a time (Fedorov
+    1972), from a greedy start.
+    """
+    n = len(candidates.information)
+    if comb(n + throws - 1, throws) <= _MAX_ENUMERATED:
+        choices = np.array(list(combinations_with_replacement(range(n), throws)))
+        value = criterion(candidates.information[choices].sum(1))
+        best = int(np.argmin(value))
+        return tuple(map(int, choices[best])) if np.isfinite(value[best]) else None
+    # A small multiple of the total information keeps the criterion finite at first.
+    total = 1e-6 * candidates.information.sum(0)
+    indices: list[int] = []
+    for _ in range(throws):
+        indices.append(int(np.argmin(criterion(total + candidates.information))))
+        total = total + candidates.information[indices[-1]]
+    total = candidates.information[indices].sum(0)
+    for _ in range(_MAX_ROUNDS):
+        previous = list(indices)
+        for position, index in enumerate(indices):
+            rest = total - candidates.information[index]
+            indices[position] = int(np.argmin(criterion(rest + candidates.information)))
+            total = rest + candidates.information[indices[position]]
+        if indices == previous:
+            break
+    value = criterion(candidates.information[indices].sum(0))
+    return tuple(sorted(indices)) if np.isfinite(value) else None

@@ -5,26 +5,22 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.text import Text
 
 from curlfit.inference.conditions import WIDTHS, if_off
+from curlfit.optimal_design.result import (
+    Candidate,
+    Design,
+    LoadScenario,
+    Proof,
+    Scenario,
+    Separation,
+)
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Part, Said, Section, command_line, exact, show
 from curlfit.output.text import join_words, judged, labelled, lower, stone_text, two_digits
-
-if TYPE_CHECKING:
-    from curlfit.optimal_design.result import (
-        Candidate,
-        Design,
-        ExpectedErrors,
-        LoadScenario,
-        Proof,
-        Scenario,
-        Separation,
-    )
 
 _CRITERIA = {
     "D": "smallest volume of the confidence ellipsoid (D-optimal)",
@@ -189,9 +185,9 @@ def _best(design: Design) -> PlainTable:
         shown = {"": first}
     else:
         shown = {f" by {name}": item for name, item in design.best.items()}
+    assumed = {one.expression: one.value for one in first.combinations} | design.coefficients
     rows = []
     for name in first.stderr:
-        known = design.coefficients.get(name)
         errors = {
             f">std. error, best {_throws(design.throws)}{by}": _error(item.stderr.get(name))
             for by, item in shown.items()
@@ -199,16 +195,12 @@ def _best(design: Design) -> PlainTable:
         rows.append(
             {
                 "coefficient": labelled(name, design.units.get(name, "1")),
-                ">assumed": f"{_value(first, name) if known is None else known:.6g}",
+                ">assumed": f"{assumed[name]:.6g}",
                 **errors,
                 "verdict": judged(first.verdicts.get(name, "determined")),
             }
         )
     return PlainTable(rows, "The best throws: expected standard errors")
-
-
-def _value(found: ExpectedErrors, expression: str) -> float:
-    return next(item.value for item in found.combinations if item.expression == expression)
 
 
 def _error(stderr: float | None) -> str:
@@ -360,15 +352,12 @@ def _optimal(design: Design, separation: Separation, scenario: LoadScenario) -> 
 
 def _by_spin(design: Design, scenario: LoadScenario) -> list[int]:
     """For each spin the candidate with the smallest error by itself."""
-    found: dict[float, int] = {}
+    found: dict[float, tuple[float, int]] = {}
     for index, stderr in enumerate(scenario.each):
-        spin = design.candidates[index].omega0
-        if stderr is None:
-            continue
-        best = scenario.each[found[spin]] if spin in found else None
-        if best is None or stderr < best:
-            found[spin] = index
-    return list(found.values())
+        if stderr is not None:
+            own, spin = (stderr, index), design.candidates[index].omega0
+            found[spin] = min(found.get(spin, own), own)
+    return [index for _, index in found.values()]
 
 
 def _count(number: float) -> str:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -27,14 +28,15 @@ from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
 from curlfit.optimal_design.information import (
     Assumptions,
+    CandidateSet,
     PlannedThrow,
     combined,
-    marginal_factor,
-    record_information,
+    error_criterion,
+    marginal_factors,
+    select_design,
     standard_error,
 )
 from curlfit.optimal_design.result import LoadScenario, Proof, Separation, StoneChange
-from curlfit.optimal_design.selection import CandidateSet, c_criterion, select_design
 from curlfit.stone import GRAVITY, Stone
 
 HIDDEN = (
@@ -106,22 +108,16 @@ class CoefficientPair:
     def tolerated_change(self, factors: Sequence[Floats], required: float) -> float | None:
         """Relative change of the sum between throws with the same effect as the required error of
         the difference; None if no change has it."""
-        ratios = [self._compensation(factor) for factor in factors]
-        determined = [one for one in ratios if one is not None]
-        if len(determined) < len(ratios):
+        _, singular, right = np.linalg.svd(np.stack(factors))
+        if (singular[:, -1] < _ROUNDING * singular[:, 0]).any():
             return None
-        spread = max(determined) - min(determined)
-        if spread < _EQUAL_RATIOS * max(map(abs, determined)):
+        # the change of the sum that compensates a unit difference, from a column of the covariance
+        column = (((right @ self.difference) / singular**2)[:, None] @ right)[:, 0]
+        ratios = (column @ self.sum) / (column @ self.difference)
+        spread = float(np.ptp(ratios))
+        if spread < _EQUAL_RATIOS * np.abs(ratios).max():
             return None
         return spread * required * self.size / abs(self.total)
-
-    def _compensation(self, factor: Floats) -> float | None:
-        """Change of the sum that compensates a unit difference; None if it is undetermined."""
-        _, singular, right = np.linalg.svd(factor)
-        if singular[-1] < _ROUNDING * singular[0]:
-            return None
-        covariance_column = right.T @ ((right @ self.difference) / singular**2)
-        return float(self.sum @ covariance_column / (self.difference @ covariance_column))
 
 
 @compiled("law")
@@ -195,8 +191,7 @@ def analyse_separation(
     """
 
     def factors(load: Load, throws: Sequence[PlannedThrow]) -> list[Floats]:
-        records = record_information(assumed, load, throws)
-        return [marginal_factor(assumed, one) for one in records]
+        return marginal_factors(replace(assumed, load=load), throws)
 
     stone = candidates[0].stone
     progress("the proof for the uniform load")
@@ -253,18 +248,12 @@ def analyse_separation(
 def _load_scenario(
     pair: CoefficientPair, load: Load, factors: Sequence[Floats], throws: int, required: float
 ) -> LoadScenario:
-    each = tuple(standard_error(factor, pair.difference) for factor in factors)
-    best = None
+    each, best = tuple(standard_error(factor, pair.difference) for factor in factors), None
+    candidates = CandidateSet.from_factors(factors)
     if standard_error(combined(factors), pair.difference) is not None:
-        candidate_set = CandidateSet.from_factors(factors)
-        best = select_design(candidate_set, c_criterion(candidate_set, pair.difference), throws)
+        best = select_design(candidates, error_criterion(candidates, pair.difference), throws)
     if best is None:
         return LoadScenario(load, each, None, None, None)
-    made = [factors[index] for index in best]
-    return LoadScenario(
-        load,
-        each,
-        best,
-        standard_error(combined(made), pair.difference),
-        pair.tolerated_change(made, required),
-    )
+    stderr = standard_error(candidates.together(best), pair.difference)
+    steady = pair.tolerated_change([factors[index] for index in best], required)
+    return LoadScenario(load, each, best, stderr, steady)

@@ -6,21 +6,21 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from cyclopts import Group, Parameter
 
 from curlfit.options.figures import FigureFiles
-from curlfit.output.display import document_of
+from curlfit.output.display import KINDS, document_of, figures_of
 from curlfit.settings.choices import Choices
 from curlfit.settings.forms import PATH, SWITCH, TEXT, option
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.console import Console
-    from rich.progress import Progress, ProgressColumn
+    from rich.progress import ProgressColumn
+
+    Show = Callable[..., None]
 
 OUTPUT = Group("Output", sort_key=2)
 COMPILES = "(a first run on a machine compiles the model)"
@@ -37,38 +37,25 @@ class Saved(NamedTuple):
 @Parameter(name="*", group=OUTPUT)
 @dataclass(frozen=True, kw_only=True)
 class Output(Choices):
-    """Where and how results are written."""
+    """Where and how results are written.
 
-    out: Annotated[
-        Path | None,
-        option(
-            PATH,
-            "Folder for the results. [default: the name of DATA or FIT, with the numbers given by "
-            "--shot and --stone-index, and the verb]",
-            "DIR",
-        ),
-    ] = None
-    figures: Annotated[
-        str | None,
-        option(
-            TEXT,
-            "Format of the figures, `png`, `pdf` or `svg`; several separated by commas. [default: "
-            "png]",
-            "FORMAT",
-        ),
-    ] = None
-    no_figures: Annotated[bool, option(SWITCH, "Draw no figures.")] = False
-    report: Annotated[
-        bool,
-        option(
-            SWITCH,
-            "Also write `report.html`, the result as one self-contained page, as `curlfit report` "
-            "does.",
-        ),
-    ] = False
-    quiet: Annotated[bool, option(SWITCH, "Print nothing but errors.", name=["--quiet", "-q"])] = (
-        False
-    )
+    Attributes
+    ----------
+    out : Folder for the results. [default: the name of DATA or FIT, with the numbers given by
+        --shot and --stone-index, and the verb]
+    figures : Format of the figures, `png`, `pdf` or `svg`; several separated by commas. [default:
+        png]
+    no_figures : Draw no figures.
+    report : Also write `report.html`, the result as one self-contained page, as `curlfit report`
+        does.
+    quiet : Print nothing but errors.
+    """
+
+    out: Annotated[Path | None, option(PATH, "DIR")] = None
+    figures: Annotated[str | None, option(TEXT, "FORMAT")] = None
+    no_figures: Annotated[bool, option(SWITCH)] = False
+    report: Annotated[bool, option(SWITCH)] = False
+    quiet: Annotated[bool, option(SWITCH, name=["--quiet", "-q"])] = False
 
     def drawn(self) -> FigureFiles:
         """The figures to be drawn. Raises `InputError` for an unknown format."""
@@ -80,29 +67,39 @@ class Output(Choices):
 
         return terminal(quiet=self.quiet)
 
+    @contextmanager
+    def status(self, text: str) -> Iterator[Callable[[str], None]]:
+        """A line on the terminal that says what is done, and a function that changes it."""
+        from rich.console import Console
+
+        console = Console(stderr=True, quiet=self.quiet)
+        if self.quiet or not console.is_terminal:
+            yield lambda text: None
+            return
+        with console.status(text) as status:
+            yield status.update
+
     def finish(
         self,
         result: Any,
         folder: Path,
         drawn: FigureFiles,
-        figure: str,
         *,
-        names: Sequence[str] = (),
         files: Sequence[Path] = (),
         remarks: Sequence[object] = (),
         more: str = "",
     ) -> Saved:
-        """Save a result, draw its figure, print it, and say what was written.
+        """Save a result, draw its figures, print it, and say what was written.
 
         Parameters
         ----------
-        figure : the public function that draws it. names : of all figures that it may draw.
         files : written already. remarks : warnings to be printed beneath the result.
         more : end of the last line.
         """
         written = [folder / f"{result.kind}.json", *files]
         result.save(written[0])
-        drawn.replace(folder, names or [result.kind], partial(figures_by, figure, result))
+        names = KINDS[result.kind].figures or (result.kind,)
+        drawn.replace(folder, names, partial(figures_of, result))
         console = self.console()
         console.print(document_of(result))
         for remark in remarks:
@@ -119,26 +116,16 @@ class Output(Choices):
         return Saved(folder if self.report else None, self.quiet)
 
 
-def figures_by(function: str, *given: Any) -> dict[str, Figure]:
-    """The figures by a public function of a result, by name."""
-    found = getattr(import_module("curlfit"), function)(*given)
-    kind = "corner" if given[1:] else given[0].kind
-    return found if isinstance(found, dict) else {kind: found}
-
-
-def progress_line(console: Console, *columns: str | ProgressColumn) -> Progress:
-    """A line of progress, on a terminal."""
+@contextmanager
+def progress_line(console: Console, *columns: str | ProgressColumn) -> Iterator[Show]:
+    """A line of progress, on a terminal, and a function that shows a text and how much is done."""
     from rich.progress import Progress
 
     hidden = console.quiet or not console.is_terminal
-    return Progress(*columns, console=console, disable=hidden, transient=True)
+    with Progress(*columns, console=console, disable=hidden, transient=True) as progress:
+        task = progress.add_task("", total=None)
 
+        def show(text: str = "", done: float = 0, total: float | None = None) -> None:
+            progress.update(task, description=text, completed=done, total=total)
 
-@contextmanager
-def status_line(console: Console, text: str) -> Iterator[Callable[[str], None]]:
-    """A line that says what is done, on a terminal, and a function that changes it."""
-    if console.quiet or not console.is_terminal:
-        yield lambda text: None
-        return
-    with console.status(text) as status:
-        yield status.update
+        yield show

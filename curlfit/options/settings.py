@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar
+
+from cyclopts import Group, Parameter
 
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import quoted, safe_name
 from curlfit.settings.choices import (
     FLAGS,
     LAW,
+    LOAD,
     SEED,
+    Choices,
     Comparing,
     Estimation,
     Fitting,
     Modelling,
+    Named,
     Reading,
 )
-from curlfit.settings.forms import PATH, option
+from curlfit.settings.forms import NUMBER, PATH, VALUES, option
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
@@ -35,15 +41,56 @@ _KEYS = {FLAGS.get(name, name).removeprefix("--"): name for name in _FORMS} | {"
 Chosen = TypeVar("Chosen", bound=Estimation)
 ModelChoices = TypeVar("ModelChoices", bound=Modelling)
 LawOfFit = Annotated[
-    Any,
-    option(
-        LAW, "The law of the saved fit, if it is one of your own.", "FILE.py:CLASS", name="--law"
-    ),
+    Any, option(LAW, "FILE.py:CLASS", help="The law of the saved fit, if it is one of your own.")
 ]
 Config = Annotated[
     Path | None,
-    option(PATH, "TOML file of settings, by the names of flags; flags override it.", "TOML"),
+    option(PATH, "TOML", help="TOML file of settings, by the names of flags; flags override it."),
 ]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class LawValues(Choices):
+    """A law with its coefficients, the load and the stone.
+
+    Attributes
+    ----------
+    law : Friction law; `curlfit laws` lists them. [default: front-back]
+    coefficients : A coefficient; the law's default if not set.
+    load : `uniform` or `consistent` (eq. 8-9). [default: uniform]
+    stone : The stone, as in `curlfit fit`.
+    """
+
+    law: Annotated[Any, option(LAW, "NAME")] = None
+    coefficients: Annotated[Named, option(VALUES, "NAME=V", name="--set")] = field(
+        default_factory=dict
+    )
+    load: Annotated[str | None, option(LOAD, "NAME")] = None
+    stone: Annotated[Named, option(VALUES, "R=V,rho=V")] = field(default_factory=dict)
+
+
+@Parameter(name="*", group=Group("Start", sort_key=0))
+@dataclass(frozen=True, kw_only=True)
+class Start(Choices):
+    """The initial state of a throw; what is not given has the default of the verb.
+
+    Attributes
+    ----------
+    v0 : Speed, m/s.
+    omega0 : Spin, rad/s, counter-clockwise positive.
+    heading : Direction, rad, from +y toward +x. [default: 0, along the sheet]
+    x0 : Position, m right of the centre line. [default: 0]
+    y0 : Position along the sheet, m. [default: that of the line]
+    phi0 : Angle of the stone, rad. [default: 0]
+    """
+
+    v0: Annotated[float | None, option(NUMBER, "V")] = None
+    omega0: Annotated[float | None, option(NUMBER, "W")] = None
+    heading: Annotated[float | None, option(NUMBER, "A")] = None
+    x0: Annotated[float | None, option(NUMBER, "X")] = None
+    y0: Annotated[float | None, option(NUMBER, "Y")] = None
+    phi0: Annotated[float | None, option(NUMBER, "A")] = None
 
 
 def read_config(file: Path | None) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from curlfit.output import html
 from curlfit.output.document import Document
@@ -17,10 +17,12 @@ class Kind(NamedTuple):
     report : module of its function `document`.
     noun : of the public names of what loads, prints and draws it, such as `load_fit`, `print_fit`
         and `fit_figure`.
+    figures : names of all its figures, where it has several.
     """
 
     report: str
     noun: str
+    figures: tuple[str, ...] = ()
 
 
 KINDS = {
@@ -29,7 +31,9 @@ KINDS = {
     "joint": Kind("inference.joint.report", "joint"),
     "predict": Kind("prediction.report", "prediction"),
     "profile": Kind("profile_likelihood.report", "profile"),
-    "design": Kind("optimal_design.report", "design"),
+    "design": Kind(
+        "optimal_design.report", "design", ("design-map", "design-errors", "design-separate")
+    ),
 }
 """By the names of their JSON files."""
 
@@ -45,6 +49,19 @@ def document_of(result: object) -> Document:
     module = import_module(f"curlfit.{KINDS[kind_of(result)].report}")
     found: Document = module.document(result)
     return found
+
+
+def figures_of(result: object) -> dict[str, Any]:
+    """The figures of a saved result, by name."""
+    kind = kind_of(result)
+    noun, several = KINDS[kind].noun, KINDS[kind].figures
+    draw = getattr(import_module("curlfit"), f"{noun}_figure{'s' * bool(several)}")
+    return draw(result) if several else {kind: draw(result)}
+
+
+def corner_of(result: object, chain: object) -> dict[str, Any]:
+    """The corner plot of a fit and its chain, by name."""
+    return {"corner": import_module("curlfit").corner_figure(result, chain)}
 
 
 class Displayed:

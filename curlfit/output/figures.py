@@ -338,5 +338,4 @@ def save_figure(figure: Figure, file: str | PathLike[str], dpi: int = DPI) -> No
     path, image = FilePath(file), BytesIO()
     with rc_context({"svg.fonttype": "none"}):  # text as text
         figure.savefig(image, dpi=dpi, format=path.suffix[1:].lower() or "png")
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(image.getvalue())
+    atomic_write(path, image.getvalue())

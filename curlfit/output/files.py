@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 from curlfit.errors import InputError
@@ -14,9 +13,8 @@ from curlfit.errors import InputError
 _PREFIX = ".curlfit-"  # of temporary names
 
 
-@contextmanager
-def atomic_write(file: Path, *, private: bool = False) -> Iterator[Path]:
-    """A temporary path beside `file`, renamed to it when the block ends without error.
+def atomic_write(file: Path, content: str | bytes, *, private: bool = False) -> None:
+    """Write a file, text as UTF-8, under another name beside it first: whole or not at all.
 
     The permissions of the file follow the umask; a `private` one is for its owner only.
 
@@ -27,9 +25,9 @@ def atomic_write(file: Path, *, private: bool = False) -> Iterator[Path]:
     temporary = None
     try:
         handle, name = tempfile.mkstemp(prefix=_PREFIX, suffix=f"-{file.name}", dir=file.parent)
-        os.close(handle)
         temporary = Path(name)
-        yield temporary
+        with open(handle, "wb") as stream:
+            stream.write(content.encode() if isinstance(content, str) else content)
         if not private:
             temporary.chmod(0o666 & ~_umask())
         temporary.replace(file)

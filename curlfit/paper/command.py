@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,9 +14,7 @@ from curlfit.settings.forms import PATH, SWITCH, TEXT, option
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from rich.console import Console
 
-    from curlfit.paper.reproduce import Reproduction
 
 _FIGURES = {
     "path": ("eq14", "prop5"), "isotropic": ("isotropic",), "eq28": ("eq28",),
@@ -28,31 +25,26 @@ _FIGURES = {
 
 def reproduce(
     *,
-    out: Annotated[
-        Path,
-        option(
-            PATH,
-            "Folder for claims.json, claims.md and its figures. [default: reproduction]",
-            "DIR",
-        ),
-    ] = Path("reproduction"),
-    figures: Annotated[
-        str | None,
-        option(
-            TEXT,
-            "Format of the figures: `png`, `pdf`, `svg`; several with commas between.",
-            "FORMAT",
-        ),
-    ] = None,
-    quiet: Annotated[bool, option(SWITCH, "Print nothing.", name=["--quiet", "-q"])] = False,
-    as_json: Annotated[
-        bool, option(SWITCH, "Print claims.json in place of the table.", name="--json")
-    ] = False,
+    out: Annotated[Path, option(PATH, "DIR")] = Path("reproduction"),
+    figures: Annotated[str | None, option(TEXT, "FORMAT")] = None,
+    quiet: Annotated[bool, option(SWITCH, name=["--quiet", "-q"])] = False,
+    as_json: Annotated[bool, option(SWITCH, name="--json")] = False,
 ) -> None:
     """Recompute every numbered claim of Ivanov and Shuvalov (2012) and give a verdict on each.
 
     Eq. 12 is differentiated, friction is integrated over the ring, and the laws are fitted.
     Takes about a minute on the first run of a machine.
+
+    Parameters
+    ----------
+    out
+        Folder for claims.json, claims.md and its figures. [default: reproduction]
+    figures
+        Format of the figures: `png`, `pdf`, `svg`; several with commas between.
+    quiet
+        Print nothing.
+    as_json
+        Print claims.json in place of the table.
     """
     from curlfit.output.files import atomic_write, prepare_folder
 
@@ -70,15 +62,20 @@ def reproduce(
         for name in _FIGURES[study]:
             drawn.replace(folder, [name], partial(_figure, name, found))
 
-    result = _computed(console, draw)
+    from rich.progress import BarColumn, TimeElapsedColumn
+
+    with progress_line(console, "{task.description}", BarColumn(), TimeElapsedColumn()) as show:
+        show("compiling")
+        from curlfit.paper.reproduce import reproduce as recompute
+
+        result = recompute(show, draw)
 
     from curlfit.paper.claim import claims_table, page, verdicts
 
     claims = json.dumps([claim.as_dict() for claim in result.claims], indent=1)
     written = [folder / "claims.json", folder / "claims.md"]
     for file, text in zip(written, (claims + "\n", page(result, drawn.formats[0])), strict=True):
-        with atomic_write(file) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        atomic_write(file, text)
     if as_json:
         print(claims)
     console.print(claims_table(result.claims))
@@ -91,18 +88,3 @@ def _figure(name: str, found: Any) -> dict[str, Figure]:
     from curlfit.paper.figures import FIGURES
 
     return {name: FIGURES[name](found)}
-
-
-def _computed(console: Console, arrived: Callable[[str, Any], None]) -> Reproduction:
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-
-    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
-    with progress_line(console, *columns) as line:
-        task = line.add_task("compiling", total=None)
-
-        def progress(part: str, done: int, total: int) -> None:
-            line.update(task, description=part, completed=done, total=total)
-
-        from curlfit.paper.reproduce import reproduce
-
-        return reproduce(progress, arrived)

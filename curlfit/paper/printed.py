@@ -106,8 +106,7 @@ def write_jensen_shegelski(file: str | Path) -> None:
         "# Eq. 12 of Ivanov and Shuvalov (2012): a formula fitted by Jensen and Shegelski (2004)\n"
         "# to measured throws. See README.md beside this file.\n"
     )
-    with atomic_write(Path(file)) as temporary:
-        temporary.write_text(head + write_table(jensen_shegelski_throw()))
+    atomic_write(Path(file), head + write_table(jensen_shegelski_throw()))
 
 
 class FirstOrderMotion(NamedTuple):

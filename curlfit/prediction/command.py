@@ -10,8 +10,7 @@ from cyclopts import Group, Parameter
 
 from curlfit.errors import InputError
 from curlfit.options import settings as s
-from curlfit.options.output import COMPILES, Output, Saved, status_line
-from curlfit.options.start import Start
+from curlfit.options.output import COMPILES, Output, Saved
 from curlfit.settings.choices import COUNT, SEED, Choices, Reading
 from curlfit.settings.forms import NUMBER, PATH, SWITCH, TEXT, numbers, option
 
@@ -23,65 +22,38 @@ _CHECK = Group("Comparison with measured rows", sort_key=1)
 )
 @dataclass(frozen=True, kw_only=True)
 class Goal(Choices):
-    """Where another throw goes."""
+    """Where another throw goes.
 
-    to_tee: Annotated[bool, option(SWITCH, "Come to rest on the tee.")] = False
-    weight: Annotated[
-        str | None,
-        option(
-            TEXT,
-            "`draw`: rests on the tee line; `guard`: rests halfway between hog line and house, "
-            "4.115 m before the tee line; `takeout`: passes the tee line at 1.5 m/s. On the centre "
-            "line, or at any x with --heading.",
-            "NAME",
-        ),
-    ] = None
-    tee_speed: Annotated[
-        float | None,
-        option(NUMBER, "Speed of a takeout at the tee line, m/s. [default: 1.5]", "V"),
-    ] = None
+    Attributes
+    ----------
+    to_tee : Come to rest on the tee.
+    weight : `draw`: rests on the tee line; `guard`: rests halfway between hog line and house, 4.115
+        m before the tee line; `takeout`: passes the tee line at 1.5 m/s. On the centre line, or at
+        any x with --heading.
+    tee_speed : Speed of a takeout at the tee line, m/s. [default: 1.5]
+    target : Come to rest at this point: m to the right of the tee and m beyond it. Write
+        --target=-0.5,1 if the first number is negative.
+    """
+
+    to_tee: Annotated[bool, option(SWITCH)] = False
+    weight: Annotated[str | None, option(TEXT, "NAME")] = None
+    tee_speed: Annotated[float | None, option(NUMBER, "V")] = None
     target: Annotated[
-        tuple[float, float] | None,
-        option(
-            numbers(2, "X,Y in m from the tee"),
-            "Come to rest at this point: m to the right of the tee and m beyond it. Write "
-            "--target=-0.5,1 if the first number is negative.",
-            "X,Y",
-        ),
+        tuple[float, float] | None, option(numbers(2, "X,Y in m from the tee"), "X,Y")
     ] = None
 
 
 def predict(
-    fit: Annotated[Path, Parameter(help="A saved fit: its folder, or the fit.json in it.")],
+    fit: Path,
     /,
     *,
-    line: Annotated[
-        str | None,
-        option(
-            TEXT,
-            "Line on which the throw starts: `hack`, `back`, `tee`, `hog` (the near ones), "
-            "`centre` or `far-hog`; or `data`: at the start of the data, with y from the hack. "
-            "[default: hog; data for the fitted throw where its file states its zero of y]",
-            "LINE",
-            name="--from",
-        ),
-    ] = None,
-    start: Start = Start(),
+    line: Annotated[str | None, option(TEXT, "LINE", name="--from")] = None,
+    start: s.Start = s.Start(),
     goal: Goal = Goal(),
-    check: Annotated[
-        Path | None,
-        option(
-            PATH,
-            "The data of the fitted throw; rows after the fitted ones are compared.",
-            "DATA",
-            group=_CHECK,
-        ),
-    ] = None,
+    check: Annotated[Path | None, option(PATH, "DATA", group=_CHECK)] = None,
     reading: Reading = Reading(),
-    draws: Annotated[
-        int, option(COUNT, "Number of draws from the posterior. [default: 1000]", "N")
-    ] = 1000,
-    seed: Annotated[int, option(SEED, "Seed of the draws. [default: 0]", "N")] = 0,
+    draws: Annotated[int, option(COUNT, "N")] = 1000,
+    seed: Annotated[int, option(SEED, "N")] = 0,
     law: s.LawOfFit = None,
     output: Output = Output(),
 ) -> Saved:
@@ -101,6 +73,21 @@ def predict(
     `curlfit predict throw-fit --target=-0.6,0.3`: to rest left of the tee and behind it
 
     `curlfit fit a.csv --until 12`, then `curlfit predict a-fit --check a.csv`: was it right?
+
+    Parameters
+    ----------
+    fit
+        A saved fit: its folder, or the fit.json in it.
+    line
+        Line on which the throw starts: `hack`, `back`, `tee`, `hog` (the near ones), `centre` or
+        `far-hog`; or `data`: at the start of the data, with y from the hack. [default: hog; data
+        for the fitted throw where its file states its zero of y]
+    check
+        The data of the fitted throw; rows after the fitted ones are compared.
+    draws
+        Number of draws from the posterior. [default: 1000]
+    seed
+        Seed of the draws. [default: 0]
     """
     from curlfit.output.files import atomic_write, prepare_folder
 
@@ -114,7 +101,7 @@ def predict(
 
         throw = load_throw(check, **vars(reading))
     drawn.draw_beside()
-    with status_line(output.console(), f"Simulating the draws {COMPILES}"):
+    with output.status(f"Simulating the draws {COMPILES}"):
         from curlfit.prediction.predict import predict as prediction_of
 
         found = prediction_of(
@@ -124,6 +111,5 @@ def predict(
         )  # fmt: skip
     folder = prepare_folder(output.out or Path(f"{s.name_of(fit)}-predict"))
     table = folder / "predict.csv"
-    with atomic_write(table) as temporary:
-        temporary.write_text(found.table())
-    return output.finish(found, folder, drawn, "prediction_figure", files=[table])
+    atomic_write(table, found.table())
+    return output.finish(found, folder, drawn, files=[table])

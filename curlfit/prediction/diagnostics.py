@@ -12,13 +12,7 @@ from curlfit.errors import InputError
 from curlfit.inference.fit.result import FitResult
 from curlfit.prediction.ensemble import TrajectoryEnsemble
 from curlfit.prediction.request import ThrowStart
-from curlfit.prediction.result import (
-    COMPONENT_LABELS,
-    DETECTION,
-    PREDICTED,
-    Discrepancy,
-    HeldOut,
-)
+from curlfit.prediction.result import COMPONENT_LABELS, DETECTION, PREDICTED, Discrepancy, HeldOut
 from curlfit.sheet import STONE_RADIUS, TEE, WIDTH
 from curlfit.throws.throw import Throw
 

@@ -34,29 +34,11 @@ from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.mcmc.ridge import ridge_proposal
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
-from curlfit.prediction.diagnostics import (
-    compare_held_out,
-    discrepancy_remarks,
-    extrapolation,
-    null_direction_effects,
-    off_the_sheet,
-    thin,
-)
+from curlfit.prediction import diagnostics
 from curlfit.prediction.discrepancy import discrepancy_posterior
-from curlfit.prediction.ensemble import (
-    VARIED,
-    ThrowFamily,
-    TrajectoryEnsemble,
-    prepare_ensemble,
-)
+from curlfit.prediction.ensemble import VARIED, ThrowFamily, TrajectoryEnsemble, prepare_ensemble
 from curlfit.prediction.request import ThrowRequest, ThrowStart, start_of
-from curlfit.prediction.result import (
-    PREDICTED,
-    QUANTITIES,
-    Discrepancy,
-    Prediction,
-    Quantity,
-)
+from curlfit.prediction.result import PREDICTED, QUANTITIES, Discrepancy, Prediction, Quantity
 from curlfit.sheet import END, HOUSE, LINES, STONE_RADIUS, TEE
 from curlfit.throws.throw import CHANNELS, Throw
 
@@ -140,14 +122,14 @@ def predict(
     simulated = _simulated(fit, ThrowFamily(fit, throw_start, request.new), values, random)
     best, plain, full, probed, discrepancy = simulated
     quantities = _quantities(best, plain, full)
-    null_warnings, null_notes = null_direction_effects(fit, probed, best)
-    law_warnings, law_notes = discrepancy_remarks(discrepancy)
+    null_warnings, null_notes = diagnostics.null_direction_effects(fit, probed, best)
+    law_warnings, law_notes = diagnostics.discrepancy_remarks(discrepancy)
     warnings = [
-        *extrapolation(fit, best, request.new),
+        *diagnostics.extrapolation(fit, best, request.new),
         *null_warnings,
         *law_warnings,
         *curl_warnings([fit]),
-        *off_the_sheet(best),
+        *diagnostics.off_the_sheet(best),
     ]
     notes += [*null_notes, *law_notes]
     if line is None and throw_start.line == "hog" and not request.new:
@@ -164,7 +146,9 @@ def predict(
         warnings.append(f"{1 - used / draws:.1%} of the draws do not come to rest and are left out")
     comparison = None
     if check is not None:
-        comparison = compare_held_out(check, fit, throw_start, discrepancy, best, full, random)
+        comparison = diagnostics.compare_held_out(
+            check, fit, throw_start, discrepancy, best, full, random
+        )
     return Prediction(
         law=fit.law,
         load=fit.load,
@@ -313,7 +297,7 @@ def _measured_rows(fit: FitResult, throw_start: ThrowStart) -> dict[str, Floats]
     measured = fit.observed
     if not all(np.isfinite(measured.get(name, np.nan)).any() for name in ("x", "y")):
         return {}
-    rows = thin(np.arange(len(measured["t"])))
+    rows = diagnostics.thin(np.arange(len(measured["t"])))
     begin = throw_start.values
     fitted = {item.name: fit.parameters[item.name].value for item in START}
     right, along = (measured[name][rows] - fitted[f"{name}0"] for name in ("x", "y"))

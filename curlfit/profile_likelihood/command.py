@@ -7,11 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Parameter
-
 from curlfit.errors import InputError
 from curlfit.options import settings as s
-from curlfit.options.output import COMPILES, Output, Saved, status_line
+from curlfit.options.output import COMPILES, Output, Saved
 from curlfit.settings.choices import COUNT, Modelling, Reading
 from curlfit.settings.forms import NAMES, Several, numbers, option
 
@@ -19,37 +17,12 @@ _RANGES = Several(numbers(2, "LOW,HIGH"), "pairs of numbers", "LOW,HIGH", commas
 
 
 def profile(
-    data: Annotated[
-        Path,
-        Parameter(
-            help="Data as for `curlfit fit`; or a saved fit: its folder, or the fit.json in it."
-        ),
-    ],
+    data: Path,
     /,
     *,
-    param: Annotated[
-        Sequence[str],
-        option(
-            NAMES,
-            "A fitted parameter: a coefficient, or one of x0 y0 heading v0 phi0 omega0. Given "
-            "twice: two parameters jointly.",
-            "NAME",
-        ),
-    ],
-    points: Annotated[
-        int | None,
-        option(COUNT, "Values of each parameter. [default: 41; 25 of each of two]", "N"),
-    ] = None,
-    ranges: Annotated[
-        Sequence[tuple[float, float]],
-        option(
-            _RANGES,
-            "Range; given twice, of the first and the second parameter. [default: 4 standard "
-            "errors to either side; where there are none, up to the limits]",
-            "LO,HI",
-            name="--range",
-        ),
-    ] = (),
+    param: Annotated[Sequence[str], option(NAMES, "NAME")],
+    points: Annotated[int | None, option(COUNT, "N")] = None,
+    ranges: Annotated[Sequence[tuple[float, float]], option(_RANGES, "LO,HI", name="--range")] = (),
     flags: Modelling = Modelling(),
     reading: Reading = Reading(),
     config: s.Config = None,
@@ -66,6 +39,19 @@ def profile(
     `curlfit profile throw.csv --param mu1_xi`
 
     `curlfit profile throw-fit --param mu1_eta --param mu2_eta`: two of a saved fit
+
+    Parameters
+    ----------
+    data
+        Data as for `curlfit fit`; or a saved fit: its folder, or the fit.json in it.
+    param
+        A fitted parameter: a coefficient, or one of x0 y0 heading v0 phi0 omega0. Given twice: two
+        parameters jointly.
+    points
+        Values of each parameter. [default: 41; 25 of each of two]
+    ranges
+        Range; given twice, of the first and the second parameter. [default: 4 standard errors to
+        either side; where there are none, up to the limits]
     """
     from curlfit.output.files import prepare_folder
 
@@ -76,12 +62,11 @@ def profile(
     saved = data.is_dir() or data.name == "fit.json"
     request = None
     if saved:
-        words = [
+        if words := [
             *replace(flags, law=None).words(),
             *reading.words(),
-            *(["--config"] if config else []),
-        ]
-        if words:
+            *["--config"] * bool(config),
+        ]:
             option_of = words[0].partition("=")[0]
             raise InputError(f"{option_of}: a saved fit has its own; give the data to fit again")
         fit, chain = s.load_fit_and_chain(data, flags.law)
@@ -95,22 +80,15 @@ def profile(
     kind = f"profile-{'-'.join(param)}"
     drawn.draw_beside()
 
-    from rich.console import Console
-
-    errors = Console(stderr=True, quiet=output.quiet)
-    with status_line(errors, f"Fitting {COMPILES}") as say:
+    with output.status(f"Fitting {COMPILES}") as say:
         if request is not None:
             from curlfit.inference.least_squares import prepare_minimize
 
             prepare_minimize(*request.problem(), few=True)
             fit, chain = request.fit(), None
         require_usable(parameters, param, points, limits, parameters.values_of(fit.values))
-        folder = prepare_folder(
-            output.out
-            or (
-                Path(f"{s.name_of(data)}-{kind}") if saved else s.result_folder(data, kind, reading)
-            )
-        )
+        usual = Path(f"{s.name_of(data)}-{kind}") if saved else s.result_folder(data, kind, reading)
+        folder = prepare_folder(output.out or usual)
 
         from curlfit.profile_likelihood.profile import profile as compute_profile
 
@@ -122,4 +100,4 @@ def profile(
             ranges=limits,
             progress=lambda done: say(f"Fitting the other parameters again: {done} fits"),
         )
-    return output.finish(found, folder, drawn, "profile_figure")
+    return output.finish(found, folder, drawn)

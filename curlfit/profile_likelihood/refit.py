@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -164,40 +165,35 @@ class ConstrainedFits:
         self._scale = np.array([refit.fit.parameters[name].typical for name in names])
         self.levels = levels_for(names, refit.fit.parameters)
 
-    def reach(self, points: Floats) -> None:
-        """Fit at the points, shape (n, held), that are not known, from the nearest known one."""
-        new = [
-            np.array(point)
-            for point in dict.fromkeys(tuple(map(float, point)) for point in np.atleast_2d(points))
-            if point not in self.known
-        ]
-        if not new:
-            return
-        good = [fit for fit in self.known.values() if fit is not None and fit.finished]
-        good = good or [self.best]
-        held = np.stack([fit.held for fit in good]) / self._scale
-        starts = []
-        for point in new:
-            nearest = int(np.argmin(((held - point / self._scale) ** 2).sum(1)))
-            starts.append(self._from(good[nearest], point))
-        found = self.refit.optima(self.names, np.stack(new), starts)
-        self.known |= {tuple(point): optimum for point, optimum in zip(new, found, strict=True)}
+    def at(self, points: Floats) -> list[ConstrainedFit | None]:
+        """The fits at points, shape (..., held), each made from the nearest that was known."""
+        keys = list(map(tuple, points.reshape(-1, len(self.names)).tolist()))
+        if new := [key for key in dict.fromkeys(keys) if key not in self.known]:
+            good = [fit for fit in self.known.values() if fit is not None and fit.finished]
+            good = good or [self.best]
+            held, wanted = np.stack([fit.held for fit in good]) / self._scale, np.array(new)
+            starts = []
+            for point in wanted:
+                nearest = int(np.argmin(((held - point / self._scale) ** 2).sum(1)))
+                starts.append(self._from(good[nearest], point))
+            found = self.refit.optima(self.names, wanted, starts)
+            self.known |= dict(zip(new, found, strict=True))
+        return [self.known[key] for key in keys]
 
     def _from(self, optimum: ConstrainedFit, point: Floats) -> Floats:
         low, high = self.refit.parameters.lower, self.refit.parameters.upper
         return np.clip(optimum.values + self._response @ (point - optimum.held), low, high)
 
-    def at(self, point: Sequence[float] | Floats) -> ConstrainedFit | None:
-        """The fit at a known point."""
-        return self.known[tuple(point)]
+    def delta(self, points: Floats) -> Floats:
+        """Delta chi squared at points, shape (..., held); NaN without a path."""
+        found = [math.nan if fit is None else fit.chi_squared for fit in self.at(points)]
+        return np.reshape(found, points.shape[:-1]) - self.refit.chi_squared
 
-    def delta(self, point: Sequence[float] | Floats) -> float:
-        """Delta chi squared at a known point; NaN without a path."""
-        optimum = self.known[tuple(point)]
-        return math.nan if optimum is None else optimum.chi_squared - self.refit.chi_squared
-
-    def settle(self, neighbours: Sequence[tuple[Point, Point]]) -> None:
-        """Fit again where neighbours are not in one valley, each started from the other."""
+    def settle(self, grid: Floats) -> None:
+        """Fit on a grid, shape (n, m, held), and again where neighbours are not in one valley, each
+        started from the other."""
+        self.at(grid)
+        neighbours = _neighbours(grid)
         for _ in range(_ROUNDS):
             tries = []
             for first, second in neighbours:
@@ -236,3 +232,10 @@ class ConstrainedFits:
         large = max(first.chi_squared, second.chi_squared) - self.refit.chi_squared
         agree = bool(abs(difference - predicted) <= 0.1 + 0.1 * large)
         return first.finished and second.finished and agree
+
+
+def _neighbours(grid: Floats) -> list[tuple[Point, Point]]:
+    """Pairs of neighbouring points of a grid, along rows and columns."""
+    points = [list(map(tuple, row)) for row in grid.tolist()]
+    lines = [*points, *zip(*points, strict=True)]
+    return [(one, other) for line in lines for one, other in pairwise(line) if one != other]

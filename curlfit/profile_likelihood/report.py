@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.inference.fit.result import Estimate
 from curlfit.output.console import PlainTable
 from curlfit.output.document import FOLDER_OF_FIT, Document, Said, Section, command_line, show
 from curlfit.output.text import (
@@ -20,11 +20,7 @@ from curlfit.output.text import (
     labelled,
     rows_text,
 )
-from curlfit.profile_likelihood.result import Interval, PairProfile, Profile
-
-if TYPE_CHECKING:
-    from curlfit.inference.fit.result import Estimate
-    from curlfit.profile_likelihood.result import Level
+from curlfit.profile_likelihood.result import Interval, Level, PairProfile, Profile
 
 _AGREE = 0.1  # largest difference of agreeing limits, standard errors
 _AGREE_PAIR = 0.5  # largest difference of chi squared within an agreeing ellipse

@@ -105,9 +105,10 @@ class Choices:
         _, _, entries = cleandoc(cls.__doc__ or "").partition("Attributes\n----------\n")
         for name, text in re.findall(r"^(\w+) : (.+(?:\n +.+)*)", entries, re.M):
             if hasattr(hints.get(name), "__metadata__") and name in own:
-                flag = Parameter(help=" ".join(text.split()), name=FLAGS.get(name))
-                flag = Parameter.combine(hints[name].__metadata__[0], flag)
-                own[name] = Annotated[hints[name].__origin__, flag]
+                flag: Parameter = hints[name].__metadata__[0]
+                called = FLAGS.get(name) or flag.name or None
+                helpful = Parameter(help=" ".join(text.split()), name=called)
+                own[name] = Annotated[hints[name].__origin__, Parameter.combine(flag, helpful)]
 
     @classmethod
     @cache

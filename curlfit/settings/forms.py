@@ -251,11 +251,14 @@ PRIORS = Table(
 TEXTS = Several(TEXT, "a list of strings", "a text", commas=False)
 
 
-def option(form: Form, help: str | None = None, metavar: str = "", **others: Any) -> Parameter:
-    """A flag whose value is of a form; `others` as for `cyclopts.Parameter`."""
+def option(form: Form, metavar: str = "", **others: Any) -> Parameter:
+    """A flag whose value is of a form; `others` as for `cyclopts.Parameter`.
+
+    Its help is in the docstring of the class or of the verb.
+    """
     if form is SWITCH:
-        return Parameter(help=help, **others)
+        return Parameter(**others)
     return Parameter(
-        help=help, metavar=metavar or None, converter=form, n_tokens=1, accepts_keys=False,
+        metavar=metavar or None, converter=form, n_tokens=1, accepts_keys=False,
         allow_repeating=True, **others,
     )  # fmt: skip

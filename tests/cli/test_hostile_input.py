@@ -11,7 +11,7 @@ import pytest
 from conftest import DATA, command
 
 import curlfit
-from curlfit.export.latex import estimates_table
+from curlfit.export.tables import estimates_table
 from curlfit.html_report.page import page_of, render
 from curlfit.inference.joint.result import folder_name
 from curlfit.options.settings import result_folder

@@ -13,7 +13,7 @@ from scipy.stats import t
 
 import curlfit
 from curlfit import LAWS
-from curlfit.comparison.capability import sides_of_curl
+from curlfit.comparison.adequacy import sides_of_curl
 from curlfit.comparison.compare import compare, plan
 from curlfit.comparison.report import conclusions, document, print_comparison
 from curlfit.comparison.result import load_comparison

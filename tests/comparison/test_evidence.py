@@ -11,12 +11,12 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import halfnorm, lognorm, norm, truncnorm
 
 import curlfit
-from curlfit.comparison.criteria import log_likelihood
-from curlfit.comparison.evidence import (
+from curlfit.comparison.criteria import (
     _log_box,
     _log_integral,
     effective_parameters,
     log_evidence,
+    log_likelihood,
 )
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.likelihood import chi_squared_of_many

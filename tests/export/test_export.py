@@ -16,8 +16,13 @@ from scipy import stats
 
 import curlfit
 from curlfit.cli import main
-from curlfit.export.latex import candidates_table, estimates_table
-from curlfit.export.tables import candidates_csv, parameters_csv, path_csv
+from curlfit.export.tables import (
+    candidates_csv,
+    candidates_table,
+    estimates_table,
+    parameters_csv,
+    path_csv,
+)
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,14 @@ from conftest import G, Reference, command, front_back
 
 from curlfit import LAWS, InitialState, LocalLaw, find_law, simulate
 from curlfit.errors import InputError
-from curlfit.export.accelerations import FASTEST, SLOWEST, Moved, tabulate
-from curlfit.export.game import c_header, javascript_module
+from curlfit.export.accelerations import (
+    FASTEST,
+    SLOWEST,
+    Moved,
+    c_header,
+    javascript_module,
+    tabulate,
+)
 from curlfit.friction import LOADS
 from curlfit.inference.conditions import CONDITIONS
 

@@ -23,9 +23,7 @@ from scipy.stats import multivariate_normal, norm, truncnorm
 from tables import head, put, row
 
 import curlfit
-from curlfit.comparison.criteria import log_likelihood
-from curlfit.comparison.cross_validation import LeaveOneOut, leave_one_out
-from curlfit.comparison.evidence import log_evidence
+from curlfit.comparison.criteria import LeaveOneOut, leave_one_out, log_evidence, log_likelihood
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.likelihood import predict_channels
 

@@ -7,8 +7,7 @@ import pytest
 from samplers import CASES, closed_form, fitted, nested, psis
 from tables import HERE
 
-from curlfit.comparison.criteria import log_likelihood
-from curlfit.comparison.evidence import log_evidence
+from curlfit.comparison.criteria import log_evidence, log_likelihood
 
 
 @pytest.mark.parametrize("case", CASES, ids=["coulomb", "ridge", "bound"])

@@ -205,8 +205,7 @@ class Chain(Displayed):
         image = BytesIO()
         with h5py.File(image, "w") as out:
             self._write(out, {"compression": "gzip", "shuffle": True} if compressed else {})
-        with atomic_write(Path(file)) as temporary:
-            temporary.write_bytes(image.getvalue())
+        atomic_write(Path(file), image.getvalue())
 
     def _write(self, out: Any, how: dict[str, Any]) -> None:
         out.attrs.update(
