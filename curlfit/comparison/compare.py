@@ -204,6 +204,7 @@ def _fitted(throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free
         combinations=tuple(
             {key: getattr(item, key) for key in ("expression", "value", "stderr")}
             for item in result.combinations
+            if item.weights.keys() & result.coefficients.keys()
         ),
         noise_model=plain(result.noise),
         n_parameters=number_of_parameters(result),
