@@ -32,7 +32,6 @@ from curlfit.throws.throw import CHANNELS, Throw
 class PreparedThrow(NamedTuple):
     """A throw prepared for a fit: rows selected, with its stone, parameters and origin."""
 
-    given: Throw
     throw: Throw
     stone: Stone
     rows: dict[str, Any]
@@ -56,8 +55,7 @@ class PreparedThrow(NamedTuple):
         ------
         InputError : as in `fit`.
         """
-        given = throw
-        stone = Stone().with_values(dict(chosen.stone))
+        stone, read_with = Stone().with_values(dict(chosen.stone)), throw.read_with
         throw = throw.with_sigma(dict(chosen.sigma)).select_rows(**chosen.rows)
         findings = require_plausible(throw)
         throw = throw.condensed()
@@ -66,8 +64,8 @@ class PreparedThrow(NamedTuple):
             find_law(chosen.law), throw, swept=swept, **chosen.parameters
         )
         return cls(
-            given, throw, stone, chosen.rows, chosen.swept, parameters, Origin.of(throw), findings,
-            (*given.read_with, *chosen.words()),
+            throw, stone, chosen.rows, chosen.swept, parameters, Origin.of(throw), findings,
+            (*read_with, *chosen.words()),
         )  # fmt: skip
 
     @property
