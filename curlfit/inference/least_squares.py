@@ -108,6 +108,15 @@ class Tasks(NamedTuple):
     blocks: Indices | None = None
     """of the parameters of each throw, shape (throws, parameters of a throw); None with one"""
 
+    @classmethod
+    def of(cls, throws: Iterable[tuple[ParameterSet, Problem, Floats]]) -> Tasks:
+        """Single throws: the parameters, the problem and the initial values of each."""
+        each = [
+            cls(problem, start, own.lower, own.upper, own.typical, own.penalty)
+            for own, problem, start in throws
+        ]
+        return stacked(each)._replace(typical=each[0].typical)
+
     def at(self, which: Indices) -> Tasks:
         """Some of the problems."""
         problems, start, lower, upper, penalty = jax.tree.map(
@@ -209,11 +218,7 @@ def prepare_minimize(
 ) -> None:
     """Begin to compile what `minimize` needs, or `minimize_many` for few problems like this one."""
     batch, control = (_FEW, _QUICK) if few else (1, _PRECISE)
-    one = Tasks(
-        problem, np.zeros(len(parameters)), parameters.lower, parameters.upper,
-        parameters.typical, parameters.penalty,
-    )  # fmt: skip
-    tasks = stacked([one] * batch)._replace(typical=parameters.typical)
+    tasks = Tasks.of([(parameters, problem, np.zeros(len(parameters)))] * batch)
     _solve_once.prepare(*tasks.arguments(model, control))
 
 

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.inference.fit.residuals import ResidualStatistics
-from curlfit.inference.identifiability import Bounded, Identifiability, analyse_many, grouped
+from curlfit.inference.fit.systematics import shifts
+from curlfit.inference.identifiability import (
+    Bounded,
+    Combination,
+    Identifiability,
+    analyse_many,
+    confined,
+    grouped,
+    r_factor,
+)
 from curlfit.inference.least_squares import Solution
-from curlfit.inference.linearized_problem import LinearizedProblem
+from curlfit.inference.linearized_problem import LinearizedProblem, classify
 from curlfit.inference.noise.losses import precision, root_slope
-from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
@@ -29,32 +38,108 @@ _KNOWN = 1e-3  # share of estimated variances in a sum below which the sum count
 _MEDIAN_EFFICIENCY = 0.37  # of sigma from the median absolute residual, Gaussian noise (Huber 1981)
 
 
-class Covariance(NamedTuple):
-    """First-order uncertainties of the parameters at the optimum of a throw."""
+class Factors(NamedTuple):
+    """R factors of the Jacobians of problems, along the first axis; the last column is the residual
+    over its sigma."""
 
+    of_data: Floats
+    whole: Floats
+    """with the priors"""
+    confined: Floats
+    """with the priors, without the directions that only the bounds determine (`confined`)"""
+
+    @classmethod
+    def of(
+        cls, of_data: Floats, bounded: Bounded, typical: Floats, penalty: Penalty | None
+    ) -> Factors:
+        """From those of the data alone, the parameters with their bounds, and the priors."""
+        whole = of_data
+        if penalty is not None:
+            prior, slope = penalty.residual_and_slope(bounded.values)
+            rows = [slope[..., None] * np.eye(slope.shape[-1]), prior[..., None]]
+            whole = r_factor(np.concatenate([of_data, np.concatenate(rows, -1)], 1))
+        inside = confined(whole[..., :-1], bounded, typical)
+        return cls(of_data, whole, np.concatenate([inside, whole[..., -1:]], -1))
+
+
+class Covariance(NamedTuple):
+    """First-order uncertainties of the parameters at the optimum of a throw, or of several with
+    parameters in common."""
+
+    names: Sequence[str]
     values: Floats
     """in the data's coordinates"""
+    typical: Floats
+    factor: Floats
+    """R factor of the Jacobian, with the residual as the last column (`Factors.confined`)"""
     identifiability: Identifiability
-    at_bound: Booleans
-    open: Booleans
-    slack: Floats
-    """contribution of those at a bound to the spread of the open ones (`LinearizedProblem.open`)"""
-    distance: float
-    """to the optimum, standard errors"""
-    variance: Floats
-    """contributions to the covariance from the noise of each channel and, last, from the priors,
-    shape (channels + 1, open, open)"""
-    dof: Floats
-    """degrees of freedom of each channel's sigma; infinite where it was given and for the priors"""
-    leverage: Floats
-    """of each value on its own fitted value, 0 to 1, shape (channels, n)"""
     of_data: Identifiability
     """identifiability from the data without the priors"""
+    at_bound: Booleans
+    open: Booleans
+    matrix: Floats
+    """covariance of the open parameters while those at a bound stay there"""
+    distance: float
+    """to the optimum, standard errors"""
+    effect: Floats
+    """change of the open parameters for a change of each residual by its sigma, shape (channels, n,
+    open)"""
+    dof: Floats
+    """degrees of freedom of each channel's sigma; infinite where it was given"""
+    leverage: Floats
+    """of each value on its own fitted value, 0 to 1, shape (channels, n)"""
+    has_priors: bool = False
 
     def degrees_of_freedom(self, weights: Floats) -> float | None:
         """For the variance of a weighted sum of the open parameters; None where all sigmas were
         given."""
-        return satterthwaite(np.einsum("i,cij,j->c", weights, self.variance, weights), self.dof)
+        parts = ((self.effect @ weights) ** 2).sum(-1)
+        of_priors = weights @ self.matrix @ weights - parts.sum() if self.has_priors else 0.0
+        return satterthwaite(np.append(parts, of_priors), np.append(self.dof, np.inf))
+
+    @property
+    def combinations(self) -> tuple[Combination, ...]:
+        """What is determined in place of single parameters."""
+        weights = self.identifiability.determined()
+        return tuple(
+            replace(item, dof=self.degrees_of_freedom(weights[item.expression]))
+            for item in self.identifiability.combinations
+        )
+
+    def classified(self, place: int) -> tuple[float | None, str, float | None]:
+        """Standard error of a free parameter, where there is one, its verdict, and the degrees of
+        freedom of the error."""
+        index, about = int(self.open[:place].sum()), (self.typical[place], self.at_bound[place])
+        stderr, verdict = classify(*about, self.identifiability, index)
+        if stderr is None:
+            return None, verdict, None
+        if verdict == "determined" and classify(*about, self.of_data, index)[1] != verdict:
+            verdict = "prior"
+        return stderr, verdict, self.degrees_of_freedom(np.eye(len(self.matrix))[index])
+
+    def shifts(self, gradients: Mapping[str, Floats]) -> dict[str, dict[str, float]]:
+        """Shifts from the estimates to the true values, by determined parameter or combination and
+        by condition; `gradients` are J^T times the change of the residuals by each condition."""
+        typical = self.typical[self.open]
+        mine = {name: gradient[self.open] for name, gradient in gradients.items()}
+        by_condition = shifts(self.factor[:, :-1][:, self.open], mine, typical)
+        return {
+            name: {condition: float(row @ shift) for condition, shift in by_condition.items()}
+            for name, row in self.identifiability.determined().items()
+        }
+
+    def bound_warnings(self, lower: Floats, upper: Floats) -> list[str]:
+        """Warnings about parameters at a bound."""
+        warnings = []
+        for name, low, high in itertools.compress(
+            zip(self.names, lower, upper, strict=True), self.at_bound
+        ):
+            within = f"{low:g}..{high:g}"
+            what = f"favour values outside {within}"
+            if name in self.identifiability.names:
+                what = f"hardly distinguish this value from others within {within}"
+            warnings.append(f"{name} is at its bound; the data {what}")
+        return warnings
 
 
 def satterthwaite(parts: Floats, dof: Floats) -> float | None:
@@ -67,119 +152,94 @@ def satterthwaite(parts: Floats, dof: Floats) -> float | None:
     return float(parts.sum()) ** 2 / float((parts**2 / dof).sum())
 
 
-def noise_dof(number: Any, leverage: Floats, estimated: Booleans, loss: str) -> Floats:
-    """Degrees of freedom n - p of the sigma of each channel; infinite where it was given.
+class Sigmas(NamedTuple):
+    """How the sigmas of the channels of problems are known, shape (problems, channels)."""
 
-    Parameters
-    ----------
-    number : of values, shape (..., channels). leverage : of each value, shape (..., channels, n);
-        the sum over a channel is its p.
-    """
-    efficiency = 1.0 if loss == "linear" else _MEDIAN_EFFICIENCY
-    dof = np.maximum(number - leverage.sum(-1), 1.0)
-    return np.where(estimated, efficiency * dof, np.inf)
+    number: NDArray[np.int64]
+    """of values"""
+    estimated: Booleans
+    loss: str
 
-
-def bound_warning(name: str, lower: float, upper: float, known: Identifiability) -> str:
-    """Warning about a parameter at a bound."""
-    within = f"{lower:g}..{upper:g}"
-    if name in known.names:
-        return (
-            f"{name} is at its bound; the data hardly distinguish this value from others within "
-            f"{within}"
-        )
-    return f"{name} is at its bound; the data favour values outside {within}"
+    def dof(self, leverage: Floats) -> Floats:
+        """Degrees of freedom n - p of each sigma; infinite where it was given. The sum of the
+        `leverage` of each value, shape (..., n), over a channel is its p."""
+        efficiency = 1.0 if self.loss == "linear" else _MEDIAN_EFFICIENCY
+        dof = np.maximum(self.number - leverage.sum(-1), 1.0)
+        return np.where(self.estimated, efficiency * dof, np.inf)
 
 
 def covariances(
-    sets: Sequence[ParameterSet],
-    values: Floats,
-    problems: Sequence[Problem],
-    solutions: Sequence[Solution],
-    statistics: ResidualStatistics,
-    estimated: Booleans,
-    loss: str,
-    penalty: Penalty | None = None,
+    names: Sequence[str],
+    bounded: Bounded,
+    typical: Floats,
+    free: Booleans,
+    factors: Factors,
+    estimator: Factors,
+    jacobians: Floats,
+    sigmas: Sigmas,
 ) -> list[Covariance]:
-    """Covariances of many throws of one law; equal sets of open parameters are treated together.
+    """Covariances at optima of problems with the same parameters; equal sets of open ones are
+    treated together.
 
     Parameters
     ----------
-    sets, values : in the data's coordinates. estimated : channels whose sigma was not given.
-    penalty : of the priors, in the problems' coordinates.
+    bounded : of problems, along the first axis, as of `free`; in the data's coordinates.
+    estimator : those whose normal equations are the estimator's, which under a robust loss are not
+        those of the search.
+    jacobians : of the weighted residuals, shape (problems, channels, n, parameters).
     """
-    linearized = LinearizedProblem(
-        statistics.r_factor[..., -1], statistics.r_factor[..., :-1], values,
-        *(np.stack([getattr(item, name) for item in sets])
-          for name in ("lower", "upper", "typical", "free")),
+    problems = LinearizedProblem(
+        factors.confined[..., -1], factors.confined[..., :-1], bounded.values, bounded.lower,
+        bounded.upper, np.tile(typical, (len(free), 1)), free,
     )  # fmt: skip
-    at_bound = linearized.at_bound()
-    whole = linearized._replace(jacobian=statistics.unconfined[..., :-1])
-    distance = linearized.distance(statistics.number.sum(-1), whole)
+    at_bound = problems.at_bound()
+    has_priors = estimator.whole is not estimator.of_data
+    whole = problems._replace(jacobian=factors.whole[..., :-1])
+    distance = problems.distance(sigmas.number.sum(-1), whole)
     open_and_slack = [
         LinearizedProblem(*one).open(stuck)
-        for one, stuck in zip(zip(*linearized, strict=True), at_bound, strict=True)
+        for one, stuck in zip(zip(*problems, strict=True), at_bound, strict=True)
     ]
     found: dict[int, Covariance] = {}
     keys = ((stuck, open_) for stuck, (open_, _) in zip(at_bound, open_and_slack, strict=True))
-    for throws in grouped(keys):
-        first, (open_, _) = sets[throws[0]], open_and_slack[throws[0]]
-        jacobians = np.stack(
-            [
-                statistics.of_data[throw, :, :-1] if loss == "linear"
-                else robust_jacobian(
-                    problems[throw], solutions[throw], statistics.residual[throw], loss
-                ).reshape(-1, len(first.names))
-                for throw in throws
-            ]
-        )  # fmt: skip
-        slack = np.stack([open_and_slack[throw][1] for throw in throws])
-        ends = (np.stack([getattr(sets[k], name) for k in throws]) for name in ("lower", "upper"))
-        bounded = Bounded(*(part[:, open_] for part in (values[throws], *ends)))
-        about = first.names_where(open_), bounded.values, first.typical[open_], slack, bounded
-        known = of_data = analyse_many(jacobians[..., open_], *about)
-        if penalty is not None:
-            slopes = penalty.residual_and_slope(np.stack([one.values for one in solutions]))[1]
-            rows = slopes[throws][..., None] * np.eye(slopes.shape[-1])
-            known = analyse_many(np.concatenate([jacobians, rows], 1)[..., open_], *about)
-        by_channel = np.stack([solutions[throw].jacobian[..., open_] for throw in throws])
-        matrix = np.stack([item.covariance for item in known])[:, None]
-        matrix = matrix - (slack @ slack.mT)[:, None]
-        part = matrix @ (by_channel.mT @ by_channel)
-        leverage = ((by_channel @ matrix) * by_channel).sum(-1)
-        dof = noise_dof(statistics.number[throws], leverage, estimated[throws], loss)
-        dof = np.concatenate([dof, np.full((len(dof), 1), np.inf)], -1)
-        variance = part @ matrix
-        of_priors = matrix - variance.sum(1, keepdims=True) if penalty is not None else 0 * matrix
-        variance = np.concatenate([variance, of_priors], 1)
-        for row, throw in enumerate(throws):
-            found[throw] = Covariance(
-                values=values[throw],
-                identifiability=known[row],
-                at_bound=at_bound[throw],
-                open=open_,
-                slack=slack[row],
-                distance=float(distance[throw]),
-                variance=variance[row],
-                dof=dof[row],
-                leverage=leverage[row],
-                of_data=of_data[row],
-            )
-    return [found[throw] for throw in range(len(sets))]
+    for some in grouped(keys):
+        open_ = open_and_slack[some[0]][0]
+        slack = np.stack([open_and_slack[row][1] for row in some])
+        ends = Bounded(*(part[some][:, open_] for part in bounded))
+        about = list(itertools.compress(names, open_)), ends.values, typical[open_], slack
+        known = of_data = analyse_many(estimator.whole[some, :, :-1][..., open_], *about, ends)
+        if has_priors:
+            of_data = analyse_many(estimator.of_data[some, :, :-1][..., open_], *about, ends)
+        matrix = np.stack([item.covariance for item in known]) - slack @ slack.mT
+        by_channel = jacobians[some][..., open_]
+        effect = by_channel @ matrix[:, None]
+        leverage = (effect * by_channel).sum(-1)
+        dof = Sigmas(sigmas.number[some], sigmas.estimated[some], sigmas.loss).dof(leverage)
+        for row, place in enumerate(some):
+            found[place] = Covariance(
+                names, bounded.values[place], typical, factors.confined[place], known[row],
+                of_data[row], at_bound[place], open_, matrix[row], float(distance[place]),
+                effect[row], dof[row], leverage[row], has_priors,
+            )  # fmt: skip
+    return [found[place] for place in range(len(at_bound))]
 
 
-def robust_jacobian(problem: Problem, solution: Solution, residual: Floats, loss: str) -> Floats:
-    """Jacobian of the residuals over their sigma, each channel rescaled for a robust loss, shape
-    (channels, n, parameters).
+def robust_jacobians(problems: Problem, solutions: Solution, residual: Floats, loss: str) -> Floats:
+    """Jacobians of throws, of shape (throws, channels, n, parameters), whose normal equations are
+    those of the estimator: those of the residuals over their sigma, each channel rescaled for a
+    robust loss.
 
     The covariance of an M-estimator is that of least squares divided by `precision` (Huber 1981).
+    `residual` is measured - fitted.
     """
-    jacobian: Floats = solution.jacobian.copy()
-    for row, weight in enumerate(problem.weight):
-        r = -residual[row] * weight
-        jacobian[row] /= root_slope(r, loss)[:, None]
-        jacobian[row] *= np.sqrt(precision(r[weight > 0], loss))
-    return jacobian
+    if loss == "linear":
+        return solutions.jacobian
+    jacobians: Floats = solutions.jacobian.copy()
+    for place in np.ndindex(jacobians.shape[:2]):
+        weight = problems.weight[place]
+        r = -residual[place] * weight
+        jacobians[place] *= np.sqrt(precision(r[weight > 0], loss)) / root_slope(r, loss)[:, None]
+    return jacobians
 
 
 class OneSigmaPoints(NamedTuple):
@@ -206,10 +266,7 @@ def one_sigma_points(
     for throws in grouped((one.open,) for one in found):
         open_ = np.flatnonzero(found[throws[0]].open)
         # Covariance of the open parameters alone: those at a bound stay there.
-        covariance = np.stack(
-            [found[k].identifiability.covariance - found[k].slack @ found[k].slack.T
-             for k in throws]
-        )  # fmt: skip
+        covariance = np.stack([found[k].matrix for k in throws])
         squares, axes = np.linalg.eigh(covariance / np.outer(typical[open_], typical[open_]))
         some = (squares > _CURVED**2) & (squares < _UNKNOWN**2)
         along = np.zeros((*squares.shape, 2, len(typical)))

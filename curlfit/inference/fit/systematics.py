@@ -16,7 +16,7 @@ import numpy as np
 
 from curlfit.inference.conditions import ALL, CALIBRATION, WIDTHS, check_systematics
 from curlfit.inference.fit.prepared import PreparedThrow
-from curlfit.inference.identifiability import Identifiability, inverted, visible
+from curlfit.inference.identifiability import inverted, visible
 from curlfit.inference.likelihood import predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.losses import root_slope
@@ -176,14 +176,4 @@ def shifts(factor: Floats, gradients: Mapping[str, Floats], typical: Floats) -> 
     return {
         name: -typical * (inverse @ (inverse.T @ (typical * gradient)))
         for name, gradient in gradients.items()
-    }
-
-
-def shifts_by_name(
-    known: Identifiability, by_condition: Mapping[str, Floats]
-) -> dict[str, dict[str, float]]:
-    """Shifts of each determined parameter and each combination, by condition."""
-    return {
-        name: {condition: float(row @ shift) for condition, shift in by_condition.items()}
-        for name, row in known.determined().items()
     }

@@ -187,7 +187,7 @@ def _result(
     warnings = [
         *_heterogeneity_warnings(differences, throws, rounds),
         *curl_warnings(throws),
-        *analysis.bound_warnings(),
+        *analysis.covariance.bound_warnings(*layout.bounds[:2]),
         *(f"{item.data['file']}: {warning}" for item in single for warning in item.warnings),
     ]
     of_shared = {
@@ -205,7 +205,7 @@ def _result(
         coefficients={name: _among(item, among.get(name)) for name, item in coefficients.items()},
         combinations=tuple(_among(item, among.get(item.expression)) for item in combinations),
         rank=known.rank,
-        parameters=int(analysis.open.sum()),
+        parameters=int(analysis.covariance.open.sum()),
         differences=differences,
         throws=tuple(throws),
         systematics=Systematics(dict(widths), of_shared),
