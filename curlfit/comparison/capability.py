@@ -10,7 +10,7 @@ from curlfit.dynamics.law_structure import law_in_general, sample_points
 from curlfit.friction import Law, Load, LocalLaw
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.forces import POINTS, accelerations_along
+from curlfit.inference.initial_values import POINTS, accelerations_along
 from curlfit.inference.model import Model
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import in_batches, stacked

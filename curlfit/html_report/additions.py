@@ -93,9 +93,8 @@ def _of_fit(page: Additions, fit: FitResult, chain: Chain | None) -> None:
 
 
 def _of_joint(page: Additions, joint: JointResult, _: object) -> None:
-    from curlfit.inference.derived_report import quantities_line
     from curlfit.inference.figures import joint_figure
-    from curlfit.inference.report import extent
+    from curlfit.inference.report import extent, quantities_line
 
     throws, count = joint.throws, len(joint.throws)
     measured = {

@@ -270,6 +270,22 @@ def analyse_many(
     return [found[place] for place in range(throws)]
 
 
+def classify(
+    typical: float, at_bound: bool, known: Identifiability, place: int
+) -> tuple[float | None, str]:
+    """Standard error, where there is one, and verdict of a free parameter.
+
+    The 95 % interval of a weakly determined parameter reaches its typical size to either side.
+    `place` is the index of the parameter in `known`.
+    """
+    if at_bound:
+        return None, "at bound"
+    if known.unseen[place]:
+        return None, "not identifiable"
+    stderr = float(np.sqrt(known.covariance[place, place]))
+    return stderr, "determined" if stderr < WEAK_ERROR * typical else "weak"
+
+
 def grouped(keys: Iterable[Iterable[NDArray[Any]]]) -> list[list[int]]:
     """Indices of items, grouped by equal keys."""
     found: dict[bytes, list[int]] = {}

@@ -18,8 +18,7 @@ from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.friction import Law, Load, check_load
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.identifiability import Identifiability, analyse
-from curlfit.inference.linearized_problem import classify
+from curlfit.inference.identifiability import Identifiability, analyse, classify
 from curlfit.numerics.arrays import Floats
 from curlfit.optimal_design.information import (
     Assumptions,

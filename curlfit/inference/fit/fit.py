@@ -13,10 +13,9 @@ from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.friction.family import LawFamily
 from curlfit.inference.derived import check_derived
+from curlfit.inference.fit.advice import with_curl_warning, with_noise_advice
 from curlfit.inference.fit.change_points import sudden_change
-from curlfit.inference.fit.measured_curl import with_curl_warning
 from curlfit.inference.fit.missing_channels import remedies
-from curlfit.inference.fit.noise_advice import with_noise_advice
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult

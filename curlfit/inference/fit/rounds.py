@@ -21,8 +21,7 @@ import jax
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.inference.fit.linearization import linearized
-from curlfit.inference.fit.prepared import PreparedThrow, local_bounds
+from curlfit.inference.fit.prepared import PreparedThrow, linearized, local_bounds
 from curlfit.inference.fit.summary import LeastSquaresFit
 from curlfit.inference.least_squares import (
     Indices,

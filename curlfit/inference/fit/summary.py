@@ -20,8 +20,7 @@ from curlfit.inference.fit.covariance import (
     one_sigma_points,
     robust_jacobians,
 )
-from curlfit.inference.fit.linearization import linearized
-from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
+from curlfit.inference.fit.prepared import PreparedThrow, linearized, local_bounds, penalties
 from curlfit.inference.fit.residuals import (
     ResidualStatistics,
     correlation_warnings,

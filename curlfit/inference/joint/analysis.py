@@ -1,13 +1,21 @@
-"""What several throws together determine: covariance, verdicts, systematic errors."""
+"""What several throws together determine: covariance, verdicts, systematic errors; and whether they
+agree.
+
+The estimate that each throw alone would give, to first order about the joint optimum, is compared
+with the shared one (Cochran 1954). Where sigma is not given it is that of the throw alone, since
+the joint fit takes the misfit to a common value for noise. The spread between throws is that at
+which the differences are as large as expected (Paule and Mandel 1982).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc
 
 from curlfit.inference.fit.covariance import (
     CONVERGED,
@@ -21,12 +29,21 @@ from curlfit.inference.fit.residuals import ResidualStatistics, residual_statist
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.systematics import calibrations_of, residual_changes
-from curlfit.inference.identifiability import Bounded, Identifiability, r_factor, r_factors, visible
+from curlfit.inference.identifiability import (
+    Bounded,
+    Combination,
+    Identifiability,
+    r_factor,
+    r_factors,
+    visible,
+)
+from curlfit.inference.joint.result import Difference
 from curlfit.inference.joint.solver import JointSolution, Layout
-from curlfit.inference.least_squares import Indices
+from curlfit.inference.least_squares import Indices, residual_sigma
 from curlfit.inference.likelihood import predict_many
 from curlfit.inference.priors import Penalty
-from curlfit.numerics.arrays import Floats
+from curlfit.inference.problem import Problem
+from curlfit.numerics.arrays import Booleans, Floats
 
 
 @dataclass(frozen=True)
@@ -156,3 +173,136 @@ class JointAnalysis:
             },
             "null_directions": tuple(filter(None, directions)),
         }
+
+
+_HALVINGS = 60  # of the interval that contains the variance between throws
+_NO_PART = 1e-3  # share of a combination that a throw need not determine
+
+
+class _Alone(NamedTuple):
+    """What a throw alone determines, to first order about the joint optimum."""
+
+    step: Floats
+    """from the joint optimum to that of the throw, in typical sizes"""
+    rows: Floats
+    """determined directions in typical sizes, over the standard errors along them"""
+
+    @classmethod
+    def of(cls, jacobian: Floats, residual: Floats, bounded: Bounded, typical: Floats) -> _Alone:
+        """`jacobian`, of the weighted residuals, is in typical sizes, shape (channels, n, p)."""
+        flat = jacobian.reshape(-1, len(typical))
+        left, singular, right = np.linalg.svd(flat, full_matrices=False)
+        seen = visible(singular) & ~bounded.confine(right, singular, typical)
+        left, singular, right = left[:, seen], singular[seen], right[seen]
+        return cls(-right.T @ (left.T @ residual.ravel() / singular), right * singular[:, None])
+
+    def stderr(self, weights: Floats) -> float | None:
+        """Standard error of a weighted sum; None where the throw does not determine it."""
+        along = np.linalg.lstsq(self.rows.T, weights, rcond=None)[0]
+        if np.linalg.norm(weights - self.rows.T @ along) > _NO_PART * np.linalg.norm(weights):
+            return None
+        return float(np.linalg.norm(along))
+
+
+def differences_of(
+    solution: JointSolution,
+    layout: Layout,
+    coefficients: Mapping[str, Estimate],
+    combinations: Sequence[Combination],
+    problems: Problem,
+    unknown: Booleans,
+) -> tuple[Difference, ...]:
+    """Differences of the shared coefficients as each throw alone gives them, to first order.
+
+    Parameters
+    ----------
+    unknown : whether sigma was estimated from least squares, shape (throws, channels).
+    """
+    wanted = {
+        name: ({name: 1.0}, item.value)
+        for name, item in coefficients.items()
+        if item.verdict in ("determined", "weak")
+    } | {item.expression: (item.weights, item.value) for item in combinations}
+    throws = _each_alone(solution, layout, problems, unknown)
+    found = []
+    for expression, (weights, value) in wanted.items():
+        each: list[tuple[float, float] | None] = []
+        weight = []
+        for (joint, own), index in zip(throws, layout.index, strict=True):
+            free = layout.free[index]
+            vector = np.array([weights.get(layout.names[place], 0.0) for place in index])
+            vector = (vector * layout.bounds.typical[index])[free]
+            stderr, assumed = own.stderr(vector), joint.stderr(vector)
+            if stderr is None or assumed is None:
+                each.append(None)
+                continue
+            each.append((value + float(vector @ own.step), stderr))
+            weight.append(assumed**-2)
+        if len(weight) > 1:
+            found.append(_difference(expression, each, np.array(weight)))
+    return tuple(found)
+
+
+def _each_alone(
+    solution: JointSolution, layout: Layout, problems: Problem, unknown: Booleans
+) -> list[tuple[_Alone, _Alone]]:
+    """Of each throw, with the noise of the joint fit and with that of its own."""
+    index, bounds, each = layout.index, layout.bounds, solution.each
+    free, typical = layout.free[index], bounds.typical[index]
+    jacobians = each.jacobian * typical[:, None, None]
+    about = [
+        (Bounded(*(part[index[throw]][free[throw]] for part in
+                   (solution.values, bounds.lower, bounds.upper))), typical[throw][free[throw]])
+        for throw in range(len(index))
+    ]  # fmt: skip
+
+    def analysed(scale: Floats) -> list[_Alone]:
+        return [
+            _Alone.of(
+                jacobians[throw][..., free[throw]] / scale[throw][:, None, None],
+                each.residual[throw] / scale[throw][:, None], *about[throw],
+            )
+            for throw in range(len(index))
+        ]  # fmt: skip
+
+    joint = analysed(np.ones(unknown.shape))
+    steps = np.zeros(index.shape)
+    for throw, one in enumerate(joint):
+        steps[throw, free[throw]] = one.step
+    left = each._replace(residual=each.residual + (jacobians @ steps[:, None, :, None])[..., 0])
+    sigma = residual_sigma(left, problems, free) * problems.weight.max(-1)
+    return list(zip(joint, analysed(np.where(unknown, sigma, 1.0)), strict=True))
+
+
+def _difference(
+    expression: str, each: Iterable[tuple[float, float] | None], shared: Floats
+) -> Difference:
+    """`shared` are the weights of the throws in the joint fit."""
+    each = tuple(each)
+    estimate, stderr = np.array([item for item in each if item is not None]).T
+    variance, degrees = stderr**2, len(stderr) - 1
+
+    def about_mean(between: float) -> tuple[float, float, float]:
+        """Mean of the throws, its variance, and chi squared about it."""
+        weight = 1 / (variance + between)
+        mean = float(weight @ estimate / weight.sum())
+        return mean, float(1 / weight.sum()), float(weight @ (estimate - mean) ** 2)
+
+    q = about_mean(0.0)[2]
+    low, high = 0.0, float(estimate.var(ddof=1)) if q > degrees else 0.0
+    while about_mean(high)[2] > degrees:
+        high *= 2
+    for _ in range(_HALVINGS if high else 0):
+        middle = (low + high) / 2
+        low, high = (middle, high) if about_mean(middle)[2] > degrees else (low, middle)
+    mean, of_mean, _ = about_mean(high)
+    share = shared / shared.sum()
+    return Difference(
+        expression=expression,
+        each=each,
+        p_value=float(chdtrc(degrees, q)),
+        spread=float(np.sqrt(high)),
+        mean=mean,
+        stderr=float(np.sqrt(of_mean)),
+        shared_stderr=float(np.sqrt(share**2 @ (variance + high))),
+    )

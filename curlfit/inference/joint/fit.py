@@ -12,7 +12,7 @@ from curlfit.errors import InputError, UnusableFitError, require_kind
 from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
-from curlfit.inference.fit.measured_curl import curl_warnings
+from curlfit.inference.fit.advice import curl_warnings
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import Estimate, FitResult, Systematics
@@ -21,8 +21,7 @@ from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many
 from curlfit.inference.fit.systematics import calibrations_of, widths_of
 from curlfit.inference.identifiability import Combination, expression
 from curlfit.inference.initial_values import smooth, start_values_of_sides
-from curlfit.inference.joint.analysis import JointAnalysis
-from curlfit.inference.joint.heterogeneity import differences_of
+from curlfit.inference.joint.analysis import JointAnalysis, differences_of
 from curlfit.inference.joint.result import Difference, JointResult
 from curlfit.inference.joint.solver import Layout, Progress, minimize_jointly
 from curlfit.inference.model import Model
