@@ -289,21 +289,20 @@ def best_first(solutions: Iterable[Solution]) -> list[Solution]:
 
 
 def starts_to_try(
-    law: type[Law], parameters: ParameterSet, sides: Floats
+    law: type[Law], sides: Floats, bounds: tuple[Floats, Floats], typical: Floats
 ) -> tuple[list[Floats], list[Floats]]:
     """Initial values of which all are to be tried, since they may fit equally, and others.
 
     `sides` are those of a throw, from `start_values_of_sides`.
     """
-    all_: list[Floats] = []
+    apart: list[Floats] = []
     for one in sides:
-        far = [np.abs(one - other) > _SAME_START * parameters.typical for other in all_]
-        if all(apart.any() for apart in far):
-            all_.append(one)
+        if all((np.abs(one - other) > _SAME_START * typical).any() for other in apart):
+            apart.append(one)
     defaults = np.array([default_guess(item) for item in law.coefficients()])
-    others = np.array([all_[0]] * len(_FACTORS))
+    others = np.array([apart[0]] * len(_FACTORS))
     others[:, : len(defaults)] = np.outer(_FACTORS, defaults)
-    return all_, [*np.clip(others, parameters.lower, parameters.upper)]
+    return apart, [*np.clip(others, *bounds)]
 
 
 def fits_equally(best: Solution, other: Solution) -> Booleans:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,9 @@ from curlfit.inference.identifiability import (
     Bounded,
     Combination,
     Identifiability,
-    analyse_many,
+    analyse,
     classify,
     confined,
-    grouped,
     r_factor,
     slack,
     visible,
@@ -120,8 +120,10 @@ class LinearizedProblem(NamedTuple):
         upper limits.
         """
         reduced = (self.residual**2).sum(-1) / np.maximum(count, 1)
-        steps = (one.newton_decrement(one.movable()) for one in (self, whole))
-        return np.minimum(*steps) / np.sqrt(np.maximum(reduced, 1.0))
+        decrement = self.newton_decrement(self.movable())
+        if not np.array_equal(self.jacobian, whole.jacobian):
+            decrement = np.minimum(decrement, whole.newton_decrement(whole.movable()))
+        return decrement / np.sqrt(np.maximum(reduced, 1.0))
 
 
 CONVERGED = 0.01
@@ -136,8 +138,8 @@ _MEDIAN_EFFICIENCY = 0.37  # of sigma from the median absolute residual, Gaussia
 
 
 class Factors(NamedTuple):
-    """R factors of the Jacobians of problems, along the first axis; the last column is the residual
-    over its sigma."""
+    """R factors of the Jacobian of a problem, or of many along the first axis; the last column is
+    the residual over its sigma."""
 
     of_data: Floats
     whole: Floats
@@ -154,12 +156,19 @@ class Factors(NamedTuple):
         if penalty is not None:
             prior, slope = penalty.residual_and_slope(bounded.values)
             rows = [slope[..., None] * np.eye(slope.shape[-1]), prior[..., None]]
-            whole = r_factor(np.concatenate([of_data, np.concatenate(rows, -1)], 1))
+            whole = r_factor(np.concatenate([of_data, np.concatenate(rows, -1)], -2))
         inside = confined(whole[..., :-1], bounded, typical)
         return cls(of_data, whole, np.concatenate([inside, whole[..., -1:]], -1))
 
+    def at(self, row: int) -> Factors:
+        """Those of one problem."""
+        same = self.whole is self.of_data
+        of_data = self.of_data[row]
+        return Factors(of_data, of_data if same else self.whole[row], self.confined[row])
 
-class Covariance(NamedTuple):
+
+@dataclass(frozen=True, eq=False)
+class Covariance:
     """First-order uncertainties of the parameters at the optimum of a throw, or of several with
     parameters in common."""
 
@@ -185,23 +194,71 @@ class Covariance(NamedTuple):
     """degrees of freedom of each channel's sigma; infinite where it was given"""
     leverage: Floats
     """of each value on its own fitted value, 0 to 1, shape (channels, n)"""
-    has_priors: bool = False
+    has_priors: bool
 
-    def degrees_of_freedom(self, weights: Floats) -> float | None:
-        """For the variance of a weighted sum of the open parameters; None where all sigmas were
-        given."""
-        parts = ((self.effect @ weights) ** 2).sum(-1)
-        of_priors = weights @ self.matrix @ weights - parts.sum() if self.has_priors else 0.0
-        return satterthwaite(np.append(parts, of_priors), np.append(self.dof, np.inf))
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        bounded: Bounded,
+        typical: Floats,
+        free: Booleans,
+        factors: tuple[Factors, Factors],
+        jacobian: Floats,
+        sigmas: Sigmas,
+    ) -> Self:
+        """At the optimum of a problem.
+
+        Parameters
+        ----------
+        bounded : in the data's coordinates.
+        factors : those of the search, and those whose normal equations are the estimator's, which
+            differ under a robust loss.
+        jacobian : of the weighted residuals, shape (channels, n, parameters).
+        """
+        searched, estimator = factors
+        problem = LinearizedProblem(
+            searched.confined[:, -1], searched.confined[:, :-1], *bounded, typical, free
+        )
+        at_bound = problem.at_bound()
+        open_, slack = problem.open(at_bound)
+        ends = Bounded(*(part[open_] for part in bounded))
+        about = list(itertools.compress(names, open_)), ends.values, typical[open_], slack, ends
+        known = of_data = analyse(estimator.whole[:, :-1][:, open_], *about)
+        has_priors = estimator.whole is not estimator.of_data
+        if has_priors:
+            of_data = analyse(estimator.of_data[:, :-1][:, open_], *about)
+        matrix, by_open = known.covariance - slack @ slack.T, jacobian[..., open_]
+        effect = by_open @ matrix
+        leverage = (effect * by_open).sum(-1)
+        whole = problem._replace(jacobian=searched.whole[:, :-1])
+        return cls(
+            names, bounded.values, typical, searched.confined, known, of_data, at_bound, open_,
+            matrix, float(problem.distance(sigmas.number.sum(), whole)), effect,
+            sigmas.dof(leverage), leverage, has_priors,
+        )  # fmt: skip
+
+    def degrees_of_freedom(self, weights: Floats) -> list[float | None]:
+        """For the variances of weighted sums of the open parameters, one per row of weights; None
+        where all sigmas were given."""
+        parts = ((self.effect @ weights.T) ** 2).sum(1).T
+        of_priors = np.zeros((len(weights), 1))
+        if self.has_priors:
+            total = ((weights @ self.matrix) * weights).sum(-1, keepdims=True)
+            of_priors = total - parts.sum(-1, keepdims=True)
+        return satterthwaite(np.hstack([parts, of_priors]), np.append(self.dof, np.inf))
 
     @property
     def combinations(self) -> tuple[Combination, ...]:
         """What is determined in place of single parameters."""
-        weights = self.identifiability.determined()
-        return tuple(
-            replace(item, dof=self.degrees_of_freedom(weights[item.expression]))
-            for item in self.identifiability.combinations
-        )
+        known = self.identifiability
+        weights = list(known.determined().values())[-len(known.combinations) :]
+        dof = self.degrees_of_freedom(np.array(weights)) if known.combinations else []
+        return tuple(replace(item, dof=n) for item, n in zip(known.combinations, dof, strict=True))
+
+    @cached_property
+    def _dof_of_each(self) -> list[float | None]:
+        return self.degrees_of_freedom(np.eye(len(self.matrix)))
 
     def classified(self, place: int) -> tuple[float | None, str, float | None]:
         """Standard error of a free parameter, where there is one, its verdict, and the degrees of
@@ -210,9 +267,10 @@ class Covariance(NamedTuple):
         stderr, verdict = classify(*about, self.identifiability, index)
         if stderr is None:
             return None, verdict, None
-        if verdict == "determined" and classify(*about, self.of_data, index)[1] != verdict:
-            verdict = "prior"
-        return stderr, verdict, self.degrees_of_freedom(np.eye(len(self.matrix))[index])
+        if verdict == "determined" and self.has_priors:
+            alone = classify(*about, self.of_data, index)[1]
+            verdict = verdict if alone == verdict else "prior"
+        return stderr, verdict, self._dof_of_each[index]
 
     def shifts(self, gradients: Mapping[str, Floats]) -> dict[str, dict[str, float]]:
         """Shifts from the estimates to the true values, by determined parameter or combination and
@@ -239,18 +297,18 @@ class Covariance(NamedTuple):
         return warnings
 
 
-def satterthwaite(parts: Floats, dof: Floats) -> float | None:
-    """Degrees of freedom of a sum of estimated variances (Satterthwaite 1946, eq. 17); None where
-    all are known, or those with finite `dof` contribute less than a thousandth, so that Student's
-    distribution is normal to rounding of what is printed."""
-    estimated = np.isfinite(dof)
-    if not np.abs(parts[estimated]).sum() > _KNOWN * np.abs(parts).sum():
-        return None
-    return float(parts.sum()) ** 2 / float((parts**2 / dof).sum())
+def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
+    """Degrees of freedom of sums of estimated variances, along the rows of `parts` (Satterthwaite
+    1946, eq. 17); None where all are known, or those with finite `dof` contribute less than a
+    thousandth, so that Student's distribution is normal to rounding of what is printed."""
+    size = np.abs(parts)
+    known = ~(size[:, np.isfinite(dof)].sum(-1) > _KNOWN * size.sum(-1))
+    found = parts.sum(-1) ** 2 / np.where(known, 1.0, (parts**2 / dof).sum(-1))
+    return [None if exact else n for n, exact in zip(found.tolist(), known, strict=True)]
 
 
 class Sigmas(NamedTuple):
-    """How the sigmas of the channels of problems are known, shape (problems, channels)."""
+    """How the sigmas of the channels of a problem are known."""
 
     number: NDArray[np.int64]
     """of values"""
@@ -263,62 +321,6 @@ class Sigmas(NamedTuple):
         efficiency = 1.0 if self.loss == "linear" else _MEDIAN_EFFICIENCY
         dof = np.maximum(self.number - leverage.sum(-1), 1.0)
         return np.where(self.estimated, efficiency * dof, np.inf)
-
-
-def covariances(
-    names: Sequence[str],
-    bounded: Bounded,
-    typical: Floats,
-    free: Booleans,
-    factors: Factors,
-    estimator: Factors,
-    jacobians: Floats,
-    sigmas: Sigmas,
-) -> list[Covariance]:
-    """Covariances at optima of problems with the same parameters; equal sets of open ones are
-    treated together.
-
-    Parameters
-    ----------
-    bounded : of problems, along the first axis, as of `free`; in the data's coordinates.
-    estimator : those whose normal equations are the estimator's, which under a robust loss are not
-        those of the search.
-    jacobians : of the weighted residuals, shape (problems, channels, n, parameters).
-    """
-    problems = LinearizedProblem(
-        factors.confined[..., -1], factors.confined[..., :-1], bounded.values, bounded.lower,
-        bounded.upper, np.tile(typical, (len(free), 1)), free,
-    )  # fmt: skip
-    at_bound = problems.at_bound()
-    has_priors = estimator.whole is not estimator.of_data
-    whole = problems._replace(jacobian=factors.whole[..., :-1])
-    distance = problems.distance(sigmas.number.sum(-1), whole)
-    open_and_slack = [
-        LinearizedProblem(*one).open(stuck)
-        for one, stuck in zip(zip(*problems, strict=True), at_bound, strict=True)
-    ]
-    found: dict[int, Covariance] = {}
-    keys = ((stuck, open_) for stuck, (open_, _) in zip(at_bound, open_and_slack, strict=True))
-    for some in grouped(keys):
-        open_ = open_and_slack[some[0]][0]
-        slack = np.stack([open_and_slack[row][1] for row in some])
-        ends = Bounded(*(part[some][:, open_] for part in bounded))
-        about = list(itertools.compress(names, open_)), ends.values, typical[open_], slack
-        known = of_data = analyse_many(estimator.whole[some, :, :-1][..., open_], *about, ends)
-        if has_priors:
-            of_data = analyse_many(estimator.of_data[some, :, :-1][..., open_], *about, ends)
-        matrix = np.stack([item.covariance for item in known]) - slack @ slack.mT
-        by_channel = jacobians[some][..., open_]
-        effect = by_channel @ matrix[:, None]
-        leverage = (effect * by_channel).sum(-1)
-        dof = Sigmas(sigmas.number[some], sigmas.estimated[some], sigmas.loss).dof(leverage)
-        for row, place in enumerate(some):
-            found[place] = Covariance(
-                names, bounded.values[place], typical, factors.confined[place], known[row],
-                of_data[row], at_bound[place], open_, matrix[row], float(distance[place]),
-                effect[row], dof[row], leverage[row], has_priors,
-            )  # fmt: skip
-    return [found[place] for place in range(len(at_bound))]
 
 
 def robust_jacobians(problems: Problem, solutions: Solution, residual: Floats, loss: str) -> Floats:
@@ -360,20 +362,17 @@ def one_sigma_points(
     values, lower, upper : of each throw, in the problems' coordinates. typical : of all.
     """
     parts = []
-    for throws in grouped((one.open,) for one in found):
-        open_ = np.flatnonzero(found[throws[0]].open)
+    for owner, one in enumerate(found):
         # Covariance of the open parameters alone: those at a bound stay there.
-        covariance = np.stack([found[k].matrix for k in throws])
-        squares, axes = np.linalg.eigh(covariance / np.outer(typical[open_], typical[open_]))
+        squares, axes = np.linalg.eigh(one.matrix / np.outer(typical[one.open], typical[one.open]))
         some = (squares > _CURVED**2) & (squares < _UNKNOWN**2)
-        along = np.zeros((*squares.shape, 2, len(typical)))
-        along[..., open_] = axes.mT[:, :, None]
-        size = np.sqrt(np.where(some, squares, 0.0))[..., None, None] * [[1.0], [-1.0]]
-        points = values[throws][:, None, None] + size * along * typical
-        low, high = lower[throws][:, None, None], upper[throws][:, None, None]
-        inside = some[..., None] & ((points >= low) & (points <= high)).all(-1)
-        owner = np.array(throws)[np.nonzero(inside)[0]]
-        parts.append(OneSigmaPoints(owner, points[inside], along[inside]))
+        along = np.zeros((int(some.sum()), 2, len(typical)))
+        along[..., one.open] = axes.T[some, None]
+        size = np.sqrt(squares[some])[:, None, None] * [[1.0], [-1.0]]
+        points = values[owner] + size * along * typical
+        inside = ((points >= lower[owner]) & (points <= upper[owner])).all(-1)
+        which = np.full(int(inside.sum()), owner)
+        parts.append(OneSigmaPoints(which, points[inside], along[inside]))
     return OneSigmaPoints(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
 
 

@@ -36,7 +36,6 @@ from curlfit.inference.least_squares import (
 from curlfit.inference.likelihood import prepare_channels
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, problem_shape
-from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import BATCH, stacked, unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.stone import Stone
@@ -162,15 +161,21 @@ def _fitted(
         rounds.problems, sides[0], lower, upper, throws[0].parameters.typical,
         penalties(throws, first=True),
     )  # fmt: skip
-    first, others = zip(
-        *(_starts(one, model.law, sides[:, row], start) for row, one in enumerate(throws)),
-        strict=True,
-    )
-    tried = optima(model, tasks, first, alone=alone)
+    plans = []
+    for row, one in enumerate(throws):
+        ends = lower[row], upper[row]
+        first, others = starts_to_try(model.law, sides[:, row], ends, tasks.typical)
+        if start:  # takes the place of the only initial values that the data give
+            given = one.with_start(first[0], start)
+            first, others = (
+                ([given], first + others) if len(first) == 1 else ([given, *first], others)
+            )
+        plans.append((first, others))
+    tried = optima(model, tasks, [first for first, _ in plans], alone=alone)
     best = stacked([(best_first(found) or found)[0] for found in tried])
     poor = needs_restart(best, paths, rounds.problems)
     # If the first optimum is poor, all are tried: a later one may be local and look good.
-    again = [each if bad else [] for each, bad in zip(others, poor, strict=True)]
+    again = [others if bad else [] for (_, others), bad in zip(plans, poor, strict=True)]
     for found, more in zip(tried, optima(model, tasks, again, alone=alone), strict=True):
         found += more
     followed = [best_first(found) for found in tried]
@@ -207,18 +212,6 @@ def _outcome(
     best, *others = found
     rival = next((one.values for one in others if fits_equally(best, one)), None)
     return rounds.record(row, best, tried, rival)
-
-
-def _starts(
-    one: PreparedThrow, law: type[Law], sides: Floats, start: Mapping[str, float] | None
-) -> tuple[list[Floats], list[Floats]]:
-    """Initial values of a throw of which all are tried, and others; those of the user come first,
-    and take the place of the only ones that the data give."""
-    first, others = starts_to_try(law, one.local_parameters, sides)
-    if not start:
-        return first, others
-    given = one.with_start(first[0], start)
-    return ([given], first + others) if len(first) == 1 else ([given, *first], others)
 
 
 def _reference_fits(fit: LeastSquaresFit, result: FitResult) -> tuple[dict[str, Any], ...]:

@@ -15,7 +15,6 @@ from curlfit.inference.fit.covariance import (
     Covariance,
     Factors,
     Sigmas,
-    covariances,
     nonquadratic_estimates,
     one_sigma_points,
     robust_jacobians,
@@ -106,9 +105,8 @@ def summarize_many(
     paths = predict_many(model, solutions.values, problems, batch) if curves else None
     penalty, loss = penalties([fit.prepared for fit in fits]), fits[0].loss
     sets = [fit.prepared.parameters for fit in fits]
-    typical, free = sets[0].typical, np.stack([item.free for item in sets])
-    offset, lower, upper = local_bounds([fit.prepared for fit in fits])
-    local = Bounded(solutions.values, lower, upper)
+    typical, (offset, *ends) = sets[0].typical, local_bounds([fit.prepared for fit in fits])
+    local = Bounded(solutions.values, *ends)
     statistics = residual_statistics(problems, solutions, paths)
     channels = ROWS_OF_DATA[: problems.observed.shape[1]]
     factors = Factors.of(r_factors(solutions.jacobian, solutions.residual), local, typical, penalty)
@@ -116,20 +114,14 @@ def summarize_many(
     if loss != "linear":
         robust = robust_jacobians(problems, solutions, statistics.residual, loss)
         estimator = Factors.of(r_factors(robust, solutions.residual), local, typical, penalty)
-    found = covariances(
-        sets[0].names,
-        Bounded(*(part + offset for part in local)),
-        typical,
-        free,
-        factors,
-        estimator,
-        solutions.jacobian,
-        Sigmas(
-            statistics.number,
-            np.array([[name in fit.sigma for name in channels] for fit in fits]),
-            loss,
-        ),
-    )  # fmt: skip
+    found = [
+        Covariance.of(
+            own.names, Bounded(*(part[row] + offset[row] for part in local)), typical, own.free,
+            (factors.at(row), estimator.at(row)), fits[row].solution.jacobian,
+            Sigmas(statistics.number[row], np.isin(channels, [*fits[row].sigma]), loss),
+        )
+        for row, own in enumerate(sets)
+    ]  # fmt: skip
     around = one_sigma_points(found, *local, typical)
     of_owners = jax.tree.map(lambda leaf: leaf[around.owner], problems)
     chi_squared = chi_squared_of_many(model, around.point, of_owners, batch)

@@ -22,7 +22,6 @@ from curlfit.inference.fit.covariance import (
     Covariance,
     Factors,
     Sigmas,
-    covariances,
     robust_jacobians,
 )
 from curlfit.inference.fit.residuals import ResidualStatistics, residual_statistics
@@ -41,7 +40,6 @@ from curlfit.inference.joint.result import Difference
 from curlfit.inference.joint.solver import JointSolution, Layout
 from curlfit.inference.least_squares import Indices, residual_sigma
 from curlfit.inference.likelihood import predict_many
-from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
 
@@ -71,13 +69,12 @@ class JointAnalysis:
         given by R factors."""
         layout, rounds, each = self.layout, self.rounds, self.solution.each
         lower, upper, typical = layout.bounds
-        bounded = Bounded(self.solution.values[None], lower[None], upper[None])
-        penalty = layout.penalty and Penalty(*(part[None] for part in layout.penalty))
+        bounded = Bounded(self.solution.values, lower, upper)
 
         def factors_of(jacobians: Floats) -> Factors:
             rows = layout.widened(r_factors(jacobians, each.residual))
-            whole = r_factor(rows.reshape(1, -1, rows.shape[-1]))
-            return Factors.of(whole, bounded, typical, penalty)
+            whole = r_factor(rows.reshape(-1, rows.shape[-1]))
+            return Factors.of(whole, bounded, typical, layout.penalty)
 
         factors = estimator = factors_of(each.jacobian)
         if rounds.loss != "linear":
@@ -85,19 +82,15 @@ class JointAnalysis:
             estimator = factors_of(robust_jacobians(*about))
         offset = layout.joined(np.stack([one.offset for one in rounds.throws]))
         by_channel = layout.widened(r_factor(each.jacobian))
-        (found,) = covariances(
+        return Covariance.of(
             layout.names,
             Bounded(*(part + offset for part in bounded)),
             typical,
-            layout.free[None],
-            factors,
-            estimator,
-            by_channel.reshape(1, -1, *by_channel.shape[2:]),
-            Sigmas(
-                self.statistics.number.reshape(1, -1), rounds.unknown.reshape(1, -1), rounds.loss
-            ),
-        )  # fmt: skip
-        return found
+            layout.free,
+            (factors, estimator),
+            by_channel.reshape(-1, *by_channel.shape[2:]),
+            Sigmas(self.statistics.number.ravel(), rounds.unknown.ravel(), rounds.loss),
+        )
 
     @property
     def converged(self) -> bool:
