@@ -207,10 +207,7 @@ def event_figure(fit: FitResult) -> draw.Picture:
     rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 1.9))
     on_sheet = figure.add_subplot(rows[0])
     panels: Any = rows[1].subgridspec(1, 3, width_ratios=(1.3, 1.1, 0.9)).subplots()
-    events = [
-        (Event(**{key: value for key, value in item.items() if key != "fitted"}), item["fitted"])
-        for item in fit.events
-    ]
+    events = fit.timed
     t = fit.observed["t"]
     last = int(np.argmax(fit.fitted["speed"] == 0)) or len(t) - 1
     moving = {name: series[: last + 2] for name, series in {**fit.fitted, "t": t}.items()}

@@ -92,14 +92,18 @@ _single_channels = compiled("model")(_channels)
 def predict_channels(model: Model, values: Any, problem: Problem) -> Array:
     """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, a sixth row
     has one event per column."""
-    found: Array = _single_channels(model.of_program, model.vector(values), _without_data(problem))
+    found: Array = _single_channels(*_of_path(model, values, problem))
     return found
 
 
 def prepare_channels(model: Model, parameters: int, problem: Problem) -> None:
     """Begin to compile what `predict_channels` needs."""
-    values = model.vector(np.zeros(parameters))
-    _single_channels.prepare(model.of_program, values, _without_data(problem))
+    _single_channels.prepare(*_of_path(model, np.zeros(parameters), problem))
+
+
+def _of_path(model: Model, values: Any, problem: Problem) -> tuple[Model, Any, Problem]:
+    """Arguments of a program for paths."""
+    return model.of_program, model.vector(values), _without_data(problem)
 
 
 def _without_data(problem: Problem) -> Problem:
@@ -128,15 +132,13 @@ def _slopes_of_channels(model: Model, values: Array, problems: Problem) -> Array
 
 def path_jacobians(model: Model, values: Floats, problems: Problem) -> Floats:
     """Derivatives of the result of `predict_many` by the parameters, (throws, 5 or 6, n, p)."""
-    arguments = model.vector(values), _without_data(problems)
-    found = np.asarray(_slopes_of_channels(model.of_program, *arguments))
+    found = np.asarray(_slopes_of_channels(*_of_path(model, values, problems)))
     return found[..., model.columns(values.shape[-1])]
 
 
 def prepare_path_jacobians(model: Model, values: Floats, problems: Problem) -> None:
     """Begin to compile what `path_jacobians` needs."""
-    arguments = model.vector(values), _without_data(problems)
-    _slopes_of_channels.prepare(model.of_program, *arguments)
+    _slopes_of_channels.prepare(*_of_path(model, values, problems))
 
 
 def prepare_many(model: Model, values: Floats, problems: Problem) -> None:

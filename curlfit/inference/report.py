@@ -31,7 +31,6 @@ from curlfit.output.text import (
 )
 from curlfit.sheet import FOOT
 from curlfit.stone import UNITS as STONE_UNITS
-from curlfit.throws.events import Event
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
@@ -167,15 +166,18 @@ def estimate_cells(
     name: str, item: Estimate | Combination, systematics: Systematics, head: str = "parameter"
 ) -> dict[str, Any]:
     """Cells of a row of a table of estimates."""
-    verdict = getattr(item, "verdict", "determined")
-    hidden = verdict == "not identifiable"
+    verdict, error = getattr(item, "verdict", "determined"), systematics.errors.get(name)
+    cells = _cells(head, name, item, getattr(item, "unit", ""), error)
+    return cells | {"verdict": judged(verdict)}
+
+
+def _cells(head: str, name: str, item: Any, unit: str, error: float | None) -> dict[str, Any]:
+    """An estimate with its standard and systematic errors."""
+    hidden = getattr(item, "verdict", "") == "not identifiable"
     value, stderr = ("-", "-") if hidden else format_estimate(item.value, item.stderr)
-    error = systematics.errors.get(name)
     return {
-        head: labelled(name, getattr(item, "unit", "")),
-        ">estimate": value, ">std. error": stderr,
+        head: labelled(name, unit), ">estimate": value, ">std. error": stderr,
         ">systematic": None if error is None else f"{error:.2g}",
-        "verdict": judged(verdict),
     }  # fmt: skip
 
 
@@ -357,15 +359,14 @@ def _sigma(fit: FitResult, name: str) -> str:
 def _events(fit: FitResult) -> PlainTable:
     """Values measured at lines and at rest, with the fitted ones."""
     rows = []
-    for item in fit.events:
-        event = Event(**{key: value for key, value in item.items() if key != "fitted"})
+    for event, fitted in fit.timed:
         digits = max(decimals(event.sigma), 2)
-        off = (event.value - item["fitted"]) / event.sigma
+        off = (event.value - fitted) / event.sigma
         rows.append(
             {
                 "measured": event.name, ">value": f"{event.value:.{digits}f}",
                 ">sigma": f"{event.sigma:.2g}", "unit": event.unit,
-                ">fit": f"{item['fitted']:.{digits}f}", ">measured - fit": f"{off + 0.0:.1f} sigma",
+                ">fit": f"{fitted:.{digits}f}", ">measured - fit": f"{off + 0.0:.1f} sigma",
             }
         )  # fmt: skip
     return PlainTable(rows, "Timed events")
@@ -605,13 +606,7 @@ def quantities_line(quantities: Mapping[str, Derived]) -> str:
 
 
 def _derived_row(head: str, item: Derived) -> dict[str, Any]:
-    hidden = item.verdict == "not identifiable"
-    value, stderr = ("-", "-") if hidden else format_estimate(item.value, item.stderr)
-    return {
-        head: labelled(item.meaning or item.expression, item.unit),
-        ">estimate": value, ">std. error": stderr,
-        ">systematic": None if item.systematic is None else f"{item.systematic:.2g}",
-    }  # fmt: skip
+    return _cells(head, item.meaning or item.expression, item, item.unit, item.systematic)
 
 
 def _quantiles(item: Derived) -> dict[str, str]:

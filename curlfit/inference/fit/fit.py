@@ -22,7 +22,6 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import LeastSquaresFit, summarize, summarize_many
 from curlfit.inference.fit.systematics import widths_of
-from curlfit.inference.initial_values import smooth, start_values_of_sides
 from curlfit.inference.least_squares import (
     Solution,
     Tasks,
@@ -117,13 +116,7 @@ def _fit(
     if result.reference is not None:
         result = replace(result, reference_fits=_reference_fits(found, result))
     open_ = [name for name, item in result.parameters.items() if item.verdict in _OPEN]
-    if open_:
-        local = prepared.local_parameters
-        values, n = found.solution.values, len(prepared.throw)
-        white = result.noise.kind == "white"
-        remedy = remedies(model, values, found.problem, local, n, open_, chosen.fix, white)
-        result = replace(result, remedies=remedy)
-    return result
+    return replace(result, remedies=remedies(found, open_, chosen.fix)) if open_ else result
 
 
 def refit(fit: FitResult, noise: str) -> FitResult:
@@ -153,10 +146,7 @@ def _fitted(
         prepare_minimize(model, throws[0].first_parameters, problem)
         prepare_channels(model, len(throws[0].parameters), problem)
     _, lower, upper = local_bounds(throws)
-    paths = smooth(rounds.initial_problems)
-    sides = start_values_of_sides(
-        model, rounds.initial_problems, paths, lower, upper, batch=rounds.batch
-    )
+    paths, sides = rounds.starts()
     tasks = Tasks(
         rounds.problems, sides[0], lower, upper, throws[0].parameters.typical,
         penalties(throws, first=True),

@@ -15,12 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from curlfit.inference.fit.summary import LeastSquaresFit
 from curlfit.inference.identifiability import WEAK_ERROR, Identifiability, analyse
 from curlfit.inference.likelihood import predict_channels
-from curlfit.inference.model import Model
-from curlfit.inference.parameters import ParameterSet
-from curlfit.inference.problem import Problem
-from curlfit.numerics.arrays import Floats
 from curlfit.numerics.differences import slopes
 from curlfit.throws.throw import CHANNELS
 
@@ -30,34 +27,26 @@ _STEP = 1e-4  # of a typical size, of differences: the path is accurate to 1e-8 
 
 
 def remedies(
-    model: Model,
-    values: Floats,
-    problem: Problem,
-    parameters: ParameterSet,
-    rows: int,
-    open_: Sequence[str],
-    held: Collection[str],
-    white: bool = True,
+    fit: LeastSquaresFit, open_: Sequence[str], held: Collection[str]
 ) -> tuple[dict[str, Any], ...]:
     """What would determine some parameters, as {"parameters": names, "measure": channels}.
 
     Parameters
     ----------
-    values, parameters : in the frame of the problem.
-    rows : of the data; the rest of the problem is padding.
     open_ : parameters that the data do not determine.
     held : parameters that stay fixed whatever is measured.
-    white : whether the noise is white.
 
     Returns
     -------
     Parameters with the same remedy are grouped. Of several channels in "measure" any one suffices,
     unless "all" is true: then all are needed. It is empty where no channel would help.
     """
+    parameters, values = fit.prepared.local_parameters, fit.solution.values
+    problem, rows = fit.problem, len(fit.prepared.throw)
     free = np.array([place for place, name in enumerate(parameters.names) if name not in held])
     fixed = parameters.lower >= parameters.upper  # for lack of a channel that depends on them
     jacobian = slopes(
-        lambda moved: predict_channels(model, moved, problem)[:, :rows],
+        lambda moved: predict_channels(fit.model, moved, problem)[:, :rows],
         values, _STEP * parameters.typical, free,
         lower=np.where(fixed, -np.inf, parameters.lower),
         upper=np.where(fixed, np.inf, parameters.upper),
@@ -80,7 +69,7 @@ def remedies(
         sharp = (spread < WEAK_ERROR * parameters.typical[free]) & ~known.unseen
         return {name for name, take in zip(names, sharp, strict=True) if take}
 
-    if not white:
+    if fit.noise.kind != "white":
         unseen = dict(zip(names, analysed(missing).unseen, strict=True))
         never = [name for name in open_ if unseen[name]]
         return ({"parameters": never, "measure": [], "all": False},) if never else ()
