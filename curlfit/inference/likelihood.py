@@ -176,24 +176,10 @@ def _whitened_residuals(model: Model, values: Array, problem: Problem) -> Array:
     return whitened(residual, problem.whitener)
 
 
-def _under_losses(residual: Array, losses: Array) -> tuple[Array, Array]:
-    """Residuals of many throws transformed by their losses, and the derivatives of these."""
-
-    def robust(residual: Array) -> tuple[Array, Array]:
-        found: tuple[Array, Array] = jax.jvp(
-            lambda r: jax.vmap(signed_root)(r, losses), (residual,), (jnp.ones_like(residual),)
-        )
-        return found
-
-    def squared(residual: Array) -> tuple[Array, Array]:
-        return residual, jnp.ones_like(residual)
-
-    return jax.lax.cond((losses > 0).any(), robust, squared, residual)
-
-
 @compiled("model")
 def linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, Array]:
-    """Residuals of throws, shape (throws, channels, n), and their Jacobian by the parameters."""
+    """Residuals of throws, shape (throws, channels, n), and their Jacobian by the parameters; both
+    whitened, but not transformed by a loss."""
 
     def one(values: Array, problem: Problem) -> tuple[Array, Array]:
         def residual(values: Array) -> tuple[Array, Array]:
@@ -203,8 +189,7 @@ def linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, Ar
         return jax.jacfwd(residual, has_aux=True)(values)
 
     jacobian, found = jax.vmap(one)(values, problems)
-    found, slope = _under_losses(found, problems.loss)
-    return found, slope[..., None] * jacobian
+    return found, jacobian
 
 
 def log_likelihood(model: Model, values: Array, problem: Problem) -> Array:
@@ -232,7 +217,9 @@ def log_posterior(
 @compiled("model")
 def _chi_squared(model: Model, values: Array, problems: Problem) -> Array:
     found = jax.vmap(partial(_whitened_residuals, model))(values, problems)
-    return (_under_losses(found, problems.loss)[0] ** 2).sum((1, 2))
+    robust = (problems.loss > 0).any()
+    found = jax.lax.cond(robust, jax.vmap(signed_root), lambda r, _: r, found, problems.loss)
+    return (found**2).sum((1, 2))
 
 
 def chi_squared_of_many(
