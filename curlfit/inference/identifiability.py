@@ -287,16 +287,9 @@ def _combinations(
     return tuple(sums.values())
 
 
-class Slack(NamedTuple):
-    """How far parameters at a bound may lie inside it, and the effect on the others."""
-
-    distance: Floats
-    """rms distance from the bound, shape (bounded,)"""
-    columns: Floats
-    """the corresponding change of the open parameters, shape (open, bounded)"""
-
-
-def slack(jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room: Floats) -> Slack:
+def slack(
+    jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room: Floats
+) -> tuple[Floats, Floats]:
     """Spread of parameters at a bound, each a normal truncated there; the open ones follow.
 
     An optimum at a bound leaves the parameter a one-sided spread: wide where the data hardly push
@@ -309,6 +302,11 @@ def slack(jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room
         to those at a bound.
     push : decrease of half of chi squared per unit beyond the bound, >= 0, for each at a bound.
     typical, room : of those at a bound: typical size, and width of the interval of bounds.
+
+    Returns
+    -------
+    the rms distance of each from the bound, and the corresponding change of the open parameters,
+    shape (open, bounded).
     """
     from scipy.special import log_ndtr  # slow to load
 
@@ -323,7 +321,7 @@ def slack(jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room
     hazard = np.exp(-(least**2 + np.log(2 * np.pi)) / 2 - log_ndtr(-least))
     square = np.where(alpha < 30, 1 + alpha**2 - alpha * hazard, 2 / np.maximum(alpha, 1) ** 2)
     distance = np.minimum(sigma * np.sqrt(square), room)
-    return Slack(distance, follow * distance)
+    return distance, follow * distance
 
 
 def expression(weights: dict[str, float]) -> str:

@@ -91,15 +91,15 @@ class LinearizedProblem(NamedTuple):
         held = at_bound.copy()
         for _ in range(2):
             open_ = self.free & ~held
-            found = slack(
+            distance, columns = slack(
                 self.jacobian[:, open_], self.jacobian[:, held], push[held], self.typical[held],
                 room[held],
             )  # fmt: skip
-            loose = found.distance > _LOOSE * self.typical[held]
+            loose = distance > _LOOSE * self.typical[held]
             if not loose.any():
                 break
             held[held] = ~loose
-        return open_, found.columns
+        return open_, columns
 
     def newton_decrement(self, where: Booleans) -> Floats:
         """Length of the remaining Gauss-Newton step, in sigmas, along determined directions.

@@ -13,15 +13,14 @@ from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.friction.family import LawFamily
 from curlfit.inference.derived import check_derived
-from curlfit.inference.fit.advice import with_curl_warning, with_noise_advice
+from curlfit.inference.fit.advice import remedies, with_curl_warning, with_noise_advice
 from curlfit.inference.fit.change_points import sudden_change
-from curlfit.inference.fit.missing_channels import remedies
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import LeastSquaresFit, summarize, summarize_many
-from curlfit.inference.fit.systematics import widths_of
+from curlfit.inference.fit.systematics import calibrations_of, widths_of
 from curlfit.inference.least_squares import (
     Solution,
     Tasks,
@@ -99,7 +98,7 @@ def _fit(
     loss, noise, start = chosen.loss, chosen.noise, chosen.start
     rounds = Rounds(model, [prepared], loss=loss, noise=noise)
     found = _fitted_alone(rounds, start)
-    errors = len(prepared.calibration)
+    errors = calibrations_of([prepared]).shape[1]
     result = summarize(found, widths_of(model, chosen.systematics, errors))
     if not result.converged:
         return result
@@ -277,7 +276,7 @@ def fit_throws(
             rounds = Rounds(model, list(part.values()), loss=loss, noise=noise, batch=BATCH)
             fitted = dict(zip(part, _fitted(rounds, common.start), strict=True))
             usable = {k: one for k, one in fitted.items() if isinstance(one, LeastSquaresFit)}
-            errors = max(len(one.calibration) for one in part.values())
+            errors = calibrations_of(rounds.throws).shape[1]
             widths = {} if systematics is None else widths_of(model, systematics, errors)
             results = summarize_many(list(usable.values()), curves=curves, widths=widths)
             found |= fitted | dict(zip(usable, map(with_curl_warning, results), strict=True))

@@ -80,17 +80,6 @@ class PreparedThrow(NamedTuple):
         return self.origin.offset(len(self.parameters))
 
     @property
-    def calibration(self) -> Floats:
-        """Independent errors of the calibration (see `Throw`) in the problem's coordinates, shape
-        (errors, 3, 3); none without a calibration."""
-        known = self.throw.calibration
-        if known is None:
-            return np.zeros((0, 3, 3))
-        to_problem = np.eye(3)
-        to_problem[:2, 2] = -self.origin.place[:2]
-        return to_problem @ known @ np.linalg.inv(to_problem)
-
-    @property
     def local_parameters(self) -> ParameterSet:
         """The parameters in the problem's coordinates."""
         return self.parameters.shifted(-self.offset)

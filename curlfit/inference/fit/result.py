@@ -286,7 +286,7 @@ class FitResult(NamedEstimates):
     noise : how noise is correlated from row to row, see `curlfit.inference.noise.models`.
     outliers : values far from the fit: {"channel", "t", "line" (of the file, or None), "off" (SI),
         "sigmas"}, the farthest first.
-    remedies : further measurements that would help, see `curlfit.inference.fit.missing_channels`.
+    remedies : further measurements that would help, see `curlfit.inference.fit.advice`.
     sampling : "none", "unfinished" (begun, or about to begin) or "ended".
     systematics : errors due to the conditions that the fit holds fixed, such as level ice.
     chi_squared, prior_chi_squared : of the data, and of the priors.

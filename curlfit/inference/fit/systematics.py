@@ -72,7 +72,9 @@ def calibrations_of(throws: Sequence[PreparedThrow], *, jointly: bool = False) -
     for row, (throw, one) in enumerate(zip(throws, known, strict=True)):
         if one is not None:
             first = most * next((k for k, d in enumerate(distinct) if np.array_equal(one, d)), 0)
-            found[row, first : first + len(one)] = throw.calibration
+            to_problem = np.eye(3)
+            to_problem[:2, 2] = -throw.origin.place[:2]
+            found[row, first : first + len(one)] = to_problem @ one @ np.linalg.inv(to_problem)
     return found
 
 
