@@ -10,7 +10,7 @@ bounds leave less room than a tenth of a standard error: only the bounds determi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Any, NamedTuple
@@ -65,6 +65,18 @@ class Combination(WithInterval):
     value: float
     stderr: float | None
     dof: float | None = None
+
+
+def with_combinations(
+    names: Sequence[str], samples: Floats, combinations: Iterable[Combination]
+) -> dict[str, Floats]:
+    """Samples (..., parameters) by the name of the parameter, and by combination."""
+    found = {name: samples[..., place] for place, name in enumerate(names)}
+    sums = {
+        item.expression: np.sum([weight * found[name] for name, weight in item.weights.items()], 0)
+        for item in combinations
+    }
+    return found | sums
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.identifiability import with_combinations
 from curlfit.inference.likelihood import predict_channels
-from curlfit.inference.mcmc.chain import with_combinations
 from curlfit.inference.noise.losses import log_density
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats

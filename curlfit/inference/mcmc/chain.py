@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version as version_of
 from io import BytesIO
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from curlfit.errors import DataError, InputError
 from curlfit.friction import LAWS, Law
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.identifiability import Combination
+from curlfit.inference.identifiability import with_combinations
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
 from curlfit.output.console import PlainTable
@@ -227,18 +227,6 @@ class Chain(Displayed):
             group.create_dataset("accepted", data=accepted[0])
             for place, item in enumerate(self.random_state or ()):
                 group.attrs[f"random_state_{place}"] = item
-
-
-def with_combinations(
-    names: Sequence[str], samples: Floats, combinations: Iterable[Combination]
-) -> dict[str, Floats]:
-    """Samples (..., parameters) by the name of the parameter, and by combination."""
-    found = {name: samples[..., place] for place, name in enumerate(names)}
-    sums = {
-        item.expression: np.sum([weight * found[name] for name, weight in item.weights.items()], 0)
-        for item in combinations
-    }
-    return found | sums
 
 
 def load_chain(file: str | PathLike[str], fit: FitResult | None = None) -> Chain:
