@@ -18,7 +18,7 @@ from curlfit.dynamics.law_structure import law_in_general, sample_points
 from curlfit.friction import Law, Load, LocalLaw
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.forces import POINTS, accelerations_along
+from curlfit.inference.initial_values import POINTS, accelerations_along
 from curlfit.inference.model import Model
 from curlfit.inference.noise.losses import robust_sigma
 from curlfit.numerics.arrays import Booleans, Floats

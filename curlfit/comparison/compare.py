@@ -34,8 +34,8 @@ from curlfit.errors import UnusableFitError
 from curlfit.friction import LAWS, Law, NetLaw, find_law
 from curlfit.friction.family import family_of
 from curlfit.inference.conditions import ALL
+from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.fit import fit
-from curlfit.inference.fit.missing_channels import NOISE
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import options_of, require_known
 from curlfit.numerics.threads import in_threads

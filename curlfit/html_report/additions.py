@@ -76,8 +76,7 @@ class Additions:
 
 
 def _of_joint(page: Additions, joint: JointResult) -> None:
-    from curlfit.inference.derived_report import quantities_line
-    from curlfit.inference.report import extent
+    from curlfit.inference.report import extent, quantities_line
 
     throws, count = joint.throws, len(joint.throws)
     measured = {

@@ -16,7 +16,6 @@ from fractions import Fraction
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.principal_axes import principal_axes
@@ -27,7 +26,7 @@ _ROUNDING = 1e-9  # over the largest singular value
 _NO_PART = 1e-3  # share of a direction below which a parameter takes no part in it
 _LITTLE_PART = 0.05  # the same for a direction that is weakly determined
 _ROOM = 0.1  # standard errors within the bounds, below which these determine a direction
-_WHOLE = np.arange(1.0, 7)  # denominators of simple ratios
+_WHOLE = np.arange(1.0, 7)[:, None, None]  # denominators of simple ratios
 _WEAK = 1.0  # singular value below which a direction is known to no better than typical sizes
 WEAK_ERROR = 0.5
 """Standard error over typical size, from which an estimate is weakly determined: a 95 % interval
@@ -66,6 +65,18 @@ class Combination(WithInterval):
     value: float
     stderr: float | None
     dof: float | None = None
+
+
+def with_combinations(
+    names: Sequence[str], samples: Floats, combinations: Iterable[Combination]
+) -> dict[str, Floats]:
+    """Samples (..., parameters) by the name of the parameter, and by combination."""
+    found = {name: samples[..., place] for place, name in enumerate(names)}
+    sums = {
+        item.expression: np.sum([weight * found[name] for name, weight in item.weights.items()], 0)
+        for item in combinations
+    }
+    return found | sums
 
 
 @dataclass(frozen=True)
@@ -209,73 +220,55 @@ def analyse(
         outer products add to the covariance, shape (parameters, others).
     bounded : values and bounds, in the same coordinates; without them the bounds do not count.
     """
-    slacks = None if slack is None else slack[None]
-    ends = None if bounded is None else Bounded(*(part[None] for part in bounded))
-    return analyse_many(jacobian[None], names, values[None], typical, slacks, ends)[0]
-
-
-def analyse_many(
-    jacobians: Floats,
-    names: Sequence[str],
-    values: Floats,
-    typical: Floats,
-    slack: Floats | None = None,
-    bounded: Bounded | None = None,
-) -> list[Identifiability]:
-    """`analyse` for many throws, along the first axis of all but the names and typical sizes."""
-    throws, rows, p = jacobians.shape
+    rows, p = jacobian.shape
     if rows > 2 * p:
-        jacobians = r_factor(jacobians)
+        jacobian = r_factor(jacobian)
     elif rows < p:
-        jacobians = np.concatenate([jacobians, np.zeros((throws, p - rows, p))], 1)
-    _, all_singular, right = np.linalg.svd(jacobians * typical, full_matrices=False)
+        jacobian = np.concatenate([jacobian, np.zeros((p - rows, p))])
+    _, all_singular, right = np.linalg.svd(jacobian * typical, full_matrices=False)
     seen = visible(all_singular)
     if bounded is not None:
         seen &= ~bounded.confine(right, all_singular, typical)
-    order = np.argsort(~seen, axis=-1, kind="stable")  # the others last
-    seen, singular = (np.take_along_axis(part, order, -1) for part in (seen, all_singular))
-    right = np.take_along_axis(right, order[..., None], -2)
-    inverse = right.mT * inverted(singular, seen)[:, None]
-    covariance = typical[:, None] * (inverse @ inverse.mT) * typical
+    order = np.argsort(~seen, kind="stable")  # the others last
+    seen, singular, right = seen[order], all_singular[order], right[order]
+    inverse = right.T * inverted(singular, seen)
+    covariance = typical[:, None] * (inverse @ inverse.T) * typical
     if slack is not None:
-        covariance = covariance + slack @ slack.mT
+        covariance = covariance + slack @ slack.T
 
     def part(some: Booleans) -> Floats:
         """How much each parameter takes part in some directions, 0 to 1."""
-        return np.sqrt((right**2 * some[..., None]).sum(1))
+        return np.sqrt((right[some] ** 2).sum(0))
 
+    strong = seen & (singular >= _WEAK)
     unseen = part(~seen) > _NO_PART
-    weak = unseen | (part(seen & (singular < _WEAK)) > _LITTLE_PART)
-    rank = seen.sum(-1)
-    strong = (seen & (singular >= _WEAK)).sum(-1)
-    found: dict[int, Identifiability] = {}
-    for places in grouped(zip(unseen, weak, rank, strong, strict=True)):
-        first = places[0]
-        null = right[places, rank[first] :]
-        dim = right[places, strong[first] :]
-        shown = _tidy_basis((null * typical)[..., unseen[first]])
-        combinations = _combinations(
-            dim, weak[first], names, values[places], typical, covariance[places]
-        )
-        for place, rows, sums in zip(places, shown, combinations, strict=True):
-            found[place] = Identifiability(
-                names=tuple(names),
-                rank=int(rank[place]),
-                singular_values=all_singular[place],
-                null_directions=tuple(_named(row, names, unseen[place]) for row in rows),
-                covariance=covariance[place],
-                unseen=unseen[place],
-                combinations=sums,
-            )
-    return [found[place] for place in range(throws)]
+    weak = unseen | (part(seen & ~strong) > _LITTLE_PART)
+    null = _tidy_basis((right[~seen] * typical)[:, unseen])
+    return Identifiability(
+        names=tuple(names),
+        rank=int(seen.sum()),
+        singular_values=all_singular,
+        null_directions=tuple(_named(row, names, unseen) for row in null),
+        covariance=covariance,
+        unseen=unseen,
+        combinations=_combinations(right[~strong], weak, names, values, typical, covariance),
+    )
 
 
-def grouped(keys: Iterable[Iterable[NDArray[Any]]]) -> list[list[int]]:
-    """Indices of items, grouped by equal keys."""
-    found: dict[bytes, list[int]] = {}
-    for place, parts in enumerate(keys):
-        found.setdefault(b"".join(part.tobytes() for part in parts), []).append(place)
-    return list(found.values())
+def classify(
+    typical: float, at_bound: bool, known: Identifiability, place: int
+) -> tuple[float | None, str]:
+    """Standard error, where there is one, and verdict of a free parameter.
+
+    The 95 % interval of a weakly determined parameter reaches its typical size to either side.
+    `place` is the index of the parameter in `known`.
+    """
+    if at_bound:
+        return None, "at bound"
+    if known.unseen[place]:
+        return None, "not identifiable"
+    stderr = float(np.sqrt(known.covariance[place, place]))
+    return stderr, "determined" if stderr < WEAK_ERROR * typical else "weak"
 
 
 def _combinations(
@@ -285,41 +278,30 @@ def _combinations(
     values: Floats,
     typical: Floats,
     covariance: Floats,
-) -> list[tuple[Combination, ...]]:
-    """Determined combinations of the weak parameters of each of many throws; `dim` are the
-    directions that are weakly determined or not at all."""
+) -> tuple[Combination, ...]:
+    """Determined combinations of the weak parameters; `dim` are the directions that are weakly
+    determined or not at all."""
     if not weak.any():
-        return [()] * len(dim)
-    _, size, rows = np.linalg.svd((dim * typical)[..., weak])
-    rank = (size > size[:, :1] * max(dim.shape[1], weak.sum()) * np.finfo(float).eps).sum(-1)
-    found: dict[int, tuple[Combination, ...]] = {}
-    for places in grouped((one,) for one in rank):
-        for place, tidy in zip(places, _tidy_basis(rows[places, rank[places[0]] :]), strict=True):
-            sums: dict[str, Combination] = {}
-            for row in tidy:
-                weights = _named(row, names, weak)
-                if len(weights) < 2:
-                    continue
-                vector = np.zeros(len(names))
-                vector[weak] = row
-                stderr = math.sqrt(vector @ covariance[place] @ vector)
-                if stderr < typical[weak].max():
-                    text, value = expression(weights), float(vector @ values[place])
-                    sums.setdefault(text, Combination(text, weights, value, stderr))
-            found[place] = tuple(sums.values())
-    return [found[place] for place in range(len(dim))]
+        return ()
+    _, size, rows = np.linalg.svd((dim * typical)[:, weak])
+    rank = (size > size[0] * max(len(dim), weak.sum()) * np.finfo(float).eps).sum()
+    sums: dict[str, Combination] = {}
+    for row in _tidy_basis(rows[rank:]):
+        weights = _named(row, names, weak)
+        if len(weights) < 2:
+            continue
+        vector = np.zeros(len(names))
+        vector[weak] = row
+        stderr = math.sqrt(vector @ covariance @ vector)
+        if stderr < typical[weak].max():
+            text, value = expression(weights), float(vector @ values)
+            sums.setdefault(text, Combination(text, weights, value, stderr))
+    return tuple(sums.values())
 
 
-class Slack(NamedTuple):
-    """How far parameters at a bound may lie inside it, and the effect on the others."""
-
-    distance: Floats
-    """rms distance from the bound, shape (bounded,)"""
-    columns: Floats
-    """the corresponding change of the open parameters, shape (open, bounded)"""
-
-
-def slack(jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room: Floats) -> Slack:
+def slack(
+    jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room: Floats
+) -> tuple[Floats, Floats]:
     """Spread of parameters at a bound, each a normal truncated there; the open ones follow.
 
     An optimum at a bound leaves the parameter a one-sided spread: wide where the data hardly push
@@ -332,6 +314,11 @@ def slack(jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room
         to those at a bound.
     push : decrease of half of chi squared per unit beyond the bound, >= 0, for each at a bound.
     typical, room : of those at a bound: typical size, and width of the interval of bounds.
+
+    Returns
+    -------
+    the rms distance of each from the bound, and the corresponding change of the open parameters,
+    shape (open, bounded).
     """
     from scipy.special import log_ndtr  # slow to load
 
@@ -346,7 +333,7 @@ def slack(jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room
     hazard = np.exp(-(least**2 + np.log(2 * np.pi)) / 2 - log_ndtr(-least))
     square = np.where(alpha < 30, 1 + alpha**2 - alpha * hazard, 2 / np.maximum(alpha, 1) ** 2)
     distance = np.minimum(sigma * np.sqrt(square), room)
-    return Slack(distance, follow * distance)
+    return distance, follow * distance
 
 
 def expression(weights: dict[str, float]) -> str:
@@ -362,27 +349,16 @@ def expression(weights: dict[str, float]) -> str:
     return text
 
 
-def _tidy_basis(bases: Floats) -> list[Floats]:
-    """Bases of the same spaces in reduced row echelon form, with ratios of small integers where
-    close.
-
-    Parameters
-    ----------
-    bases : of many throws, rows along the second axis.
-    """
-    if bases.shape[1] > 1:
-        return [_tidied(_echelon(rows)) for rows in bases]
-    return list(_tidied(bases))
-
-
-def _tidied(rows: Floats) -> Floats:
+def _tidy_basis(rows: Floats) -> Floats:
+    """A basis of the same space in reduced row echelon form, with ratios of small integers where
+    close."""
     if not rows.size:
         return rows
+    rows = _echelon(rows) if len(rows) > 1 else rows
     size = np.abs(rows)
-    first = np.argmax(size > 0.999 * size.max(-1, keepdims=True), -1)[..., None]
+    first = np.argmax(size > 0.999 * size.max(-1, keepdims=True), -1)[:, None]
     rows = rows / np.take_along_axis(rows, first, -1)
-    whole = _WHOLE.reshape(-1, *(1 for _ in rows.shape))
-    near = np.round(rows * whole) / whole
+    near = np.round(rows * _WHOLE) / _WHOLE
     off = np.abs(near - rows)
     near = np.take_along_axis(near, off.argmin(0)[None], 0)[0]
     return np.where(off.min(0) < _NO_PART, near, rows)

@@ -8,23 +8,28 @@ blocks of rows, by linear least squares. Only the polynomial is differentiated, 
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from numpy.polynomial.chebyshev import chebder, chebint, chebval, chebvander
 
-from curlfit.friction import Coefficient
-from curlfit.inference.forces import POINTS, accelerations_and_slopes
+from curlfit.dynamics.contact import accelerations
+from curlfit.friction import Coefficient, Law, Load
 from curlfit.inference.identifiability import inverted, r_factor
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
 from curlfit.inference.system import assumed_conditions
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import BATCH
+from curlfit.numerics.batches import BATCH, in_batches
+from curlfit.numerics.compiled import compiled
+from curlfit.numerics.differences import slopes
 from curlfit.numerics.trapezoid import running_integral
+from curlfit.stone import Stone
 from curlfit.throws.throw import last_motion
 
 _BLOCKS = 64  # of rows to which a throw is condensed
@@ -329,3 +334,59 @@ def _bounded_least_squares(
             break
         held = np.where(outside, np.clip(solution, low, high), held)
     return nominal + np.clip(solution, low, high)
+
+
+POINTS = 128
+"""Number of points along a path."""
+_STEP = 1e-4  # of differences, over the typical size
+
+
+def accelerations_along(
+    model: Model, coefficients: Floats, stones: Stone, paths: Floats, batch: int = BATCH
+) -> Floats:
+    """Accelerations (xi, eta, angular) along the paths of many throws, shape (throws, 3, POINTS).
+
+    Parameters
+    ----------
+    coefficients : shape (throws, POINTS, coefficients).
+    stones : each field of shape (throws,).
+    paths : speed, spin, angle and time, shape (throws, 4, POINTS).
+    batch : number of throws computed together.
+    """
+    program = partial(_accelerations, model.of_program.law, model.load)
+    found: Any = in_batches(program, (model.vector(coefficients), stones, paths), batch)
+    return np.asarray(found)
+
+
+def accelerations_and_slopes(
+    model: Model, coefficients: Floats, typical: Floats, stones: Stone, paths: Floats, batch: int
+) -> tuple[Floats, Floats]:
+    """Accelerations for one coefficient vector per throw, and their derivatives by it; these are
+    exact to rounding where the accelerations are linear.
+
+    Parameters
+    ----------
+    coefficients : shape (throws, coefficients). typical : their order of magnitude.
+
+    Returns
+    -------
+    Shapes (throws, 3, POINTS) and (throws, 3, POINTS, coefficients).
+    """
+
+    def at(change: Floats) -> Floats:
+        everywhere = np.repeat((coefficients + change)[:, None], POINTS, 1)
+        return accelerations_along(model, everywhere, stones, paths, batch)
+
+    none = np.zeros(len(typical))
+    first = at(none)
+    return first, slopes(at, none, _STEP * typical, value=first)
+
+
+@compiled("law", "load")
+def _accelerations(
+    law: type[Law], load: Load, coefficients: Array, stones: Stone, paths: Array
+) -> Array:
+    def along(coefficients: Array, stone: Stone, path: Array) -> Array:
+        return jnp.stack(accelerations(law.from_vector(coefficients.T), stone, load, *path))
+
+    return jax.vmap(along)(coefficients, stones, paths)

@@ -7,7 +7,7 @@ steps are therefore interrupted and grouped anew.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -18,8 +18,9 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
+from curlfit.friction import Law
 from curlfit.inference.identifiability import inverted
-from curlfit.inference.initial_values import SmoothPath, default_guess, start_values_of_sides
+from curlfit.inference.initial_values import SmoothPath, default_guess
 from curlfit.inference.likelihood import weighted_residuals
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import LOSSES
@@ -27,7 +28,7 @@ from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import BATCH, in_batches, stacked
+from curlfit.numerics.batches import BATCH, in_batches, stacked, unstacked
 from curlfit.numerics.compiled import compiled
 
 Indices = NDArray[np.intp]
@@ -39,6 +40,7 @@ _FEW = 16  # problems in a batch
 _NOTHING = 1e-7  # length of a column, over the longest, below which it is rounding error
 _ROUNDING = 1e-12  # eigenvalue, with columns of length 1, that may be rounding error
 _SAME_START = 1e-3  # typical sizes within which initial values are the same
+_FACTORS = 1.0, 0.3, 3.0  # on the usual coefficients, for other initial values
 _EQUAL = 4.0  # chi squared within which optima fit equally: two standard deviations ...
 _APART = 9.0  # ... if the linearized problem expects this much of their distance
 _POOR = (3.0, 0.02)  # rms over that of a polynomial, and over the range, of a poor fit
@@ -220,17 +222,13 @@ def prepare_minimize(
     _solve_once.prepare(*tasks.arguments(model, control))
 
 
-def minimize(
-    model: Model, start: Floats, parameters: ParameterSet, problem: Problem
-) -> Solution | None:
-    """The optimum reached from one set of initial values; None if chi squared is not finite."""
-    found = solve(model, Tasks.of([(parameters, problem, start)]))
-    one: Solution = jax.tree.map(itemgetter(0), found)
-    return one if np.isfinite(one.chi_squared) else None
-
-
 def minimize_many(
-    model: Model, tasks: Tasks, progress: Callable[[int], None] | None = None, *, few: bool = False
+    model: Model,
+    tasks: Tasks,
+    progress: Callable[[int], None] | None = None,
+    *,
+    few: bool = False,
+    alone: bool = False,
 ) -> Solution:
     """The optima of many problems.
 
@@ -238,83 +236,73 @@ def minimize_many(
     ----------
     progress : called with the number of problems that are done.
     few : whether they are so few that a program compiled quickly is better than a fast one.
+    alone : whether to solve one after another, more precisely.
     """
-    batch, most = _FEW if few else BATCH, _FIRST_STEPS
+    batch = 1 if alone else _FEW if few else BATCH
+    control = _PRECISE if alone else _QUICK._replace(most=_FIRST_STEPS)
     tasks = tasks._replace(start=np.array(tasks.start))
     count, loss = len(tasks.start), tasks.problems.loss
     due, interrupted = np.arange(count), np.zeros(count, bool)
     whole: Any = None
     while len(due):
         now = due[loss[due] == loss[due[0]]][:batch]
-        found = solve(model, tasks.at(now), _QUICK._replace(most=most), batch, once=few)
+        found = solve(model, tasks.at(now), control, batch, once=few or alone)
         if whole is None:
             whole = jax.tree.map(lambda leaf: np.zeros((count, *leaf.shape[1:]), leaf.dtype), found)
         steps = whole.steps[now] + found.steps
-        put(whole, now, found._replace(steps=steps))
+        for leaf, new in zip(whole, found._replace(steps=steps), strict=True):
+            leaf[as_slice(now)] = new
         tasks.start[now] = found.values
-        interrupted[now] = ~found.success & (found.steps >= most) & (steps < _MOST_STEPS)
+        interrupted[now] = ~found.success & (found.steps >= control.most) & (steps < _MOST_STEPS)
         due = np.setdiff1d(due, now)
         if progress is not None:
             progress(count - len(due) - int(interrupted.sum()))
         if not len(due):
-            due, most = np.flatnonzero(interrupted), 2 * most
+            due, control = np.flatnonzero(interrupted), control._replace(most=2 * control.most)
             interrupted[:] = False
     solution: Solution = whole
     return solution
 
 
-def put(whole: Solution, which: Indices, part: Solution) -> None:
-    """Replace some of many solutions."""
-    for leaf, new in zip(whole, part, strict=True):
-        leaf[as_slice(which)] = new
+def optima(
+    model: Model, tasks: Tasks, starts: Sequence[Sequence[Floats]], *, alone: bool
+) -> list[list[Solution]]:
+    """Of each problem, what is reached from each of its initial values."""
+    owner = np.repeat(np.arange(len(starts)), [*map(len, starts)])
+    found: list[list[Solution]] = [[] for _ in starts]
+    if len(owner):
+        some = tasks.at(owner)._replace(start=np.concatenate([one for one in starts if one]))
+        each = unstacked(minimize_many(model, some, alone=alone))
+        for place, one in zip(owner, each, strict=True):
+            found[place].append(one)
+    return found
 
 
-def starts(
-    model: Model, problem: Problem, path: SmoothPath, parameters: ParameterSet
+def best_first(solutions: Iterable[Solution]) -> list[Solution]:
+    """The optima of a problem whose chi squared is finite, the first of the best before others."""
+    found: list[Solution] = []
+    for one in solutions:
+        if np.isfinite(one.chi_squared):
+            better = bool(found) and one.objective < (1 - 1e-9) * found[0].objective
+            found.insert(0 if better else len(found), one)
+    return found
+
+
+def starts_to_try(
+    law: type[Law], sides: Floats, bounds: tuple[Floats, Floats], typical: Floats
 ) -> tuple[list[Floats], list[Floats]]:
     """Initial values of which all are to be tried, since they may fit equally, and others.
 
-    `path` is that of this problem alone.
+    `sides` are those of a throw, from `start_values_of_sides`.
     """
-    bounds = parameters.lower[None], parameters.upper[None]
-    sides: list[Floats] = []
-    for one in start_values_of_sides(model, stacked([problem]), path, *bounds, batch=1)[:, 0]:
-        far = [np.abs(one - other) > _SAME_START * parameters.typical for other in sides]
-        if all(apart.any() for apart in far):
-            sides.append(one)
-    others = []
-    k = len(model.law.coefficients())
-    defaults = np.array([default_guess(item) for item in model.law.coefficients()])
-    for factor in (1.0, 0.3, 3.0):
-        values = sides[0].copy()
-        values[:k] = defaults * factor
-        others.append(np.clip(values, parameters.lower, parameters.upper))
-    return sides, others
-
-
-def multistart(
-    model: Model,
-    sides: list[Floats],
-    others: list[Floats],
-    parameters: ParameterSet,
-    problem: Problem,
-    path: SmoothPath,
-) -> tuple[list[Solution], int]:
-    """Optima, the best one first, and the number of initial values tried: all `sides`, and the
-    others where no optimum is good."""
-    found: list[Solution] = []
-    tried = 0
-    for values in (*sides, *others):
-        # If the first optimum is poor, all are tried: a later one may be local and look good.
-        one = stacked(found[:1]) if found and tried == len(sides) else None
-        if one is not None and not needs_restart(one, path, stacked([problem]))[0]:
-            break
-        tried += 1
-        other = minimize(model, values, parameters, problem)
-        if other is not None:
-            better = bool(found) and other.objective < (1 - 1e-9) * found[0].objective
-            found.insert(0 if better else len(found), other)
-    return found, tried
+    apart: list[Floats] = []
+    for one in sides:
+        if all((np.abs(one - other) > _SAME_START * typical).any() for other in apart):
+            apart.append(one)
+    defaults = np.array([default_guess(item) for item in law.coefficients()])
+    others = np.array([apart[0]] * len(_FACTORS))
+    others[:, : len(defaults)] = np.outer(_FACTORS, defaults)
+    return apart, [*np.clip(others, *bounds)]
 
 
 def fits_equally(best: Solution, other: Solution) -> Booleans:
@@ -340,7 +328,8 @@ def needs_restart(solutions: Solution, paths: SmoothPath, problems: Problem) -> 
     lowest = np.where(there, observed, np.inf).min(-1)
     over_polynomial, over_range = _POOR
     off = (rms > over_polynomial * paths.rms[:, :3]) & (rms > over_range * (highest - lowest))
-    return ~np.asarray(solutions.success) | (off & (n >= 3)).any(-1)
+    ended = solutions.success & np.isfinite(solutions.chi_squared)
+    return ~np.asarray(ended) | (off & (n >= 3)).any(-1)
 
 
 def residual_sigma(solutions: Solution, problems: Problem, free: Booleans) -> NDArray[np.float64]:
@@ -369,35 +358,8 @@ def residual_sigma(solutions: Solution, problems: Problem, free: Booleans) -> ND
     return np.where(largest > 0, rms / np.where(largest > 0, largest, 1.0), 0.0)
 
 
-def best_of_sides(model: Model, tasks: Tasks, sides: Floats) -> dict[int, Floats]:
-    """Set the initial values of each of many throws to the best optimum of those that may fit
-    equally, and return other optima that do, by throw.
-
-    `sides` is what `start_values_of_sides` returns; the first are replaced by those of the tasks.
-    """
-    apart = np.abs(sides - sides[:1]) > _SAME_START * tasks.typical
-    throws = np.flatnonzero(apart.any((0, 2)))
-    if not len(throws):
-        return {}
-    some = tasks.at(throws)
-    found = [
-        minimize_many(model, some._replace(start=start))
-        for start in (some.start, *sides[1:, throws])
-    ]
-    objective = np.array([np.where(one.success, one.objective, np.inf) for one in found])
-    better = objective.min(0) < (1 - 1e-9) * objective[0]
-    place = np.where(better, objective.argmin(0), 0), np.arange(len(throws))
-    best = jax.tree.map(lambda *parts: np.stack(parts)[place], *found)
-    tasks.start[throws] = best.values
-    rivals: dict[int, Floats] = {}
-    for one in found:
-        for row in np.flatnonzero(fits_equally(best, one)):
-            rivals.setdefault(int(throws[row]), one.values[row])
-    return rivals
-
-
 def as_slice(indices: Indices) -> Indices | slice:
-    """Increasing indices; as a slice where they are contiguous, which avoids a copy."""
-    if len(indices) and indices[-1] - indices[0] == len(indices) - 1:
+    """Indices; as a slice where they are contiguous, which avoids a copy."""
+    if len(indices) and (np.diff(indices) == 1).all():
         return slice(indices[0], indices[-1] + 1)
     return indices

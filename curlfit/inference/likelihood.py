@@ -92,14 +92,18 @@ _single_channels = compiled("model")(_channels)
 def predict_channels(model: Model, values: Any, problem: Problem) -> Array:
     """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, a sixth row
     has one event per column."""
-    found: Array = _single_channels(model.of_program, model.vector(values), _without_data(problem))
+    found: Array = _single_channels(*_of_path(model, values, problem))
     return found
 
 
 def prepare_channels(model: Model, parameters: int, problem: Problem) -> None:
     """Begin to compile what `predict_channels` needs."""
-    values = model.vector(np.zeros(parameters))
-    _single_channels.prepare(model.of_program, values, _without_data(problem))
+    _single_channels.prepare(*_of_path(model, np.zeros(parameters), problem))
+
+
+def _of_path(model: Model, values: Any, problem: Problem) -> tuple[Model, Any, Problem]:
+    """Arguments of a program for paths."""
+    return model.of_program, model.vector(values), _without_data(problem)
 
 
 def _without_data(problem: Problem) -> Problem:
@@ -128,15 +132,13 @@ def _slopes_of_channels(model: Model, values: Array, problems: Problem) -> Array
 
 def path_jacobians(model: Model, values: Floats, problems: Problem) -> Floats:
     """Derivatives of the result of `predict_many` by the parameters, (throws, 5 or 6, n, p)."""
-    arguments = model.vector(values), _without_data(problems)
-    found = np.asarray(_slopes_of_channels(model.of_program, *arguments))
+    found = np.asarray(_slopes_of_channels(*_of_path(model, values, problems)))
     return found[..., model.columns(values.shape[-1])]
 
 
 def prepare_path_jacobians(model: Model, values: Floats, problems: Problem) -> None:
     """Begin to compile what `path_jacobians` needs."""
-    arguments = model.vector(values), _without_data(problems)
-    _slopes_of_channels.prepare(model.of_program, *arguments)
+    _slopes_of_channels.prepare(*_of_path(model, values, problems))
 
 
 def prepare_many(model: Model, values: Floats, problems: Problem) -> None:
@@ -174,24 +176,10 @@ def _whitened_residuals(model: Model, values: Array, problem: Problem) -> Array:
     return whitened(residual, problem.whitener)
 
 
-def _under_losses(residual: Array, losses: Array) -> tuple[Array, Array]:
-    """Residuals of many throws transformed by their losses, and the derivatives of these."""
-
-    def robust(residual: Array) -> tuple[Array, Array]:
-        found: tuple[Array, Array] = jax.jvp(
-            lambda r: jax.vmap(signed_root)(r, losses), (residual,), (jnp.ones_like(residual),)
-        )
-        return found
-
-    def squared(residual: Array) -> tuple[Array, Array]:
-        return residual, jnp.ones_like(residual)
-
-    return jax.lax.cond((losses > 0).any(), robust, squared, residual)
-
-
 @compiled("model")
 def linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, Array]:
-    """Residuals of throws, shape (throws, channels, n), and their Jacobian by the parameters."""
+    """Residuals of throws, shape (throws, channels, n), and their Jacobian by the parameters; both
+    whitened, but not transformed by a loss."""
 
     def one(values: Array, problem: Problem) -> tuple[Array, Array]:
         def residual(values: Array) -> tuple[Array, Array]:
@@ -201,8 +189,7 @@ def linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, Ar
         return jax.jacfwd(residual, has_aux=True)(values)
 
     jacobian, found = jax.vmap(one)(values, problems)
-    found, slope = _under_losses(found, problems.loss)
-    return found, slope[..., None] * jacobian
+    return found, jacobian
 
 
 def log_likelihood(model: Model, values: Array, problem: Problem) -> Array:
@@ -230,7 +217,9 @@ def log_posterior(
 @compiled("model")
 def _chi_squared(model: Model, values: Array, problems: Problem) -> Array:
     found = jax.vmap(partial(_whitened_residuals, model))(values, problems)
-    return (_under_losses(found, problems.loss)[0] ** 2).sum((1, 2))
+    robust = (problems.loss > 0).any()
+    found = jax.lax.cond(robust, jax.vmap(signed_root), lambda r, _: r, found, problems.loss)
+    return (found**2).sum((1, 2))
 
 
 def chi_squared_of_many(

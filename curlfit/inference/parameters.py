@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -101,43 +101,25 @@ class ParameterSet:
         for name, pair in (bounds or {}).items():
             if np.shape(pair) != (2,):
                 raise InputError(f"bounds of {name}: {quoted(pair)} found, expected (lower, upper)")
-        fixed = tuple((name, float(value)) for name, value in (fix or {}).items())
-        limits = tuple(
-            (name, (float(low), float(high))) for name, (low, high) in (bounds or {}).items()
-        )
-        key: Any = law
-        named = {*(fix or ()), *(bounds or ()), *free, *(priors or ())}
-        if "sweep" in named and not swept:
-            raise InputError(
-                "sweep is a parameter only of a swept stone; expected also `swept`, the two times "
-                "in s between which it was swept"
-            )
-        if swept and "sweep" not in named:
-            free = (*free, "sweep")
-        known = tuple(parse_priors(priors).items())
-        return cls._built(key, fixed, limits, unbounded, tuple(free), known)
-
-    @classmethod
-    @lru_cache(64)
-    def _built(
-        cls,
-        law: Any,
-        fixed: tuple[tuple[str, float], ...],
-        limits: tuple[tuple[str, tuple[float, float]], ...],
-        unbounded: bool,
-        free: tuple[str, ...],
-        known: tuple[tuple[str, Prior], ...],
-    ) -> ParameterSet:
-        fix, bounds, priors = dict(fixed), dict(limits), dict(known)
-        free = (*free, *priors)
+        known, fixed = parse_priors(priors), {name: float(v) for name, v in (fix or {}).items()}
+        limits = {name: (float(low), float(high)) for name, (low, high) in (bounds or {}).items()}
+        free = [*free, *known]
+        if "sweep" in {*fixed, *limits, *free}:
+            if not swept:
+                raise InputError(
+                    "sweep is a parameter only of a swept stone; expected also `swept`, the two "
+                    "times in s between which it was swept"
+                )
+        elif swept:
+            free.append("sweep")
         coefficients: tuple[Parameter, ...] = law.coefficients()
         if unbounded:
             coefficients = tuple(item.unbounded() for item in law.coefficients())
         for one in law.coefficients():
-            if one.optional and one.name not in (*bounds, *free):
-                fix.setdefault(one.name, one.default)
-        parameters = []
-        for name in (*fix, *bounds, *free):
+            if one.optional and one.name not in (*limits, *free):
+                fixed.setdefault(one.name, one.default)
+        named, parameters = (*fixed, *limits, *free), []
+        for name in named:
             if name not in parameter_names(law):
                 raise InputError(
                     f"law {law.name} has no parameter {quoted(name)}; it has "
@@ -145,32 +127,15 @@ class ParameterSet:
                     + "; conditions are "
                     + ", ".join(item.name for item in CONDITIONS)
                 )
-            if name in fix and name in free:
-                other = "has a prior" if name in priors else "is free"
+            if name in fixed and name in free:
+                other = "has a prior" if name in known else "is free"
                 raise InputError(f"{name} is fixed and {other}; expected one of them")
-        conditions = [item for item in CONDITIONS if item.name in (*fix, *bounds, *free)]
+        conditions = [item for item in CONDITIONS if item.name in named]
         for item in (*coefficients, *conditions, *START):
-            lower, upper = bounds.get(item.name, (item.lower, item.upper))
-            if item.name in priors:
-                lower, upper = priors[item.name].bounds(lower, upper)
-            if not lower < upper:
-                raise InputError(
-                    f"bound of {item.name}: {lower:g}:{upper:g} is empty; expected LOW:HIGH"
-                )
-            if item.name in fix:
-                value = fix[item.name]
-                if not math.isfinite(value):
-                    raise InputError(f"{item.name} cannot be fixed at {value}")
-                if not lower <= value <= upper:
-                    raise InputError(
-                        f"{item.name} is fixed at {value:g}, outside its bounds {lower:g}:{upper:g}"
-                        + ("" if item.name in bounds else "; set others to fix it there")
-                    )
-                lower = upper = value
-            parameters.append(replace(item, lower=lower, upper=upper))
-        if len(fix) == len(parameters):
+            parameters.append(_limited(item, limits, known, fixed))
+        if len(fixed) == len(parameters):
             raise InputError("every parameter is fixed; nothing is left to fit")
-        return cls(tuple(parameters), fix, priors)
+        return cls(tuple(parameters), fixed, known)
 
     @classmethod
     def for_throw(cls, law: type[Law], throw: Throw, **choices: Any) -> ParameterSet:
@@ -312,6 +277,32 @@ class ParameterSet:
             for item in self.parameters
         )
         return replace(self, parameters=parameters, fixed={**self.fixed, name: value})
+
+
+def _limited(
+    item: Parameter,
+    limits: Mapping[str, tuple[float, float]],
+    priors: Mapping[str, Prior],
+    fixed: Mapping[str, float],
+) -> Parameter:
+    """A parameter with the bounds of a fit: those given, limited by its prior; its fixed value."""
+    lower, upper = limits.get(item.name, (item.lower, item.upper))
+    if item.name in priors:
+        lower, upper = priors[item.name].bounds(lower, upper)
+    if not lower < upper:
+        raise InputError(f"bound of {item.name}: {lower:g}:{upper:g} is empty; expected LOW:HIGH")
+    if item.name in fixed:
+        value = fixed[item.name]
+        if not math.isfinite(value):
+            raise InputError(f"{item.name} cannot be fixed at {value}")
+        if not lower <= value <= upper:
+            raise InputError(
+                f"{item.name} is fixed at {value:g}, outside its bounds {lower:g}:{upper:g}"
+                + ("" if item.name in limits else "; set others to fix it there")
+            )
+        lower = upper = value
+    same = (lower, upper) == (item.lower, item.upper)
+    return item if same else replace(item, lower=lower, upper=upper)
 
 
 Options = Mapping[str, Mapping[str, Any] | Sequence[str]]

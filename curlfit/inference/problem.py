@@ -81,10 +81,9 @@ class Origin(NamedTuple):
 
     def offset(self, size: int) -> Floats:
         """Added to a parameter vector of a problem, gives it in the coordinates of the data."""
-        offset = np.zeros(size)
-        names = [item.name for item in START]
-        for name, value in zip(("x0", "y0", "phi0"), self.place[:3], strict=True):
-            offset[size - len(START) + names.index(name)] = value
+        offset, names = np.zeros(size), [item.name for item in START]
+        places = [names.index(name) - len(names) for name in ("x0", "y0", "phi0")]
+        offset[places] = self.place[:3]
         return offset
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +12,7 @@ from rich.console import Console
 from rich.text import Text
 
 from curlfit.inference.conditions import CALIBRATION, if_off
-from curlfit.inference.derived_report import (
-    derived_table,
-    draw_text,
-    quantities_line,
-    quantities_table,
-)
+from curlfit.inference.derived import Derived, scaled, to_its_side
 from curlfit.inference.parameters import START
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
@@ -33,8 +29,8 @@ from curlfit.output.text import (
     stone_text,
     two_digits,
 )
+from curlfit.sheet import FOOT
 from curlfit.stone import UNITS as STONE_UNITS
-from curlfit.throws.events import Event
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
@@ -170,15 +166,18 @@ def estimate_cells(
     name: str, item: Estimate | Combination, systematics: Systematics, head: str = "parameter"
 ) -> dict[str, Any]:
     """Cells of a row of a table of estimates."""
-    verdict = getattr(item, "verdict", "determined")
-    hidden = verdict == "not identifiable"
+    verdict, error = getattr(item, "verdict", "determined"), systematics.errors.get(name)
+    cells = _cells(head, name, item, getattr(item, "unit", ""), error)
+    return cells | {"verdict": judged(verdict)}
+
+
+def _cells(head: str, name: str, item: Any, unit: str, error: float | None) -> dict[str, Any]:
+    """An estimate with its standard and systematic errors."""
+    hidden = getattr(item, "verdict", "") == "not identifiable"
     value, stderr = ("-", "-") if hidden else format_estimate(item.value, item.stderr)
-    error = systematics.errors.get(name)
     return {
-        head: labelled(name, getattr(item, "unit", "")),
-        ">estimate": value, ">std. error": stderr,
+        head: labelled(name, unit), ">estimate": value, ">std. error": stderr,
         ">systematic": None if error is None else f"{error:.2g}",
-        "verdict": judged(verdict),
     }  # fmt: skip
 
 
@@ -360,15 +359,14 @@ def _sigma(fit: FitResult, name: str) -> str:
 def _events(fit: FitResult) -> PlainTable:
     """Values measured at lines and at rest, with the fitted ones."""
     rows = []
-    for item in fit.events:
-        event = Event(**{key: value for key, value in item.items() if key != "fitted"})
+    for event, fitted in fit.timed:
         digits = max(decimals(event.sigma), 2)
-        off = (event.value - item["fitted"]) / event.sigma
+        off = (event.value - fitted) / event.sigma
         rows.append(
             {
                 "measured": event.name, ">value": f"{event.value:.{digits}f}",
                 ">sigma": f"{event.sigma:.2g}", "unit": event.unit,
-                ">fit": f"{item['fitted']:.{digits}f}", ">measured - fit": f"{off + 0.0:.1f} sigma",
+                ">fit": f"{fitted:.{digits}f}", ">measured - fit": f"{off + 0.0:.1f} sigma",
             }
         )  # fmt: skip
     return PlainTable(rows, "Timed events")
@@ -559,3 +557,58 @@ def with_derived(flags: Sequence[str], result: Any) -> list[str]:
 def file_of(fit: FitResult) -> str:
     """The file of a throw, from a name that may include a row of the file."""
     return str(fit.data["file"]).partition(" row ")[0]
+
+
+def derived_table(items: Sequence[Derived]) -> PlainTable:
+    """Derived quantities with their errors."""
+    return PlainTable(
+        (_derived_row("derived", item) | {"verdict": judged(item.verdict)} | _quantiles(item)
+         for item in items),
+        "Derived quantities",
+    )  # fmt: skip
+
+
+def quantities_table(quantities: Mapping[str, Derived], *, discrepancy: bool) -> PlainTable:
+    """Quantities of the fitted path within the record, or of that of the law without the model
+    discrepancy."""
+    path = "path of the law" if discrepancy else "fitted path"
+    rows = []
+    for name, item in quantities.items():
+        item = to_its_side(item)
+        rows.append(item)
+        if name == "curl":
+            rows.append(scaled(replace(item, unit="ft"), 1 / FOOT))
+    return PlainTable(
+        (_derived_row(f"along the {path}", item) | _quantiles(item) for item in rows),
+        f"Along the {path}" + ", without the discrepancy" * discrepancy,
+    )
+
+
+def draw_text(quantities: Mapping[str, Derived]) -> str:
+    """Time and curl of a draw, as curlers state them."""
+    if not {"draw_time", "curl"} <= quantities.keys():
+        return ""
+    time, curl = quantities["draw_time"].value, abs(quantities["curl"].value) / FOOT
+    return f"{time:.1f} s / {curl:.1f} ft: time of the draw from the near hog line, and its curl."
+
+
+def quantities_line(quantities: Mapping[str, Derived]) -> str:
+    """The main quantities of the path in one line."""
+    parts = []
+    for name in ("friction", "curl", "turns", "hog_to_hog"):
+        if name not in quantities:
+            continue
+        item = quantities[name]
+        one = to_its_side(item)
+        unit = "" if item.unit in ("", "1") else f" {item.unit}"
+        parts.append(f"{one.meaning.partition(',')[0]} {compact(one.value, one.stderr)}{unit}")
+    return ", ".join(parts)
+
+
+def _derived_row(head: str, item: Derived) -> dict[str, Any]:
+    return _cells(head, item.meaning or item.expression, item, item.unit, item.systematic)
+
+
+def _quantiles(item: Derived) -> dict[str, str]:
+    found = item.quantiles
+    return {"68 % of posterior": from_to(found["16"], found["84"]) if found else ""}

@@ -25,8 +25,7 @@ from curlfit.foreign import quoted
 from curlfit.friction import Law, Load, check_load
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import shifts, widths_of
-from curlfit.inference.identifiability import Identifiability, analyse
-from curlfit.inference.linearized_problem import classify
+from curlfit.inference.identifiability import Identifiability, analyse, classify
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.optimal_design.information import (

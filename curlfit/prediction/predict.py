@@ -26,8 +26,8 @@ import numpy as np
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, no_motion_because
 from curlfit.inference.derived import LEVELS, quantiles_of
+from curlfit.inference.fit.advice import curl_warnings
 from curlfit.inference.fit.fit import refit
-from curlfit.inference.fit.measured_curl import curl_warnings
 from curlfit.inference.fit.prepared import prepare_linearized
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain

@@ -13,7 +13,7 @@ from curlfit.comparison.compare import plan
 from curlfit.dynamics.contact import accelerations
 from curlfit.friction import LOADS, LocalLaw
 from curlfit.friction.family import family_of
-from curlfit.inference.forces import POINTS, accelerations_and_slopes
+from curlfit.inference.initial_values import POINTS, accelerations_and_slopes
 from curlfit.inference.model import Model
 from curlfit.numerics.batches import stacked
 

@@ -7,7 +7,7 @@ import pytest
 
 import curlfit
 from curlfit.inference.fit.fit import fit_throws
-from curlfit.inference.identifiability import Bounded, analyse, analyse_many, expression
+from curlfit.inference.identifiability import Bounded, analyse, expression
 
 
 def _analysed(jacobian, names, typical=None):
@@ -97,19 +97,14 @@ def test_what_is_lost_in_rounding_beside_a_large_number_is_not_seen():
     assert not found.combinations
 
 
-def test_many_are_analysed_as_each_alone():
+def test_the_rank_is_that_of_the_scaled_matrix():
     jacobians = np.random.default_rng(5).standard_normal((6, 40, 3)) * 30
     jacobians[3, :, 2] = jacobians[3, :, 1]
     jacobians[4, :, 0] *= 1e-5
-    names, values, typical = ["a", "b", "c"], np.ones((6, 3)), np.array([1.0, 0.1, 0.1])
-    for jacobian, found in zip(
-        jacobians, analyse_many(jacobians, names, values, typical), strict=True
-    ):
-        alone = analyse(jacobian, names, np.ones(3), typical)
-        assert found.rank == alone.rank == np.linalg.matrix_rank(jacobian * typical, tol=1e-3)
-        assert found.combinations == alone.combinations
-        assert found.null_directions == alone.null_directions
-        np.testing.assert_array_equal(found.covariance, alone.covariance)
+    typical = np.array([1.0, 0.1, 0.1])
+    for jacobian in jacobians:
+        found = analyse(jacobian, ["a", "b", "c"], np.ones(3), typical)
+        assert found.rank == np.linalg.matrix_rank(jacobian * typical, tol=1e-3)
 
 
 def test_a_direction_that_only_the_bounds_limit_is_not_determined():

@@ -9,7 +9,7 @@ import pytest
 
 import curlfit
 from curlfit import LAWS, InitialState, Stone, simulate
-from curlfit.inference.fit.missing_channels import NOISE
+from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.result import load_fit
 from curlfit.inference.report import identifiability
 

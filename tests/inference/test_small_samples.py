@@ -58,24 +58,26 @@ def coefficients():
 def test_degrees_of_freedom_are_welch_s():
     """The difference of two means whose variances are estimated apart (Welch 1947)."""
     squares, counts = (4.0, 0.25), (5, 9)
-    variance = np.zeros((2, 2, 2))
-    variance[0, 0, 0], variance[1, 1, 1] = (s / n for s, n in zip(squares, counts, strict=True))
-    covariance = SimpleNamespace(variance=variance, dof=np.array([4.0, 8.0]))
-    parts = np.array([variance[0, 0, 0], variance[1, 1, 1]])
+    parts = np.array([s / n for s, n in zip(squares, counts, strict=True)])
+    effect = np.zeros((2, 1, 2))  # of one residual per channel
+    effect[[0, 1], 0, [0, 1]] = np.sqrt(parts)
+    covariance = SimpleNamespace(
+        effect=effect, matrix=np.diag(parts), dof=np.array([4.0, 8.0]), has_priors=False
+    )
     expected = parts.sum() ** 2 / (parts**2 / (np.array(counts) - 1)).sum()
-    weights = np.array([1.0, -1.0])
-    assert Covariance.degrees_of_freedom(covariance, weights) == pytest.approx(expected)
+    weights = np.array([[1.0, -1.0]])
+    assert Covariance.degrees_of_freedom(covariance, weights) == [pytest.approx(expected)]
     covariance.dof = np.array([np.inf, np.inf])
-    assert Covariance.degrees_of_freedom(covariance, weights) is None
+    assert Covariance.degrees_of_freedom(covariance, weights) == [None]
 
 
 def test_a_variance_almost_all_known_has_no_degrees_of_freedom():
     dof = np.array([10.0, np.inf])
     for share in (0.0, 1e-20, -1e-20, 1e-8, 9e-4):
-        assert satterthwaite(np.array([share, 1.0]), dof) is None
-    assert satterthwaite(np.array([0.01, 0.99]), dof) == pytest.approx(10 / 0.01**2)
-    assert satterthwaite(np.zeros(2), dof) is None
-    assert satterthwaite(np.array([1.0, 0.0]), dof) == pytest.approx(10)
+        assert satterthwaite(np.array([[share, 1.0]]), dof) == [None]
+    parts = np.array([[0.01, 0.99], [0.0, 0.0], [1.0, 0.0]])
+    expected = [pytest.approx(10 / 0.01**2), None, pytest.approx(10)]
+    assert satterthwaite(parts, dof) == expected
 
 
 @pytest.mark.parametrize("dof", [3.0, 12.5, 200.0, None])

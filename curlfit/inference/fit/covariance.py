@@ -2,21 +2,129 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.inference.fit.residuals import ResidualStatistics
-from curlfit.inference.identifiability import Bounded, Identifiability, analyse_many, grouped
+from curlfit.inference.fit.systematics import shifts
+from curlfit.inference.identifiability import (
+    Bounded,
+    Combination,
+    Identifiability,
+    analyse,
+    classify,
+    confined,
+    r_factor,
+    slack,
+    visible,
+)
 from curlfit.inference.least_squares import Solution
-from curlfit.inference.linearized_problem import LinearizedProblem
 from curlfit.inference.noise.losses import precision, root_slope
-from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
+
+_LOOSE = 0.1  # typical sizes inside its bound from which a parameter is not held by it
+_NEAR = 1e-6  # typical sizes from a bound within which a parameter is at the bound
+_PUSHED = 10.0  # least push against a bound over the slopes by the parameters inside theirs ...
+_LEAST_PUSH, _CLEAR_PUSH = 1e-6, 1e-3  # ... within these limits, half chi squared per typical size
+
+
+class LinearizedProblem(NamedTuple):
+    """The problem of one throw or of several, linearized at its optimum.
+
+    Or many such problems, along the first axis of each field.
+    """
+
+    residual: Floats
+    """over its sigma, shape (rows,)"""
+    jacobian: Floats
+    """shape (rows, parameters)"""
+    values: Floats
+    lower: Floats
+    upper: Floats
+    typical: Floats
+    free: Booleans
+
+    def at_bound(self) -> Booleans:
+        """Free parameters at a bound that the data push against it, however weakly.
+
+        Along a valley that descends without end the push may be tiny. It is distinguished from the
+        end of an exact ridge, where there is none, by the remaining slope along the other
+        parameters.
+        """
+        push, low, high = self._pushes()
+        rest = np.abs(push * (self.free & ~low & ~high)).max(-1, keepdims=True)
+        least = np.clip(_PUSHED * rest, _LEAST_PUSH, _CLEAR_PUSH)
+        return low & (push > least) | high & (push < -least)
+
+    def movable(self) -> Booleans:
+        """Free parameters except those that only a bound keeps from moving, however weakly."""
+        push, low, high = self._pushes()
+        return self.free & ~(low & (push > 0)) & ~(high & (push < 0))
+
+    def _pushes(self) -> tuple[Floats, Booleans, Booleans]:
+        """The push toward lower bounds, and which parameters are at a lower, at an upper bound."""
+        near = _NEAR * self.typical
+        return (
+            (self.residual[..., None, :] @ self.jacobian)[..., 0, :] * self.typical,
+            self.free & (self.values <= self.lower + near),
+            self.free & (self.values >= self.upper - near),
+        )
+
+    def open(self, at_bound: Booleans) -> tuple[Booleans, Floats]:
+        """The parameters of one optimum that can move, and the contribution of those held at a
+        bound to their spread.
+
+        A parameter that the data hardly push against its bound is not held by it: it is at the
+        end of a ridge and counts as open.
+        """
+        if not at_bound.any():
+            return self.free, np.zeros((int(self.free.sum()), 0))
+        push = np.abs(self.residual @ self.jacobian)
+        room = self.upper - self.lower
+        held = at_bound.copy()
+        for _ in range(2):
+            open_ = self.free & ~held
+            distance, columns = slack(
+                self.jacobian[:, open_], self.jacobian[:, held], push[held], self.typical[held],
+                room[held],
+            )  # fmt: skip
+            loose = distance > _LOOSE * self.typical[held]
+            if not loose.any():
+                break
+            held[held] = ~loose
+        return open_, columns
+
+    def newton_decrement(self, where: Booleans) -> Floats:
+        """Length of the remaining Gauss-Newton step, in sigmas, along determined directions.
+
+        A null direction would have to be followed over a thousand typical sizes.
+        """
+        jacobian = self.jacobian * (self.typical * where)[..., None, :]
+        left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
+        along = (self.residual[..., None, :] @ left)[..., 0, :]
+        return np.linalg.norm(along * visible(singular), axis=-1)
+
+    def distance(self, count: Any, whole: LinearizedProblem) -> Any:
+        """Distance to the optimum in standard errors, over the noise where `count` values scatter
+        by more than their sigma.
+
+        `whole` is the problem with the directions that only the bounds determine. A step along them
+        would leave the bounds; without them, parameters at a bound may seem free to move. Both are
+        upper limits.
+        """
+        reduced = (self.residual**2).sum(-1) / np.maximum(count, 1)
+        decrement = self.newton_decrement(self.movable())
+        if not np.array_equal(self.jacobian, whole.jacobian):
+            decrement = np.minimum(decrement, whole.newton_decrement(whole.movable()))
+        return decrement / np.sqrt(np.maximum(reduced, 1.0))
+
 
 CONVERGED = 0.01
 """Distance to the optimum, in standard errors, at which a fit has converged."""
@@ -29,157 +137,208 @@ _KNOWN = 1e-3  # share of estimated variances in a sum below which the sum count
 _MEDIAN_EFFICIENCY = 0.37  # of sigma from the median absolute residual, Gaussian noise (Huber 1981)
 
 
-class Covariance(NamedTuple):
-    """First-order uncertainties of the parameters at the optimum of a throw."""
+class Factors(NamedTuple):
+    """R factors of the Jacobian of a problem, or of many along the first axis; the last column is
+    the residual over its sigma."""
 
+    of_data: Floats
+    whole: Floats
+    """with the priors"""
+    confined: Floats
+    """with the priors, without the directions that only the bounds determine (`confined`)"""
+
+    @classmethod
+    def of(
+        cls, of_data: Floats, bounded: Bounded, typical: Floats, penalty: Penalty | None
+    ) -> Factors:
+        """From those of the data alone, the parameters with their bounds, and the priors."""
+        whole = of_data
+        if penalty is not None:
+            prior, slope = penalty.residual_and_slope(bounded.values)
+            rows = [slope[..., None] * np.eye(slope.shape[-1]), prior[..., None]]
+            whole = r_factor(np.concatenate([of_data, np.concatenate(rows, -1)], -2))
+        inside = confined(whole[..., :-1], bounded, typical)
+        return cls(of_data, whole, np.concatenate([inside, whole[..., -1:]], -1))
+
+    def at(self, row: int) -> Factors:
+        """Those of one problem."""
+        same = self.whole is self.of_data
+        of_data = self.of_data[row]
+        return Factors(of_data, of_data if same else self.whole[row], self.confined[row])
+
+
+@dataclass(frozen=True, eq=False)
+class Covariance:
+    """First-order uncertainties of the parameters at the optimum of a throw, or of several with
+    parameters in common."""
+
+    names: Sequence[str]
     values: Floats
     """in the data's coordinates"""
+    typical: Floats
+    factor: Floats
+    """R factor of the Jacobian, with the residual as the last column (`Factors.confined`)"""
     identifiability: Identifiability
-    at_bound: Booleans
-    open: Booleans
-    slack: Floats
-    """contribution of those at a bound to the spread of the open ones (`LinearizedProblem.open`)"""
-    distance: float
-    """to the optimum, standard errors"""
-    variance: Floats
-    """contributions to the covariance from the noise of each channel and, last, from the priors,
-    shape (channels + 1, open, open)"""
-    dof: Floats
-    """degrees of freedom of each channel's sigma; infinite where it was given and for the priors"""
-    leverage: Floats
-    """of each value on its own fitted value, 0 to 1, shape (channels, n)"""
     of_data: Identifiability
     """identifiability from the data without the priors"""
+    at_bound: Booleans
+    open: Booleans
+    matrix: Floats
+    """covariance of the open parameters while those at a bound stay there"""
+    distance: float
+    """to the optimum, standard errors"""
+    effect: Floats
+    """change of the open parameters for a change of each residual by its sigma, shape (channels, n,
+    open)"""
+    dof: Floats
+    """degrees of freedom of each channel's sigma; infinite where it was given"""
+    leverage: Floats
+    """of each value on its own fitted value, 0 to 1, shape (channels, n)"""
+    has_priors: bool
 
-    def degrees_of_freedom(self, weights: Floats) -> float | None:
-        """For the variance of a weighted sum of the open parameters; None where all sigmas were
-        given."""
-        return satterthwaite(np.einsum("i,cij,j->c", weights, self.variance, weights), self.dof)
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        bounded: Bounded,
+        typical: Floats,
+        free: Booleans,
+        factors: tuple[Factors, Factors],
+        jacobian: Floats,
+        sigmas: Sigmas,
+    ) -> Self:
+        """At the optimum of a problem.
 
-
-def satterthwaite(parts: Floats, dof: Floats) -> float | None:
-    """Degrees of freedom of a sum of estimated variances (Satterthwaite 1946, eq. 17); None where
-    all are known, or those with finite `dof` contribute less than a thousandth, so that Student's
-    distribution is normal to rounding of what is printed."""
-    estimated = np.isfinite(dof)
-    if not np.abs(parts[estimated]).sum() > _KNOWN * np.abs(parts).sum():
-        return None
-    return float(parts.sum()) ** 2 / float((parts**2 / dof).sum())
-
-
-def noise_dof(number: Any, leverage: Floats, estimated: Booleans, loss: str) -> Floats:
-    """Degrees of freedom n - p of the sigma of each channel; infinite where it was given.
-
-    Parameters
-    ----------
-    number : of values, shape (..., channels). leverage : of each value, shape (..., channels, n);
-        the sum over a channel is its p.
-    """
-    efficiency = 1.0 if loss == "linear" else _MEDIAN_EFFICIENCY
-    dof = np.maximum(number - leverage.sum(-1), 1.0)
-    return np.where(estimated, efficiency * dof, np.inf)
-
-
-def bound_warning(name: str, lower: float, upper: float, known: Identifiability) -> str:
-    """Warning about a parameter at a bound."""
-    within = f"{lower:g}..{upper:g}"
-    if name in known.names:
-        return (
-            f"{name} is at its bound; the data hardly distinguish this value from others within "
-            f"{within}"
+        Parameters
+        ----------
+        bounded : in the data's coordinates.
+        factors : those of the search, and those whose normal equations are the estimator's, which
+            differ under a robust loss.
+        jacobian : of the weighted residuals, shape (channels, n, parameters).
+        """
+        searched, estimator = factors
+        problem = LinearizedProblem(
+            searched.confined[:, -1], searched.confined[:, :-1], *bounded, typical, free
         )
-    return f"{name} is at its bound; the data favour values outside {within}"
-
-
-def covariances(
-    sets: Sequence[ParameterSet],
-    values: Floats,
-    problems: Sequence[Problem],
-    solutions: Sequence[Solution],
-    statistics: ResidualStatistics,
-    estimated: Booleans,
-    loss: str,
-    penalty: Penalty | None = None,
-) -> list[Covariance]:
-    """Covariances of many throws of one law; equal sets of open parameters are treated together.
-
-    Parameters
-    ----------
-    sets, values : in the data's coordinates. estimated : channels whose sigma was not given.
-    penalty : of the priors, in the problems' coordinates.
-    """
-    linearized = LinearizedProblem(
-        statistics.r_factor[..., -1], statistics.r_factor[..., :-1], values,
-        *(np.stack([getattr(item, name) for item in sets])
-          for name in ("lower", "upper", "typical", "free")),
-    )  # fmt: skip
-    at_bound = linearized.at_bound()
-    whole = linearized._replace(jacobian=statistics.unconfined[..., :-1])
-    distance = linearized.distance(statistics.number.sum(-1), whole)
-    open_and_slack = [
-        LinearizedProblem(*one).open(stuck)
-        for one, stuck in zip(zip(*linearized, strict=True), at_bound, strict=True)
-    ]
-    found: dict[int, Covariance] = {}
-    keys = ((stuck, open_) for stuck, (open_, _) in zip(at_bound, open_and_slack, strict=True))
-    for throws in grouped(keys):
-        first, (open_, _) = sets[throws[0]], open_and_slack[throws[0]]
-        jacobians = np.stack(
-            [
-                statistics.of_data[throw, :, :-1] if loss == "linear"
-                else robust_jacobian(
-                    problems[throw], solutions[throw], statistics.residual[throw], loss
-                ).reshape(-1, len(first.names))
-                for throw in throws
-            ]
+        at_bound = problem.at_bound()
+        open_, slack = problem.open(at_bound)
+        ends = Bounded(*(part[open_] for part in bounded))
+        about = list(itertools.compress(names, open_)), ends.values, typical[open_], slack, ends
+        known = of_data = analyse(estimator.whole[:, :-1][:, open_], *about)
+        has_priors = estimator.whole is not estimator.of_data
+        if has_priors:
+            of_data = analyse(estimator.of_data[:, :-1][:, open_], *about)
+        matrix, by_open = known.covariance - slack @ slack.T, jacobian[..., open_]
+        effect = by_open @ matrix
+        leverage = (effect * by_open).sum(-1)
+        whole = problem._replace(jacobian=searched.whole[:, :-1])
+        return cls(
+            names, bounded.values, typical, searched.confined, known, of_data, at_bound, open_,
+            matrix, float(problem.distance(sigmas.number.sum(), whole)), effect,
+            sigmas.dof(leverage), leverage, has_priors,
         )  # fmt: skip
-        slack = np.stack([open_and_slack[throw][1] for throw in throws])
-        ends = (np.stack([getattr(sets[k], name) for k in throws]) for name in ("lower", "upper"))
-        bounded = Bounded(*(part[:, open_] for part in (values[throws], *ends)))
-        about = first.names_where(open_), bounded.values, first.typical[open_], slack, bounded
-        known = of_data = analyse_many(jacobians[..., open_], *about)
-        if penalty is not None:
-            slopes = penalty.residual_and_slope(np.stack([one.values for one in solutions]))[1]
-            rows = slopes[throws][..., None] * np.eye(slopes.shape[-1])
-            known = analyse_many(np.concatenate([jacobians, rows], 1)[..., open_], *about)
-        by_channel = np.stack([solutions[throw].jacobian[..., open_] for throw in throws])
-        matrix = np.stack([item.covariance for item in known])[:, None]
-        matrix = matrix - (slack @ slack.mT)[:, None]
-        part = matrix @ (by_channel.mT @ by_channel)
-        leverage = ((by_channel @ matrix) * by_channel).sum(-1)
-        dof = noise_dof(statistics.number[throws], leverage, estimated[throws], loss)
-        dof = np.concatenate([dof, np.full((len(dof), 1), np.inf)], -1)
-        variance = part @ matrix
-        of_priors = matrix - variance.sum(1, keepdims=True) if penalty is not None else 0 * matrix
-        variance = np.concatenate([variance, of_priors], 1)
-        for row, throw in enumerate(throws):
-            found[throw] = Covariance(
-                values=values[throw],
-                identifiability=known[row],
-                at_bound=at_bound[throw],
-                open=open_,
-                slack=slack[row],
-                distance=float(distance[throw]),
-                variance=variance[row],
-                dof=dof[row],
-                leverage=leverage[row],
-                of_data=of_data[row],
-            )
-    return [found[throw] for throw in range(len(sets))]
+
+    def degrees_of_freedom(self, weights: Floats) -> list[float | None]:
+        """For the variances of weighted sums of the open parameters, one per row of weights; None
+        where all sigmas were given."""
+        parts = ((self.effect @ weights.T) ** 2).sum(1).T
+        of_priors = np.zeros((len(weights), 1))
+        if self.has_priors:
+            total = ((weights @ self.matrix) * weights).sum(-1, keepdims=True)
+            of_priors = total - parts.sum(-1, keepdims=True)
+        return satterthwaite(np.hstack([parts, of_priors]), np.append(self.dof, np.inf))
+
+    @property
+    def combinations(self) -> tuple[Combination, ...]:
+        """What is determined in place of single parameters."""
+        known = self.identifiability
+        weights = list(known.determined().values())[-len(known.combinations) :]
+        dof = self.degrees_of_freedom(np.array(weights)) if known.combinations else []
+        return tuple(replace(item, dof=n) for item, n in zip(known.combinations, dof, strict=True))
+
+    @cached_property
+    def _dof_of_each(self) -> list[float | None]:
+        return self.degrees_of_freedom(np.eye(len(self.matrix)))
+
+    def classified(self, place: int) -> tuple[float | None, str, float | None]:
+        """Standard error of a free parameter, where there is one, its verdict, and the degrees of
+        freedom of the error."""
+        index, about = int(self.open[:place].sum()), (self.typical[place], self.at_bound[place])
+        stderr, verdict = classify(*about, self.identifiability, index)
+        if stderr is None:
+            return None, verdict, None
+        if verdict == "determined" and self.has_priors:
+            alone = classify(*about, self.of_data, index)[1]
+            verdict = verdict if alone == verdict else "prior"
+        return stderr, verdict, self._dof_of_each[index]
+
+    def shifts(self, gradients: Mapping[str, Floats]) -> dict[str, dict[str, float]]:
+        """Shifts from the estimates to the true values, by determined parameter or combination and
+        by condition; `gradients` are J^T times the change of the residuals by each condition."""
+        typical = self.typical[self.open]
+        mine = {name: gradient[self.open] for name, gradient in gradients.items()}
+        by_condition = shifts(self.factor[:, :-1][:, self.open], mine, typical)
+        return {
+            name: {condition: float(row @ shift) for condition, shift in by_condition.items()}
+            for name, row in self.identifiability.determined().items()
+        }
+
+    def bound_warnings(self, lower: Floats, upper: Floats) -> list[str]:
+        """Warnings about parameters at a bound."""
+        warnings = []
+        for name, low, high in itertools.compress(
+            zip(self.names, lower, upper, strict=True), self.at_bound
+        ):
+            within = f"{low:g}..{high:g}"
+            what = f"favour values outside {within}"
+            if name in self.identifiability.names:
+                what = f"hardly distinguish this value from others within {within}"
+            warnings.append(f"{name} is at its bound; the data {what}")
+        return warnings
 
 
-def robust_jacobian(problem: Problem, solution: Solution, residual: Floats, loss: str) -> Floats:
-    """Jacobian of the residuals over their sigma, each channel rescaled for a robust loss, shape
-    (channels, n, parameters).
+def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
+    """Degrees of freedom of sums of estimated variances, along the rows of `parts` (Satterthwaite
+    1946, eq. 17); None where all are known, or those with finite `dof` contribute less than a
+    thousandth, so that Student's distribution is normal to rounding of what is printed."""
+    size = np.abs(parts)
+    known = ~(size[:, np.isfinite(dof)].sum(-1) > _KNOWN * size.sum(-1))
+    found = parts.sum(-1) ** 2 / np.where(known, 1.0, (parts**2 / dof).sum(-1))
+    return [None if exact else n for n, exact in zip(found.tolist(), known, strict=True)]
+
+
+class Sigmas(NamedTuple):
+    """How the sigmas of the channels of a problem are known."""
+
+    number: NDArray[np.int64]
+    """of values"""
+    estimated: Booleans
+    loss: str
+
+    def dof(self, leverage: Floats) -> Floats:
+        """Degrees of freedom n - p of each sigma; infinite where it was given. The sum of the
+        `leverage` of each value, shape (..., n), over a channel is its p."""
+        efficiency = 1.0 if self.loss == "linear" else _MEDIAN_EFFICIENCY
+        dof = np.maximum(self.number - leverage.sum(-1), 1.0)
+        return np.where(self.estimated, efficiency * dof, np.inf)
+
+
+def robust_jacobians(problems: Problem, solutions: Solution, residual: Floats, loss: str) -> Floats:
+    """Jacobians of throws, of shape (throws, channels, n, parameters), whose normal equations are
+    those of the estimator: those of the residuals over their sigma, each channel rescaled for a
+    robust loss.
 
     The covariance of an M-estimator is that of least squares divided by `precision` (Huber 1981).
+    `residual` is measured - fitted.
     """
-    jacobian: Floats = solution.jacobian.copy()
-    for row, weight in enumerate(problem.weight):
-        r = -residual[row] * weight
-        jacobian[row] /= root_slope(r, loss)[:, None]
-        jacobian[row] *= np.sqrt(precision(r[weight > 0], loss))
-    return jacobian
+    if loss == "linear":
+        return solutions.jacobian
+    jacobians: Floats = solutions.jacobian.copy()
+    for place in np.ndindex(jacobians.shape[:2]):
+        weight = problems.weight[place]
+        r = -residual[place] * weight
+        jacobians[place] *= np.sqrt(precision(r[weight > 0], loss)) / root_slope(r, loss)[:, None]
+    return jacobians
 
 
 class OneSigmaPoints(NamedTuple):
@@ -203,23 +362,17 @@ def one_sigma_points(
     values, lower, upper : of each throw, in the problems' coordinates. typical : of all.
     """
     parts = []
-    for throws in grouped((one.open,) for one in found):
-        open_ = np.flatnonzero(found[throws[0]].open)
+    for owner, one in enumerate(found):
         # Covariance of the open parameters alone: those at a bound stay there.
-        covariance = np.stack(
-            [found[k].identifiability.covariance - found[k].slack @ found[k].slack.T
-             for k in throws]
-        )  # fmt: skip
-        squares, axes = np.linalg.eigh(covariance / np.outer(typical[open_], typical[open_]))
+        squares, axes = np.linalg.eigh(one.matrix / np.outer(typical[one.open], typical[one.open]))
         some = (squares > _CURVED**2) & (squares < _UNKNOWN**2)
-        along = np.zeros((*squares.shape, 2, len(typical)))
-        along[..., open_] = axes.mT[:, :, None]
-        size = np.sqrt(np.where(some, squares, 0.0))[..., None, None] * [[1.0], [-1.0]]
-        points = values[throws][:, None, None] + size * along * typical
-        low, high = lower[throws][:, None, None], upper[throws][:, None, None]
-        inside = some[..., None] & ((points >= low) & (points <= high)).all(-1)
-        owner = np.array(throws)[np.nonzero(inside)[0]]
-        parts.append(OneSigmaPoints(owner, points[inside], along[inside]))
+        along = np.zeros((int(some.sum()), 2, len(typical)))
+        along[..., one.open] = axes.T[some, None]
+        size = np.sqrt(squares[some])[:, None, None] * [[1.0], [-1.0]]
+        points = values[owner] + size * along * typical
+        inside = ((points >= lower[owner]) & (points <= upper[owner])).all(-1)
+        which = np.full(int(inside.sum()), owner)
+        parts.append(OneSigmaPoints(which, points[inside], along[inside]))
     return OneSigmaPoints(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
 
 

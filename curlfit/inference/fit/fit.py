@@ -5,40 +5,31 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
-from operator import itemgetter
 from typing import Any
 
-import jax
 import numpy as np
 
 from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.friction.family import LawFamily
-from curlfit.inference.conditions import ALL
 from curlfit.inference.derived import check_derived
+from curlfit.inference.fit.advice import remedies, with_curl_warning, with_noise_advice
 from curlfit.inference.fit.change_points import sudden_change
-from curlfit.inference.fit.measured_curl import with_curl_warning
-from curlfit.inference.fit.missing_channels import remedies
-from curlfit.inference.fit.noise_advice import with_noise_advice
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import LeastSquaresFit, summarize, summarize_many
-from curlfit.inference.fit.systematics import widths_of
-from curlfit.inference.initial_values import smooth, start_values_of_sides
+from curlfit.inference.fit.systematics import calibrations_of, widths_of
 from curlfit.inference.least_squares import (
+    Solution,
     Tasks,
-    as_slice,
-    best_of_sides,
+    best_first,
     fits_equally,
-    minimize,
-    minimize_many,
-    multistart,
     needs_restart,
+    optima,
     prepare_minimize,
-    put,
-    starts,
+    starts_to_try,
 )
 from curlfit.inference.likelihood import prepare_channels
 from curlfit.inference.model import Model
@@ -107,7 +98,7 @@ def _fit(
     loss, noise, start = chosen.loss, chosen.noise, chosen.start
     rounds = Rounds(model, [prepared], loss=loss, noise=noise)
     found = _fitted_alone(rounds, start)
-    errors = len(prepared.calibration)
+    errors = calibrations_of([prepared]).shape[1]
     result = summarize(found, widths_of(model, chosen.systematics, errors))
     if not result.converged:
         return result
@@ -124,57 +115,92 @@ def _fit(
     if result.reference is not None:
         result = replace(result, reference_fits=_reference_fits(found, result))
     open_ = [name for name, item in result.parameters.items() if item.verdict in _OPEN]
-    if open_:
-        local = prepared.local_parameters
-        values, n = found.solution.values, len(prepared.throw)
-        white = result.noise.kind == "white"
-        remedy = remedies(model, values, found.problem, local, n, open_, chosen.fix, white)
-        result = replace(result, remedies=remedy)
-    return result
+    return replace(result, remedies=remedies(found, open_, chosen.fix)) if open_ else result
 
 
 def refit(fit: FitResult, noise: str) -> FitResult:
     """Repeat a fit under another noise model, starting from its optimum."""
     throw, origin = fit.throw, Origin.of(fit.throw)
     rows = {name: fit.data[name] for name in ("since", "until", "exclude")}
-    prepared = PreparedThrow(
-        throw, throw, fit.stone, rows, fit.data["swept"], fit.parameter_set, origin
-    )
+    prepared = PreparedThrow(throw, fit.stone, rows, fit.data["swept"], fit.parameter_set, origin)
     rounds = Rounds(fit.model, [prepared], loss=fit.loss, noise=noise)
     return summarize(_fitted_alone(rounds, fit.parameter_set.values_of(fit.values)))
 
 
 def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSquaresFit:
-    """Fit the only throw of some rounds, trying all initial values."""
-    (prepared,), model = rounds.throws, rounds.model
-    parameters = prepared.local_parameters
-    (problem,), (sketch,) = unstacked(rounds.problems), unstacked(rounds.initial_problems)
-    prepare_minimize(model, prepared.first_parameters, problem)
-    prepare_channels(model, len(parameters), problem)
-    path = smooth(rounds.initial_problems)
-    sides, others = starts(model, sketch, path, parameters)
-    if start:
-        if len(sides) == 1:
-            others = sides + others
-            sides = []
-        sides.insert(0, prepared.with_start((sides or others)[0], start))
-    found, tried = multistart(model, sides, others, prepared.first_parameters, problem, path)
-    if not found:
-        raise UnusableFitError(
-            f"{prepared.throw.name}: law {model.law.name} with {model.load} load gives no finite "
-            "path from any start" + no_motion_because(model.load)
-        )
-    solution, rivals = found[0], [one for one in found[1:] if fits_equally(found[0], one)][:1]
-    only = np.zeros(1, int)
-    while len(rounds.revise(only, stacked([solution]))):
+    """Fit the only throw of some rounds."""
+    (found,) = _fitted(rounds, start)
+    if isinstance(found, CurlfitError):
+        raise found
+    return found
+
+
+def _fitted(
+    rounds: Rounds, start: Mapping[str, float] | None
+) -> list[LeastSquaresFit | CurlfitError]:
+    """Fits of throws side by side; an error takes the place of one that fails."""
+    model, throws, alone = rounds.model, rounds.throws, rounds.batch == 1
+    if alone:
         (problem,) = unstacked(rounds.problems)
-        solution, *rivals = (
-            minimize(model, one.values, parameters, problem) or one for one in (solution, *rivals)
+        prepare_minimize(model, throws[0].first_parameters, problem)
+        prepare_channels(model, len(throws[0].parameters), problem)
+    _, lower, upper = local_bounds(throws)
+    paths, sides = rounds.starts()
+    tasks = Tasks(
+        rounds.problems, sides[0], lower, upper, throws[0].parameters.typical,
+        penalties(throws, first=True),
+    )  # fmt: skip
+    plans = []
+    for row, one in enumerate(throws):
+        ends = lower[row], upper[row]
+        first, others = starts_to_try(model.law, sides[:, row], ends, tasks.typical)
+        if start:  # takes the place of the only initial values that the data give
+            given = one.with_start(first[0], start)
+            first, others = (
+                ([given], first + others) if len(first) == 1 else ([given, *first], others)
+            )
+        plans.append((first, others))
+    tried = optima(model, tasks, [first for first, _ in plans], alone=alone)
+    best = stacked([(best_first(found) or found)[0] for found in tried])
+    poor = needs_restart(best, paths, rounds.problems)
+    # If the first optimum is poor, all are tried: a later one may be local and look good.
+    again = [others if bad else [] for (_, others), bad in zip(plans, poor, strict=True)]
+    for found, more in zip(tried, optima(model, tasks, again, alone=alone), strict=True):
+        found += more
+    followed = [best_first(found) for found in tried]
+    for found in followed:
+        found[1:] = [one for one in found[1:] if fits_equally(found[0], one)][:1]
+    due = np.flatnonzero([len(found) for found in followed])
+    tasks = tasks._replace(penalty=penalties(throws))
+    while len(due) and len(due := rounds.revise(due, stacked([followed[row][0] for row in due]))):
+        last = [
+            [one.values for one in found] if row in due else []
+            for row, found in enumerate(followed)
+        ]
+        for found, new in zip(followed, optima(model, tasks, last, alone=alone), strict=True):
+            found[: len(new)] = [
+                one if np.isfinite(one.chi_squared) else old
+                for one, old in zip(new, found, strict=False)
+            ]
+    return [
+        rounds.failures.get(row) or _outcome(rounds, row, found, len(tried[row]))
+        for row, found in enumerate(followed)
+    ]
+
+
+def _outcome(
+    rounds: Rounds, row: int, found: Sequence[Solution], tried: int
+) -> LeastSquaresFit | CurlfitError:
+    """The fit of a throw from its optimum, and one that may fit equally, if any is finite."""
+    if not found:
+        model = rounds.model
+        return UnusableFitError(
+            f"{rounds.throws[row].throw.name}: law {model.law.name} with {model.load} load gives "
+            "no finite path from any start" + no_motion_because(model.load)
         )
-    for failure in rounds.failures.values():
-        raise failure
-    rival = rivals[0].values if rivals and fits_equally(solution, rivals[0]) else None
-    return rounds.record(0, solution, tried, rival)
+    best, *others = found
+    rival = next((one.values for one in others if fits_equally(best, one)), None)
+    return rounds.record(row, best, tried, rival)
 
 
 def _reference_fits(fit: LeastSquaresFit, result: FitResult) -> tuple[dict[str, Any], ...]:
@@ -217,8 +243,7 @@ def fit_throws(
 ) -> list[FitResult | CurlfitError]:
     """Fit each throw individually, many at a time; an error takes the place of a fit that fails.
 
-    Throws go through the rounds of `fit` side by side. One whose first initial values give no good
-    fit is fitted again alone, with all those that `fit` would try, so that it delays no other.
+    Throws go through the rounds of `fit` side by side.
 
     Parameters
     ----------
@@ -234,7 +259,7 @@ def fit_throws(
     common = Fitting.of(law=law, **choices)
     law, loss, noise = find_law(common.law), common.loss, common.noise
     curves = curves or loss != "linear" or noise != "white"
-    found: dict[int, FitResult | CurlfitError] = {}
+    found: dict[int, Any] = {}
     groups: dict[tuple[int, int, tuple[str, ...]], dict[int, PreparedThrow]] = {}
     for index, throw in enumerate(throws):
         try:
@@ -249,58 +274,10 @@ def fit_throws(
         while part := dict(islice(rest, max(BATCH, _ROWS // rows))):
             model = Model(law, common.load, next(iter(part.values())).parameters.conditions)
             rounds = Rounds(model, list(part.values()), loss=loss, noise=noise, batch=BATCH)
-            solved = _fitted_together(rounds, common.start)
-            errors = max(len(one.calibration) for one in part.values())
+            fitted = dict(zip(part, _fitted(rounds, common.start), strict=True))
+            usable = {k: one for k, one in fitted.items() if isinstance(one, LeastSquaresFit)}
+            errors = calibrations_of(rounds.throws).shape[1]
             widths = {} if systematics is None else widths_of(model, systematics, errors)
-            results = map(
-                with_curl_warning,
-                summarize_many(list(solved.values()), curves=curves, widths=widths),
-            )
-            found |= zip((list(part)[row] for row in solved), results, strict=True)
-            for row, (index, prepared) in enumerate(part.items()):
-                if row not in solved:
-                    held = {ALL: 0.0} if systematics is None else systematics
-                    found[index] = rounds.failures.get(row) or _alone(
-                        prepared.given, vars(common) | {"systematics": held}
-                    )
+            results = summarize_many(list(usable.values()), curves=curves, widths=widths)
+            found |= fitted | dict(zip(usable, map(with_curl_warning, results), strict=True))
     return [found[index] for index in range(len(throws))]
-
-
-def _fitted_together(
-    rounds: Rounds, start: Mapping[str, float] | None
-) -> dict[int, LeastSquaresFit]:
-    """Fits of throws of one shape, side by side, by index; without those that have to be fitted
-    alone."""
-    model, throws = rounds.model, rounds.throws
-    _, lower, upper = local_bounds(throws)
-    paths = smooth(rounds.initial_problems)
-    sides = start_values_of_sides(model, rounds.initial_problems, paths, lower, upper)
-    begin = sides[0]
-    if start:
-        begin = np.stack(
-            [one.with_start(values, start) for one, values in zip(throws, begin, strict=True)]
-        )
-    typical = throws[0].parameters.typical
-    tasks = Tasks(rounds.problems, begin, lower, upper, typical, penalties(throws, first=True))
-    rivals = best_of_sides(model, tasks, sides)
-    solutions = minimize_many(model, tasks)
-    poor = needs_restart(solutions, paths, rounds.problems)
-    tasks, due = tasks._replace(penalty=penalties(throws)), np.flatnonzero(~poor)
-    while len(due := rounds.revise(due, jax.tree.map(itemgetter(as_slice(due)), solutions))):
-        again = tasks._replace(start=solutions.values).at(due)
-        put(solutions, due, minimize_many(model, again))
-    each = unstacked(solutions)
-    usable = np.flatnonzero(solutions.success & ~poor)
-    return {
-        int(index): rounds.record(int(index), each[index], rival=rivals.get(int(index)))
-        for index in usable
-        if index not in rounds.failures
-    }
-
-
-def _alone(throw: Throw, choices: Mapping[str, Any]) -> Any:
-    """The fit of one throw with all initial values that `fit` would try, or the error."""
-    try:
-        return fit(throw, **choices)
-    except CurlfitError as error:
-        return error

@@ -11,17 +11,18 @@ import numpy as np
 from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.friction import find_law
-from curlfit.inference.fit.linearization import linearized
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import prepare_path_jacobians
+from curlfit.inference.likelihood import path_jacobians, prepare_path_jacobians
+from curlfit.inference.model import Model
+from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.noise.linearized import Linearized
-from curlfit.inference.noise.models import WHITE
+from curlfit.inference.noise.models import WHITE, time_of_motion
 from curlfit.inference.noise.restricted import prepare_estimate
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Origin, Problem, build_problem, environment_of
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked
 from curlfit.settings.choices import Modelling
 from curlfit.stone import Stone
@@ -32,7 +33,6 @@ from curlfit.throws.throw import CHANNELS, Throw
 class PreparedThrow(NamedTuple):
     """A throw prepared for a fit: rows selected, with its stone, parameters and origin."""
 
-    given: Throw
     throw: Throw
     stone: Stone
     rows: dict[str, Any]
@@ -56,8 +56,7 @@ class PreparedThrow(NamedTuple):
         ------
         InputError : as in `fit`.
         """
-        given = throw
-        stone = Stone().with_values(dict(chosen.stone))
+        stone, read_with = Stone().with_values(dict(chosen.stone)), throw.read_with
         throw = throw.with_sigma(dict(chosen.sigma)).select_rows(**chosen.rows)
         findings = require_plausible(throw)
         throw = throw.condensed()
@@ -66,8 +65,8 @@ class PreparedThrow(NamedTuple):
             find_law(chosen.law), throw, swept=swept, **chosen.parameters
         )
         return cls(
-            given, throw, stone, chosen.rows, chosen.swept, parameters, Origin.of(throw), findings,
-            (*given.read_with, *chosen.words()),
+            throw, stone, chosen.rows, chosen.swept, parameters, Origin.of(throw), findings,
+            (*read_with, *chosen.words()),
         )  # fmt: skip
 
     @property
@@ -79,17 +78,6 @@ class PreparedThrow(NamedTuple):
     def offset(self) -> Floats:
         """From the problem's coordinates to the data's."""
         return self.origin.offset(len(self.parameters))
-
-    @property
-    def calibration(self) -> Floats:
-        """Independent errors of the calibration (see `Throw`) in the problem's coordinates, shape
-        (errors, 3, 3); none without a calibration."""
-        known = self.throw.calibration
-        if known is None:
-            return np.zeros((0, 3, 3))
-        to_problem = np.eye(3)
-        to_problem[:2, 2] = -self.origin.place[:2]
-        return to_problem @ known @ np.linalg.inv(to_problem)
 
     @property
     def local_parameters(self) -> ParameterSet:
@@ -187,3 +175,38 @@ def local_bounds(throws: Sequence[PreparedThrow]) -> tuple[Floats, Floats, Float
     lower = np.stack([one.parameters.lower for one in throws]) - offset
     upper = np.stack([one.parameters.upper for one in throws]) - offset
     return offset, lower, upper
+
+
+def linearized(
+    model: Model,
+    problem: Problem,
+    values: Floats,
+    path: Floats,
+    stone: Stone,
+    typical: Floats,
+    adjustable: Booleans,
+) -> Linearized:
+    """A fitted path of all channels, and of events if there are any, to first order.
+
+    Parameters
+    ----------
+    values : of the parameters, in the coordinates of the problem.
+    path : the fitted path in these coordinates, shape (5 or 6, n), of at least the rows that are
+        not padding.
+    typical : sizes of the parameters.
+    adjustable : which parameters are neither fixed nor at a bound.
+    """
+    jacobian = path_jacobians(model, values[None], stacked([problem]))[0]
+    times, rows, seen = problem.times, path.shape[1], len(problem.weight)
+    weight, residual = np.zeros(jacobian.shape[:2]), np.zeros(jacobian.shape[:2])
+    weight[:seen] = problem.weight
+    there = weight[:seen, :rows] > 0
+    residual[:seen, :rows] = np.where(there, problem.observed[:, :rows] - path[:seen], 0.0)
+    response = Responses.of(times[:rows], path[: len(CHANNELS)], stone)
+    responses = [response.at(times, row) for row in range(len(CHANNELS))]
+    if len(jacobian) > len(CHANNELS):
+        responses.append(np.zeros_like(responses[0]))
+    return Linearized.of(
+        times, time_of_motion(times[:rows], path[CHANNELS.index("speed")]), weight, residual,
+        jacobian, typical, adjustable, len(model.law.coefficients()), np.stack(responses),
+    )  # fmt: skip

@@ -8,12 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.inference.identifiability import Bounded, confined, r_factor, r_factors
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.losses import MAD_TO_SIGMA, robust_sigma
 from curlfit.inference.noise.models import Independence, independences, lag1_of
-from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import two_digits
@@ -38,13 +36,6 @@ class ResidualStatistics(NamedTuple):
     """in the problem's coordinates, shape (5, n); None where the record does not include it"""
     residual: Floats
     """measured - fitted, 0 where nothing was observed, shape (channels, n)"""
-    r_factor: Floats
-    """R factor of the Jacobian and, as the last column, the residual over its sigma, with the
-    priors: as many rows as columns"""
-    unconfined: Floats
-    """the same with the directions that only the bounds determine (`confined`)"""
-    of_data: Floats
-    """with these directions, without the priors"""
     number: NDArray[np.int64]
     """of values of each channel, shape (channels,)"""
     rms: Floats
@@ -67,17 +58,8 @@ def residual_statistics(
     problems: Problem,
     solutions: Solution,
     paths: Floats | None,
-    penalty: Penalty | None = None,
-    bounds: tuple[Bounded, Floats] | None = None,
 ) -> ResidualStatistics:
-    """Residual statistics of many throws.
-
-    Parameters
-    ----------
-    penalty : of their priors.
-    bounds : of the parameters, with typical sizes, if directions that only they determine do not
-        count.
-    """
+    """Residual statistics of many throws."""
     there = problems.weight > 0
     count = there.sum(-1)
     if paths is None:
@@ -87,21 +69,9 @@ def residual_statistics(
     rms = np.sqrt((residual**2).sum(-1) / np.maximum(count, 1))
     # Observed values first, gaps last.
     order = np.argsort(~there, -1, kind="stable")
-    of_data = r_factors(solutions.jacobian, solutions.residual)
-    whole = of_data
-    if penalty is not None:
-        prior, slope = penalty.residual_and_slope(solutions.values)
-        rows = np.concatenate([slope[..., None] * np.eye(slope.shape[-1]), prior[..., None]], -1)
-        whole = r_factor(np.concatenate([of_data, rows], 1))
-    factor = whole
-    if bounds is not None:
-        factor = np.concatenate([confined(whole[..., :-1], *bounds), whole[..., -1:]], -1)
     return ResidualStatistics(
         path=paths,
         residual=residual,
-        r_factor=factor,
-        unconfined=whole,
-        of_data=of_data,
         number=count,
         rms=rms,
         lag1=lag1_of(np.take_along_axis(residual, order, -1), count),

@@ -286,7 +286,7 @@ class FitResult(NamedEstimates):
     noise : how noise is correlated from row to row, see `curlfit.inference.noise.models`.
     outliers : values far from the fit: {"channel", "t", "line" (of the file, or None), "off" (SI),
         "sigmas"}, the farthest first.
-    remedies : further measurements that would help, see `curlfit.inference.fit.missing_channels`.
+    remedies : further measurements that would help, see `curlfit.inference.fit.advice`.
     sampling : "none", "unfinished" (begun, or about to begin) or "ended".
     systematics : errors due to the conditions that the fit holds fixed, such as level ice.
     chi_squared, prior_chi_squared : of the data, and of the priors.
@@ -471,10 +471,7 @@ class FitResult(NamedEstimates):
             relative_sigma={name: by_row for name, by_row in sigma.items() if name in self.sigma},
             name=self.data["file"],
             reference=self.reference,
-            events=tuple(
-                Event(**{name: value for name, value in item.items() if name != "fitted"})
-                for item in self.events
-            ),
+            events=tuple(event for event, _ in self.timed),
             assumed={
                 item.name: self.parameters[item.name].value
                 for item in START
@@ -482,6 +479,13 @@ class FitResult(NamedEstimates):
             },
             defaults={"as_given": True},  # it was checked when it was fitted
         )
+
+    @property
+    def timed(self) -> list[tuple[Event, float]]:
+        """The events, each with its value in the fit."""
+        own = [dict(item) for item in self.events]
+        fitted = [item.pop("fitted") for item in own]
+        return [(Event(**item), value) for item, value in zip(own, fitted, strict=True)]
 
     @property
     def counts_from_hack(self) -> bool:

@@ -16,14 +16,15 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from operator import itemgetter
+from typing import Any
 
 import jax
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.inference.fit.linearization import linearized
-from curlfit.inference.fit.prepared import PreparedThrow, local_bounds
+from curlfit.inference.fit.prepared import PreparedThrow, linearized, local_bounds
 from curlfit.inference.fit.summary import LeastSquaresFit
+from curlfit.inference.initial_values import SmoothPath, smooth, start_values_of_sides
 from curlfit.inference.least_squares import (
     Indices,
     Solution,
@@ -40,7 +41,7 @@ from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.problem import ROWS_OF_DATA, Problem, build_problem
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import stacked
-from curlfit.throws.throw import CHANNELS
+from curlfit.throws.throw import CHANNELS, Throw
 
 _ROBUST_FITS = 4  # each with sigma from the bulk of the last
 _TIGHTER = 0.1  # sigma of a channel over that of the fit before, at least
@@ -79,29 +80,25 @@ class Rounds:
         self.model, self.throws, self.batch = model, throws, batch
         self.loss = loss
         even = [throw.equal_sigma() for throw in throws]
+
+        def built(cut: Sequence[Throw], shape: tuple[int, int] | None, **how: Any) -> Problem:
+            return stacked(
+                [
+                    build_problem(
+                        throw, one.stone, one.origin, sigma, environment=one.environment,
+                        shape=shape, parameters=len(one.parameters), **how,
+                    )
+                    for throw, one, sigma in zip(cut, throws, even, strict=True)
+                ]
+            )  # fmt: skip
+
         blank = None if noise == "white" else Noise(noise)
-        self.problems: Problem = stacked(
-            [
-                build_problem(
-                    one.throw, one.stone, one.origin, sigma, noise=blank,
-                    parameters=len(one.parameters), environment=one.environment, shape=shape,
-                )
-                for one, sigma in zip(throws, even, strict=True)
-            ]
-        )  # fmt: skip
+        self.problems = built([one.throw for one in throws], shape, noise=blank)
         self.initial_problems = self.problems
         if self.problems.events is not None:
             # Initial values do without events; a throw with nothing else needs a rough path.
-            self.initial_problems = stacked(
-                [
-                    build_problem(
-                        one.throw.sketched(), one.stone, one.origin, sigma,
-                        environment=one.environment,
-                        shape=(len(CHANNELS), self.problems.times.shape[-1]),
-                    )
-                    for one, sigma in zip(throws, even, strict=True)
-                ]
-            )  # fmt: skip
+            small = len(CHANNELS), self.problems.times.shape[-1]
+            self.initial_problems = built([one.throw.sketched() for one in throws], small)
         self.channels = ROWS_OF_DATA[: self.problems.observed.shape[1]]
         self.unknown = np.array([[name in sigma for name in self.channels] for sigma in even])
         self.sigma = np.array([[sigma.get(name, 0.0) for name in self.channels] for sigma in even])
@@ -115,6 +112,14 @@ class Rounds:
             *[self._estimate_noise] * (noise != "white"),
         ]  # fmt: skip
         self._next = np.where(self.unknown.any(1), 0, _WITH_SIGMA)
+
+    def starts(self) -> tuple[SmoothPath, Floats]:
+        """Smooth paths, and initial values on all sides that may fit equally, with their shapes as
+        of `start_values_of_sides`."""
+        paths, (_, *ends) = smooth(self.initial_problems), local_bounds(self.throws)
+        return paths, start_values_of_sides(
+            self.model, self.initial_problems, paths, *ends, batch=self.batch
+        )
 
     def revise(self, which: Indices, solutions: Solution) -> Indices:
         """Revise the problems of throws that are due for a further fit; return these throws."""

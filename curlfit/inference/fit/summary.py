@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from curlfit.friction import Parameter
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
-    bound_warning,
-    covariances,
+    Factors,
+    Sigmas,
     nonquadratic_estimates,
     one_sigma_points,
+    robust_jacobians,
 )
-from curlfit.inference.fit.linearization import linearized
-from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
+from curlfit.inference.fit.prepared import PreparedThrow, linearized, local_bounds, penalties
 from curlfit.inference.fit.residuals import (
     ResidualStatistics,
     correlation_warnings,
@@ -34,13 +33,10 @@ from curlfit.inference.fit.result import Estimate, FitResult, Systematics
 from curlfit.inference.fit.systematics import (
     calibrations_of,
     residual_changes,
-    shifts,
-    shifts_by_name,
 )
-from curlfit.inference.identifiability import Bounded
+from curlfit.inference.identifiability import Bounded, r_factors
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
-from curlfit.inference.linearized_problem import classify
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import Noise, time_of_motion
 from curlfit.inference.noise.whitening import posterior_mean
@@ -107,23 +103,26 @@ def summarize_many(
     solutions = stacked([fit.solution for fit in fits])
     model = fits[0].model
     paths = predict_many(model, solutions.values, problems, batch) if curves else None
-    penalty = penalties([fit.prepared for fit in fits])
+    penalty, loss = penalties([fit.prepared for fit in fits]), fits[0].loss
     sets = [fit.prepared.parameters for fit in fits]
-    offset, lower, upper = local_bounds([fit.prepared for fit in fits])
-    bounded = Bounded(solutions.values, lower, upper), sets[0].typical
-    statistics = residual_statistics(problems, solutions, paths, penalty, bounded)
+    typical, (offset, *ends) = sets[0].typical, local_bounds([fit.prepared for fit in fits])
+    local = Bounded(solutions.values, *ends)
+    statistics = residual_statistics(problems, solutions, paths)
     channels = ROWS_OF_DATA[: problems.observed.shape[1]]
-    found = covariances(
-        sets,
-        solutions.values + offset,
-        [fit.problem for fit in fits],
-        [fit.solution for fit in fits],
-        statistics,
-        estimated=np.array([[name in fit.sigma for name in channels] for fit in fits]),
-        loss=fits[0].loss,
-        penalty=penalty,
-    )
-    around = one_sigma_points(found, solutions.values, lower, upper, sets[0].typical)
+    factors = Factors.of(r_factors(solutions.jacobian, solutions.residual), local, typical, penalty)
+    estimator = factors
+    if loss != "linear":
+        robust = robust_jacobians(problems, solutions, statistics.residual, loss)
+        estimator = Factors.of(r_factors(robust, solutions.residual), local, typical, penalty)
+    found = [
+        Covariance.of(
+            own.names, Bounded(*(part[row] + offset[row] for part in local)), typical, own.free,
+            (factors.at(row), estimator.at(row)), fits[row].solution.jacobian,
+            Sigmas(statistics.number[row], np.isin(channels, [*fits[row].sigma]), loss),
+        )
+        for row, own in enumerate(sets)
+    ]  # fmt: skip
+    around = one_sigma_points(found, *local, typical)
     of_owners = jax.tree.map(lambda leaf: leaf[around.owner], problems)
     chi_squared = chi_squared_of_many(model, around.point, of_owners, batch)
     delta = chi_squared - solutions.chi_squared[around.owner]
@@ -131,29 +130,25 @@ def summarize_many(
         there, best = Penalty(*(part[around.owner] for part in penalty)), solutions.values
         delta += there.chi_squared(around.point) - there.chi_squared(best[around.owner])
     # Chi squared of one of several throws fitted together has a slope at the joint optimum.
-    jacobian, residual = statistics.r_factor[..., :-1], statistics.r_factor[..., -1:]
-    gradient = 2 * (jacobian.mT @ residual)[..., 0]
+    factor = factors.confined
+    gradient = 2 * (factor[..., :-1].mT @ factor[..., -1:])[..., 0]
     step = around.point - solutions.values[around.owner]
     delta = delta - (gradient[around.owner] * step).sum(-1)
-    nonquadratic = nonquadratic_estimates(found, around, delta, sets[0].typical)
+    nonquadratic = nonquadratic_estimates(found, around, delta, typical)
     systematics = [Systematics()] * len(fits)
     if paths is not None and widths:
-        loss = fits[0].loss
         changes = residual_changes(
             model, problems, solutions.values, paths, widths, loss, batch,
             calibrations_of([fit.prepared for fit in fits]),
         )  # fmt: skip
-        for throw, one in enumerate(found):
-            by_condition = shifts(
-                statistics.r_factor[throw, :, :-1][:, one.open],
-                {
-                    name: np.einsum("cn,cnp->p", change[throw], solutions.jacobian[throw])[one.open]
-                    for name, change in changes.items()
-                },
-                sets[0].typical[one.open],
-            )
-            shifted = shifts_by_name(one.identifiability, by_condition)
-            systematics[throw] = Systematics(dict(widths), shifted)
+        gradients = {
+            name: np.einsum("tcn,tcnp->tp", change, solutions.jacobian)
+            for name, change in changes.items()
+        }
+        systematics = [
+            Systematics(dict(widths), one.shifts({name: g[row] for name, g in gradients.items()}))
+            for row, one in enumerate(found)
+        ]
     record = partial(_record, bounds=bounds)
     return list(map(record, fits, statistics.each(len(fits)), found, nonquadratic, systematics))
 
@@ -170,7 +165,6 @@ def _record(
     law, prepared, noise = fit.model.law, fit.prepared, fit.noise
     throw, parameters = prepared.throw, prepared.parameters
     known, n = found.identifiability, len(throw)
-    weights = known.determined()
     curves = {}
     if statistics.path is not None:
         path = statistics.path[: len(CHANNELS), :n] + prepared.origin.place[:, None]
@@ -182,9 +176,7 @@ def _record(
     estimates = _estimates(parameters, found, misleading, rival)
     unusual = _unusual(fit, estimates["v0"], curves)
     converged = found.distance < CONVERGED and not any(one.refused for one in unusual)
-    outliers = outliers_of(
-        throw, statistics.residual, lag1, found.dof[:-1], found.leverage, fit.loss
-    )
+    outliers = outliers_of(throw, statistics.residual, lag1, found.dof, found.leverage, fit.loss)
     warnings = [str(one) for one in unusual]
     warnings += _rival_warnings(rival, throw)
     warnings += _parameter_warnings(fit, found, bounds=bounds)
@@ -205,7 +197,7 @@ def _record(
     }
     observed |= {f"sigma_{name}": by_row[name] for name in CHANNELS if name in by_row}
     free = parameters.free
-    residual, jacobian = statistics.r_factor[:, -1], statistics.r_factor[:, :-1][:, free]
+    residual, jacobian = found.factor[:, -1], found.factor[:, :-1][:, free]
     reference = throw.reference
     return FitResult(
         law=law.name,
@@ -235,9 +227,7 @@ def _record(
         chi_squared=float(fit.solution.chi_squared),
         prior_chi_squared=float(fit.solution.penalty),
         combinations=tuple(
-            replace(item, dof=found.degrees_of_freedom(weights[item.expression]))
-            for item in known.combinations
-            if item.expression not in misleading
+            item for item in found.combinations if item.expression not in misleading
         ),
         rank=known.rank,
         singular_values=tuple(map(float, known.singular_values)),
@@ -326,11 +316,8 @@ def _parameter_warnings(fit: LeastSquaresFit, found: Covariance, *, bounds: bool
     if fault is not None:
         warnings.append(f"{fault}; the fitted coefficients are not those of a friction law")
     if bounds:
-        warnings += [
-            bound_warning(item.name, item.lower, item.upper, found.identifiability)
-            for item, stuck in zip(fit.prepared.parameters.parameters, found.at_bound, strict=True)
-            if stuck
-        ]
+        parameters = fit.prepared.parameters
+        warnings += found.bound_warnings(parameters.lower, parameters.upper)
     return warnings
 
 
@@ -401,18 +388,13 @@ def _estimates(
 ) -> dict[str, Estimate]:
     """Estimates by name; see `Estimate` for the verdicts."""
     estimates = {}
-    index, unit = np.cumsum(found.open) - 1, np.eye(int(found.open.sum()))
     for row, item in enumerate(parameters.parameters):
-        stderr, verdict = (
-            (None, "fixed")
-            if item.name in parameters.fixed
-            else classify(
-                item.typical, bool(found.at_bound[row]), found.identifiability, int(index[row])
-            )
-        )
+        stderr, verdict, dof = None, "fixed", None
+        if item.name not in parameters.fixed:
+            stderr, verdict, dof = found.classified(row)
         reason, prior = "", parameters.priors.get(item.name)
-        if verdict == "determined" and not _determined_by_data(item, found, int(index[row])):
-            verdict, reason = "prior", "without the priors the data do not determine it"
+        if verdict == "prior":
+            reason = "without the priors the data do not determine it"
         elif verdict in ("determined", "weak") and item.name in misleading:
             verdict, reason = "weak", "chi squared is far from quadratic within its standard error"
         elif verdict == "weak":
@@ -422,7 +404,7 @@ def _estimates(
         estimates[item.name] = Estimate(
             value=float(found.values[row]),
             stderr=stderr,
-            dof=None if stderr is None else found.degrees_of_freedom(unit[index[row]]),
+            dof=dof,
             verdict=verdict,
             reason=reason,
             unit=item.unit,
@@ -434,8 +416,3 @@ def _estimates(
             prior="" if prior is None else str(prior),
         )
     return estimates
-
-
-def _determined_by_data(item: Parameter, found: Covariance, index: int) -> bool:
-    """Whether an open parameter would be determined without the priors."""
-    return classify(item.typical, False, found.of_data, index)[1] == "determined"

@@ -16,7 +16,7 @@ import numpy as np
 
 from curlfit.inference.conditions import ALL, CALIBRATION, WIDTHS, check_systematics
 from curlfit.inference.fit.prepared import PreparedThrow
-from curlfit.inference.identifiability import Identifiability, inverted, visible
+from curlfit.inference.identifiability import inverted, visible
 from curlfit.inference.likelihood import predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.losses import root_slope
@@ -72,7 +72,9 @@ def calibrations_of(throws: Sequence[PreparedThrow], *, jointly: bool = False) -
     for row, (throw, one) in enumerate(zip(throws, known, strict=True)):
         if one is not None:
             first = most * next((k for k, d in enumerate(distinct) if np.array_equal(one, d)), 0)
-            found[row, first : first + len(one)] = throw.calibration
+            to_problem = np.eye(3)
+            to_problem[:2, 2] = -throw.origin.place[:2]
+            found[row, first : first + len(one)] = to_problem @ one @ np.linalg.inv(to_problem)
     return found
 
 
@@ -176,14 +178,4 @@ def shifts(factor: Floats, gradients: Mapping[str, Floats], typical: Floats) -> 
     return {
         name: -typical * (inverse @ (inverse.T @ (typical * gradient)))
         for name, gradient in gradients.items()
-    }
-
-
-def shifts_by_name(
-    known: Identifiability, by_condition: Mapping[str, Floats]
-) -> dict[str, dict[str, float]]:
-    """Shifts of each determined parameter and each combination, by condition."""
-    return {
-        name: {condition: float(row @ shift) for condition, shift in by_condition.items()}
-        for name, row in known.determined().items()
     }

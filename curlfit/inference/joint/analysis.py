@@ -1,43 +1,47 @@
-"""What several throws together determine: covariance, verdicts, systematic errors."""
+"""What several throws together determine: covariance, verdicts, systematic errors; and whether they
+agree.
+
+The estimate that each throw alone would give, to first order about the joint optimum, is compared
+with the shared one (Cochran 1954). Where sigma is not given it is that of the throw alone, since
+the joint fit takes the misfit to a common value for noise. The spread between throws is that at
+which the differences are as large as expected (Paule and Mandel 1982).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc
 
 from curlfit.inference.fit.covariance import (
     CONVERGED,
-    bound_warning,
-    noise_dof,
-    robust_jacobian,
-    satterthwaite,
+    Covariance,
+    Factors,
+    Sigmas,
+    robust_jacobians,
 )
 from curlfit.inference.fit.residuals import ResidualStatistics, residual_statistics
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.fit.rounds import Rounds
-from curlfit.inference.fit.systematics import (
-    calibrations_of,
-    residual_changes,
-    shifts,
-    shifts_by_name,
-)
+from curlfit.inference.fit.systematics import calibrations_of, residual_changes
 from curlfit.inference.identifiability import (
     Bounded,
+    Combination,
     Identifiability,
-    analyse,
-    confined,
+    r_factor,
+    r_factors,
     visible,
 )
+from curlfit.inference.joint.result import Difference
 from curlfit.inference.joint.solver import JointSolution, Layout
-from curlfit.inference.least_squares import Indices
+from curlfit.inference.least_squares import Indices, residual_sigma
 from curlfit.inference.likelihood import predict_many
-from curlfit.inference.linearized_problem import LinearizedProblem, classify
+from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import unstacked
 
 
 @dataclass(frozen=True)
@@ -59,53 +63,39 @@ class JointAnalysis:
         """Residual statistics of all throws."""
         return residual_statistics(self.rounds.problems, self.solution.each, self.paths)
 
-    @property
-    def _bounded(self) -> Bounded:
-        bounds = self.layout.bounds
-        return Bounded(self.solution.values, bounds.lower, bounds.upper)
-
     @cached_property
-    def _factor(self) -> tuple[Floats, Floats]:
-        return self.solution.r_factor(self.layout)
+    def covariance(self) -> Covariance:
+        """Of the joint vector: the throws' channels are those of one problem, whose Jacobian is
+        given by R factors."""
+        layout, rounds, each = self.layout, self.rounds, self.solution.each
+        lower, upper, typical = layout.bounds
+        bounded = Bounded(self.solution.values, lower, upper)
 
-    @cached_property
-    def linearized(self) -> LinearizedProblem:
-        """The joint problem, linearized at its optimum, with the priors, and without directions
-        that only the bounds determine."""
-        matrix, right = self._factor
-        bounds = self.layout.bounds
-        matrix = confined(matrix, self._bounded, bounds.typical)
-        return LinearizedProblem(
-            right, matrix, self.solution.values, bounds.lower, bounds.upper, bounds.typical,
-            self.layout.free,
-        )  # fmt: skip
+        def factors_of(jacobians: Floats) -> Factors:
+            rows = layout.widened(r_factors(jacobians, each.residual))
+            whole = r_factor(rows.reshape(-1, rows.shape[-1]))
+            return Factors.of(whole, bounded, typical, layout.penalty)
 
-    @cached_property
-    def at_bound(self) -> Booleans:
-        """Which parameters the data push against a bound."""
-        return self.linearized.at_bound()
-
-    @cached_property
-    def _open(self) -> tuple[Booleans, Floats]:
-        return self.linearized.open(self.at_bound)
-
-    @property
-    def open(self) -> Booleans:
-        """Which parameters are free and not held at a bound."""
-        return self._open[0]
-
-    @cached_property
-    def values(self) -> Floats:
-        """The joint vector in the coordinates of the data."""
-        offsets = np.stack([one.offset for one in self.rounds.throws])
-        return self.solution.values + self.layout.joined(offsets)
+        factors = estimator = factors_of(each.jacobian)
+        if rounds.loss != "linear":
+            about = rounds.problems, each, self.statistics.residual, rounds.loss
+            estimator = factors_of(robust_jacobians(*about))
+        offset = layout.joined(np.stack([one.offset for one in rounds.throws]))
+        by_channel = layout.widened(r_factor(each.jacobian))
+        return Covariance.of(
+            layout.names,
+            Bounded(*(part + offset for part in bounded)),
+            typical,
+            layout.free,
+            (factors, estimator),
+            by_channel.reshape(-1, *by_channel.shape[2:]),
+            Sigmas(self.statistics.number.ravel(), rounds.unknown.ravel(), rounds.loss),
+        )
 
     @property
     def converged(self) -> bool:
         """Whether the search ended, and at an optimum."""
-        whole = self.linearized._replace(jacobian=self._factor[0])
-        distance = self.linearized.distance(int(self.statistics.number.sum()), whole)
-        return bool(self.solution.success and distance < CONVERGED)
+        return bool(self.solution.success and self.covariance.distance < CONVERGED)
 
     @property
     def status(self) -> str:
@@ -114,96 +104,20 @@ class JointAnalysis:
         return f"{ended} ({self.solution.steps} steps)"
 
     @cached_property
-    def _matrix(self) -> Floats:
-        """Matrix of the covariance: its normal equations are those of the estimator, which under a
-        robust loss are not those of the search."""
-        loss = self.rounds.loss
-        if loss == "linear":
-            return self._factor[0]
-        throws = zip(
-            unstacked(self.rounds.problems), unstacked(self.solution.each),
-            self.statistics.residual, strict=True,
-        )  # fmt: skip
-        jacobians = np.stack([robust_jacobian(*one, loss) for one in throws])
-        return self.solution.r_factor(self.layout, jacobians)[0]
-
-    def _analysed(self, matrix: Floats) -> Identifiability:
-        open_, slack = self._open
-        names = np.array(self.layout.names)[open_]
-        typical = self.layout.bounds.typical[open_]
-        bounded = Bounded(*(part[open_] for part in self._bounded))
-        values = self.values[open_]
-        return analyse(matrix[:, open_], list(names), values, typical, slack, bounded)
-
-    @cached_property
     def identifiability(self) -> Identifiability:
         """Of the open parameters; the combinations have degrees of freedom."""
-        known = self._analysed(self._matrix)
-        determined = known.determined()
-        weights = [determined[item.expression] for item in known.combinations]
-        dof = self._degrees_of_freedom(np.reshape(weights, (-1, len(known.names))), known)
-        sums = (replace(item, dof=n) for item, n in zip(known.combinations, dof, strict=True))
-        return replace(known, combinations=tuple(sums))
-
-    @cached_property
-    def of_data(self) -> Identifiability:
-        """The same without the priors, whose rows are the last."""
-        matrix, count = self._matrix, len(self.layout.names)
-        return self._analysed(matrix if self.layout.penalty is None else matrix[:-count])
-
-    def _degrees_of_freedom(self, weights: Floats, known: Identifiability) -> list[float | None]:
-        """Of the variance of weighted sums of the open parameters, one sum per row."""
-        open_, slack = self._open
-        covariance = known.covariance - slack @ slack.T
-        column = np.cumsum(open_) - 1
-        parts, dof = [], []
-        rounds, numbers = self.rounds, self.statistics.number
-        for index, jacobian, number, unknown in zip(
-            self.layout.index, self.solution.each.jacobian, numbers, rounds.unknown, strict=True
-        ):
-            own = open_[index]
-            rows = covariance[column[index[own]]]
-            of_channel = jacobian[..., own]
-            leverage = (of_channel @ rows[:, column[index[own]]] * of_channel).sum(-1)
-            dof.append(noise_dof(number, leverage, unknown, rounds.loss))
-            effect = rows @ weights.T
-            information = of_channel.mT @ of_channel
-            parts.append(np.einsum("ks,ckl,ls->cs", effect, information, effect))
-        total = ((weights @ covariance) * weights).sum(-1)
-        of_priors = np.maximum(total - np.concatenate(parts).sum(0), 0.0)
-        variances = np.concatenate([*parts, of_priors[None]])
-        return [satterthwaite(each, np.append(dof, np.inf)) for each in variances.T]
-
-    @cached_property
-    def _dof(self) -> list[float | None]:
-        """Degrees of freedom of the open parameters."""
-        known = self.identifiability
-        return self._degrees_of_freedom(np.eye(len(known.names)), known)
+        found = self.covariance
+        return replace(found.identifiability, combinations=found.combinations)
 
     def estimate(self, item: Estimate, joint: int) -> Estimate:
         """The estimate of a parameter of a throw, with the index `joint` in the joint vector."""
         if item.verdict == "fixed":
             return item
-        known, stuck = self.identifiability, bool(self.at_bound[joint])
-        index = int(np.cumsum(self.open)[joint]) - 1 if self.open[joint] else -1
-        stderr, verdict = classify(item.typical, stuck, known, index)
-        reason = item.reason if verdict == item.verdict else ""
-        if verdict == "determined":
-            alone = classify(item.typical, stuck, self.of_data, index)
-            verdict = verdict if alone[1] == "determined" else "prior"
+        stderr, verdict, dof = self.covariance.classified(joint)
         return replace(
-            item, value=float(self.values[joint]), stderr=stderr, verdict=verdict, reason=reason,
-            dof=None if stderr is None else self._dof[index],
+            item, value=float(self.covariance.values[joint]), stderr=stderr, verdict=verdict,
+            reason=item.reason if verdict == item.verdict else "", dof=dof,
         )  # fmt: skip
-
-    def bound_warnings(self) -> list[str]:
-        """Warnings about parameters at a bound."""
-        layout, known = self.layout, self.identifiability
-        return [
-            bound_warning(name, layout.bounds.lower[j], layout.bounds.upper[j], known)
-            for j, name in enumerate(layout.names)
-            if self.at_bound[j]
-        ]
 
     def shifts(self, widths: Mapping[str, float]) -> dict[str, dict[str, float]]:
         """Shifts by parameter or combination due to conditions common to all throws."""
@@ -214,26 +128,24 @@ class JointAnalysis:
             len(each.values), calibrations_of(rounds.throws, jointly=True),
         )  # fmt: skip
         for name, change in changes.items():
-            total = np.zeros(len(layout.names))
-            np.add.at(total, layout.index, np.einsum("tcn,tcnp->tp", change, each.jacobian))
-            gradients[name] = total[self.open]
-        typical = layout.bounds.typical[self.open]
-        found = shifts(self.linearized.jacobian[:, self.open], gradients, typical)
-        return shifts_by_name(self.identifiability, found)
+            gradients[name] = np.zeros(len(layout.names))
+            along = np.einsum("tcn,tcnp->tp", change, each.jacobian)
+            np.add.at(gradients[name], layout.index, along)
+        return self.covariance.shifts(gradients)
 
     def information(self, own: Indices) -> dict[str, Any]:
         """Information of all throws on some parameters, with the other open ones projected out."""
-        linearized = self.linearized
-        others = self.open.copy()
+        found = self.covariance
+        matrix, residual = found.factor[:, :-1], found.factor[:, -1]
+        others = found.open.copy()
         others[own] = False
         basis, singular, _ = np.linalg.svd(
-            linearized.jacobian[:, others] * linearized.typical[others], full_matrices=False
+            matrix[:, others] * found.typical[others], full_matrices=False
         )
         basis = basis[:, visible(singular)]
-        jacobian = linearized.jacobian[:, own]
-        jacobian = jacobian - basis @ (basis.T @ jacobian)
+        jacobian = matrix[:, own] - basis @ (basis.T @ matrix[:, own])
         return {
-            "gradient": (-linearized.residual @ jacobian).tolist(),
+            "gradient": (-residual @ jacobian).tolist(),
             "matrix": (jacobian.T @ jacobian).tolist(),
         }
 
@@ -254,3 +166,136 @@ class JointAnalysis:
             },
             "null_directions": tuple(filter(None, directions)),
         }
+
+
+_HALVINGS = 60  # of the interval that contains the variance between throws
+_NO_PART = 1e-3  # share of a combination that a throw need not determine
+
+
+class _Alone(NamedTuple):
+    """What a throw alone determines, to first order about the joint optimum."""
+
+    step: Floats
+    """from the joint optimum to that of the throw, in typical sizes"""
+    rows: Floats
+    """determined directions in typical sizes, over the standard errors along them"""
+
+    @classmethod
+    def of(cls, jacobian: Floats, residual: Floats, bounded: Bounded, typical: Floats) -> _Alone:
+        """`jacobian`, of the weighted residuals, is in typical sizes, shape (channels, n, p)."""
+        flat = jacobian.reshape(-1, len(typical))
+        left, singular, right = np.linalg.svd(flat, full_matrices=False)
+        seen = visible(singular) & ~bounded.confine(right, singular, typical)
+        left, singular, right = left[:, seen], singular[seen], right[seen]
+        return cls(-right.T @ (left.T @ residual.ravel() / singular), right * singular[:, None])
+
+    def stderr(self, weights: Floats) -> float | None:
+        """Standard error of a weighted sum; None where the throw does not determine it."""
+        along = np.linalg.lstsq(self.rows.T, weights, rcond=None)[0]
+        if np.linalg.norm(weights - self.rows.T @ along) > _NO_PART * np.linalg.norm(weights):
+            return None
+        return float(np.linalg.norm(along))
+
+
+def differences_of(
+    solution: JointSolution,
+    layout: Layout,
+    coefficients: Mapping[str, Estimate],
+    combinations: Sequence[Combination],
+    problems: Problem,
+    unknown: Booleans,
+) -> tuple[Difference, ...]:
+    """Differences of the shared coefficients as each throw alone gives them, to first order.
+
+    Parameters
+    ----------
+    unknown : whether sigma was estimated from least squares, shape (throws, channels).
+    """
+    wanted = {
+        name: ({name: 1.0}, item.value)
+        for name, item in coefficients.items()
+        if item.verdict in ("determined", "weak")
+    } | {item.expression: (item.weights, item.value) for item in combinations}
+    throws = _each_alone(solution, layout, problems, unknown)
+    found = []
+    for expression, (weights, value) in wanted.items():
+        each: list[tuple[float, float] | None] = []
+        weight = []
+        for (joint, own), index in zip(throws, layout.index, strict=True):
+            free = layout.free[index]
+            vector = np.array([weights.get(layout.names[place], 0.0) for place in index])
+            vector = (vector * layout.bounds.typical[index])[free]
+            stderr, assumed = own.stderr(vector), joint.stderr(vector)
+            if stderr is None or assumed is None:
+                each.append(None)
+                continue
+            each.append((value + float(vector @ own.step), stderr))
+            weight.append(assumed**-2)
+        if len(weight) > 1:
+            found.append(_difference(expression, each, np.array(weight)))
+    return tuple(found)
+
+
+def _each_alone(
+    solution: JointSolution, layout: Layout, problems: Problem, unknown: Booleans
+) -> list[tuple[_Alone, _Alone]]:
+    """Of each throw, with the noise of the joint fit and with that of its own."""
+    index, bounds, each = layout.index, layout.bounds, solution.each
+    free, typical = layout.free[index], bounds.typical[index]
+    jacobians = each.jacobian * typical[:, None, None]
+    about = [
+        (Bounded(*(part[index[throw]][free[throw]] for part in
+                   (solution.values, bounds.lower, bounds.upper))), typical[throw][free[throw]])
+        for throw in range(len(index))
+    ]  # fmt: skip
+
+    def analysed(scale: Floats) -> list[_Alone]:
+        return [
+            _Alone.of(
+                jacobians[throw][..., free[throw]] / scale[throw][:, None, None],
+                each.residual[throw] / scale[throw][:, None], *about[throw],
+            )
+            for throw in range(len(index))
+        ]  # fmt: skip
+
+    joint = analysed(np.ones(unknown.shape))
+    steps = np.zeros(index.shape)
+    for throw, one in enumerate(joint):
+        steps[throw, free[throw]] = one.step
+    left = each._replace(residual=each.residual + (jacobians @ steps[:, None, :, None])[..., 0])
+    sigma = residual_sigma(left, problems, free) * problems.weight.max(-1)
+    return list(zip(joint, analysed(np.where(unknown, sigma, 1.0)), strict=True))
+
+
+def _difference(
+    expression: str, each: Iterable[tuple[float, float] | None], shared: Floats
+) -> Difference:
+    """`shared` are the weights of the throws in the joint fit."""
+    each = tuple(each)
+    estimate, stderr = np.array([item for item in each if item is not None]).T
+    variance, degrees = stderr**2, len(stderr) - 1
+
+    def about_mean(between: float) -> tuple[float, float, float]:
+        """Mean of the throws, its variance, and chi squared about it."""
+        weight = 1 / (variance + between)
+        mean = float(weight @ estimate / weight.sum())
+        return mean, float(1 / weight.sum()), float(weight @ (estimate - mean) ** 2)
+
+    q = about_mean(0.0)[2]
+    low, high = 0.0, float(estimate.var(ddof=1)) if q > degrees else 0.0
+    while about_mean(high)[2] > degrees:
+        high *= 2
+    for _ in range(_HALVINGS if high else 0):
+        middle = (low + high) / 2
+        low, high = (middle, high) if about_mean(middle)[2] > degrees else (low, middle)
+    mean, of_mean, _ = about_mean(high)
+    share = shared / shared.sum()
+    return Difference(
+        expression=expression,
+        each=each,
+        p_value=float(chdtrc(degrees, q)),
+        spread=float(np.sqrt(high)),
+        mean=mean,
+        stderr=float(np.sqrt(of_mean)),
+        shared_stderr=float(np.sqrt(share**2 @ (variance + high))),
+    )

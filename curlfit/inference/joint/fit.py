@@ -12,7 +12,7 @@ from curlfit.errors import InputError, UnusableFitError, require_kind
 from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
-from curlfit.inference.fit.measured_curl import curl_warnings
+from curlfit.inference.fit.advice import curl_warnings
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import Estimate, FitResult, Systematics
@@ -20,15 +20,13 @@ from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many
 from curlfit.inference.fit.systematics import calibrations_of, widths_of
 from curlfit.inference.identifiability import Combination, expression
-from curlfit.inference.initial_values import smooth, start_values_of_sides
-from curlfit.inference.joint.analysis import JointAnalysis
-from curlfit.inference.joint.heterogeneity import differences_of
+from curlfit.inference.joint.analysis import JointAnalysis, differences_of
 from curlfit.inference.joint.result import Difference, JointResult
 from curlfit.inference.joint.solver import Layout, Progress, minimize_jointly
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
 from curlfit.numerics.arrays import Booleans
-from curlfit.numerics.batches import stacked, unstacked
+from curlfit.numerics.batches import unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Throw, require_throw
 
@@ -90,18 +88,12 @@ def fit_together(
     shape = max(channels), max(rows)
     model = Model(law, common.load, prepared[0].parameters.conditions)
     rounds = Rounds(model, prepared, loss=common.loss, noise=common.noise, shape=shape)
-    local = [one.local_parameters for one in prepared]
-    layout, first = (
-        Layout(sets, shared) for sets in (local, [one.first_parameters for one in prepared])
-    )
-    initial = []
-    for one, parameters, problem in zip(
-        prepared, local, unstacked(rounds.initial_problems), strict=True
-    ):
-        alone = stacked([problem])
-        ends = parameters.lower[None], parameters.upper[None]
-        sides = start_values_of_sides(model, alone, smooth(alone), *ends, batch=1)
-        initial.append(one.with_start(sides[0, 0], common.start))
+    layout = Layout([one.local_parameters for one in prepared], shared)
+    first = Layout([one.first_parameters for one in prepared], shared)
+    initial = [
+        one.with_start(values, common.start)
+        for one, values in zip(prepared, rounds.starts()[1][0], strict=True)
+    ]
     best = layout.joined(np.stack(initial))
     solution = minimize_jointly(model, rounds.problems, first, best, progress)
     every = np.arange(len(prepared))
@@ -187,7 +179,7 @@ def _result(
     warnings = [
         *_heterogeneity_warnings(differences, throws, rounds),
         *curl_warnings(throws),
-        *analysis.bound_warnings(),
+        *analysis.covariance.bound_warnings(*layout.bounds[:2]),
         *(f"{item.data['file']}: {warning}" for item in single for warning in item.warnings),
     ]
     of_shared = {
@@ -205,7 +197,7 @@ def _result(
         coefficients={name: _among(item, among.get(name)) for name, item in coefficients.items()},
         combinations=tuple(_among(item, among.get(item.expression)) for item in combinations),
         rank=known.rank,
-        parameters=int(analysis.open.sum()),
+        parameters=int(analysis.covariance.open.sum()),
         differences=differences,
         throws=tuple(throws),
         systematics=Systematics(dict(widths), of_shared),

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
-from curlfit.inference.derived_report import derived_table
 from curlfit.inference.report import (
+    derived_table,
     estimate_cells,
     file_of,
     lines_of,

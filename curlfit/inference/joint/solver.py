@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from curlfit.inference.identifiability import r_factors
 from curlfit.inference.least_squares import Control, Solution, Tasks, solve
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
@@ -87,6 +86,14 @@ class Layout:
         found[self.index[infinite]] = values[infinite]
         return found
 
+    def widened(self, jacobians: Floats) -> Floats:
+        """Jacobians of throws, along the first axis, by the joint vector; further columns stay."""
+        size, own = len(self.names), self.index.shape[1]
+        found = np.zeros((*jacobians.shape[:-1], size + jacobians.shape[-1] - own))
+        for one, index, jacobian in zip(found, self.index, jacobians, strict=True):
+            one[..., index], one[..., size:] = jacobian[..., :own], jacobian[..., own:]
+        return found
+
     def tasks(self, problems: Problem, start: Floats) -> Tasks:
         """The joint problem, with throws of no weight, whose parameters are fixed, added to a
         multiple of `_TOGETHER`."""
@@ -128,24 +135,6 @@ class JointSolution(NamedTuple):
     def chi_squared(self) -> float:
         """Sum over all throws."""
         return float(self.each.chi_squared.sum())
-
-    def r_factor(self, layout: Layout, jacobians: Floats | None = None) -> tuple[Floats, Floats]:
-        """A small matrix and right-hand side with the same normal equations; priors come last.
-
-        `jacobians` of the throws may take the place of those of the search.
-        """
-        count, p = layout.index.shape
-        matrix = np.zeros((count * (p + 1), len(layout.names)))
-        right = np.zeros(count * (p + 1))
-        jacobians = self.each.jacobian if jacobians is None else jacobians
-        for throw, factor in enumerate(r_factors(jacobians, self.each.residual)):
-            rows = slice(throw * (p + 1), throw * (p + 1) + len(factor))
-            matrix[rows, layout.index[throw]] = factor[:, :p]
-            right[rows] = factor[:, p]
-        if layout.penalty is None:
-            return matrix, right
-        residual, slope = layout.penalty.residual_and_slope(self.values)
-        return np.concatenate([matrix, np.diag(slope)]), np.concatenate([right, residual])
 
 
 def minimize_jointly(

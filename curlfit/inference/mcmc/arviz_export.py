@@ -12,6 +12,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.identifiability import with_combinations
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.noise.losses import log_density
 from curlfit.inference.problem import Problem
@@ -102,13 +103,9 @@ def _assembled(
 
 def _parameters(fit: FitResult, flat: Floats) -> dict[str, Any]:
     """Free parameters and determined combinations of samples (..., parameters)."""
-    names = fit.parameter_set.names
-    found = {name: flat[..., names.index(name)] for name in _free(fit)}
-    for item in fit.combinations:
-        found[item.expression] = np.sum(
-            [weight * flat[..., names.index(name)] for name, weight in item.weights.items()], axis=0
-        )
-    return {name: (_DRAWS, values) for name, values in found.items()}
+    found = with_combinations(fit.parameter_set.names, flat, fit.combinations)
+    fixed = fit.parameter_set.fixed
+    return {name: (_DRAWS, values) for name, values in found.items() if name not in fixed}
 
 
 def _log_priors(fit: FitResult, flat: Floats) -> dict[str, Any]:

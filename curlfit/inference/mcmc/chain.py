@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from curlfit.errors import DataError, InputError
 from curlfit.friction import LAWS, Law
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.identifiability import with_combinations
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
 from curlfit.output.console import PlainTable
@@ -130,13 +131,8 @@ class Chain(Displayed):
         InputError : pandas is not installed.
         """
         samples = self.kept
-        columns: dict[str, Any] = {
-            name: samples[..., place].ravel() for place, name in enumerate(self.names)
-        }
-        for item in () if self.fit is None else self.fit.combinations:
-            columns[item.expression] = sum(
-                weight * columns[name] for name, weight in item.weights.items()
-            )
+        combinations = () if self.fit is None else self.fit.combinations
+        columns = with_combinations(self.names, samples.reshape(-1, len(self.names)), combinations)
         columns["log_posterior"] = self._by_ensemble(self.log_posterior).ravel()
         names = ("ensemble", "walker", "step")
         index = optional("pandas", "notebook").MultiIndex.from_product(

@@ -18,6 +18,7 @@ from scipy.special import ndtri
 from curlfit.errors import InputError
 from curlfit.inference.derived import quantiles_of
 from curlfit.inference.fit.result import FitResult, Posterior
+from curlfit.inference.identifiability import with_combinations
 from curlfit.inference.mcmc.chain import Chain, load_chain
 from curlfit.numerics.arrays import Floats
 
@@ -172,9 +173,14 @@ def summarised(
     free = fit.parameter_set.free
     names = fit.parameter_set.names_where(free)
     diagnosis = diagnosis or Diagnosis(chain.values[:, :, free], chain.ensembles)
-    quantities = {name: chain.of({name: 1.0}) for name in names}
-    correlation = np.atleast_2d(np.corrcoef(np.stack(list(quantities.values()))))
-    quantities |= {item.expression: chain.of(item.weights) for item in fit.combinations}
+    fixed = fit.parameter_set.fixed
+    found = with_combinations(chain.names, chain.flat, fit.combinations)
+    quantities = {name: values for name, values in found.items() if name not in fixed}
+    correlation = np.atleast_2d(np.corrcoef(chain.flat[:, free].T))
+
+    def by_name(numbers: Floats) -> dict[str, float]:
+        return dict(zip(names, map(float, numbers), strict=True))
+
     steps, walkers, _ = chain.values.shape
     status = ended
     if ended != "converged":
@@ -196,16 +202,13 @@ def summarised(
         ensembles=chain.ensembles,
         seed=chain.seed,
         acceptance=chain.acceptance,
-        ess=dict(zip(names, map(float, diagnosis.bulk), strict=True)),
-        ess_tail=dict(zip(names, map(float, diagnosis.tail), strict=True)),
-        r_hat=dict(zip(names, map(float, diagnosis.r_hat), strict=True)),
+        ess=by_name(diagnosis.bulk),
+        ess_tail=by_name(diagnosis.tail),
+        r_hat=by_name(diagnosis.r_hat),
         quantiles={name: quantiles_of(values) for name, values in quantities.items()},
         mean={name: float(values.mean()) for name, values in quantities.items()},
         sd={name: float(values.std()) for name, values in quantities.items()},
-        correlation={
-            name: dict(zip(names, map(float, row), strict=True))
-            for name, row in zip(names, correlation, strict=True)
-        },
+        correlation=dict(zip(names, map(by_name, correlation), strict=True)),
         converged=effective is not None and diagnosis.good(effective),
         status=status,
     )

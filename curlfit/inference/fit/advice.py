@@ -1,0 +1,199 @@
+"""Advice: a measured curl that a law leaves to the heading; the noise model that describes
+correlated residuals, of which those recommended have been tried; and further measurements that
+would determine the parameters that a throw does not determine.
+
+For the last, channels that were not measured are added hypothetically at the same times, with the
+noise of an ordinary tracker and gyroscope. If one of them, or all together, would determine a
+parameter, that is the remedy; if not, no measurement along this path would, and another throw or
+another stone is needed (`curlfit design`). All channels are weighted by their sigma alone, as for
+white noise. The correlation of noise that was not measured is unknown; under other noise models
+only those parameters are named that no channel determines under any noise (null directions).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from curlfit.dynamics.law_structure import can_curl
+from curlfit.friction import check_load
+from curlfit.inference.fit.residuals import CORRELATED
+from curlfit.inference.fit.result import FitResult
+from curlfit.inference.fit.summary import LeastSquaresFit
+from curlfit.inference.identifiability import WEAK_ERROR, Identifiability, analyse
+from curlfit.inference.likelihood import predict_channels
+from curlfit.inference.noise.models import is_rough
+from curlfit.numerics.differences import slopes
+from curlfit.output.text import join_words, two_digits
+from curlfit.throws.motion import SURE, motion_of
+from curlfit.throws.throw import CHANNELS
+
+_CLEAR = 0.2  # m; a smaller curl of a path may be that of the ice
+
+
+def curl_warnings(fits: Sequence[FitResult]) -> list[str]:
+    """A warning if throws fitted with one law were measured to curl, and the law cannot.
+
+    A slope of the ice among the parameters may cause the curl instead.
+    """
+    first = fits[0]
+    law, load = first.law_class, check_load(first.load)
+    # mypy takes a class for one of its instances, which compare by value and have no hash.
+    if can_curl(law, load, first.stone) or first.model.has_slope:  # type: ignore[arg-type]
+        return []
+    curls = [curl for fit in fits if (curl := measured_curl(fit)) is not None]
+    if not curls:
+        return []
+    if len(fits) == 1:
+        side = "right" if curls[0] > 0 else "left"
+        what = f"the measured curl of {abs(curls[0]):.2f} m to the {side} is"
+    else:
+        what = f"the measured curls of {len(curls)} of {len(fits)} throws are"
+    in_heading = first.parameters["heading"].verdict != "fixed"
+    where = ["in the heading"] * in_heading
+    where += ["in the residuals"] * (bool(first.rms) or not in_heading)
+    return [
+        f"the {first.law} law cannot curl a stone: {what} {' and '.join(where)}; "
+        "`--law front-back` has friction that curls"
+    ]
+
+
+def with_curl_warning(fit: FitResult) -> FitResult:
+    """The fit of a single throw with that warning, if any."""
+    warnings = curl_warnings([fit])
+    return replace(fit, warnings=(*fit.warnings, *warnings)) if warnings else fit
+
+
+def measured_curl(fit: FitResult) -> float | None:
+    """Curl in m to the right as measured, by an event or by the path; None if it is not clear."""
+    across = [item for item in fit.events if item["quantity"] == "x"]
+    if across:
+        far = max(across, key=lambda item: abs(item["value"]))
+        return far["value"] if abs(far["value"]) > SURE * far["sigma"] else None
+    motion = motion_of(fit.throw) if {"x", "y"} <= fit.rms.keys() else None
+    if motion is None or abs(motion.curl) - SURE * motion.curl_error < _CLEAR:
+        return None
+    return -motion.curl
+
+
+_FARTHER = (
+    2.0  # rms residual of the law over that with independent noise, up to which it is as near
+)
+
+
+def with_noise_advice(result: FitResult, refit: Callable[[FitResult, str], FitResult]) -> FitResult:
+    """A fit with independent noise whose warning about correlated residuals says what helps."""
+    if not any(one.startswith(CORRELATED) for one in result.warnings):
+        return result
+    advice = _advice(result, refit)
+    warnings = (
+        f"{one}; {advice}" if one.startswith(CORRELATED) else one for one in result.warnings
+    )
+    return replace(result, warnings=tuple(warnings))
+
+
+def _advice(result: FitResult, refit: Callable[[FitResult, str], FitResult]) -> str:
+    doubtful = [name for name, item in result.independence.items() if item.doubtful]
+    left = {name: result.observed[name] - result.fitted[name] for name in doubtful}
+    if not any(is_rough(series[np.isfinite(series)]) for series in left.values()):
+        return (
+            "no noise is that smooth: it is the law that deviates from the data (or from a formula "
+            "or filter that made them), and its standard errors do not contain that"
+        )
+    for noise in ("ar1", "discrepancy"):
+        other = refit(result, noise)
+        if _describes(other, result):
+            tried = f"`--noise {noise}`, which was tried, leaves independent residuals"
+            return tried + _errors(other, result)
+    return "`--noise ar1` and `--noise discrepancy`, which were tried, do not describe them either"
+
+
+def _describes(other: FitResult, white: FitResult) -> bool:
+    """Whether a noise model makes residuals independent and leaves the law as near to the data."""
+    near = all(other.rms[name] <= _FARTHER * size for name, size in white.rms.items())
+    return other.converged and near and not any(one.doubtful for one in other.independence.values())
+
+
+def _errors(other: FitResult, white: FitResult) -> str:
+    """How many times as large the standard errors of the coefficients are."""
+    names = [*white.coefficients, *(item.expression for item in white.combinations)]
+    pairs = {name: (white[name].stderr, other[name].stderr) for name in names if name in other}
+    found = {name: new / old for name, (old, new) in pairs.items() if old and new}
+    if not found:
+        return ""
+    times = join_words([f"{two_digits(ratio)} ({name})" for name, ratio in found.items()])
+    return f"; standard errors are then larger by factors of {times}"
+
+
+NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01, "speed": 0.02, "omega": 0.02}
+"""Of a hypothetical channel: m, m, rad, m/s, rad/s."""
+_STEP = 1e-4  # of a typical size, of differences: the path is accurate to 1e-8 of it
+
+
+def remedies(
+    fit: LeastSquaresFit, open_: Sequence[str], held: Collection[str]
+) -> tuple[dict[str, Any], ...]:
+    """What would determine some parameters, as {"parameters": names, "measure": channels}.
+
+    Parameters
+    ----------
+    open_ : parameters that the data do not determine.
+    held : parameters that stay fixed whatever is measured.
+
+    Returns
+    -------
+    Parameters with the same remedy are grouped. Of several channels in "measure" any one suffices,
+    unless "all" is true: then all are needed. It is empty where no channel would help.
+    """
+    parameters, values = fit.prepared.local_parameters, fit.solution.values
+    problem, rows = fit.problem, len(fit.prepared.throw)
+    free = np.array([place for place, name in enumerate(parameters.names) if name not in held])
+    fixed = parameters.lower >= parameters.upper  # for lack of a channel that depends on them
+    jacobian = slopes(
+        lambda moved: predict_channels(fit.model, moved, problem)[:, :rows],
+        values, _STEP * parameters.typical, free,
+        lower=np.where(fixed, -np.inf, parameters.lower),
+        upper=np.where(fixed, np.inf, parameters.upper),
+    )  # fmt: skip
+    weight = np.zeros(jacobian.shape[:2])
+    weight[: len(problem.weight)] = problem.weight[:, :rows]
+    missing = [name for row, name in enumerate(CHANNELS) if not weight[row].any()]
+    names = [parameters.names[place] for place in free]
+
+    def analysed(channels: Sequence[str]) -> Identifiability:
+        full = weight.copy()
+        for name in channels:
+            full[CHANNELS.index(name)] = 1 / NOISE[name]
+        matrix = (full[..., None] * jacobian).reshape(-1, len(free))
+        return analyse(matrix, names, values[free], parameters.typical[free])
+
+    def determined(channels: Sequence[str]) -> set[str]:
+        known = analysed(channels)
+        spread = np.sqrt(np.diag(known.covariance))
+        sharp = (spread < WEAK_ERROR * parameters.typical[free]) & ~known.unseen
+        return {name for name, take in zip(names, sharp, strict=True) if take}
+
+    if fit.noise.kind != "white":
+        unseen = dict(zip(names, analysed(missing).unseen, strict=True))
+        never = [name for name in open_ if unseen[name]]
+        return ({"parameters": never, "measure": [], "all": False},) if never else ()
+    alone = {name: determined([name]) for name in missing}
+    together = determined(missing) if len(missing) > 1 else set()
+    found: dict[tuple[tuple[str, ...], bool], list[str]] = {}
+    for name in open_:
+        enough = [channel for channel, sees in alone.items() if name in sees]
+        all_ = not enough and name in together
+        if all_:
+            enough = list(missing)
+            for channel in reversed(missing):  # speed and spin are the least commonly measured
+                fewer = [other for other in enough if other != channel]
+                if name in determined(fewer):
+                    enough = fewer
+        found.setdefault((tuple(enough), all_), []).append(name)
+    return tuple(
+        {"parameters": named, "measure": list(channels), "all": all_}
+        for (channels, all_), named in found.items()
+    )
