@@ -295,6 +295,8 @@ def _limited(
         value = fixed[item.name]
         if not math.isfinite(value):
             raise InputError(f"{item.name} cannot be fixed at {value}")
+        if item.name == "v0" and value == 0:
+            raise InputError("v0 is fixed at 0; expected the speed of a stone that moves")
         if not lower <= value <= upper:
             raise InputError(
                 f"{item.name} is fixed at {value:g}, outside its bounds {lower:g}:{upper:g}"

@@ -154,6 +154,7 @@ def test_flags_override_the_configuration_and_that_the_file(tmp_path):
         (["fit", DATA, "--shot", "1"], "is a table file and holds no shots"),
         (["fit", DATA, "--stone", "rho=10"], "stone.rho = 10 m: expected at most 0.5 m"),
         (["fit", DATA, "--fix", "mu1_xi=5"], "fixed at 5, outside its bounds 0:1; set others"),
+        (["fit", DATA, "--fix", "v0=0"], "v0 is fixed at 0; expected the speed of a stone"),
         (["fit", DATA, DATA, "--seed", "1"], "two files of the same name"),
         (["simulate", "--stone", "R=6.5"], "stone.R = 6.5 m: expected at most 0.5 m"),
         (["simulate", "--out", DATA], "is not a simulated throw that curlfit wrote"),
