@@ -147,10 +147,10 @@ def examine_fit(
         t, speed = t[moving], speed[moving]
         slowing = GRAVITY * float(t[-1] - t[0])
         mean, error = (float(speed[0]) - float(speed[-1])) / slowing, error / slowing
-        motion = motion_of(throw)
+        low, high = FRICTION
+        motion = None if low <= mean <= high else motion_of(throw)
         if motion is not None and math.isfinite(motion.friction_error):
             error = motion.friction_error
-        low, high = FRICTION
         if mean + 3 * error < low or mean - 3 * error > high:
             usual = f"on ice it is {low:g} to {high:g}"
             friction = f"the fitted mean coefficient of friction is {mean:.2g}; {usual}"
