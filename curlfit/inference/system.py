@@ -18,8 +18,7 @@ from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
-from curlfit.stone import UNITS as STONE_UNITS
-from curlfit.stone import Stone
+from curlfit.stone import UNITS as STONE_UNITS, Stone
 
 
 class System(NamedTuple):

@@ -10,8 +10,7 @@ from typing import Any
 from curlfit.numerics.threads import in_threads
 from curlfit.output.display import Displayed
 from curlfit.output.document import Document
-from curlfit.paper import anisotropic as ring
-from curlfit.paper import isotropic as path
+from curlfit.paper import anisotropic as ring, isotropic as path
 from curlfit.paper.claim import Claim, document
 
 STUDIES: dict[str, tuple[str, Callable[[], SimpleNamespace]]] = {

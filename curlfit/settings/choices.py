@@ -11,8 +11,7 @@ import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cache
-from inspect import Parameter as Sign
-from inspect import cleandoc, signature
+from inspect import Parameter as Sign, cleandoc, signature
 from os import fspath
 from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar, get_type_hints

@@ -8,8 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import DATA, process
-from conftest import command as curlfit
+from conftest import DATA, command as curlfit, process
 from sample_files import PIXELS, PLAIN, SAMPLES, known_points
 
 from curlfit import cli, load_chain, load_fit, load_throw

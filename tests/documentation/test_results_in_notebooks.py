@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import pickle
-import pydoc
 import re
 import shutil
 import subprocess
@@ -67,14 +66,6 @@ def known(tmp_path_factory):
 
 def test_examples_of_all_public_names_run(known):
     assert "".join(known["failures"]) == ""
-
-
-def test_help_fits_two_screens():
-    lines = pydoc.plain(pydoc.render_doc(curlfit)).splitlines()
-    assert len(lines) <= 80
-    assert max(map(len, lines)) <= 110
-    for name in ("load_throw", "fit", "sample", "compare", "profile", "predict"):
-        assert any(line.strip().startswith(f"{name} ") for line in lines), name
 
 
 def test_names_are_completed_and_imported():

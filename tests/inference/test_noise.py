@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import DATA
-from conftest import command as curlfit_command
+from conftest import DATA, command as curlfit_command
 from scipy.linalg import block_diag, toeplitz
 
 import curlfit

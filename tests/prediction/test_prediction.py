@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import DATA, Reference, front_back, invoke
-from conftest import command as curlfit_
+from conftest import DATA, Reference, command as curlfit_, front_back, invoke
 from matplotlib.patches import Ellipse
 from scipy.integrate import quad, solve_ivp
 from scipy.interpolate import CubicSpline

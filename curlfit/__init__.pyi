@@ -1,0 +1,66 @@
+from .comparison.compare import compare as compare
+from .comparison.figures import comparison_figure as comparison_figure
+from .comparison.report import print_comparison as print_comparison
+from .comparison.result import Comparison as Comparison, load_comparison as load_comparison
+from .dynamics.aim import Aim as Aim, aim as aim
+from .dynamics.trajectory import (
+    InitialState as InitialState,
+    Trajectory as Trajectory,
+    simulate as simulate,
+)
+from .errors import (
+    CurlfitError as CurlfitError,
+    DataError as DataError,
+    InputError as InputError,
+    UnusableFitError as UnusableFitError,
+)
+from .exploration.explore import explore as explore
+from .friction import (
+    LAWS as LAWS,
+    Law as Law,
+    LocalLaw as LocalLaw,
+    NetLaw as NetLaw,
+    coefficient as coefficient,
+    find_law as find_law,
+)
+from .html_report.page import write_report as write_report
+from .inference.figures import (
+    corner_figure as corner_figure,
+    fit_figure as fit_figure,
+    joint_figure as joint_figure,
+)
+from .inference.fit.fit import fit as fit
+from .inference.fit.result import (
+    FitResult as FitResult,
+    Posterior as Posterior,
+    load_fit as load_fit,
+)
+from .inference.joint.fit import fit_together as fit_together
+from .inference.joint.report import print_joint as print_joint
+from .inference.joint.result import JointResult as JointResult, load_joint as load_joint
+from .inference.mcmc.chain import Chain as Chain, load_chain as load_chain
+from .inference.mcmc.sampler import sample as sample
+from .inference.report import print_fit as print_fit
+from .optimal_design.design import design as design
+from .optimal_design.figures import design_figures as design_figures
+from .optimal_design.report import print_design as print_design
+from .optimal_design.result import Design as Design, load_design as load_design
+from .paper.claim import Claim as Claim
+from .paper.reproduce import Reproduction as Reproduction, reproduce as reproduce
+from .prediction.figures import prediction_figure as prediction_figure
+from .prediction.predict import held_out as held_out, predict as predict
+from .prediction.report import print_prediction as print_prediction
+from .prediction.result import Prediction as Prediction, load_prediction as load_prediction
+from .profile_likelihood.figures import profile_figure as profile_figure
+from .profile_likelihood.profile import profile as profile
+from .profile_likelihood.report import print_profile as print_profile
+from .profile_likelihood.result import (
+    PairProfile as PairProfile,
+    Profile as Profile,
+    load_profile as load_profile,
+)
+from .stone import Stone as Stone
+from .throws.load import load_throw as load_throw
+from .throws.synthetic import law_with as law_with, synthetic_throw as synthetic_throw
+from .throws.throw import Throw as Throw
+from .version import __version__ as __version__
