@@ -41,6 +41,10 @@ SHOWN = ("throw", "fit", "sampled", "posterior", "chain", "joint", "comparison",
          "plan", "profile", "pair", "flat", "path")  # fmt: skip
 
 
+FIRST = ("load_throw", "fit", "sample", "fit_together", "compare", "predict", "design", "profile")
+"""Names whose examples define what those of others use."""
+
+
 @pytest.fixture(scope="module")
 def known(tmp_path_factory):
     """What the examples define, in the order of use, with the folder and what failed."""
@@ -49,7 +53,7 @@ def known(tmp_path_factory):
     namespace, failures = {"curlfit": curlfit}, []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        for name in curlfit.__all__:
+        for name in (*FIRST, *sorted({*curlfit.__all__} - {*FIRST})):
             if name in WITHOUT | ELSEWHERE:
                 continue
             if name == "load_joint":  # as `curlfit fit A B --out joint` leaves it
