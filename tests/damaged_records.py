@@ -17,6 +17,7 @@ from contextlib import redirect_stdout, suppress
 from copy import deepcopy
 from dataclasses import asdict
 from io import StringIO
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -166,7 +167,8 @@ if __name__ == "__main__":
     folder, seed, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     folder.mkdir(exist_ok=True)
     if not (folder / "fit").exists():
-        save_all(folder)
+        with get_context("spawn").Pool(1) as own:  # JAX has threads, which a copy lacks
+            own.apply(save_all, (folder,))
     # What the copies of this process would otherwise import, each for itself; a page may load JAX,
     # whose threads a copy lacks.
     warm = folder.with_name("warm")
