@@ -205,22 +205,18 @@ def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] |
     dt = float(np.median(np.diff(t)))
     # as many rows m as make the error of a slope about 0.03 m/s: its variance is 12 s^2/(m^3 dt^2)
     rows = int(np.clip(math.ceil((12 * (noise / (0.03 * dt)) ** 2) ** (1 / 3)), 5, len(t) // 3))
-    windows = np.lib.stride_tricks.sliding_window_view
-    at = windows(t, rows)
-    middle = at.mean(1)
-    centred = at - middle[:, None]
-    spread = (centred**2).sum(1)
-    slope = np.stack([(windows(part, rows) * centred).sum(1) / spread for part in positions])
-    mean = np.stack([windows(part, rows).mean(1) for part in positions])
+    every = np.vstack([t, positions])
+    every = np.lib.stride_tricks.sliding_window_view(every, rows, axis=1)
+    mean = every.mean(-1)
+    at, *parts = every - mean[..., None]
+    spread = (at**2).sum(1)
+    slope = np.stack([(part * at).sum(1) / spread for part in parts])
     change = slope[:, rows:] - slope[:, :-rows]
-    elapsed = middle[rows:] - middle[:-rows]
+    elapsed = mean[0, rows:] - mean[0, :-rows]
     error = noise * np.sqrt(1 / spread[rows:] + 1 / spread[:-rows])
     size = np.hypot(*change) - SURE * error - _BRAKING * elapsed
     # An outlier tilts a line, which then does not fit its own rows.
-    residual = np.zeros(len(at))
-    for part, inclination, centre in zip(positions, slope, mean, strict=True):
-        off = windows(part, rows) - centre[:, None] - inclination[:, None] * centred
-        residual = np.maximum(residual, np.abs(off).max(1))
+    residual = np.abs(np.stack(parts) - slope[..., None] * at).max((0, 2))
     straight = residual < 0.02 + 6 * noise + 0.5 * _BRAKING * (at[:, -1] - at[:, 0]) ** 2 / 4
     size[~(straight[rows:] & straight[:-rows])] = -math.inf
     # During a pause anything may have happened.
