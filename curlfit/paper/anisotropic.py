@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from itertools import product
 from types import SimpleNamespace
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
-from curlfit.dynamics.contact import accelerations, contact_of
+from curlfit.dynamics.contact import contact_of
 from curlfit.dynamics.quadrature import panels
 from curlfit.errors import UnusableFitError
 from curlfit.friction import Load, LocalLaw
@@ -21,12 +17,13 @@ from curlfit.friction.front_back import FrontBack, FrontBackFirstOrder
 from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.initial_values import accelerations_along
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.model import Model
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.compiled import compiled
-from curlfit.paper.claim import Claim, verdict
+from curlfit.numerics.batches import stacked
+from curlfit.paper.claim import Judged, judged
 from curlfit.paper.isotropic import TIMES, Motion, motion
 from curlfit.paper.printed import (
     EQ_28_STONE,
@@ -77,28 +74,20 @@ _FITS: list[tuple[str, float, float, float, dict[str, float]]] = [
 
 
 def net_forces(
-    law: type[LocalLaw], values: Floats, epsilon: Any, stone: Stone = _STONE, load: Load = "uniform"
-) -> Floats:
+    law: type[LocalLaw], values: Floats, epsilon: Floats, stone: Stone = _STONE,
+    load: Load = "uniform",
+) -> Floats:  # fmt: skip
     """Force over m g (right, forward) and moment over m g R, shape (n, 3).
 
     `values` are coefficients of shape (n, coefficients), `epsilon` has shape (n,); v = 2 m/s.
     """
-    found = _net_accelerations(law, load, values, stone, _SPEED * epsilon / stone.R)
-    xi, eta, angular = (np.asarray(part) for part in found)
-    return np.stack([xi, eta, angular * stone.rho**2 / stone.R], 1) / GRAVITY
+    states = np.zeros((1, 4, len(values)))
+    states[:, 0], states[:, 1] = _SPEED, _SPEED * epsilon / stone.R
+    found = accelerations_along(Model(law, load), values[None], stacked([stone]), states, batch=1)
+    return found[0].T * [1.0, 1.0, stone.rho**2 / stone.R] / GRAVITY
 
 
-@compiled("law", "load")
-def _net_accelerations(
-    law: type[LocalLaw], load: Load, values: Array, stone: Stone, spin: Array
-) -> Any:
-    def one(values: Array, spin: Array) -> Any:
-        return accelerations(law.from_vector(values), stone, load, jnp.asarray(_SPEED), spin)
-
-    return jax.vmap(one)(values, spin)
-
-
-def uniform_load(_found: Any) -> Claim:
+def uniform_load(_found: Any) -> Judged:
     """The error of a uniform load."""
     mu, errors = np.array([[*PRINTED[:2], *[PRINTED[2] / 2] * 2]]), []
     for radius in (RADIUS, EQ_28_STONE.R):
@@ -113,17 +102,7 @@ def uniform_load(_found: Any) -> Claim:
         " to ".join(dict.fromkeys(f"{end:.1f}" for end in (values.min(), values.max())))
         for values in off.T
     ]
-    return Claim(
-        "load",
-        "error of a uniform load",
-        "about 1 %",
-        f"{ranges[0]} % in T_xi, {ranges[1]} % in T_eta, {ranges[2]} % in M_T (R = {RADIUS:g} and "
-        f"{EQ_28_STONE.R:g} m)",
-        verdict((off.max(1) >= 0.5).all() and (off < 2).all()),
-        "Front-back law of eq. 28 with mu1_eta = mu2_eta, beside the load of eq. 8-9 with "
-        "h = 0.057 m. The load of front and back differs from the mean by 2 h/R times the "
-        "friction; where front and back nearly cancel in T_xi, the relative error is larger.",
-    )
+    return judged((off.max(1) >= 0.5).all() and (off < 2).all(), ranges=ranges)
 
 
 def radial_at(mu: Floats, epsilon: float, angle: Floats) -> Floats:
@@ -138,31 +117,16 @@ def radial_at(mu: Floats, epsilon: float, angle: Floats) -> Floats:
     return -np.stack([right, forward]) / np.sqrt(1 + 2 * epsilon * cos + epsilon**2)
 
 
-@compiled()
-def _radial_at_nodes(mu: Array, stone: Stone, epsilon: Array) -> list[tuple[Array, Array]]:
-    """Angles of the nodes of the ring's quadrature, and the friction there, for each panel."""
-    law = Radial.from_vector(mu)
-    contact = contact_of(law, stone, "uniform", _SPEED, _SPEED * epsilon / stone.R)
-    ring = panels(law, *contact.motion, contact.clustering)
-    return [(points.angle, jnp.stack(law.traction(points))) for points, _ in ring]
-
-
-def eq_22(_found: Any) -> Claim:
-    """The radial law at a point."""
-    mu = np.array([0.006, 0.008, 0.009, 0.018])
-    gap = max(
-        np.abs(np.asarray(own) - radial_at(mu, epsilon, np.asarray(angle))).max() / mu.max()
-        for epsilon in (0.1, 0.9, 3.0)
-        for angle, own in _radial_at_nodes(mu, Stone(R=RADIUS), epsilon)
-    )
-    return Claim(
-        "eq22",
-        "friction of the radial law at a point of the ring",
-        "eq. 22 with mu1, mu3 in front, mu2, mu4 behind",
-        f"agrees with eq. 18-21 within {gap:.0e} of the largest friction",
-        verdict(gap < 1e-12),
-        "At the nodes of the ring's quadrature, for eps = 0.1, 0.9, 3; it is exact in eps.",
-    )
+def eq_22(_found: Any) -> Judged:
+    """The radial law at the nodes of the ring's quadrature."""
+    mu, gaps = np.array([0.006, 0.008, 0.009, 0.018]), []
+    law = Radial(*mu)
+    for epsilon in (0.1, 0.9, 3.0):
+        contact = contact_of(law, _STONE, "uniform", _SPEED, _SPEED * epsilon / RADIUS)
+        for points, _ in panels(law, *contact.motion, contact.clustering):
+            by_hand = radial_at(mu, epsilon, np.asarray(points.angle))
+            gaps.append(np.abs(np.stack(law.traction(points)) - by_hand).max() / mu.max())
+    return judged(max(gaps) < 1e-12, gap=max(gaps))
 
 
 def first_order_radial(mu: Floats, epsilon: Floats) -> Floats:
@@ -190,13 +154,18 @@ def _gaps(law: type[LocalLaw], first_order: Any) -> Floats:
     return gap / size
 
 
+def _sides(motion: Motion, radius: float, rho: float) -> tuple[Floats, Floats, Floats]:
+    """What eq. 24 and 27 equate to sums of coefficients: across, along, and of the moment."""
+    slope = radius * motion.curvature * GRAVITY
+    moment = -4 * rho**2 * motion.angular / (slope * radius)
+    return np.pi * motion.xi / slope, -motion.eta / GRAVITY, moment
+
+
 def solve_eq_24(radius: float = RADIUS, rho: float = RHO) -> Floats:
     """l1 = mu1 + mu2, l2 = mu3 + mu4, l3 = mu1 + 2 mu3 at each time, shape (3, n)."""
-    now = motion()
-    slope = radius * now.curvature * GRAVITY
-    l2 = -4 * rho**2 * now.angular / (slope * radius)
-    l1 = -4 * now.eta / GRAVITY - l2
-    return np.stack([l1, l2, (3 * np.pi * now.xi / slope + l1 + 2 * l2) / 2])
+    across, along, l2 = _sides(motion(), radius, rho)
+    l1 = 4 * along - l2
+    return np.stack([l1, l2, (3 * across + l1 + 2 * l2) / 2])
 
 
 def study_ring() -> SimpleNamespace:
@@ -229,76 +198,50 @@ def study_ring() -> SimpleNamespace:
     )  # fmt: skip
 
 
-def eq_23(found: Any) -> Claim:
+def _agree(gap: Floats) -> dict[str, float]:
+    """The gaps at eps = 0.1: of T_xi, and the largest in %."""
+    return {"exact": gap[0, 0], "others": 100 * gap[0].max()}
+
+
+def eq_23(found: Any) -> Judged:
     """The radial law to first order."""
     gap, most = found.ring.radial_gap, (RADIUS * motion().curvature).max()
     order = np.round(np.log(gap[0, 1:] / gap[-1, 1:]).min() / np.log(EPSILONS[0] / EPSILONS[-1]), 1)
-    return Claim(
-        "eq23",
-        "radial law to first order in eps",
-        "T_xi, T_eta, M_T of eq. 23, for eps <= 0.1",
-        f"T_xi exact ({gap[0, 0]:.0e}), the others within {100 * gap[0].max():.2g} % of the ring "
-        f"at eps = 0.1, falling as eps^{order:g}; eps <= {most:.3f} on t <= 20 s",
-        verdict(gap[0].max() < _SMALL and gap[0, 0] < 1e-6 and order == 2 and most < 0.1),
-        "Each coefficient in turn, against the full ring integrals under uniform load: the "
-        "next term is of second order.",
-    )
+    holds = gap[0].max() < _SMALL and gap[0, 0] < 1e-6 and order == 2 and most < 0.1
+    return judged(holds, order=order, most=most, **_agree(gap))
 
 
-def eq_24_l1(found: Any) -> Claim:
+def eq_24_l1(found: Any) -> Judged:
     """The first combination of eq. 24, which depends on rho/R."""
     (l1, l2, _), zero = found.ring.l, found.ring.l1_zero
-    # l1 is a constant less l2, and l2 goes as (rho/R)^2.
-    ratio = RHO / RADIUS * np.sqrt(((l1 + l2) / l2).max())
-    largest = max(solve_eq_24(*stone)[2].max() for stone in _OTHER_STONES)
-    return Claim(
-        "eq24-l1",
-        "l1 = mu1 + mu2 of the radial law",
-        "negative for all t <= 20 s (R = 0.065 m, rho = 0.1 m)",
-        f"{l1[0]:.4f}, {l1[100]:.4f}, {l1[200]:+.4f} at t = 0, 10, 20 s; negative "
-        f"throughout if rho/R > {ratio:.3f}",
-        verdict(zero is None),
-        f"It depends on rho/R, here {RHO / RADIUS:.3f}"
-        + ("" if zero is None else f": l1 changes its sign at {zero:.1f} s")
-        + ". With R and rho = "
-        + " or ".join(f"{radius:g} and {rho:g} m" for radius, rho in _OTHER_STONES)
-        + " it is negative throughout. The conclusion rests on l3, which is negative for each "
-        f"of these (at most {largest:.3f}).",
+    return judged(
+        zero is None,
+        # l1 is a constant less l2, and l2 goes as (rho/R)^2.
+        ratio=RHO / RADIUS * np.sqrt(((l1 + l2) / l2).max()),
+        here=RHO / RADIUS,
+        change="" if zero is None else f": l1 changes its sign at {zero:.1f} s",
+        stones=" or ".join(f"{radius:g} and {rho:g} m" for radius, rho in _OTHER_STONES),
+        largest=max(solve_eq_24(*stone)[2].max() for stone in _OTHER_STONES),
     )
 
 
-def eq_24_l2(found: Any) -> Claim:
+def eq_24_l2(found: Any) -> Judged:
     """The second combination."""
     l2 = found.ring.l[1]
     rows = np.array([[1, -1, 2, -2], [1, 1, 1, 1], [0, 0, 1, 1]])
     combinations = np.array([[1, 1, 0, 0], [0, 0, 1, 1], [1, 0, 2, 0]])
     rank, joint = (np.linalg.matrix_rank(of) for of in (rows, np.concatenate([rows, combinations])))
-    return Claim(
-        "eq24-l2",
-        "l2 = mu3 + mu4 of the radial law",
-        "determined uniquely (no value)",
-        f"{l2.min():.4f} .. {l2.max():.4f}, {l2[0]:.4f} at t = 0",
-        verdict(rank == joint == 3 and np.isfinite(l2).all()),
-        f"Eq. 24 has rank {rank} in four unknowns and l1, l2, l3 lie in its row "
-        "space; l2 is positive and no obstacle.",
-    )
+    holds = rank == joint == 3 and np.isfinite(l2).all()
+    return judged(holds, least=l2.min(), most=l2.max(), rank=rank)
 
 
-def eq_24_l3(found: Any) -> Claim:
+def eq_24_l3(found: Any) -> Judged:
     """The third combination, on which the conclusion rests."""
-    l3, fitted = found.ring.l[2], found.ring.fitted_l
-    return Claim(
-        "eq24-l3",
-        "l3 = mu1 + 2 mu3 of the radial law",
-        "negative for all t <= 20 s, so the law does not apply",
-        f"{l3.min():.4f} .. {l3.max():.4f}; fit of the whole path {fitted[2]:.4f}",
-        verdict((l3 < 0).all() and found.ring.converged and fitted[2] < 0),
-        "mu1 or mu3 would have to be negative at every t; a trajectory fit with coefficients "
-        f"of either sign agrees (l1, l2, l3 = {', '.join(f'{value:.4f}' for value in fitted)}).",
-    )
+    l3, holds = found.ring.l[2], found.ring.converged and found.ring.fitted_l[2] < 0
+    return judged((l3 < 0).all() and holds, least=l3.min(), most=l3.max())
 
 
-def eq_27(found: Any) -> Claim:
+def eq_27(found: Any) -> Judged:
     """The front-back law to first order: forces, and paths with the coefficients of eq. 28."""
     gap = found.ring.front_back_gap
     stone, mu = Stone(R=0.054, rho=RHO), (0.0018, 0.058, 0.009, 0.009)
@@ -312,25 +255,17 @@ def eq_27(found: Any) -> Claim:
     closed = first_order_motion(FrontBackFirstOrder(*mu), stone, _SPEED, 1.0, TIMES)
     error = np.hypot(closed.x - integrated[0], closed.y - integrated[1]).max()
     x, y, phi = (integrated - ring)[:3]
-    return Claim(
-        "eq27",
-        "front-back law to first order in eps",
-        "right sides of eq. 27, for eps <= 0.1",
-        f"T_xi exact ({gap[0, 0]:.0e}), the others within {100 * gap[0].max():.2g} % of the ring "
-        f"at eps = 0.1; over 20 s the paths differ by {1000 * np.hypot(x, y).max():.2g} mm, "
-        f"{1000 * np.abs(phi).max():.2g} mrad",
-        verdict(gap[0].max() < _SMALL and gap[0, 0] < 1e-6 and error < 1e-5),
-        "Full ring integrals under uniform load; the closed form of eq. 27 and its stepwise "
-        f"integration agree to {error:.0e} m.",
-    )
+    return judged(
+        gap[0].max() < _SMALL and gap[0, 0] < 1e-6 and error < 1e-5, error=error,
+        millimetres=1000 * np.hypot(x, y).max(), milliradians=1000 * np.abs(phi).max(),
+        **_agree(gap),
+    )  # fmt: skip
 
 
 def pointwise(motion: Motion, radius: float, rho: float) -> Floats:
     """Eq. 27 solved at each time: mu1_xi, mu2_xi, mu1_eta + mu2_eta, shape (3, n)."""
-    slope = radius * motion.curvature * GRAVITY
-    difference = np.pi * motion.xi / slope
-    total = -4 * rho**2 * motion.angular / (slope * radius)
-    return np.stack([(total + difference) / 2, (total - difference) / 2, -2 * motion.eta / GRAVITY])
+    difference, along, total = _sides(motion, radius, rho)
+    return np.stack([(total + difference) / 2, (total - difference) / 2, 2 * along])
 
 
 def least_squares(motion: Motion, radius: float, rho: float) -> Floats:
@@ -340,10 +275,13 @@ def least_squares(motion: Motion, radius: float, rho: float) -> Floats:
     return np.array([(across * weight).sum(), (back * weight).sum(), along.mean()])
 
 
+_SUMS = {"mu1_xi": 1.0}, {"mu2_xi": 1.0}, {"mu1_eta": 1.0, "mu2_eta": 1.0}
+"""The coefficients of eq. 28, as sums of parameters."""
+
+
 def coefficients_of(result: FitResult) -> Floats:
     """mu1_xi, mu2_xi, mu1_eta + mu2_eta of a fit of the front-back law."""
-    mu = {name: result.parameters[name].value for name in result.coefficients}
-    return np.array([mu["mu1_xi"], mu["mu2_xi"], mu["mu1_eta"] + mu["mu2_eta"]])
+    return np.array([sum(result.parameters[name].value for name in names) for names in _SUMS])
 
 
 def rounds_to_print(mu: Floats) -> Any:
@@ -390,24 +328,16 @@ def study_eq_28() -> SimpleNamespace:
     )
 
 
-def _stone_posterior(throw: Throw, sigma: Mapping[str, float], radius: float, rho: float) -> Floats:
+def _stone_posterior(throw: Throw, radius: float, rho: float) -> Floats:
     """The Gaussian posterior of a fit with a given stone: the mean of the three coefficients, the
-    lower triangle of the Cholesky factor of their covariance, chi-squared, and half the logarithm
-    of the determinant of the covariance of all parameters."""
+    lower triangle of the Cholesky factor of their covariance, chi-squared, and the logarithm of
+    the volume that the data determine."""
     result = _fitted(throw, radius, rho)
-    names = result.information["names"]
-    # Only the sum of mu1_eta and mu2_eta enters: one column in place of two.
-    columns = [name for name in names if name != "mu2_eta"]
-    basis = np.zeros((len(names), len(columns)))
-    for index, name in enumerate(names):
-        half = name in ("mu1_eta", "mu2_eta")
-        basis[index, columns.index("mu1_eta" if half else name)] = 0.5 if half else 1.0
-    information = basis.T @ np.array(result.information["matrix"]) @ basis
-    order = [columns.index(name) for name in ("mu1_xi", "mu2_xi", "mu1_eta")]
-    factor = np.linalg.cholesky(np.linalg.inv(information)[np.ix_(order, order)])
-    residual = [(result.observed[name] - result.fitted[name]) / sigma[name] for name in sigma]
-    spread = np.sum(np.square(residual)), -0.5 * np.linalg.slogdet(information)[1]
-    return np.array([*coefficients_of(result), *factor[np.tril_indices(3)], *spread])
+    rows = np.array([result.first_order.vector(weights) for weights in _SUMS])
+    factor = np.linalg.cholesky(rows @ np.array(result.covariance["matrix"]) @ rows.T)
+    volume = -np.log(result.singular_values[: result.rank]).sum()
+    mean = coefficients_of(result)
+    return np.array([*mean, *factor[np.tril_indices(3)], result.chi_squared, volume])
 
 
 def _lower(flat: Floats) -> Floats:
@@ -434,7 +364,7 @@ def marginalize_stone(throw: Throw, central: FitResult, seed: int = 1) -> Simple
         return (low + high) / 2 + (high - low) / 2 * unit
 
     def at(places: Any) -> Floats:
-        return np.stack([_stone_posterior(known, central.sigma, *one) for one in stones(places)])
+        return np.stack([_stone_posterior(known, *one) for one in stones(places)])
 
     def terms(places: Any) -> Floats:
         a, b = np.transpose(places)
@@ -469,65 +399,41 @@ def marginalize_stone(throw: Throw, central: FitResult, seed: int = 1) -> Simple
     )  # fmt: skip
 
 
-def eq_28(found: Any) -> Claim:
+def eq_28(found: Any) -> Judged:
     """The coefficients of the front-back law."""
-    eq28, vary = found.eq28, found.eq28.posterior
+    eq28, (low, high) = found.eq28, found.eq28.posterior.interval.T
     mu, solid = coefficients_of(eq28.fit), coefficients_of(eq28.solid)
-    low, high = vary.interval.T
     inside = (low <= PRINTED) & (high >= PRINTED)
     covered = (low <= PRINTED + HALF_DIGIT) & (high >= PRINTED - HALF_DIGIT)
     contained, touched = (
         " and ".join(f"{value:g}" for value in PRINTED[rows])
         for rows in (inside, covered & ~inside)
     )
-    by_rounding = f" and overlap {touched} within its rounding" if touched else ""
+    contained = contained or "none of the printed values"
     same = next((row for row in eq28.rows if rounds_to_print(row.mu)), None)
-    how = "by none of the methods" if same is None else (
-        f'by the method "{same.method}" with R = {same.radius:g} m, rho = {same.rho:g} m'
+    return judged(
+        covered.all() and eq28.posterior.share > 0, corrected=not rounds_to_print(mu),
+        mu=mu, solid=solid, low=low, high=high,
+        contained=contained + (f" and overlap {touched} within its rounding" if touched else ""),
+        how="by none of the methods" if same is None else f'by the method "{same.method}" with '
+        f"R = {same.radius:g} m, rho = {same.rho:g} m",
     )  # fmt: skip
-    values, of_solid = (", ".join(f"{value:.4f}" for value in row) for row in (mu, solid))
-    return Claim(
-        "eq28",
-        "mu1_xi, mu2_xi, mu1_eta + mu2_eta of the front-back law",
-        f"{', '.join(f'{value:g}' for value in PRINTED)} (R = 0.054 m, rho = 0.1 m)",
-        f"{values}; with rho = {SOLID_RHO:.4f} m {of_solid}; 95 % over the rounding of R and rho: "
-        f"{low[0]:.4f} .. {high[0]:.4f}, {low[1]:.4f} .. {high[1]:.4f}, {low[2]:.5f} .. "
-        f"{high[2]:.5f}",
-        verdict(covered.all() and vary.share > 0, corrected=not rounds_to_print(mu)),
-        f"The intervals contain {contained or 'none of the printed values'}{by_rounding}; their "
-        f"width comes from R and rho, not from noise ({vary.noise[0]:.0e} in mu1_xi); all printed "
-        f"digits are reproduced {how}.",
-    )
 
 
-def ratio(found: Any) -> Claim:
+def ratio(found: Any) -> Judged:
     """Transversal over tangential friction."""
     one, other = (
         mu[:2].sum() / mu[2] for mu in map(coefficients_of, (found.eq28.fit, found.eq28.solid))
     )
-    return Claim(
-        "ratio",
-        "transversal over tangential friction",
-        "about three",
-        f"{one:.2f}; {other:.2f} with rho = {SOLID_RHO:.4f} m",
-        verdict(2.5 <= one < 3.5 and 2.5 <= other < 3.5),
-        "Mean of mu1_xi and mu2_xi over mean of mu1_eta and mu2_eta, from the trajectory fit.",
-    )
+    return judged(2.5 <= one < 3.5 and 2.5 <= other < 3.5, one=one, other=other)
 
 
-def split(found: Any) -> Claim:
+def split(found: Any) -> Judged:
     """What of the sum mu1_eta + mu2_eta is not determined."""
     ring, singular = found.ring, found.eq28.fit.singular_values
     exchanged = [*found.eq28.fit.null_directions] == [{"mu1_eta": 1.0, "mu2_eta": -1.0}]
     greatest, slow = ring.split_uniform.max(), ring.split_consistent[ring.split_epsilon == 0.1][0]
-    return Claim(
-        "split",
-        "mu1_eta and mu2_eta are not defined uniquely",
-        "only their sum is",
-        f"singular value {singular[-1]:.0e} beside {singular[-2]:.0f} along "
-        f"(1, -1); exchanging {SPLIT[0]:g} and {SPLIT[1]:g} changes the ring forces by "
-        f"{greatest:.0e} (uniform load), T_eta by {100 * abs(slow):.2f} % (consistent)",
-        verdict(exchanged and greatest < 1e-12),
-        "Under uniform load the integrals of the two halves are equal term by term at every "
-        "eps, beyond 1 too; the consistent load separates them, but correlates them with the sum.",
-    )
+    return judged(
+        exchanged and greatest < 1e-12, last=singular[-1], next=singular[-2], greatest=greatest,
+        slow=100 * abs(slow),
+    )  # fmt: skip

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from importlib.resources import files
+from typing import Any, Literal, NamedTuple
 
 from curlfit.output.document import Document, Section
 from curlfit.output.text import lower
@@ -45,11 +48,31 @@ class Claim:
         return asdict(self)
 
 
-def verdict(holds: Any, *, corrected: Any = False) -> Verdict:
-    """The verdict on a claim that holds or not, as printed or with a correction."""
+class Judged(NamedTuple):
+    """The verdict on a claim, and the numbers that its words name besides those of the studies."""
+
+    verdict: Verdict
+    numbers: dict[str, Any]
+
+
+def judged(holds: Any, *, corrected: Any = False, **numbers: Any) -> Judged:
+    """That a claim holds or not, as printed or with a correction."""
     if not holds:
-        return "does not hold"
-    return "holds with a correction" if corrected else "holds"
+        return Judged("does not hold", numbers)
+    return Judged("holds with a correction" if corrected else "holds", numbers)
+
+
+def claims_of(studies: Mapping[str, Any], found: Mapping[str, Judged]) -> tuple[Claim, ...]:
+    """The claims in the words of `claims.toml`, with the numbers found."""
+    words = tomllib.loads(files("curlfit.paper").joinpath("claims.toml").read_text("utf-8"))
+    return tuple(
+        Claim(
+            id=name,
+            verdict=found[name].verdict,
+            **{key: text.format(**studies, **found[name].numbers) for key, text in said.items()},
+        )
+        for name, said in words.items()
+    )
 
 
 def claims_table(claims: tuple[Claim, ...]) -> Any:

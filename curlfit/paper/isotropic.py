@@ -29,7 +29,7 @@ from curlfit.inference.model import Model
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import in_batches
 from curlfit.numerics.compiled import compiled
-from curlfit.paper.claim import Claim, verdict
+from curlfit.paper.claim import Judged, judged
 from curlfit.paper.printed import RADIUS, Configuration, eq_12
 from curlfit.stone import GRAVITY, Stone
 
@@ -147,72 +147,42 @@ def study_path() -> SimpleNamespace:
     )  # fmt: skip
 
 
-def eq_13(_found: Any) -> Claim:
+def eq_13(_found: Any) -> Judged:
     """Start and end of eq. 12."""
     dx, dy, omega = (float(part[0]) for part in derivatives()[0])
     x, y, phi = eq_12(23.0)
     turns, surplus = phi / (2 * np.pi), dy / 2 - 1
     start = (round(dx, 1), round(dy), round(omega)) == (0, 2, 1)
-    return Claim(
-        "eq13",
-        "start and end of eq. 12",
-        "dx/dt = 0, dy/dt = 2 m/s, omega = 1 1/s at t = 0; 25 m forward, 0.84 m to the left, "
-        "2.6 turns at t = 23 s",
-        f"{dx:.5f} m/s, {dy:.3f} m/s, {omega:.4f} 1/s; {y:.1f} m, {-x:.3f} m, {turns:.2f} turns",
-        verdict(start and (round(-x, 2), round(turns, 1)) == (0.84, 2.6), corrected=surplus > 0.01),
-        f"The printed speed is rounded to one figure: dy/dt is {dy:.3f} m/s, "
-        f"{100 * surplus:.0f} % more, and eq. 28 does not come out of 2 m/s; the others agree.",
-    )
+    return judged(
+        start and (round(-x, 2), round(turns, 1)) == (0.84, 2.6), corrected=surplus > 0.01,
+        dx=dx, dy=dy, omega=omega, y=y, left=-x, turns=turns, more=100 * surplus,
+    )  # fmt: skip
 
 
-def eq_14_x(found: Any) -> Claim:
+def eq_14_x(found: Any) -> Judged:
     """The acceleration across the sheet."""
-    (c, k, p), zero = found.path.x_form, found.path.sign_change
-    return Claim(
-        "eq14x",
-        "d2x/dt2 from eq. 12",
-        "-(0.008 + 0.0035 (1-t/23)^-0.57) m/s^2",
-        f"-({c:.3f} {'-' if k < 0 else '+'} {abs(k):.5f} (1-t/23)^{p:.2f}) m/s^2, zero at "
-        f"t = {zero:.1f} s",
-        verdict(abs(k + 0.0035) < 1e-4 and abs(c - 0.008) < 1e-6, corrected=True),
-        "The sign before the power is printed wrongly: the acceleration to the left decreases "
-        f"and reverses at {zero:.1f} s; as printed it would increase.",
-    )
+    c, k, _ = found.path.x_form
+    holds = abs(k + 0.0035) < 1e-4 and abs(c - 0.008) < 1e-6
+    return judged(holds, corrected=True, sign="-" if k < 0 else "+", size=abs(k))
 
 
-def eq_14_y(found: Any) -> Claim:
+def eq_14_y(found: Any) -> Judged:
     """The acceleration along the sheet."""
-    (k, p), path = found.path.y_form, found.path
-    return Claim(
-        "eq14y",
-        "d2y/dt2 from eq. 12",
-        "-0.08 (1-t/23)^-0.013 m/s^2",
-        f"-{k:.4f} (1-t/23)^{p:.3f} m/s^2",
-        verdict(round(k, 2) == 0.08 and round(p, 3) == -0.103, corrected=True),
-        f"The exponent is {p:.3f}, two digits of it change places in print; at t = 20 s the "
-        f"two forms differ by {100 * abs(path.ay[-1] / path.ay_printed[-1] - 1):.0f} %.",
-    )
+    path, (k, p) = found.path, found.path.y_form
+    apart = 100 * abs(path.ay[-1] / path.ay_printed[-1] - 1)
+    return judged(round(k, 2) == 0.08 and round(p, 3) == -0.103, corrected=True, apart=apart)
 
 
-def prop_5(found: Any) -> Claim:
+def prop_5(found: Any) -> Judged:
     """No isotropic law causes eq. 12."""
     path = found.path
-    ratio, limit, ice = path.ratio, path.limit, path.ax / path.ay
     least = (path.ax_printed / path.ay_printed).min()
-    return Claim(
-        "prop5",
-        "no isotropic law causes eq. 12",
-        "T_x >= 0.1 T_y at all t, more than isotropic friction can give",
-        f"a_xi/a_eta = {ratio[0]:.4f} .. {ratio[-1]:.3f} beside at most {limit[0]:.4f} .. "
-        f"{limit[-1]:.4f} on t <= 20 s; T_x/T_y = {ice[0]:.3f} at t = 0, {ice[-1]:.3f} at 20 s",
-        verdict((ratio > limit).all(), corrected=True),
-        "The conclusion stands in the moving frame, where friction would have to point further "
-        "aside than any ring point slides, at every t <= 20 s; the proof's T_x >= 0.1 T_y "
-        f"holds only with the wrong sign of eq. 14 (then {least:.2f} at least).",
+    return judged(
+        (path.ratio > path.limit).all(), corrected=True, ice=path.ax / path.ay, least=least
     )
 
 
-def eq_15_to_17(_found: Any) -> Claim:
+def eq_15_to_17(_found: Any) -> Judged:
     """Sliding directions on the ring, in the ice frame (dx(A)/dy(A)) and in the moving frame."""
     first, angle = derivatives()[0], np.linspace(-np.pi, np.pi, 721)
     spin, epsilon = RADIUS * first.phi[:, None], RADIUS * motion().curvature[:, None]
@@ -222,17 +192,10 @@ def eq_15_to_17(_found: Any) -> Claim:
     by_spin, by_speed = _exponent(first.phi, 24), -_exponent(first.y, 23)
     bound = size * (1 - TIMES / 24) ** by_spin * (1 - TIMES / 23) ** by_speed
     holds = (ice.max(1) <= bound).all() and bound.max() <= 0.09 and moving.min() > 0.01
-    return Claim(
-        "eq15-17",
-        "sliding directions on the ring",
-        "dx(A)/dy(A) >= 0.01 somewhere, but <= 0.032 (1-t/24)^0.455 (1-t/23)^-0.897 <= 0.09",
-        f"{size:.4f} (1-t/24)^{by_spin:.3f} (1-t/23)^{by_speed:.3f}, {bound[-1]:.4f} at "
-        f"t = 20 s; largest on the ring {moving[0]:.4f} (t = 0) .. {moving[-1]:.4f} "
-        "in the moving frame",
-        verdict(holds, corrected=True),
-        "Eq. 17 is right; in eq. 15 the 0.01 must be the 0.1 of the sentence before it: the "
-        f"ring does reach {moving.min():.3f}, which satisfies 0.01 and contradicts nothing.",
-    )
+    return judged(
+        holds, corrected=True, size=size, by_spin=by_spin, by_speed=by_speed, bound=bound[-1],
+        moving=moving, least=moving.min(),
+    )  # fmt: skip
 
 
 class SpeedMixture(LocalLaw):
@@ -401,7 +364,7 @@ def study_isotropic() -> SimpleNamespace:
     )  # fmt: skip
 
 
-def prop_1(_found: Any) -> Claim:
+def prop_1(_found: Any) -> Judged:
     """The force T and the moment M_N of the load, for every law that acts on the ring."""
     triples = []
     for law in _LOCAL:
@@ -417,58 +380,33 @@ def prop_1(_found: Any) -> Claim:
     cosine = (np.abs((force * moment).sum(0)) / (size * arm)).max()
     turn = ((force[0] * moment[1] - force[1] * moment[0]) / (size * arm)).min()
     error = np.abs(arm / (STONE.h * size) - 1).max()
-    return Claim(
-        "prop1",
-        "T, M_N, k are a right triple; |M_N| = h |T|",
-        "for any friction law",
-        f"|cos(T, M_N)| <= {cosine:.0e}, right-handed in all of {len(n1)} states of "
-        f"{len(_LOCAL)} laws; |M_N|/(h |T|) = 1 within {error:.0e}",
-        verdict(cosine < 1e-8 and turn > 1 - 1e-8 and error < 1e-8),
-        "The balance of moments (eq. 8) determines the load; the remainder is the precision of "
-        "the solution.",
-    )
+    return judged(
+        cosine < 1e-8 and turn > 1 - 1e-8 and error < 1e-8, cosine=cosine, states=len(n1),
+        laws=len(_LOCAL), error=error,
+    )  # fmt: skip
 
 
-def prop_2(found: Any) -> Claim:
+def prop_2(found: Any) -> Judged:
     """Constant mu."""
-    c, (least, most) = found.isotropic.coulomb, found.isotropic.coulomb_range
-    return Claim(
-        "prop2",
-        "constant mu",
-        "deviates to the right",
-        f"right in {c.states - c.left} of {c.states} states, T_xi = {least:.1e} .. {most:.1e} of "
-        "the weight",
-        verdict(c.left == 0 and least > 0),
-        "Friction loads the front more (n2 > 0), where a counter-clockwise ring slides to "
-        "the left and is pushed right; mu from 0.002 to 0.2, spins to 200 1/s of both senses.",
-    )
+    c, (least, _) = found.isotropic.coulomb, found.isotropic.coulomb_range
+    return judged(c.left == 0 and least > 0, right=c.states - c.left)
 
 
-def prop_3(found: Any) -> Claim:
+def prop_3(found: Any) -> Judged:
     """Any function of the sliding speed: powers, and random mixtures."""
     all_counts = [*found.isotropic.power.values(), found.isotropic.mixture]
     states, slow, left, slow_left, remark = (
         sum(getattr(counts, name) for counts in all_counts)
         for name in ("states", "slow", "left", "slow_left", "remark")
     )
-    example = found.isotropic.power_example
     to_left, to_right = (
         ", ".join(f"{k:g}" for k in exponents)
         for exponents in (found.isotropic.left_powers, found.isotropic.right_powers)
     )
-    return Claim(
-        "prop3",
-        "mu any function of v(A)",
-        "right while |eps| < 1; left possible for fast spin, then n1 > 0, n2 < 0, sliding "
-        "speeds up",
-        f"right in all {slow} states with |eps| < 1; of {states - slow} faster ones {left} left, "
-        "all with n1 > 0, n2 < 0, speeding up",
-        verdict(slow_left == 0 and 0 < left == remark),
-        f"Among powers of v, exponents {to_left} deviate to the left beyond |eps| = 1 and "
-        f"{to_right} never do; so at v^{example.coefficients['k']:g}, v = {example.v:.2g} m/s, "
-        f"omega = {example.omega:.2g} 1/s: T_xi = {example.t_xi:.1e}, "
-        f"T_eta = {example.t_eta:+.1e} of the weight.",
-    )
+    return judged(
+        slow_left == 0 and 0 < left == remark, slow=slow, faster=states - slow, left=left,
+        to_left=to_left, to_right=to_right,
+    )  # fmt: skip
 
 
 def _prop_4_holds(one: Any, two: Any, three: Any) -> bool:
@@ -476,40 +414,20 @@ def _prop_4_holds(one: Any, two: Any, three: Any) -> bool:
     return bool(left and three.left == three.states and three.speeds_up == 0)
 
 
-def prop_4(found: Any) -> Claim:
+def prop_4(found: Any) -> Judged:
     """The cases of eq. 11."""
     one, two, three = found.isotropic.stribeck.values()
-    below, other = found.isotropic.negative["iii"], found.isotropic.stribeck_example
-    return Claim(
-        "prop4",
-        "mu = mu0 + mu1 v/n, eq. 11",
-        "(i) right; (ii) right, or left with speeding up if fast; (iii) left, slowing down",
-        f"(i) right in {one.states - one.left} of {one.states}; (ii) right in "
-        f"{two.slow - two.slow_left} of {two.slow} with |eps| < 1, left in {two.left} faster "
-        f"ones, {two.speeds_up} speed up; (iii) left and slowing in {three.left} of {three.states}",
-        verdict(_prop_4_holds(one, two, three)),
-        "It needs mu > 0 on the whole ring, as in the states counted; where (iii) makes mu "
-        f"negative somewhere, {below.states - below.left} of {below.states} states deviate to "
-        f"the right; a case of (ii): mu0 = {other.coefficients['mu0']:g}, "
-        f"mu1 = {other.coefficients['mu1']:g} s/m, v = {other.v:.2g} m/s, "
-        f"omega = {other.omega:.0f} 1/s.",
-    )
+    below = found.isotropic.negative["iii"]
+    return judged(
+        _prop_4_holds(one, two, three), one=one.states - one.left, two=two.slow - two.slow_left,
+        below=below.states - below.left,
+    )  # fmt: skip
 
 
-def stribeck(found: Any) -> Claim:
+def stribeck(found: Any) -> Judged:
     """The remark on Prop. 4."""
     one, two, three = found.isotropic.stribeck.values()
     # the line of eq. 11 meets mu = 0 at v/n = -mu0/mu1
     crossing = {name for name, sets in CASES.items() if all(-a / b > 0 for a, b in sets)}
-    return Claim(
-        "stribeck",
-        "regions of the Stribeck curve, remark on Prop. 4",
-        "boundary and EHD friction are cases (i) or (iii), mixed friction (ii); left if the "
-        "line of eq. 11 meets mu = 0 at v/n > 0",
-        f"lines that meet mu = 0 at v/n > 0: (iii), left in {three.left} of {three.states}, "
-        f"but also (ii), right in {two.slow - two.slow_left} of {two.slow} with |eps| < 1",
-        verdict(_prop_4_holds(one, two, three) and crossing == {"ii", "iii"}, corrected=True),
-        "The line must also rise: that of mixed friction falls and meets mu = 0 at v/n > 0 as "
-        "well. Boundary friction, positive down to v/n = 0, has mu0 > 0 and is case (i); only "
-        "EHD friction can be case (iii).",
-    )
+    holds = _prop_4_holds(one, two, three) and crossing == {"ii", "iii"}
+    return judged(holds, corrected=True, two=two.slow - two.slow_left)

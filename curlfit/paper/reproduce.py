@@ -11,7 +11,7 @@ from curlfit.numerics.threads import in_threads
 from curlfit.output.display import Displayed
 from curlfit.output.document import Document
 from curlfit.paper import anisotropic as ring, isotropic as path
-from curlfit.paper.claim import Claim, document
+from curlfit.paper.claim import Claim, Judged, claims_of, document
 
 STUDIES: dict[str, tuple[str, Callable[[], SimpleNamespace]]] = {
     "path": ("eq. 12 and its derivatives", path.study_path),
@@ -21,13 +21,15 @@ STUDIES: dict[str, tuple[str, Callable[[], SimpleNamespace]]] = {
 }
 """What each study is about, and its function."""
 
-CLAIMS: tuple[Callable[[Any], Claim], ...] = (
-    path.eq_13, path.eq_14_x, path.eq_14_y, path.prop_1, path.prop_2, path.prop_3, path.prop_4,
-    path.stribeck, path.prop_5, path.eq_15_to_17,
-    ring.uniform_load, ring.eq_22, ring.eq_23, ring.eq_24_l1, ring.eq_24_l2, ring.eq_24_l3,
-    ring.eq_27, ring.eq_28, ring.ratio, ring.split,
-)  # fmt: skip
-"""A function of all studies for each claim, in the order of the table."""
+CLAIMS: dict[str, Callable[[Any], Judged]] = {
+    "eq13": path.eq_13, "eq14x": path.eq_14_x, "eq14y": path.eq_14_y, "prop1": path.prop_1,
+    "prop2": path.prop_2, "prop3": path.prop_3, "prop4": path.prop_4, "stribeck": path.stribeck,
+    "prop5": path.prop_5, "eq15-17": path.eq_15_to_17, "load": ring.uniform_load,
+    "eq22": ring.eq_22, "eq23": ring.eq_23, "eq24-l1": ring.eq_24_l1, "eq24-l2": ring.eq_24_l2,
+    "eq24-l3": ring.eq_24_l3, "eq27": ring.eq_27, "eq28": ring.eq_28, "ratio": ring.ratio,
+    "split": ring.split,
+}  # fmt: skip
+"""A function of all studies for each claim."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,5 +83,6 @@ def reproduce(
             if arrived is not None:
                 arrived(name, found)
     progress("done", len(STUDIES), len(STUDIES))
-    with in_threads(lambda claim: claim(found), [(claim,) for claim in CLAIMS]) as claims:
-        return Reproduction(tuple(claims), **vars(found))
+    with in_threads(lambda claim: claim(found), [(claim,) for claim in CLAIMS.values()]) as claims:
+        judged = dict(zip(CLAIMS, claims, strict=True))
+    return Reproduction(claims_of(vars(found), judged), **vars(found))
